@@ -1,0 +1,34 @@
+"""Search: what is searched, who searches, and the metered door between them."""
+
+from miho.optim.miho import MIHO
+from miho.optim.minimize import Checkpoint, Outcome, RunRecord, minimize
+from miho.optim.optimizer import AskTell, Optimizer
+from miho.optim.oracle import Budget, BudgetExhausted, Clock, Meter, Oracle
+from miho.optim.problem import LeastSquaresProblem, Problem
+from miho.optim.random_search import RandomSearch
+from miho.optim.schedule import Rung, hyperband_table
+from miho.optim.space import Parameter, Space
+from miho.optim.trace import Trace
+
+__all__ = [
+    "MIHO",
+    "AskTell",
+    "Budget",
+    "BudgetExhausted",
+    "Checkpoint",
+    "Clock",
+    "LeastSquaresProblem",
+    "Meter",
+    "Optimizer",
+    "Oracle",
+    "Outcome",
+    "Parameter",
+    "Problem",
+    "RandomSearch",
+    "RunRecord",
+    "Rung",
+    "Space",
+    "Trace",
+    "hyperband_table",
+    "minimize",
+]

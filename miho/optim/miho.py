@@ -1,0 +1,132 @@
+"""MIHO: Hyperband whose evaluations mutate what they evaluate (Alg. 1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.optim.mutation import ANNEALINGS, CLIPS, annealed_sigma, mutate
+from miho.optim.optimizer import AskTell
+from miho.optim.schedule import ROUNDINGS, Rung, hyperband_table
+from miho.optim.space import SAMPLINGS, Space
+from miho.optim.validate import at_least, one_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class MIHOState:
+    """Where Alg. 1 stands: P (n, d) in search coordinates with losses L (n,) on rung `position`.
+
+    `step` counts the mutations done on this rung, -1 while fresh configurations are evaluated;
+    `sigma` (mutations, d) anneals over them; `batch` is what is being evaluated.
+    """
+
+    space: Space
+    rng: np.random.Generator
+    table: tuple[Rung, ...]
+    position: int
+    P: Array
+    L: Array
+    step: int
+    sigma: Array
+    batch: Array = field(repr=False)
+
+    @property
+    def rung(self) -> Rung:
+        """The rung in progress."""
+        return self.table[self.position]
+
+
+@dataclass(frozen=True)
+class MIHO(AskTell[MIHOState]):
+    """Alg. 1 with the settings it leaves open; the defaults are the paper as printed.
+
+    R is the largest number of mutations one configuration gets on a rung, eta the proportion kept
+    (one in eta). A fresh configuration costs one evaluation before its mutations; a survivor's
+    loss is known and not paid for again. All configurations of a rung are mutated side by side,
+    so a batch is one mutation of each. Ends by itself after the last bracket.
+
+    `rounding` is that of s_max; `sampling` that of fresh configurations; `annealing` that of
+    sigma, over the mutations of a rung; `clip` keeps mutants in the box or above its lower bounds.
+    """
+
+    R: int = 10_000
+    eta: int = 5
+    rounding: str = "ceil"
+    sampling: str = "normal"
+    annealing: str = "linear"
+    clip: str = "box"
+
+    def __post_init__(self) -> None:
+        at_least("R", self.R, 1, whole=True)
+        at_least("eta", self.eta, 2, whole=True)
+        one_of("rounding", self.rounding, ROUNDINGS)
+        one_of("sampling", self.sampling, SAMPLINGS)
+        one_of("annealing", self.annealing, ANNEALINGS)
+        one_of("clip", self.clip, CLIPS)
+
+    def init(self, space: Space, rng: np.random.Generator) -> MIHOState:
+        """The first bracket's configurations are the common initial ones."""
+        table = hyperband_table(self.R, self.eta, self.rounding)
+        P = self._clipped(space.initial(table[0].n, self.sampling), space)
+        return MIHOState(
+            space=space,
+            rng=rng,
+            table=table,
+            position=0,
+            P=P,
+            L=np.full(len(P), np.inf),
+            step=-1,
+            sigma=annealed_sigma(space, table[0].mutations, self.annealing),
+            batch=P,
+        )
+
+    def ask(self, state: MIHOState) -> Array:
+        """Fresh configurations, or one mutation of each configuration of the rung."""
+        return state.space.decode(state.batch)
+
+    def tell(self, state: MIHOState, thetas: Array, losses: Array) -> None:
+        """Keep each mutant that is better than its parent, then prepare the next batch."""
+        if state.step < 0:
+            state.L = losses.copy()
+        else:
+            better = losses < state.L
+            if better.any():
+                state.P[better] = state.batch[better]
+                state.L[better] = losses[better]
+        state.step += 1
+        while state.step == state.rung.mutations:
+            if not self._advance(state):
+                return
+        if state.step >= 0:
+            sigma = state.sigma[state.step]
+            state.batch = mutate(state.P, sigma, state.space, state.rng, self.clip)
+
+    def done(self, state: MIHOState) -> bool:
+        """After the last rung of the bracket s = 0."""
+        return state.position == len(state.table)
+
+    def _advance(self, state: MIHOState) -> bool:
+        """Go to the next rung, with the best of this one (line 8) or a fresh bracket (line 4)."""
+        state.position += 1
+        if self.done(state):
+            return False
+        if state.rung.j == 0:
+            fresh = state.space.sample(state.rung.n, state.rng, self.sampling)
+            state.P = self._clipped(fresh, state.space)
+            state.batch = state.P
+            state.step = -1
+        else:
+            top = np.argsort(state.L, kind="stable")[: state.rung.n]
+            state.P, state.L = state.P[top], state.L[top]
+            state.step = 0
+        state.sigma = annealed_sigma(state.space, state.rung.mutations, self.annealing)
+        return True
+
+    def _clipped(self, P: Array, space: Space) -> Array:
+        low, high = space.bounds
+        P = np.maximum(P, low)
+        return np.minimum(P, high) if self.clip == "box" else P

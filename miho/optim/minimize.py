@@ -1,0 +1,167 @@
+"""Run one method on one problem within one budget, and say how it ended."""
+
+from __future__ import annotations
+
+import math
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.optim.optimizer import AskTell, Optimizer
+from miho.optim.oracle import Budget, BudgetExhausted, Meter, Oracle
+from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
+from miho.optim.seeds import stream
+from miho.optim.space import Space
+from miho.optim.trace import Trace
+
+Array = NDArray[np.float64]
+
+WARM_UP_EVALUATIONS = 64
+
+
+class Outcome(StrEnum):
+    """How a run ended."""
+
+    BUDGET = "budget"
+    CONVERGED = "converged"
+    NO_FINITE_VALUE = "no_finite_value"
+    FAILED = "failed"
+    INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A method's state and its meter at one moment: pickle it, and resume bit-exactly."""
+
+    state: Any
+    meter: Meter
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """What one run found, and what it spent.
+
+    `theta` (d,) in units and `loss` are the best seen, None and math.inf if nothing was finite.
+    `seconds` is the method's clock; imports, compilation and warm-up are in `setup_seconds`.
+    `rejected` counts unusable values by reason; `error` holds the traceback of a failed run.
+    `checkpoint` resumes a method that can be resumed (AskTell), else it is None.
+    """
+
+    outcome: Outcome
+    theta: Array | None
+    loss: float
+    evaluations: float
+    seconds: float
+    cpu_seconds: float
+    setup_seconds: float
+    trace: Trace
+    rejected: Mapping[str, int]
+    error: str | None = None
+    checkpoint: Checkpoint | None = None
+
+
+def minimize(
+    optimizer: Optimizer,
+    problem: Problem,
+    budget: Budget | None = None,
+    seed: int = 0,
+    *,
+    checkpoint: Checkpoint | None = None,
+    observer: Callable[[Oracle], None] | None = None,
+) -> RunRecord:
+    """Minimise the problem's loss; always returns a record, whatever model or method did.
+
+    `seed` is the repetition: (problem, seed) fixes the common initial configurations, the
+    method's name is mixed in only for its own stream. A `checkpoint` of the same optimizer,
+    problem and seed is continued under the new, larger budget. `observer` is called with the
+    oracle about ten times a second, off the method's clock, to show progress. Ctrl-C ends the
+    run as `interrupted` with all it has found.
+    """
+    if checkpoint is not None and not isinstance(optimizer, AskTell):
+        raise ValueError(f"{type(optimizer).__name__} cannot be resumed; only AskTell methods can")
+    space = problem.space.seeded(problem.name, seed)
+    rng = stream("own", problem.name, seed, type(optimizer).__name__)
+    setup_started = time.perf_counter()
+    warm_up(optimizer, problem)
+    setup_seconds = time.perf_counter() - setup_started
+
+    meter = None if checkpoint is None else checkpoint.meter
+    oracle = Oracle(problem, budget or Budget(), space=space, meter=meter, observer=observer)
+    outcome, error = Outcome.CONVERGED, None
+    try:
+        if checkpoint is not None and isinstance(optimizer, AskTell):
+            optimizer.resume(oracle, checkpoint.state)
+        else:
+            optimizer.run(oracle, rng)
+    except BudgetExhausted:
+        target = oracle.budget.target
+        if target is None or oracle.best > target:
+            outcome = Outcome.BUDGET
+    except KeyboardInterrupt:
+        outcome = Outcome.INTERRUPTED
+    except Exception:  # noqa: BLE001 -- a failed run is a result: its curve and traceback are kept
+        outcome, error = Outcome.FAILED, traceback.format_exc()
+    oracle.stop()
+    meter = oracle.meter
+    if outcome in (Outcome.CONVERGED, Outcome.BUDGET) and math.isinf(meter.best):
+        outcome = Outcome.NO_FINITE_VALUE
+    return RunRecord(
+        outcome=outcome,
+        theta=meter.trace.theta[-1].copy() if len(meter.trace) else None,
+        loss=meter.best,
+        evaluations=meter.evaluations,
+        seconds=meter.seconds,
+        cpu_seconds=meter.cpu_seconds,
+        setup_seconds=setup_seconds,
+        trace=meter.trace,
+        rejected=dict(meter.rejected),
+        error=error,
+        checkpoint=None if oracle.state is None else Checkpoint(oracle.state, meter),
+    )
+
+
+def warm_up(optimizer: Optimizer, problem: Problem) -> None:
+    """Let problem and method import, compile and allocate before the clock starts.
+
+    The problem evaluates one configuration; the method searches a paraboloid over the same
+    space for a few evaluations, so it learns nothing of the problem.
+    """
+    theta = problem.space.decode(problem.space.initial(1))
+    toy = _Paraboloid(replace(problem.space, seed=()))
+    for job in (
+        lambda: Oracle(problem, Budget())(theta),
+        lambda: isinstance(problem, LeastSquaresProblem) and problem.jacobian(theta[0]),
+        lambda: optimizer.run(Oracle(toy, Budget(evaluations=WARM_UP_EVALUATIONS)), stream()),
+    ):
+        try:
+            job()
+        except Exception:  # noqa: BLE001 -- the run itself will meet and report it
+            continue
+
+
+class _Paraboloid(LeastSquaresProblem):
+    """Squared distance to the middle of the box, relative to its widths."""
+
+    name = "warm-up"
+
+    def __init__(self, space: Space) -> None:
+        self.space = space
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        return mean_square(np.atleast_2d(self.residuals(thetas)))
+
+    def residuals(self, theta: Array) -> Array:
+        return np.asarray((2 * theta - self.space.low - self.space.high) / self._width)
+
+    def jacobian(self, theta: Array) -> Array:
+        return np.diag(2 / self._width)
+
+    @property
+    def _width(self) -> Array:
+        return self.space.high - self.space.low

@@ -1,0 +1,264 @@
+"""One run's metered view of a problem: the only door between a method and the loss."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
+from miho.optim.space import Space
+from miho.optim.trace import Trace
+from miho.optim.validate import at_least, positive
+
+Array = NDArray[np.float64]
+
+CHUNK_SECONDS = 0.02
+OBSERVE_SECONDS = 0.1
+
+
+class BudgetExhausted(Exception):  # noqa: N818 -- the signal that ends every run, not an error
+    """Raised by the oracle when its budget is spent or its target is reached."""
+
+
+@dataclass(frozen=True)
+class Budget:
+    """What one run may spend; a limit of None does not bind.
+
+    `evaluations` is exact: not one more is made. `seconds` of the method's clock are checked
+    after every chunk of about 20 ms. A run also ends at a loss of `target` or below.
+    """
+
+    evaluations: int | None = None
+    seconds: float | None = None
+    target: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.evaluations is not None:
+            at_least("budget.evaluations", self.evaluations, 1, whole=True)
+        if self.seconds is not None:
+            positive("budget.seconds", self.seconds)
+        if self.target is not None and not math.isfinite(self.target):
+            raise ValueError(f"budget.target is {self.target!r}; expected a finite loss")
+
+
+@dataclass
+class Meter:
+    """What a run has spent and seen; with the method's state, all that a resumed run needs.
+
+    `unfinished` holds the losses of a batch that the budget cut: the same batch, asked again,
+    goes on behind them. `rejected` counts the values that could not be used, by reason.
+    """
+
+    evaluations: float = 0
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+    best: float = math.inf
+    trace: Trace = field(default_factory=Trace)
+    rejected: Counter[str] = field(default_factory=Counter)
+    unfinished: list[float] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Clock:
+    """Seconds of wall and of CPU time, each monotone."""
+
+    wall: Callable[[], float] = time.perf_counter
+    cpu: Callable[[], float] = time.process_time
+
+
+class Oracle:
+    """Counts, times, limits and records every evaluation of one run.
+
+    Calling it evaluates a batch in order; an improvement inside a batch is recorded at its own
+    evaluation. Values that are not finite numbers come back as +inf and never become best.
+    `state` is the place where a resumable method leaves its state.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        budget: Budget,
+        *,
+        space: Space | None = None,
+        meter: Meter | None = None,
+        observer: Callable[[Oracle], None] | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        self.budget = budget
+        self.space = problem.space if space is None else space
+        self.meter = Meter() if meter is None else meter
+        self.state: Any = None
+        self._problem = problem
+        self._limit = math.inf if budget.evaluations is None else budget.evaluations
+        self._deadline = math.inf if budget.seconds is None else budget.seconds
+        self._target = -math.inf if budget.target is None else budget.target
+        self._observer = observer
+        self._clock = Clock() if clock is None else clock
+        self._observed = -math.inf
+        self._wall = self._clock.wall() - self.meter.seconds
+        self._cpu = self._clock.cpu() - self.meter.cpu_seconds
+
+    @property
+    def evaluations(self) -> float:
+        """Full evaluations so far; an evaluation at fidelity f counts f."""
+        return self.meter.evaluations
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of the method's clock: the run without set-up and recording."""
+        return self._clock.wall() - self._wall
+
+    @property
+    def remaining(self) -> float:
+        """Evaluations left, math.inf without a limit."""
+        return self._limit - self.meter.evaluations
+
+    @property
+    def best(self) -> float:
+        """The smallest finite loss so far, math.inf before the first."""
+        return self.meter.best
+
+    @property
+    def trace(self) -> Trace:
+        """The improvements so far."""
+        return self.meter.trace
+
+    def __call__(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Losses (n,) of rows (n, d) in units; raises BudgetExhausted at the end of the budget."""
+        self._check_open()
+        if not 0 < fidelity <= 1:
+            raise ValueError(f"fidelity is {fidelity!r}; expected a fraction above 0, at most 1")
+        unfinished = self.meter.unfinished
+        losses = np.array(unfinished)
+        n = len(thetas)
+        try:
+            while losses.size < n:
+                rows = thetas[losses.size : losses.size + self._chunk(n - losses.size, fidelity)]
+                if not len(rows):
+                    raise BudgetExhausted
+                started = self.seconds
+                chunk = self._losses(rows, fidelity)
+                self._record(rows, chunk, fidelity, started)
+                losses = np.concatenate((losses, chunk)) if losses.size else chunk
+                if self.meter.seconds >= self._deadline or self.meter.best <= self._target:
+                    raise BudgetExhausted
+        except BaseException:
+            unfinished[:] = losses.tolist()
+            raise
+        if unfinished:
+            unfinished.clear()
+        return losses
+
+    def residuals(self, theta: Array) -> Array:
+        """Residuals (m,) of one configuration (d,) in units: one evaluation."""
+        self._check_open()
+        started = self.seconds
+        residuals = self._least_squares.residuals(theta)
+        self._record(theta[None], self._usable(mean_square(residuals)[None]), 1.0, started)
+        self._check_open()
+        return residuals
+
+    def jacobian(self, theta: Array) -> Array:
+        """Derivatives of the residuals (m, d) at one configuration (d,) in units.
+
+        Costs `jacobian_cost` evaluations; a budget that cannot pay it is exhausted.
+        """
+        problem = self._least_squares
+        cost = len(self.space) if problem.jacobian_cost is None else problem.jacobian_cost
+        self._check_open()
+        if cost > self.remaining:
+            raise BudgetExhausted
+        jacobian = problem.jacobian(theta)
+        self.meter.evaluations += cost
+        return jacobian
+
+    def stop(self) -> None:
+        """Read the clocks for the last time."""
+        self.meter.seconds = self.seconds
+        self.meter.cpu_seconds = self._clock.cpu() - self._cpu
+
+    @property
+    def _least_squares(self) -> LeastSquaresProblem:
+        if not isinstance(self._problem, LeastSquaresProblem):
+            raise TypeError(
+                f"problem {self._problem.name} gives no residuals; choose a method that needs "
+                "only losses, or make it a LeastSquaresProblem"
+            )
+        return self._problem
+
+    def _check_open(self) -> None:
+        meter = self.meter
+        if (
+            meter.evaluations >= self._limit
+            or meter.seconds >= self._deadline
+            or meter.best <= self._target
+        ):
+            raise BudgetExhausted
+
+    def _chunk(self, rows: int, fidelity: float) -> int:
+        """Rows to evaluate before the next look at the clock, within the evaluations left."""
+        meter = self.meter
+        if rows > 1:
+            rate = meter.evaluations / meter.seconds if meter.seconds > 0 else 0.0
+            rows = min(rows, max(1, int(CHUNK_SECONDS * rate)))
+        if rows * fidelity > self.remaining:
+            rows = int(self.remaining / fidelity)
+        return rows
+
+    def _losses(self, rows: Array, fidelity: float) -> Array:
+        """The problem's losses; +inf, with its reason counted, for a row that has none."""
+        try:
+            losses = np.asarray(self._problem.loss(rows, fidelity))
+            if losses.shape == (len(rows),) and losses.dtype.kind in "fiu":
+                return self._usable(losses.astype(float, copy=False))
+            reason = f"not one real number a row: {losses.dtype} of shape {losses.shape}"
+        except Exception as error:  # noqa: BLE001 -- whatever a model raises is a rejected value
+            reason = f"{type(error).__name__}: {error}"
+        if len(rows) == 1:
+            self.meter.rejected[reason] += 1
+            return np.array([math.inf])
+        return np.concatenate([self._losses(row[None], fidelity) for row in rows])
+
+    def _usable(self, losses: Array) -> Array:
+        """The losses with +inf in place of every value that is not a finite number."""
+        if math.isfinite(np.add.reduce(losses)):
+            return losses
+        bad = ~np.isfinite(losses)
+        self.meter.rejected.update(f"loss is {value}" for value in losses[bad])
+        return np.where(bad, math.inf, losses)
+
+    def _record(self, rows: Array, losses: Array, fidelity: float, started: float) -> None:
+        """Count the rows, keep their improvements and hold the clock meanwhile.
+
+        Inside a chunk the clock is taken to run evenly, so each improvement has its own time.
+        """
+        meter = self.meter
+        n = losses.size
+        meter.seconds = now = self._clock.wall() - self._wall
+        if fidelity == 1.0 and np.minimum.reduce(losses) < meter.best:
+            meter.cpu_seconds = self._clock.cpu() - self._cpu
+            per_row = (now - started) / n
+            for i in np.flatnonzero(losses < meter.best).tolist():
+                if losses[i] < meter.best:
+                    meter.best = float(losses[i])
+                    meter.trace.add(
+                        meter.evaluations + i + 1,
+                        now - per_row * (n - 1 - i),
+                        meter.cpu_seconds,
+                        meter.best,
+                        rows[i],
+                    )
+            self._wall = self._clock.wall() - now
+            self._cpu = self._clock.cpu() - meter.cpu_seconds
+        meter.evaluations += n * fidelity
+        if self._observer is not None and now - self._observed >= OBSERVE_SECONDS:
+            self._observed = now
+            self._observer(self)
+            self._wall = self._clock.wall() - now

@@ -1,0 +1,55 @@
+"""What is minimised: a loss over a space."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.optim.space import Space
+
+Array = NDArray[np.float64]
+
+
+class Problem(ABC):
+    """A loss over a box of parameters; the loss of a row depends on that row alone.
+
+    `name` identifies the problem in seeds, stores and figures: two problems with one name are
+    the same problem.
+    """
+
+    name: str
+    space: Space
+
+    @abstractmethod
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Losses (n,) of parameter rows (n, d) in units; a row's loss is the same in any batch.
+
+        `fidelity` in (0, 1] is the fraction of the data that may be used; a problem without
+        cheaper versions of itself ignores it.
+        """
+
+
+class LeastSquaresProblem(Problem):
+    """A problem whose loss is the mean of squared residuals, with derivatives of the residuals.
+
+    `jacobian_cost` is what one Jacobian costs in evaluations; a problem without it pays the
+    number of parameters, as finite differences would.
+    """
+
+    jacobian_cost: int | None = None
+
+    @abstractmethod
+    def residuals(self, theta: Array) -> Array:
+        """Model minus data, (m,), of one configuration (d,)."""
+
+    @abstractmethod
+    def jacobian(self, theta: Array) -> Array:
+        """Derivatives of the residuals, (m, d), at one configuration (d,)."""
+
+
+def mean_square(residuals: Array) -> Array:
+    """Mean square over the last axis (Eq. 1), bit for bit the same for one row as in a batch."""
+    squares = np.einsum("...i,...i->...", residuals, residuals)
+    return np.asarray(squares / residuals.shape[-1])

@@ -1,0 +1,51 @@
+"""Random search: the yardstick that every method must beat."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.optim.optimizer import AskTell
+from miho.optim.space import SAMPLINGS, Space
+from miho.optim.validate import at_least, one_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass
+class RandomSearchState:
+    """The next batch (n, d), in search coordinates."""
+
+    space: Space
+    rng: np.random.Generator
+    batch: Array
+
+
+@dataclass(frozen=True)
+class RandomSearch(AskTell[RandomSearchState]):
+    """Independent draws from the initial distribution, `batch` at a time, until the budget ends."""
+
+    batch: int = 1000
+    sampling: str = "normal"
+
+    def __post_init__(self) -> None:
+        at_least("batch", self.batch, 1, whole=True)
+        one_of("sampling", self.sampling, SAMPLINGS)
+
+    def init(self, space: Space, rng: np.random.Generator) -> RandomSearchState:
+        """The first batch is the common initial configurations."""
+        return RandomSearchState(space, rng, space.initial(self.batch, self.sampling))
+
+    def ask(self, state: RandomSearchState) -> Array:
+        """The drawn batch."""
+        return state.space.decode(state.batch)
+
+    def tell(self, state: RandomSearchState, thetas: Array, losses: Array) -> None:
+        """Draw the next batch."""
+        state.batch = state.space.sample(self.batch, state.rng, self.sampling)
+
+    def done(self, state: RandomSearchState) -> bool:
+        """Never."""
+        return False

@@ -1,0 +1,47 @@
+"""The table of Hyperband's brackets and rungs (Alg. 1, lines 1-6), in integers throughout."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from miho.optim.validate import at_least, one_of
+
+ROUNDINGS = ("ceil", "floor")
+
+
+@dataclass(frozen=True)
+class Rung:
+    """n configurations that get `mutations` evaluations each, in bracket s at position j."""
+
+    s: int
+    j: int
+    n: int
+    mutations: int
+
+
+def largest_bracket(R: int, eta: int, rounding: str = "ceil") -> int:
+    """s_max of line 1: log_eta(R) rounded up as printed, or down as in the original Hyperband.
+
+    Counted in integers: floating-point logarithms lose a bracket at (243, 3) and (1000, 10).
+    """
+    s, power = 0, 1
+    while power * eta <= R:
+        s, power = s + 1, power * eta
+    return s + (rounding == "ceil" and power < R)
+
+
+def hyperband_table(R: int, eta: int, rounding: str = "ceil") -> tuple[Rung, ...]:
+    """All rungs in the order of Alg. 1: brackets s = s_max ... 0, rungs j = 0 ... s.
+
+    With B = (s_max + 1) R, a bracket starts n = ceil(B / R * eta^s / (s + 1)) configurations;
+    rung j holds floor(n / eta^j), at least one, and gives each floor(R eta^(j - s)) mutations.
+    """
+    at_least("R", R, 1, whole=True)
+    at_least("eta", eta, 2, whole=True)
+    one_of("rounding", rounding, ROUNDINGS)
+    s_max = largest_bracket(R, eta, rounding)
+    rungs = []
+    for s in range(s_max, -1, -1):
+        n = -(-(s_max + 1) * eta**s // (s + 1))
+        rungs += [Rung(s, j, max(1, n // eta**j), R * eta**j // eta**s) for j in range(s + 1)]
+    return tuple(rungs)

@@ -1,0 +1,190 @@
+"""The box of parameters that a search may use, and where searches start in it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+
+from miho.optim.seeds import Part, stream
+from miho.optim.validate import one_of
+
+Array = NDArray[np.float64]
+
+SCALES = ("linear", "log")
+SAMPLINGS = ("normal", "uniform_plus_noise", "uniform")
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter: its unit, its range and how a search draws and perturbs it.
+
+    On the linear scale `mean`, `std`, `sigma_max` and `sigma_min` have the parameter's unit; on
+    the log scale `mean` has it, and the other three are in natural-log units (0.1 is about 10 %).
+    What is left out follows from the range: mean in the middle, std a quarter of the range,
+    sigma_max a tenth of it. `mean` and `std` describe the initial distribution, truncated to the
+    range (Alg. 1, line 4); sigma is the mutation's standard deviation (Eq. 2).
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    scale: str = "linear"
+    mean: float | None = None
+    std: float | None = None
+    sigma_max: float | None = None
+    sigma_min: float = 0.0
+
+    def __post_init__(self) -> None:
+        where = f"parameter {self.name!r}"
+        one_of(f"{where}: scale", self.scale, SCALES)
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise ValueError(
+                f"{where}: low is {self.low!r} and high is {self.high!r}; "
+                "expected finite bounds with low < high"
+            )
+        if self.scale == "log" and self.low <= 0:
+            raise ValueError(f"{where}: low is {self.low!r}; expected above 0 on the log scale")
+        if self.mean is not None and not self.low <= self.mean <= self.high:
+            raise ValueError(f"{where}: mean is {self.mean!r}; expected within the range")
+        if self.std is not None and not 0 < self.std < math.inf:
+            raise ValueError(f"{where}: std is {self.std!r}; expected above 0")
+        sigma_max = math.inf if self.sigma_max is None else self.sigma_max
+        if not 0 <= self.sigma_min <= sigma_max:
+            raise ValueError(
+                f"{where}: sigma_min is {self.sigma_min!r} and sigma_max is {self.sigma_max!r}; "
+                "expected 0 <= sigma_min <= sigma_max"
+            )
+
+
+@dataclass(frozen=True)
+class Space:
+    """Named parameters in a fixed order; theta[i] is the value of parameters[i], in its unit.
+
+    Searches move in *search coordinates*: the natural logarithm of a parameter on the log scale,
+    the parameter itself otherwise (`encode`, `decode`). `seed` names the common initial
+    configurations, which `minimize` sets from (problem, repetition): every method that asks
+    `initial(n)` starts from the same rows.
+    """
+
+    parameters: tuple[Parameter, ...]
+    seed: tuple[Part, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "parameters", tuple(self.parameters))
+        if not self.parameters:
+            raise ValueError("a space needs at least one parameter")
+        if len(set(self.names)) != len(self.names):
+            raise ValueError(f"parameter names must differ; got {', '.join(self.names)}")
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The parameters' names, in the order of theta."""
+        return tuple(parameter.name for parameter in self.parameters)
+
+    @cached_property
+    def low(self) -> Array:
+        """Lower bounds in units, (d,)."""
+        return np.array([p.low for p in self.parameters])
+
+    @cached_property
+    def high(self) -> Array:
+        """Upper bounds in units, (d,)."""
+        return np.array([p.high for p in self.parameters])
+
+    @cached_property
+    def _log(self) -> NDArray[np.bool_]:
+        return np.array([p.scale == "log" for p in self.parameters])
+
+    @cached_property
+    def _any_log(self) -> bool:
+        return bool(self._log.any())
+
+    def encode(self, thetas: Array) -> Array:
+        """Units to search coordinates, (..., d)."""
+        if not self._any_log:
+            return thetas
+        coordinates = thetas.copy()
+        coordinates[..., self._log] = np.log(thetas[..., self._log])
+        return coordinates
+
+    def decode(self, coordinates: Array) -> Array:
+        """Search coordinates to units, (..., d)."""
+        if not self._any_log:
+            return coordinates
+        thetas = coordinates.copy()
+        thetas[..., self._log] = np.exp(coordinates[..., self._log])
+        return thetas
+
+    @cached_property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds in search coordinates, (d,) each."""
+        return self.encode(self.low), self.encode(self.high)
+
+    @cached_property
+    def sigma(self) -> tuple[Array, Array]:
+        """Maximum and minimum of the mutation's sigma in search coordinates, (d,) each (Eq. 2)."""
+        low, high = self.bounds
+        given = [p.sigma_max for p in self.parameters]
+        tenth = (high - low) / 10
+        largest = np.array([t if s is None else s for t, s in zip(tenth, given, strict=True)])
+        return largest, np.array([p.sigma_min for p in self.parameters])
+
+    def clip(self, thetas: Array) -> Array:
+        """The nearest points of the box, in units, (..., d)."""
+        return np.minimum(np.maximum(thetas, self.low), self.high)
+
+    def contains(self, thetas: Array) -> NDArray[np.bool_]:
+        """Which rows lie in the box, up to one rounding of the log scale, (n,)."""
+        slack = 4 * np.finfo(float).eps * np.maximum(np.abs(self.low), np.abs(self.high))
+        inside = (thetas >= self.low - slack) & (thetas <= self.high + slack)
+        return np.asarray(inside.all(axis=-1))
+
+    def sample(self, n: int, rng: np.random.Generator, sampling: str = "normal") -> Array:
+        """Draw n configurations in search coordinates, (n, d).
+
+        `normal` is the paper's initial distribution, truncated to the box; `uniform_plus_noise`
+        adds Gaussian noise of sigma_max to a uniform draw, and may leave the box, as the authors'
+        public code does; `uniform` fills the box. The first rows of a longer draw from the same
+        generator state are the rows of a shorter one.
+        """
+        one_of("sampling", sampling, SAMPLINGS)
+        low, high = self.bounds
+        d = len(self)
+        if sampling == "uniform":
+            return low + (high - low) * rng.random((n, d))
+        if sampling == "uniform_plus_noise":
+            draws = rng.random((n, 2 * d))
+            noise = ndtri(np.maximum(draws[:, d:], np.finfo(float).tiny))
+            return np.asarray(low + (high - low) * draws[:, :d] + self.sigma[0] * noise)
+        mean, std = self._normal
+        below, above = ndtr((low - mean) / std), ndtr((high - mean) / std)
+        quantiles = below + (above - below) * rng.random((n, d))
+        return np.minimum(np.maximum(mean + std * ndtri(quantiles), low), high)
+
+    @cached_property
+    def _normal(self) -> tuple[Array, Array]:
+        low, high = self.bounds
+        middle = self.decode((low + high) / 2)
+        mean = [
+            m if p.mean is None else p.mean for m, p in zip(middle, self.parameters, strict=True)
+        ]
+        quarter = (high - low) / 4
+        std = [q if p.std is None else p.std for q, p in zip(quarter, self.parameters, strict=True)]
+        return self.encode(np.array(mean)), np.array(std)
+
+    def initial(self, n: int, sampling: str = "normal") -> Array:
+        """The first n of the common initial configurations, in search coordinates, (n, d)."""
+        return self.sample(n, stream("initial", *self.seed), sampling)
+
+    def seeded(self, *seed: Part) -> Space:
+        """This space with other common initial configurations."""
+        return replace(self, seed=seed)

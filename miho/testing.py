@@ -1,0 +1,299 @@
+"""Conformance suite for optimizers: what every method must do, whoever wrote it.
+
+    from miho.testing import check_optimizer
+    check_optimizer(MyMethod())
+
+or, one test per check, parametrise over `CHECKS`. A method that cannot pass a check by design
+declares it with a reason: `expected_failures={"stays_in_the_box": "clips lower bounds only"}`.
+A declared failure that passes is an error too, so that declarations stay true.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import pickle
+import random
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.optim import (
+    AskTell,
+    Budget,
+    BudgetExhausted,
+    LeastSquaresProblem,
+    Optimizer,
+    Oracle,
+    Outcome,
+    Parameter,
+    RunRecord,
+    Space,
+    Trace,
+    minimize,
+)
+from miho.optim.problem import mean_square
+from miho.optim.seeds import stream
+
+Array = NDArray[np.float64]
+
+BUDGET = 400
+
+
+class ConformanceError(AssertionError):
+    """A check that failed: its name and what was seen."""
+
+
+class DecayFit(LeastSquaresProblem):
+    """Fit y = a exp(-b t): a on a linear, b on a log scale; remembers all it was asked.
+
+    `thetas` and `losses` list every loss evaluation in order, `spent` adds the cost of residuals
+    and Jacobians. `spoil` may turn the losses of a batch into something else.
+    """
+
+    name = "conformance"
+    space = Space(
+        (
+            Parameter("a", "V", -5.0, 5.0, sigma_max=0.5),
+            Parameter("b", "1/s", 0.01, 10.0, scale="log", sigma_max=0.3),
+        )
+    )
+
+    def __init__(self, spoil: Callable[[Array, Array], Array] | None = None) -> None:
+        self.t = np.linspace(0.0, 2.0, 17)
+        self.y = 2.0 * np.exp(-1.5 * self.t) + 0.05 * np.cos(40 * self.t)
+        self.thetas: list[Array] = []
+        self.losses: list[float] = []
+        self.spent = 0
+        self._spoil = spoil
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Mean squared residual (n,), spoilt if asked for."""
+        losses = mean_square(thetas[:, :1] * np.exp(-thetas[:, 1:] * self.t) - self.y)
+        if self._spoil is not None:
+            losses = self._spoil(thetas, losses)
+        self._remember(thetas, losses)
+        self.spent += len(thetas)
+        return losses
+
+    def residuals(self, theta: Array) -> Array:
+        """Model minus data, (17,)."""
+        residuals = theta[0] * np.exp(-theta[1] * self.t) - self.y
+        if self._spoil is not None and not np.isfinite(
+            self._spoil(theta[None], mean_square(residuals)[None])
+        ):
+            residuals = np.full_like(residuals, np.nan)
+        self._remember(theta[None], mean_square(residuals)[None])
+        self.spent += 1
+        return np.asarray(residuals)
+
+    def jacobian(self, theta: Array) -> Array:
+        """Derivatives of the residuals, (17, 2)."""
+        decay = np.exp(-theta[1] * self.t)
+        self.spent += 2
+        return np.stack([decay, -theta[0] * self.t * decay], axis=1)
+
+    def _remember(self, thetas: Array, losses: Array) -> None:
+        self.thetas.extend(thetas.copy())
+        self.losses.extend(losses.tolist())
+
+
+def check_optimizer(
+    optimizer: Optimizer, expected_failures: Mapping[str, str] | None = None
+) -> None:
+    """Run every check on one optimizer; raises ConformanceError at the first that fails."""
+    for name in CHECKS:
+        run_check(name, optimizer, expected_failures or {})
+
+
+def run_check(name: str, optimizer: Optimizer, expected_failures: Mapping[str, str]) -> None:
+    """Run one check; a failure is expected exactly where `expected_failures` gives a reason."""
+    expected = expected_failures.get(name)
+    try:
+        CHECKS[name](optimizer)
+    except ConformanceError as error:
+        if expected is None:
+            raise ConformanceError(f"{type(optimizer).__name__} fails {name}: {error}") from error
+    else:
+        if expected is not None:
+            raise ConformanceError(
+                f"{type(optimizer).__name__} passes {name}; remove the declared failure"
+            )
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise ConformanceError(message)
+
+
+def _watched(optimizer: Optimizer, evaluations: int = BUDGET) -> tuple[Oracle, DecayFit]:
+    """One run, without set-up, of which the problem has seen every evaluation."""
+    problem = DecayFit()
+    space = problem.space.seeded(problem.name, 3)
+    oracle = Oracle(problem, Budget(evaluations=evaluations), space=space)
+    with contextlib.suppress(BudgetExhausted):
+        optimizer.run(oracle, stream("conformance"))
+    return oracle, problem
+
+
+def _same(one: Trace, other: Trace) -> bool:
+    return (
+        one.evaluations == other.evaluations
+        and one.loss == other.loss
+        and np.array_equal(np.array(one.theta), np.array(other.theta))
+    )
+
+
+def is_a_frozen_dataclass(optimizer: Optimizer) -> None:
+    """Settings are a frozen dataclass: comparable, picklable, safe to share between runs."""
+    settings = getattr(type(optimizer), "__dataclass_params__", None)
+    _require(settings is not None and settings.frozen, "it is not a frozen dataclass")
+    _require(pickle.loads(pickle.dumps(optimizer)) == optimizer, "it does not pickle to itself")
+
+
+def keeps_the_budget_exactly(optimizer: Optimizer) -> None:
+    """Every evaluation goes through the oracle, and not one more than allowed is made."""
+    for evaluations in (1, 2, 7, BUDGET):
+        oracle, problem = _watched(optimizer, evaluations)
+        _require(
+            oracle.evaluations == problem.spent <= evaluations,
+            f"budget {evaluations}: oracle counted {oracle.evaluations}, problem {problem.spent}",
+        )
+
+
+def records_every_improvement(optimizer: Optimizer) -> None:
+    """The trace holds just the running minima of all losses, in order."""
+    oracle, problem = _watched(optimizer)
+    minima = np.minimum.accumulate(problem.losses)
+    improvements = np.unique(minima)[::-1]
+    trace = oracle.trace
+    _require(trace.loss == improvements.tolist(), "the trace is not the running minimum")
+    for column in (trace.evaluations, trace.seconds, trace.cpu_seconds):
+        _require(bool((np.diff(column) >= 0).all()), "a column of the trace decreases")
+
+
+def starts_at_the_common_start(optimizer: Optimizer) -> None:
+    """The first configuration evaluated is the first common initial configuration."""
+    oracle, problem = _watched(optimizer, 1)
+    start = oracle.space.decode(oracle.space.initial(1))[0]
+    _require(np.array_equal(problem.thetas[0], start), f"{problem.thetas[0]} is not {start}")
+
+
+def stays_in_the_box(optimizer: Optimizer) -> None:
+    """Every configuration evaluated lies within the space's bounds."""
+    _, problem = _watched(optimizer)
+    outside = np.array(problem.thetas)[~problem.space.contains(np.array(problem.thetas))]
+    _require(not outside.size, f"{len(outside)} configurations outside, such as {outside[:1]}")
+
+
+def repeats_with_the_same_seed(optimizer: Optimizer) -> None:
+    """Same seed, same trace but for the seconds; another seed, another run."""
+    budget = Budget(evaluations=BUDGET)
+    first, again = (minimize(optimizer, DecayFit(), budget, seed=3) for _ in range(2))
+    other = minimize(optimizer, DecayFit(), budget, seed=4)
+    _require(_same(first.trace, again.trace), "two runs with one seed differ")
+    _require(not _same(first.trace, other.trace), "runs with different seeds are the same")
+
+
+def uses_no_global_randomness(optimizer: Optimizer) -> None:
+    """NumPy's and Python's global generators are left alone."""
+    before = random.getstate(), str(np.random.get_state())  # noqa: NPY002
+    minimize(optimizer, DecayFit(), Budget(evaluations=BUDGET))
+    after = random.getstate(), str(np.random.get_state())  # noqa: NPY002
+    _require(before == after, "it drew from a global generator")
+
+
+def survives_unusable_values(optimizer: Optimizer) -> None:
+    """NaN, infinities and exceptions never end a run as failed and never become best."""
+
+    def half_nan(thetas: Array, losses: Array) -> Array:
+        return np.where(thetas[:, 0] < 0.5, np.nan, losses)
+
+    def minus_infinity(thetas: Array, losses: Array) -> Array:
+        return np.where(thetas[:, 1] > 2.0, -np.inf, losses)
+
+    def raises(thetas: Array, losses: Array) -> Array:
+        if (thetas[:, 0] < 0).any():
+            raise ArithmeticError("below zero")
+        return losses
+
+    for spoil in (half_nan, minus_infinity, raises):
+        record = minimize(optimizer, DecayFit(spoil), Budget(evaluations=BUDGET), seed=3)
+        _require(
+            record.outcome is not Outcome.FAILED or "below zero" in (record.error or ""),
+            f"{spoil.__name__}: {record.error}",
+        )
+        if record.theta is not None:
+            clean = DecayFit().loss(record.theta[None])[0]
+            _require(record.loss == clean, f"{spoil.__name__}: best is {record.loss}, not {clean}")
+
+
+def says_when_nothing_is_finite(optimizer: Optimizer) -> None:
+    """A run that saw nothing finite ends as such, with reasons."""
+    problem = DecayFit(lambda thetas, losses: np.full(len(thetas), np.nan))
+    record = minimize(optimizer, problem, Budget(evaluations=BUDGET))
+    _require(record.outcome is Outcome.NO_FINITE_VALUE, f"the outcome is {record.outcome}")
+    _require(record.theta is None and math.isinf(record.loss), "it claims a best configuration")
+    _require(bool(record.rejected), "no reason was recorded")
+
+
+def stops_at_the_target(optimizer: Optimizer) -> None:
+    """A run ends as converged at the first evaluation that reaches the target."""
+    free = minimize(optimizer, DecayFit(), Budget(evaluations=BUDGET), seed=3)
+    middle = len(free.trace) // 2
+    target = free.trace.loss[middle]
+    record = minimize(optimizer, DecayFit(), Budget(evaluations=BUDGET, target=target), seed=3)
+    _require(record.outcome is Outcome.CONVERGED, f"the outcome is {record.outcome}")
+    _require(
+        record.loss <= target
+        and record.trace.evaluations[middle] == free.trace.evaluations[middle],
+        f"it reached {record.loss}, not {target}",
+    )
+
+
+def resumes_bit_exactly(optimizer: Optimizer) -> None:
+    """An AskTell run cut anywhere, pickled and resumed is the run that was never cut."""
+    if not isinstance(optimizer, AskTell):
+        return
+    whole = minimize(optimizer, DecayFit(), Budget(evaluations=BUDGET), seed=3)
+    cut: RunRecord | None = None
+    for evaluations in (1, 57, 58, 211, BUDGET):
+        checkpoint = None if cut is None else pickle.loads(pickle.dumps(cut.checkpoint))
+        budget = Budget(evaluations=evaluations)
+        cut = minimize(optimizer, DecayFit(), budget, seed=3, checkpoint=checkpoint)
+    _require(cut is not None and _same(cut.trace, whole.trace), "the resumed run differs")
+
+
+def asks_without_side_effects(optimizer: Optimizer) -> None:
+    """`ask` only reads the state: asked twice, an AskTell method gives the same batch."""
+    if not isinstance(optimizer, AskTell):
+        return
+    problem = DecayFit()
+    state = optimizer.init(problem.space, stream("conformance"))
+    for _ in range(5):
+        if optimizer.done(state):
+            return
+        first, second = optimizer.ask(state).copy(), optimizer.ask(state)
+        _require(np.array_equal(first, second), "asked twice, it gave two batches")
+        optimizer.tell(state, second, problem.loss(second))
+        _require(np.array_equal(first, second), "tell changed the batch it was given")
+
+
+CHECKS: dict[str, Callable[[Optimizer], None]] = {
+    check.__name__: check
+    for check in (
+        is_a_frozen_dataclass,
+        keeps_the_budget_exactly,
+        records_every_improvement,
+        starts_at_the_common_start,
+        stays_in_the_box,
+        repeats_with_the_same_seed,
+        uses_no_global_randomness,
+        survives_unusable_values,
+        says_when_nothing_is_finite,
+        stops_at_the_target,
+        resumes_bit_exactly,
+        asks_without_side_effects,
+    )
+}

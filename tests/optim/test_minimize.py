@@ -1,0 +1,73 @@
+"""`minimize`: every ending is a record."""
+
+import numpy as np
+import pytest
+
+from miho import MIHO, Budget, Optimizer, Oracle, minimize
+from miho.optim import Outcome, RandomSearch
+from miho.testing import DecayFit
+
+
+class Interrupted(Optimizer):
+    """Ctrl-C after ten evaluations."""
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        oracle(oracle.space.decode(oracle.space.initial(10)))
+        if oracle.budget.evaluations is None:
+            raise KeyboardInterrupt
+
+
+class Broken(Optimizer):
+    """Fails after ten evaluations."""
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        oracle(oracle.space.decode(oracle.space.initial(10)))
+        raise RuntimeError("a bug in the method")
+
+
+def test_ctrl_c_keeps_what_was_found() -> None:
+    record = minimize(Interrupted(), DecayFit())
+    assert record.outcome is Outcome.INTERRUPTED
+    assert record.evaluations == 10
+    assert record.theta is not None
+
+
+def test_a_failing_method_is_an_outcome_with_its_traceback() -> None:
+    record = minimize(Broken(), DecayFit())
+    assert record.outcome is Outcome.FAILED
+    assert record.evaluations == 10
+    assert "a bug in the method" in (record.error or "")
+
+
+def test_the_record_is_the_end_of_the_trace() -> None:
+    problem = DecayFit()
+    record = minimize(RandomSearch(), problem, Budget(evaluations=500), seed=1)
+    assert record.outcome is Outcome.BUDGET
+    assert record.evaluations == 500
+    assert record.theta is not None
+    assert record.loss == record.trace.loss[-1] == problem.loss(record.theta[None])[0]
+    assert record.seconds >= record.trace.seconds[-1]
+
+
+def test_methods_of_one_repetition_share_their_start() -> None:
+    budget = Budget(evaluations=5)
+    one = minimize(RandomSearch(batch=5), DecayFit(), budget, seed=2)
+    other = minimize(MIHO(R=20, eta=2), DecayFit(), budget, seed=2)
+    assert one.trace.loss == other.trace.loss
+
+
+def test_an_observer_costs_no_time_and_changes_nothing() -> None:
+    seen = []
+    budget = Budget(evaluations=3000)
+    watched = minimize(
+        MIHO(R=100, eta=3), DecayFit(), budget, observer=lambda o: seen.append(o.best)
+    )
+    alone = minimize(MIHO(R=100, eta=3), DecayFit(), budget)
+    assert seen
+    assert watched.trace.loss == alone.trace.loss
+
+
+def test_only_asktell_methods_resume() -> None:
+    record = minimize(RandomSearch(), DecayFit(), Budget(evaluations=5))
+    with pytest.raises(ValueError, match="cannot be resumed"):
+        minimize(Broken(), DecayFit(), checkpoint=record.checkpoint)

@@ -1,0 +1,210 @@
+"""The oracle: exact counts, in-order improvements, a clock that stops while recording."""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from miho import Budget, LeastSquaresProblem, Oracle, Parameter, Problem, Space
+from miho.optim import BudgetExhausted, Clock
+
+Array = NDArray[np.float64]
+SPACE = Space((Parameter("x", "m", -10.0, 10.0),))
+
+
+class Watch:
+    """A clock that moves only when told to."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def clock(self) -> Clock:
+        return Clock(wall=lambda: self.now, cpu=lambda: self.now / 2)
+
+
+class Given(Problem):
+    """The loss of x is `loss(x)`, one second each on `watch`."""
+
+    name = "given"
+    space = SPACE
+
+    def __init__(self, loss: Callable[[float], Any] = abs, watch: Watch | None = None) -> None:
+        self.calls = 0
+        self._loss = loss
+        self._watch = watch
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Any:
+        self.calls += len(thetas)
+        if self._watch is not None:
+            self._watch.now += len(thetas)
+        values = [self._loss(x) for x in thetas[:, 0]]
+        return np.array(values) if len(values) > 1 else np.asarray(values[0])[None]
+
+
+def column(*values: float) -> Array:
+    return np.array(values, dtype=float)[:, None]
+
+
+def test_improvements_inside_a_batch_are_recorded_at_their_own_evaluation() -> None:
+    watch = Watch()
+    oracle = Oracle(Given(watch=watch), Budget(), clock=watch.clock())
+    losses = oracle(column(5, 7, 3, 3, 4, 1, 2))
+    assert losses.tolist() == [5, 7, 3, 3, 4, 1, 2]
+    assert oracle.trace.evaluations == [1, 3, 6]
+    assert oracle.trace.loss == [5, 3, 1]
+    assert oracle.trace.seconds == pytest.approx([1, 3, 6])
+    assert [theta.tolist() for theta in oracle.trace.theta] == [[5], [3], [1]]
+
+
+def test_the_clock_stops_while_recording_and_observing() -> None:
+    watch = Watch()
+
+    def slow(oracle: Oracle) -> None:
+        watch.now += 1000
+
+    oracle = Oracle(Given(watch=watch), Budget(), clock=watch.clock(), observer=slow)
+    for x in (3, 2, 1):
+        oracle(column(x))
+    assert oracle.trace.seconds == [1, 2, 3]
+    watch.now += 5
+    oracle.stop()
+    assert oracle.meter.seconds == 8
+
+
+def test_the_budget_is_exact_in_the_middle_of_a_batch() -> None:
+    problem = Given()
+    oracle = Oracle(problem, Budget(evaluations=4))
+    oracle(column(9, 8))
+    with pytest.raises(BudgetExhausted):
+        oracle(column(7, 6, 5))
+    assert problem.calls == oracle.evaluations == 4
+    assert oracle.best == 6
+    with pytest.raises(BudgetExhausted):
+        oracle(column(1))
+    assert problem.calls == 4
+
+
+def test_seconds_end_a_run_within_a_chunk() -> None:
+    watch = Watch()
+    problem = Given(watch=watch)
+    oracle = Oracle(problem, Budget(seconds=3), clock=watch.clock())
+    with pytest.raises(BudgetExhausted):
+        oracle(column(*range(9, 0, -1)))
+    assert problem.calls == 3
+
+
+def test_the_target_ends_a_run() -> None:
+    oracle = Oracle(Given(), Budget(target=2.5))
+    oracle(column(5))
+    with pytest.raises(BudgetExhausted):
+        oracle(column(2))
+    assert oracle.best == 2
+
+
+@pytest.mark.parametrize(
+    ("loss", "reason"),
+    [
+        (lambda x: math.nan, "loss is nan"),
+        (lambda x: math.inf, "loss is inf"),
+        (lambda x: -math.inf, "loss is -inf"),
+        (lambda x: None, "not one real number a row: object"),
+        (lambda x: "low", "not one real number a row: <U3"),
+        (lambda x: 1j, "not one real number a row: complex128"),
+        (lambda x: np.zeros(2), "not one real number a row: float64 of shape (1, 2)"),
+        (lambda x: 1 / 0, "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_unusable_values_are_counted_with_their_reason(
+    loss: Callable[[float], Any], reason: str
+) -> None:
+    oracle = Oracle(Given(lambda x: loss(x) if x > 0 else 4.0), Budget())
+    assert oracle(column(1)).tolist() == [math.inf]
+    assert oracle(column(0)).tolist() == [4.0]
+    assert oracle.best == 4.0
+    assert oracle.evaluations == 2
+    ((found, count),) = oracle.meter.rejected.items()
+    assert found.startswith(reason)
+    assert count == 1
+
+
+def test_one_bad_row_does_not_spoil_its_batch() -> None:
+    def loss(x: float) -> float:
+        if x == 2:
+            raise ArithmeticError("no two")
+        return x
+
+    oracle = Oracle(Given(loss), Budget())
+    assert oracle(column(3, 2, 1)).tolist() == [3, math.inf, 1]
+    assert oracle.trace.evaluations == [1, 3]
+    assert oracle.meter.rejected == {"ArithmeticError: no two": 1}
+
+
+def test_huge_and_tiny_losses_are_usable() -> None:
+    oracle = Oracle(Given(lambda x: x), Budget())
+    assert oracle(column(1e308, 1e308, 5e-324)).tolist() == [1e308, 1e308, 5e-324]
+    assert not oracle.meter.rejected
+
+
+def test_a_fidelity_costs_its_fraction_and_never_becomes_best() -> None:
+    oracle = Oracle(Given(), Budget(evaluations=2))
+    oracle(column(1, 1, 1, 1), fidelity=0.25)
+    assert oracle.evaluations == 1
+    assert oracle.best == math.inf
+    oracle(column(5))
+    assert oracle.trace.evaluations == [2]
+    with pytest.raises(ValueError, match="fidelity is 0"):
+        Oracle(Given(), Budget())(column(1), fidelity=0.0)
+
+
+class Line(LeastSquaresProblem):
+    """Residuals of y = x t at t = 1, 2."""
+
+    name = "line"
+    space = SPACE
+    jacobian_cost = 3
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        return 2.5 * thetas[:, 0] ** 2
+
+    def residuals(self, theta: Array) -> Array:
+        return theta[0] * np.array([1.0, 2.0])
+
+    def jacobian(self, theta: Array) -> Array:
+        return np.array([[1.0], [2.0]])
+
+
+def test_residuals_and_jacobians_are_paid_for() -> None:
+    oracle = Oracle(Line(), Budget(evaluations=6))
+    oracle.residuals(np.array([2.0]))
+    assert oracle.evaluations == 1
+    assert oracle.best == 10.0
+    oracle.jacobian(np.array([2.0]))
+    assert oracle.evaluations == 4
+    with pytest.raises(BudgetExhausted):
+        oracle.jacobian(np.array([2.0]))
+    assert oracle.evaluations == 4
+
+
+def test_a_problem_without_residuals_says_so() -> None:
+    with pytest.raises(TypeError, match="gives no residuals"):
+        Oracle(Given(), Budget()).residuals(np.array([1.0]))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"evaluations": 0},
+        {"evaluations": 1.5},
+        {"evaluations": True},
+        {"seconds": 0.0},
+        {"seconds": -1.0},
+        {"seconds": math.nan},
+        {"target": math.inf},
+    ],
+)
+def test_bad_budgets(settings: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match=f"budget.{next(iter(settings))} is"):
+        Budget(**settings)
