@@ -1,0 +1,279 @@
+"""Steady-state tire forces by the Magic Formula, versions 5.2, 6.1 and 6.2.
+
+Equation numbers (4.E1-4.E78) are those of Pacejka, Tire and Vehicle Dynamics, 3rd ed., Ch. 4.3.2;
+turn slip is left out (all zeta = 1). MF 5.2 is written as MF 6.1 with the terms it lacks removed
+and differs at the further places marked below. MF 6.2 has the forces of MF 6.1.
+
+Implementations agree on Fx and Fy; they do not on Mz under combined slip, where MF 5.2 is up to
+0.4 % of the largest moment away from the reference (see experiments/benchmarks).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from miho.models.magic_formula_parameters import MagicFormulaParameters
+
+Array = NDArray[np.float64]
+
+
+class TireForces(NamedTuple):
+    """Force on the tire at the contact point, ISO-W axes: Fx, Fy [N], aligning moment Mz [Nm]."""
+
+    Fx: Array
+    Fy: Array
+    Mz: Array
+
+
+class _Conditions(NamedTuple):
+    """Inputs after the range limits, with the quantities every equation shares."""
+
+    Fz: Array
+    kappa: Array
+    alpha: Array  # alpha or alpha*
+    gamma: Array  # gamma or gamma*
+    inclination: Array  # gamma itself in both modes
+    Vx: Array
+    dfz: Array
+    dpi: Array
+    cosine: Array  # cos' alpha
+    mu_x: Array  # lambda*_mu_x
+    mu_y: Array  # lambda*_mu_y
+
+
+class _Longitudinal(NamedTuple):
+    Fx: Array
+    K: Array
+
+
+class _Lateral(NamedTuple):
+    Fy: Array
+    slip_part: Array  # G_yk Fy0, the part that acts at the pneumatic trail
+    K: Array
+    K_prime: Array
+    SH: Array
+    SV: Array
+    BC: Array
+
+
+@dataclass(frozen=True)
+class MagicFormula:
+    """A tire: its parameters and the choices the literature leaves open.
+
+    `clamp_curvature` keeps every E at or below 1, as the book asks (4.E14); without it the curve
+    can turn back on itself. `clamp_inputs` evaluates inputs beyond the file's ranges at the range's
+    edge. `epsilon` keeps denominators from zero. `A_mu` shapes how the vertical shifts fade on
+    slippery ground (4.E8): the book suggests 10, MF-Tyre and the default 1 switch it off.
+    """
+
+    parameters: MagicFormulaParameters
+    clamp_curvature: bool = True
+    clamp_inputs: bool = True
+    epsilon: float = 1e-6
+    A_mu: float = 1.0
+
+    def forces(
+        self,
+        Fz: ArrayLike,
+        kappa: ArrayLike,
+        alpha: ArrayLike,
+        gamma: ArrayLike = 0.0,
+        Vx: ArrayLike | None = None,
+        pressure: ArrayLike | None = None,
+        alpha_star: bool = False,
+    ) -> TireForces:
+        """Forces for inputs that broadcast together; every result has the broadcast shape.
+
+        ISO-W: x forward, y left, z up, so a positive slip angle gives a negative lateral force,
+        a positive slip ratio drives, a positive inclination leans the wheel's top to the right.
+
+        Fz: wheel load [N]. Below the range's FZMIN the forces fall in proportion to the load,
+            and a lifted wheel (Fz <= 0) has none.
+        kappa: slip ratio [1], -1 at a locked wheel. alpha: slip angle [rad].
+        gamma: inclination (camber) [rad]. Vx: wheel-centre speed [m/s], not 0; the file's LONGVL
+            if None. pressure: inflation pressure [Pa], nominal if None; MF 5.2 ignores it.
+        alpha_star: True uses the book's alpha* = tan(alpha) sgn(Vx) and gamma* = sin(gamma) (4.E3,
+            4.E4); False uses the angles themselves, as MF-Tyre does.
+
+        A NaN input gives NaN. The tire is used as its file describes it: never mirrored.
+        """
+        p = self.parameters
+        inputs = np.broadcast_arrays(
+            *(
+                np.asarray(value, dtype=float)
+                for value in (
+                    Fz,
+                    kappa,
+                    alpha,
+                    gamma,
+                    p.LONGVL if Vx is None else Vx,
+                    p.NOMPRES if pressure is None else pressure,
+                )
+            )
+        )
+        load = np.maximum(inputs[0], 0.0)
+        c = self._conditions(load, *inputs[1:], alpha_star=alpha_star)
+        x = self._longitudinal(c)
+        y = self._lateral(c, c.gamma * p.LGAY)
+        Mz = self._aligning_moment(c, x, y)
+        loaded = load / c.Fz if self.clamp_inputs and p.FZMIN > 0 else np.ones_like(load)
+        loaded = np.minimum(loaded, 1.0)
+        return TireForces(*(np.asarray(loaded * force) for force in (x.Fx, y.Fy, Mz)))
+
+    def _conditions(
+        self,
+        Fz: Array,
+        kappa: Array,
+        alpha: Array,
+        gamma: Array,
+        Vx: Array,
+        pressure: Array,
+        *,
+        alpha_star: bool,
+    ) -> _Conditions:
+        p = self.parameters
+        if self.clamp_inputs:
+            Fz = np.clip(Fz, p.FZMIN, p.FZMAX)
+            kappa = np.clip(kappa, p.KPUMIN, p.KPUMAX)
+            alpha = np.clip(alpha, p.ALPMIN, p.ALPMAX)
+            gamma = np.clip(gamma, p.CAMMIN, p.CAMMAX)
+            pressure = np.clip(pressure, p.PRESMIN, p.PRESMAX)
+        tan_alpha, speed = np.tan(alpha), np.abs(Vx)
+        slip_speed = speed * np.hypot(kappa, tan_alpha)
+        decay = 1 + p.LMUV * slip_speed / p.LONGVL  # 4.E7
+        nominal = p.LFZO * p.FNOMIN  # 4.E1
+        return _Conditions(
+            Fz=Fz,
+            kappa=kappa,
+            alpha=tan_alpha * np.sign(Vx) if alpha_star else alpha,  # 4.E3
+            gamma=np.sin(gamma) if alpha_star else gamma,  # 4.E4
+            inclination=gamma,
+            Vx=Vx,
+            dfz=(Fz - nominal) / nominal,  # 4.E2a
+            dpi=np.zeros_like(Fz) if p.version == "5.2" else pressure / p.NOMPRES - 1,  # 4.E2b
+            cosine=Vx / (speed * np.hypot(1, tan_alpha) + self.epsilon),  # 4.E6
+            mu_x=p.LMUX / decay,
+            mu_y=p.LMUY / decay,
+        )
+
+    def _longitudinal(self, c: _Conditions) -> _Longitudinal:
+        p, e, dfz, dpi = self.parameters, self.epsilon, c.dfz, c.dpi
+        # MF 5.2 takes the camber itself here, whatever the mode, and has no low-speed factor.
+        gamma = c.inclination * p.LGAX if p.version == "5.2" else c.gamma
+        rolling = 1.0 if p.version == "5.2" else np.abs(c.Vx) / (e + np.abs(c.Vx))
+        mu = (p.PDX1 + p.PDX2 * dfz) * (1 + p.PPX3 * dpi + p.PPX4 * dpi**2)
+        mu = mu * (1 - p.PDX3 * gamma**2) * c.mu_x  # 4.E13
+        SH = (p.PHX1 + p.PHX2 * dfz) * p.LHX  # 4.E17
+        SV = c.Fz * (p.PVX1 + p.PVX2 * dfz) * rolling * p.LVX * self._faded(c.mu_x)  # 4.E18
+        kappa_x = c.kappa + SH  # 4.E10
+        C = p.PCX1 * p.LCX  # 4.E11
+        D = mu * c.Fz  # 4.E12
+        E = p.PEX1 + p.PEX2 * dfz + p.PEX3 * dfz**2
+        E = self._curvature(E * (1 - p.PEX4 * np.sign(kappa_x)) * p.LEX)  # 4.E14
+        K = c.Fz * (p.PKX1 + p.PKX2 * dfz) * np.exp(p.PKX3 * dfz)
+        K = K * (1 + p.PPX1 * dpi + p.PPX2 * dpi**2) * p.LKX  # 4.E15
+        B = K / (C * D + e)  # 4.E16
+        Fx0 = D * np.sin(C * np.arctan(_argument(kappa_x, B, E))) + SV  # 4.E9
+
+        B = (p.RBX1 + p.RBX3 * c.gamma**2) * np.cos(np.arctan(p.RBX2 * c.kappa)) * p.LXAL  # 4.E54
+        E = self._curvature(p.REX1 + p.REX2 * dfz)  # 4.E56
+        G = _weight(c.alpha, p.RHX1, B, p.RCX1, E)  # 4.E51-4.E53
+        return _Longitudinal(Fx=G * Fx0, K=K)  # 4.E50
+
+    def _lateral(self, c: _Conditions, gamma: Array) -> _Lateral:
+        p, e, dfz, dpi = self.parameters, self.epsilon, c.dfz, c.dpi
+        mu = (p.PDY1 + p.PDY2 * dfz) * (1 + p.PPY3 * dpi + p.PPY4 * dpi**2)
+        mu = mu * (1 - p.PDY3 * gamma**2) * c.mu_y  # 4.E23
+        nominal = p.LFZO * p.FNOMIN
+        K_peak = p.PKY1 * nominal * (1 + p.PPY1 * dpi) * (1 - p.PKY3 * np.abs(gamma))
+        load_at_peak = nominal * (p.PKY2 + p.PKY5 * gamma**2) * (1 + p.PPY2 * dpi)
+        K = K_peak * np.sin(p.PKY4 * np.arctan(c.Fz / load_at_peak)) * p.LKY  # 4.E25
+        K_prime = K + np.where(K < 0, -e, e)  # 4.E39
+        faded = self._faded(c.mu_y)
+        SV_gamma = c.Fz * (p.PVY3 + p.PVY4 * dfz) * gamma * p.LKYC * faded  # 4.E28
+        SV = c.Fz * (p.PVY1 + p.PVY2 * dfz) * p.LVY * faded + SV_gamma  # 4.E29
+        SH = (p.PHY1 + p.PHY2 * dfz) * p.LHY
+        if p.version == "5.2":
+            SH = SH + p.PHY3 * gamma
+        else:
+            K_gamma = c.Fz * (p.PKY6 + p.PKY7 * dfz) * (1 + p.PPY5 * dpi) * p.LKYC  # 4.E30
+            SH = SH + (K_gamma * gamma - SV_gamma) / K_prime  # 4.E27
+        alpha_y = c.alpha + SH  # 4.E20
+        C = p.PCY1 * p.LCY  # 4.E21
+        D = mu * c.Fz  # 4.E22
+        E = (p.PEY1 + p.PEY2 * dfz) * p.LEY
+        side = (p.PEY3 + p.PEY4 * gamma) * np.sign(alpha_y)
+        E = self._curvature(E * (1 + p.PEY5 * gamma**2 - side))  # 4.E24
+        B = K / (C * D + e)  # 4.E26
+        Fy0 = D * np.sin(C * np.arctan(_argument(alpha_y, B, E))) + SV  # 4.E19
+
+        B_kappa = np.cos(np.arctan(p.RBY2 * (c.alpha - p.RBY3)))
+        B_kappa = (p.RBY1 + p.RBY4 * gamma**2) * B_kappa * p.LYKA  # 4.E62
+        E_kappa = self._curvature(p.REY1 + p.REY2 * dfz)  # 4.E64
+        G = _weight(c.kappa, p.RHY1 + p.RHY2 * dfz, B_kappa, p.RCY1, E_kappa)  # 4.E59-4.E61
+        D_V = D * (p.RVY1 + p.RVY2 * dfz + p.RVY3 * gamma)
+        D_V = D_V * np.cos(np.arctan(p.RVY4 * c.alpha))  # 4.E67
+        SV_kappa = D_V * np.sin(p.RVY5 * np.arctan(p.RVY6 * c.kappa)) * p.LVYKA  # 4.E66
+        return _Lateral(
+            Fy=G * Fy0 + SV_kappa,  # 4.E58
+            slip_part=G * Fy0,
+            K=K,
+            K_prime=K_prime,
+            SH=SH,
+            SV=SV,
+            BC=B * C,
+        )
+
+    def _aligning_moment(self, c: _Conditions, x: _Longitudinal, y: _Lateral) -> Array:
+        p, dfz, dpi, gamma = self.parameters, c.dfz, c.dpi, c.gamma * self.parameters.LGAZ
+        forward, size = np.sign(c.Vx), np.abs(gamma)
+        nominal, radius = p.LFZO * p.FNOMIN, p.UNLOADED_RADIUS
+
+        alpha_t = c.alpha + p.QHZ1 + p.QHZ2 * dfz + (p.QHZ3 + p.QHZ4 * dfz) * gamma  # 4.E34-4.E35
+        alpha_r = c.alpha + y.SH + y.SV / y.K_prime  # 4.E37-4.E38
+        B = (p.QBZ1 + p.QBZ2 * dfz + p.QBZ3 * dfz**2) * (1 + p.QBZ4 * gamma + p.QBZ5 * size)
+        B = B * p.LKY / c.mu_y  # 4.E40
+        C = p.QCZ1  # 4.E41
+        D = c.Fz * radius / nominal * (p.QDZ1 + p.QDZ2 * dfz) * (1 - p.PPZ1 * dpi)  # 4.E42
+        D = D * (1 + p.QDZ3 * gamma + p.QDZ4 * gamma**2) * p.LTR * forward  # 4.E43
+        E = p.QEZ1 + p.QEZ2 * dfz + p.QEZ3 * dfz**2
+        side = (p.QEZ4 + p.QEZ5 * gamma) * 2 / np.pi * np.arctan(B * C * alpha_t)
+        E = self._curvature(E * (1 + side))  # 4.E44
+        B_r = p.QBZ9 * p.LKY / c.mu_y + p.QBZ10 * y.BC  # 4.E45
+        camber = (p.QDZ8 + p.QDZ9 * dfz) * (1 + p.PPZ2 * dpi) + (p.QDZ10 + p.QDZ11 * dfz) * size
+        D_r = (p.QDZ6 + p.QDZ7 * dfz) * p.LRES + camber * gamma * p.LKZC
+        D_r = c.Fz * radius * D_r * c.mu_y * forward * c.cosine  # 4.E47
+
+        # The book adds the longitudinal slip to the angles (4.E77-4.E78), MF-Tyre to their
+        # tangents; the reference values follow MF-Tyre.
+        slip = x.K / y.K_prime * c.kappa
+        alpha_t = np.arctan(np.hypot(np.tan(alpha_t), slip)) * np.sign(alpha_t)
+        alpha_r = np.arctan(np.hypot(np.tan(alpha_r), slip)) * np.sign(alpha_r)
+        trail = D * np.cos(C * np.arctan(_argument(alpha_t, B, E))) * c.cosine  # 4.E73
+        residual = D_r * np.cos(np.arctan(B_r * alpha_r))  # 4.E75
+        # MF 5.2 lets the cambered force act at the trail, MF 6 the force without camber (4.E74).
+        at_trail = y if p.version == "5.2" else self._lateral(c, np.zeros_like(gamma))
+        arm = p.SSZ1 + p.SSZ2 * y.Fy / nominal + (p.SSZ3 + p.SSZ4 * dfz) * gamma
+        return -trail * at_trail.slip_part + residual + radius * arm * p.LS * x.Fx  # 4.E71-4.E76
+
+    def _curvature(self, E: Array) -> Array:
+        return np.minimum(E, 1.0) if self.clamp_curvature else E
+
+    def _faded(self, mu: Array) -> Array:
+        """lambda'_mu, 4.E8."""
+        return self.A_mu * mu / (1 + (self.A_mu - 1) * mu)
+
+
+def _argument(slip: Array, B: Array, E: Array) -> Array:
+    """What the Magic Formula takes the arctangent of: B x - E (B x - arctan(B x))."""
+    return B * slip - E * (B * slip - np.arctan(B * slip))
+
+
+def _weight(slip: Array, shift: float | Array, B: Array, C: float, E: Array) -> Array:
+    """Loss of one force to slip in the other direction, 1 where that slip is 0."""
+    at_zero = np.cos(C * np.arctan(_argument(np.broadcast_to(shift, slip.shape), B, E)))
+    return np.asarray(np.cos(C * np.arctan(_argument(slip + shift, B, E))) / at_zero)

@@ -1,0 +1,58 @@
+"""The lateral tire model with offsets (Eq. 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.models.model import Model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Pacejka(Model):
+    """Lateral force F_y [N] over the slip angle alpha [rad], ISO-W: F_y falls as alpha grows.
+
+        F_y = D sin(C arctan(B (Sx - alpha))) + Sy
+
+    This is Eq. 4 with the paper's slip angle, which is -alpha in ISO-W, so that B [1/rad],
+    C [-] and D [N] are positive. Sx [rad] shifts the curve along alpha and Sy [N] along F_y:
+    the force is Sy at alpha = Sx.
+    """
+
+    inputs = ("alpha",)
+    parameters = ("B", "C", "D", "Sx", "Sy")
+    units = ("1/rad", "-", "N", "rad", "N")
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        """Lateral force [N], (n, N)."""
+        (alpha,) = inputs
+        B, C, D, Sx, Sy = thetas.T[:, :, None]
+        F = Sx - alpha
+        F *= B
+        np.arctan(F, out=F)
+        F *= C
+        np.sin(F, out=F)
+        F *= D
+        F += Sy
+        return np.asarray(F)
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Derivatives of the lateral force with respect to (B, C, D, Sx, Sy), (N, 5)."""
+        (alpha,) = inputs
+        B, C, D, Sx, _ = theta
+        slip = Sx - alpha
+        z = B * slip
+        angle = np.arctan(z)
+        slope = D * np.cos(C * angle)
+        d_z = slope * C / (1 + z * z)
+        J = np.empty((alpha.size, 5))
+        J[:, 0] = d_z * slip
+        J[:, 1] = slope * angle
+        J[:, 2] = np.sin(C * angle)
+        J[:, 3] = d_z * B
+        J[:, 4] = 1.0
+        return J

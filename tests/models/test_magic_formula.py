@@ -1,0 +1,208 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from miho.data.tir_sampling import embedded_tire
+from miho.models.magic_formula import MagicFormula
+from miho.models.magic_formula_parameters import InvalidParameterError
+from miho.models.tir import load_tir
+
+SUFFIX = {False: "mfeval111", True: "mfeval121"}
+
+# Relative to the largest moment. Fx and Fy are settled between implementations; Mz under combined
+# slip with camber (MF 5.2) and with alpha* is not.
+MZ_TOLERANCE = {
+    ("reference_tire_tvd3", False): 1e-8,
+    ("reference_tire_tvd3", True): 1e-4,
+    ("MagicFormula52_Parameters", False): 5e-3,
+    ("MagicFormula52_Parameters", True): 5e-3,
+}
+
+
+def tire(name: str = "lf", **changes: float) -> MagicFormula:
+    formula = load_tir(embedded_tire(name))
+    return replace(formula, parameters=replace(formula.parameters, **changes))
+
+
+# Without these the closed forms hold exactly.
+SHIFTS_AND_CURVATURES = """
+    PHX1 PHX2 PVX1 PVX2 PEX1 PEX2 PEX3 RHX1
+    PHY1 PHY2 PVY1 PVY2 PEY1 PEY2 RHY1 RHY2 RVY1 RVY2 RVY3 RBY3
+"""
+SYMMETRIC = dict.fromkeys(SHIFTS_AND_CURVATURES.split(), 0.0)
+
+
+@pytest.mark.parametrize("alpha_star", [False, True])
+@pytest.mark.parametrize("name", ["reference_tire_tvd3", "MagicFormula52_Parameters"])
+def test_agrees_with_the_reference(reference_data: Path, name: str, alpha_star: bool) -> None:
+    folder = reference_data / "mf_reference"
+    points = np.genfromtxt(
+        folder / f"{name}.csv", delimiter=",", names=True, dtype=None, encoding="ascii"
+    )
+    assert points.size == 315
+    forces = load_tir(folder / f"{name}.tir").forces(
+        points["Fz"],
+        points["kappa"],
+        points["alpha"],
+        points["gamma"],
+        points["Vx"],
+        points["p"],
+        alpha_star=alpha_star,
+    )
+    for component, tolerance in (
+        ("Fx", 1e-9),
+        ("Fy", 1e-9),
+        ("Mz", MZ_TOLERANCE[name, alpha_star]),
+    ):
+        expected = points[f"{component}_{SUFFIX[alpha_star]}"]
+        error = np.abs(getattr(forces, component) - expected).max() / np.abs(expected).max()
+        assert error < tolerance, component
+
+
+def test_slope_at_zero_slip_angle_is_the_cornering_stiffness() -> None:
+    formula = tire(**SYMMETRIC)
+    p, step = formula.parameters, 1e-5
+    force = formula.forces(p.FNOMIN, 0, [-step, step]).Fy
+    stiffness = p.PKY1 * p.FNOMIN * np.sin(p.PKY4 * np.arctan(1 / p.PKY2))
+    assert (force[1] - force[0]) / (2 * step) == pytest.approx(stiffness, rel=1e-5)
+    assert stiffness < 0
+
+
+def test_slope_at_zero_slip_ratio_is_the_slip_stiffness() -> None:
+    formula = tire(**SYMMETRIC)
+    p, step = formula.parameters, 1e-5
+    force = formula.forces(2 * p.FNOMIN, [-step, step], 0).Fx
+    stiffness = 2 * p.FNOMIN * (p.PKX1 + p.PKX2) * np.exp(p.PKX3)
+    assert (force[1] - force[0]) / (2 * step) == pytest.approx(stiffness, rel=1e-5)
+
+
+def test_peak_is_the_friction_at_the_slip_where_the_sine_is_one() -> None:
+    formula = tire(**SYMMETRIC)
+    p = formula.parameters
+    Fz = 1.5 * p.FNOMIN
+    D = (p.PDY1 + 0.5 * p.PDY2) * Fz
+    stiffness = p.PKY1 * p.FNOMIN * np.sin(p.PKY4 * np.arctan(1.5 / p.PKY2))
+    peak = np.tan(np.pi / (2 * p.PCY1)) * p.PCY1 * D / stiffness  # B alpha = tan(pi / 2C)
+    alpha = np.linspace(1.5 * peak, 0.5 * peak, 2001)
+    force = formula.forces(Fz, 0, alpha).Fy
+    assert formula.forces(Fz, 0, peak).Fy == pytest.approx(D, rel=1e-9)
+    assert alpha[force.argmax()] == pytest.approx(peak, rel=1e-3)
+    assert force[0] < 0.995 * D, "the force falls beyond the peak"
+
+
+def test_vertical_shift_stands_outside_the_sine() -> None:
+    without = tire(**SYMMETRIC)
+    p = without.parameters
+    shifted = tire(**SYMMETRIC | {"PVY1": 0.05})
+    alpha = np.linspace(-0.2, 0.2, 9)
+    difference = shifted.forces(p.FNOMIN, 0, alpha).Fy - without.forces(p.FNOMIN, 0, alpha).Fy
+    np.testing.assert_allclose(difference, 0.05 * p.FNOMIN, rtol=1e-9)
+
+
+def test_a_tire_without_shifts_is_odd_in_slip_angle_and_camber() -> None:
+    formula = tire(**SYMMETRIC)
+    rng = np.random.default_rng(3)
+    kappa, alpha, gamma = rng.uniform(-0.1, 0.1, (3, 200))
+    one, other = (formula.forces(3000, kappa, s * alpha, s * gamma) for s in (1, -1))
+    np.testing.assert_allclose(one.Fx, other.Fx, atol=1e-6)
+    np.testing.assert_allclose(one.Fy, -other.Fy, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["lf", "rf", "lr", "rr"])
+def test_iso_w_signs(name: str) -> None:
+    formula = tire(name)
+    assert formula.forces(3000, 0, 0.05).Fy < -1000
+    assert formula.forces(3000, 0.05, 0).Fx > 1000
+    assert formula.forces(3000, 0, 0.03).Mz > 0, "the trail turns the wheel back"
+    assert formula.forces(3000, 0, 0, 0.05).Fy < formula.forces(3000, 0, 0, -0.05).Fy
+
+
+def test_friction_falls_with_load() -> None:
+    peaks = [-tire().forces(Fz, 0, np.linspace(0, 0.3, 301)).Fy.min() for Fz in (2000, 4000)]
+    assert peaks[1] < 1.9 * peaks[0]
+
+
+def test_combined_slip_takes_force_from_both_directions() -> None:
+    formula = tire()
+    pure_x, pure_y = formula.forces(3000, 0.08, 0).Fx, formula.forces(3000, 0, -0.08).Fy
+    both = formula.forces(3000, 0.08, -0.08)
+    assert 0 < both.Fx < 0.9 * pure_x
+    assert 0 < both.Fy < 0.9 * pure_y
+
+
+def test_inputs_broadcast() -> None:
+    forces = tire().forces(np.full((4, 1, 1), 3000.0), np.zeros((5, 1)), np.linspace(-0.1, 0.1, 6))
+    assert {force.shape for force in forces} == {(4, 5, 6)}
+    single = tire().forces(3000, 0.0, 0.1)
+    assert all(force.shape == () for force in single)
+    assert single.Fy == forces.Fy[2, 3, 5]
+
+
+def test_defaults_are_the_reference_speed_and_the_nominal_pressure() -> None:
+    formula = tire()
+    p = formula.parameters
+    given = formula.forces(3000, 0.02, 0.05, 0.0, p.LONGVL, p.NOMPRES)
+    assert formula.forces(3000, 0.02, 0.05) == given
+    assert formula.forces(3000, 0.02, 0.05, pressure=1.2 * p.NOMPRES).Fy != given.Fy
+
+
+def test_inputs_beyond_the_range_are_evaluated_at_its_edge() -> None:
+    formula = tire()
+    p = formula.parameters
+    edge = formula.forces(p.FZMAX, p.KPUMAX, p.ALPMAX, p.CAMMAX, pressure=p.PRESMAX)
+    assert formula.forces(2 * p.FZMAX, 3.0, 1.2, 0.5, pressure=1e6) == edge
+    free = replace(formula, clamp_inputs=False)
+    assert free.forces(p.FNOMIN, 0, 0.9).Fy != formula.forces(p.FNOMIN, 0, 0.9).Fy
+
+
+def test_forces_fade_below_the_smallest_load() -> None:
+    formula = tire(FZMIN=200.0)
+    whole = formula.forces(200, 0.05, -0.05)
+    np.testing.assert_allclose(formula.forces(50, 0.05, -0.05), np.array(whole) / 4)
+    assert formula.forces([0, -100], 0.05, -0.05).Fy.tolist() == [0, 0]
+    assert tire().forces([0, -100], 0.05, -0.05).Fx.tolist() == [0, 0]
+
+
+def test_alpha_star_is_the_tangent() -> None:
+    formula = tire()
+    alpha, gamma = 0.2, 0.1
+    star = formula.forces(3000, 0.03, alpha, gamma, alpha_star=True)
+    plain = formula.forces(3000, 0.03, np.tan(alpha), np.sin(gamma))
+    assert (star.Fx, star.Fy) == (plain.Fx, plain.Fy)
+    assert star.Fy != formula.forces(3000, 0.03, alpha, gamma).Fy
+
+
+def test_curvature_above_one_is_clamped_unless_told_otherwise() -> None:
+    formula = tire(PEX1=1.8, PEX2=0.0, PEX3=0.0, PEX4=0.0)
+    assert formula.forces(3000, 0.5, 0) == tire(PEX1=1.0, PEX2=0.0, PEX3=0.0, PEX4=0.0).forces(
+        3000, 0.5, 0
+    )
+    unclamped = replace(formula, clamp_curvature=False)
+    assert unclamped.forces(3000, 0.5, 0).Fx < 0.5 * formula.forces(3000, 0.5, 0).Fx
+
+
+def test_sliding_friction_decays_with_slip_speed() -> None:
+    formula = tire(LMUV=0.5)
+    p = formula.parameters
+    slow, fast = formula.forces(3000, -0.5, 0, 0, [p.LONGVL / 2, 2 * p.LONGVL]).Fx
+    assert 0 > fast > 0.9 * slow
+
+
+def test_digressive_friction_acts_on_the_shift_only() -> None:
+    formula = tire(**SYMMETRIC | {"PVY1": 0.05, "LMUY": 0.5})
+    book = replace(formula, A_mu=10.0)
+    difference = book.forces(3000, 0, 0).Fy - formula.forces(3000, 0, 0).Fy
+    assert difference == pytest.approx(3000 * 0.05 * (10 * 0.5 / (1 + 9 * 0.5) - 0.5))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("FNOMIN", 0.0), ("UNLOADED_RADIUS", -0.3), ("LMUY", 0.0), ("PKY2", 0.0), ("FZMAX", -1.0)],
+)
+def test_refuses_parameters_no_tire_can_have(key: str, value: float) -> None:
+    with pytest.raises(InvalidParameterError, match=key):
+        tire(**{key: value})
