@@ -1,0 +1,24 @@
+"""MIHO: identify the parameters of a model from data, and compare the methods that do it."""
+
+from miho.data import Dataset
+from miho.identification import CurveFit
+from miho.models import load_tir
+from miho.optim import (
+    MIHO,
+    AskTell,
+    Budget,
+    LeastSquaresProblem,
+    Optimizer,
+    Oracle,
+    Parameter,
+    Problem,
+    Space,
+    minimize,
+)
+from miho.study import load_runs
+
+__all__ = [
+    "MIHO", "AskTell", "Budget", "CurveFit", "Dataset", "LeastSquaresProblem", "Optimizer",
+    "Oracle", "Parameter", "Problem", "Space", "load_runs", "load_tir",
+    "minimize",
+]  # fmt: skip

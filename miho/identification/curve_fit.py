@@ -1,0 +1,100 @@
+"""The identification problem: a model, a dataset and a space (Eq. 1, 5, 9)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.data.dataset import Dataset
+from miho.models.model import Model
+from miho.optim.problem import LeastSquaresProblem, mean_square
+from miho.optim.seeds import stream
+from miho.optim.space import Space
+
+Array = NDArray[np.float64]
+
+BLOCK = 50_000
+"""Model values per block: the temporaries of one block stay in the cache of one core."""
+
+
+@dataclass(frozen=True, eq=False)
+class CurveFit(LeastSquaresProblem):
+    """Mean squared difference between model and data, in the output's unit squared.
+
+    The space must name the model's parameters, in the model's order and units.
+    """
+
+    model: Model
+    dataset: Dataset
+    space: Space
+
+    def __post_init__(self) -> None:
+        if self.space.names != self.model.parameters:
+            raise ValueError(
+                f"the space has parameters {', '.join(self.space.names)}; model "
+                f"{type(self.model).__name__} needs {', '.join(self.model.parameters)}"
+            )
+        for parameter, unit in zip(self.space.parameters, self.model.units, strict=True):
+            if parameter.unit != unit:
+                raise ValueError(
+                    f"parameter {parameter.name!r} has unit {parameter.unit!r} in the space; "
+                    f"model {type(self.model).__name__} has {unit!r}"
+                )
+        _ = self._inputs
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """Model and dataset."""
+        return f"{type(self.model).__name__.lower()}-{self.dataset.name}"
+
+    @property
+    def unit(self) -> str:
+        """Unit of the residuals."""
+        return self.dataset.units[self.dataset.output]
+
+    @cached_property
+    def _inputs(self) -> tuple[Array, ...]:
+        return tuple(self.dataset[column] for column in self.model.inputs)
+
+    @cached_property
+    def _output(self) -> Array:
+        return self.dataset[self.dataset.output]
+
+    @cached_property
+    def _order(self) -> NDArray[np.intp]:
+        """A fixed random order of the rows: a fidelity takes the first of them."""
+        return stream("fidelity", self.dataset.digest).permutation(len(self.dataset))
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Mean squared error (n,) of parameter rows (n, d), over a fidelity of the data rows."""
+        inputs, output = self._inputs, self._output
+        if fidelity < 1:
+            rows = self._order[: math.ceil(fidelity * output.size)]
+            inputs, output = tuple(column[rows] for column in inputs), output[rows]
+        block = max(1, BLOCK // output.size)
+        if len(thetas) <= block:
+            return self._block_loss(thetas, inputs, output)
+        losses = np.empty(len(thetas))
+        for start in range(0, len(thetas), block):
+            part = slice(start, start + block)
+            losses[part] = self._block_loss(thetas[part], inputs, output)
+        return losses
+
+    def _block_loss(self, thetas: Array, inputs: tuple[Array, ...], output: Array) -> Array:
+        residuals = self.model.predict(thetas, *inputs)
+        residuals -= output
+        return mean_square(residuals)
+
+    def residuals(self, theta: Array) -> Array:
+        """Model minus data, (N,)."""
+        residuals = self.model.predict(theta[None], *self._inputs)[0]
+        residuals -= self._output
+        return np.asarray(residuals)
+
+    def jacobian(self, theta: Array) -> Array:
+        """Derivatives of the residuals, (N, d)."""
+        return self.model.jacobian(theta, *self._inputs)

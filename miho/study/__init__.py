@@ -1,0 +1,12 @@
+"""Runs on disk: identity, atomic folders, the runner and the tables read from them."""
+
+from miho.study.environment import environment_stamp, single_thread
+from miho.study.identity import Identity, code_digest
+from miho.study.index import Runs, load_runs
+from miho.study.runner import Execution, Status, execute
+from miho.study.store import DamagedRun, RunInUse, Store, StoredRun, read_run
+
+__all__ = [
+    "DamagedRun", "Execution", "Identity", "RunInUse", "Runs", "Status", "Store", "StoredRun",
+    "code_digest", "environment_stamp", "execute", "load_runs", "read_run", "single_thread",
+]  # fmt: skip

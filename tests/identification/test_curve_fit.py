@@ -1,0 +1,79 @@
+"""The identification problem: its loss is Eq. 5, in any batch."""
+
+import numpy as np
+import pytest
+
+from miho import CurveFit, Dataset, Parameter, Space
+from miho.models import Pacejka
+
+SPACE = Space(
+    (
+        Parameter("B", "1/rad", 0, 40),
+        Parameter("C", "-", 0, 3),
+        Parameter("D", "N", 100, 6000),
+        Parameter("Sx", "rad", -0.1, 0.1),
+        Parameter("Sy", "N", -500, 500),
+    )
+)
+
+
+def problem(n: int = 211) -> CurveFit:
+    rng = np.random.default_rng(1)
+    alpha = rng.uniform(-0.2, 0.2, n)
+    force = -3000 * np.tanh(10 * alpha) + rng.normal(0, 100, n)
+    return CurveFit(
+        Pacejka(),
+        Dataset("d", {"alpha": alpha, "Fy": force}, {"alpha": "rad", "Fy": "N"}, "Fy"),
+        SPACE,
+    )
+
+
+def test_loss_is_equation_5() -> None:
+    p = problem()
+    B, C, D, Sx, Sy = theta = np.array([11.0, 1.3, 2900.0, 0.01, 30.0])
+    alpha, force = p.dataset["alpha"], p.dataset["Fy"]
+    model = D * np.sin(C * np.arctan(B * (-alpha + Sx))) + Sy
+    expected = np.mean((force - model) ** 2)
+    assert p.loss(theta[None])[0] == pytest.approx(expected, rel=1e-14)
+    assert np.mean(p.residuals(theta) ** 2) == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize("n", [1, 7, 300, 3000])
+def test_a_batch_equals_its_rows_bit_for_bit(n: int) -> None:
+    p = problem(n)
+    thetas = SPACE.initial(257)
+    batch = p.loss(thetas)
+    assert [p.loss(theta[None])[0] for theta in thetas] == batch.tolist()
+    assert p.loss(thetas[100:171]).tolist() == batch[100:171].tolist()
+
+
+def test_fidelity_uses_a_fixed_part_of_the_data() -> None:
+    p = problem(200)
+    theta = SPACE.initial(3)
+    assert np.array_equal(p.loss(theta, 0.25), problem(200).loss(theta, 0.25))
+    residuals = p.residuals(theta[0])
+    part = p._order[:50]
+    assert p.loss(theta[:1], 0.25)[0] == pytest.approx(np.mean(residuals[part] ** 2), rel=1e-14)
+    assert not np.array_equal(p.loss(theta, 0.25), p.loss(theta))
+
+
+def test_jacobian_against_differences() -> None:
+    p = problem()
+    theta = np.array([11.0, 1.3, 2900.0, 0.01, 30.0])
+    jacobian = p.jacobian(theta)
+    for k, step in enumerate(1e-6 * np.abs(theta)):
+        h = step * (np.arange(5) == k)
+        difference = (p.residuals(theta + h) - p.residuals(theta - h)) / (2 * step)
+        assert jacobian[:, k] == pytest.approx(difference, rel=1e-6, abs=1e-6 * np.ptp(difference))
+
+
+def test_the_space_must_fit_the_model() -> None:
+    p = problem()
+    with pytest.raises(ValueError, match="needs B, C, D, Sx, Sy"):
+        CurveFit(p.model, p.dataset, Space(SPACE.parameters[:4]))
+    degrees = (*SPACE.parameters[:3], Parameter("Sx", "deg", -5, 5), SPACE.parameters[4])
+    with pytest.raises(ValueError, match="'Sx' has unit 'deg'"):
+        CurveFit(p.model, p.dataset, Space(degrees))
+    other = Dataset("d", {"slip": np.ones(3), "Fy": np.ones(3)}, {"slip": "1", "Fy": "N"}, "Fy")
+    with pytest.raises(ValueError, match="no column 'alpha'"):
+        CurveFit(p.model, other, SPACE)
