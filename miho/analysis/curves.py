@@ -1,0 +1,108 @@
+"""Error curves of single runs: step functions of what was spent.
+
+A run's error is the last improvement carried forward, never interpolated. Before its first value
+a run is NaN. After its end its last value is carried forward too: a method that has finished
+keeps its answer, so a curve beyond a run's end says what the user holds, not that it still ran.
+"""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from miho.analysis.tidy import CURVE_COLUMNS, require_columns
+
+Array = NDArray[np.float64]
+Axis = Literal["seconds", "cpu_seconds", "evaluations"]
+
+RUN_KEY = ["id", "problem", "optimizer", "seed"]
+
+
+def log_grid(curves: pd.DataFrame, axis: Axis, points: int = 400) -> Array:
+    """`points` positions (points,), evenly spaced in the logarithm, from first to last row."""
+    at = positions(curves, axis)
+    at = at[at > 0]
+    if not at.size:
+        raise ValueError(f"curves hold no row with {axis} above zero; there is nothing to draw")
+    grid = np.geomspace(at.min(), at.max(), points)
+    grid[[0, -1]] = at.min(), at.max()
+    return grid
+
+
+def on_grid(curves: pd.DataFrame, axis: Axis, grid: Array | None = None) -> pd.DataFrame:
+    """Every run on a common grid (default: `log_grid`): a row per run and grid position.
+
+    Columns: id, problem, optimizer, seed, the axis, error (NaN before the first value).
+    """
+    grid = log_grid(curves, axis) if grid is None else np.asarray(grid, dtype=float)
+    at, errors = positions(curves, axis), curves["error"].to_numpy(dtype=float)
+    pieces = []
+    for rows in curves.groupby(RUN_KEY, sort=False).indices.values():
+        piece = pd.DataFrame({axis: grid, "error": step(at[rows], errors[rows], grid)})
+        pieces.append(piece.assign(**{key: curves[key].iloc[rows[0]] for key in RUN_KEY}))
+    if not pieces:
+        return pd.DataFrame(columns=[*RUN_KEY, axis, "error"])
+    return pd.concat(pieces, ignore_index=True)[[*RUN_KEY, axis, "error"]]
+
+
+def step(at: Array, errors: Array, grid: Array) -> Array:
+    """The last of `errors` (k,) at or before each grid position (g,); NaN before the first.
+
+    Of rows at the same position the last one counts.
+    """
+    order = np.argsort(at, kind="stable")
+    index = np.searchsorted(at[order], grid, side="right")
+    return np.concatenate([[np.nan], errors[order]])[index]
+
+
+def summary(
+    gridded: pd.DataFrame, axis: Axis, quantiles: tuple[float, float] = (0.1, 0.9)
+) -> pd.DataFrame:
+    """Per method and grid position of `on_grid`: runs, mean, median, low and high quantile.
+
+    All are NaN where any run of the method has no value yet: a mean over the runs that happen
+    to have started is a mean over a changing set. The mean is the paper's curve (Fig. 6).
+    """
+    pieces = []
+    for (problem, optimizer), group in gridded.groupby(["problem", "optimizer"], sort=False):
+        wide = group.pivot(index="id", columns=axis, values="error")
+        errors = wide.to_numpy(dtype=float)
+        low, median, high = np.quantile(errors, [quantiles[0], 0.5, quantiles[1]], axis=0)
+        pieces.append(
+            pd.DataFrame(
+                {
+                    "problem": problem,
+                    "optimizer": optimizer,
+                    axis: wide.columns.to_numpy(dtype=float),
+                    "runs": len(errors),
+                    "mean": errors.mean(axis=0),
+                    "median": median,
+                    "low": low,
+                    "high": high,
+                }
+            )
+        )
+    return pd.concat(pieces, ignore_index=True)
+
+
+def to_target(curves: pd.DataFrame, axis: Axis, target: float) -> pd.DataFrame:
+    """Where each run first has an error of at most `target` (the curves' unit); inf if never.
+
+    One row per run of `curves`, which knows no run without rows: see `tidy.with_silent_runs`.
+    Columns: id, problem, optimizer, seed, the axis.
+    """
+    at = pd.Series(positions(curves, axis), index=curves.index)
+    reached = at.where(curves["error"] <= target, np.inf)
+    firsts = curves[RUN_KEY].assign(**{axis: reached}).groupby(RUN_KEY, sort=False)[axis].min()
+    return firsts.reset_index()
+
+
+def positions(curves: pd.DataFrame, axis: Axis) -> Array:
+    """The column of the axis (rows,)."""
+    if axis not in get_args(Axis):
+        raise ValueError(f"axis is {axis!r}; expected one of {', '.join(get_args(Axis))}")
+    require_columns(curves, [*CURVE_COLUMNS, axis], "curves")
+    return curves[axis].to_numpy(dtype=float)

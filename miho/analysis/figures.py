@@ -1,0 +1,219 @@
+"""The paper's figures as functions of tidy data, for print at about 180 mm width."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import seaborn as sns
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import NDArray
+
+from miho.analysis.curves import Array, Axis, log_grid, on_grid, summary
+from miho.analysis.end_labels import EndLabel, draw_end_labels
+from miho.analysis.markdown import number
+from miho.analysis.styles import styles_of
+from miho.analysis.tidy import one_problem, shown_unit
+
+Points = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+WIDTH = 180 / 25.4
+AXIS_LABELS = {
+    "seconds": "time [s]",
+    "cpu_seconds": "processor time [s]",
+    "evaluations": "evaluations of the full loss",
+}
+TIRE_NAMES = {"LF": "left front", "RF": "right front", "LR": "left rear", "RR": "right rear"}
+TIRE_PANELS = (("LF", "RF"), ("LR", "RR"))
+
+
+def house_style() -> AbstractContextManager[None]:
+    """Matplotlib settings of all figures: seaborn's ticks with a light grid, 8 to 9 pt text.
+
+    Ticks read the settings when they are first drawn, so draw within it as well.
+    """
+    style: Any = sns.axes_style("ticks") | {
+        "axes.grid": True,
+        "grid.color": "#e4e4e4",
+        "grid.linewidth": 0.6,
+        "axes.linewidth": 0.8,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.axisbelow": True,
+        "font.size": 9,
+        "axes.titlesize": 9,
+        "axes.labelsize": 9,
+        "xtick.labelsize": 8,
+        "ytick.labelsize": 8,
+        "legend.fontsize": 8,
+        "legend.frameon": False,
+        "pdf.fonttype": 42,
+    }
+    return mpl.rc_context(style)
+
+
+def plot_error_over(
+    curves: pd.DataFrame,
+    axis: Axis,
+    ax: Axes,
+    *,
+    unit: str = "N",
+    irreducible: float = float("nan"),
+    grid: Array | None = None,
+) -> Axes:
+    """Mean error of each method over the axis, with a band from the 10 % to the 90 % quantile.
+
+    Both scales are logarithmic. Beyond the last row of a method's runs the line goes on thin:
+    the answer is kept, nothing runs. `unit` is that of `curves` and `irreducible`; forces are
+    drawn in kN. Runs without rows are unknown here: see `tidy.with_silent_runs`.
+    """
+    grid = log_grid(curves, axis) if grid is None else grid
+    shown, factor = shown_unit(unit)
+    found = summary(on_grid(curves, axis, grid), axis)
+    ends = curves.groupby("optimizer")[axis].max()
+    for order, (method, style) in enumerate(styles_of(found["optimizer"]).items()):
+        one = found[found["optimizer"] == method]
+        at = one[axis].to_numpy(dtype=float)
+        mean, low, high = (one[c].to_numpy(dtype=float) * factor for c in ("mean", "low", "high"))
+        running = at <= ends[method]
+        layer = 3 - 0.01 * order
+        ax.fill_between(at, low, high, where=running, color=style.color, alpha=0.13, linewidth=0)
+        ax.plot(at[running], mean[running], label=style.name, zorder=layer, **style.line)
+        ax.plot(at[~running], mean[~running], color=style.color, linewidth=0.6, zorder=layer)
+    ax.set(xscale="log", yscale="log", xlim=(grid[0], grid[-1]))
+    ax.set(xlabel=AXIS_LABELS[axis], ylabel=f"error [{shown}]")
+    if np.isfinite(irreducible):
+        ax.axhline(irreducible * factor, color="black", linestyle=(0, (3, 3)), linewidth=0.9)
+    ax.margins(y=0.06)
+    return ax
+
+
+def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
+    """Fig. 6: mean error over time, and over evaluations, which no machine changes.
+
+    The mean final error of each method stands at the right in its colour; "-" where a run saw
+    nothing finite, which leaves the mean undefined. The dashed line is the irreducible error.
+    `note` is printed small below: sizes, repetitions, budget.
+    """
+    runs, curves = one_problem(runs, curves)
+    unit = str(runs["unit"].iloc[0])
+    shown, factor = shown_unit(unit)
+    irreducible = float(runs["irreducible"].mean())
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 3.3), layout="constrained")
+        left, right = figure.subplots(1, 2, sharey=True)
+        plot_error_over(curves, "seconds", left, unit=unit, irreducible=irreducible)
+        plot_error_over(curves, "evaluations", right, unit=unit, irreducible=irreducible)
+        right.set_ylabel("")
+        left.set_title("as in the paper: over time", loc="left")
+        right.set_title("the same over evaluations", loc="left")
+        _plain_log_ticks(left)
+        if note:
+            figure.supxlabel(note, fontsize=8, color="#444444", x=0.01, ha="left")
+        if np.isfinite(irreducible):
+            left.annotate(
+                f"irreducible {irreducible * factor:.2f} {shown}",
+                (0.02, irreducible * factor),
+                xycoords=("axes fraction", "data"),
+                xytext=(0, 2),
+                textcoords="offset points",
+                fontsize=8,
+                verticalalignment="bottom",
+            )
+        draw_end_labels(right, _final_labels(runs, factor))
+    return figure
+
+
+def fig4(
+    samples: Mapping[str, Points],
+    curves: Mapping[str, Points],
+    *,
+    errors: Mapping[str, float] | None = None,
+    note: str = "",
+) -> Figure:
+    """Fig. 4, left and middle: samples and learned curves of front and rear tires.
+
+    Keys are LF, RF, LR, RR; each value is (slip angle in degrees, lateral force in kN), both
+    (n,). `errors` in kN (root mean square over the samples) go into the legends. Tires without
+    a curve show samples only, and the other way round.
+    """
+    unknown = sorted((set(samples) | set(curves)) - set(TIRE_NAMES))
+    if unknown:
+        raise ValueError(f"tires {', '.join(unknown)} are unknown; expected LF, RF, LR or RR")
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 3.1), layout="constrained")
+        panels = figure.subplots(1, 2, sharey=True)
+        for ax, tires, title in zip(panels, TIRE_PANELS, ("front", "rear"), strict=True):
+            plot_tires(samples, curves, ax, tires=tires, errors=errors or {})
+            ax.set_title(f"{title} tires", loc="left")
+        panels[1].set_ylabel("")
+        if note:
+            figure.supxlabel(note, fontsize=8, color="#444444", x=0.01, ha="left")
+        figure.draw_without_rendering()
+    return figure
+
+
+def plot_tires(
+    samples: Mapping[str, Points],
+    curves: Mapping[str, Points],
+    ax: Axes,
+    *,
+    tires: Sequence[str],
+    errors: Mapping[str, float],
+) -> Axes:
+    """Samples as light points and learned curves as lines, of these tires; units as in `fig4`."""
+    palette = sns.color_palette("colorblind")
+    for tire, color, dashes in zip(tires, (palette[0], palette[3]), ("-", "--"), strict=True):
+        label = TIRE_NAMES[tire]
+        if tire in errors:
+            label += f", error {errors[tire]:.2f} kN"
+        if tire in samples:
+            alpha, force = samples[tire]
+            ax.scatter(
+                alpha, force, s=3, color=color, alpha=0.16, linewidths=0, rasterized=True, zorder=1
+            )
+        if tire in curves:
+            alpha, force = curves[tire]
+            ax.plot(alpha, force, dashes, color="white", linewidth=3.2, zorder=2)
+            ax.plot(alpha, force, dashes, color=color, linewidth=1.8, label=label, zorder=3)
+            rises = np.cov(alpha, force)[0, 1] > 0
+            ax.legend(loc="upper left" if rises else "upper right", handlelength=1.6)
+    ax.set(xlabel="slip angle [deg]", ylabel="lateral force [kN]")
+    return ax
+
+
+def save(figure: Figure, path_without_suffix: str | Path) -> list[Path]:
+    """Write `<path>.png` (200 dpi) and `<path>.pdf`, making the folder; returns both paths."""
+    stem = Path(path_without_suffix)
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    paths = [stem.with_name(f"{stem.name}.{suffix}") for suffix in ("png", "pdf")]
+    with house_style():
+        for path in paths:
+            metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
+            figure.savefig(path, dpi=200, metadata=metadata)
+    return paths
+
+
+def _final_labels(runs: pd.DataFrame, factor: float) -> list[EndLabel]:
+    """Mean final error per method; NaN if a run saw nothing finite."""
+    labels = []
+    for method, style in styles_of(runs["optimizer"]).items():
+        errors = runs.loc[runs["optimizer"] == method, "error"].to_numpy(dtype=float) * factor
+        final = float(errors.mean()) if np.isfinite(errors).all() else float("nan")
+        printed = f"{final:.2f}" if final < 10 else number(final)
+        labels.append(EndLabel(final, f"{printed}  {style.name}", style))
+    return labels
+
+
+def _plain_log_ticks(ax: Axes) -> None:
+    """Ticks at 1, 2, 5 times powers of ten, written as plain numbers."""
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_formatter(NullFormatter())

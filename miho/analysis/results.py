@@ -1,0 +1,51 @@
+"""What each method reached and what it spent: one row per method."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from miho.analysis.curves import Axis, to_target
+from miho.analysis.tidy import one_problem, shown_unit
+
+AXES: tuple[Axis, Axis] = ("evaluations", "seconds")
+
+
+def results_table(
+    runs: pd.DataFrame,
+    curves: pd.DataFrame,
+    *,
+    targets: Sequence[float] = (1000.0, 500.0),
+    near_best: float = 0.01,
+) -> pd.DataFrame:
+    """A row per method, best mean first: final errors, medians of what the targets cost.
+
+    `targets` are errors in the unit of the runs (N); the last target is within `near_best` of
+    the best error any method has seen on this problem, and success is the share of runs that
+    reach it. A median is inf ("never") when half of the runs or more did not get there. Errors
+    are over the runs that saw a finite one; `no value` counts the others.
+    """
+    runs, curves = one_problem(runs, curves)
+    unit, factor = shown_unit(runs["unit"].iloc[0])
+    error = runs["error"].where(np.isfinite(runs["error"])) * factor
+    grouped = error.groupby(runs["optimizer"])
+    table = pd.DataFrame(
+        {
+            "repetitions": grouped.size(),
+            f"mean error [{unit}]": grouped.mean(),
+            f"best [{unit}]": grouped.min(),
+            f"worst [{unit}]": grouped.max(),
+            "no value": grouped.size() - grouped.count(),
+        }
+    )
+    nearly = float(runs["error"].min() * (1 + near_best))
+    labels = [f"{target * factor:g} {unit}" for target in targets]
+    labels.append(f"best + {near_best * 100:g} %")
+    for target, label in zip([*targets, nearly], labels, strict=True):
+        for axis in AXES:
+            reached = to_target(curves, axis, target)
+            table[f"{axis} to {label}"] = reached.groupby("optimizer")[axis].median()
+    table["success"] = np.isfinite(reached[axis]).groupby(reached["optimizer"]).mean()
+    return table.sort_values(f"mean error [{unit}]").rename_axis("method").reset_index()

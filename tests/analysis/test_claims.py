@@ -1,0 +1,253 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from miho.analysis.claims import claims_table
+from miho.analysis.markdown import number, to_markdown, with_interval
+from miho.analysis.results import results_table
+from miho.analysis.statistics import Interval
+from tests.analysis.synthetic import Steps, frames, like_fig6
+
+PAPER: dict[str, list[Steps]] = {
+    "miho": [[(10.0, 2000.0), (100.0, 900.0), (1000.0, 390.0)]] * 5,
+    "gbo_small": [[(1.0, 9000.0), (10.0, 8800.0)]] * 5,
+    "gbo_large": [[(1.0, 9000.0), (10.0, 1625.0)]] * 5,
+    "pso_100": [[(50.0, 2000.0), (1300.0, 750.0)]] * 5,
+    "pso_500": [[(50.0, 2000.0), (9000.0, 513.0)]] * 5,
+}
+SPEED_1, SPEED_05 = "to 1.0 kN", "to 0.5 kN"
+
+
+def claims(runs: dict[str, list[Steps]], **options: Any) -> pd.DataFrame:
+    return claims_table(*frames(runs, **options), resamples=300)
+
+
+def verdicts(table: pd.DataFrame, words: str) -> list[str]:
+    return list(table.loc[table["claim"].str.contains(words, regex=False), "verdict"])
+
+
+def row(table: pd.DataFrame, words: str) -> pd.Series[Any]:
+    return table[table["claim"].str.contains(words, regex=False)].iloc[0]
+
+
+def spread_of(final: list[float], at: float = 10.0) -> list[Steps]:
+    return [[(at, 9000.0), (at + 1, error)] for error in final]
+
+
+def test_the_papers_own_figures_reproduce_the_paper() -> None:
+    runs = PAPER | {"pso_500": [[(50.0, 2000.0), (494_000.0, 495.0), (495_000.0, 490.0)]] * 5}
+    table = claims(runs)
+    assert verdicts(table, SPEED_1) == ["reproduced"] * 2
+    assert verdicts(table, SPEED_05) == ["reproduced"] * 2
+    assert row(table, SPEED_1)["ours"] == "13× [13, 13]"
+    table = claims(PAPER)
+    for words in ("terminal", "below pso_500", "below gbo_large", "pso_100 stays", "gbo_small"):
+        assert verdicts(table, words) == ["reproduced"], words
+
+
+def test_a_larger_speed_up_is_reproduced_and_a_smaller_one_is_not() -> None:
+    assert verdicts(claims(PAPER | {"pso_100": [[(9000.0, 750.0)]] * 5}), SPEED_1) == [
+        "reproduced",
+        "reproduced",
+    ]
+    table = claims(PAPER | {"pso_100": [[(150.0, 750.0)]] * 5})
+    assert verdicts(table, SPEED_1) == ["not reproduced"] * 2
+    assert row(table, SPEED_1)["ours"] == "1.50× [1.50, 1.50]"
+
+
+def test_a_speed_up_that_cut_runs_leave_open_depends_on_the_budget() -> None:
+    table = claims(PAPER, ends={"pso_500": 1e5})
+    assert verdicts(table, SPEED_05) == ["depends on the budget"] * 2
+    assert row(table, SPEED_05)["ours"] == "more than 100× [100, ∞]"
+
+
+def test_a_lower_bound_above_the_figure_is_enough() -> None:
+    assert verdicts(claims(PAPER), SPEED_05) == ["reproduced"] * 2
+
+
+def test_rivals_that_ended_by_themselves_are_never_going_to_arrive() -> None:
+    rivals = {method: "converged" for method in PAPER if method != "miho"}
+    ends = dict.fromkeys(rivals, 1e5)
+    assert verdicts(claims(PAPER, ends=ends, outcomes=rivals), SPEED_05) == ["reproduced"] * 2
+
+
+def test_miho_not_reaching_the_target_is_said() -> None:
+    short = [[(10.0, 2000.0), (100.0, 900.0)]] * 5
+    rivals = {"pso_500": [[(2000.0, 400.0)]] * 5}
+    table = claims(PAPER | {"miho": short} | rivals, outcomes={"miho": "converged"})
+    assert verdicts(table, SPEED_05) == ["not reproduced"] * 2
+    assert row(table, SPEED_05)["ours"].startswith("0×, MIHO did not reach it")
+    nobody = claims(PAPER | {"miho": short})
+    assert verdicts(nobody, SPEED_05) == ["depends on the budget"] * 2
+
+
+def test_a_speed_claim_that_holds_on_one_axis_only_depends_on_the_axis() -> None:
+    runs, curves = frames(PAPER)
+    mine, theirs = curves["optimizer"] == "miho", runs["optimizer"] == "miho"
+    curves.loc[mine, "seconds"] *= 10
+    runs.loc[theirs, "seconds"] *= 10
+    table = claims_table(runs, curves, resamples=100)
+    assert verdicts(table, SPEED_1) == ["depends on the axis"] * 2
+    assert row(table, SPEED_1)["reason"] == "not reproduced in seconds, reproduced in evaluations"
+
+
+def test_two_repetitions_are_too_few_for_any_verdict() -> None:
+    table = claims({method: runs[:2] for method, runs in PAPER.items()})
+    assert set(table["verdict"]) == {"depends on the repetitions"}
+
+
+def test_only_common_seeds_are_compared() -> None:
+    table = claims(PAPER | {"pso_500": PAPER["pso_500"][:3]})
+    assert row(table, "below pso_500")["repetitions"] == 3
+    assert row(table, "below gbo_large")["repetitions"] == 5
+
+
+def test_an_interval_with_the_figure_and_no_advantage_depends_on_the_repetitions() -> None:
+    rival = spread_of([300, 310, 330, 900, 950])
+    table = claims(PAPER | {"pso_500": rival})
+    assert verdicts(table, "below pso_500") == ["depends on the repetitions"]
+
+
+def test_a_gain_below_the_figure_is_not_reproduced() -> None:
+    table = claims(PAPER | {"pso_500": spread_of([391, 391, 392, 391, 390])})
+    assert verdicts(table, "below pso_500") == ["not reproduced"]
+
+
+def test_gains_from_curves_that_still_fall_depend_on_the_budget() -> None:
+    rival_falls = {"pso_500": [[(50.0, 2000.0), (9e5, 513.0)]] * 5}
+    assert verdicts(claims(PAPER | rival_falls), "below pso_500") == ["depends on the budget"]
+    miho_falls = {"miho": [[(10.0, 2000.0), (9e5, 490.0)]] * 5}
+    assert verdicts(claims(PAPER | miho_falls), "below pso_500") == ["depends on the budget"]
+
+
+@pytest.mark.parametrize(
+    ("final", "irreducible", "expected"),
+    [
+        (394.9, np.nan, "reproduced"),
+        (440.0, np.nan, "not reproduced"),
+        (300.0, np.nan, "not reproduced"),
+        (440.0, 438.0, "depends on the data"),
+        (440.0, 400.0, "not reproduced"),
+    ],
+)
+def test_the_terminal_error(final: float, irreducible: float, expected: str) -> None:
+    runs = PAPER | {"miho": spread_of([final] * 5)}
+    assert verdicts(claims(runs, irreducible=irreducible), "terminal") == [expected]
+
+
+def test_ending_where_the_best_rival_ends_depends_on_the_data() -> None:
+    runs = PAPER | {"miho": spread_of([440] * 5), "least_squares": spread_of([439] * 5)}
+    assert verdicts(claims(runs), "terminal") == ["depends on the data"]
+    runs["least_squares"] = spread_of([400] * 5)
+    assert verdicts(claims(runs), "terminal") == ["not reproduced"]
+
+
+def test_a_wide_interval_does_not_reproduce_a_level() -> None:
+    runs = PAPER | {"miho": spread_of([300, 320, 350, 420, 560])}
+    assert verdicts(claims(runs), "terminal") == ["depends on the repetitions"]
+
+
+def test_a_level_above_the_paper_that_still_falls_depends_on_the_budget() -> None:
+    falling: list[Steps] = [[(10.0, 2000.0), (9e5, 440.0)]] * 5
+    assert verdicts(claims(PAPER | {"miho": falling}), "terminal") == ["depends on the budget"]
+
+
+def test_pso_that_escapes_in_some_runs_is_not_stuck() -> None:
+    runs = PAPER | {"pso_100": spread_of([390, 390, 780, 1090, 1100])}
+    table = claims(runs)
+    assert verdicts(table, "pso_100 stays") == ["depends on the repetitions"]
+    assert row(table, "pso_100 stays")["reason"] == "2 of 5 came within 1 % of the best"
+    assert verdicts(claims(PAPER | {"pso_100": spread_of([391] * 5)}), "pso_100 stays") == [
+        "not reproduced"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("final", "expected"),
+    [
+        ([8700.0] * 5, "reproduced"),
+        ([5000.0] * 5, "not reproduced"),
+        ([8900.0, 8900, 8900, 7000, 6800], "depends on the repetitions"),
+    ],
+)
+def test_flatness(final: list[float], expected: str) -> None:
+    assert verdicts(claims(PAPER | {"gbo_small": spread_of(final)}), "gbo_small") == [expected]
+
+
+def test_runs_without_a_value_do_not_count_as_flat() -> None:
+    table = claims(PAPER | {"gbo_small": [[]] * 5})
+    assert verdicts(table, "gbo_small") == ["depends on gbo_small"]
+
+
+def test_missing_methods_are_named() -> None:
+    runs = {method: PAPER[method] for method in ("miho", "pso_100", "pso_500")}
+    table = claims(runs)
+    assert verdicts(table, SPEED_1) == ["depends on gbo_small, gbo_large"] * 2
+    assert row(table, SPEED_1)["ours"] == "13× [13, 13]"
+    assert verdicts(table, "below gbo_large") == ["depends on gbo_large"]
+    slower = claims(runs | {"pso_100": [[(150.0, 750.0)]] * 5})
+    assert verdicts(slower, SPEED_1) == ["not reproduced"] * 2
+    alone = claims({"miho": PAPER["miho"]})
+    assert row(alone, SPEED_1)["ours"] == "-"
+    assert row(alone, "pso_100 stays")["verdict"] == "depends on pso_100"
+
+
+def test_other_methods_are_compared_without_a_claim() -> None:
+    table = claims(PAPER | {"least_squares": spread_of([390] * 5), "random": spread_of([800] * 5)})
+    faster = row(table, "least_squares to 0.5 kN, in evaluations")
+    assert faster["paper"] == faster["verdict"] == "-"
+    assert faster["ours"].startswith("0.0110×")
+    assert faster["reason"] == "MIHO is slower"
+    assert row(table, "random to 0.5 kN, in seconds")["reason"] == "MIHO is faster"
+
+
+def test_claims_need_miho_and_a_force() -> None:
+    with pytest.raises(ValueError, match="no runs of 'miho_reference'"):
+        claims_table(*frames(PAPER), miho="miho_reference")
+    with pytest.raises(ValueError, match="these runs are in N m"):
+        claims(PAPER, unit="N m")
+
+
+def test_the_same_table_is_printed_again() -> None:
+    first, second = (claims_table(*like_fig6(3), resamples=200) for _ in range(2))
+    pd.testing.assert_frame_equal(first, second)
+
+
+def test_results_per_method() -> None:
+    runs = PAPER | {"pso_100": [*spread_of([390, 392, 780, 800]), []]}
+    table = results_table(*frames(runs)).set_index("method")
+    assert next(iter(table.index)) == "miho"
+    pso = table.loc["pso_100"]
+    assert pso["repetitions"] == 5
+    assert pso["no value"] == 1
+    assert pso["mean error [kN]"] == pytest.approx(0.5905)
+    assert (pso["best [kN]"], pso["worst [kN]"]) == (0.39, 0.8)
+    assert pso["evaluations to 1 kN"] == 11
+    assert pso["evaluations to 0.5 kN"] == np.inf
+    assert pso["success"] == pytest.approx(0.4)
+    assert table.loc["miho", "evaluations to best + 1 %"] == 1000
+    assert table.loc["miho", "seconds to 1 kN"] == pytest.approx(0.01)
+
+
+def test_markdown_aligns_numbers_escapes_pipes_and_says_never() -> None:
+    frame = pd.DataFrame({"method": ["a|b"], "error [kN]": [0.39182], "evaluations": [np.inf]})
+    assert to_markdown(frame) == (
+        "| method | error [kN] | evaluations |\n| --- | --: | --: |\n| a\\|b | 0.392 | never |\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.0, "0"), (0.0123456, "0.0123"), (13.04, "13.0"), (217_000.4, "217,000"), (-2.5, "-2.50")],
+)
+def test_numbers(value: float, text: str) -> None:
+    assert number(value) == text
+
+
+def test_bounds_are_printed_as_bounds() -> None:
+    assert with_interval(Interval(5.25, 4, np.inf, np.inf, 1), "×") == "more than 5.25× [4, ∞]"
+    assert with_interval(Interval(5.25, 4, 9, 8.5, 1), "×") == "5.25 to 8.50× [4, 9]"

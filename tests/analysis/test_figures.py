@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from miho.analysis.end_labels import spread
+from miho.analysis.figures import fig4, fig6, plot_error_over, save
+from miho.analysis.styles import STYLES, styles_of
+from tests.analysis.synthetic import frames, like_fig6
+
+
+def texts(figure: Figure) -> list[str]:
+    return [found.get_text() for found in figure.findobj(Text) if isinstance(found, Text)]
+
+
+def test_the_drawn_line_is_the_mean_in_kn() -> None:
+    _, curves = frames({"miho": [[(1.0, 3000.0), (10.0, 400.0)], [(2.0, 1000.0), (10.0, 600.0)]]})
+    ax = Figure().subplots()
+    plot_error_over(curves, "evaluations", ax, grid=np.array([1.0, 2.0, 9.9, 10.0, 1e6]))
+    np.testing.assert_allclose(np.asarray(ax.lines[0].get_ydata()), [np.nan, 2, 2, 0.5, 0.5])
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+    assert ax.get_ylabel() == "error [kN]"
+
+
+def test_beyond_its_end_a_method_goes_on_thin() -> None:
+    _, curves = frames({"miho": [[(1.0, 400.0)]], "random": [[(1.0, 900.0)]]}, ends={"miho": 10.0})
+    ax = Figure().subplots()
+    plot_error_over(curves, "evaluations", ax, grid=np.array([1.0, 10.0, 100.0, 1e6]))
+    np.testing.assert_array_equal(ax.lines[0].get_xdata(), [1, 10])
+    np.testing.assert_array_equal(ax.lines[1].get_xdata(), [100, 1e6])
+    assert ax.lines[1].get_linewidth() < ax.lines[0].get_linewidth()
+
+
+def test_fig6_names_each_method_once_with_its_final_error_and_colour() -> None:
+    runs, curves = like_fig6(3)
+    figure = fig6(runs, curves, note="reduced size: R = 625")
+    written = texts(figure)
+    for method, errors in runs.groupby("optimizer")["error"]:
+        label = [text for text in written if text.endswith(f"  {STYLES[str(method)].name}")]
+        assert len(label) == 1
+        assert float(label[0].split()[0]) == pytest.approx(errors.mean() / 1e3, rel=0.01, abs=5e-3)
+    assert "reduced size: R = 625" in written
+    assert "irreducible 0.39 kN" in written
+
+
+def test_fig6_labels_neither_overlap_nor_leave_the_page() -> None:
+    figure = fig6(*like_fig6(3))
+    figure.draw_without_rendering()
+    names = tuple(style.name for style in STYLES.values())
+    labels = [
+        t for t in figure.findobj(Text) if isinstance(t, Text) and t.get_text().endswith(names)
+    ]
+    boxes = sorted((label.get_window_extent() for label in labels), key=lambda box: box.y0)
+    assert len(boxes) == 8
+    for below, above in pairwise(boxes):
+        assert below.y1 <= above.y0 + 1
+    assert max(box.x1 for box in boxes) <= figure.bbox.x1
+    assert all(float(label.get_fontsize()) >= 8 for label in labels)
+
+
+def test_fig6_says_when_a_mean_is_undefined() -> None:
+    figure = fig6(*frames({"miho": [[(1.0, 400.0)]] * 2, "gbo_large": [[(1.0, 900.0)], []]}))
+    assert "-  GBO-large" in texts(figure)
+    assert "0.40  MIHO" in texts(figure)
+
+
+def test_fig6_refuses_two_problems() -> None:
+    runs, curves = frames({"miho": [[(1.0, 400.0)]] * 2})
+    with pytest.raises(ValueError, match="one problem at a time"):
+        fig6(runs.assign(problem=["a", "b"]), curves)
+
+
+def test_styles_tell_methods_apart_and_stay_the_same() -> None:
+    looks = [
+        (style.color, style.dashes) for style in styles_of([*STYLES, "cma_es", "tpe"]).values()
+    ]
+    assert len(set(looks)) == len(STYLES) + 2
+    assert styles_of(["random", "miho"])["miho"] == styles_of(["miho"])["miho"]
+    assert styles_of(["cma_es"])["cma_es"].name == "cma es"
+
+
+def test_spread_moves_only_what_is_too_close() -> None:
+    np.testing.assert_allclose(spread(np.array([0.9, 0.1]), 0.2), [0.9, 0.1])
+    np.testing.assert_allclose(spread(np.array([0.5, 0.5]), 0.2), [0.4, 0.6])
+    np.testing.assert_allclose(spread(np.array([0.0, 0.0, 0.0]), 0.2), [0, 0.2, 0.4])
+    np.testing.assert_allclose(spread(np.ones(11), 0.5), np.linspace(0, 1, 11), atol=1e-12)
+
+
+def test_fig4_shows_samples_curves_and_errors() -> None:
+    alpha = np.linspace(-12, 12, 300)
+    tires = {tire: (alpha, -np.tanh(alpha)) for tire in ("LF", "RF", "LR", "RR")}
+    figure = fig4(tires, tires, errors={"LF": 0.39}, note="3000 samples")
+    assert "left front, error 0.39 kN" in texts(figure)
+    assert "right rear" in texts(figure)
+    for ax in figure.axes:
+        assert len(ax.collections) == 2
+        assert all(points.get_rasterized() for points in ax.collections)
+        assert ax.get_xlabel() == "slip angle [deg]"
+
+
+def test_fig4_refuses_unknown_tires() -> None:
+    with pytest.raises(ValueError, match="tires XX are unknown"):
+        fig4({"XX": (np.zeros(1), np.zeros(1))}, {})
+
+
+def test_save_writes_both_formats_and_makes_the_folder(tmp_path: Path) -> None:
+    figure = fig6(*frames({"miho": [[(1.0, 400.0)]]}))
+    paths = save(figure, tmp_path / "figures" / "fig6.v1")
+    assert [path.name for path in paths] == ["fig6.v1.png", "fig6.v1.pdf"]
+    assert paths[0].read_bytes().startswith(b"\x89PNG")
+    assert paths[1].read_bytes().startswith(b"%PDF")

@@ -1,0 +1,185 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from miho.analysis.mean_curve import MeanCurve
+from miho.analysis.statistics import (
+    Interval,
+    improvement,
+    interval,
+    mean_error,
+    ratio_of_means,
+    resample,
+    speed_up,
+    time_to_target,
+)
+from miho.analysis.tidy import one_problem
+from tests.analysis.synthetic import Steps, frames
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(1)
+
+
+def mean_curve(repetitions: list[Steps], end: float = 1000.0, outcome: str = "budget") -> MeanCurve:
+    runs, curves = one_problem(
+        *frames({"m": repetitions}, ends={"m": end}, outcomes={"m": outcome})
+    )
+    return MeanCurve.of(runs, curves, "m", "evaluations", range(len(repetitions)))
+
+
+def test_the_mean_reaches_the_target_where_the_last_needed_run_improves() -> None:
+    curve = mean_curve([[(10.0, 900.0), (100.0, 400.0)], [(20.0, 700.0), (50.0, 600.0)]])
+    for target, expected in [(800.0, 20.0), (750.0, 50.0), (749.0, 100.0), (500.0, 100.0)]:
+        assert time_to_target(curve, target, rng()).estimate == expected
+
+
+def test_the_search_agrees_with_averaging_on_every_breakpoint() -> None:
+    random = np.random.default_rng(3)
+    runs: list[Steps] = []
+    for _ in range(6):
+        at = np.sort(random.uniform(1, 900, 40))
+        error = np.sort(random.lognormal(6, 1, 40))[::-1]
+        runs.append([(float(a), float(e)) for a, e in zip(at, error, strict=True)])
+    curve, picks = mean_curve(runs), resample(6, random, 50)
+    means = curve.errors[picks].mean(axis=1)
+    for target in (50.0, 300.0, 1000.0):
+        below = means <= target
+        expected = np.where(below.any(axis=1), curve.at[below.argmax(axis=1)], np.inf)
+        np.testing.assert_array_equal(curve.reaches(target, picks)[1], expected)
+
+
+def test_what_was_cut_is_known_within_bounds_and_what_ended_is_known() -> None:
+    cut = time_to_target(mean_curve([[(10.0, 900.0)]] * 3), 500.0, rng())
+    assert (cut.estimate, cut.at_most, cut.low, cut.high) == (1000, np.inf, 1000, np.inf)
+    assert cut.censored == 1
+    ended = time_to_target(mean_curve([[(10.0, 900.0)]] * 3, outcome="converged"), 500.0, rng())
+    assert (ended.estimate, ended.at_most, ended.censored) == (np.inf, np.inf, 0)
+
+
+def test_the_mean_is_known_up_to_the_earliest_end_of_a_cut_run() -> None:
+    curve = MeanCurve(
+        at=np.array([1.0]),
+        errors=np.full((3, 1), 900.0),
+        ends=np.array([50.0, 200.0, 300.0]),
+        cut=np.array([False, True, True]),
+    )
+    low, high = curve.reaches(500.0, np.array([[0, 1, 2], [2, 2, 2], [0, 0, 0]]))
+    np.testing.assert_array_equal(low, [200, 300, np.inf])
+    np.testing.assert_array_equal(high, np.inf)
+
+
+def test_a_run_without_a_value_keeps_the_mean_from_any_target() -> None:
+    assert time_to_target(mean_curve([[(10.0, 1.0)], []]), 500.0, rng()).at_most == np.inf
+
+
+def test_speed_up_of_identical_runs_is_exact() -> None:
+    mine = mean_curve([[(10.0, 400.0)]] * 4)
+    rivals = [mean_curve([[(300.0, 400.0)]] * 4), mean_curve([[(200.0, 400.0)]] * 4)]
+    assert speed_up(mine, rivals, 500.0, rng()) == Interval(20, 20, 20, 20)
+
+
+def test_speed_up_is_paired_by_repetition() -> None:
+    base = [10.0, 20.0, 40.0, 80.0]
+    mine = mean_curve([[(at, 400.0)] for at in base])
+    rival = mean_curve([[(3 * at, 400.0)] for at in base])
+    ours = speed_up(mine, [rival], 500.0, rng())
+    assert (ours.low, ours.estimate, ours.high) == (3, 3, 3)
+
+
+def test_a_rival_that_never_arrives_gives_a_lower_bound() -> None:
+    mine, rival = mean_curve([[(10.0, 400.0)]] * 3), mean_curve([[(1.0, 900.0)]] * 3)
+    assert speed_up(mine, [rival], 500.0, rng()) == Interval(100, 100, np.inf, np.inf, 1.0)
+
+
+def test_a_rival_that_ended_above_the_target_is_infinitely_slower() -> None:
+    mine = mean_curve([[(10.0, 400.0)]] * 3)
+    rival = mean_curve([[(1.0, 900.0)]] * 3, outcome="converged")
+    assert speed_up(mine, [rival], 500.0, rng()).low == np.inf
+
+
+def test_a_rival_cut_early_bounds_from_below_what_another_bounds_from_above() -> None:
+    mine = mean_curve([[(10.0, 400.0)]] * 3)
+    early = mean_curve([[(1.0, 900.0)]] * 3, end=50.0)
+    late = mean_curve([[(300.0, 400.0)]] * 3)
+    ours = speed_up(mine, [early, late], 500.0, rng())
+    assert (ours.estimate, ours.at_most) == (5, 30)
+
+
+@pytest.mark.parametrize(("outcome", "high"), [("budget", 0.2), ("converged", 0.0)])
+def test_not_arriving_oneself_gives_zero(outcome: str, high: float) -> None:
+    mine = mean_curve([[(10.0, 900.0)]] * 3, outcome=outcome)
+    rival = mean_curve([[(200.0, 400.0)]] * 3)
+    ours = speed_up(mine, [rival], 500.0, rng())
+    assert (ours.estimate, ours.low, ours.high) == (0, 0, high)
+
+
+def test_nobody_arriving_is_no_evidence() -> None:
+    curve = mean_curve([[(10.0, 900.0)]] * 3)
+    ours = speed_up(curve, [curve], 500.0, rng())
+    assert (ours.estimate, ours.at_most, ours.censored) == (0, np.inf, 1)
+
+
+def test_methods_with_different_repetitions_cannot_be_paired() -> None:
+    with pytest.raises(ValueError, match="same seeds of each"):
+        speed_up(mean_curve([[(1.0, 1.0)]]), [mean_curve([[(1.0, 1.0)]] * 2)], 1.0, rng())
+    with pytest.raises(ValueError, match="at least one rival"):
+        speed_up(mean_curve([[(1.0, 1.0)]]), [], 1.0, rng())
+    with pytest.raises(ValueError, match="no repetition"):
+        resample(0, rng())
+
+
+def test_improvement_is_the_papers_percentage() -> None:
+    mine, rival = np.array([0.39, 0.39]), np.array([0.51, 0.51])
+    ours = improvement(mine, rival, rng())
+    assert ours.estimate == pytest.approx(1 - 0.39 / 0.51)
+    assert ours.low == ours.high == pytest.approx(ours.estimate)
+
+
+def test_errors_without_a_finite_value_count_as_infinite() -> None:
+    assert mean_error(np.array([1.0, np.inf]), rng()).estimate == np.inf
+    assert ratio_of_means(np.array([1.0]), np.array([np.inf]), rng()).estimate == 0
+    assert ratio_of_means(np.array([np.inf]), np.array([np.inf]), rng()).estimate == 1
+
+
+def test_the_interval_covers_the_mean_about_as_often_as_it_says() -> None:
+    random = np.random.default_rng(5)
+    hits = 0
+    for _ in range(300):
+        found = mean_error(random.normal(10, 2, 40), random, resamples=400)
+        hits += found.low <= 10 <= found.high
+    assert 0.90 <= hits / 300 <= 0.98
+
+
+def test_the_interval_has_the_width_of_the_normal_approximation() -> None:
+    values = np.random.default_rng(2).normal(10, 2, 200)
+    found = mean_error(values, rng(), resamples=8000)
+    standard_error = values.std() / np.sqrt(200)
+    assert found.estimate == values.mean()
+    assert found.high - found.low == pytest.approx(2 * 1.96 * standard_error, rel=0.06)
+
+
+def test_the_same_generator_state_gives_the_same_interval() -> None:
+    values = np.array([1.0, 2.0, 5.0])
+    assert mean_error(values, rng()) == mean_error(values, rng())
+
+
+def test_percentiles_are_observed_values_and_row_zero_is_the_estimate() -> None:
+    values = np.concatenate([[7.0], np.arange(1, 101)])
+    assert interval(values, values) == Interval(7, 3, 98, 7)
+
+
+@pytest.mark.parametrize(
+    ("steps", "outcome", "falling"),
+    [
+        ([(10.0, 900.0), (600.0, 400.0)], "budget", True),
+        ([(10.0, 900.0), (600.0, 400.0)], "converged", False),
+        ([(10.0, 900.0), (400.0, 400.0)], "budget", False),
+        ([(600.0, 400.0)], "budget", True),
+    ],
+)
+def test_still_falling_looks_at_the_second_half_of_cut_runs(
+    steps: Steps, outcome: str, falling: bool
+) -> None:
+    assert mean_curve([steps] * 3, outcome=outcome).still_falling() is falling
