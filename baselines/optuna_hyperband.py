@@ -1,0 +1,88 @@
+"""Optuna's Hyperband pruner, as published: asynchronous and stop-only."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import optuna
+from numpy.typing import NDArray
+
+from miho.optim import Optimizer, Oracle, Space
+from miho.optim.mutation import annealed_sigma, mutate
+from miho.optim.validate import at_least
+
+optuna.logging.set_verbosity(optuna.logging.WARNING)
+
+Array = NDArray[np.float64]
+
+DRAWN_AT_ONCE = 1000
+
+
+@dataclass(frozen=True)
+class OptunaHyperband(Optimizer):
+    """One trial is one initial configuration and up to R evaluations, all but one of mutants.
+
+    A trial reports its best loss at the rungs 1, eta, eta^2, ... R, counted in its evaluations,
+    and stops where `optuna.pruners.HyperbandPruner` says so. Between two rungs sigma anneals as on
+    a rung of MIHO, and a mutant replaces its parent when it is better: the two methods differ in
+    who gets how many evaluations. Configurations are the common initial ones, then draws from the
+    same distribution, so Optuna's sampler has nothing to suggest. Runs until the budget ends, in
+    memory; every decision of the pruner looks through all trials, so that trials become slower.
+    """
+
+    R: int = 10_000
+    eta: int = 5
+
+    def __post_init__(self) -> None:
+        at_least("R", self.R, 1, whole=True)
+        at_least("eta", self.eta, 2, whole=True)
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        """Run trials one after the other until the budget ends."""
+        # The pruner assigns brackets by a hash of the study's name and the trial's number.
+        study = optuna.create_study(
+            storage=None,
+            study_name=f"hyperband-{rng.integers(2**63)}",
+            sampler=optuna.samplers.RandomSampler(seed=0),
+            pruner=optuna.pruners.HyperbandPruner(
+                min_resource=1, max_resource=self.R, reduction_factor=self.eta, bootstrap_count=0
+            ),
+        )
+        for p in _configurations(oracle.space, rng):
+            trial = study.ask()
+            best, pruned = self._evaluate(p, trial, oracle, rng)
+            if pruned:
+                study.tell(trial, state=optuna.trial.TrialState.PRUNED)
+            else:
+                study.tell(trial, best)
+
+    def _evaluate(
+        self, p: Array, trial: optuna.Trial, oracle: Oracle, rng: np.random.Generator
+    ) -> tuple[float, bool]:
+        """Best loss of one trial, and whether it was pruned; p is (d,) in search coordinates."""
+        space = oracle.space
+        P = p[None]
+        L = float(oracle(space.decode(P))[0])
+        used = rung = 1
+        while True:
+            # A trial without a finite value ranks behind all others.
+            trial.report(min(L, np.finfo(float).max), step=used)
+            if rung == self.R:
+                return min(L, np.finfo(float).max), False
+            if trial.should_prune():
+                return L, True
+            rung = min(rung * self.eta, self.R)
+            for sigma in annealed_sigma(space, rung - used):
+                mutant = mutate(P, sigma, space, rng, "box")
+                loss = float(oracle(space.decode(mutant))[0])
+                if loss < L:
+                    P, L = mutant, loss
+            used = rung
+
+
+def _configurations(space: Space, rng: np.random.Generator) -> Iterator[Array]:
+    yield from space.initial(DRAWN_AT_ONCE)
+    while True:
+        yield from space.sample(DRAWN_AT_ONCE, rng)
