@@ -1,0 +1,43 @@
+# make compare   the paper's comparison at reduced size: figure and claims table
+# make test      the test suite
+# Each target makes its own environment in .venv the first time.
+
+PYTHON ?= python3
+BIN := .venv/bin
+INSTALLED := .venv/installed
+
+.PHONY: help install compare figures test lint lock clean
+
+help:
+	@sed -n 's/^# //p' Makefile
+
+$(INSTALLED): pyproject.toml constraints.txt
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "error: Python 3.11 or newer is needed; name it with make PYTHON=...")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[experiments,dev]'
+	touch $@
+
+install: $(INSTALLED)
+
+compare: $(INSTALLED)
+	$(BIN)/python -m experiments.compare
+
+figures: $(INSTALLED)
+	$(BIN)/python -m experiments.identify -m dataset=tire_lf,tire_rf,tire_lr,tire_rr optimizer=miho
+	$(BIN)/python -m experiments.figures fig4
+	$(BIN)/python -m experiments.compare
+
+test: $(INSTALLED)
+	$(BIN)/python -m pytest -q
+
+lint: $(INSTALLED)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+# Pin what is installed now, after an upgrade that was tried and tested.
+lock: $(INSTALLED)
+	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
+
+clean:
+	rm -rf .venv build *.egg-info

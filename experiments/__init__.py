@@ -1,0 +1,1 @@
+"""Commands, run from the checkout: Hydra composes, the library runs."""

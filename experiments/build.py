@@ -1,0 +1,162 @@
+"""From a composed configuration to objects: the one place that instantiates targets."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+from omegaconf import DictConfig, OmegaConf
+
+import baselines
+import miho
+from miho.data import Dataset
+from miho.identification import CurveFit, irreducible_error
+from miho.models import Model
+from miho.optim import Budget, Optimizer, Parameter, Space
+from miho.study import Identity, code_digest
+
+PACKAGES = ("miho", "baselines")
+PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
+
+T = TypeVar("T")
+
+
+class ConfigError(ValueError):
+    """One line naming the key, what is wrong with it and what is allowed."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One run, ready to start."""
+
+    problem: CurveFit
+    optimizer: Optimizer
+    budget: Budget
+    identity: Identity
+    root: Path
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What the store keeps about the problem: the unit and the floor of its error."""
+        dataset, model = self.problem.dataset, self.problem.model
+        facts: dict[str, Any] = {"unit": self.problem.unit}
+        if len(model.inputs) == 1:
+            floor = irreducible_error(dataset[model.inputs[0]], dataset[dataset.output])
+            if floor == floor:
+                facts["irreducible"] = floor
+        return facts
+
+
+def build(cfg: DictConfig) -> Experiment:
+    """Check and build everything one run needs; raises ConfigError or a loader's own error."""
+    optimizer_node = _plain(cfg, "optimizer")
+    name = optimizer_node.pop("name", None)
+    if not isinstance(name, str):
+        raise ConfigError("optimizer.name: is missing; give the method a name for its runs")
+    if cfg.seed < 0:
+        raise ConfigError(f"seed: is {cfg.seed}; expected a whole number of at least 0")
+    optimizer = instantiate(optimizer_node, "optimizer", Optimizer)
+    model = instantiate(_plain(cfg, "model"), "model", Model)
+    space = build_space(_plain(cfg, "space"))
+    dataset = instantiate(_plain(cfg, "dataset"), "dataset", Dataset)
+    try:
+        budget = Budget(**_plain(cfg, "budget"))
+        problem = CurveFit(model, dataset, space)
+        config = {key: _plain(cfg, key) for key in ("model", "dataset", "space", "budget")}
+        identity = Identity(
+            problem=problem.name,
+            optimizer=name,
+            seed=cfg.seed,
+            config=config | {"optimizer": optimizer_node},
+            code=_code(),
+            data=dataset.digest,
+        )
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    return Experiment(problem, optimizer, budget, identity, Path(cfg.root))
+
+
+def build_space(node: Mapping[str, Any]) -> Space:
+    """A space from a mapping of parameter names to their settings."""
+    try:
+        return Space(tuple(Parameter(name, **settings) for name, settings in node.items()))
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"space: {error}") from None
+
+
+def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
+    """The object that `node` describes.
+
+    Its target must be a class or function of our own packages and know every setting; that is
+    checked before anything is called. Hydra's own `instantiate` is not used: it runs any target.
+    """
+    target = _target(node.get("_target_"), key)
+    allowed = inspect.signature(target).parameters
+    settings = {name: value for name, value in node.items() if name != "_target_"}
+    for name, value in settings.items():
+        if name not in allowed:
+            raise ConfigError(f"{key}.{name}: is unknown; allowed are {', '.join(allowed)}")
+        settings[name] = _typed(value, allowed[name].annotation, f"{key}.{name}")
+    try:
+        built = target(**settings)
+    except ValueError as error:
+        if type(error) is not ValueError:
+            raise
+        raise ConfigError(f"{key}: {error}") from None
+    except TypeError as error:
+        raise ConfigError(f"{key}: {error}") from None
+    if not isinstance(built, kind):
+        raise ConfigError(f"{key}._target_: gives a {type(built).__name__}, not a {kind.__name__}")
+    return built
+
+
+def _target(path: Any, key: str) -> Callable[..., Any]:
+    """The class or function at a dotted path, if it is one of ours; nothing else is imported."""
+    module, _, name = path.rpartition(".") if isinstance(path, str) else ("", "", "")
+    if module.split(".")[0] in PACKAGES and all(part.isidentifier() for part in path.split(".")):
+        with contextlib.suppress(ModuleNotFoundError):
+            found: Any = getattr(importlib.import_module(module), name, None)
+            if callable(found) and found.__module__.split(".")[0] in PACKAGES:
+                return cast(Callable[..., Any], found)
+    raise ConfigError(
+        f"{key}._target_: {path!r} is not a class or function of {' or '.join(PACKAGES)}; "
+        "name one that is"
+    )
+
+
+def _typed(value: Any, annotation: Any, key: str) -> Any:
+    """The value, if it has the plain type that the signature declares."""
+    if value == "???":
+        raise ConfigError(f"{key}: is missing; give it on the command line as {key}=...")
+    kind = PLAIN.get(annotation if isinstance(annotation, str) else annotation.__name__)
+    if kind is None or type(value) is kind:
+        return value
+    if kind is float and type(value) is int:
+        return float(value)
+    if kind is int and type(value) is float and value.is_integer():
+        return int(value)
+    raise ConfigError(f"{key}: is {value!r}; expected a value of type {kind.__name__}")
+
+
+def _plain(cfg: DictConfig, key: str) -> dict[str, Any]:
+    """The resolved configuration below a key, as plain Python data."""
+    if OmegaConf.is_missing(cfg, key):
+        raise ConfigError(f"{key}: is missing; choose one of conf/{key}/")
+    node = OmegaConf.to_container(cfg[key], resolve=True)
+    if not isinstance(node, dict):
+        raise ConfigError(f"{key}: is {node!r}; expected a mapping")
+    return {str(name): value for name, value in node.items()}
+
+
+@cache
+def _code() -> str:
+    """Digest of the code that decides what a run finds: all of it but studies and figures."""
+    library = Path(miho.__file__).parent
+    parts = [library / name for name in ("optim", "models", "data", "identification")]
+    return code_digest([*parts, Path(baselines.__file__).parent])

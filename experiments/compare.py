@@ -1,0 +1,74 @@
+"""Compare methods on one problem, on the clock: interleaved, one at a time, one thread.
+
+python -m experiments.compare                        # reduced size, some three minutes
+python -m experiments.compare experiment=paper_fig6  # full size, some 75 minutes
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from experiments.build import ConfigError, Experiment, build
+from experiments.cli import OK, SOME_FAILED, command, composed
+from experiments.figures import COMPARISON, draw_comparison
+from experiments.run import line, run
+from miho.study import Status
+
+DEFAULT = "experiment=compare"
+failed: list[Experiment] = []
+
+
+def compare(cfg: DictConfig) -> None:
+    """Run every method of `comparison.methods` for each repetition, then draw and judge."""
+    overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("seed=")]
+    if not cfg.comparison.methods:
+        overrides = [DEFAULT, *overrides]
+        cfg = composed(overrides)
+    repetitions = cfg.comparison.repetitions
+    if repetitions < 1:
+        raise ConfigError(f"comparison.repetitions: is {repetitions}; expected at least 1")
+    if any(o.startswith("optimizer=") for o in overrides):
+        raise ConfigError("optimizer: cannot be chosen here; methods are comparison.methods")
+
+    methods = {
+        name: [f"optimizer={name}", *(f"optimizer.{k}={v}" for k, v in settings.items())]
+        for name, settings in cfg.comparison.methods.items()
+    }
+    planned = [
+        build(composed([*overrides, *chosen, f"seed={seed}"]))
+        for seed in range(repetitions)
+        for chosen in methods.values()
+    ]
+    for number, experiment in enumerate(planned, start=1):
+        execution = run(experiment)
+        print(f"[{number}/{len(planned)}] {line(experiment, execution)}", flush=True)
+        if execution.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        if execution.run is None:
+            failed.append(experiment)
+
+    root = Path(cfg.root)
+    about = {
+        "command": ["python", "-m", "experiments.compare", *overrides],
+        "note": cfg.comparison.note,
+        "runs": [experiment.identity.id for experiment in planned],
+    }
+    (root / COMPARISON).write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    for path in draw_comparison(root, Path(cfg.comparison.output)):
+        print(path)
+
+
+def summary() -> int:
+    """The exit code; a run that failed makes the comparison incomplete."""
+    if failed:
+        print(f"{len(failed)} runs are missing from the comparison", file=sys.stderr)
+    return SOME_FAILED if failed else OK
+
+
+if __name__ == "__main__":
+    command(compare, build, summary)

@@ -1,0 +1,135 @@
+"""Draw the paper's figures from the store.
+
+python -m experiments.figures fig6   # error over time, and the claims table (after `compare`)
+python -m experiments.figures fig4   # the four learned tires (after `identify` on each of them)
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.build import ConfigError, instantiate
+from experiments.cli import guarded
+from miho.analysis import claims_table, fig4, fig6, results_table, save, to_markdown
+from miho.data import Dataset
+from miho.models import Model
+from miho.study import StoredRun, load_runs, read_run
+
+COMPARISON = "comparison.json"
+TIRES = ("lf", "rf", "lr", "rr")
+
+
+def draw_comparison(root: Path, output: Path) -> list[Path]:
+    """Fig. 6, the claims table and the results table of one comparison, and their provenance."""
+    try:
+        about = json.loads((root / COMPARISON).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(
+            f"{root}: holds no comparison; run python -m experiments.compare root={root} first"
+        ) from None
+    found = load_runs(root)
+    runs = found.runs[found.runs["id"].isin(about["runs"])]
+    curves = found.curves[found.curves["id"].isin(about["runs"])]
+    missing = len(about["runs"]) - len(runs)
+    if missing:
+        raise ConfigError(f"{root}: {missing} runs of the comparison are missing; compare again")
+    paths = save(fig6(runs, curves, note=about["note"]), output / "fig6")
+    for name, table in (
+        ("claims", claims_table(runs, curves)),
+        ("results", results_table(runs, curves)),
+    ):
+        table.to_csv(output / f"{name}.csv", index=False)
+        (output / f"{name}.md").write_text(to_markdown(table), encoding="utf-8")
+        paths += [output / f"{name}.csv", output / f"{name}.md"]
+        print(to_markdown(table))
+    provenance = output / "provenance.json"
+    provenance.write_text(json.dumps(_provenance(about, runs), indent=1) + "\n", encoding="utf-8")
+    return [*paths, provenance]
+
+
+def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:
+    """Fig. 4, left and middle: the best run of `optimizer` on each of the four tires."""
+    found = load_runs(root).runs
+    samples, curves, errors = {}, {}, {}
+    for tire in TIRES:
+        runs = found[
+            (found["problem"] == f"pacejka-tire_{tire}") & (found["optimizer"] == optimizer)
+        ]
+        if runs.empty:
+            raise ConfigError(
+                f"{root}: no run of {optimizer} on tire_{tire}; run python -m experiments.identify "
+                f"-m dataset=tire_lf,tire_rf,tire_lr,tire_rr optimizer={optimizer} root={root}"
+            )
+        best = runs.sort_values("error").iloc[0]
+        stored = read_run(Path(best["folder"]))
+        dataset, model = _dataset(stored), instantiate(stored.config["model"], "model", Model)
+        alpha = np.linspace(dataset["alpha"].min(), dataset["alpha"].max(), 400)
+        force = model.predict(np.array([stored.result["theta"]]), alpha)[0]
+        samples[tire.upper()] = np.degrees(dataset["alpha"]), dataset["Fy"] / 1000
+        curves[tire.upper()] = np.degrees(alpha), force / 1000
+        errors[tire.upper()] = float(best["error"]) / 1000
+    note = f"3000 samples per tire; curves learned by {optimizer}; ISO-W signs"
+    return save(fig4(samples, curves, errors=errors, note=note), output / "fig4")
+
+
+def _dataset(stored: StoredRun) -> Dataset:
+    """The data of a run, made again from its configuration and checked to be the same."""
+    dataset = instantiate(stored.config["dataset"], "dataset", Dataset)
+    if dataset.digest != stored.result["data"]:
+        raise ConfigError(f"{stored.folder}: its data have changed since; identify again")
+    return dataset
+
+
+def _provenance(about: dict[str, Any], runs: pd.DataFrame) -> dict[str, Any]:
+    """What regenerates a comparison, and what it ran on."""
+    stored = [read_run(Path(folder)) for folder in runs["folder"]]
+    environment = dict(stored[0].environment)
+    environment.pop("load")
+    return {
+        "command": " ".join(about["command"]),
+        "seeds": sorted({int(seed) for seed in runs["seed"]}),
+        "code": sorted({run.result["code"] for run in stored}),
+        "data": sorted({run.result["data"] for run in stored}),
+        "environment": environment,
+        "drawn with python": platform.python_version(),
+        "largest load average during the runs": max(
+            (run.environment["load"][0] for run in stored if run.environment["load"]), default=None
+        ),
+    }
+
+
+def main() -> None:
+    """Read the command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.figures",
+        description="Draw a figure of the paper from finished runs, as PNG and PDF.",
+    )
+    parser.add_argument("name", choices=("fig4", "fig6"))
+    parser.add_argument(
+        "--root", type=Path, help="folder of runs (fig6: runs/compare; fig4: runs/identify)"
+    )
+    parser.add_argument("--output", type=Path, help="where to write (default: ROOT/figures)")
+    parser.add_argument("--optimizer", default="miho", help="fig4: whose runs (default: miho)")
+    arguments = parser.parse_args()
+    root = arguments.root or Path("runs", "compare" if arguments.name == "fig6" else "identify")
+    output = arguments.output or root / "figures"
+
+    def job() -> None:
+        if arguments.name == "fig6":
+            paths = draw_comparison(root, output)
+        else:
+            paths = draw_tires(root, output, arguments.optimizer)
+        print("\n".join(map(str, paths)))
+
+    guarded(job)
+
+
+if __name__ == "__main__":
+    main()
