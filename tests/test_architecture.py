@@ -1,0 +1,89 @@
+"""The layers: who may import whom, read from the imports themselves."""
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+NUMERICS = {"numpy", "scipy", "numba"}
+TABLES = {"pandas", "seaborn", "matplotlib"}
+
+# package: (ours it may import, third-party packages it may import)
+LAYERS: dict[str, tuple[set[str], set[str]]] = {
+    "miho.optim": ({"miho.optim"}, NUMERICS),
+    "miho.models": ({"miho.models"}, NUMERICS),
+    "miho.data": ({"miho.data", "miho.models"}, NUMERICS | {"pooch"}),
+    "miho.identification": (
+        {"miho.identification", "miho.optim", "miho.models", "miho.data"},
+        NUMERICS | TABLES,
+    ),
+    "miho.study": ({"miho.study", "miho.optim"}, {"pandas", "filelock", "threadpoolctl"}),
+    "miho.analysis": ({"miho.analysis", "miho.study"}, NUMERICS | TABLES),
+    "miho.testing": ({"miho.optim"}, NUMERICS),
+    "baselines": ({"baselines", "miho.optim"}, NUMERICS | {"optuna"}),
+}
+CONCRETE = {"MIHO", "RandomSearch"}
+
+
+def layer_of(module: str) -> str:
+    return next(
+        (layer for layer in LAYERS if module == layer or module.startswith(layer + ".")), ""
+    )
+
+
+def modules() -> list[Path]:
+    files = sorted((ROOT / "miho").rglob("*.py")) + sorted((ROOT / "baselines").rglob("*.py"))
+    return [path for path in files if path != ROOT / "miho" / "__init__.py"]
+
+
+def imports(path: Path) -> list[tuple[str, list[str]]]:
+    """Absolute module names that a file imports, with the names taken from them."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found += [(alias.name, []) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            found.append((node.module or "", [alias.name for alias in node.names]))
+    return found
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_layers_hold(path: Path) -> None:
+    own = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    layer = layer_of(own)
+    assert layer, f"{own} belongs to no layer"
+    ours, others = LAYERS[layer]
+    for module, names in imports(path):
+        top = module.partition(".")[0]
+        if top in sys.stdlib_module_names:
+            continue
+        if top in {"miho", "baselines"}:
+            assert layer_of(module) in ours, f"{own} imports {module}"
+            if layer == "miho.study":
+                assert not CONCRETE & set(names), f"{own} imports a concrete optimizer"
+        else:
+            assert top in others, f"{own} imports {module}"
+
+
+def test_only_experiments_know_hydra() -> None:
+    for path in modules():
+        tops = {module.partition(".")[0] for module, _ in imports(path)}
+        assert not tops & {"hydra", "omegaconf"}, path
+
+
+def test_the_library_draws_without_global_state() -> None:
+    for path in modules():
+        assert "matplotlib.pyplot" not in {module for module, _ in imports(path)}, path
+
+
+def test_no_grab_bag_modules() -> None:
+    names = {path.stem for path in modules()}
+    assert not names & {"utils", "util", "helpers", "common", "misc"}
+
+
+def test_durations_come_from_a_monotone_clock() -> None:
+    for path in [*modules(), *(ROOT / "experiments").rglob("*.py")]:
+        assert "time.time(" not in path.read_text(encoding="utf-8"), path

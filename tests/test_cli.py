@@ -1,0 +1,232 @@
+"""The commands, as a user types them: results, one-line errors, exit codes, nothing left behind."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from hydra.core.global_hydra import GlobalHydra
+
+from experiments import compare as comparing
+from experiments import figures
+from experiments import identify as identifying
+from experiments.build import build
+from experiments.cli import command
+from miho import load_runs
+
+ROOT = Path(__file__).parent.parent
+TIRE = ROOT / "miho" / "data" / "tires" / "lf.tir"
+QUICK = ["optimizer=least_squares", "dataset.n=200"]
+
+Command = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def identify(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> Command:
+    """Run `experiments.identify` in this process: exit code, standard output and error."""
+    return _command(monkeypatch, capsys, tmp_path, identifying.identify, identifying.summary)
+
+
+@pytest.fixture
+def compare(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> Command:
+    """The same for `experiments.compare`."""
+    return _command(monkeypatch, capsys, tmp_path, comparing.compare, comparing.summary)
+
+
+def _command(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    task: Callable[..., None],
+    after: Callable[[], int],
+) -> Command:
+    def run(*arguments: str) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["command", *arguments, f"root={tmp_path / 'runs'}"])
+        identifying.statuses.clear()
+        GlobalHydra.instance().clear()
+        with pytest.raises(SystemExit) as end:
+            command(task, build, after)
+        return (int(end.value.code or 0), *capsys.readouterr())
+
+    return run
+
+
+def test_identify_prints_parameters_error_and_gap(identify: Command, tmp_path: Path) -> None:
+    code, out, _ = identify(*QUICK)
+    assert code == 0
+    for word in ("1/rad", "best known", "irreducible", "evaluations", "gap 0.00", "(ran)"):
+        assert word in out
+    assert len(load_runs(tmp_path / "runs").runs) == 1
+    assert "(done before)" in identify(*QUICK)[1]
+
+
+def test_a_second_sweep_runs_nothing(identify: Command, tmp_path: Path) -> None:
+    sweep = ["-m", "optimizer=least_squares,random", "seed=range(3)", "dataset.n=100"]
+    code, out, _ = identify(*sweep, "budget.evaluations=2000")
+    assert (code, out.splitlines()[-1]) == (0, "6 runs: 6 ran")
+    code, out, _ = identify(*sweep, "budget.evaluations=2000")
+    assert (code, out.splitlines()[-1]) == (0, "6 runs: 0 ran, 6 done before")
+    assert len(load_runs(tmp_path / "runs").runs) == 6
+
+
+def text_cell(tmp_path: Path) -> list[str]:
+    path = tmp_path / "cell.csv"
+    path.write_text("alpha,Fy\n0.1,-200\n0.2,many\n")
+    return ["dataset=csv", f"dataset.path={path}"]
+
+
+def missing_coefficient(tmp_path: Path) -> list[str]:
+    path = tmp_path / "tire.tir"
+    lines = TIRE.read_text(encoding="latin-1").splitlines(keepends=True)
+    path.write_text("".join(line for line in lines if not line.startswith("PKY1 ")))
+    return ["dataset=tir", f"dataset.tire={path}"]
+
+
+BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
+    "unknown optimizer": (
+        ["optimizer=foo"],
+        "optimizer/foo' Available options in 'optimizer': gbo",
+    ),
+    "R = 0": (["optimizer.R=0"], "R is 0; expected a whole number of at least 1"),
+    "R is a word": (["optimizer.R=many"], "optimizer.R: is 'many'; expected a value of type int"),
+    "low > high": (["space.B.low=300"], "'B': low is 300.0 and high is 200.0"),
+    "unknown setting": (["optimizer.alpha=1"], "optimizer.alpha: is unknown; allowed are"),
+    "unknown key": (["sed=1"], "sed: is unknown; allowed are model, dataset, space"),
+    "unknown in space": (["space.B.lo=1"], "space.B.lo: is unknown; allowed are unit, low"),
+    "wrong type": (["space.B.low=wide"], "Value 'wide' of type 'str'"),
+    "half an evaluation": (["budget.evaluations=1.5"], "budget.evaluations=1.5"),
+    "no evaluation": (["budget.evaluations=0"], "budget.evaluations is 0"),
+    "negative seed": (["seed=-1"], "seed: is -1"),
+    "a foreign target": (["model._target_=os.system"], "model._target_: 'os.system' is not"),
+    "a target behind ours": (["model._target_=miho.study.store.os.system"], "is not a class or"),
+    "a target of another kind": (["model._target_=miho.optim.MIHO"], "gives a MIHO, not a Model"),
+    "no path given": (["dataset=csv"], "dataset.path: is missing; give it on the command line"),
+    "no such file": (["dataset=csv", "dataset.path=no/such.csv"], "no/such.csv: No such file"),
+    "not a tire": (["dataset.tire=xx"], "xx:1:1: there is no such file"),
+    "no override at all": (["=3"], "Config group override must be a string"),
+    "a bad choice in a sweep": (["-m", "optimizer=random,foo", "dataset.n=10"], "optimizer/foo"),
+    "a bad value in a sweep": (["-m", "dataset.n=10,0"], "at least one sample"),
+    "a .tir without a coefficient": (missing_coefficient, "PKY1"),
+    "a CSV with a text cell": (text_cell, "cell.csv:3:5: 'many' in column 'Fy'"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_one_line_and_leaves_nothing(
+    identify: Command, tmp_path: Path, case: str
+) -> None:
+    given, message = BAD[case]
+    arguments = given if isinstance(given, list) else given(tmp_path)
+    before = sorted(tmp_path.rglob("*"))
+    code, out, err = identify(*arguments)
+    assert code == 2
+    assert out == ""
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    assert message in err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_missing_download_is_one_line(
+    identify: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        "miho.data.seong.sample_file.__defaults__", ("http://127.0.0.1:9/x", tmp_path)
+    )
+    monkeypatch.delenv("MIHO_DATA_DIR", raising=False)
+    code, _, err = identify("dataset=seong_sample_a")
+    assert code == 2
+    assert err.splitlines()[-1].startswith("error: http://127.0.0.1:9/x: cannot be downloaded")
+
+
+def test_a_full_disk_is_exit_4(identify: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device", "somewhere")
+
+    monkeypatch.setattr("os.fsync", full)
+    code, _, err = identify(*QUICK)
+    assert (code, err) == (4, "error: somewhere: No space left on device\n")
+
+
+def test_compare_writes_figure_tables_and_provenance(compare: Command, tmp_path: Path) -> None:
+    small = ["comparison.repetitions=2", "budget.seconds=0.05", "dataset.n=100"]
+    code, out, _ = compare(*small)
+    assert code == 0
+    assert "[16/16]" in out
+    written = {path.name for path in (tmp_path / "runs" / "figures").iterdir()}
+    assert {"fig6.png", "fig6.pdf", "claims.md", "claims.csv", "results.md"} <= written
+    provenance = json.loads((tmp_path / "runs" / "figures" / "provenance.json").read_text())
+    assert provenance["seeds"] == [0, 1]
+    assert "experiments.compare" in provenance["command"]
+    code, out, _ = compare(*small)
+    assert out.count("(done before)") == 16
+    order = [line.split()[2] for line in out.splitlines() if line.startswith("[")]
+    assert order[:8] == order[8:], "methods are interleaved inside a repetition"
+
+
+def test_fig4_of_four_identified_tires(
+    identify: Command,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    root = str(tmp_path / "runs")
+    arguments = ["figures", "fig4", "--root", root, "--optimizer", "least_squares"]
+    monkeypatch.setattr(sys, "argv", arguments)
+    assert identify("optimizer=least_squares", "dataset=tire_lf", "dataset.n=200")[0] == 0
+    monkeypatch.setattr(sys, "argv", arguments)
+    with pytest.raises(SystemExit) as end:
+        figures.main()
+    assert end.value.code == 2
+    assert "no run of least_squares on tire_rf; run python -m" in capsys.readouterr().err
+    identify("-m", "dataset=tire_rf,tire_lr,tire_rr", *QUICK)
+    monkeypatch.setattr(sys, "argv", arguments)
+    with pytest.raises(SystemExit) as end:
+        figures.main()
+    assert end.value.code == 0
+    assert (tmp_path / "runs" / "figures" / "fig4.pdf").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("sweep", [[], ["-m", "seed=0,1"]])
+def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
+    tmp_path: Path, sweep: list[str]
+) -> None:
+    arguments = [sys.executable, "-m", "experiments.identify", *sweep, "optimizer=random"]
+    arguments += [f"root={tmp_path}", "budget.evaluations=null", "budget.seconds=60"]
+    process = subprocess.Popen(
+        arguments, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 30
+    while not list(tmp_path.rglob("lock")) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    time.sleep(0.5)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=20)
+    assert process.returncode == 130, err
+    assert "interrupted" in out
+    assert "Traceback" not in err
+    (partial,) = tmp_path.rglob("partial.json")
+    assert json.loads(partial.read_text())["curve"]["loss"]
+    assert load_runs(tmp_path).runs.empty
+
+
+def test_help_names_the_groups() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "experiments.identify", "--help"],
+        cwd=ROOT,
+        env=dict(os.environ),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    for group in ("dataset:", "optimizer:", "space:", "least_squares"):
+        assert group in done.stdout

@@ -1,0 +1,100 @@
+"""Every YAML composes, and what it describes can be built and run."""
+
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from experiments.build import build
+from experiments.cli import composed
+from experiments.schema import register
+from miho.optim import Budget, minimize
+
+CONF = Path(__file__).parent.parent / "conf"
+NEEDS_A_FILE = {"csv", "tir"}
+register()
+
+
+def options(group: str) -> list[str]:
+    return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+
+
+def test_the_groups_are_known() -> None:
+    groups = {path.name for path in CONF.iterdir() if path.is_dir()}
+    assert groups == {"model", "dataset", "space", "optimizer", "budget", "experiment"}
+
+
+@pytest.mark.parametrize("optimizer", options("optimizer"))
+def test_optimizers(optimizer: str) -> None:
+    experiment = build(composed([f"optimizer={optimizer}"]))
+    assert experiment.identity.optimizer == optimizer
+
+
+@pytest.mark.parametrize(
+    "dataset", [name for name in options("dataset") if name not in NEEDS_A_FILE]
+)
+def test_datasets(
+    dataset: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if dataset.startswith("seong"):
+        monkeypatch.setenv("MIHO_DATA_DIR", str(request.getfixturevalue("reference_data")))
+    experiment = build(composed([f"dataset={dataset}"]))
+    assert experiment.problem.dataset.name == dataset
+    assert len(experiment.problem.dataset) == (300 if dataset.startswith("seong") else 3000)
+    record = minimize(experiment.optimizer, experiment.problem, Budget(evaluations=50))
+    assert record.theta is not None
+
+
+def test_a_file_of_your_own(tmp_path: Path) -> None:
+    path = tmp_path / "mine.csv"
+    path.write_text("alpha,Fy\n" + "\n".join(f"{i / 100},{-i}" for i in range(20)))
+    experiment = build(composed(["dataset=csv", f"dataset.path={path}"]))
+    assert len(experiment.problem.dataset) == 20
+    tire = CONF.parent / "miho" / "data" / "tires" / "lf.tir"
+    overrides = ["dataset=tir", f"dataset.tire={tire}", "dataset.ranges.alpha=[0, 0.1]"]
+    assert build(composed(overrides)).problem.dataset["alpha"].min() >= 0
+
+
+@pytest.mark.parametrize("space", options("space"))
+def test_spaces(space: str) -> None:
+    experiment = build(composed([f"space={space}"]))
+    assert experiment.problem.space.names == ("B", "C", "D", "Sx", "Sy")
+
+
+@pytest.mark.parametrize("budget", options("budget"))
+def test_budgets(budget: str) -> None:
+    assert build(composed([f"budget={budget}"])).budget != Budget()
+
+
+@pytest.mark.parametrize("name", options("experiment"))
+def test_experiments(name: str) -> None:
+    cfg = composed([f"experiment={name}"])
+    assert cfg.root == f"runs/{name}"
+    for method, settings in cfg.comparison.methods.items():
+        chosen = [f"optimizer.{key}={value}" for key, value in settings.items()]
+        build(composed([f"experiment={name}", f"optimizer={method}", *chosen]))
+
+
+def test_paper_fig6_is_full_size() -> None:
+    cfg = composed(["experiment=paper_fig6"])
+    assert cfg.comparison.repetitions == 20
+    assert cfg.comparison.methods.miho == {}
+    optimizer = composed(["optimizer=miho"]).optimizer
+    assert (optimizer.R, optimizer.eta) == (10_000, 5)
+
+
+def test_targets_lie_in_our_packages() -> None:
+    for path in CONF.rglob("*.yaml"):
+        for line in path.read_text(encoding="utf-8").splitlines():
+            if "_target_" in line:
+                assert line.split(":")[1].strip().split(".")[0] in {"miho", "baselines"}, path
+
+
+def test_the_seed_and_the_settings_key_the_run() -> None:
+    def key(*overrides: str) -> str:
+        return build(composed(overrides)).identity.id
+
+    assert key() == key("seed=0", "root=elsewhere")
+    others = [key("seed=1"), key("optimizer.R=7"), key("space.B.high=100"), key("dataset.n=10")]
+    assert len({key(), *others}) == 5
+    assert OmegaConf.select(composed([]), "dataset.tire") == "lf"

@@ -1,0 +1,76 @@
+"""What is installed, and what the checkout holds."""
+
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture(scope="session")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A wheel of the files that git tracks, built with the installed setuptools."""
+    folder = tmp_path_factory.mktemp("wheel")
+    archive = folder / "source.tar"
+    subprocess.run(["git", "archive", "-o", archive, "HEAD"], cwd=ROOT, check=True)
+    with tarfile.open(archive) as tar:
+        tar.extractall(folder / "source", filter="data")
+    command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-index"]
+    command += ["--no-build-isolation", "--wheel-dir", str(folder), str(folder / "source")]
+    subprocess.run(command, check=True, capture_output=True)
+    (built,) = folder.glob("*.whl")
+    return built
+
+
+@pytest.mark.slow
+def test_the_wheel_contains_only_miho(wheel: Path) -> None:
+    names = zipfile.ZipFile(wheel).namelist()
+    tops = {name.split("/")[0] for name in names}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"miho"}
+    assert "miho/py.typed" in names
+    assert {f"miho/data/tires/{tire}.tir" for tire in ("lf", "rf", "lr", "rr")} <= set(names)
+
+
+@pytest.mark.slow
+def test_the_wheel_works_alone(wheel: Path, tmp_path: Path) -> None:
+    """Without the checkout: the embedded tire is found and identified."""
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path)
+    program = (
+        "import miho, miho.data as d, miho.models as m, pathlib, sys;"
+        "p = lambda n, u, lo, hi: miho.Parameter(n, u, lo, hi);"
+        "s = miho.Space((p('B','1/rad',2,40), p('C','-',1,2.5), p('D','N',1e3,9e3),"
+        "p('Sx','rad',-.05,.05), p('Sy','N',-500,500)));"
+        "r = miho.minimize(miho.MIHO(R=200), miho.CurveFit(m.Pacejka(), d.sample_tir('lf'), s));"
+        "assert pathlib.Path(miho.__file__).is_relative_to(sys.argv[1]), miho.__file__;"
+        "print(r.loss ** 0.5)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", program, str(tmp_path)],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert float(done.stdout) < 450
+
+
+def test_the_package_list_names_only_miho() -> None:
+    from setuptools import find_packages
+
+    found = find_packages(str(ROOT), include=["miho*"])
+    assert {name.split(".")[0] for name in found} == {"miho"}
+    assert 'include = ["miho*"]' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+
+
+def test_the_public_names() -> None:
+    import miho
+
+    promised = """minimize Budget Space Parameter Problem LeastSquaresProblem CurveFit Oracle
+    Optimizer AskTell MIHO load_tir load_runs""".split()
+    assert set(promised) <= set(miho.__all__)
