@@ -37,7 +37,7 @@ lint: $(INSTALLED)
 
 # Pin what is installed now, after an upgrade that was tried and tested.
 lock: $(INSTALLED)
-	$(BIN)/python -m pip freeze --exclude-editable > constraints.txt
+	$(BIN)/python -m pip freeze --all --exclude pip --exclude-editable > constraints.txt
 
 clean:
 	rm -rf .venv build *.egg-info

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from pathlib import Path
-
-import pooch
 
 from miho.data.csv import read_numbers
 from miho.data.dataset import Dataset
@@ -47,6 +46,8 @@ def sample_file(url: str = URL, cache: Path | None = None) -> Path:
         for path in (Path(given) / "seong_sample" / FILE, Path(given) / FILE):
             if path.is_file():
                 return _verified(path)
+    import pooch  # only here: it is slow to import and warns where notebooks lack widgets
+
     cache = Path(pooch.os_cache("miho")) if cache is None else cache
     try:
         downloaded = pooch.retrieve(
@@ -63,7 +64,7 @@ def sample_file(url: str = URL, cache: Path | None = None) -> Path:
 
 
 def _verified(path: Path) -> Path:
-    if pooch.file_hash(str(path)) != SHA256:
+    if hashlib.sha256(path.read_bytes()).hexdigest() != SHA256:
         raise DataUnavailableError(
             f"{path}: not the published file (its SHA-256 differs); replace it, or read your own "
             "data with dataset=csv"

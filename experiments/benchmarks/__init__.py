@@ -1,0 +1,1 @@
+"""Measurements by command, never as tests: `python -m experiments.benchmarks.NAME`."""
