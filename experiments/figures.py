@@ -75,7 +75,7 @@ def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:
         samples[tire.upper()] = np.degrees(dataset["alpha"]), dataset["Fy"] / 1000
         curves[tire.upper()] = np.degrees(alpha), force / 1000
         errors[tire.upper()] = float(best["error"]) / 1000
-    note = f"3000 samples per tire; curves learned by {optimizer}; ISO-W signs"
+    note = f"{len(dataset)} samples per tire; curves learned by {optimizer}; ISO-W signs"
     return save(fig4(samples, curves, errors=errors, note=note), output / "fig4")
 
 
