@@ -24,6 +24,8 @@ from miho.study.identity import Identity, canonical, sha256
 
 CONFIG, ENVIRONMENT, CURVE, RESULT = "config.json", "environment.json", "curve.json", "result.json"
 PARTIAL = "partial.json"
+RESOLUTION = 1e-3
+"""Stored curves are exact to this fraction of the loss."""
 
 
 class DamagedRun(Exception):  # noqa: N818 -- a finding about a folder, reported and skipped
@@ -132,18 +134,33 @@ def read_run(folder: Path) -> StoredRun:
 
 
 def _curve(record: RunRecord) -> dict[str, list[Any]]:
-    """The improvements, and a closing row where the run ended."""
+    """The improvements that lower the loss by RESOLUTION, the last one, and where the run ended.
+
+    A method that creeps improves at every step; what is left out would change the curve by less
+    than anyone can see, and never makes it look better than it was.
+    """
     trace = record.trace
-    thetas = [theta.tolist() for theta in trace.theta]
-    close = bool(thetas) and record.evaluations > trace.evaluations[-1]
-    end = thetas[-1:] if close else []
-    return {
-        "evaluations": trace.evaluations + [record.evaluations] * close,
-        "seconds": trace.seconds + [record.seconds] * close,
-        "cpu_seconds": trace.cpu_seconds + [record.cpu_seconds] * close,
-        "loss": trace.loss + [record.loss] * close,
-        "theta": thetas + end,
+    kept: list[int] = []
+    for row, loss in enumerate(trace.loss):
+        if not kept or loss <= (1 - RESOLUTION) * trace.loss[kept[-1]]:
+            kept.append(row)
+    last = len(trace) - 1
+    if kept and kept[-1] != last:
+        kept.append(last)
+    curve: dict[str, list[Any]] = {
+        "evaluations": [trace.evaluations[row] for row in kept],
+        "seconds": [trace.seconds[row] for row in kept],
+        "cpu_seconds": [trace.cpu_seconds[row] for row in kept],
+        "loss": [trace.loss[row] for row in kept],
+        "theta": [trace.theta[row].tolist() for row in kept],
     }
+    if kept and record.evaluations > trace.evaluations[last]:
+        curve["evaluations"].append(record.evaluations)
+        curve["seconds"].append(record.seconds)
+        curve["cpu_seconds"].append(record.cpu_seconds)
+        curve["loss"].append(record.loss)
+        curve["theta"].append(curve["theta"][-1])
+    return curve
 
 
 def _result(identity: Identity, record: RunRecord, space: Space) -> dict[str, Any]:

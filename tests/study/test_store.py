@@ -2,13 +2,14 @@
 
 import json
 import multiprocessing
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from miho import Budget, load_runs, minimize
-from miho.optim import RandomSearch, RunRecord
+from miho.optim import RandomSearch, RunRecord, Trace
 from miho.study import DamagedRun, Identity, RunInUse, Status, Store, execute, read_run
 from miho.testing import DecayFit
 
@@ -42,6 +43,22 @@ def test_round_trip(tmp_path: Path) -> None:
     assert curve["error"].tolist()[: len(expected.trace)] == np.sqrt(expected.trace.loss).tolist()
     assert curve["evaluations"].iloc[-1] == 50, "the curve is closed where the run ended"
     assert found.damaged.empty
+
+
+def test_a_creeping_curve_is_stored_to_its_resolution(tmp_path: Path) -> None:
+    trace = Trace()
+    for i in range(50_000):
+        trace.add(i + 1, i * 1e-3, i * 1e-3, float(np.exp(-i * 1e-5)), np.zeros(2))
+    found = record()
+    crept = replace(found, trace=trace, loss=trace.loss[-1], evaluations=50_000)
+    execute(Store(tmp_path), identity(), lambda: crept, DecayFit.space, FACTS)
+    curve = load_runs(tmp_path).curves
+    assert len(curve) < 600
+    assert curve["error"].iloc[-1] == np.sqrt(trace.loss[-1])
+    at = np.searchsorted(curve["evaluations"], trace.evaluations, side="right") - 1
+    ratio = curve["error"].to_numpy()[at] ** 2 / np.array(trace.loss)
+    assert ratio.min() >= 1 - 1e-12
+    assert ratio.max() <= 1.00101
 
 
 def test_done_runs_do_not_run_again(tmp_path: Path) -> None:
