@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
 
-from miho.optim import Optimizer, Oracle
+from miho.optim import Optimizer, Oracle, UnusableValueError
 from miho.optim.validate import positive
 
 
@@ -26,12 +27,13 @@ class GBO(Optimizer):
         positive("learning_rate", self.learning_rate)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
-        """Descend; a gradient that is not finite ends the run."""
+        """Descend; where there is no finite gradient, there is no way on, and the run ends."""
         space = oracle.space
         theta = space.decode(space.initial(1))[0]
-        while True:
-            residuals = oracle.residuals(theta)
-            gradient = 2 / residuals.size * (oracle.jacobian(theta).T @ residuals)
-            if not np.isfinite(gradient).all():
-                return
-            theta = space.clip(theta - self.learning_rate * gradient)
+        with contextlib.suppress(UnusableValueError):
+            while True:
+                residuals = oracle.residuals(theta)
+                gradient = 2 / residuals.size * (oracle.jacobian(theta).T @ residuals)
+                if not np.isfinite(gradient).all():
+                    return
+                theta = space.clip(theta - self.learning_rate * gradient)

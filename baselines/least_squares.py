@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.optimize
 
-from miho.optim import Optimizer, Oracle
-from miho.optim.validate import at_least, positive
+from miho.optim import Optimizer, Oracle, UnusableValueError
+from miho.optim.space import LARGEST_BATCH
+from miho.optim.validate import positive, whole
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class LeastSquares(Optimizer):
 
     def __post_init__(self) -> None:
         for field in ("screen", "starts", "rounds"):
-            at_least(field, getattr(self, field), 1, whole=True)
+            whole(field, getattr(self, field), 1, LARGEST_BATCH)
         positive("tolerance", self.tolerance)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
@@ -39,7 +41,10 @@ class LeastSquares(Optimizer):
             thetas = space.decode(coordinates)
             losses = oracle(thetas)
             for i in np.argsort(losses, kind="stable")[: self.starts]:
-                if np.isfinite(losses[i]):
+                if not np.isfinite(losses[i]):
+                    break
+                # A start that leads to unusable residuals or derivatives is given up.
+                with contextlib.suppress(UnusableValueError, ValueError, np.linalg.LinAlgError):
                     scipy.optimize.least_squares(
                         oracle.residuals,
                         thetas[i],

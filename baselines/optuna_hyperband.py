@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from miho.optim import Optimizer, Oracle, Space
 from miho.optim.mutation import annealed_sigma, mutate
-from miho.optim.validate import at_least
+from miho.optim.validate import whole
 
 optuna.logging.set_verbosity(optuna.logging.WARNING)
 
@@ -36,8 +36,8 @@ class OptunaHyperband(Optimizer):
     eta: int = 5
 
     def __post_init__(self) -> None:
-        at_least("R", self.R, 1, whole=True)
-        at_least("eta", self.eta, 2, whole=True)
+        whole("R", self.R, 1)
+        whole("eta", self.eta, 2)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Run trials one after the other until the budget ends."""

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.optim import AskTell, Space
-from miho.optim.validate import at_least, positive
+from miho.optim.space import LARGEST_BATCH
+from miho.optim.validate import at_least, positive, whole
 
 Array = NDArray[np.float64]
 
@@ -46,8 +47,8 @@ class PSO(AskTell[PSOState]):
     velocity_limit: float = 0.5
 
     def __post_init__(self) -> None:
-        at_least("particles", self.particles, 1, whole=True)
-        at_least("iterations", self.iterations, 1, whole=True)
+        whole("particles", self.particles, 1, LARGEST_BATCH)
+        whole("iterations", self.iterations, 1)
         for field in ("c1", "c2", "inertia_start", "inertia_end"):
             at_least(field, getattr(self, field), 0)
         positive("velocity_limit", self.velocity_limit)

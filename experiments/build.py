@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import importlib
 import inspect
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -15,6 +16,7 @@ from omegaconf import DictConfig, OmegaConf
 
 import baselines
 import miho
+from experiments.schema import Config
 from miho.data import Dataset
 from miho.identification import CurveFit, irreducible_error
 from miho.models import Model
@@ -47,14 +49,19 @@ class Experiment:
         dataset, model = self.problem.dataset, self.problem.model
         facts: dict[str, Any] = {"unit": self.problem.unit}
         if len(model.inputs) == 1:
-            floor = irreducible_error(dataset[model.inputs[0]], dataset[dataset.output])
-            if floor == floor:
+            (column,) = model.inputs
+            floor = irreducible_error(dataset[column], dataset[dataset.output])
+            if math.isfinite(floor):
                 facts["irreducible"] = floor
         return facts
 
 
 def build(cfg: DictConfig) -> Experiment:
     """Check and build everything one run needs; raises ConfigError or a loader's own error."""
+    known = [field.name for field in fields(Config)]
+    for key in cfg:
+        if key not in known:
+            raise ConfigError(f"{key!s}: is unknown; allowed are {', '.join(known)}")
     optimizer_node = _plain(cfg, "optimizer")
     name = optimizer_node.pop("name", None)
     if not isinstance(name, str):
@@ -77,7 +84,7 @@ def build(cfg: DictConfig) -> Experiment:
             code=_code(),
             data=dataset.digest,
         )
-    except ValueError as error:
+    except (TypeError, ValueError) as error:
         raise ConfigError(str(error)) from None
     return Experiment(problem, optimizer, budget, identity, Path(cfg.root))
 
@@ -93,10 +100,11 @@ def build_space(node: Mapping[str, Any]) -> Space:
 def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
     """The object that `node` describes.
 
-    Its target must be a class or function of our own packages and know every setting; that is
-    checked before anything is called. Hydra's own `instantiate` is not used: it runs any target.
+    Its target must be a public class or function of our own packages that gives a `kind`, and
+    know every setting; all that is checked before anything is called. Hydra's own `instantiate`
+    is not used: it runs any target.
     """
-    target = _target(node.get("_target_"), key)
+    target = _target(node.get("_target_"), key, kind)
     allowed = inspect.signature(target).parameters
     settings = {name: value for name, value in node.items() if name != "_target_"}
     for name, value in settings.items():
@@ -111,22 +119,29 @@ def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
         raise ConfigError(f"{key}: {error}") from None
     except TypeError as error:
         raise ConfigError(f"{key}: {error}") from None
-    if not isinstance(built, kind):
-        raise ConfigError(f"{key}._target_: gives a {type(built).__name__}, not a {kind.__name__}")
+    except MemoryError:
+        raise ConfigError(f"{key}: is too large for the memory of this machine") from None
     return built
 
 
-def _target(path: Any, key: str) -> Callable[..., Any]:
-    """The class or function at a dotted path, if it is one of ours; nothing else is imported."""
-    module, _, name = path.rpartition(".") if isinstance(path, str) else ("", "", "")
-    if module.split(".")[0] in PACKAGES and all(part.isidentifier() for part in path.split(".")):
+def _target(path: Any, key: str, kind: type[T]) -> Callable[..., T]:
+    """What stands at a dotted path, if it is ours and gives a `kind`; nothing else is imported."""
+    parts = path.split(".") if isinstance(path, str) else []
+    public = all(part.isidentifier() and not part.startswith("_") for part in parts)
+    if public and len(parts) > 1 and parts[0] in PACKAGES:
         with contextlib.suppress(ModuleNotFoundError):
-            found: Any = getattr(importlib.import_module(module), name, None)
-            if callable(found) and found.__module__.split(".")[0] in PACKAGES:
-                return cast(Callable[..., Any], found)
+            found: Any = getattr(importlib.import_module(".".join(parts[:-1])), parts[-1], None)
+            if inspect.isclass(found):
+                gives = issubclass(found, kind) and not inspect.isabstract(found)
+            else:
+                gives = inspect.isfunction(found) and (
+                    inspect.get_annotations(found).get("return") == kind.__name__
+                )
+            if gives and found.__module__.partition(".")[0] in PACKAGES:
+                return cast(Callable[..., T], found)
     raise ConfigError(
-        f"{key}._target_: {path!r} is not a class or function of {' or '.join(PACKAGES)}; "
-        "name one that is"
+        f"{key}._target_: {path!r} is not a class or function of {' or '.join(PACKAGES)} that "
+        f"gives a {kind.__name__}; name one that does"
     )
 
 

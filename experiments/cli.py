@@ -26,7 +26,7 @@ from miho.models import TirError
 
 CONF = Path(__file__).parent.parent / "conf"
 
-OK, BUG, BAD_INPUT, SOME_FAILED, STORAGE, INTERRUPTED = 0, 1, 2, 3, 4, 130
+OK, BUG, BAD_INPUT, SOME_FAILED, STORAGE, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 3, 4, 130, 141
 BAD_INPUT_ERRORS = (
     HydraException, OmegaConfBaseException, ConfigError, CSVError, TirError, DataUnavailableError,
     FileNotFoundError, IsADirectoryError,
@@ -40,8 +40,8 @@ def command(
 ) -> None:
     """Compose the configuration from the command line, run `task` on it and exit.
 
-    Before a sweep starts, `check` sees each of its configurations but for the seed, so that a
-    mistake in the last one stops the first. `after` runs once at the end, also of a sweep, and
+    Before a sweep starts, `check` sees each of its settings and each of its seeds once, so that
+    a mistake in the last one stops the first. `after` runs once at the end, also of a sweep, and
     gives the exit code.
     """
     schema.register()
@@ -84,7 +84,7 @@ def _explained(error: Exception, overrides: Sequence[str]) -> str:
     unknown = re.match(r"Could not override '([^']+)'", str(error))
     if unknown:
         key = unknown[1]
-        others = [o for o in overrides if o.lstrip("+~").partition("=")[0] != key]
+        others = [o for o in overrides if o.partition("=")[0] != key]
         with contextlib.suppress(Exception):
             cfg = composed(others)
             parent = key.rpartition(".")[0]
@@ -97,11 +97,16 @@ def _explained(error: Exception, overrides: Sequence[str]) -> str:
 
 
 def _sweep(overrides: Sequence[str]) -> list[tuple[str, ...]]:
-    """The overrides of each job of a sweep, without those that differ in the seed only."""
+    """The overrides of the jobs of a sweep that show every seed and everything else once."""
     parsed = OverridesParser.create().parse_overrides(list(overrides))
     jobs = BasicSweeper.split_arguments(parsed, max_batch_size=None)[0]
-    seedless = (tuple(o for o in job if not o.startswith("seed=")) for job in jobs)
-    return list(dict.fromkeys(seedless))
+    first: dict[tuple[str, ...], tuple[str, ...]] = {}
+    for job in jobs:
+        seeds = tuple(o for o in job if o.startswith("seed="))
+        rest = tuple(o for o in job if not o.startswith("seed="))
+        if rest not in first or seeds not in first:
+            first[rest] = first[seeds] = tuple(job)
+    return list(dict.fromkeys(first.values()))
 
 
 def guarded(job: Callable[[], object], after: Callable[[], int] = lambda: OK) -> None:
@@ -111,6 +116,9 @@ def guarded(job: Callable[[], object], after: Callable[[], int] = lambda: OK) ->
         code = after()
     except BAD_INPUT_ERRORS as error:
         code = _say(error, BAD_INPUT)
+    except BrokenPipeError:  # whoever read our output has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = PIPE_CLOSED
     except OSError as error:
         code = _say(error, STORAGE)
     except KeyboardInterrupt:

@@ -17,7 +17,7 @@ from experiments.build import ConfigError, Experiment, build
 from experiments.cli import OK, SOME_FAILED, command, composed
 from experiments.figures import COMPARISON, draw_comparison
 from experiments.run import line, run
-from miho.study import Status
+from miho.study import Status, write_text
 
 DEFAULT = "experiment=compare"
 failed: list[Experiment] = []
@@ -58,7 +58,7 @@ def compare(cfg: DictConfig) -> None:
         "note": cfg.comparison.note,
         "runs": [experiment.identity.id for experiment in planned],
     }
-    (root / COMPARISON).write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    write_text(root / COMPARISON, json.dumps(about, indent=1) + "\n")
     for path in draw_comparison(root, Path(cfg.comparison.output)):
         print(path)
 

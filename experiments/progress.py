@@ -30,7 +30,7 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
         def observe(oracle: Oracle) -> None:
             spent = oracle.meter.seconds if in_seconds else oracle.evaluations
             bar.n = min(spent, total) if total else spent
-            error = math.sqrt(oracle.best)
+            error = math.sqrt(max(0.0, oracle.best))
             bar.set_postfix_str(
                 f"{error:.5g} {unit}, {oracle.evaluations:,.0f} evaluations, "
                 f"{oracle.meter.seconds:.1f} s"

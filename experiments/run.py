@@ -77,7 +77,8 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     ]
     irreducible = experiment.facts.get("irreducible")
     if irreducible is not None:
-        rows.insert(2, ("irreducible", f"{irreducible:.2f} {unit} (from neighbouring points)"))
+        estimate = f"about {irreducible:.2f} {unit} (estimated from neighbouring points)"
+        rows.insert(2, ("irreducible", estimate))
     if result["rejected"]:
         rows.append(("rejected", ", ".join(f"{n} x {r}" for r, n in result["rejected"].items())))
     tail = "\n".join(f"{name:<12} {text}" for name, text in rows)

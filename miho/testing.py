@@ -38,7 +38,8 @@ from miho.optim.seeds import stream
 
 Array = NDArray[np.float64]
 
-BUDGET = 400
+BUDGET = 20_000
+"""Evaluations per run: beyond the first batch of any method in use."""
 
 
 class ConformanceError(AssertionError):
@@ -154,7 +155,7 @@ def is_a_frozen_dataclass(optimizer: Optimizer) -> None:
 
 def keeps_the_budget_exactly(optimizer: Optimizer) -> None:
     """Every evaluation goes through the oracle, and not one more than allowed is made."""
-    for evaluations in (1, 2, 7, BUDGET):
+    for evaluations in (1, 2, 7, 400, BUDGET):
         oracle, problem = _watched(optimizer, evaluations)
         _require(
             oracle.evaluations == problem.spent <= evaluations,
@@ -205,7 +206,7 @@ def uses_no_global_randomness(optimizer: Optimizer) -> None:
 
 
 def survives_unusable_values(optimizer: Optimizer) -> None:
-    """NaN, infinities and exceptions never end a run as failed and never become best."""
+    """NaN, infinities and exceptions never end a run as failed, and never become best."""
 
     def half_nan(thetas: Array, losses: Array) -> Array:
         return np.where(thetas[:, 0] < 0.5, np.nan, losses)
@@ -220,10 +221,7 @@ def survives_unusable_values(optimizer: Optimizer) -> None:
 
     for spoil in (half_nan, minus_infinity, raises):
         record = minimize(optimizer, DecayFit(spoil), Budget(evaluations=BUDGET), seed=3)
-        _require(
-            record.outcome is not Outcome.FAILED or "below zero" in (record.error or ""),
-            f"{spoil.__name__}: {record.error}",
-        )
+        _require(record.outcome is not Outcome.FAILED, f"{spoil.__name__}: {record.error}")
         if record.theta is not None:
             clean = DecayFit().loss(record.theta[None])[0]
             _require(record.loss == clean, f"{spoil.__name__}: best is {record.loss}, not {clean}")
@@ -239,12 +237,12 @@ def says_when_nothing_is_finite(optimizer: Optimizer) -> None:
 
 
 def stops_at_the_target(optimizer: Optimizer) -> None:
-    """A run ends as converged at the first evaluation that reaches the target."""
+    """A run ends at the first evaluation that reaches the target."""
     free = minimize(optimizer, DecayFit(), Budget(evaluations=BUDGET), seed=3)
     middle = len(free.trace) // 2
     target = free.trace.loss[middle]
     record = minimize(optimizer, DecayFit(), Budget(evaluations=BUDGET, target=target), seed=3)
-    _require(record.outcome is Outcome.CONVERGED, f"the outcome is {record.outcome}")
+    _require(record.outcome is Outcome.BUDGET, f"the outcome is {record.outcome}")
     _require(
         record.loss <= target
         and record.trace.evaluations[middle] == free.trace.evaluations[middle],
@@ -258,7 +256,7 @@ def resumes_bit_exactly(optimizer: Optimizer) -> None:
         return
     whole = minimize(optimizer, DecayFit(), Budget(evaluations=BUDGET), seed=3)
     cut: RunRecord | None = None
-    for evaluations in (1, 57, 58, 211, BUDGET):
+    for evaluations in (1, 57, 58, 15_700, 15_701, 18_211, BUDGET):
         checkpoint = None if cut is None else pickle.loads(pickle.dumps(cut.checkpoint))
         budget = Budget(evaluations=evaluations)
         cut = minimize(optimizer, DecayFit(), budget, seed=3, checkpoint=checkpoint)

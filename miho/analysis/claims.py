@@ -109,13 +109,12 @@ class _Study:
         return self.curve(method, "evaluations", seeds).still_falling()
 
     def at_floor(self, error: float) -> bool:
-        """Whether MIHO's error is the irreducible one, or where another method ended as the best.
+        """Whether MIHO ended where another method ended as the best.
 
         That MIHO itself is the best of all would not show that the data allow nothing better.
         """
         best_other = self.runs["error"][self.runs["optimizer"] != self.miho].min()
-        same_floor = best_other / NEAR_BEST <= error <= best_other * NEAR_BEST
-        return bool(same_floor or error <= NEAR_BEST * self.runs["irreducible"].mean())
+        return bool(best_other / NEAR_BEST <= error <= best_other * NEAR_BEST)
 
     def speed(
         self, rivals: Sequence[str], target: float, axis: Axis

@@ -99,7 +99,8 @@ def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
     """Fig. 6: mean error over time, and over evaluations, which no machine changes.
 
     The mean final error of each method stands at the right in its colour; "-" where a run saw
-    nothing finite, which leaves the mean undefined. The dashed line is the irreducible error.
+    nothing finite, which leaves the mean undefined. The dashed line is the
+    estimate of the irreducible error.
     `note` is printed small below: sizes, repetitions, budget.
     """
     runs, curves = one_problem(runs, curves)
@@ -119,7 +120,7 @@ def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
             figure.supxlabel(note, fontsize=8, color="#444444", x=0.01, ha="left")
         if np.isfinite(irreducible):
             left.annotate(
-                f"irreducible {irreducible * factor:.2f} {shown}",
+                f"irreducible ≈ {irreducible * factor:.2f} {shown}",
                 (0.02, irreducible * factor),
                 xycoords=("axes fraction", "data"),
                 xytext=(0, 2),

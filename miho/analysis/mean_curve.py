@@ -56,10 +56,10 @@ class MeanCurve:
     def reaches(self, target: float, picks: Picks) -> tuple[Array, Array]:
         """Bounds (m,), (m,) on where the mean of each resample is first at most `target`.
 
-        `picks` (m, n) are row numbers, one resample per row. Where the mean gets there both
-        bounds are that position. Where it does not, the first is the earliest end of a run in
-        it that was cut, up to where the mean is known to be above, and the second is inf; both
-        are inf if all its runs ended by themselves.
+        `picks` (m, n) are row numbers, one resample per row. The second bound is where the mean
+        of the runs as they are gets there, inf if it does not. The first is the same, or the
+        earliest end of a run that was cut if that is before: had the run gone on, the mean might
+        have been there from then on.
         """
         low, high = np.zeros(len(picks), dtype=int), np.full(len(picks), self.at.size)
         while (open_ := low < high).any():
@@ -69,7 +69,7 @@ class MeanCurve:
             low = np.where(open_ & ~below, middle + 1, low)
         reached = np.append(self.at, np.inf)[low]
         earliest_cut = np.where(self.cut, self.ends, np.inf)[picks].min(axis=1)
-        return np.where(np.isinf(reached), earliest_cut, reached), reached
+        return np.minimum(reached, earliest_cut), reached
 
     def still_falling(self, tolerance: float = 0.01) -> bool:
         """Whether a larger budget would matter: the mean fell in the second half of the runs.

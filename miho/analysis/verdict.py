@@ -101,9 +101,9 @@ def of_level(
 
     1. Fewer than three repetitions: depends on the repetitions.
     2. The interval does not touch the figure: depends on the data if the method ended within
-       1 % of the irreducible error, or of the best that any other method found (the floor of
-       these data is not the paper's, so its figure could not appear); depends on the budget if
-       it is above the figure and was cut while its error still fell; else not reproduced.
+       1 % of the best that any other method found (the floor of these data is not the paper's,
+       so its figure could not appear); depends on the budget if it is above the figure and was
+       cut while its error still fell; else not reproduced.
     3. It touches the figure, but is wider than 20 % of it: depends on the repetitions.
     4. It touches the figure, but runs were cut while the error still fell: depends on the budget.
     5. It touches the figure: reproduced.

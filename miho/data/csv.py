@@ -81,8 +81,8 @@ def load_csv(
 
 
 def _lines(path: Path) -> list[str]:
-    if path.is_dir():
-        raise CSVError(path, 1, 1, "is a folder; name a file")
+    if path.exists() and not path.is_file():
+        raise CSVError(path, 1, 1, "is not a file; name one")
     if path.stat().st_size > MAX_BYTES:
         raise CSVError(path, 1, 1, f"larger than {MAX_BYTES >> 20} MiB; split the file")
     data = path.read_bytes()

@@ -150,11 +150,13 @@ def _resolve(
         default = SamplingRanges(Fz=(0.8 * FNOMIN, 1.2 * FNOMIN), gamma=(-radians(1), radians(1)))
     if isinstance(ranges, SamplingRanges):
         return formula, ranges, name
+    if ranges is not None and not isinstance(ranges, Mapping):
+        raise ValueError(f"ranges is {ranges!r}; map names of inputs to their bounds")
     given = {key: bounds for key, bounds in (ranges or {}).items() if bounds is not None}
     for key, bounds in given.items():
-        if key not in UNITS or key == "Fy" or len(bounds) != 2:
+        if key not in UNITS or key == "Fy" or not isinstance(bounds, Sequence) or len(bounds) != 2:
             raise ValueError(
-                f"sampling range {key}: {list(bounds)}; name one of Fz, gamma, alpha, kappa and "
+                f"sampling range {key}: {bounds}; name one of Fz, gamma, alpha, kappa and "
                 "give its lower and upper bound"
             )
     pairs = {key: (float(bounds[0]), float(bounds[1])) for key, bounds in given.items()}

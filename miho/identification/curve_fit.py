@@ -25,7 +25,8 @@ BLOCK = 50_000
 class CurveFit(LeastSquaresProblem):
     """Mean squared difference between model and data, in the output's unit squared.
 
-    The space must name the model's parameters, in the model's order and units.
+    The space must name the model's parameters in the model's order, and the units of space, data
+    and model must agree.
     """
 
     model: Model
@@ -33,18 +34,24 @@ class CurveFit(LeastSquaresProblem):
     space: Space
 
     def __post_init__(self) -> None:
-        if self.space.names != self.model.parameters:
+        model, dataset = self.model, self.dataset
+        if self.space.names != tuple(model.parameters):
             raise ValueError(
                 f"the space has parameters {', '.join(self.space.names)}; model "
-                f"{type(self.model).__name__} needs {', '.join(self.model.parameters)}"
+                f"{type(model).__name__} needs {', '.join(model.parameters)}"
             )
-        for parameter, unit in zip(self.space.parameters, self.model.units, strict=True):
-            if parameter.unit != unit:
-                raise ValueError(
-                    f"parameter {parameter.name!r} has unit {parameter.unit!r} in the space; "
-                    f"model {type(self.model).__name__} has {unit!r}"
-                )
         _ = self._inputs
+        found = {f"parameter {p.name!r} of the space": p.unit for p in self.space.parameters}
+        found |= {
+            f"column {name!r} of {dataset.name}": dataset.units[name] for name in model.inputs
+        }
+        found |= {f"output {dataset.output!r} of {dataset.name}": self.unit}
+        needed = (*model.parameters.values(), *model.inputs.values(), model.output)
+        for (what, unit), need in zip(found.items(), needed, strict=True):
+            if unit != need:
+                raise ValueError(
+                    f"{what} has unit {unit!r}; model {type(model).__name__} needs {need!r}"
+                )
 
     @property
     def name(self) -> str:  # type: ignore[override]

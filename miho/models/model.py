@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +14,13 @@ Array = NDArray[np.float64]
 class Model(ABC):
     """A pure function of input columns and a batch of parameters, in SI units and radians.
 
-    `inputs` and `parameters` name what it reads, in order; `units` are those of the parameters.
+    `inputs` and `parameters` map the names of what it reads to their units, in order; `output` is
+    the unit of what it gives.
     """
 
-    inputs: tuple[str, ...]
-    parameters: tuple[str, ...]
-    units: tuple[str, ...]
+    inputs: Mapping[str, str]
+    parameters: Mapping[str, str]
+    output: str
 
     @abstractmethod
     def predict(self, thetas: Array, *inputs: Array) -> Array:

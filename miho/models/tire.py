@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +24,9 @@ class Pacejka(Model):
     the force is Sy at alpha = Sx.
     """
 
-    inputs = ("alpha",)
-    parameters = ("B", "C", "D", "Sx", "Sy")
-    units = ("1/rad", "-", "N", "rad", "N")
+    inputs = MappingProxyType({"alpha": "rad"})
+    parameters = MappingProxyType({"B": "1/rad", "C": "-", "D": "N", "Sx": "rad", "Sy": "N"})
+    output = "N"
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Lateral force [N], (n, N)."""

@@ -3,7 +3,15 @@
 from miho.optim.miho import MIHO
 from miho.optim.minimize import Checkpoint, Outcome, RunRecord, minimize
 from miho.optim.optimizer import AskTell, Optimizer
-from miho.optim.oracle import Budget, BudgetExhausted, Clock, Meter, Oracle
+from miho.optim.oracle import (
+    Budget,
+    BudgetExhausted,
+    Clock,
+    Meter,
+    Oracle,
+    RunInterrupted,
+    UnusableValueError,
+)
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.random_search import RandomSearch
 from miho.optim.schedule import Rung, hyperband_table
@@ -25,10 +33,12 @@ __all__ = [
     "Parameter",
     "Problem",
     "RandomSearch",
+    "RunInterrupted",
     "RunRecord",
     "Rung",
     "Space",
     "Trace",
+    "UnusableValueError",
     "hyperband_table",
     "minimize",
 ]

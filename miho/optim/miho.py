@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from miho.optim.mutation import ANNEALINGS, CLIPS, annealed_sigma, mutate
 from miho.optim.optimizer import AskTell
 from miho.optim.schedule import ROUNDINGS, Rung, hyperband_table
-from miho.optim.space import SAMPLINGS, Space
-from miho.optim.validate import at_least, one_of
+from miho.optim.space import LARGEST_BATCH, SAMPLINGS, Space
+from miho.optim.validate import one_of, whole
 
 Array = NDArray[np.float64]
 
@@ -61,12 +61,18 @@ class MIHO(AskTell[MIHOState]):
     clip: str = "box"
 
     def __post_init__(self) -> None:
-        at_least("R", self.R, 1, whole=True)
-        at_least("eta", self.eta, 2, whole=True)
+        whole("R", self.R, 1)
+        whole("eta", self.eta, 2)
         one_of("rounding", self.rounding, ROUNDINGS)
         one_of("sampling", self.sampling, SAMPLINGS)
         one_of("annealing", self.annealing, ANNEALINGS)
         one_of("clip", self.clip, CLIPS)
+        first = hyperband_table(self.R, self.eta, self.rounding)[0].n
+        if first > LARGEST_BATCH:
+            raise ValueError(
+                f"R is {self.R} and eta is {self.eta}: the first bracket has {first:,} "
+                f"configurations; expected at most {LARGEST_BATCH:,}"
+            )
 
     def init(self, space: Space, rng: np.random.Generator) -> MIHOState:
         """The first bracket's configurations are the common initial ones."""

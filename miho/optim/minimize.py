@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import math
+import signal
+import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from types import FrameType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from miho.optim.optimizer import AskTell, Optimizer
-from miho.optim.oracle import Budget, BudgetExhausted, Meter, Oracle
+from miho.optim.oracle import Budget, BudgetExhausted, Meter, Oracle, RunInterrupted
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
@@ -26,7 +31,7 @@ WARM_UP_EVALUATIONS = 64
 
 
 class Outcome(StrEnum):
-    """How a run ended."""
+    """How a run ended: by its budget or target, or by itself (converged), or otherwise."""
 
     BUDGET = "budget"
     CONVERGED = "converged"
@@ -37,8 +42,11 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A method's state and its meter at one moment: pickle it, and resume bit-exactly."""
+    """A run at one moment between two evaluations: pickle it, and resume bit-exactly."""
 
+    optimizer: Optimizer
+    problem: str
+    seed: int
     state: Any
     meter: Meter
 
@@ -50,7 +58,8 @@ class RunRecord:
     `theta` (d,) in units and `loss` are the best seen, None and math.inf if nothing was finite.
     `seconds` is the method's clock; imports, compilation and warm-up are in `setup_seconds`.
     `rejected` counts unusable values by reason; `error` holds the traceback of a failed run.
-    `checkpoint` resumes a method that can be resumed (AskTell), else it is None.
+    `checkpoint` resumes a method that can be resumed (AskTell), else it is None; so it is after
+    an interrupt that struck in the middle of a step.
     """
 
     outcome: Outcome
@@ -80,13 +89,12 @@ def minimize(
     `seed` is the repetition: (problem, seed) fixes the common initial configurations, the
     method's name is mixed in only for its own stream. A `checkpoint` of the same optimizer,
     problem and seed is continued under the new, larger budget. `observer` is called with the
-    oracle about ten times a second, off the method's clock, to show progress. Ctrl-C ends the
-    run as `interrupted` with all it has found.
+    oracle about ten times a second, off the method's clock, to show progress. The first Ctrl-C
+    ends the run as `interrupted` after the evaluation in progress, the second at once.
     """
-    if checkpoint is not None and not isinstance(optimizer, AskTell):
-        raise ValueError(f"{type(optimizer).__name__} cannot be resumed; only AskTell methods can")
+    if checkpoint is not None:
+        checkpoint = _resumable(checkpoint, optimizer, problem, seed)
     space = problem.space.seeded(problem.name, seed)
-    rng = stream("own", problem.name, seed, type(optimizer).__name__)
     setup_started = time.perf_counter()
     warm_up(optimizer, problem)
     setup_seconds = time.perf_counter() - setup_started
@@ -95,22 +103,27 @@ def minimize(
     oracle = Oracle(problem, budget or Budget(), space=space, meter=meter, observer=observer)
     outcome, error = Outcome.CONVERGED, None
     try:
-        if checkpoint is not None and isinstance(optimizer, AskTell):
-            optimizer.resume(oracle, checkpoint.state)
-        else:
-            optimizer.run(oracle, rng)
+        with _ctrl_c_between_evaluations(oracle):
+            if checkpoint is not None and isinstance(optimizer, AskTell):
+                optimizer.resume(oracle, checkpoint.state)
+            else:
+                rng = stream("own", problem.name, seed, type(optimizer).__name__)
+                optimizer.run(oracle, rng)
     except BudgetExhausted:
-        target = oracle.budget.target
-        if target is None or oracle.best > target:
-            outcome = Outcome.BUDGET
-    except KeyboardInterrupt:
+        outcome = Outcome.BUDGET
+    except RunInterrupted:
         outcome = Outcome.INTERRUPTED
+    except KeyboardInterrupt:
+        outcome, oracle.state = Outcome.INTERRUPTED, None
     except Exception:  # noqa: BLE001 -- a failed run is a result: its curve and traceback are kept
-        outcome, error = Outcome.FAILED, traceback.format_exc()
+        outcome, error, oracle.state = Outcome.FAILED, traceback.format_exc(), None
     oracle.stop()
     meter = oracle.meter
     if outcome in (Outcome.CONVERGED, Outcome.BUDGET) and math.isinf(meter.best):
         outcome = Outcome.NO_FINITE_VALUE
+    resumable = None
+    if oracle.state is not None:
+        resumable = Checkpoint(optimizer, problem.name, seed, oracle.state, meter)
     return RunRecord(
         outcome=outcome,
         theta=meter.trace.theta[-1].copy() if len(meter.trace) else None,
@@ -122,8 +135,49 @@ def minimize(
         trace=meter.trace,
         rejected=dict(meter.rejected),
         error=error,
-        checkpoint=None if oracle.state is None else Checkpoint(oracle.state, meter),
+        checkpoint=resumable,
     )
+
+
+def _resumable(
+    checkpoint: Checkpoint, optimizer: Optimizer, problem: Problem, seed: int
+) -> Checkpoint:
+    """A copy that the resumed run may change, if it is a checkpoint of this very run."""
+    if not isinstance(optimizer, AskTell):
+        raise ValueError(f"{type(optimizer).__name__} cannot be resumed; only AskTell methods can")
+    here, there = (
+        (optimizer, problem.name, seed),
+        (checkpoint.optimizer, checkpoint.problem, checkpoint.seed),
+    )
+    if here != there:
+        raise ValueError(f"the checkpoint is of {there}, not of {here}; resume the same run")
+    return copy.deepcopy(checkpoint)
+
+
+@contextlib.contextmanager
+def _ctrl_c_between_evaluations(oracle: Oracle) -> Iterator[None]:
+    """Let the first Ctrl-C wait for the oracle, where the method's state is whole.
+
+    Only in the main thread and where nobody else handles the signal.
+    """
+    default = signal.default_int_handler
+    if (
+        threading.current_thread() is not threading.main_thread()
+        or signal.getsignal(signal.SIGINT) is not default
+    ):
+        yield
+        return
+
+    def on_interrupt(number: int, frame: FrameType | None) -> None:
+        if oracle.interrupted:
+            raise KeyboardInterrupt
+        oracle.interrupted = True
+
+    signal.signal(signal.SIGINT, on_interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, default)
 
 
 def warm_up(optimizer: Optimizer, problem: Problem) -> None:

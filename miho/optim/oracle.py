@@ -15,16 +15,25 @@ from numpy.typing import NDArray
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.space import Space
 from miho.optim.trace import Trace
-from miho.optim.validate import at_least, positive
+from miho.optim.validate import positive, whole
 
 Array = NDArray[np.float64]
 
 CHUNK_SECONDS = 0.02
 OBSERVE_SECONDS = 0.1
+REASONS = 20
 
 
 class BudgetExhausted(Exception):  # noqa: N818 -- the signal that ends every run, not an error
     """Raised by the oracle when its budget is spent or its target is reached."""
+
+
+class RunInterrupted(KeyboardInterrupt):
+    """Raised by the oracle between two evaluations after Ctrl-C: the state is whole."""
+
+
+class UnusableValueError(ValueError):
+    """Raised by the oracle where residuals or derivatives cannot be computed."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +50,7 @@ class Budget:
 
     def __post_init__(self) -> None:
         if self.evaluations is not None:
-            at_least("budget.evaluations", self.evaluations, 1, whole=True)
+            whole("budget.evaluations", self.evaluations, 1)
         if self.seconds is not None:
             positive("budget.seconds", self.seconds)
         if self.target is not None and not math.isfinite(self.target):
@@ -52,8 +61,8 @@ class Budget:
 class Meter:
     """What a run has spent and seen; with the method's state, all that a resumed run needs.
 
-    `unfinished` holds the losses of a batch that the budget cut: the same batch, asked again,
-    goes on behind them. `rejected` counts the values that could not be used, by reason.
+    `unfinished` holds the losses of a batch that was cut: the same batch, asked again, goes on
+    behind them. `rejected` counts the values that could not be used, by reason.
     """
 
     evaluations: float = 0
@@ -63,6 +72,11 @@ class Meter:
     trace: Trace = field(default_factory=Trace)
     rejected: Counter[str] = field(default_factory=Counter)
     unfinished: list[float] = field(default_factory=list)
+
+    def reject(self, reason: str, count: int = 1) -> None:
+        """Count values that cannot be used; beyond some kinds of reason, together."""
+        known = reason in self.rejected or len(self.rejected) < REASONS
+        self.rejected[reason if known else "other reasons"] += count
 
 
 @dataclass(frozen=True)
@@ -78,7 +92,8 @@ class Oracle:
 
     Calling it evaluates a batch in order; an improvement inside a batch is recorded at its own
     evaluation. Values that are not finite numbers come back as +inf and never become best.
-    `state` is the place where a resumable method leaves its state.
+    `state` is the place where a resumable method leaves its state. Once `interrupted` is set, the
+    run ends with RunInterrupted at its next evaluation.
     """
 
     def __init__(
@@ -95,6 +110,7 @@ class Oracle:
         self.space = problem.space if space is None else space
         self.meter = Meter() if meter is None else meter
         self.state: Any = None
+        self.interrupted = False
         self._problem = problem
         self._limit = math.inf if budget.evaluations is None else budget.evaluations
         self._deadline = math.inf if budget.seconds is None else budget.seconds
@@ -147,8 +163,7 @@ class Oracle:
                 chunk = self._losses(rows, fidelity)
                 self._record(rows, chunk, fidelity, started)
                 losses = np.concatenate((losses, chunk)) if losses.size else chunk
-                if self.meter.seconds >= self._deadline or self.meter.best <= self._target:
-                    raise BudgetExhausted
+                self._check_end()
         except BaseException:
             unfinished[:] = losses.tolist()
             raise
@@ -157,26 +172,48 @@ class Oracle:
         return losses
 
     def residuals(self, theta: Array) -> Array:
-        """Residuals (m,) of one configuration (d,) in units: one evaluation."""
+        """Residuals (m,) of one configuration (d,) in units: one evaluation.
+
+        Raises UnusableValueError if the problem raises; residuals that are not finite are
+        returned as they are, for solvers that know what to do with them.
+        """
+        problem = self._least_squares
         self._check_open()
         started = self.seconds
-        residuals = self._least_squares.residuals(theta)
-        self._record(theta[None], self._usable(mean_square(residuals)[None]), 1.0, started)
-        self._check_open()
+        try:
+            residuals = problem.residuals(_read_only(theta))
+            loss = self._usable(mean_square(residuals)[None])
+        except Exception as error:
+            self.meter.reject(f"{type(error).__name__}: {error}")
+            self._record(theta[None], np.array([math.inf]), 1.0, started)
+            raise UnusableValueError(str(error)) from error
+        self._record(theta[None], loss, 1.0, started)
+        self._check_end()
         return residuals
 
     def jacobian(self, theta: Array) -> Array:
         """Derivatives of the residuals (m, d) at one configuration (d,) in units.
 
-        Costs `jacobian_cost` evaluations; a budget that cannot pay it is exhausted.
+        Costs `jacobian_cost` evaluations; a budget that cannot pay it is exhausted. Raises
+        UnusableValueError if the problem raises or a derivative is not finite.
         """
         problem = self._least_squares
         cost = len(self.space) if problem.jacobian_cost is None else problem.jacobian_cost
         self._check_open()
         if cost > self.remaining:
             raise BudgetExhausted
-        jacobian = problem.jacobian(theta)
+        reason = "derivative is not finite"
+        try:
+            jacobian = problem.jacobian(_read_only(theta))
+            usable = bool(np.isfinite(jacobian).all())
+        except Exception as error:  # noqa: BLE001 -- as for residuals
+            reason, usable = f"{type(error).__name__}: {error}", False
         self.meter.evaluations += cost
+        self.meter.seconds = self.seconds
+        if not usable:
+            self.meter.reject(reason)
+            raise UnusableValueError(reason)
+        self._check_end()
         return jacobian
 
     def stop(self) -> None:
@@ -194,12 +231,15 @@ class Oracle:
         return self._problem
 
     def _check_open(self) -> None:
-        meter = self.meter
-        if (
-            meter.evaluations >= self._limit
-            or meter.seconds >= self._deadline
-            or meter.best <= self._target
-        ):
+        self._check_end()
+        if self.meter.evaluations >= self._limit:
+            raise BudgetExhausted
+
+    def _check_end(self) -> None:
+        """End the run between two evaluations; a full count ends it only at the next one."""
+        if self.interrupted:
+            raise RunInterrupted
+        if self.meter.seconds >= self._deadline or self.meter.best <= self._target:
             raise BudgetExhausted
 
     def _chunk(self, rows: int, fidelity: float) -> int:
@@ -215,24 +255,25 @@ class Oracle:
     def _losses(self, rows: Array, fidelity: float) -> Array:
         """The problem's losses; +inf, with its reason counted, for a row that has none."""
         try:
-            losses = np.asarray(self._problem.loss(rows, fidelity))
+            losses = np.asarray(self._problem.loss(_read_only(rows), fidelity))
             if losses.shape == (len(rows),) and losses.dtype.kind in "fiu":
-                return self._usable(losses.astype(float, copy=False))
+                return self._usable(losses.astype(float))
             reason = f"not one real number a row: {losses.dtype} of shape {losses.shape}"
         except Exception as error:  # noqa: BLE001 -- whatever a model raises is a rejected value
             reason = f"{type(error).__name__}: {error}"
         if len(rows) == 1:
-            self.meter.rejected[reason] += 1
+            self.meter.reject(reason)
             return np.array([math.inf])
         return np.concatenate([self._losses(row[None], fidelity) for row in rows])
 
     def _usable(self, losses: Array) -> Array:
         """The losses with +inf in place of every value that is not a finite number."""
-        if math.isfinite(np.add.reduce(losses)):
+        finite = np.isfinite(losses)
+        if finite.all():
             return losses
-        bad = ~np.isfinite(losses)
-        self.meter.rejected.update(f"loss is {value}" for value in losses[bad])
-        return np.where(bad, math.inf, losses)
+        for value, count in Counter(losses[~finite].tolist()).items():
+            self.meter.reject(f"loss is {value}", count)
+        return np.where(finite, losses, math.inf)
 
     def _record(self, rows: Array, losses: Array, fidelity: float, started: float) -> None:
         """Count the rows, keep their improvements and hold the clock meanwhile.
@@ -260,5 +301,14 @@ class Oracle:
         meter.evaluations += n * fidelity
         if self._observer is not None and now - self._observed >= OBSERVE_SECONDS:
             self._observed = now
+            cpu = self._clock.cpu()
             self._observer(self)
+            self._cpu += self._clock.cpu() - cpu
             self._wall = self._clock.wall() - now
+
+
+def _read_only(array: Array) -> Array:
+    """A view that a problem cannot edit: the method still works with what it asked."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.optim.optimizer import AskTell
-from miho.optim.space import SAMPLINGS, Space
-from miho.optim.validate import at_least, one_of
+from miho.optim.space import LARGEST_BATCH, SAMPLINGS, Space
+from miho.optim.validate import one_of, whole
 
 Array = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ class RandomSearch(AskTell[RandomSearchState]):
     sampling: str = "normal"
 
     def __post_init__(self) -> None:
-        at_least("batch", self.batch, 1, whole=True)
+        whole("batch", self.batch, 1, LARGEST_BATCH)
         one_of("sampling", self.sampling, SAMPLINGS)
 
     def init(self, space: Space, rng: np.random.Generator) -> RandomSearchState:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from miho.optim.validate import at_least, one_of
+from miho.optim.validate import one_of, whole
 
 ROUNDINGS = ("ceil", "floor")
 
@@ -36,8 +36,8 @@ def hyperband_table(R: int, eta: int, rounding: str = "ceil") -> tuple[Rung, ...
     With B = (s_max + 1) R, a bracket starts n = ceil(B / R * eta^s / (s + 1)) configurations;
     rung j holds floor(n / eta^j), at least one, and gives each floor(R eta^(j - s)) mutations.
     """
-    at_least("R", R, 1, whole=True)
-    at_least("eta", eta, 2, whole=True)
+    whole("R", R, 1)
+    whole("eta", eta, 2)
     one_of("rounding", rounding, ROUNDINGS)
     s_max = largest_bracket(R, eta, rounding)
     rungs = []

@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 
 SCALES = ("linear", "log")
 SAMPLINGS = ("normal", "uniform_plus_noise", "uniform")
+LARGEST_BATCH = 10_000_000
+"""More configurations than this at once do not fit into a machine's memory."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Parameter:
     def __post_init__(self) -> None:
         where = f"parameter {self.name!r}"
         one_of(f"{where}: scale", self.scale, SCALES)
-        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+        if not (self.low < self.high and math.isfinite(self.high - self.low)):
             raise ValueError(
                 f"{where}: low is {self.low!r} and high is {self.high!r}; "
                 "expected finite bounds with low < high"
@@ -54,12 +56,19 @@ class Parameter:
             raise ValueError(f"{where}: mean is {self.mean!r}; expected within the range")
         if self.std is not None and not 0 < self.std < math.inf:
             raise ValueError(f"{where}: std is {self.std!r}; expected above 0")
-        sigma_max = math.inf if self.sigma_max is None else self.sigma_max
-        if not 0 <= self.sigma_min <= sigma_max:
+        if not 0 <= self.sigma_min <= self.largest_sigma < math.inf:
             raise ValueError(
-                f"{where}: sigma_min is {self.sigma_min!r} and sigma_max is {self.sigma_max!r}; "
-                "expected 0 <= sigma_min <= sigma_max"
+                f"{where}: sigma_min is {self.sigma_min!r} and sigma_max is "
+                f"{self.largest_sigma!r}; expected 0 <= sigma_min <= sigma_max, finite"
             )
+
+    @property
+    def largest_sigma(self) -> float:
+        """sigma_max, a tenth of the range unless given."""
+        if self.sigma_max is not None:
+            return self.sigma_max
+        log = self.scale == "log"
+        return (math.log(self.high / self.low) if log else self.high - self.low) / 10
 
 
 @dataclass(frozen=True)
@@ -132,11 +141,10 @@ class Space:
     @cached_property
     def sigma(self) -> tuple[Array, Array]:
         """Maximum and minimum of the mutation's sigma in search coordinates, (d,) each (Eq. 2)."""
-        low, high = self.bounds
-        given = [p.sigma_max for p in self.parameters]
-        tenth = (high - low) / 10
-        largest = np.array([t if s is None else s for t, s in zip(tenth, given, strict=True)])
-        return largest, np.array([p.sigma_min for p in self.parameters])
+        return (
+            np.array([p.largest_sigma for p in self.parameters]),
+            np.array([p.sigma_min for p in self.parameters]),
+        )
 
     def clip(self, thetas: Array) -> Array:
         """The nearest points of the box, in units, (..., d)."""

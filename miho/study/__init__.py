@@ -4,9 +4,10 @@ from miho.study.environment import environment_stamp, single_thread
 from miho.study.identity import Identity, code_digest
 from miho.study.index import Runs, load_runs
 from miho.study.runner import Execution, Status, execute
-from miho.study.store import DamagedRun, RunInUse, Store, StoredRun, read_run
+from miho.study.store import DamagedRun, RunInUse, Store, StoredRun, read_run, write_text
 
 __all__ = [
     "DamagedRun", "Execution", "Identity", "RunInUse", "Runs", "Status", "Store", "StoredRun",
     "code_digest", "environment_stamp", "execute", "load_runs", "read_run", "single_thread",
+    "write_text",
 ]  # fmt: skip

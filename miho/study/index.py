@@ -68,7 +68,7 @@ def _run_row(stored: StoredRun) -> dict[str, Any]:
     loss = result["loss"]
     row = {
         **{key: result[key] for key in ("id", "problem", "optimizer", "seed", "outcome")},
-        "error": math.nan if loss is None else math.sqrt(loss),
+        "error": _root(loss),
         "unit": facts.get("unit"),
         **{key: result[key] for key in ("evaluations", "seconds", "cpu_seconds", "setup_seconds")},
         "irreducible": facts.get("irreducible", math.nan),
@@ -79,10 +79,15 @@ def _run_row(stored: StoredRun) -> dict[str, Any]:
     return row | {f"theta.{name}": value for name, value in zip(names, theta, strict=True)}
 
 
+def _root(loss: float | None) -> float:
+    """The error that belongs to a loss, NaN where there is none."""
+    return math.nan if loss is None or loss < 0 else math.sqrt(loss)
+
+
 def _extend(curves: dict[str, list[Any]], stored: StoredRun) -> None:
     curve, result = stored.curve, stored.result
     for key in ("evaluations", "seconds", "cpu_seconds"):
         curves[key].extend(curve[key])
-    curves["error"].extend(math.sqrt(loss) for loss in curve["loss"])
+    curves["error"].extend(map(_root, curve["loss"]))
     for key in ("id", "problem", "optimizer", "seed"):
         curves[key].extend([result[key]] * len(curve["loss"]))

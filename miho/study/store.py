@@ -19,13 +19,14 @@ from typing import Any
 
 from filelock import FileLock, Timeout
 
-from miho.optim import Outcome, RunRecord, Space
+from miho.optim import RunRecord, Space
 from miho.study.identity import Identity, canonical, sha256
 
 CONFIG, ENVIRONMENT, CURVE, RESULT = "config.json", "environment.json", "curve.json", "result.json"
 PARTIAL = "partial.json"
 RESOLUTION = 1e-3
-"""Stored curves are exact to this fraction of the loss."""
+SPACING = 1e-2
+"""Stored curves are exact to this fraction of the loss, or of the evaluations and seconds."""
 
 
 class DamagedRun(Exception):  # noqa: N818 -- a finding about a folder, reported and skipped
@@ -94,22 +95,22 @@ class Store:
             CURVE: canonical(_curve(record)),
         }
         for name, text in contents.items():
-            _write(folder / name, text)
+            write_text(folder / name, text)
         result = {
             **_result(identity, record, space),
             "facts": dict(facts),
             "files": {name: sha256(text) for name, text in contents.items()},
         }
         result["sha256"] = sha256(canonical(result))
-        _write(folder / RESULT, canonical(result))
+        write_text(folder / RESULT, canonical(result))
         (folder / PARTIAL).unlink(missing_ok=True)
         return read_run(folder)
 
     def keep_partial(self, identity: Identity, record: RunRecord) -> Path:
         """Keep what an interrupted or failed run has found; the run is not done."""
         path = self.folder(identity) / PARTIAL
-        partial = {"outcome": record.outcome, "error": record.error, "curve": _curve(record)}
-        _write(path, canonical(partial))
+        partial = {"outcome": str(record.outcome), "error": record.error, "curve": _curve(record)}
+        write_text(path, canonical(partial))
         return path
 
 
@@ -126,27 +127,36 @@ def read_run(folder: Path) -> StoredRun:
             if sha256(data) != result["files"][name]:
                 raise DamagedRun(f"{folder / name}: checksum does not match")
             contents[name] = json.loads(data)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise DamagedRun(f"{folder}: {type(error).__name__}: {error}") from None
-    if result["id"] != folder.name:
-        raise DamagedRun(f"{folder}: holds run {result['id']}")
+    place = [folder.parent.parent.name, folder.parent.name, folder.name]
+    named = [result.get(key) for key in ("problem", "optimizer", "id")]
+    if place != named:
+        raise DamagedRun(f"{folder}: holds the run {'/'.join(map(str, named))}")
     return StoredRun(folder, contents[CONFIG], contents[ENVIRONMENT], contents[CURVE], result)
 
 
 def _curve(record: RunRecord) -> dict[str, list[Any]]:
-    """The improvements that lower the loss by RESOLUTION, the last one, and where the run ended.
+    """The improvements worth keeping, the last one, and where the run ended.
 
-    A method that creeps improves at every step; what is left out would change the curve by less
-    than anyone can see, and never makes it look better than it was.
+    A method that creeps improves at every step. A step is left out only if it lowers the loss by
+    less than RESOLUTION and comes within SPACING of the evaluations and seconds of the last row
+    kept: no target is met more than 1 % later than it was, and none earlier.
     """
     trace = record.trace
     kept: list[int] = []
-    for row, loss in enumerate(trace.loss):
-        if not kept or loss <= (1 - RESOLUTION) * trace.loss[kept[-1]]:
+    for row in range(len(trace)):
+        last = kept[-1] if kept else -1
+        if (
+            last < 0
+            or trace.loss[row] <= (1 - RESOLUTION) * trace.loss[last]
+            or trace.evaluations[row] >= (1 + SPACING) * trace.evaluations[last]
+            or trace.seconds[row] >= (1 + SPACING) * trace.seconds[last]
+        ):
             kept.append(row)
-    last = len(trace) - 1
-    if kept and kept[-1] != last:
-        kept.append(last)
+    end = len(trace) - 1
+    if kept and kept[-1] != end:
+        kept.append(end)
     curve: dict[str, list[Any]] = {
         "evaluations": [trace.evaluations[row] for row in kept],
         "seconds": [trace.seconds[row] for row in kept],
@@ -154,7 +164,7 @@ def _curve(record: RunRecord) -> dict[str, list[Any]]:
         "loss": [trace.loss[row] for row in kept],
         "theta": [trace.theta[row].tolist() for row in kept],
     }
-    if kept and record.evaluations > trace.evaluations[last]:
+    if kept and record.evaluations > trace.evaluations[end]:
         curve["evaluations"].append(record.evaluations)
         curve["seconds"].append(record.seconds)
         curve["cpu_seconds"].append(record.cpu_seconds)
@@ -171,7 +181,7 @@ def _result(identity: Identity, record: RunRecord, space: Space) -> dict[str, An
         "seed": identity.seed,
         "code": identity.code,
         "data": identity.data,
-        "outcome": Outcome(record.outcome).value,
+        "outcome": str(record.outcome),
         "loss": record.loss if math.isfinite(record.loss) else None,
         "theta": None if record.theta is None else record.theta.tolist(),
         "parameters": [{"name": p.name, "unit": p.unit} for p in space.parameters],
@@ -183,7 +193,7 @@ def _result(identity: Identity, record: RunRecord, space: Space) -> dict[str, An
     }
 
 
-def _write(path: Path, text: str) -> None:
+def write_text(path: Path, text: str) -> None:
     """Replace a file in one step: readers see the old one or the new one, whole."""
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:

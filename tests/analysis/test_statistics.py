@@ -70,6 +70,19 @@ def test_the_mean_is_known_up_to_the_earliest_end_of_a_cut_run() -> None:
     np.testing.assert_array_equal(high, np.inf)
 
 
+def test_a_mean_that_arrives_after_a_run_was_cut_is_known_within_bounds() -> None:
+    """Run 0 was cut at 5 with a bad error; run 1 pulled the mean down at 8."""
+    curve = MeanCurve(
+        at=np.array([1.0, 8.0]),
+        errors=np.array([[1500.0, 1500.0], [1500.0, 300.0]]),
+        ends=np.array([5.0, 10.0]),
+        cut=np.array([True, True]),
+    )
+    low, high = curve.reaches(1000.0, np.array([[0, 1], [1, 1]]))
+    assert low.tolist() == [5, 8]
+    assert high.tolist() == [8, 8]
+
+
 def test_a_run_without_a_value_keeps_the_mean_from_any_target() -> None:
     assert time_to_target(mean_curve([[(10.0, 1.0)], []]), 500.0, rng()).at_most == np.inf
 

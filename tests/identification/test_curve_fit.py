@@ -72,8 +72,13 @@ def test_the_space_must_fit_the_model() -> None:
     with pytest.raises(ValueError, match="needs B, C, D, Sx, Sy"):
         CurveFit(p.model, p.dataset, Space(SPACE.parameters[:4]))
     degrees = (*SPACE.parameters[:3], Parameter("Sx", "deg", -5, 5), SPACE.parameters[4])
-    with pytest.raises(ValueError, match="'Sx' has unit 'deg'"):
+    with pytest.raises(ValueError, match="'Sx' of the space has unit 'deg'"):
         CurveFit(p.model, p.dataset, Space(degrees))
+    data = {"alpha": p.dataset["alpha"], "Fy": p.dataset["Fy"]}
+    with pytest.raises(ValueError, match=r"column 'alpha' of d has unit 'deg'; .* needs 'rad'"):
+        CurveFit(p.model, Dataset("d", data, {"alpha": "deg", "Fy": "N"}, "Fy"), SPACE)
+    with pytest.raises(ValueError, match=r"output 'Fy' of d has unit 'kN'; .* needs 'N'"):
+        CurveFit(p.model, Dataset("d", data, {"alpha": "rad", "Fy": "kN"}, "Fy"), SPACE)
     other = Dataset("d", {"slip": np.ones(3), "Fy": np.ones(3)}, {"slip": "1", "Fy": "N"}, "Fy")
     with pytest.raises(ValueError, match="no column 'alpha'"):
         CurveFit(p.model, other, SPACE)

@@ -1,5 +1,8 @@
 """`minimize`: every ending is a record."""
 
+import pickle
+import signal
+
 import numpy as np
 import pytest
 
@@ -71,3 +74,47 @@ def test_only_asktell_methods_resume() -> None:
     record = minimize(RandomSearch(), DecayFit(), Budget(evaluations=5))
     with pytest.raises(ValueError, match="cannot be resumed"):
         minimize(Broken(), DecayFit(), checkpoint=record.checkpoint)
+    with pytest.raises(ValueError, match="resume the same run"):
+        minimize(RandomSearch(batch=7), DecayFit(), checkpoint=record.checkpoint)
+    with pytest.raises(ValueError, match="resume the same run"):
+        minimize(RandomSearch(), DecayFit(), seed=1, checkpoint=record.checkpoint)
+
+
+def test_resuming_leaves_the_checkpoint_as_it_was() -> None:
+    first = minimize(RandomSearch(), DecayFit(), Budget(evaluations=500))
+    for _ in range(2):
+        more = minimize(
+            RandomSearch(), DecayFit(), Budget(evaluations=5000), checkpoint=first.checkpoint
+        )
+        assert more.evaluations == 5000
+        assert first.trace.evaluations[-1] <= first.evaluations == 500
+    whole = minimize(RandomSearch(), DecayFit(), Budget(evaluations=5000))
+    assert more.trace.loss == whole.trace.loss
+
+
+@pytest.mark.parametrize("delay", np.linspace(0.02, 0.12, 12))
+def test_ctrl_c_at_any_time_resumes_bit_exactly(delay: float) -> None:
+    optimizer, budget = MIHO(R=300, eta=3), Budget(evaluations=6000)
+    signal.setitimer(signal.ITIMER_REAL, delay)
+    before = signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+    try:
+        cut = minimize(optimizer, DecayFit(), budget)
+    except KeyboardInterrupt:
+        pytest.skip("the signal came before the run or after it")
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    checkpoint = pickle.loads(pickle.dumps(cut.checkpoint))
+    resumed = minimize(optimizer, DecayFit(), budget, checkpoint=checkpoint)
+    whole = minimize(optimizer, DecayFit(), budget)
+    assert resumed.trace.evaluations == whole.trace.evaluations
+    assert resumed.trace.loss == whole.trace.loss
+
+
+def test_an_interrupt_in_the_middle_of_a_step_cannot_be_resumed() -> None:
+    def stop(_: Oracle) -> None:
+        raise KeyboardInterrupt
+
+    record = minimize(RandomSearch(), DecayFit(), observer=stop)
+    assert record.outcome is Outcome.INTERRUPTED
+    assert record.checkpoint is None

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from miho import Budget, LeastSquaresProblem, Oracle, Parameter, Problem, Space
-from miho.optim import BudgetExhausted, Clock
+from miho.optim import BudgetExhausted, Clock, RunInterrupted, UnusableValueError
 
 Array = NDArray[np.float64]
 SPACE = Space((Parameter("x", "m", -10.0, 10.0),))
@@ -142,6 +142,7 @@ def test_one_bad_row_does_not_spoil_its_batch() -> None:
     assert oracle.meter.rejected == {"ArithmeticError: no two": 1}
 
 
+@pytest.mark.filterwarnings("error")
 def test_huge_and_tiny_losses_are_usable() -> None:
     oracle = Oracle(Given(lambda x: x), Budget())
     assert oracle(column(1e308, 1e308, 5e-324)).tolist() == [1e308, 1e308, 5e-324]
@@ -157,6 +158,53 @@ def test_a_fidelity_costs_its_fraction_and_never_becomes_best() -> None:
     assert oracle.trace.evaluations == [2]
     with pytest.raises(ValueError, match="fidelity is 0"):
         Oracle(Given(), Budget())(column(1), fidelity=0.0)
+
+
+def test_a_problem_may_reuse_its_buffer() -> None:
+    class Reuses(Given):
+        buffer = np.empty(8)
+
+        def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+            if len(thetas) > 4:
+                raise ValueError("too many")
+            self.buffer[: len(thetas)] = np.abs(thetas[:, 0])
+            return self.buffer[: len(thetas)]
+
+    for oracle in (Oracle(Reuses(), Budget()), Oracle(Reuses(), Budget())):
+        oracle(column(9))  # so that the chunks grow
+        assert oracle(column(6, 5, 4, 3, 2, 1)).tolist() == [6, 5, 4, 3, 2, 1]
+
+
+def test_a_problem_cannot_edit_what_it_is_asked() -> None:
+    class Edits(Given):
+        def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+            thetas *= 2
+            return thetas[:, 0]
+
+    asked = column(1, 2)
+    oracle = Oracle(Edits(), Budget())
+    assert oracle(asked).tolist() == [math.inf, math.inf]
+    assert asked.tolist() == [[1], [2]]
+    assert oracle.meter.rejected == {"ValueError: output array is read-only": 2}
+
+
+def test_reasons_without_end_are_counted_together() -> None:
+    def loss(x: float) -> float:
+        raise ValueError(f"bad {x}")
+
+    oracle = Oracle(Given(loss), Budget())
+    oracle(column(*range(100)))
+    assert len(oracle.meter.rejected) == 21
+    assert oracle.meter.rejected["other reasons"] == 80
+
+
+def test_after_ctrl_c_the_run_ends_between_two_evaluations() -> None:
+    oracle = Oracle(Given(), Budget())
+    oracle(column(3))
+    oracle.interrupted = True
+    with pytest.raises(RunInterrupted):
+        oracle(column(2))
+    assert oracle.evaluations == 1
 
 
 class Line(LeastSquaresProblem):
@@ -186,6 +234,29 @@ def test_residuals_and_jacobians_are_paid_for() -> None:
     with pytest.raises(BudgetExhausted):
         oracle.jacobian(np.array([2.0]))
     assert oracle.evaluations == 4
+
+
+class Broken(Line):
+    """Residuals and derivatives that cannot be used."""
+
+    def residuals(self, theta: Array) -> Array:
+        raise ArithmeticError("no residuals")
+
+    def jacobian(self, theta: Array) -> Array:
+        return np.array([[np.nan], [1.0]])
+
+
+def test_unusable_residuals_and_derivatives_are_counted() -> None:
+    oracle = Oracle(Broken(), Budget())
+    with pytest.raises(UnusableValueError, match="no residuals"):
+        oracle.residuals(np.array([2.0]))
+    with pytest.raises(UnusableValueError, match="not finite"):
+        oracle.jacobian(np.array([2.0]))
+    assert oracle.evaluations == 4
+    assert oracle.meter.rejected == {
+        "ArithmeticError: no residuals": 1,
+        "derivative is not finite": 1,
+    }
 
 
 def test_a_problem_without_residuals_says_so() -> None:

@@ -2,6 +2,7 @@
 
 import json
 import multiprocessing
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -53,12 +54,27 @@ def test_a_creeping_curve_is_stored_to_its_resolution(tmp_path: Path) -> None:
     crept = replace(found, trace=trace, loss=trace.loss[-1], evaluations=50_000)
     execute(Store(tmp_path), identity(), lambda: crept, DecayFit.space, FACTS)
     curve = load_runs(tmp_path).curves
-    assert len(curve) < 600
+    assert len(curve) < 2500
     assert curve["error"].iloc[-1] == np.sqrt(trace.loss[-1])
     at = np.searchsorted(curve["evaluations"], trace.evaluations, side="right") - 1
     ratio = curve["error"].to_numpy()[at] ** 2 / np.array(trace.loss)
     assert ratio.min() >= 1 - 1e-12
     assert ratio.max() <= 1.00101
+    for error in np.sqrt(trace.loss[::997]):
+        true = trace.evaluations[np.flatnonzero(np.sqrt(trace.loss) <= error)[0]]
+        stored = curve["evaluations"][curve["error"] <= error].iloc[0]
+        assert true <= stored <= 1.0101 * true + 1
+
+
+def test_a_copied_folder_is_not_a_second_run(tmp_path: Path) -> None:
+    store = filled(tmp_path, seeds=1)
+    folder = store.folder(identity(0))
+    shutil.copytree(folder, tmp_path / "decay" / "other" / folder.name)
+    (folder.parent / "0000000000000000").mkdir()
+    (folder.parent / "0000000000000000" / "result.json").write_text("[" * 200_000)
+    found = load_runs(tmp_path)
+    assert len(found.runs) == 1
+    assert len(found.damaged) == 2
 
 
 def test_done_runs_do_not_run_again(tmp_path: Path) -> None:
