@@ -58,9 +58,14 @@ def command(
 
     def job() -> None:
         arguments = get_args_parser().parse_args()
-        if arguments.multirun:
-            for overrides in _sweep(arguments.overrides):
-                check(composed(overrides))
+        jobs = _sweep(arguments.overrides) if arguments.multirun else [arguments.overrides]
+        try:
+            for overrides in jobs:
+                _check_hydra(overrides)
+                if arguments.multirun:
+                    check(composed(overrides))
+        except (HydraException, ValueError) as error:
+            raise ConfigError(_explained(error, arguments.overrides)) from error
         try:
             main(kept)()
         except Exception as error:
@@ -73,10 +78,14 @@ def command(
 
 def composed(overrides: Sequence[str]) -> DictConfig:
     """The configuration that these overrides give, outside of a Hydra command or inside one."""
+    return _composed(overrides)
+
+
+def _composed(overrides: Sequence[str], *, hydra_too: bool = False) -> DictConfig:
     if GlobalHydra.instance().is_initialized():
-        return hydra.compose("config", list(overrides))
+        return hydra.compose("config", list(overrides), return_hydra_config=hydra_too)
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-        return hydra.compose("config", list(overrides))
+        return _composed(overrides, hydra_too=hydra_too)
 
 
 def _explained(error: Exception, overrides: Sequence[str]) -> str:
@@ -94,6 +103,21 @@ def _explained(error: Exception, overrides: Sequence[str]) -> str:
     if isinstance(error.__cause__, OmegaConfBaseException):
         message += f": {one_line(error.__cause__)}"
     return message
+
+
+def _check_hydra(overrides: Sequence[str]) -> None:
+    """Refuse what Hydra itself would run for a configuration, other than a launcher's job."""
+    hydra_node, usual = (_composed(given, hydra_too=True).hydra for given in (overrides, ()))
+    for key in ("callbacks", "job_logging", "hydra_logging"):
+        if hydra_node[key] != usual[key]:
+            raise ConfigError(f"hydra.{key}: cannot be changed here; leave it as it is")
+    for key in ("launcher", "sweeper"):
+        node = {str(name): value for name, value in hydra_node[key].items()}
+        target = str(node.pop("_target_"))
+        if not target.startswith(("hydra._internal.core_plugins.", "hydra_plugins.")):
+            raise ConfigError(f"hydra.{key}._target_: {target!r} is not a plugin of Hydra")
+        if "_target_" in str(node):
+            raise ConfigError(f"hydra.{key}: holds a target of its own; remove it")
 
 
 def _sweep(overrides: Sequence[str]) -> list[tuple[str, ...]]:

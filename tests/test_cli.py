@@ -109,6 +109,12 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "a foreign target": (["model._target_=os.system"], "model._target_: 'os.system' is not"),
     "a target behind ours": (["model._target_=miho.study.store.os.system"], "is not a class or"),
     "a target of another kind": (["model._target_=miho.optim.MIHO"], "that gives a Model"),
+    "a target that Hydra would run": (
+        ["+hydra.callbacks.x={_target_: os.getcwd}"],
+        "hydra.callbacks: cannot be changed",
+    ),
+    "a launcher that is none": (["hydra.launcher._target_=os.system"], "is not a plugin of Hydra"),
+    "a launcher with a target": (["+hydra.launcher.x={_target_: os.getcwd}"], "holds a target"),
     "a private target": (["dataset._target_=miho.data.csv._lines"], "that gives a Dataset"),
     "an unknown key, added": (["+sed=1"], "sed: is unknown; allowed are model"),
     "an unknown limit, added": (["+budget.dollars=1"], "unexpected keyword argument 'dollars'"),
