@@ -248,7 +248,7 @@ class MagicFormula:
         D_r = (p.QDZ6 + p.QDZ7 * dfz) * p.LRES + camber * gamma * p.LKZC
         D_r = c.Fz * radius * D_r * c.mu_y * forward * c.cosine  # 4.E47
 
-        # Camber enters B_t and D_t by MF-Tyre's QBZ4, QDZ3 with its sign, where the book has |gamma|.
+        # QBZ4 and QDZ3 take the camber with its sign, as MF-Tyre does; the book takes |gamma|.
         # The book adds the longitudinal slip to the angles (4.E77-4.E78), MF-Tyre to their
         # tangents; the reference values follow MF-Tyre.
         slip = x.K / y.K_prime * c.kappa
