@@ -169,9 +169,9 @@ def plot_tires(
     tires: Sequence[str],
     errors: Mapping[str, float],
 ) -> Axes:
-    """Samples as light points and learned curves as lines, of these tires; units as in `fig4`."""
+    """Samples as light points and learned curves as lines, of one or two tires, as in `fig4`."""
     palette = sns.color_palette("colorblind")
-    for tire, color, dashes in zip(tires, (palette[0], palette[3]), ("-", "--"), strict=True):
+    for tire, color, dashes in zip(tires, (palette[0], palette[3]), ("-", "--"), strict=False):
         label = TIRE_NAMES[tire]
         if tire in errors:
             label += f", error {errors[tire]:.2f} kN"
