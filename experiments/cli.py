@@ -8,7 +8,9 @@ import re
 import sys
 import traceback
 from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import hydra
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
@@ -107,7 +109,7 @@ def _explained(error: Exception, overrides: Sequence[str]) -> str:
 
 def _check_hydra(overrides: Sequence[str]) -> None:
     """Refuse what Hydra itself would run for a configuration, other than a launcher's job."""
-    hydra_node, usual = (_composed(given, hydra_too=True).hydra for given in (overrides, ()))
+    hydra_node, usual = _composed(overrides, hydra_too=True).hydra, _usual_hydra()
     for key in ("callbacks", "job_logging", "hydra_logging"):
         if hydra_node[key] != usual[key]:
             raise ConfigError(f"hydra.{key}: cannot be changed here; leave it as it is")
@@ -118,6 +120,11 @@ def _check_hydra(overrides: Sequence[str]) -> None:
             raise ConfigError(f"hydra.{key}._target_: {target!r} is not a plugin of Hydra")
         if "_target_" in str(node):
             raise ConfigError(f"hydra.{key}: holds a target of its own; remove it")
+
+
+@cache
+def _usual_hydra() -> Any:
+    return _composed([], hydra_too=True).hydra
 
 
 def _sweep(overrides: Sequence[str]) -> list[tuple[str, ...]]:

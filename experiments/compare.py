@@ -35,15 +35,15 @@ def compare(cfg: DictConfig) -> None:
     if any(o.startswith("optimizer=") for o in overrides):
         raise ConfigError("optimizer: cannot be chosen here; methods are comparison.methods")
 
-    methods = {
-        name: [f"optimizer={name}", *(f"optimizer.{k}={v}" for k, v in settings.items())]
-        for name, settings in cfg.comparison.methods.items()
-    }
-    planned = [
-        build(composed([*overrides, *chosen, f"seed={seed}"]))
-        for seed in range(repetitions)
-        for chosen in methods.values()
-    ]
+    methods = []
+    for name, settings in cfg.comparison.methods.items():
+        chosen = [f"optimizer={name}", *(f"optimizer.{k}={v}" for k, v in settings.items())]
+        methods.append(composed([*overrides, *chosen]))
+    planned = []
+    for seed in range(repetitions):
+        for method in methods:
+            method.seed = seed
+            planned.append(build(method))
     for number, experiment in enumerate(planned, start=1):
         execution = run(experiment)
         print(f"[{number}/{len(planned)}] {line(experiment, execution)}", flush=True)
