@@ -88,5 +88,5 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
 @cache
 def best_known_error(problem: CurveFit) -> float:
     """Error of thorough multi-start least squares on this problem, in its unit."""
-    solver = LeastSquares(screen=1000, starts=10, rounds=5)
+    solver = LeastSquares(screen=3000, starts=10, rounds=1)
     return math.sqrt(minimize(solver, problem, Budget(evaluations=200_000)).loss)
