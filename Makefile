@@ -1,5 +1,10 @@
-# make compare   the paper's comparison at reduced size: figure and claims table
+# make compare   the paper's comparison at reduced size: figure and claims table (3 minutes)
+# make figures   Fig. 4 and Fig. 6 from nothing (6 minutes)
 # make test      the test suite
+# make lint      formatter, linter, type checker
+# make install   only the environment
+# make lock      pin the versions of this environment
+# make clean     remove the environment
 # Each target makes its own environment in .venv the first time.
 
 PYTHON ?= python3
@@ -35,7 +40,6 @@ lint: $(INSTALLED)
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# Pin what is installed now, after an upgrade that was tried and tested.
 lock: $(INSTALLED)
 	$(BIN)/python -m pip freeze --all --exclude pip --exclude-editable > constraints.txt
 

@@ -17,6 +17,7 @@ from experiments.build import ConfigError, Experiment, build
 from experiments.cli import OK, SOME_FAILED, command, composed
 from experiments.figures import COMPARISON, draw_comparison
 from experiments.run import line, run
+from miho.optim import MIHO
 from miho.study import Status, write_text
 
 DEFAULT = "experiment=compare"
@@ -27,8 +28,7 @@ def compare(cfg: DictConfig) -> None:
     """Run every method of `comparison.methods` for each repetition, then draw and judge."""
     overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("seed=")]
     if not cfg.comparison.methods:
-        overrides = [DEFAULT, *overrides]
-        cfg = composed(overrides)
+        raise ConfigError("comparison.methods: is empty; choose an experiment that compares some")
     repetitions = cfg.comparison.repetitions
     if repetitions < 1:
         raise ConfigError(f"comparison.repetitions: is {repetitions}; expected at least 1")
@@ -55,12 +55,26 @@ def compare(cfg: DictConfig) -> None:
     root = Path(cfg.root)
     about = {
         "command": ["python", "-m", "experiments.compare", *overrides],
-        "note": cfg.comparison.note,
+        "note": _note(cfg, planned),
         "runs": [experiment.identity.id for experiment in planned],
     }
     write_text(root / COMPARISON, json.dumps(about, indent=1) + "\n")
     for path in draw_comparison(root, Path(cfg.comparison.output)):
         print(path)
+
+
+def _note(cfg: DictConfig, planned: list[Experiment]) -> str:
+    """What the figure must say of its size."""
+    parts = [cfg.comparison.note] if cfg.comparison.note else []
+    miho = next((e.optimizer for e in planned if isinstance(e.optimizer, MIHO)), None)
+    parts += [f"R = {miho.R}"] if miho else []
+    parts.append(f"{cfg.comparison.repetitions} repetitions")
+    limits = planned[0].budget
+    if limits.seconds is not None:
+        parts.append(f"at most {limits.seconds:g} s per run")
+    if limits.evaluations is not None:
+        parts.append(f"at most {limits.evaluations:,} evaluations per run")
+    return ", ".join(parts)
 
 
 def summary() -> int:
@@ -71,4 +85,6 @@ def summary() -> int:
 
 
 if __name__ == "__main__":
+    if not any(argument.startswith("experiment=") for argument in sys.argv):
+        sys.argv.append(DEFAULT)
     command(compare, build, summary)

@@ -1,4 +1,4 @@
-"""Conformance suite for optimizers: what every method must do, whoever wrote it.
+"""Conformance suite for optimizers, and a check of models: what all must do, whoever wrote them.
 
     from miho.testing import check_optimizer
     check_optimizer(MyMethod())
@@ -19,6 +19,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.models import Model
 from miho.optim import (
     AskTell,
     Budget,
@@ -106,6 +107,28 @@ def check_optimizer(
     """Run every check on one optimizer; raises ConformanceError at the first that fails."""
     for name in CHECKS:
         run_check(name, optimizer, expected_failures or {})
+
+
+def check_model(model: Model, thetas: Array, *inputs: Array) -> None:
+    """Check a model at parameter rows (n, d) and input columns (N,).
+
+    A row is the same in any batch, and `jacobian` is the derivative of `predict`, by central
+    differences to 1e-6 of each column's range. Raises ConformanceError.
+    """
+    batch = model.predict(thetas, *inputs)
+    for theta, row in zip(thetas, batch, strict=True):
+        alone = model.predict(theta[None], *inputs)[0]
+        _require(np.array_equal(alone, row), f"predict at {theta} depends on the batch")
+        jacobian = model.jacobian(theta, *inputs)
+        for k, name in enumerate(model.parameters):
+            h = 1e-6 * max(abs(theta[k]), 1e-3) * (np.arange(theta.size) == k)
+            ahead, behind = model.predict(np.stack([theta + h, theta - h]), *inputs)
+            difference = (ahead - behind) / (2 * h[k])
+            close = 1e-6 * max(np.ptp(difference), np.abs(difference).max())
+            _require(
+                bool(np.allclose(jacobian[:, k], difference, rtol=1e-5, atol=close)),
+                f"jacobian with respect to {name} is not the derivative of predict at {theta}",
+            )
 
 
 def run_check(name: str, optimizer: Optimizer, expected_failures: Mapping[str, str]) -> None:

@@ -21,7 +21,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     ),
     "miho.study": ({"miho.study", "miho.optim"}, {"pandas", "filelock", "threadpoolctl"}),
     "miho.analysis": ({"miho.analysis", "miho.study"}, NUMERICS | TABLES),
-    "miho.testing": ({"miho.optim"}, NUMERICS),
+    "miho.testing": ({"miho.optim", "miho.models"}, NUMERICS),
     "baselines": ({"baselines", "miho.optim"}, NUMERICS | {"optuna"}),
 }
 CONCRETE = {"MIHO", "RandomSearch"}

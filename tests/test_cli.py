@@ -131,7 +131,10 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
         "at most 10,000",
     ),
     "a device": (["dataset=csv", "dataset.path=/dev/zero"], "is not a file"),
-    "the wrong unit": (["dataset=csv", f"dataset.path={ROOT / 'LICENSE'}"], "LICENSE:1:1: column"),
+    "the wrong unit": (
+        ["dataset=csv", f"dataset.path={ROOT / 'LICENSE'}"],
+        "LICENSE:1:1: no column 'alpha'",
+    ),
     "a bad seed in a sweep": (["-m", "dataset.n=10", "seed=0,-1"], "seed: is -1"),
     "no path given": (["dataset=csv"], "dataset.path: is missing; give it on the command line"),
     "no such file": (["dataset=csv", "dataset.path=no/such.csv"], "no/such.csv: No such file"),
@@ -178,18 +181,24 @@ def test_a_full_disk_is_exit_4(identify: Command, monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr("os.fsync", full)
     code, _, err = identify(*QUICK)
-    assert (code, err) == (4, "error: somewhere: No space left on device\n")
+    assert code == 4
+    assert err.splitlines()[-1] == "error: somewhere: No space left on device"
 
 
 def test_compare_writes_figure_tables_and_provenance(compare: Command, tmp_path: Path) -> None:
-    small = ["comparison.repetitions=2", "budget.seconds=0.05", "dataset.n=100"]
+    small = [
+        "experiment=compare",
+        "comparison.repetitions=2",
+        "budget.seconds=0.05",
+        "dataset.n=100",
+    ]
     code, out, _ = compare(*small)
     assert code == 0
     assert "[16/16]" in out
     written = {path.name for path in (tmp_path / "runs" / "figures").iterdir()}
     assert {"fig6.png", "fig6.pdf", "claims.md", "claims.csv", "results.md"} <= written
     provenance = json.loads((tmp_path / "runs" / "figures" / "provenance.json").read_text())
-    assert provenance["seeds"] == [0, 1]
+    assert provenance["seeds"] == "0 to 1"
     assert "experiments.compare" in provenance["command"]
     code, out, _ = compare(*small)
     assert out.count("(done before)") == 16

@@ -30,3 +30,8 @@ def test_links_and_names_exist() -> None:
         assert (ROOT / target).exists(), target
     for name in re.findall(r"`(?:dataset=|optimizer=|space=)(\w+)", README):
         assert list((ROOT / "conf").glob(f"*/{name}.yaml")), name
+
+
+def test_the_claims_are_the_measured_ones() -> None:
+    table = (ROOT / "experiments/results/paper_fig6/claims.md").read_text(encoding="utf-8")
+    assert table.partition("\n\n")[2].strip() in README

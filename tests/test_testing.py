@@ -8,7 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from miho import AskTell, Optimizer, Oracle, Space
-from miho.testing import CHECKS, ConformanceError, check_optimizer, run_check
+from miho.models import Model, Pacejka
+from miho.testing import CHECKS, ConformanceError, check_model, check_optimizer, run_check
 
 Array = NDArray[np.float64]
 
@@ -98,6 +99,35 @@ def test_hiding_the_budget_is_caught() -> None:
 def test_a_plain_class_is_caught() -> None:
     with pytest.raises(ConformanceError, match="not a frozen dataclass"):
         check_optimizer(Plain())
+
+
+class Decay(Model):
+    """y = a exp(-b t), with a fault to be switched on."""
+
+    inputs, parameters, output = {"t": "s"}, {"a": "V", "b": "1/s"}, "V"
+
+    def __init__(self, fault: str = "") -> None:
+        self.fault = fault
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        a, b = thetas.T[:, :, None]
+        y = np.asarray(a * np.exp(-b * inputs[0]))
+        return y - y.mean(axis=0) if self.fault == "batch" and len(y) > 2 else y
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        decay = np.exp(-theta[1] * inputs[0])
+        sign = 1 if self.fault == "sign" else -1
+        return np.stack([decay, sign * theta[0] * inputs[0] * decay], axis=1)
+
+
+def test_models_are_checked() -> None:
+    thetas, t = np.array([[2.0, 1.5], [1.0, 0.3], [0.5, 4.0]]), np.linspace(0, 2, 50)
+    check_model(Decay(), thetas, t)
+    check_model(Pacejka(), np.array([[12.0, 1.4, 3000.0, 0.01, 80.0]]), np.linspace(-0.2, 0.2, 41))
+    with pytest.raises(ConformanceError, match="respect to b is not the derivative"):
+        check_model(Decay("sign"), thetas, t)
+    with pytest.raises(ConformanceError, match="depends on the batch"):
+        check_model(Decay("batch"), thetas, t)
 
 
 def test_every_check_has_a_sentence() -> None:

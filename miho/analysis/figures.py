@@ -116,8 +116,9 @@ def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
         left.set_title("as in the paper: over time", loc="left")
         right.set_title("the same over evaluations", loc="left")
         _plain_log_ticks(left)
-        if note:
-            figure.supxlabel(note, fontsize=8, color="#444444", x=0.01, ha="left")
+        caption = "lines: mean over repetitions, bands: 10 to 90 %"
+        caption += f"; {note}" if note else ""
+        figure.supxlabel(caption, fontsize=8, color="#444444", x=0.01, ha="left")
         if np.isfinite(irreducible):
             left.annotate(
                 f"irreducible ≈ {irreducible * factor:.2f} {shown}",

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.data.dataset import Dataset
+from miho.data.dataset import Dataset, file_name
 
 Array = NDArray[np.float64]
 
@@ -39,9 +39,14 @@ def read_numbers(path: Path, columns: Sequence[str], *, header: bool) -> dict[st
         names = [name.strip().strip('"') for name in lines[0].split(",")]
         width = len(names)
         for name in columns:
-            if names.count(name) != 1:
-                found = "twice" if name in names else f"not among {', '.join(names)}"
-                raise CSVError(path, 1, 1, f"column {name!r} is {found}; name each column once")
+            if name not in names:
+                remedy = "rename it or choose other columns"
+                if len(names) == 1 and ";" in lines[0]:
+                    remedy = "separate columns with commas and write decimals with a point"
+                found = f"no column {name!r} in the header {lines[0].strip()[:80]!r}"
+                raise CSVError(path, 1, 1, f"{found}; {remedy}")
+            if names.count(name) > 1:
+                raise CSVError(path, 1, 1, f"column {name!r} is there twice; keep one")
         positions = [names.index(name) for name in columns]
         first = 1
     values = np.empty((len(lines) - first, len(columns)))
@@ -68,16 +73,17 @@ def read_numbers(path: Path, columns: Sequence[str], *, header: bool) -> dict[st
 
 
 def load_csv(
-    path: str, columns: Sequence[str], units: Sequence[str], output: str, name: str = "csv"
+    path: str, columns: Sequence[str], units: Sequence[str], output: str, name: str | None = None
 ) -> Dataset:
     """A dataset from a file with a header line, in SI units, radians and ISO-W signs.
 
-    `columns` are read by name and `units` name their units in the same order.
+    `columns` are read by name and `units` name their units in the same order. The dataset is
+    called after the file unless `name` is given.
     """
     if len(columns) != len(units):
         raise ValueError(f"{len(columns)} columns and {len(units)} units; give one unit a column")
     numbers = read_numbers(Path(path), columns, header=True)
-    return Dataset(name, numbers, dict(zip(columns, units, strict=True)), output)
+    return Dataset(name or file_name(path), numbers, dict(zip(columns, units, strict=True)), output)
 
 
 def _lines(path: Path) -> list[str]:

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+
+def file_name(path: str | os.PathLike[str]) -> str:
+    """A dataset's name from its file: the stem, with "_" for what cannot name a folder."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", Path(path).stem)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,6 @@ the slip angle alone can have a smaller RMSE.
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -19,7 +18,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.data.dataset import Dataset
+from miho.data.dataset import Dataset, file_name
 from miho.models.magic_formula import MagicFormula
 from miho.models.tir import load_tir
 
@@ -92,6 +91,7 @@ def sample_tir(
     n: int = 3000,
     seed: int = 0,
     ranges: SamplingRanges | Mapping[str, Sequence[float] | None] | None = None,
+    strict: bool = True,
 ) -> Dataset:
     """n samples of the lateral force of a tire at its nominal pressure and reference speed.
 
@@ -99,13 +99,13 @@ def sample_tir(
     some by name; the others are those of `EMBEDDED_RANGES` for an embedded tire, and for a file
     loads within 20 % of FNOMIN and gamma within 1 deg of zero. Columns alpha [rad], Fz [N],
     gamma [rad], kappa [1] and the output Fy [N], ISO-W: positive alpha, negative Fy. The name is
-    "tire_" and the embedded name or the file's stem.
+    "tire_" and the embedded name or the file's stem. `strict` is that of `load_tir`.
     """
     if n < 1:
         raise ValueError(f"n is {n}; at least one sample is needed")
     if seed < 0:
         raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
-    formula, ranges, name = _resolve(tire, ranges)
+    formula, ranges, name = _resolve(tire, ranges, strict)
     rng = np.random.default_rng(seed)
     columns = {key: ranges.draw(key, n, rng) for key in ("alpha", *_UNMODELLED)}
     columns["Fy"] = _lateral_force(formula, columns)
@@ -141,11 +141,12 @@ def _lateral_force(formula: MagicFormula, inputs: dict[str, Array]) -> Array:
 def _resolve(
     tire: str | os.PathLike[str],
     ranges: SamplingRanges | Mapping[str, Sequence[float] | None] | None,
+    strict: bool = True,
 ) -> tuple[MagicFormula, SamplingRanges, str]:
     if isinstance(tire, str) and tire in EMBEDDED_RANGES:
         formula, name, default = load_tir(embedded_tire(tire)), tire, EMBEDDED_RANGES[tire]
     else:
-        formula, name = load_tir(tire), re.sub(r"[^A-Za-z0-9_.-]", "_", Path(tire).stem)
+        formula, name = load_tir(tire, strict), file_name(tire)
         FNOMIN = formula.parameters.FNOMIN
         default = SamplingRanges(Fz=(0.8 * FNOMIN, 1.2 * FNOMIN), gamma=(-radians(1), radians(1)))
     if isinstance(ranges, SamplingRanges):

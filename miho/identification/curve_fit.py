@@ -52,6 +52,16 @@ class CurveFit(LeastSquaresProblem):
                 raise ValueError(
                     f"{what} has unit {unit!r}; model {type(model).__name__} needs {need!r}"
                 )
+        thetas, rows = self.space.decode(self.space.initial(2)), len(dataset)
+        shapes = {
+            "predict": (model.predict(thetas, *self._inputs).shape, (2, rows)),
+            "jacobian": (model.jacobian(thetas[0], *self._inputs).shape, (rows, len(self.space))),
+        }
+        for method, (found_shape, shape) in shapes.items():
+            if found_shape != shape:
+                raise ValueError(
+                    f"{type(model).__name__}.{method} gives shape {found_shape}; expected {shape}"
+                )
 
     @property
     def name(self) -> str:  # type: ignore[override]

@@ -40,14 +40,14 @@ BAD = {
     "a decimal comma": ("a,b\n1,5,2\n", "2:1", "3 cells; every row must have 2"),
     "a short row": ("a,b\n1,2\n3\n", "3:1", "1 cells"),
     "a blank line inside": ("a,b\n1,2\n\n3,4\n", "3:1", "1 cells"),
-    "a missing column": ("a,c\n1,2\n", "1:1", "'b' is not among a, c"),
-    "a column twice": ("a,b,b\n1,2,3\n", "1:1", "'b' is twice"),
+    "a missing column": ("a,c\n1,2\n", "1:1", "no column 'b' in the header 'a,c'"),
+    "a column twice": ("a,b,b\n1,2,3\n", "1:1", "'b' is there twice"),
     "no rows": ("a,b\n", "1:1", "no rows of data"),
     "nothing": ("", "1:1", "empty"),
     "other digits": ("a,b\n1,٣\n", "2:3", "not a finite number"),
     "not UTF-8": (b"a,b\n1,\xff\n", "2:3", "not UTF-8"),
     "a long line": ("a,b\n" + "1" * 10_001, "2:10000", "longer than"),
-    "semicolons": ("a;b\n1;2\n", "1:1", "'a' is not among a;b"),
+    "semicolons": ("a;b\n1;2\n", "1:1", "separate columns with commas"),
 }
 
 

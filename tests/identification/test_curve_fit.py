@@ -67,6 +67,22 @@ def test_jacobian_against_differences() -> None:
         assert jacobian[:, k] == pytest.approx(difference, rel=1e-6, abs=1e-6 * np.ptp(difference))
 
 
+def test_shapes_are_checked_once() -> None:
+    class Flat(Pacejka):
+        def predict(self, thetas: object, *inputs: object) -> object:
+            return super().predict(thetas, *inputs)[0]
+
+    class Turned(Pacejka):
+        def jacobian(self, theta: object, *inputs: object) -> object:
+            return super().jacobian(theta, *inputs).T
+
+    p = problem()
+    with pytest.raises(ValueError, match=r"Flat.predict gives shape \(211,\); expected \(2, 211\)"):
+        CurveFit(Flat(), p.dataset, SPACE)
+    with pytest.raises(ValueError, match=r"Turned.jacobian gives shape \(5, 211\)"):
+        CurveFit(Turned(), p.dataset, SPACE)
+
+
 def test_the_space_must_fit_the_model() -> None:
     p = problem()
     with pytest.raises(ValueError, match="needs B, C, D, Sx, Sy"):
