@@ -57,13 +57,13 @@ def draw_comparison(root: Path, output: Path) -> list[Path]:
         tables["claims"] = claims_table(runs, curves, MIHO)
     for name, table in tables.items():
         table.to_csv(output / f"{name}.csv", index=False)
-        text = f"{CAPTIONS[name]}\n\n{to_markdown(table)}"
+        text = f"{CAPTIONS[name]} Runs: {note}.\n\n{to_markdown(table)}"
         (output / f"{name}.md").write_text(text, encoding="utf-8")
         paths += [output / f"{name}.csv", output / f"{name}.md"]
     provenance = output / "provenance.json"
     provenance.write_text(json.dumps(_provenance(about, runs), indent=1) + "\n", encoding="utf-8")
     for name, table in tables.items():
-        print(f"{CAPTIONS[name]}\n\n{to_markdown(table)}")
+        print(f"{CAPTIONS[name]} Runs: {note}.\n\n{to_markdown(table)}")
     return [*paths, provenance]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -25,6 +26,7 @@ from miho.analysis.tidy import one_problem, shown_unit
 Points = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 WIDTH = 180 / 25.4
+CAPTION_WIDTH = 110  # characters of 8 pt text that fit into WIDTH
 AXIS_LABELS = {
     "seconds": "time [s]",
     "cpu_seconds": "processor time [s]",
@@ -117,8 +119,7 @@ def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
         right.set_title("the same over evaluations", loc="left")
         _plain_log_ticks(left)
         caption = "lines: mean over repetitions, bands: 10 to 90 %"
-        caption += f"; {note}" if note else ""
-        figure.supxlabel(caption, fontsize=8, color="#444444", x=0.01, ha="left")
+        _caption(figure, caption + (f"; {note}" if note else ""))
         if np.isfinite(irreducible):
             left.annotate(
                 f"irreducible ≈ {irreducible * factor:.2f} {shown}",
@@ -156,8 +157,7 @@ def fig4(
             plot_tires(samples, curves, ax, tires=tires, errors=errors or {})
             ax.set_title(f"{title} tires", loc="left")
         panels[1].set_ylabel("")
-        if note:
-            figure.supxlabel(note, fontsize=8, color="#444444", x=0.01, ha="left")
+        _caption(figure, note)
         figure.draw_without_rendering()
     return figure
 
@@ -201,6 +201,13 @@ def save(figure: Figure, path_without_suffix: str | Path) -> list[Path]:
             metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
             figure.savefig(path, dpi=200, metadata=metadata)
     return paths
+
+
+def _caption(figure: Figure, text: str) -> None:
+    """Small print below the panels, in as many lines as it needs."""
+    if text:
+        lines = textwrap.fill(text, CAPTION_WIDTH)
+        figure.supxlabel(lines, fontsize=8, color="#444444", x=0.01, ha="left")
 
 
 def _final_labels(runs: pd.DataFrame, factor: float) -> list[EndLabel]:

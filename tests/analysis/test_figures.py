@@ -44,7 +44,7 @@ def test_fig6_names_each_method_once_with_its_final_error_and_colour() -> None:
         label = [text for text in written if text.endswith(f"  {STYLES[str(method)].name}")]
         assert len(label) == 1
         assert float(label[0].split()[0]) == pytest.approx(errors.mean() / 1e3, rel=0.01, abs=5e-3)
-    assert any(text.endswith("; reduced size: R = 625") for text in written)
+    assert any("R = 625" in text for text in written)
     assert "irreducible ≈ 0.39 kN" in written
 
 
@@ -61,6 +61,17 @@ def test_fig6_labels_neither_overlap_nor_leave_the_page() -> None:
         assert below.y1 <= above.y0 + 1
     assert max(box.x1 for box in boxes) <= figure.bbox.x1
     assert all(float(label.get_fontsize()) >= 8 for label in labels)
+
+
+def test_a_long_caption_stays_on_the_page() -> None:
+    note = "R = 2000, 5 repetitions, at most 4 s per run, " * 4
+    figure = fig6(*like_fig6(3), note=note)
+    figure.draw_without_rendering()
+    (caption,) = (t for t in figure.findobj(Text) if "repetitions, at most" in t.get_text())
+    box = caption.get_window_extent()
+    assert box.x1 <= figure.bbox.x1
+    assert box.y0 >= figure.bbox.y0
+    assert all(box.y1 < ax.get_tightbbox().y0 + 1 for ax in figure.axes)
 
 
 def test_fig6_says_when_a_mean_is_undefined() -> None:
