@@ -24,15 +24,15 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
     """A bar that fills with the budget and shows the best error; silent if not on a terminal."""
     in_seconds = budget.evaluations is None and budget.seconds is not None
     total = budget.seconds if in_seconds else budget.evaluations
-    layout = "{desc} {percentage:3.0f}% |{bar}| {postfix}" if total else "{desc} {postfix}"
+    layout = "{percentage:3.0f}% |{bar}| {desc}" if total else "{desc}"
     with tqdm(total=total, desc=title, leave=False, disable=None, bar_format=layout) as bar:
 
         def observe(oracle: Oracle) -> None:
             spent = oracle.meter.seconds if in_seconds else oracle.evaluations
             bar.n = min(spent, total) if total else spent
             error = math.sqrt(max(0.0, oracle.best))
-            bar.set_postfix_str(
-                f"{error:.5g} {unit}, {oracle.evaluations:,.0f} evaluations, "
+            bar.set_description_str(
+                f"{title}: {error:.5g} {unit}, {oracle.evaluations:,.0f} evaluations, "
                 f"{oracle.meter.seconds:.1f} s"
             )
 
