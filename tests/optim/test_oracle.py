@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from miho import Budget, LeastSquaresProblem, Oracle, Parameter, Problem, Space
-from miho.optim import BudgetExhausted, Clock, RunInterrupted, UnusableValueError
+from miho.optim import BudgetExhausted, Clock, Meter, RunInterrupted, Trace, UnusableValueError
 
 Array = NDArray[np.float64]
 SPACE = Space((Parameter("x", "m", -10.0, 10.0),))
@@ -72,6 +72,25 @@ def test_the_clock_stops_while_recording_and_observing() -> None:
     watch.now += 5
     oracle.stop()
     assert oracle.meter.seconds == 8
+
+
+def test_a_slow_record_costs_the_method_nothing() -> None:
+    watch = Watch()
+
+    class SlowTrace(Trace):
+        def add(self, *row: Any) -> None:
+            super().add(*row)
+            watch.now += 1000
+
+    oracle = Oracle(
+        Given(watch=watch), Budget(), clock=watch.clock(), meter=Meter(trace=SlowTrace())
+    )
+    for x in (3, 2, 1):
+        oracle(column(x))
+    oracle.stop()
+    assert oracle.trace.seconds == [1, 2, 3]
+    assert oracle.meter.seconds == 3
+    assert oracle.meter.cpu_seconds == 1.5
 
 
 def test_the_budget_is_exact_in_the_middle_of_a_batch() -> None:
