@@ -206,6 +206,23 @@ def test_compare_writes_figure_tables_and_provenance(compare: Command, tmp_path:
     assert order[:8] == order[8:], "methods are interleaved inside a repetition"
 
 
+def test_a_failed_method_leaves_the_comparison_undrawn(
+    compare: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(*_: object) -> None:
+        raise RuntimeError("a bug in the method")
+
+    monkeypatch.setattr("miho.optim.random_search.RandomSearch.tell", broken)
+    monkeypatch.setattr(comparing, "failed", [])
+    small = ["experiment=compare", "comparison.repetitions=1", "budget.seconds=0.05"]
+    code, out, err = compare(*small, "dataset.n=100")
+    assert code == 3
+    assert "random seed 0: failed: RuntimeError: a bug in the method" in out
+    assert err.splitlines()[-1].startswith("1 runs are missing")
+    assert len(load_runs(tmp_path / "runs").runs) == 7
+    assert not (tmp_path / "runs" / "figures").exists()
+
+
 def test_fig4_of_four_identified_tires(
     identify: Command,
     tmp_path: Path,
