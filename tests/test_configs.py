@@ -15,13 +15,19 @@ NEEDS_A_FILE = {"csv", "tir"}
 register()
 
 
+def text(dataset: str) -> str:
+    return (CONF / "dataset" / f"{dataset}.yaml").read_text(encoding="utf-8")
+
+
 def options(group: str) -> list[str]:
     return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
 
 
 def test_the_groups_are_known() -> None:
     groups = {path.name for path in CONF.iterdir() if path.is_dir()}
-    assert groups == {"model", "dataset", "space", "optimizer", "budget", "experiment"}
+    assert groups == {
+        "model", "dataset", "space", "optimizer", "budget", "experiment", "vehicle",
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("optimizer", options("optimizer"))
@@ -40,7 +46,8 @@ def test_datasets(
         monkeypatch.setenv("MIHO_DATA_DIR", str(request.getfixturevalue("reference_data")))
     experiment = build(composed([f"dataset={dataset}"]))
     assert experiment.problem.dataset.name == dataset
-    assert len(experiment.problem.dataset) == (300 if dataset.startswith("seong") else 3000)
+    if dataset.startswith(("seong", "tire")):
+        assert len(experiment.problem.dataset) == (300 if dataset.startswith("seong") else 3000)
     record = minimize(experiment.optimizer, experiment.problem, Budget(evaluations=50))
     assert record.theta is not None
 
@@ -57,8 +64,13 @@ def test_a_file_of_your_own(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("space", options("space"))
 def test_spaces(space: str) -> None:
-    experiment = build(composed([f"space={space}"]))
-    assert experiment.problem.space.names == ("B", "C", "D", "Sx", "Sy")
+    """Each space belongs to the model of the same name, or to the tire model."""
+    model = space if space in options("model") else "pacejka"
+    needs = [name for name in options("dataset") if f"/space: {space}\n" in text(name)]
+    overrides = [f"model={model}", f"space={space}"]
+    ready = [name for name in needs if name not in NEEDS_A_FILE and not name.startswith("seong")]
+    experiment = build(composed([*overrides, *(f"dataset={name}" for name in ready[:1])]))
+    assert experiment.problem.space.names == tuple(experiment.problem.model.parameters)
 
 
 @pytest.mark.parametrize("budget", options("budget"))

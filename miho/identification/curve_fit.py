@@ -66,7 +66,12 @@ class CurveFit(LeastSquaresProblem):
     @property
     def name(self) -> str:  # type: ignore[override]
         """Model and dataset."""
-        return f"{type(self.model).__name__.lower()}-{self.dataset.name}"
+        return f"{self.model.name or type(self.model).__name__.lower()}-{self.dataset.name}"
+
+    @property
+    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The parameters in which the residuals are linear."""
+        return self.model.linear
 
     @property
     def unit(self) -> str:

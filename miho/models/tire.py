@@ -27,6 +27,7 @@ class Pacejka(Model):
     inputs = MappingProxyType({"alpha": "rad"})
     parameters = MappingProxyType({"B": "1/rad", "C": "-", "D": "N", "Sx": "rad", "Sy": "N"})
     output = "N"
+    linear = ("D", "Sy")
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Lateral force [N], (n, N)."""

@@ -35,10 +35,12 @@ class LeastSquaresProblem(Problem):
     """A problem whose loss is the mean of squared residuals, with derivatives of the residuals.
 
     `jacobian_cost` is what one Jacobian costs in evaluations; a problem without it pays the
-    number of parameters, as finite differences would.
+    number of parameters, as finite differences would. `linear` names the parameters in which the
+    residuals are linear when all others are held.
     """
 
     jacobian_cost: int | None = None
+    linear: tuple[str, ...] = ()
 
     @abstractmethod
     def residuals(self, theta: Array) -> Array:
