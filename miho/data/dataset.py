@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,18 +21,30 @@ def file_name(path: str | os.PathLike[str]) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]", "_", Path(path).stem)
 
 
+def number_pair(value: object, what: str) -> tuple[float, float]:
+    """`value` as (low, high), if it is two finite numbers, the lower first."""
+    if isinstance(value, Sequence) and not isinstance(value, str) and len(value) == 2:
+        low, high = value
+        numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in value)
+        if numbers and -math.inf < low <= high < math.inf:
+            return float(low), float(high)
+    raise ValueError(f"{what} is {value!r}; give two finite numbers, the lower first")
+
+
 @dataclass(frozen=True, eq=False)
 class Dataset:
     """Columns of equal length (N,), float64, SI units and radians, ISO-W signs for tires.
 
     `columns` holds the inputs of the model, the conditions under which they were taken and the
     output; `units` names the unit of each. Columns are read-only: nobody edits shared data.
+    `held_out` has rows that no fit sees, of the same columns and units, to validate with.
     """
 
     name: str
     columns: Mapping[str, Array]
     units: Mapping[str, str]
     output: str
+    held_out: Dataset | None = None
 
     def __post_init__(self) -> None:
         columns = {}
@@ -59,6 +72,16 @@ class Dataset:
             raise ValueError(
                 f"dataset {self.name}: every column needs a unit; got {dict(self.units)}"
             )
+        if self.held_out is not None:
+            other = self.held_out
+            if (set(other.columns), dict(other.units), other.output, other.held_out) != (
+                set(columns), dict(self.units), self.output, None,
+            ):  # fmt: skip
+                raise ValueError(
+                    f"dataset {self.name}: held_out must have the same columns, units and output, "
+                    f"and hold out nothing itself; it has {dict(other.units)}, output "
+                    f"{other.output!r}"
+                )
         object.__setattr__(self, "columns", columns)
 
     def __len__(self) -> int:
@@ -73,11 +96,49 @@ class Dataset:
                 f"dataset {self.name}: no column {column!r}; columns are {', '.join(self.columns)}"
             ) from None
 
+    def select(self, rows: NDArray[np.bool_]) -> Dataset:
+        """The rows that are True in a mask (N,), under the same name; `held_out` stays."""
+        rows = np.asarray(rows)
+        if rows.dtype != bool or rows.shape != (len(self),):
+            raise ValueError(
+                f"dataset {self.name}: rows are chosen by {len(self)} truth values; got "
+                f"{rows.dtype} of shape {rows.shape}"
+            )
+        return replace(self, columns={key: column[rows] for key, column in self.columns.items()})
+
+    def hold_out(self, ranges: Mapping[str, Sequence[float]]) -> Dataset:
+        """The same data with `held_out` set to the rows that lie in all of these ranges.
+
+        `ranges` maps columns to (from, to), both included, in the column's unit.
+        """
+        if self.held_out is not None or not ranges:
+            raise ValueError(
+                f"dataset {self.name}: "
+                + ("rows are held out already" if ranges else "no column to hold out by")
+                + "; name columns and ranges once, such as {Fz: [3900, 4100]}"
+            )
+        inside = np.ones(len(self), dtype=bool)
+        for key, bounds in ranges.items():
+            low, high = number_pair(bounds, f"held_out of {key}")
+            inside &= (self[key] >= low) & (self[key] <= high)
+        if inside.all() or not inside.any():
+            told = ", ".join(f"{key} in [{low:g}, {high:g}]" for key, (low, high) in ranges.items())
+            spans = ", ".join(
+                f"{key} from {self[key].min():g} to {self[key].max():g}" for key in ranges
+            )
+            raise ValueError(
+                f"dataset {self.name}: {'every' if inside.any() else 'no'} row has {told}; hold "
+                f"out a part of the data, which has {spans}"
+            )
+        return replace(self.select(~inside), held_out=self.select(inside))
+
     @property
     def digest(self) -> str:
-        """SHA-256 over names, units and the bytes of every column: the identity of the data."""
+        """SHA-256 over names, units and bytes of every column, held-out rows too: the identity."""
         digest = hashlib.sha256(self.output.encode())
         for key in sorted(self.columns):
             digest.update(f"\0{key}\0{self.units[key]}\0".encode())
             digest.update(self.columns[key].astype("<f8").tobytes())
+        if self.held_out is not None:
+            digest.update(f"\0\0held out\0{self.held_out.digest}".encode())
         return digest.hexdigest()

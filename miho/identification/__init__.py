@@ -2,5 +2,12 @@
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.irreducible import irreducible_error
+from miho.identification.linear_optimum import linear_optimum
+from miho.identification.loss import Cauchy, Huber, Loss, Square
+from miho.identification.report import Report, make_report
+from miho.identification.uncertainty import Linearised, linearised
 
-__all__ = ["CurveFit", "irreducible_error"]
+__all__ = [
+    "Cauchy", "CurveFit", "Huber", "Linearised", "Loss", "Report", "Square", "irreducible_error",
+    "linear_optimum", "linearised", "make_report",
+]  # fmt: skip

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
+from miho.identification.loss import Loss, Square, slope
 from miho.models.model import Model
 from miho.optim.problem import LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
@@ -25,13 +26,16 @@ BLOCK = 50_000
 class CurveFit(LeastSquaresProblem):
     """Mean squared difference between model and data, in the output's unit squared.
 
-    The space must name the model's parameters in the model's order, and the units of space, data
-    and model must agree.
+    `rho` is the loss of one residual: the square of the paper's Eq. 5, or one that outliers cannot
+    dominate; `residuals` and `jacobian` are then of the transformed residuals, whose mean square
+    is the loss, and `errors` are the differences themselves. The space must name the model's
+    parameters in the model's order, and the units of space, data and model must agree.
     """
 
     model: Model
     dataset: Dataset
     space: Space
+    rho: Loss = Square()
 
     def __post_init__(self) -> None:
         model, dataset = self.model, self.dataset
@@ -40,7 +44,7 @@ class CurveFit(LeastSquaresProblem):
                 f"the space has parameters {', '.join(self.space.names)}; model "
                 f"{type(model).__name__} needs {', '.join(model.parameters)}"
             )
-        _ = self._inputs
+        _ = self.inputs
         found = {f"parameter {p.name!r} of the space": p.unit for p in self.space.parameters}
         found |= {
             f"column {name!r} of {dataset.name}": dataset.units[name] for name in model.inputs
@@ -54,8 +58,8 @@ class CurveFit(LeastSquaresProblem):
                 )
         thetas, rows = self.space.decode(self.space.initial(2)), len(dataset)
         shapes = {
-            "predict": (model.predict(thetas, *self._inputs).shape, (2, rows)),
-            "jacobian": (model.jacobian(thetas[0], *self._inputs).shape, (rows, len(self.space))),
+            "predict": (model.predict(thetas, *self.inputs).shape, (2, rows)),
+            "jacobian": (model.jacobian(thetas[0], *self.inputs).shape, (rows, len(self.space))),
         }
         for method, (found_shape, shape) in shapes.items():
             if found_shape != shape:
@@ -66,12 +70,17 @@ class CurveFit(LeastSquaresProblem):
     @property
     def name(self) -> str:  # type: ignore[override]
         """Model and dataset."""
-        return f"{self.model.name or type(self.model).__name__.lower()}-{self.dataset.name}"
+        name = f"{self.model.name or type(self.model).__name__.lower()}-{self.dataset.name}"
+        return name if self._square else f"{name}-{type(self.rho).__name__.lower()}"
+
+    @property
+    def _square(self) -> bool:
+        return isinstance(self.rho, Square)
 
     @property
     def linear(self) -> tuple[str, ...]:  # type: ignore[override]
         """The parameters in which the residuals are linear."""
-        return self.model.linear
+        return self.model.linear if self._square else ()
 
     @property
     def unit(self) -> str:
@@ -79,7 +88,8 @@ class CurveFit(LeastSquaresProblem):
         return self.dataset.units[self.dataset.output]
 
     @cached_property
-    def _inputs(self) -> tuple[Array, ...]:
+    def inputs(self) -> tuple[Array, ...]:
+        """The model's input columns, (N,) each."""
         return tuple(self.dataset[column] for column in self.model.inputs)
 
     @cached_property
@@ -93,7 +103,7 @@ class CurveFit(LeastSquaresProblem):
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Mean squared error (n,) of parameter rows (n, d), over a fidelity of the data rows."""
-        inputs, output = self._inputs, self._output
+        inputs, output = self.inputs, self._output
         if fidelity < 1:
             rows = self._order[: math.ceil(fidelity * output.size)]
             inputs, output = tuple(column[rows] for column in inputs), output[rows]
@@ -109,14 +119,21 @@ class CurveFit(LeastSquaresProblem):
     def _block_loss(self, thetas: Array, inputs: tuple[Array, ...], output: Array) -> Array:
         residuals = self.model.predict(thetas, *inputs)
         residuals -= output
-        return mean_square(residuals)
+        return mean_square(self.rho.transform(residuals))
+
+    def errors(self, theta: Array) -> Array:
+        """Model minus data, (N,)."""
+        errors = self.model.predict(theta[None], *self.inputs)[0]
+        errors -= self._output
+        return np.asarray(errors)
 
     def residuals(self, theta: Array) -> Array:
-        """Model minus data, (N,)."""
-        residuals = self.model.predict(theta[None], *self._inputs)[0]
-        residuals -= self._output
-        return np.asarray(residuals)
+        """Model minus data, transformed by rho, (N,)."""
+        return self.rho.transform(self.errors(theta))
 
     def jacobian(self, theta: Array) -> Array:
         """Derivatives of the residuals, (N, d)."""
-        return self.model.jacobian(theta, *self._inputs)
+        derivatives = self.model.jacobian(theta, *self.inputs)
+        if self._square:
+            return derivatives
+        return np.asarray(slope(self.rho, self.errors(theta))[:, None] * derivatives)

@@ -1,0 +1,96 @@
+"""One self-contained HTML page: text, tables and figures, no script, nothing loaded from outside."""
+
+from __future__ import annotations
+
+import base64
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+
+import pandas as pd
+from matplotlib.figure import Figure
+
+from miho.analysis.figures import house_style
+
+STYLE = """
+:root { color-scheme: light; }
+body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff;
+       max-width: 60rem; margin: 0 auto; padding: 1rem 1.25rem 4rem; }
+h1 { font-size: 1.6rem; line-height: 1.25; margin: 1rem 0 .25rem; }
+h2 { font-size: 1.15rem; margin: 2.25rem 0 .5rem; border-bottom: 1px solid #ccc; }
+p, li { max-width: 46rem; }
+.scroll { overflow-x: auto; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92rem; }
+caption { text-align: left; color: #555; padding: .25rem 0; caption-side: bottom; }
+th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #e4e4e4;
+         white-space: nowrap; }
+th { border-bottom: 1.5px solid #888; font-weight: 600; }
+th:first-child, td:first-child, td.text { text-align: left; }
+img { max-width: 100%; height: auto; }
+@media print { body { max-width: none; } h2 { break-after: avoid; } img, table { break-inside: avoid; } }
+"""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading with what stands below it, in this order; empty parts are left out."""
+
+    heading: str
+    sentences: Sequence[str] = ()
+    table: pd.DataFrame | None = None
+    figure: Figure | None = None
+    caption: str = ""
+
+
+def page(title: str, subtitle: str, sections: Sequence[Section]) -> str:
+    """The page's HTML. All text is escaped; table cells are written as they are in the frame."""
+    body = "\n".join(map(_section, sections))
+    return (
+        '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n"
+        f"<h1>{escape(title)}</h1>\n<p>{escape(subtitle)}</p>\n{body}\n</body>\n</html>\n"
+    )
+
+
+def _section(section: Section) -> str:
+    parts = [f"<h2>{escape(section.heading)}</h2>"]
+    if len(section.sentences) == 1:
+        parts.append(f"<p>{escape(section.sentences[0])}</p>")
+    elif section.sentences:
+        items = "".join(f"<li>{escape(sentence)}</li>" for sentence in section.sentences)
+        parts.append(f"<ul>{items}</ul>")
+    if section.table is not None and len(section.table):
+        parts.append(_table(section.table, section.caption))
+    if section.figure is not None:
+        alt = escape(section.caption or section.heading, quote=True)
+        parts.append(f'<img alt="{alt}" src="data:image/png;base64,{_png(section.figure)}">')
+        if section.table is None and section.caption:
+            parts.append(f"<p>{escape(section.caption)}</p>")
+    return "\n".join(parts)
+
+
+def _table(frame: pd.DataFrame, caption: str) -> str:
+    head = "".join(f'<th scope="col">{escape(str(name))}</th>' for name in frame.columns)
+    rows = []
+    for row in frame.itertuples(index=False):
+        cells = "".join(f"<td{_class(value)}>{escape(str(value))}</td>" for value in row)
+        rows.append(f"<tr>{cells}</tr>")
+    below = f"<caption>{escape(caption)}</caption>" if caption else ""
+    return (
+        f'<div class="scroll"><table>{below}<thead><tr>{head}</tr></thead>'
+        f"<tbody>{''.join(rows)}</tbody></table></div>"
+    )
+
+
+def _class(value: object) -> str:
+    letters = isinstance(value, str) and any(c.isalpha() for c in value.replace("inf", ""))
+    return ' class="text"' if letters else ""
+
+
+def _png(figure: Figure) -> str:
+    buffer = io.BytesIO()
+    with house_style():
+        figure.savefig(buffer, format="png", dpi=140)
+    return base64.b64encode(buffer.getvalue()).decode("ascii")

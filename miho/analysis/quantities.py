@@ -1,0 +1,40 @@
+"""Numbers as a reader wants them: as many digits as their uncertainty leaves, in a handy unit."""
+
+from __future__ import annotations
+
+import math
+
+KILO = 1e4
+"""Values from here on are written in thousands of their unit."""
+PREFIXED = ("N", "Pa")
+
+
+def scaled(value: float, unit: str) -> tuple[float, str]:
+    """The factor to multiply by and the unit it gives: N/rad becomes kN/rad for large values."""
+    if unit.startswith(PREFIXED) and math.isfinite(value) and abs(value) >= KILO:
+        return 1e-3, f"k{unit}"
+    return 1.0, unit
+
+
+def digits(error: float) -> int:
+    """Decimals that show two significant digits of an error; 6 if it is 0 or not finite."""
+    if not math.isfinite(error) or error <= 0:
+        return 6
+    return max(0, 1 - math.floor(math.log10(error)))
+
+
+def written(value: float, error: float) -> str:
+    """A value rounded to what its error leaves, "-" for NaN."""
+    if math.isnan(value):
+        return "-"
+    if not math.isfinite(error) or error <= 0 or math.isinf(value):
+        return f"{value:.6g}"
+    places = digits(error)
+    return f"{value:.{places}f}" if places < 12 else f"{value:.6g}"
+
+
+def interval(low: float, high: float, error: float) -> str:
+    """ "[low, high]" with the digits of the error; "-" if both ends are unknown."""
+    if math.isnan(low) and math.isnan(high):
+        return "-"
+    return f"[{written(low, error)}, {written(high, error)}]"

@@ -1,0 +1,123 @@
+"""Figures of one identification: the fit, what its errors follow, and its profiles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import seaborn as sns
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from miho.analysis.figures import WIDTH, house_style
+
+Array = NDArray[np.float64]
+
+BINS = 20
+PANELS = 3
+
+
+@dataclass(frozen=True)
+class Column:
+    """Values (N,) with what to write on their axis."""
+
+    name: str
+    unit: str
+    values: Array
+
+    @property
+    def label(self) -> str:
+        """Name and unit, as on an axis."""
+        return f"{self.name} [{self.unit}]"
+
+
+def fit_figure(
+    measured: Column, predicted: Array, x: Column | None, band: tuple[Array, Array, Array] | None
+) -> Figure:
+    """Data and fit: over the single input `x` with the curve's `band` (x, curve, half width).
+
+    Without `x`, measured over predicted values (N,), on which a perfect model is a diagonal.
+    """
+    with house_style():
+        figure = Figure(figsize=(WIDTH * 0.75, 3.0), layout="constrained")
+        ax = figure.subplots()
+        blue, red = sns.color_palette("colorblind")[0], sns.color_palette("colorblind")[3]
+        style = {"s": 4, "color": blue, "alpha": 0.3, "linewidths": 0, "rasterized": True}
+        if x is not None and band is not None:
+            ax.scatter(x.values, measured.values, label="data", **style)
+            at, curve, half = band
+            ax.fill_between(at, curve - half, curve + half, color=red, alpha=0.3, linewidth=0)
+            ax.plot(at, curve, color=red, linewidth=1.5, label="fit, with the curve's interval")
+            ax.set(xlabel=x.label, ylabel=measured.label)
+        else:
+            ax.scatter(predicted, measured.values, label="rows of data", **style)
+            ends = [min(predicted.min(), measured.values.min()),
+                    max(predicted.max(), measured.values.max())]  # fmt: skip
+            ax.plot(ends, ends, color=red, linewidth=1, label="prediction = measurement")
+            ax.set(xlabel=f"predicted {measured.label}", ylabel=f"measured {measured.label}")
+        ax.legend(loc="best")
+        figure.draw_without_rendering()
+    return figure
+
+
+def residual_figure(errors: Column, columns: Sequence[Column]) -> Figure:
+    """Errors (model minus data) over each column, with the mean of each of BINS groups of rows."""
+    with house_style():
+        rows = -(-len(columns) // PANELS)
+        width = WIDTH if len(columns) > 1 else WIDTH * 0.6
+        figure = Figure(figsize=(width, 2.3 * rows), layout="constrained")
+        panels = np.ravel(
+            figure.subplots(rows, min(PANELS, len(columns)), squeeze=False, sharey=True)
+        )
+        for ax, column in zip(panels, columns, strict=False):
+            plot_errors_over(errors, column, ax)
+        for ax in panels[len(columns) :]:
+            ax.remove()
+        for first in range(1, len(columns)):
+            if first % PANELS:
+                panels[first].set_ylabel("")
+        figure.draw_without_rendering()
+    return figure
+
+
+def plot_errors_over(errors: Column, column: Column, ax: Axes) -> Axes:
+    """Errors over one column as points, and the mean in groups of equally many rows."""
+    blue, red = sns.color_palette("colorblind")[0], sns.color_palette("colorblind")[3]
+    ax.scatter(column.values, errors.values, s=3, color=blue, alpha=0.2, linewidths=0,
+               rasterized=True)  # fmt: skip
+    order = np.argsort(column.values, kind="stable")
+    parts = [part for part in np.array_split(order, BINS) if part.size]
+    x = [column.values[part].mean() for part in parts]
+    y = [errors.values[part].mean() for part in parts]
+    ax.plot(x, y, color=red, marker="o", markersize=2.5, linewidth=1)
+    ax.axhline(0, color="#444444", linewidth=0.6)
+    ax.set(xlabel=column.label, ylabel=errors.label)
+    return ax
+
+
+def profile_figure(
+    profiles: Mapping[str, tuple[Array, Array]], units: Mapping[str, str], quantile: float
+) -> Figure:
+    """Signed root of the likelihood ratio over each parameter; straight lines: linear model.
+
+    `profiles` maps names to (values, tau); between the lines at +-`quantile` lies the interval.
+    """
+    with house_style():
+        rows = -(-len(profiles) // PANELS)
+        figure = Figure(figsize=(WIDTH, 1.9 * rows), layout="constrained")
+        panels = np.ravel(figure.subplots(rows, PANELS, squeeze=False, sharey=True))
+        blue = sns.color_palette("colorblind")[0]
+        for ax, (name, (values, tau)) in zip(panels, profiles.items(), strict=False):
+            ax.axhline(-quantile, color="#888888", linewidth=0.7, linestyle="--")
+            ax.axhline(quantile, color="#888888", linewidth=0.7, linestyle="--")
+            ax.plot(values, tau, color=blue, marker="o", markersize=2.5, linewidth=1.2)
+            ax.set(xlabel=f"{name} [{units[name]}]")
+            ax.locator_params(axis="x", nbins=4)
+        for ax in panels[len(profiles) :]:
+            ax.remove()
+        for ax in panels[: len(profiles) : PANELS]:
+            ax.set_ylabel("signed root")
+        figure.draw_without_rendering()
+    return figure

@@ -1,0 +1,134 @@
+"""What practitioners read off a fitted curve: cornering stiffness, peak and where it lies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.data.dataset import Dataset
+from miho.identification.uncertainty import Linearised
+from miho.models.model import Model
+
+Array = NDArray[np.float64]
+
+REACH = 1.5
+"""Peaks are looked for up to this many times the largest input in the data."""
+GRID = 601
+
+
+@dataclass(frozen=True)
+class Derived:
+    """A quantity computed from parameter rows (n, d): values (n,), NaN where there is none."""
+
+    name: str
+    unit: str
+    evaluate: Callable[[Array], Array]
+
+
+def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
+    """The derived quantities of a tire (N over alpha first) or a torque curve (Nm over omega).
+
+    Further inputs of the model are held at their median in the data. Other models have none.
+    """
+    first = next(iter(model.inputs))
+    if first == "alpha" and model.output == "N":
+        return _tire(model, dataset)
+    if first == "omega" and model.output == "Nm":
+        return _torque(model, dataset)
+    return ()
+
+
+def delta_method(quantity: Derived, at: Linearised) -> tuple[float, float]:
+    """Value and standard error of a derived quantity, to first order in the parameters."""
+    value = float(quantity.evaluate(at.theta[None])[0])
+    errors = at.standard_errors
+    if np.isinf(errors).any():
+        return value, np.inf
+    moving = np.isfinite(errors) & (errors > 0)
+    step = np.diag(1e-2 * errors)[moving]
+    high, low = (quantity.evaluate(at.theta + sign * step) for sign in (1, -1))
+    gradient = (high - low) / (2 * step.sum(axis=1))
+    variance = gradient @ at.covariance[np.ix_(moving, moving)] @ gradient
+    return value, float(np.sqrt(variance))
+
+
+def _at(model: Model, dataset: Dataset, values: Array) -> tuple[Array, ...]:
+    """Inputs that vary the first and hold the others at their median."""
+    others = list(model.inputs)[1:]
+    return (values, *(np.full(values.size, np.median(dataset[name])) for name in others))
+
+
+def _tire(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
+    reach = REACH * float(np.abs(dataset["alpha"]).max())
+    right, left = np.linspace(0, reach, GRID), np.linspace(-reach, 0, GRID)
+    h = 1e-4 * reach
+
+    def stiffness(thetas: Array) -> Array:
+        force = model.predict(thetas, *_at(model, dataset, np.array([-h, h])))
+        return np.asarray((force[:, 0] - force[:, 1]) / (2 * h))
+
+    def peak(side: Array, sign: int) -> Callable[[Array], tuple[Array, Array]]:
+        inputs = _at(model, dataset, side)
+        return lambda thetas: _peak(side, sign * model.predict(thetas, *inputs))
+
+    positive, negative = peak(right, -1), peak(left, 1)
+    quantities = [
+        Derived("cornering stiffness at zero slip", "N/rad", stiffness),
+        Derived("peak force, alpha > 0", "N", lambda thetas: -positive(thetas)[1]),
+        Derived("slip angle at peak, alpha > 0", "rad", lambda thetas: positive(thetas)[0]),
+        Derived("peak force, alpha < 0", "N", lambda thetas: negative(thetas)[1]),
+        Derived("slip angle at peak, alpha < 0", "rad", lambda thetas: negative(thetas)[0]),
+    ]
+    names = list(model.parameters)
+    if {"B", "C", "D"} <= set(names):
+        BCD = [names.index(name) for name in "BCD"]
+        product = Derived(
+            "cornering stiffness B C D (Eq. 14)",
+            "N/rad",
+            lambda thetas: np.asarray(thetas[:, BCD].prod(axis=1)),
+        )
+        quantities.insert(0, product)
+    if "Fz" in dataset.columns:
+        load = float(np.median(dataset["Fz"]))
+        quantities.append(
+            Derived(
+                f"peak friction at Fz = {load:.0f} N",
+                "-",
+                lambda thetas: (positive(thetas)[1] + negative(thetas)[1]) / (2 * load),
+            )
+        )
+    return tuple(quantities)
+
+
+def _torque(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
+    speed = np.linspace(dataset["omega"].min(), dataset["omega"].max(), GRID)
+
+    def peak(thetas: Array) -> tuple[Array, Array]:
+        return _peak(speed, model.predict(thetas, *_at(model, dataset, speed)))
+
+    return (
+        Derived("peak torque within the data", "Nm", lambda thetas: peak(thetas)[1]),
+        Derived("engine speed at peak torque", "rad/s", lambda thetas: peak(thetas)[0]),
+    )
+
+
+def _peak(x: Array, y: Array) -> tuple[Array, Array]:
+    """Where the rows y (n, G) over an even grid x (G,) are largest, and the value there, (n,).
+
+    A parabola through the three highest points; NaN for a row whose largest value is at an end.
+    """
+    top = y.argmax(axis=1)
+    inside = (top > 0) & (top < x.size - 1)
+    middle = np.clip(top, 1, x.size - 2)
+    rows = np.arange(len(y))
+    before, at, after = y[rows, middle - 1], y[rows, middle], y[rows, middle + 1]
+    bend = before - 2 * at + after
+    shift = np.divide(before - after, 2 * bend, out=np.zeros_like(bend), where=bend != 0)
+    height = at - (before - after) * shift / 4
+    return (
+        np.where(inside, x[middle] + shift * (x[1] - x[0]), np.nan),
+        np.where(inside, height, np.nan),
+    )

@@ -1,0 +1,99 @@
+"""The page is whole, escaped and self-contained; numbers keep the digits their errors leave."""
+
+import math
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.figure import Figure
+
+from miho.analysis.page import Section, page
+from miho.analysis.quantities import interval, scaled, written
+from miho.analysis.report_figures import Column, fit_figure, profile_figure, residual_figure
+
+x = np.linspace(-1, 1, 60)
+alpha = Column("alpha", "rad", x)
+force = Column("Fy", "N", -3 * x)
+
+
+class Checker(HTMLParser):
+    """Every tag that opens closes, in order."""
+
+    void = {"meta", "img"}
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.seen: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        self.seen.append(tag)
+        if tag not in self.void:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+def test_a_page_is_whole_and_loads_nothing() -> None:
+    table = pd.DataFrame({"name": ["<B>", "C & D"], "value": ["1.5", "-"]})
+    figure = fit_figure(force, force.values, alpha, (x, -3 * x, 0.1 + 0 * x))
+    sections = [
+        Section("Table", table=table, caption="a < b"),
+        Section("Words", ["one <script>", "two"]),
+        Section("Figure", figure=figure, caption="the fit"),
+        Section("Nothing", table=pd.DataFrame()),
+    ]
+    html = page("A <title>", "sub", sections)
+    checker = Checker()
+    checker.feed(html)
+    assert checker.open == []
+    assert {"table", "img", "caption", "li", "h2"} <= set(checker.seen)
+    assert "script" not in checker.seen
+    assert "&lt;B&gt;" in html
+    assert "C &amp; D" in html
+    assert not re.search(r"(src|href)=\"(?!data:)", html)
+    assert "http" not in html
+
+
+def test_figures_say_what_their_axes_are() -> None:
+    def labels(figure: Figure) -> list[str]:
+        return [text for ax in figure.axes for text in (ax.get_xlabel(), ax.get_ylabel())]
+
+    assert labels(fit_figure(force, -3 * x, alpha, (x, -3 * x, 0 * x))) == ["alpha [rad]", "Fy [N]"]
+    assert labels(fit_figure(force, -3 * x, None, None))[0] == "predicted Fy [N]"
+    errors = Column("error", "N", np.sin(9 * x))
+    columns = [alpha, Column("Fz", "N", x + 2), force, Column("gamma", "rad", x**2)]
+    residuals = residual_figure(errors, columns)
+    assert labels(residuals)[::2] == [column.label for column in columns]
+    assert "error [N]" in labels(residuals)
+    profiles = {name: (x, 2 * x) for name in "BCDE"}
+    assert labels(profile_figure(profiles, dict.fromkeys("BCDE", "-"), 1.96))[0] == "B [-]"
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "expected"),
+    [
+        (76719.1, 3038.8, "76719"),
+        (17.3501, 1.3240, "17.4"),
+        (0.0074003, 0.00083, "0.00740"),
+        (1.66506, 0.0607, "1.665"),
+        (3.0, math.nan, "3"),
+        (math.inf, 0.1, "inf"),
+        (math.nan, 0.1, "-"),
+    ],
+)
+def test_digits_follow_the_error(value: float, error: float, expected: str) -> None:
+    assert written(value, error) == expected
+
+
+def test_units_and_intervals() -> None:
+    assert scaled(76719.1, "N/rad") == (1e-3, "kN/rad")
+    assert scaled(300.0, "N") == (1.0, "N")
+    assert scaled(-2e6, "Pa") == (1e-3, "kPa")
+    assert scaled(math.nan, "N") == (1.0, "N")
+    assert interval(1.0, 2.0, 0.25) == "[1.00, 2.00]"
+    assert interval(math.nan, math.nan, 1.0) == "-"
+    assert interval(-math.inf, 2.0, 0.25) == "[-inf, 2.00]"

@@ -1,0 +1,74 @@
+"""Derived quantities in closed form, and their errors by simulation."""
+
+import numpy as np
+import pytest
+
+from miho.data import Dataset, sample_tir
+from miho.identification import CurveFit, linearised
+from miho.identification.derived import delta_method, derived
+from miho.identification.refit import refit
+from miho.models import Pacejka
+from miho.optim import Parameter, Space
+
+THETA = np.array([12.0, 1.7, 4000.0, -0.005, 150.0])
+SPACE = Space(
+    (
+        Parameter("B", "1/rad", 2, 40),
+        Parameter("C", "-", 1, 2.5),
+        Parameter("D", "N", 1000, 9000),
+        Parameter("Sx", "rad", -0.05, 0.05),
+        Parameter("Sy", "N", -900, 900),
+    )
+)
+
+
+def values(theta: np.ndarray = THETA) -> dict[str, float]:
+    found = derived(Pacejka(), sample_tir("lf", 500, 0))
+    return {quantity.name: float(quantity.evaluate(theta[None])[0]) for quantity in found}
+
+
+def test_a_tire_in_closed_form() -> None:
+    """Peaks are read from a grid with a parabola: 1e-4 of the slip, 1e-6 of the force."""
+    B, C, D, Sx, Sy = THETA
+    found = values()
+    z = B * Sx
+    slope = B * C * D * np.cos(C * np.arctan(z)) / (1 + z * z)  # from the derivative of Eq. 4
+    assert found["cornering stiffness B C D (Eq. 14)"] == pytest.approx(B * C * D)
+    assert found["cornering stiffness at zero slip"] == pytest.approx(slope, rel=1e-6)
+    peak = np.tan(np.pi / (2 * C)) / B
+    assert found["slip angle at peak, alpha > 0"] == pytest.approx(Sx + peak, rel=1e-4)
+    assert found["slip angle at peak, alpha < 0"] == pytest.approx(Sx - peak, rel=1e-4)
+    assert found["peak force, alpha > 0"] == pytest.approx(Sy - D, rel=1e-6)
+    assert found["peak force, alpha < 0"] == pytest.approx(Sy + D, rel=1e-6)
+    load = float(np.median(sample_tir("lf", 500, 0)["Fz"]))
+    assert found[f"peak friction at Fz = {load:.0f} N"] == pytest.approx(D / load, rel=1e-6)
+
+
+def test_a_curve_that_keeps_rising_has_no_peak() -> None:
+    found = values(np.array([3.0, 0.9, 4000.0, 0.0, 0.0]))
+    assert np.isnan(found["slip angle at peak, alpha > 0"])
+    assert np.isnan(found["peak force, alpha < 0"])
+
+
+def test_the_delta_method_agrees_with_repeated_experiments() -> None:
+    """300 data sets know a standard deviation to 4 %; the tolerance is four times that."""
+    rng = np.random.default_rng(0)
+    found, told = [], []
+    for _ in range(300):
+        alpha = rng.uniform(-0.2, 0.2, 200)
+        force = Pacejka().predict(THETA[None], alpha)[0] + 150 * rng.standard_normal(200)
+        units = {"alpha": "rad", "Fy": "N"}
+        data = Dataset("simulated", {"alpha": alpha, "Fy": force}, units, "Fy")
+        problem = CurveFit(Pacejka(), data, SPACE)
+        at = linearised(problem, refit(problem, THETA).theta)
+        rows = [delta_method(quantity, at) for quantity in derived(Pacejka(), data)]
+        found.append([value for value, _ in rows])
+        told.append([error for _, error in rows])
+    np.testing.assert_allclose(np.std(found, axis=0), np.mean(told, axis=0), rtol=0.16)
+
+
+def test_a_model_nobody_derives_anything_from() -> None:
+    from tests.identification.published import puromycin
+
+    problem = puromycin()
+    assert derived(problem.model, problem.dataset) == ()

@@ -1,0 +1,127 @@
+"""Standard errors and intervals against published figures and closed forms."""
+
+import numpy as np
+import pytest
+import scipy.optimize
+import scipy.stats
+
+from miho.identification import CurveFit, Huber, linearised
+from miho.identification.bootstrap import bootstrap, percentile_intervals
+from miho.identification.profile import profile
+from miho.identification.refit import refit
+from tests.identification.published import Line as LineModel
+from tests.identification.published import line, misra1a, problem, puromycin
+
+
+def straight_line(n: int = 40, b: tuple[float, float] = (-100, 100)) -> CurveFit:
+    rng = np.random.default_rng(3)
+    x = rng.uniform(0, 2, n)
+    return line(1 + 2 * x + 0.3 * rng.standard_normal(n), x, b=b)
+
+
+def test_nist_certified_standard_errors() -> None:
+    """Certified to eleven digits; our optimum is found to about 1e-8 of the parameters."""
+    fit = misra1a()
+    at = linearised(fit, refit(fit, np.array([250.0, 5e-4])).theta)
+    np.testing.assert_allclose(at.theta, [2.3894212918e02, 5.5015643181e-04], rtol=1e-7)
+    np.testing.assert_allclose(at.standard_errors, [2.7070075241e00, 7.2668688436e-06], rtol=1e-6)
+    assert at.noise == pytest.approx(1.0187876330e-01, rel=1e-8)
+    assert at.freedom == 12
+
+
+def test_profile_intervals_of_the_puromycin_example() -> None:
+    """R's confint on this fit, as printed in its documentation; ends found to 0.005 in tau."""
+    fit = puromycin()
+    at = linearised(fit, refit(fit, np.array([200.0, 0.1])).theta)
+    np.testing.assert_allclose(at.theta, [212.7, 0.06412], rtol=1e-3)
+    Vm, K = (profile(fit, at, i) for i in range(2))
+    assert (Vm.low, Vm.high) == pytest.approx((197.302, 229.290), rel=2e-4)
+    assert (K.low, K.high) == pytest.approx((0.046925, 0.086160), rel=2e-3)
+
+
+def test_linear_regression_in_closed_form() -> None:
+    fit = straight_line()
+    x, y = fit.dataset["x"], fit.dataset["y"]
+    known = scipy.stats.linregress(x, y)
+    at = linearised(fit, refit(fit, np.zeros(2)).theta)
+    np.testing.assert_allclose(at.theta, [known.intercept, known.slope], rtol=1e-8)
+    np.testing.assert_allclose(
+        at.standard_errors, [known.intercept_stderr, known.stderr], rtol=1e-8
+    )
+    X, e = np.stack([np.ones_like(x), x], axis=1), fit.errors(at.theta)
+    bread = np.linalg.inv(X.T @ X)
+    white = bread @ (X.T * e**2) @ X @ bread * x.size / (x.size - 2)
+    np.testing.assert_allclose(at.sandwich, white, rtol=1e-8)
+    for i in range(2):  # the profile of a linear model is the linearised interval
+        found = profile(fit, at, i)
+        np.testing.assert_allclose([found.low, found.high], at.intervals()[i], rtol=5e-3)
+
+
+def test_the_bootstrap_spreads_as_the_standard_error_does() -> None:
+    """400 replicates know a standard error to 4 %; three of those, plus the small sample's 5 %."""
+    fit = straight_line(200)
+    theta = refit(fit, np.zeros(2)).theta
+    replicates = bootstrap(fit, theta, 400, np.random.default_rng(0))
+    expected = np.sqrt(np.diag(linearised(fit, theta).sandwich))
+    np.testing.assert_allclose(replicates.std(axis=0), expected, rtol=0.17)
+    low, high = percentile_intervals(replicates).T
+    assert ((low < theta) & (theta < high)).all()
+    again = bootstrap(fit, theta, 2, np.random.default_rng(0))
+    np.testing.assert_array_equal(again, replicates[:2])
+
+
+def test_a_parameter_at_its_bound_is_held() -> None:
+    fit = straight_line(b=(-100, 1.5))
+    at = linearised(fit, refit(fit, np.zeros(2)).theta)
+    assert at.at_bound.tolist() == [False, True]
+    assert np.isnan(at.standard_errors[1])
+    e = fit.errors(at.theta)
+    expected = np.sqrt(e @ e / (e.size - 1) / e.size)  # the error of a mean
+    assert at.standard_errors[0] == pytest.approx(expected, rel=1e-8)
+
+
+def test_what_the_data_do_not_see_has_no_finite_error() -> None:
+    fit = line(np.array([1.0, 1.2, 0.9]), np.full(3, 2.0))
+    at = linearised(fit, np.array([1.0, 0.0]))
+    assert np.isinf(at.standard_errors).all()
+    assert at.unseen.shape == (1, 2)
+    assert np.isnan(at.correlation).all()
+
+
+def test_an_open_profile_is_infinite() -> None:
+    """Saturated data: only a lower bound on the rate of rise can be given."""
+    fit = misra1a()
+    x = fit.dataset["x"]
+    noise = 0.05 * np.cos(np.arange(x.size))
+    flat = problem(fit.model, x, 50.0 + noise, [(10, 1000), (1e-3, 1.0)])
+    at = linearised(flat, refit(flat, np.array([50.0, 0.08])).theta)
+    found = profile(flat, at, 1)
+    assert np.isinf(found.high)
+    assert np.isfinite(found.low)
+
+
+def test_uncertainty_needs_more_rows_than_parameters() -> None:
+    fit = line(np.array([1.0, 2.0]), np.array([0.0, 1.0]))
+    with pytest.raises(ValueError, match="2 rows for 2 parameters"):
+        linearised(fit, np.array([1.0, 1.0]))
+
+
+def test_the_robust_optimum_and_its_standard_error() -> None:
+    """The optimum is scipy's; the asymptotic error holds over 300 data sets to 4 standard errors
+    of a standard deviation, 4 / sqrt(2 * 300) = 16 %."""
+    rng = np.random.default_rng(0)
+    x = np.linspace(0, 1, 100)
+    found, told = [], []
+    for _ in range(300):
+        noise = 0.1 * rng.standard_normal(100)
+        noise[rng.random(100) < 0.1] *= 30
+        fit = line(1 + x + noise, x, Huber(0.13))
+        theta = refit(fit, np.ones(2)).theta
+        found.append(theta[1])
+        told.append(linearised(fit, theta).standard_errors[1])
+    scipys = scipy.optimize.least_squares(
+        lambda t: LineModel().predict(t[None], x)[0] - fit.dataset["y"],
+        np.ones(2), loss="huber", f_scale=0.13, xtol=1e-12, ftol=1e-12,
+    )  # fmt: skip
+    np.testing.assert_allclose(theta, scipys.x, rtol=1e-5)
+    assert np.std(found) == pytest.approx(np.mean(told), rel=0.16)

@@ -1,0 +1,94 @@
+"""parameters.json: what is written is read back, and use beyond the data is told."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from miho.models import Pacejka
+from miho.models.identified import (
+    Identified,
+    OutsideDataWarning,
+    ParametersError,
+    Value,
+    parameters_text,
+    read_parameters,
+)
+
+UNITS = dict(Pacejka.parameters)
+THETA = dict(zip(UNITS, [12.0, 1.7, 4000.0, -0.005, 150.0], strict=True))
+
+
+def identified(**changes: object) -> Identified:
+    settings: dict[str, object] = {
+        "model": Pacejka(),
+        "parameters": {
+            name: Value(value, UNITS[name], abs(value) / 100, value - 1, value + 1)
+            for name, value in THETA.items()
+        },
+        "correlation": np.eye(5),
+        "ranges": {"alpha": (-0.2, 0.25)},
+        "derived": {"peak": Value(4150.0, "N", math.inf, -math.inf, math.inf)},
+        "provenance": {"problem": "p", "seed": 0},
+    }
+    return Identified(**settings | changes)  # type: ignore[arg-type]
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "parameters.json"
+    path.write_text(parameters_text(identified(), {"_target_": "miho.models.Pacejka"}))
+    found = read_parameters(path, Pacejka())
+    assert found.parameters == identified().parameters
+    np.testing.assert_array_equal(found.correlation, np.eye(5))
+    assert found.ranges == {"alpha": (-0.2, 0.25)}
+    assert math.isnan(found.derived["peak"].standard_error)
+    assert found.provenance == {"problem": "p", "seed": 0}
+    alpha = np.linspace(-0.2, 0.25, 7)
+    expected = Pacejka().predict(np.array([list(THETA.values())]), alpha)[0]
+    np.testing.assert_array_equal(found.predict(alpha), expected)
+
+
+def test_use_beyond_the_data_is_told() -> None:
+    with pytest.warns(OutsideDataWarning, match=r"alpha from 0 to 0.3 rad leaves the data"):
+        identified().predict(np.array([0.0, 0.3]))
+    assert identified().outside(np.array([-0.2, 0.25])) == []
+
+
+def test_parameters_must_be_the_models() -> None:
+    with pytest.raises(ValueError, match="model Pacejka needs"):
+        identified(parameters={"B": Value(1.0, "1/rad")})
+    with pytest.raises(ValueError, match="expected each input"):
+        identified(ranges={})
+    with pytest.raises(ValueError, match="finite"):
+        Value(math.nan, "N")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d: d.update(format=9), "format 9"),
+        (lambda d: d.pop("parameters"), "not a parameters file"),
+        (lambda d: d["parameters"]["B"].update(value=None), "not a parameters file"),
+        (lambda d: d["parameters"]["B"].update(unit="N"), "not a parameters file"),
+        (lambda d: d["model"].update(name="Other"), "holds a Other"),
+        (lambda d: d.update(correlation=3), "not a parameters file"),
+    ],
+)
+def test_a_damaged_file_is_refused(tmp_path: Path, change: object, message: str) -> None:
+    document = json.loads(parameters_text(identified(), {}))
+    change(document)  # type: ignore[operator]
+    path = tmp_path / "parameters.json"
+    path.write_text(json.dumps(document))
+    with pytest.raises(ParametersError, match=message) as caught:
+        read_parameters(path, Pacejka())
+    assert str(path) in str(caught.value)
+
+
+def test_something_else_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "parameters.json"
+    for text in ("", "[]", "{", "\xff", "[" * 10_000):
+        path.write_text(text, encoding="latin-1")
+        with pytest.raises(ParametersError):
+            read_parameters(path, Pacejka())
