@@ -1,0 +1,177 @@
+"""Engine torque from a driving log: Eq. 6-7 with grade and rotating mass (Sec. III-B)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import binary_dilation, maximum_filter1d, minimum_filter1d
+
+from miho.data.dataset import Dataset
+from miho.data.driving_log import DrivingLog, load_driving_log
+from miho.models.longitudinal import Longitudinal
+from miho.models.vehicle_settings import from_settings
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+UNITS = {"omega": "rad/s", "throttle": "-", "torque": "Nm"}
+
+
+class TorqueSamples(NamedTuple):
+    """The samples that were kept, and how many each rule dropped.
+
+    A sample counts for the first rule that drops it, in the order of `dropped`.
+    """
+
+    dataset: Dataset
+    dropped: Mapping[str, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueRules:
+    """Which samples of a log say what a steady engine gives, in gear and with the brakes off.
+
+    The rules, in order, drop
+
+    ends        the first and last 1 / `cutoff` [s];
+    speed       vx below `min_speed` [m/s];
+    shift       no gear, or a change of gear within `window` [s];
+    clutch      within `window`, engine speed apart from that of the wheels by more than the part
+                `max_slip` of it: the clutch slips or the tires spin;
+    brake       within `window`, brake pressure above `max_brake` [Pa];
+    transient   throttle that moved by more than `tolerance` in the last `settle` [s] or will
+                within `window`: a turbocharged engine takes its time;
+    cornering   |v_x r| above `max_lateral` [m/s^2], where steered wheels drag; only if the log
+                has yaw_rate;
+    throttle    throttle apart by more than `tolerance` from the one asked for, if one is.
+
+    `cutoff` [Hz] is that of the low pass. `window` should cover 1 / cutoff: filters spread what
+    happens in a shift over its neighbours.
+    """
+
+    cutoff: float = 5.0
+    min_speed: float = 10.0
+    window: float = 0.3
+    settle: float = 0.5
+    tolerance: float = 0.02
+    max_slip: float = 0.05
+    max_brake: float = 5e4
+    max_lateral: float = 3.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value: object = getattr(self, field.name)
+            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+                raise ValueError(f"rules.{field.name} is {value!r}; expected a positive number")
+
+    def apply(
+        self, log: DrivingLog, car: Longitudinal, throttle: float | None = None
+    ) -> TorqueSamples:
+        """Columns omega [rad/s], throttle [-] and the output torque [Nm] of the engine.
+
+        The torque follows from ax (if it is not logged, the rate of vx), vx, gear and grade. The
+        channels must include vx, gear, engine_speed, throttle and brake. Raises ValueError, with
+        what each rule dropped, if nothing is left.
+        """
+        vx, omega = (log.filtered(channel, self.cutoff) for channel in ("vx", "engine_speed"))
+        pedal, gear = log["throttle"], log["gear"]
+        engaged = np.isin(gear, np.arange(1, len(car.gear_ratios) + 1))
+        gear = np.where(engaged, gear, 1.0)
+        shift = ~engaged
+        shift[1:] |= log["gear"][1:] != log["gear"][:-1]
+        slip = np.abs(omega - car.engine_speed(vx, gear)) > self.max_slip * np.abs(omega)
+        rules = {
+            "ends": ~log.away_from_ends(self.cutoff),
+            "speed": vx < self.min_speed,
+            "shift": self._nearby(shift, log.dt),
+            "clutch": self._nearby(slip & engaged, log.dt),
+            "brake": self._nearby(log["brake"] > self.max_brake, log.dt),
+            "transient": self._swing(pedal, log.dt) > self.tolerance,
+        }
+        if "yaw_rate" in log:
+            turning = np.abs(vx * log.filtered("yaw_rate", self.cutoff))
+            rules["cornering"] = turning > self.max_lateral
+        if throttle is not None:
+            rules["throttle"] = np.abs(pedal - throttle) > self.tolerance
+        kept = np.ones(len(log), dtype=bool)
+        dropped = {}
+        for rule, drops in rules.items():
+            dropped[rule] = int(np.count_nonzero(kept & drops))
+            kept &= ~drops
+        if not kept.any():
+            counts = ", ".join(f"{rule} {count}" for rule, count in dropped.items() if count)
+            raise ValueError(
+                f"log {log.name}: no sample of {len(log)} is left; dropped by {counts}; loosen "
+                "the rule that drops too many"
+            )
+        ax, grade = log.longitudinal_acceleration(self.cutoff), log.angle("grade", self.cutoff)
+        torque = car.engine_torque(ax, vx, gear, grade)
+        columns = {"omega": omega, "throttle": pedal, "torque": torque}
+        return TorqueSamples(
+            Dataset(
+                f"{log.name}_torque", {k: v[kept] for k, v in columns.items()}, UNITS, "torque"
+            ),
+            dropped,
+        )
+
+    def _nearby(self, events: Mask, dt: float) -> Mask:
+        """True within `window` of an event."""
+        around = np.ones(2 * round(self.window / dt) + 1, dtype=bool)
+        return np.asarray(binary_dilation(events, around))
+
+    def _swing(self, pedal: Array, dt: float) -> Array:
+        """Largest less smallest value from `settle` ago to `window` ahead."""
+        before, after = round(self.settle / dt), round(self.window / dt)
+        size = before + after + 1
+        origin = before - size // 2
+        high, low = (
+            extreme(pedal, size, origin=origin, mode="nearest")
+            for extreme in (maximum_filter1d, minimum_filter1d)
+        )
+        return np.asarray(high - low)
+
+
+def torque_samples(
+    log: DrivingLog, car: Longitudinal, throttle: float | None = None, **rules: float
+) -> Dataset:
+    """The dataset of `TorqueRules.apply`; `rules` are fields of `TorqueRules`."""
+    return _rules(rules).apply(log, car, throttle).dataset
+
+
+def load_torque_samples(
+    path: str,
+    columns: Sequence[str],
+    units: Sequence[str],
+    vehicle: Mapping[str, object],
+    headers: Sequence[str] | None = None,
+    flip: Sequence[str] = (),
+    delays: Mapping[str, float] | None = None,
+    accelerometer: bool = True,
+    start: float = 0.0,
+    end: float | None = None,
+    throttle: float | None = None,
+    rules: Mapping[str, float] | None = None,
+) -> Dataset:
+    """`torque_samples` of a log in a CSV file; `vehicle` names the fields of `Longitudinal`.
+
+    `rules` are fields of `TorqueRules`, `throttle` is that of its `apply`; the other settings are
+    those of `load_driving_log`.
+    """
+    car, chosen = from_settings(Longitudinal, vehicle), _rules(rules or {})
+    log = load_driving_log(
+        path, columns, units, headers, flip=flip, delays=delays, accelerometer=accelerometer,
+        start=start, end=end,
+    )  # fmt: skip
+    return chosen.apply(log, car, throttle).dataset
+
+
+def _rules(settings: Mapping[str, float]) -> TorqueRules:
+    known = [field.name for field in fields(TorqueRules)]
+    for name in settings:
+        if name not in known:
+            raise ValueError(f"rules.{name} is unknown; allowed are {', '.join(known)}")
+    return TorqueRules(**settings)

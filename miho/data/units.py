@@ -1,0 +1,105 @@
+"""Units at the edges: what data may be written in, and what that is in SI."""
+
+from __future__ import annotations
+
+from difflib import get_close_matches
+from math import pi
+from types import MappingProxyType
+from typing import NamedTuple
+
+from scipy import constants
+
+OWN = "own:"
+
+
+class Unit(NamedTuple):
+    """A unit as its SI unit (`name`) and the factor that takes a value there."""
+
+    name: str
+    factor: float
+
+
+_KILO, _MILLI = constants.kilo, constants.milli
+_TABLE: dict[str, dict[str, float]] = {
+    "-": {"-": 1.0, "1": 1.0, "%": 0.01},
+    "rad": {"rad": 1.0, "deg": constants.degree, "mrad": _MILLI},
+    "rad/s": {"rad/s": 1.0, "deg/s": constants.degree, "rpm": 2 * pi / constants.minute},
+    "1/rad": {"1/rad": 1.0, "1/deg": 1 / constants.degree},
+    "N": {"N": 1.0, "kN": _KILO, "daN": constants.deka, "lbf": constants.lbf, "kgf": constants.kgf},
+    "N/rad": {
+        "N/rad": 1.0, "N/deg": 1 / constants.degree, "kN/rad": _KILO,
+        "kN/deg": _KILO / constants.degree,
+    },
+    "Nm": {"Nm": 1.0, "kNm": _KILO, "lbf-ft": constants.lbf * constants.foot},
+    "Nm/rad": {"Nm/rad": 1.0, "Nm/deg": 1 / constants.degree},
+    "Pa": {
+        "Pa": 1.0, "kPa": _KILO, "MPa": constants.mega, "bar": constants.bar, "psi": constants.psi,
+    },
+    "s": {"s": 1.0, "ms": _MILLI, "min": constants.minute},
+    "1/s": {"1/s": 1.0, "Hz": 1.0},
+    "m": {
+        "m": 1.0, "mm": _MILLI, "cm": constants.centi, "km": _KILO, "in": constants.inch,
+        "ft": constants.foot,
+    },
+    "1/m": {"1/m": 1.0},
+    "m/s": {"m/s": 1.0, "km/h": constants.kmh, "mph": constants.mph, "ft/s": constants.foot},
+    "m/s^2": {"m/s^2": 1.0, "m/s2": 1.0, "g0": constants.g},
+    "N/m": {"N/m": 1.0, "N/mm": _KILO, "kN/m": _KILO},
+    "kg": {"kg": 1.0, "lb": constants.lb},
+    "kg m^2": {"kg m^2": 1.0, "kg m2": 1.0},
+    "V": {"V": 1.0, "mV": _MILLI},
+    "A": {"A": 1.0, "mA": _MILLI},
+    "W": {"W": 1.0, "kW": _KILO},
+    "K": {"K": 1.0},
+}  # fmt: skip
+
+UNITS = MappingProxyType(
+    {
+        spelling: Unit(name, factor)
+        for name, spellings in _TABLE.items()
+        for spelling, factor in spellings.items()
+    }
+)
+"""Every known spelling."""
+
+_OTHER_SPELLINGS = MappingProxyType(
+    {
+        "degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad",
+        "newton": "N", "newtons": "N", "lbs": "lbf", "n m": "Nm", "n*m": "Nm", "n-m": "Nm",
+        "ft-lb": "lbf-ft", "ft-lbf": "lbf-ft", "kph": "km/h", "kmh": "km/h", "g": "g0",
+        "1/min": "rpm", "percent": "%", "sec": "s", "m/s²": "m/s^2", "m/s/s": "m/s^2", "inch": "in",
+        "meter": "m", "metre": "m", "": "-", "none": "-", "none/unitless": "-",
+    }
+)  # fmt: skip
+
+
+def si(unit: str) -> Unit:
+    """The SI unit of `unit` and the factor to it: `si("deg")` is ("rad", 0.01745...).
+
+    Spellings are exact, because case matters: mN is not MN. A unit that is not in `UNITS` is
+    refused, with the spelling that was probably meant; one of your own model's, such as kmol, is
+    written "own:kmol" and stays as it is. Temperatures are differences: there is only K.
+    """
+    if not isinstance(unit, str):
+        raise ValueError(f"unit is {unit!r}; name it in quotes, such as 'N'")
+    if unit in UNITS:
+        return UNITS[unit]
+    own = unit.removeprefix(OWN)
+    if own != unit and own and own == own.strip() and own.isprintable():
+        if own in UNITS and UNITS[own] != Unit(own, 1.0):
+            raise ValueError(f"unit {unit!r} is known as {own!r}; write that, and it is converted")
+        return Unit(own, 1.0)
+    plain = unit.strip().casefold()
+    meant = [known for known in UNITS if known.casefold() == plain]
+    if plain in _OTHER_SPELLINGS:
+        meant.append(_OTHER_SPELLINGS[plain])
+    meant += get_close_matches(unit, UNITS, n=1)
+    if meant:
+        raise ValueError(
+            f"unit {unit!r} is unknown; did you mean {meant[0]!r}? (a unit of your own is "
+            f"written '{OWN}{own.strip() or 'kmol'}' and not converted)"
+        )
+    raise ValueError(
+        f"unit {unit!r} is unknown; known are {', '.join(UNITS)}; a unit of your own is written "
+        f"'{OWN}{own.strip() or 'kmol'}' and not converted"
+    )

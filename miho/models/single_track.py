@@ -1,0 +1,73 @@
+"""The single-track model: slip angles and lateral forces of the two axles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.constants import g
+
+Array = NDArray[np.float64]
+
+
+class Axles(NamedTuple):
+    """One array for the front axle and one for the rear."""
+
+    front: Array
+    rear: Array
+
+
+@dataclass(frozen=True, kw_only=True)
+class SingleTrack:
+    """A car whose wheels of an axle act as one, in ISO-W signs.
+
+        alpha_f = atan2(v_y + l_f r, v_x) - delta        m a_y = F_yf cos(delta) + F_yr
+        alpha_r = atan2(v_y - l_r r, v_x)               I_zz r' = l_f F_yf cos(delta) - l_r F_yr
+
+    x points forward, y to the left, z up; v_x, v_y [m/s] and a_y [m/s^2] are of the centre of
+    gravity, the yaw rate r [rad/s] and the steering angle delta of the road wheels [rad] are
+    positive to the left. In a left turn the slip angles are negative and the forces positive.
+    The driving force of the front wheels, their aligning torque and camber thrust are left out.
+
+    mass: m [kg]. lf, lr: from the centre of gravity to the front and rear axle [m]. Izz: yaw
+    inertia [kg m^2].
+    """
+
+    mass: float
+    lf: float
+    lr: float
+    Izz: float
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0 < value < np.inf:
+                raise ValueError(f"{field.name} is {value}; expected a positive number")
+
+    def slip_angles(
+        self, vx: ArrayLike, vy: ArrayLike, yaw_rate: ArrayLike, steering: ArrayLike
+    ) -> Axles:
+        """Slip angles [rad] of the axles; driving forward, vx > 0."""
+        vx, vy, yaw_rate = np.asarray(vx), np.asarray(vy), np.asarray(yaw_rate)
+        front = np.arctan2(vy + self.lf * yaw_rate, vx) - np.asarray(steering)
+        return Axles(front, np.asarray(np.arctan2(vy - self.lr * yaw_rate, vx)))
+
+    def axle_forces(
+        self,
+        ay: ArrayLike,
+        yaw_acceleration: ArrayLike,
+        steering: ArrayLike,
+        bank: ArrayLike = 0.0,
+    ) -> Axles:
+        """Lateral forces [N] of the axles, each in the frame of its wheels.
+
+        ay is v_y' + v_x r, along the road surface; bank [rad] is positive when the left side is
+        lower, as on a left-hand oval, where weight does a part m g sin(bank) of the work.
+        """
+        lateral = self.mass * (np.asarray(ay) - g * np.sin(bank))
+        moment = self.Izz * np.asarray(yaw_acceleration)
+        wheelbase = self.lf + self.lr
+        front = (self.lr * lateral + moment) / (wheelbase * np.cos(steering))
+        return Axles(np.asarray(front), np.asarray((self.lf * lateral - moment) / wheelbase))
