@@ -2,6 +2,7 @@
 
 python -m experiments.figures fig6   # error over time, and the claims table (after `compare`)
 python -m experiments.figures fig4   # the four learned tires (after `identify` on each of them)
+python -m experiments.figures fig5   # learned torque curves and the engine map (needs no runs)
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ import pandas as pd
 
 from experiments.build import ConfigError, instantiate
 from experiments.cli import guarded
-from miho.analysis import claims_table, fig4, fig6, results_table, save, to_markdown
+from experiments.engine import fig5_data, identify_engine
+from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save, to_markdown
 from miho.data import Dataset
 from miho.models import Model
 from miho.study import StoredRun, load_runs, read_run
@@ -124,12 +126,14 @@ def main() -> None:
         prog="python -m experiments.figures",
         description="Draw a figure of the paper from finished runs, as PNG and PDF.",
     )
-    parser.add_argument("name", choices=("fig4", "fig6"))
+    parser.add_argument("name", choices=("fig4", "fig5", "fig6"))
     parser.add_argument(
         "--root", type=Path, help="folder of runs (fig6: runs/compare; fig4: runs/identify)"
     )
     parser.add_argument("--output", type=Path, help="where to write (default: ROOT/figures)")
-    parser.add_argument("--optimizer", default="miho", help="fig4: whose runs (default: miho)")
+    parser.add_argument(
+        "--optimizer", default="miho", help="of fig4 and fig5 (default: miho)"
+    )
     arguments = parser.parse_args()
     root = arguments.root or Path("runs", "compare" if arguments.name == "fig6" else "identify")
     output = arguments.output or root / "figures"
@@ -137,6 +141,8 @@ def main() -> None:
     def job() -> None:
         if arguments.name == "fig6":
             paths = draw_comparison(root, output)
+        elif arguments.name == "fig5":
+            paths = save(fig5(**fig5_data(identify_engine(arguments.optimizer))), output / "fig5")
         else:
             paths = draw_tires(root, output, arguments.optimizer)
         print("\n".join(map(str, paths)))

@@ -1,11 +1,12 @@
 """Curves, statistics, claims and figures: functions of the tidy frames of runs and curves."""
 
 from miho.analysis.claims import claims_table
+from miho.analysis.engine_figures import fig5
 from miho.analysis.figures import fig4, fig6, plot_error_over, plot_tires, save
 from miho.analysis.markdown import to_markdown
 from miho.analysis.results import results_table
 
 __all__ = [
-    "claims_table", "fig4", "fig6", "plot_error_over", "plot_tires", "results_table", "save",
-    "to_markdown",
+    "claims_table", "fig4", "fig5", "fig6", "plot_error_over", "plot_tires", "results_table",
+    "save", "to_markdown",
 ]  # fmt: skip

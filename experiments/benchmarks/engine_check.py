@@ -1,0 +1,120 @@
+"""How well curves and map of the engine are identified, and where a cubic can be.
+
+    python -m experiments.benchmarks.engine_check [FOLDER]
+
+First the embedded data, whose truth is known: the three learned curves, and the map with and
+without them. Then, if there is a measured engine in the folder engine of FOLDER (else of
+MIHO_DATA_DIR, else of ../shared/data beside the checkout), what the best cubic leaves of it.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from experiments.engine import Engine, identify_engine, truth_error
+from miho.data.synthetic_engine import true_torque
+from miho.models import EngineMap, TorqueCubic
+from miho.models.engine import RPM
+
+Array = NDArray[np.float64]
+
+RANGES = ((1000, 7000), (3500, 7000))
+REGIONS = {"learned, 5 to 20 %": (0.05, 0.2), "0 to 30 %": (0.0, 0.3), "30 to 100 %": (0.3, 1.0)}
+
+
+def closed_form(omega: Array, torque: Array) -> tuple[Array, float]:
+    """Parameters (4,) of the least-squares cubic by QR, and its RMSE [Nm]."""
+    J = TorqueCubic().jacobian(np.zeros(4), omega)
+    Q, R = np.linalg.qr(J)
+    theta = np.linalg.solve(R, Q.T @ torque)
+    return theta, float(np.sqrt(np.mean((J @ theta - torque) ** 2)))
+
+
+def curves(engine: Engine) -> pd.DataFrame:
+    """A row per learned curve: errors [Nm], and how far from the closed form it is."""
+    rows = []
+    for throttle, curve in engine.curves.items():
+        omega, torque = engine.samples(throttle)
+        theta, best = closed_form(omega, torque)
+        error = float(np.sqrt(np.mean((curve.torque(omega) - torque) ** 2)))
+        rows.append(
+            {
+                "throttle [%]": 100 * throttle,
+                "samples": omega.size,
+                "from [rpm]": curve.valid[0] / RPM,
+                "to [rpm]": curve.valid[1] / RPM,
+                "RMSE": error,
+                "gap to closed form": error - best,
+                "largest parameter gap": float(np.abs(theta - curve.parameters).max()),
+                "RMSE against truth": truth_error(curve),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def maps(engine: Engine) -> pd.DataFrame:
+    """A row per map: RMSE against the truth by region, correction, order, inverse; all in Nm."""
+    speeds = np.linspace(1300, 6500, 261) * RPM
+    every = np.linspace(1000, 7000, 601) * RPM
+    openings = np.linspace(0, 1, 1001)[:, None]
+    rows = []
+    found: dict[str, EngineMap] = {"dyno": engine.trusted, "integrated": engine.integrated}
+    for name, table in found.items():
+        row: dict[str, object] = {"map": name}
+        for region, (low, high) in REGIONS.items():
+            throttle = np.linspace(low, high, 101)[:, None]
+            miss = table.torque(speeds, throttle) - true_torque(speeds, throttle)
+            row[region] = float(np.sqrt(np.mean(miss**2)))
+        row["correction"] = float(np.abs(table.correction).max())
+        row["least rise"] = float(np.diff(table.torque(every, openings), axis=0).min())
+        lowest, highest = table.limits(every)
+        wanted = lowest + (highest - lowest) * openings
+        inside = table.invertible(every, wanted)
+        row["inverse residual"] = float(table.throttle(every, wanted).residual[inside].max())
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def measured(path: Path) -> pd.DataFrame:
+    """RMSE [Nm] of the best cubic on a measured engine, a row per throttle, a column per range."""
+    data = pd.read_csv(path)
+    rpm = data["rpm"].to_numpy(dtype=float)
+    rows = []
+    for column in data.columns.drop("rpm"):
+        torque = data[column].to_numpy(dtype=float)
+        row: dict[str, object] = {"throttle [%]": column.rpartition("_")[2]}
+        for low, high in RANGES:
+            part = (low <= rpm) & (rpm <= high)
+            row[f"{low} to {high} rpm"] = closed_form(rpm[part] * RPM, torque[part])[1]
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def show(title: str, table: pd.DataFrame) -> None:
+    """Print one table."""
+    print(f"{title}\n\n{table.to_string(index=False, float_format='%.3g')}\n")
+
+
+def main() -> int:
+    """Print the tables."""
+    engine = identify_engine()
+    show("Learned curves, embedded drive [Nm]", curves(engine))
+    show("Maps against the true engine, 1300 to 6500 rpm [Nm]", maps(engine))
+    default = Path(__file__).parents[3] / "shared" / "data"
+    named = sys.argv[1] if len(sys.argv) > 1 else os.environ.get("MIHO_DATA_DIR", default)
+    files = sorted((Path(named) / "engine").glob("*.csv"))
+    for file in files:
+        show(f"What the best cubic leaves of {file.stem} [Nm]", measured(file))
+    if not files:
+        print(f"no measured engine in {named}; set MIHO_DATA_DIR to the folder of engine")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

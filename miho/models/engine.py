@@ -1,0 +1,108 @@
+"""Engine torque at one throttle opening: the cubic in the engine speed (Eq. 8)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite, pi
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.models.model import Model
+
+Array = NDArray[np.float64]
+
+RPM = pi / 30
+"""One revolution per minute in rad/s."""
+
+
+@dataclass(frozen=True)
+class TorqueCubic(Model):
+    """Engine torque T [Nm] over the engine speed omega [rad/s] at one throttle opening (Eq. 8).
+
+        T = p0 + p1 w + p2 w^2 + p3 w^3,   w = omega / omega_max
+
+    The paper normalises the speed by the engine's largest, so that all parameters are torques in
+    Nm and of like size; `omega_max` [rad/s] is that speed and belongs to the parameters. Engine
+    braking is negative. A cubic has no room for a turbo that spools up: fit it over speeds and
+    throttles where the curve is smooth, and say over which (`TorqueCurve`).
+    """
+
+    omega_max: float = 7000 * RPM
+
+    inputs = MappingProxyType({"omega": "rad/s"})
+    parameters = MappingProxyType({"p0": "Nm", "p1": "Nm", "p2": "Nm", "p3": "Nm"})
+    output = "Nm"
+    linear = ("p0", "p1", "p2", "p3")
+
+    def __post_init__(self) -> None:
+        if not 0 < self.omega_max < np.inf:
+            raise ValueError(
+                f"omega_max is {self.omega_max}; expected the engine's largest speed in rad/s, "
+                "above 0"
+            )
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        """Torque [Nm], (n, N)."""
+        (omega,) = inputs
+        w = omega / self.omega_max
+        p0, p1, p2, p3 = thetas.T[:, :, None]
+        T = p3 * w
+        for p in (p2, p1):
+            T += p
+            T *= w
+        T += p0
+        return np.asarray(T)
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Powers 0 to 3 of the normalised speed, (N, 4): the torque is linear in (p0, ..., p3)."""
+        (omega,) = inputs
+        return np.vander(omega / self.omega_max, theta.size, increasing=True)
+
+
+@dataclass(frozen=True)
+class TorqueCurve:
+    """A learned cubic with what it is valid for: one throttle opening and an interval of speed.
+
+    parameters: (p0, p1, p2, p3) [Nm] of `TorqueCubic` with this `omega_max` [rad/s]. throttle:
+    opening from 0 (closed) to 1. valid: lowest and highest engine speed [rad/s] of the data the
+    curve was learned from; a cubic runs away beyond them.
+    """
+
+    parameters: tuple[float, float, float, float]
+    omega_max: float
+    throttle: float
+    valid: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        if len(self.parameters) != 4 or not all(map(isfinite, self.parameters)):
+            raise ValueError(f"parameters are {self.parameters}; expected four finite torques [Nm]")
+        if not 0 <= self.throttle <= 1:
+            raise ValueError(f"throttle is {self.throttle}; expected an opening from 0 to 1")
+        low, high = self.valid
+        if not 0 <= low < high < np.inf:
+            raise ValueError(
+                f"valid is ({low}, {high}); expected two engine speeds in rad/s, the lower first"
+            )
+        TorqueCubic(self.omega_max)
+
+    def torque(self, omega: Array) -> Array:
+        """Torque [Nm] at engine speeds [rad/s] of any shape.
+
+        Raises ValueError for speeds outside the valid interval: what a cubic says there has no
+        data behind it, and silence would put it into a map.
+        """
+        omega = np.asarray(omega, dtype=float)
+        low, high = self.valid
+        outside = ~((low <= omega) & (omega <= high))
+        if outside.any():
+            raise ValueError(
+                f"{np.count_nonzero(outside)} of {omega.size} engine speeds, such as "
+                f"{omega[outside].flat[0]:.6g} rad/s, are outside the valid interval {low:.6g} to "
+                f"{high:.6g} rad/s of the curve at {100 * self.throttle:g} % throttle; clip them "
+                "or learn the curve from more speeds"
+            )
+        theta = np.array([self.parameters])
+        T = TorqueCubic(self.omega_max).predict(theta, omega.ravel())[0]
+        return np.asarray(T.reshape(omega.shape))
