@@ -1,0 +1,87 @@
+"""From a driving log to what identifies the brake: pressure, speed and deceleration."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from scipy.constants import g
+
+from miho.data.dataset import Dataset
+from miho.data.driving_log import DrivingLog, load_driving_log, low_pass
+
+UNITS = {"p": "Pa", "vx": "m/s", "deceleration": "m/s^2", "t": "s", "event": "-"}
+
+
+def braking_samples(
+    log: DrivingLog,
+    cutoff: float = 1.0,
+    min_pressure: float = 1.0e5,
+    min_speed: float = 10.0,
+    max_throttle: float = 0.01,
+    settle: float = 0.0,
+) -> Dataset:
+    """The braking phases of a log with vx, brake and throttle, for `BrakeDeceleration`.
+
+    A sample is braking where the pressure is above min_pressure [Pa], the speed above min_speed
+    [m/s] and the throttle at most max_throttle [-]; the first `settle` seconds of each phase are
+    left out. Deceleration is the falling of the speed, or -ax if ax is logged, less what a logged
+    grade explains. A logged ax may lag by a second or be a set value: compare it with the speed
+    before you name it.
+
+    Deceleration, pressure and squared speed pass the same `low_pass` of `cutoff` [Hz], so that a
+    law linear in them stays true of what is filtered, also where the pressure ramps.
+
+    Columns p [Pa], vx [m/s], the output deceleration [m/s^2], positive, t [s] and event [-],
+    which numbers the phases: samples of one phase share its errors and are far from independent.
+    """
+    if not settle >= 0:
+        raise ValueError(f"settle is {settle}; expected a number of seconds of at least 0")
+    t, pressure, vx = log["time"], log["brake"], log["vx"]
+    braking = (pressure > min_pressure) & (vx > min_speed) & (log["throttle"] <= max_throttle)
+    event = np.cumsum(braking & ~np.concatenate([[False], braking[:-1]]))
+    began = t[np.searchsorted(event, event)]
+    kept = braking & (t - began >= settle) & log.away_from_ends(cutoff)
+    if not kept.any():
+        raise ValueError(
+            f"log {log.name}: no sample of {len(log)} has brake above {min_pressure:g} Pa, vx "
+            f"above {min_speed:g} m/s and throttle of at most {max_throttle:g} for {settle:g} s; "
+            "check the units or widen the selection"
+        )
+    grade = g * np.sin(log.angle("grade", cutoff))
+    columns = {
+        "p": log.filtered("brake", cutoff),
+        "vx": np.sqrt(np.maximum(low_pass(vx * vx, log.dt, cutoff), 0.0)),
+        "deceleration": -log.longitudinal_acceleration(cutoff) - grade,
+        "t": t,
+        "event": event.astype(float),
+    }
+    kept_columns = {key: values[kept] for key, values in columns.items()}
+    return Dataset(f"{log.name}_braking", kept_columns, UNITS, "deceleration")
+
+
+def load_braking_samples(
+    path: str,
+    columns: Sequence[str],
+    units: Sequence[str],
+    headers: Sequence[str] | None = None,
+    flip: Sequence[str] = (),
+    delays: Mapping[str, float] | None = None,
+    accelerometer: bool = True,
+    start: float = 0.0,
+    end: float | None = None,
+    cutoff: float = 1.0,
+    min_pressure: float = 1.0e5,
+    min_speed: float = 10.0,
+    max_throttle: float = 0.01,
+    settle: float = 0.0,
+) -> Dataset:
+    """`braking_samples` of a log in a CSV file.
+
+    The other settings are those of `load_driving_log` and `braking_samples`.
+    """
+    log = load_driving_log(
+        path, columns, units, headers, flip=flip, delays=delays, accelerometer=accelerometer,
+        start=start, end=end,
+    )  # fmt: skip
+    return braking_samples(log, cutoff, min_pressure, min_speed, max_throttle, settle)

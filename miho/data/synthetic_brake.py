@@ -1,0 +1,144 @@
+"""A brake test of our own: pressure, torque, steps and deceleration of a brake that is known.
+
+The brake has the size of a Dallara AV-21's: up to 6000 kPa, bias between 0.54 and 0.60, and some
+2.0 N per kPa, as driving shows it (geometry alone would say 7 to 11). It stands for a brake test
+bench and a straight, so that what is identified can be compared with what is true.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.data.dataset import Dataset
+from miho.models.brake import Brake
+from miho.models.brake_dynamics import BrakeResponse
+
+Array = NDArray[np.float64]
+
+EMBEDDED_BRAKE = Brake(
+    u0=0.065, u1=0.93, P_max=6.0e6, n=1.35, bias=0.57,
+    K_front=3.6e-4, P0_front=6.0e4, K_rear=3.25e-4, P0_rear=5.0e4,
+    radius_front=0.298, radius_rear=0.310,
+    delay=0.047, tau_rise=0.120, tau_fall=0.075,
+)  # fmt: skip
+"""The brake under test."""
+
+MASS = 800.0
+"""Of the car [kg]."""
+DRAG = 0.5 * 1.2 * 0.79
+"""Half the air density times C_d A [N s^2/m^2]."""
+RESISTANCE = 1100.0
+"""Rolling resistance and engine drag, throttle closed [N]."""
+AXLES = ("front", "rear")
+
+
+def brake_pressure_test(
+    seed: int = 0, steps: int = 50, samples: int = 20, noise: float = 5.0e3
+) -> Dataset:
+    """A staircase of commands from 0 to 1 and back; samples of the settled pressure on each step.
+
+    Columns u [-], the output p [Pa] of the front circuit and p_rear [Pa]. noise: standard
+    deviation of either sensor [Pa]. The top steps are beyond u1, where the pressure is P_max.
+    """
+    rng = _rng("pressure", seed, steps=steps, samples=samples, noise=noise)
+    up = np.linspace(0.0, 1.0, steps + 1)
+    u = np.repeat(np.concatenate([up, up[-2::-1]]), samples)
+    front, rear = (p + noise * rng.standard_normal(u.size) for p in EMBEDDED_BRAKE.pressure(u))
+    columns = {"u": u, "p": front, "p_rear": rear}
+    return Dataset("brake_pressure", columns, {"u": "-", "p": "Pa", "p_rear": "Pa"}, "p")
+
+
+def brake_torque_test(
+    axle: str = "front", seed: int = 0, steps: int = 40, samples: int = 20, noise: float = 10.0
+) -> Dataset:
+    """Torque of an axle, front or rear, over the pressure in its circuit, at three speeds.
+
+    Columns p [Pa], vx [m/s] and the output T [Nm]; noise: standard deviation of T [Nm]. The
+    torque does not depend on the speed. The pressure goes from 0 to the circuit's largest.
+    """
+    if axle not in AXLES:
+        raise ValueError(f"axle is {axle!r}; choose from {', '.join(AXLES)}")
+    rng = _rng(f"torque {axle}", seed, steps=steps, samples=samples, noise=noise)
+    brake = EMBEDDED_BRAKE
+    largest = float(brake.pressure(1.0)[AXLES.index(axle)])
+    speeds = (20.0, 40.0, 60.0)
+    p = np.tile(np.repeat(np.linspace(0.0, largest, steps + 1), samples), len(speeds))
+    vx = np.repeat(speeds, p.size // len(speeds))
+    K = brake.K_front if axle == "front" else brake.K_rear
+    P0 = brake.P0_front if axle == "front" else brake.P0_rear
+    T = K * np.maximum(p - P0, 0.0) + noise * rng.standard_normal(p.size)
+    name = "brake_torque" if axle == "front" else "brake_torque_rear"
+    units = {"p": "Pa", "vx": "m/s", "T": "Nm"}
+    return Dataset(name, {"p": p, "vx": vx, "T": T}, units, "T")
+
+
+def brake_step_test(
+    seed: int = 0, steps: int = 40, rate: float = 100.0, noise: float = 1.5e4
+) -> Dataset:
+    """Steps of the command at random, up and down and to zero, with the pressure over time.
+
+    Columns t [s], u [-], the steady pressure target [Pa] that u commands and the output p [Pa]
+    of the front circuit. Each step is held between 0.3 and 0.8 s. rate: samples per second;
+    noise: standard deviation of the pressure [Pa].
+    """
+    rng = _rng("step", seed, steps=steps, rate=rate, noise=noise)
+    brake = EMBEDDED_BRAKE
+    level = np.where(rng.random(steps) < 0.3, 0.0, rng.uniform(0.1, 1.0, steps))
+    level[0] = 0.0
+    held = np.round(rate * rng.uniform(0.3, 0.8, steps)).astype(int)
+    u = np.repeat(level, np.maximum(held, 1))
+    t = np.arange(u.size) / rate
+    target = brake.pressure(u)[0]
+    theta = np.array([[brake.delay, brake.tau_rise, brake.tau_fall]])
+    p = BrakeResponse().predict(theta, t, target)[0] + noise * rng.standard_normal(u.size)
+    columns = {"t": t, "u": u, "target": target, "p": p}
+    units = {"t": "s", "u": "-", "target": "Pa", "p": "Pa"}
+    return Dataset("brake_step", columns, units, "p")
+
+
+def brake_deceleration_test(
+    seed: int = 0, samples: int = 20, duration: float = 1.0, noise: float = 0.15
+) -> Dataset:
+    """Braking from five speeds at six pressures: what a driving log shows of the brake.
+
+    Columns p [Pa] of the front circuit, vx [m/s] and the output deceleration [m/s^2], positive.
+    Each phase lasts `duration` [s], with the given samples; noise: standard deviation of the
+    deceleration [m/s^2]. All pressures are above those that lay on the pads.
+    """
+    rng = _rng("deceleration", seed, samples=samples, duration=duration, noise=noise)
+    since = np.linspace(0.0, duration, samples)
+    phases = [
+        (np.full(samples, pressure), _slow_down(speed, pressure, since))
+        for speed in (20.0, 30.0, 40.0, 50.0, 60.0)
+        for pressure in (0.25e6, 0.5e6, 1.0e6, 2.0e6, 3.5e6, 5.0e6)
+    ]
+    p, vx = (np.concatenate(column) for column in zip(*phases, strict=True))
+    deceleration = _deceleration(p, vx) + noise * rng.standard_normal(p.size)
+    columns = {"p": p, "vx": vx, "deceleration": deceleration}
+    units = {"p": "Pa", "vx": "m/s", "deceleration": "m/s^2"}
+    return Dataset("brake_deceleration", columns, units, "deceleration")
+
+
+def _slow_down(speed: float, pressure: float, since: Array) -> Array:
+    """Speed [m/s] at times since the brake was applied: dv/dt = -(a + b v^2), solved."""
+    a, b = _deceleration(np.array(pressure), np.array(0.0)), DRAG / MASS
+    root = np.sqrt(a / b)
+    return np.asarray(root * np.tan(np.arctan(speed / root) - np.sqrt(a * b) * since))
+
+
+def _deceleration(p: Array, vx: Array) -> Array:
+    return np.asarray((EMBEDDED_BRAKE.force_of_pressure(p) + DRAG * vx * vx + RESISTANCE) / MASS)
+
+
+def _rng(test: str, seed: int, **settings: float) -> np.random.Generator:
+    """A stream for each test and seed; raises ValueError for settings that make no test."""
+    if seed < 0:
+        raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
+    for name, value in settings.items():
+        least = {"steps": 2, "samples": 1, "noise": 0.0}.get(name)
+        if least is not None and not least <= value < np.inf:
+            raise ValueError(f"{name} is {value}; expected a number of at least {least}")
+        if least is None and not 0 < value < np.inf:
+            raise ValueError(f"{name} is {value}; expected a positive number")
+    return np.random.default_rng([seed, *test.encode()])

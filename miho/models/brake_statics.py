@@ -1,0 +1,115 @@
+"""The steady brake: pressure over command, torque over pressure, deceleration over pressure.
+
+The paper omits its brake model; this is the usual one of automated vehicles (Hedrick et al. 1997,
+Raza et al. 1997). Each model is identified on its own; `Brake` composes them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.models.model import Model
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class BrakePressure(Model):
+    """Steady pressure p [Pa] of a circuit over the brake command u [-].
+
+        p = P_max ((u - u0) / (u1 - u0))^n,   0 below u0, P_max above u1
+
+    u0 < u1 [-] are the commands at which pressure begins and ends to rise, n > 0 [-] bends the
+    curve. Data that stay below u1 cannot tell u1 from P_max: only P_max / (u1 - u0)^n is in them.
+    """
+
+    inputs = MappingProxyType({"u": "-"})
+    parameters = MappingProxyType({"u0": "-", "u1": "-", "P_max": "Pa", "n": "-"})
+    output = "Pa"
+    linear = ("P_max",)
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        """Pressure [Pa], (n, N)."""
+        (u,) = inputs
+        u0, u1, P_max, n = thetas.T[:, :, None]
+        return np.asarray(P_max * np.clip((u - u0) / (u1 - u0), 0.0, 1.0) ** n)
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Derivatives of the pressure with respect to (u0, u1, P_max, n), (N, 4).
+
+        At the two kinks, u = u0 and u = u1, they are those of the flat side.
+        """
+        (u,) = inputs
+        u0, u1, P_max, n = theta
+        span = u1 - u0
+        x = (u - u0) / span
+        J = np.zeros((u.size, 4))
+        J[x >= 1, 2] = 1.0
+        rising = (x > 0) & (x < 1)
+        x = x[rising]
+        share = x**n
+        slope = P_max * n * share / x / span
+        J[rising] = np.stack(
+            [slope * (x - 1), -slope * x, share, P_max * share * np.log(x)], axis=1
+        )
+        return J
+
+
+@dataclass(frozen=True)
+class BrakeTorque(Model):
+    """Brake torque T [Nm] of an axle, both wheels, over the pressure p [Pa] in its circuit.
+
+        T = K max(p - P0, 0)
+
+    K [Nm/Pa] holds pistons, pads, disc and friction; P0 [Pa] is what lays the pads on. T is
+    positive when it slows the wheels.
+    """
+
+    inputs = MappingProxyType({"p": "Pa"})
+    parameters = MappingProxyType({"K": "Nm/Pa", "P0": "Pa"})
+    output = "Nm"
+    linear = ("K",)
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        """Torque [Nm], (n, N)."""
+        (p,) = inputs
+        K, P0 = thetas.T[:, :, None]
+        return np.asarray(K * np.maximum(p - P0, 0.0))
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Derivatives of the torque with respect to (K, P0), (N, 2)."""
+        (p,) = inputs
+        K, P0 = theta
+        return np.stack([np.maximum(p - P0, 0.0), np.where(p > P0, -K, 0.0)], axis=1)
+
+
+@dataclass(frozen=True)
+class BrakeDeceleration(Model):
+    """Deceleration [m/s^2] of a braking car, -dvx/dt, positive when it slows down.
+
+        deceleration = c_p p + c_v vx^2 + c_0
+
+    c_p [m/s^2/Pa] times the mass is the brake force at the ground per pressure p [Pa]; c_v [1/m]
+    is drag; c_0 [m/s^2] is rolling resistance and engine drag, less what P0 takes. It holds with
+    the throttle closed, the pads on (p > P0) and on level ground.
+    """
+
+    inputs = MappingProxyType({"p": "Pa", "vx": "m/s"})
+    parameters = MappingProxyType({"c_p": "m/s^2/Pa", "c_v": "1/m", "c_0": "m/s^2"})
+    output = "m/s^2"
+    linear = ("c_p", "c_v", "c_0")
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        """Deceleration [m/s^2], (n, N)."""
+        p, vx = inputs
+        c_p, c_v, c_0 = thetas.T[:, :, None]
+        return np.asarray(c_p * p + c_v * (vx * vx) + c_0)
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Derivatives of the deceleration with respect to (c_p, c_v, c_0), (N, 3)."""
+        p, vx = inputs
+        return np.stack([p, vx * vx, np.ones_like(p)], axis=1)
