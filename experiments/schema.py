@@ -53,6 +53,7 @@ class Config:
     model: dict[str, Any] = MISSING
     dataset: dict[str, Any] = MISSING
     space: dict[str, ParameterConfig] = MISSING
+    loss: dict[str, Any] = MISSING
     optimizer: dict[str, Any] = MISSING
     budget: BudgetConfig = field(default_factory=BudgetConfig)
     seed: int = 0

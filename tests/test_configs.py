@@ -11,7 +11,7 @@ from experiments.schema import register
 from miho.optim import Budget, minimize
 
 CONF = Path(__file__).parent.parent / "conf"
-NEEDS_A_FILE = {"csv", "tir"}
+NEEDS_A_FILE = {"axle_log", "brake_log", "csv", "mat", "tir", "torque_log"}
 register()
 
 
@@ -26,7 +26,7 @@ def options(group: str) -> list[str]:
 def test_the_groups_are_known() -> None:
     groups = {path.name for path in CONF.iterdir() if path.is_dir()}
     assert groups == {
-        "model", "dataset", "space", "optimizer", "budget", "experiment", "vehicle",
+        "model", "dataset", "space", "loss", "optimizer", "budget", "experiment", "vehicle",
     }  # fmt: skip
 
 
@@ -71,6 +71,13 @@ def test_spaces(space: str) -> None:
     ready = [name for name in needs if name not in NEEDS_A_FILE and not name.startswith("seong")]
     experiment = build(composed([*overrides, *(f"dataset={name}" for name in ready[:1])]))
     assert experiment.problem.space.names == tuple(experiment.problem.model.parameters)
+
+
+@pytest.mark.parametrize("loss", options("loss"))
+def test_losses(loss: str) -> None:
+    scale = [] if loss == "square" else ["loss.scale=500"]
+    experiment = build(composed([f"loss={loss}", *scale]))
+    assert type(experiment.problem.rho).__name__.lower() == loss
 
 
 @pytest.mark.parametrize("budget", options("budget"))

@@ -2,9 +2,9 @@
 
 python -m experiments.benchmarks.coverage            # about 7 minutes
 
-Each data set has 300 slip angles, uniform within 0.3 rad, the force of Eq. 4 and normal noise: size,
-parameters and noise of the authors' sample data, tire A. Intervals are linearised and by profile
-likelihood on all sets, by bootstrap on the first ones.
+Each data set has 300 slip angles, uniform within 0.3 rad, the force of Eq. 4 and normal noise:
+size, parameters and noise of the authors' sample data, tire A. Intervals are linearised and by
+profile likelihood on all sets, by bootstrap on the first ones.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ Array = NDArray[np.float64]
 TRUTH = np.array([17.35, 1.665, 2655.7, -0.0074, 116.4])
 NOISE = 391.33
 ROWS = 300
+FEW = 100
 SPACE = Space(
     (
         Parameter("B", "1/rad", 2.0, 40.0),
@@ -62,20 +63,21 @@ def intervals(problem: CurveFit, replicates: int) -> dict[str, Array]:
     }
     if replicates:
         rng = stream("bootstrap", problem.dataset.digest)
-        found["bootstrap"] = percentile_intervals(bootstrap(problem, at.theta, replicates, rng))
+        drawn = bootstrap(problem, at.theta, replicates, rng)
+        found["bootstrap"] = percentile_intervals(drawn, ROWS, at.freedom)
     return found
 
 
 def coverage(sets: int, bootstrapped: int, replicates: int) -> pd.DataFrame:
     """Share of sets whose interval holds the truth, a row per kind and number of sets."""
-    hits: dict[str, list[Array]] = {}
+    hits: dict[str, list[NDArray[np.bool_]]] = {}
     for number in tqdm(range(sets), desc="data sets", disable=None):
         problem = synthetic(number)
         for kind, ends in intervals(problem, replicates * (number < bootstrapped)).items():
             hits.setdefault(kind, []).append((ends[:, 0] <= TRUTH) & (ends[:, 1] >= TRUTH))
     rows = []
     for kind, held in hits.items():
-        for n in sorted({min(bootstrapped, len(held)), len(held)}):
+        for n in sorted({min(FEW, len(held)), len(held)}):
             count = np.sum(held[:n], axis=0)
             row: dict[str, object] = {"interval": kind, "sets": n}
             for name, k in zip(SPACE.names, count, strict=True):

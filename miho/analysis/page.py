@@ -1,4 +1,4 @@
-"""One self-contained HTML page: text, tables and figures, no script, nothing loaded from outside."""
+"""One self-contained HTML page: text, tables and figures; no script, nothing loaded."""
 
 from __future__ import annotations
 
@@ -28,7 +28,8 @@ th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #e4e
 th { border-bottom: 1.5px solid #888; font-weight: 600; }
 th:first-child, td:first-child, td.text { text-align: left; }
 img { max-width: 100%; height: auto; }
-@media print { body { max-width: none; } h2 { break-after: avoid; } img, table { break-inside: avoid; } }
+@media print { body { max-width: none; } h2 { break-after: avoid; }
+               img, table { break-inside: avoid; } }
 """
 
 

@@ -33,6 +33,11 @@ def written(value: float, error: float) -> str:
     return f"{value:.{places}f}" if places < 12 else f"{value:.6g}"
 
 
+def with_error(value: float, error: float) -> str:
+    """ "value ± error", both with the digits the error leaves."""
+    return f"{written(value, error)} ± {written(error, error)}"
+
+
 def interval(low: float, high: float, error: float) -> str:
     """ "[low, high]" with the digits of the error; "-" if both ends are unknown."""
     if math.isnan(low) and math.isnan(high):

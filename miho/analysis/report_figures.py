@@ -19,6 +19,11 @@ BINS = 20
 PANELS = 3
 
 
+def _opacity(points: int) -> float:
+    """Few points stand out, many show their density."""
+    return float(np.clip(150 / points, 0.15, 0.7))
+
+
 @dataclass(frozen=True)
 class Column:
     """Values (N,) with what to write on their axis."""
@@ -44,7 +49,8 @@ def fit_figure(
         figure = Figure(figsize=(WIDTH * 0.75, 3.0), layout="constrained")
         ax = figure.subplots()
         blue, red = sns.color_palette("colorblind")[0], sns.color_palette("colorblind")[3]
-        style = {"s": 4, "color": blue, "alpha": 0.3, "linewidths": 0, "rasterized": True}
+        opacity = _opacity(len(measured.values))
+        style = {"s": 4, "color": blue, "alpha": opacity, "linewidths": 0, "rasterized": True}
         if x is not None and band is not None:
             ax.scatter(x.values, measured.values, label="data", **style)
             at, curve, half = band
@@ -85,8 +91,10 @@ def residual_figure(errors: Column, columns: Sequence[Column]) -> Figure:
 def plot_errors_over(errors: Column, column: Column, ax: Axes) -> Axes:
     """Errors over one column as points, and the mean in groups of equally many rows."""
     blue, red = sns.color_palette("colorblind")[0], sns.color_palette("colorblind")[3]
-    ax.scatter(column.values, errors.values, s=3, color=blue, alpha=0.2, linewidths=0,
-               rasterized=True)  # fmt: skip
+    opacity = _opacity(len(errors.values))
+    ax.scatter(
+        column.values, errors.values, s=3, color=blue, alpha=opacity, linewidths=0, rasterized=True
+    )
     order = np.argsort(column.values, kind="stable")
     parts = [part for part in np.array_split(order, BINS) if part.size]
     x = [column.values[part].mean() for part in parts]

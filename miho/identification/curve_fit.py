@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -35,7 +35,7 @@ class CurveFit(LeastSquaresProblem):
     model: Model
     dataset: Dataset
     space: Space
-    rho: Loss = Square()
+    rho: Loss = field(default_factory=Square)
 
     def __post_init__(self) -> None:
         model, dataset = self.model, self.dataset
@@ -104,7 +104,7 @@ class CurveFit(LeastSquaresProblem):
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Mean squared error (n,) of parameter rows (n, d), over a fidelity of the data rows."""
         inputs, output = self.inputs, self._output
-        if fidelity < 1:
+        if fidelity < 1 and not self.model.ordered:
             rows = self._order[: math.ceil(fidelity * output.size)]
             inputs, output = tuple(column[rows] for column in inputs), output[rows]
         block = max(1, BLOCK // output.size)

@@ -19,6 +19,8 @@ LOPSIDED = 0.2
 """An end of a profile this far from the linearised one, as a fraction of the interval's half."""
 UNEVEN = 0.25
 """A sandwich standard error this far from the usual one, as a fraction of it."""
+RESEMBLING = 0.1
+"""Correlation of neighbouring rows' errors from which on they are not independent."""
 NEAR_OPTIMUM = 0.1
 """A run that stopped within this many standard errors of the optimum has found it."""
 
@@ -53,15 +55,15 @@ def identifiability(at: Linearised, space: Space, level: float) -> list[str]:
     for _, one, other, r in sorted(pairs, reverse=True):
         how = "a larger one with a smaller other" if r < 0 else "both larger or both smaller"
         sentences.append(
-            f"{names[one]} and {names[other]} are hard to tell apart: their correlation is {r:.2f}, "
-            f"{how} fits almost as well. Trust what they make together more than either."
+            f"{names[one]} and {names[other]} are hard to tell apart: their correlation is "
+            f"{r:.2f}, {how} fits almost as well. Trust what they make together more than either."
         )
     reach = at.quantile(level)
-    for i in np.flatnonzero(np.isfinite(errors)):
-        if errors[i] * reach >= abs(theta[i]):
-            sentences.append(
-                f"{names[i]} cannot be told from 0: its {100 * level:g} % interval contains it."
-            )
+    sentences += [
+        f"{names[i]} cannot be told from 0: its {100 * level:g} % interval contains it."
+        for i in np.flatnonzero(np.isfinite(errors))
+        if errors[i] * reach >= abs(theta[i])
+    ]
     return sentences
 
 
@@ -105,6 +107,21 @@ def trustworthiness(
             f"differ for {_listed(uneven)}. Prefer the bootstrap."
         )
     return sentences
+
+
+def independence(errors: Array) -> list[str]:
+    """A sentence if the errors (N,) of neighbouring rows resemble each other."""
+    centred = errors - errors.mean()
+    total = float(centred @ centred)
+    r = float(centred[1:] @ centred[:-1]) / total if total > 0 else 0.0
+    if r <= max(RESEMBLING, 3 / np.sqrt(errors.size)):
+        return []
+    factor = np.sqrt((1 + r) / (1 - r)) if r < 1 else np.inf
+    return [
+        f"the errors of neighbouring rows are alike (correlation {r:.2f}), so the rows say less "
+        f"than their number: standard errors are too small by a factor of about {factor:.1f}, "
+        "unless the model's shape is at fault."
+    ]
 
 
 def convergence(found: Array, at: Linearised, space: Space, gain: float) -> list[str]:

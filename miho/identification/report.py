@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from miho.identification.bootstrap import bootstrap, percentile_intervals
 from miho.identification.curve_fit import CurveFit
 from miho.identification.derived import delta_method, derived
-from miho.identification.flags import convergence, identifiability, trustworthiness
+from miho.identification.flags import convergence, identifiability, independence, trustworthiness
 from miho.identification.irreducible import irreducible_error
 from miho.identification.profile import Profile, profile
 from miho.identification.refit import refit
@@ -74,7 +74,7 @@ class Report:
             none = (math.nan, math.nan)
             ends["profile"] = np.array([(p.low, p.high) if p else none for p in self.profiles])
         if self.replicates is not None:
-            ends["bootstrap"] = percentile_intervals(self.replicates, self.level)
+            ends["bootstrap"] = self._percentiles(self.replicates)
         for name, interval in ends.items():
             frame[f"{name} low"], frame[f"{name} high"] = interval.T
         return frame
@@ -104,7 +104,7 @@ class Report:
                 values = quantity.evaluate(self.replicates)
                 values = values[np.isfinite(values)]
                 if values.size:
-                    interval = percentile_intervals(values[:, None], self.level)[0]
+                    interval = self._percentiles(values[:, None])[0]
                     row["bootstrap low"], row["bootstrap high"] = interval
             rows.append(row)
         return pd.DataFrame(rows)
@@ -146,6 +146,7 @@ class Report:
         sentences = convergence(self.found, self.at, space, 1 - after / before if before else 0.0)
         sentences += identifiability(self.at, space, self.level)
         sentences += trustworthiness(self.at, space, self.profiles, self.level)
+        sentences += independence(self.problem.errors(self.found))
         error = self.errors["error"].iloc[0]
         if error > SUSPICIOUS * self.irreducible:
             sentences.append(
@@ -163,6 +164,10 @@ class Report:
                         "noise, and only a model with that input can remove it."
                     )
         return sentences
+
+    def _percentiles(self, replicates: Array) -> Array:
+        rows = len(self.problem.dataset)
+        return percentile_intervals(replicates, rows, self.at.freedom, self.level)
 
     @property
     def _points(self) -> tuple[Array, Array]:
@@ -208,8 +213,8 @@ def make_report(
 
     `replicates` bootstrap estimates (1000 for an interval, 0 for none), drawn from `seed`;
     `profiles` by default for models of up to MOST_PROFILES parameters. `each` is called before
-    each of many steps with the name of the stage, for progress. Raises ValueError where the problem has no uncertainty: fewer
-    rows than parameters, or derivatives that are not finite.
+    each of many steps with the name of the stage, for progress. Raises ValueError where there is
+    no uncertainty to be had: fewer rows than parameters, or derivatives that are not finite.
     """
     if not 0 < level < 1:
         raise ValueError(f"level is {level!r}; expected between 0 and 1, such as 0.95")

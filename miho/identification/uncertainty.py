@@ -13,6 +13,8 @@ from miho.identification.curve_fit import CurveFit
 
 Array = NDArray[np.float64]
 
+EVENT = "event"
+"""A column of this name numbers events, such as brakings, whose rows are not independent."""
 AT_BOUND = 1e-6
 """A parameter this close to a bound, as a fraction of its range, is at the bound."""
 SINGULAR = 1e-10
@@ -24,9 +26,12 @@ class Linearised:
     """What the derivatives at `theta` (d,) tell of it; units are the parameters' own.
 
     `covariance` (d, d) assumes errors of equal spread, independent between rows; `sandwich` (d, d)
-    allows a spread that changes from row to row (White, Econometrica 48, 1980, with the HC1
-    factor). `noise` is the standard deviation of the errors in the output's unit, `freedom` the
-    rows beyond the parameters. A parameter `at_bound` (d,) is held there: its variance is NaN.
+    allows a spread that changes from row to row (White, Econometrica 48, 1980), and errors that
+    belong together within an event if the data have a column of that name (Liang and Zeger,
+    Biometrika 73, 1986), with the usual factors for few rows and few events.
+
+    `noise` is the standard deviation of the errors in the output's unit, `freedom` the rows
+    beyond the parameters. A parameter `at_bound` (d,) is held there: its variance is NaN.
     `unseen` lists directions of parameter space (rows, scaled to parameters of their own size)
     that the data do not see; the parameters in them have infinite variance.
     """
@@ -91,7 +96,13 @@ def linearised(problem: CurveFit, theta: Array) -> Linearised:
     half = Vt.T * inverse / scale[:, None]  # half @ half.T is the inverse of J.T J
     covariance = _square(theta.size, free, variance * half @ half.T)
     spread = U * (psi / shrink)[:, None]
-    meat = half @ (spread.T @ spread) @ half.T * errors.size / freedom
+    few = errors.size / freedom
+    if EVENT in problem.dataset.columns:
+        _, event = np.unique(problem.dataset[EVENT], return_inverse=True)
+        spread = np.array([np.bincount(event, column) for column in spread.T]).T
+        events = len(spread)
+        few *= (errors.size - 1) / errors.size * events / (events - 1) if events > 1 else np.nan
+    meat = half @ (spread.T @ spread) @ half.T * few
     sandwich = _square(theta.size, free, meat)
     unseen = np.zeros((int((~seen).sum()), theta.size))
     unseen[:, free] = Vt[~seen]

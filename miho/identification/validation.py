@@ -63,16 +63,15 @@ def leave_one_out(problem: CurveFit, theta: Array, condition: str) -> pd.DataFra
         out = index == group
         if out.all() or len(dataset) - out.sum() <= len(problem.space):
             continue
-        unseen = dataset.select(out)
-        found = refit(replace(problem, dataset=dataset.select(~out)), theta)
+        found = refit(problem, theta, (~out).astype(float)).theta
         rows.append(
             {
                 "condition": condition,
                 "from": values[out].min(),
                 "to": values[out].max(),
                 "rows": int(out.sum()),
-                "error when seen": error_on(problem, theta, unseen),
-                "error when left out": error_on(problem, found.theta, unseen),
+                "error when seen": root_mean_square(problem.errors(theta)[out]),
+                "error when left out": root_mean_square(problem.errors(found)[out]),
             }
         )
     return pd.DataFrame(rows)

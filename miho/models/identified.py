@@ -1,4 +1,4 @@
-"""`parameters.json`: an identified model with its uncertainty, the range it is good for, its origin.
+"""`parameters.json`: an identified model, how sure it is, where it is good, where it is from.
 
 It is the one door from identification to what drives on it.
 """

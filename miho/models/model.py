@@ -19,7 +19,8 @@ class Model(ABC):
     the unit of what it gives. `linear` names the parameters in which the output is linear when all
     others are held; methods that know how solve for them directly. `name` is what its problems are
     called, the class in small letters if empty; `source` is the file of a model that does not
-    belong to this package, so that a change of it is noticed.
+    belong to this package, so that a change of it is noticed; an `ordered` model needs every row
+    of the data in order, as one with a memory does.
     """
 
     inputs: Mapping[str, str]
@@ -28,6 +29,7 @@ class Model(ABC):
     linear: tuple[str, ...] = ()
     name: str = ""
     source: Path | None = None
+    ordered: bool = False
 
     @abstractmethod
     def predict(self, thetas: Array, *inputs: Array) -> Array:

@@ -23,12 +23,12 @@ def sha256(text: str | bytes) -> str:
     return hashlib.sha256(text.encode() if isinstance(text, str) else text).hexdigest()
 
 
-def code_digest(folders: Iterable[Path]) -> str:
-    """SHA-256 over the names and texts of all Python files below the folders."""
+def code_digest(places: Iterable[Path]) -> str:
+    """SHA-256 over the names and texts of these Python files and all below these folders."""
     digest = hashlib.sha256()
-    for folder in folders:
-        for path in sorted(folder.rglob("*.py")):
-            name = path.relative_to(folder.parent).as_posix()
+    for place in places:
+        for path in [place] if place.is_file() else sorted(place.rglob("*.py")):
+            name = path.relative_to(place.parent).as_posix()
             digest.update(f"\0{name}\0".encode() + path.read_bytes())
     return digest.hexdigest()
 

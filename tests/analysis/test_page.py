@@ -21,7 +21,7 @@ force = Column("Fy", "N", -3 * x)
 class Checker(HTMLParser):
     """Every tag that opens closes, in order."""
 
-    void = {"meta", "img"}
+    void = ("meta", "img")
 
     def __init__(self) -> None:
         super().__init__()
@@ -69,7 +69,7 @@ def test_figures_say_what_their_axes_are() -> None:
     residuals = residual_figure(errors, columns)
     assert labels(residuals)[::2] == [column.label for column in columns]
     assert "error [N]" in labels(residuals)
-    profiles = {name: (x, 2 * x) for name in "BCDE"}
+    profiles = dict.fromkeys("BCDE", (x, 2 * x))
     assert labels(profile_figure(profiles, dict.fromkeys("BCDE", "-"), 1.96))[0] == "B [-]"
 
 

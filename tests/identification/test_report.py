@@ -1,5 +1,6 @@
 """The report tells what a known truth makes it tell."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -170,3 +171,18 @@ def test_many_parameters_are_profiled_only_if_asked() -> None:
     report = make_report(problem, theta, profiles=False)
     assert report.profiles == (None, None)
     assert "profile low" not in report.parameters
+
+
+def test_neighbours_that_resemble_each_other_are_told() -> None:
+    """A first-order process of correlation 0.8: the factor is sqrt(1.8 / 0.2) = 3."""
+    rng = np.random.default_rng(0)
+    noise = np.zeros(2000)
+    for i in range(1, 2000):
+        noise[i] = 0.8 * noise[i - 1] + 0.1 * rng.standard_normal()
+    x = rng.uniform(0, 1, 2000)
+    for y, told in ((1 + x + noise, True), (1 + x + rng.permutation(noise), False)):
+        problem = line(y, x)
+        notes = make_report(problem, refit(problem, np.ones(2)).theta, profiles=False).notes
+        found = [note for note in notes if "neighbouring rows are alike" in note]
+        assert bool(found) == told
+        assert all(re.search(r"factor of about (2.[89]|3.[012])", note) for note in found)
