@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -22,11 +23,11 @@ h2 { font-size: 1.15rem; margin: 2.25rem 0 .5rem; border-bottom: 1px solid #ccc;
 p, li { max-width: 46rem; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92rem; }
-caption { text-align: left; color: #555; padding: .25rem 0; caption-side: bottom; }
+p.note { color: #555; margin: .25rem 0 .75rem; }
 th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #e4e4e4;
          white-space: nowrap; }
 th { border-bottom: 1.5px solid #888; font-weight: 600; }
-th:first-child, td:first-child, td.text { text-align: left; }
+th.text, td.text { text-align: left; }
 img { max-width: 100%; height: auto; }
 @media print { body { max-width: none; } h2 { break-after: avoid; }
                img, table { break-inside: avoid; } }
@@ -63,35 +64,40 @@ def _section(section: Section) -> str:
         items = "".join(f"<li>{escape(sentence)}</li>" for sentence in section.sentences)
         parts.append(f"<ul>{items}</ul>")
     if section.table is not None and len(section.table):
-        parts.append(_table(section.table, section.caption))
+        parts.append(_table(section.table))
     if section.figure is not None:
         alt = escape(section.caption or section.heading, quote=True)
         parts.append(f'<img alt="{alt}" src="data:image/png;base64,{_png(section.figure)}">')
-        if section.table is None and section.caption:
-            parts.append(f"<p>{escape(section.caption)}</p>")
+    if section.caption:
+        parts.append(f'<p class="note">{escape(section.caption)}</p>')
     return "\n".join(parts)
 
 
-def _table(frame: pd.DataFrame, caption: str) -> str:
-    head = "".join(f'<th scope="col">{escape(str(name))}</th>' for name in frame.columns)
+def _table(frame: pd.DataFrame) -> str:
+    kinds = [' class="text"' if _is_text(frame[name]) else "" for name in frame.columns]
+    head = "".join(
+        f'<th scope="col"{kind}>{escape(str(name))}</th>'
+        for name, kind in zip(frame.columns, kinds, strict=True)
+    )
     rows = []
     for row in frame.itertuples(index=False):
-        cells = "".join(f"<td{_class(value)}>{escape(str(value))}</td>" for value in row)
-        rows.append(f"<tr>{cells}</tr>")
-    below = f"<caption>{escape(caption)}</caption>" if caption else ""
+        cells = (
+            f"<td{kind}>{escape(str(value))}</td>" for value, kind in zip(row, kinds, strict=True)
+        )
+        rows.append(f"<tr>{''.join(cells)}</tr>")
     return (
-        f'<div class="scroll"><table>{below}<thead><tr>{head}</tr></thead>'
+        f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
         f"<tbody>{''.join(rows)}</tbody></table></div>"
     )
 
 
-def _class(value: object) -> str:
-    letters = isinstance(value, str) and any(c.isalpha() for c in value.replace("inf", ""))
-    return ' class="text"' if letters else ""
+def _is_text(column: pd.Series) -> bool:
+    """Whether a column holds words or units, which are read from the left, and not numbers."""
+    return any(re.search("[a-df-zA-Z]", str(value).replace("inf", "")) for value in column)
 
 
 def _png(figure: Figure) -> str:
     buffer = io.BytesIO()
     with house_style():
-        figure.savefig(buffer, format="png", dpi=140)
+        figure.savefig(buffer, format="png", dpi=120)
     return base64.b64encode(buffer.getvalue()).decode("ascii")

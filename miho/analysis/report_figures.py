@@ -64,7 +64,6 @@ def fit_figure(
             ax.plot(ends, ends, color=red, linewidth=1, label="prediction = measurement")
             ax.set(xlabel=f"predicted {measured.label}", ylabel=f"measured {measured.label}")
         ax.legend(loc="best")
-        figure.draw_without_rendering()
     return figure
 
 
@@ -84,7 +83,6 @@ def residual_figure(errors: Column, columns: Sequence[Column]) -> Figure:
         for first in range(1, len(columns)):
             if first % PANELS:
                 panels[first].set_ylabel("")
-        figure.draw_without_rendering()
     return figure
 
 
@@ -127,5 +125,4 @@ def profile_figure(
             ax.remove()
         for ax in panels[: len(profiles) : PANELS]:
             ax.set_ylabel("signed root")
-        figure.draw_without_rendering()
     return figure

@@ -1,0 +1,45 @@
+"""How long a report takes: 3000 rows, 5 parameters, with and without 1000 bootstrap replicates.
+
+python -m experiments.benchmarks.report_time
+"""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from time import perf_counter
+
+from experiments.build import build
+from experiments.cli import composed
+from experiments.report import report_folder, reported, write
+from experiments.run import run
+from experiments.schema import register
+
+REPEATS = 5
+
+
+def main() -> None:
+    """Identify tire LF once, then report on it."""
+    register()
+    with tempfile.TemporaryDirectory() as root:
+        chosen = build(composed(["dataset=tire_lf", "optimizer=least_squares", f"root={root}"]))
+        stored = run(chosen).run
+        if stored is None:
+            raise RuntimeError("the run failed")
+        folder = Path(report_folder(stored))
+        for repeat in range(REPEATS):
+            start = perf_counter()
+            report = reported(chosen.problem, stored)
+            computed = perf_counter()
+            write(report, stored, folder)
+            print(
+                f"report {repeat}: computed in {computed - start:.2f} s, with tables, page and "
+                f"parameters.json in {perf_counter() - start:.2f} s"
+            )
+        start = perf_counter()
+        reported(chosen.problem, stored, replicates=1000, profiles=False)
+        print(f"bootstrap of 1000: {perf_counter() - start:.2f} s")
+
+
+if __name__ == "__main__":
+    main()
