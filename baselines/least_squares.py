@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import scipy.optimize
+from numpy.typing import NDArray
 
 from miho.optim import Optimizer, Oracle, UnusableValueError
 from miho.optim.space import LARGEST_BATCH
 from miho.optim.validate import positive, whole
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -35,25 +39,53 @@ class LeastSquares(Optimizer):
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Screen and solve, `rounds` times."""
-        space = oracle.space
-        coordinates = space.initial(self.screen)
-        for _ in range(self.rounds):
-            thetas = space.decode(coordinates)
-            losses = oracle(thetas)
-            for i in np.argsort(losses, kind="stable")[: self.starts]:
-                if not np.isfinite(losses[i]):
-                    break
-                # A start that leads to unusable residuals or derivatives is given up.
-                with contextlib.suppress(UnusableValueError, ValueError, np.linalg.LinAlgError):
-                    scipy.optimize.least_squares(
-                        oracle.residuals,
-                        thetas[i],
-                        jac=oracle.jacobian,
-                        bounds=(space.low, space.high),
-                        method="trf",
-                        x_scale="jac",
-                        ftol=self.tolerance,
-                        xtol=self.tolerance,
-                        gtol=self.tolerance,
-                    )
-            coordinates = space.sample(self.screen, rng)
+        low, high = oracle.space.low, oracle.space.high
+
+        def solve(theta: Array) -> None:
+            descend(oracle.residuals, oracle.jacobian, theta, (low, high), self.tolerance)
+
+        multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
+
+
+def multi_start(
+    oracle: Oracle,
+    rng: np.random.Generator,
+    screen: int,
+    starts: int,
+    rounds: int,
+    solve: Callable[[Array], None],
+) -> None:
+    """Call `solve` on the `starts` best (d,) of `screen` configurations, `rounds` times."""
+    space = oracle.space
+    coordinates = space.initial(screen)
+    for _ in range(rounds):
+        thetas = space.decode(coordinates)
+        losses = oracle(thetas)
+        for i in np.argsort(losses, kind="stable")[:starts]:
+            if not np.isfinite(losses[i]):
+                break
+            # A start that leads to unusable residuals or derivatives is given up.
+            with contextlib.suppress(UnusableValueError, ValueError, np.linalg.LinAlgError):
+                solve(thetas[i])
+        coordinates = space.sample(screen, rng)
+
+
+def descend(
+    residuals: Callable[[Array], Array],
+    jacobian: Callable[[Array], Array],
+    start: Array,
+    bounds: tuple[Array, Array],
+    tolerance: float,
+) -> None:
+    """SciPy's bounded trust-region solver (trf, scaled by the Jacobian) from one start."""
+    scipy.optimize.least_squares(
+        residuals,
+        start,
+        jac=jacobian,
+        bounds=bounds,
+        method="trf",
+        x_scale="jac",
+        ftol=tolerance,
+        xtol=tolerance,
+        gtol=tolerance,
+    )

@@ -1,4 +1,9 @@
-"""From a composed configuration to objects: the one place that instantiates targets."""
+"""From a composed configuration to objects: the one place that instantiates targets.
+
+A configuration can name only public classes and functions of our own packages, so no file that it
+comes with can run other code. There is one door: `miho.models.load_function` runs the Python file
+that `model.path` names, which a user chooses on the command line or in a YAML of their own.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +23,11 @@ import baselines
 import miho
 from experiments.schema import Config
 from miho.data import Dataset
-from miho.identification import CurveFit, irreducible_error
+from miho.identification import CurveFit, Loss, irreducible_error, linear_optimum
 from miho.models import Model
 from miho.optim import Budget, Optimizer, Parameter, Space
-from miho.study import Identity, code_digest
+from miho.study import Identity, StoredRun, code_digest
+from miho.study.identity import sha256
 
 PACKAGES = ("miho", "baselines")
 PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
@@ -45,7 +51,10 @@ class Experiment:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What the store keeps about the problem: the unit and the floor of its error."""
+        """What the store keeps about the problem: the unit of its error and what it cannot beat.
+
+        `optimum` is the smallest loss in the space, where linear algebra finds it.
+        """
         dataset, model = self.problem.dataset, self.problem.model
         facts: dict[str, Any] = {"unit": self.problem.unit}
         if len(model.inputs) == 1:
@@ -53,6 +62,9 @@ class Experiment:
             floor = irreducible_error(dataset[column], dataset[dataset.output])
             if math.isfinite(floor):
                 facts["irreducible"] = floor
+        optimum = linear_optimum(self.problem)
+        if optimum is not None:
+            facts["optimum"] = optimum[1]
         return facts
 
 
@@ -72,21 +84,44 @@ def build(cfg: DictConfig) -> Experiment:
     model = instantiate(_plain(cfg, "model"), "model", Model)
     space = build_space(_plain(cfg, "space"))
     dataset = instantiate(_plain(cfg, "dataset"), "dataset", Dataset)
+    rho = instantiate(_plain(cfg, "loss"), "loss", Loss)
     try:
         budget = Budget(**_plain(cfg, "budget"))
-        problem = CurveFit(model, dataset, space)
-        config = {key: _plain(cfg, key) for key in ("model", "dataset", "space", "budget")}
+        problem = CurveFit(model, dataset, space, rho)
+        config = {key: _plain(cfg, key) for key in ("model", "dataset", "space", "loss", "budget")}
         identity = Identity(
             problem=problem.name,
             optimizer=name,
             seed=cfg.seed,
             config=config | {"optimizer": optimizer_node},
-            code=_code(),
+            code=_code(model),
             data=dataset.digest,
         )
     except (TypeError, ValueError) as error:
         raise ConfigError(str(error)) from None
     return Experiment(problem, optimizer, budget, identity, Path(cfg.root))
+
+
+def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
+    """The problem of a stored run, made again from its configuration and checked to be the same.
+
+    A model in a file of the user's is code: it runs only if `trusted`.
+    """
+    config = stored.config
+    own = config["model"].get("path")
+    if own is not None and not trusted:
+        raise ConfigError(
+            f"{stored.folder}: its model is code in {own}; add --trust to run that file"
+        )
+    dataset = instantiate(config["dataset"], "dataset", Dataset)
+    if dataset.digest != stored.result["data"]:
+        raise ConfigError(f"{stored.folder}: its data have changed since; identify again")
+    model = instantiate(config["model"], "model", Model)
+    rho = instantiate(config["loss"], "loss", Loss)
+    try:
+        return CurveFit(model, dataset, build_space(config["space"]), rho)
+    except ValueError as error:
+        raise ConfigError(f"{stored.folder}: {error}") from None
 
 
 def build_space(node: Mapping[str, Any]) -> Space:
@@ -169,9 +204,16 @@ def _plain(cfg: DictConfig, key: str) -> dict[str, Any]:
     return {str(name): value for name, value in node.items()}
 
 
+def _code(model: Model) -> str:
+    """Digest of the code that decides what a run finds, the model's own file included."""
+    ours = _our_code()
+    return ours if model.source is None else sha256(ours.encode() + model.source.read_bytes())
+
+
 @cache
-def _code() -> str:
-    """Digest of the code that decides what a run finds: all of it but studies and figures."""
+def _our_code() -> str:
+    """Digest of our code that decides what a run finds: all of it but studies and figures."""
     library = Path(miho.__file__).parent
-    parts = [library / name for name in ("optim", "models", "data", "identification")]
+    problem = [library / "identification" / name for name in ("curve_fit.py", "loss.py")]
+    parts = [*(library / name for name in ("optim", "models", "data")), *problem]
     return code_digest([*parts, Path(baselines.__file__).parent])

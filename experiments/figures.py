@@ -16,13 +16,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.build import ConfigError, instantiate
+from experiments.build import ConfigError, rebuild
 from experiments.cli import guarded
 from experiments.engine import fig5_data, identify_engine
 from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save, to_markdown
-from miho.data import Dataset
-from miho.models import Model
-from miho.study import StoredRun, load_runs, read_run
+from miho.study import load_runs, read_run
 
 COMPARISON = "comparison.json"
 TIRES = ("lf", "rf", "lr", "rr")
@@ -37,7 +35,7 @@ CAPTIONS = {
 def draw_comparison(root: Path, output: Path) -> list[Path]:
     """Fig. 6, the results table, the table of the paper's claims, and their provenance.
 
-    The claims are about MIHO and a force: without either there is no table of them.
+    The claims are about MIHO on a tire: without either there is no table of them.
     """
     try:
         about = json.loads((root / COMPARISON).read_text(encoding="utf-8"))
@@ -55,7 +53,8 @@ def draw_comparison(root: Path, output: Path) -> list[Path]:
 
     paths = save(fig6(runs, curves, note=note), output / "fig6")
     tables = {"results": results_table(runs, curves)}
-    if set(runs["unit"]) == {"N"} and MIHO in set(runs["optimizer"]):
+    on_a_tire = runs["problem"].str.startswith("pacejka-tire_").all()
+    if on_a_tire and MIHO in set(runs["optimizer"]):
         tables["claims"] = claims_table(runs, curves, MIHO)
     for name, table in tables.items():
         table.to_csv(output / f"{name}.csv", index=False)
@@ -84,22 +83,15 @@ def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:
             )
         best = runs.sort_values("error").iloc[0]
         stored = read_run(Path(best["folder"]))
-        dataset, model = _dataset(stored), instantiate(stored.config["model"], "model", Model)
+        problem = rebuild(stored)
+        dataset = problem.dataset
         alpha = np.linspace(dataset["alpha"].min(), dataset["alpha"].max(), 400)
-        force = model.predict(np.array([stored.result["theta"]]), alpha)[0]
+        force = problem.model.predict(np.array([stored.result["theta"]]), alpha)[0]
         samples[tire.upper()] = np.degrees(dataset["alpha"]), dataset["Fy"] / 1000
         curves[tire.upper()] = np.degrees(alpha), force / 1000
         errors[tire.upper()] = float(best["error"]) / 1000
     note = f"{len(dataset)} samples per tire; curves learned by {optimizer}; ISO-W signs"
     return save(fig4(samples, curves, errors=errors, note=note), output / "fig4")
-
-
-def _dataset(stored: StoredRun) -> Dataset:
-    """The data of a run, made again from its configuration and checked to be the same."""
-    dataset = instantiate(stored.config["dataset"], "dataset", Dataset)
-    if dataset.digest != stored.result["data"]:
-        raise ConfigError(f"{stored.folder}: its data have changed since; identify again")
-    return dataset
 
 
 def _provenance(about: dict[str, Any], runs: pd.DataFrame) -> dict[str, Any]:
@@ -131,9 +123,7 @@ def main() -> None:
         "--root", type=Path, help="folder of runs (fig6: runs/compare; fig4: runs/identify)"
     )
     parser.add_argument("--output", type=Path, help="where to write (default: ROOT/figures)")
-    parser.add_argument(
-        "--optimizer", default="miho", help="of fig4 and fig5 (default: miho)"
-    )
+    parser.add_argument("--optimizer", default="miho", help="of fig4 and fig5 (default: miho)")
     arguments = parser.parse_args()
     root = arguments.root or Path("runs", "compare" if arguments.name == "fig6" else "identify")
     output = arguments.output or root / "figures"

@@ -6,18 +6,15 @@ import math
 import sys
 from functools import cache
 
-import pandas as pd
-
 from baselines.least_squares import LeastSquares
 from experiments.build import Experiment
 from experiments.progress import progress
-from miho.identification import CurveFit
-from miho.optim import Budget, Parameter, RunRecord, minimize
+from experiments.report import report_folder, reported, text, write
+from miho.identification import CurveFit, linear_optimum
+from miho.optim import Budget, RunRecord, minimize
 from miho.study import Execution, Store, StoredRun, execute
 
-BEST_KNOWN = "this run or multi-start least squares"
 ENDINGS = {"converged": "itself", "budget": "its budget"}
-SUSPICIOUS = 2.0
 
 
 def run(experiment: Experiment) -> Execution:
@@ -57,54 +54,50 @@ def line(experiment: Experiment, execution: Execution) -> str:
 
 
 def report(experiment: Experiment, stored: StoredRun) -> str:
-    """The identified parameters with units, and how good they are."""
+    """The identified parameters, how far to trust them and how good they are; writes the page."""
     problem, result = experiment.problem, stored.result
     if result["theta"] is None:
         reasons = ", ".join(f"{n} x {reason}" for reason, n in result["rejected"].items())
         return f"no finite value was found: {reasons}"
-    space = problem.space
-    table = pd.DataFrame(
-        {
-            "parameter": space.names,
-            "value": [f"{value:.6g}" for value in result["theta"]],
-            "unit": [parameter.unit for parameter in space.parameters],
-            "range": [f"[{p.low:g}, {p.high:g}]" for p in space.parameters],
-            "": [_at_bound(v, p) for v, p in zip(result["theta"], space.parameters, strict=True)],
-        }
-    )
-    error = math.sqrt(result["loss"])
-    best = min(best_known_error(problem), error)
-    unit = problem.unit
+    error, unit = math.sqrt(result["loss"]), problem.unit
+    known, source = best_known_error(problem)
+    best = min(known, error)
+    gap = f"gap {100 * (error / best - 1) if best else 0:.4f} % ({source})"
     rows = [
         ("error", f"{error:.2f} {unit} (root mean square)"),
-        ("best known", f"{best:.2f} {unit}, gap {100 * (error / best - 1):.4f} % ({BEST_KNOWN})"),
+        ("best known", f"{best:.2f} {unit}, {gap}"),
         ("evaluations", f"{result['evaluations']:,.0f}"),
         ("seconds", f"{result['seconds']:.3f} (set-up {result['setup_seconds']:.3f})"),
         ("ended by", ENDINGS.get(result["outcome"], result["outcome"])),
-        ("run", str(stored.folder)),
     ]
     irreducible = experiment.facts.get("irreducible")
     if irreducible is not None:
         estimate = f"about {irreducible:.2f} {unit} (estimated from neighbouring points)"
         rows.insert(2, ("irreducible", estimate))
-    if irreducible is not None and error > SUSPICIOUS * irreducible:
-        times = f"{error / irreducible:.1f} times the irreducible error"
-        rows.append(("warning", f"the error is {times}: check units, signs and ranges"))
     if result["rejected"]:
         rows.append(("rejected", ", ".join(f"{n} x {r}" for r, n in result["rejected"].items())))
-    tail = "\n".join(f"{name:<12} {text}" for name, text in rows)
-    return f"{table.to_string(index=False)}\n\n{tail}"
-
-
-def _at_bound(value: float, parameter: Parameter) -> str:
-    close = 1e-6 * (parameter.high - parameter.low)
-    if value - parameter.low <= close:
-        return "at its lower bound"
-    return "at its upper bound" if parameter.high - value <= close else ""
+    rows.append(("run", str(stored.folder)))
+    try:
+        made = reported(problem, stored)
+        findings = text(made)
+        rows.append(("report", str(write(made, stored, report_folder(stored)))))
+    except ValueError as problem_of_report:
+        values = zip(problem.space.parameters, result["theta"], strict=True)
+        found = "\n".join(f"{p.name:<12} {value:.6g} {p.unit}" for p, value in values)
+        findings = f"{found}\n\n- no standard errors: {problem_of_report}"
+    return findings + "\n\n" + "\n".join(f"{name:<12} {told}" for name, told in rows)
 
 
 @cache
-def best_known_error(problem: CurveFit) -> float:
-    """Error of thorough multi-start least squares on this problem, in its unit."""
+def best_known_error(problem: CurveFit) -> tuple[float, str]:
+    """The smallest error known of a problem, in its unit, and whence it is known.
+
+    The closed-form optimum of a model linear in all its parameters; of other models, that of
+    thorough multi-start least squares.
+    """
+    exact = linear_optimum(problem)
+    if exact is not None:
+        return math.sqrt(exact[1]), "closed form"
     solver = LeastSquares(screen=3000, starts=10, rounds=1)
-    return math.sqrt(minimize(solver, problem, Budget(evaluations=200_000)).loss)
+    found = minimize(solver, problem, Budget(evaluations=200_000)).loss
+    return math.sqrt(found), "this run or multi-start least squares"

@@ -15,6 +15,7 @@ import math
 import pickle
 import random
 from collections.abc import Callable, Mapping
+from itertools import combinations_with_replacement
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +62,7 @@ class DecayFit(LeastSquaresProblem):
             Parameter("b", "1/s", 0.01, 10.0, scale="log", sigma_max=0.3),
         )
     )
+    linear = ("a",)
 
     def __init__(self, spoil: Callable[[Array, Array], Array] | None = None) -> None:
         self.t = np.linspace(0.0, 2.0, 17)
@@ -112,8 +114,9 @@ def check_optimizer(
 def check_model(model: Model, thetas: Array, *inputs: Array) -> None:
     """Check a model at parameter rows (n, d) and input columns (N,).
 
-    A row is the same in any batch, and `jacobian` is the derivative of `predict`, by central
-    differences to 1e-6 of each column's range. Raises ConformanceError.
+    A row is the same in any batch, `jacobian` is the derivative of `predict`, by central
+    differences to 1e-6 of each column's range, and the output is jointly linear in the parameters
+    that `linear` names. Raises ConformanceError.
     """
     batch = model.predict(thetas, *inputs)
     for theta, row in zip(thetas, batch, strict=True):
@@ -129,6 +132,25 @@ def check_model(model: Model, thetas: Array, *inputs: Array) -> None:
                 bool(np.allclose(jacobian[:, k], difference, rtol=1e-5, atol=close)),
                 f"jacobian with respect to {name} is not the derivative of predict at {theta}",
             )
+        _check_linear(model, theta, *inputs)
+
+
+def _check_linear(model: Model, theta: Array, *inputs: Array) -> None:
+    """Second differences in all pairs of linear parameters vanish."""
+    names = list(model.parameters)
+    for name in model.linear:
+        _require(name in names, f"linear names {name!r}; parameters are {', '.join(names)}")
+    steps = np.diag(np.where(theta == 0, 1.0, theta))
+    for one, other in combinations_with_replacement(model.linear, 2):
+        h, k = steps[names.index(one)], steps[names.index(other)]
+        both, first, second, none = model.predict(
+            np.stack([theta + h + k, theta + h, theta + k, theta]), *inputs
+        )
+        size = max(np.abs(row).max() for row in (both, first, second, none))
+        _require(
+            bool(np.abs(both - first - second + none).max() <= 1e-9 * size),
+            f"linear names {one} and {other}, but predict is not linear in them at {theta}",
+        )
 
 
 def run_check(name: str, optimizer: Optimizer, expected_failures: Mapping[str, str]) -> None:

@@ -130,5 +130,33 @@ def test_models_are_checked() -> None:
         check_model(Decay("batch"), thetas, t)
 
 
+def test_linear_parameters_are_checked() -> None:
+    thetas, t = np.array([[2.0, 1.5], [0.0, 0.3]]), np.linspace(0, 2, 50)
+
+    class Declared(Decay):
+        def __init__(self, *linear: str) -> None:
+            super().__init__()
+            self.linear = linear
+
+    class Product(Declared):
+        """y = a (t + b): linear in a and in b, but not in both."""
+
+        def predict(self, thetas: Array, *inputs: Array) -> Array:
+            a, b = thetas.T[:, :, None]
+            return np.asarray(a * (inputs[0] + b))
+
+        def jacobian(self, theta: Array, *inputs: Array) -> Array:
+            return np.stack([inputs[0] + theta[1], np.full_like(inputs[0], theta[0])], axis=1)
+
+    for right in (Declared("a"), Product("a"), Product("b")):
+        check_model(right, thetas, t)
+    with pytest.raises(ConformanceError, match="linear names b and b, but predict is not linear"):
+        check_model(Declared("b"), thetas, t)
+    with pytest.raises(ConformanceError, match="linear names a and b"):
+        check_model(Product("a", "b"), thetas, t)
+    with pytest.raises(ConformanceError, match="linear names 'c'; parameters are a, b"):
+        check_model(Declared("c"), thetas, t)
+
+
 def test_every_check_has_a_sentence() -> None:
     assert all(check.__doc__ for check in CHECKS.values())

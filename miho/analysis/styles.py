@@ -47,6 +47,7 @@ STYLES = {
     "optuna_hyperband": MethodStyle("Optuna Hyperband", _GREEN, DASH_DOT_DOT),
     "random": MethodStyle("random search", _GREY, SHORT_DASHES),
     "least_squares": MethodStyle("least squares", "#222222", SOLID, 1.0),
+    "variable_projection": MethodStyle("variable projection", "#222222", DOTTED, 1.6),
 }
 _SPARE = [
     (color, dashes)

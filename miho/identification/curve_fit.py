@@ -39,10 +39,11 @@ class CurveFit(LeastSquaresProblem):
 
     def __post_init__(self) -> None:
         model, dataset = self.model, self.dataset
+        called = model.name or type(model).__name__
         if self.space.names != tuple(model.parameters):
             raise ValueError(
                 f"the space has parameters {', '.join(self.space.names)}; model "
-                f"{type(model).__name__} needs {', '.join(model.parameters)}"
+                f"{called} needs {', '.join(model.parameters)}"
             )
         _ = self.inputs
         found = {f"parameter {p.name!r} of the space": p.unit for p in self.space.parameters}
@@ -53,9 +54,7 @@ class CurveFit(LeastSquaresProblem):
         needed = (*model.parameters.values(), *model.inputs.values(), model.output)
         for (what, unit), need in zip(found.items(), needed, strict=True):
             if unit != need:
-                raise ValueError(
-                    f"{what} has unit {unit!r}; model {type(model).__name__} needs {need!r}"
-                )
+                raise ValueError(f"{what} has unit {unit!r}; model {called} needs {need!r}")
         thetas, rows = self.space.decode(self.space.initial(2)), len(dataset)
         shapes = {
             "predict": (model.predict(thetas, *self.inputs).shape, (2, rows)),
@@ -63,9 +62,7 @@ class CurveFit(LeastSquaresProblem):
         }
         for method, (found_shape, shape) in shapes.items():
             if found_shape != shape:
-                raise ValueError(
-                    f"{type(model).__name__}.{method} gives shape {found_shape}; expected {shape}"
-                )
+                raise ValueError(f"{called}.{method} gives shape {found_shape}; expected {shape}")
 
     @property
     def name(self) -> str:  # type: ignore[override]

@@ -16,9 +16,9 @@ class Model(ABC):
     """A pure function of input columns and a batch of parameters, in SI units and radians.
 
     `inputs` and `parameters` map the names of what it reads to their units, in order; `output` is
-    the unit of what it gives. `linear` names the parameters in which the output is linear when all
-    others are held; methods that know how solve for them directly. `name` is what its problems are
-    called, the class in small letters if empty; `source` is the file of a model that does not
+    the unit of what it gives. `linear` names parameters in which the output is jointly linear when
+    all others are held; methods that know how solve for them directly. `name` is what its problems
+    are called, the class in small letters if empty; `source` is the file of a model that does not
     belong to this package, so that a change of it is noticed; an `ordered` model needs every row
     of the data in order, as one with a memory does.
     """

@@ -142,6 +142,11 @@ class Oracle:
         return self.meter.best
 
     @property
+    def linear(self) -> tuple[str, ...]:
+        """The parameters in which the residuals are jointly linear, as the problem declares."""
+        return self._least_squares.linear
+
+    @property
     def trace(self) -> Trace:
         """The improvements so far."""
         return self.meter.trace

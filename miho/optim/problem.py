@@ -35,8 +35,9 @@ class LeastSquaresProblem(Problem):
     """A problem whose loss is the mean of squared residuals, with derivatives of the residuals.
 
     `jacobian_cost` is what one Jacobian costs in evaluations; a problem without it pays the
-    number of parameters, as finite differences would. `linear` names the parameters in which the
-    residuals are linear when all others are held.
+    number of parameters, as finite differences would. `linear` names parameters in which the
+    residuals are jointly linear: with all others held, they are an offset plus a fixed
+    combination of these, a (x + b) thus in a or in b but not in both.
     """
 
     jacobian_cost: int | None = None

@@ -14,7 +14,7 @@ from miho.study.store import RESULT, DamagedRun, StoredRun, read_run
 
 RUN_COLUMNS = [
     "id", "problem", "optimizer", "seed", "outcome", "error", "unit", "evaluations", "seconds",
-    "cpu_seconds", "setup_seconds", "irreducible", "folder",
+    "cpu_seconds", "setup_seconds", "irreducible", "optimum", "folder",
 ]  # fmt: skip
 CURVE_COLUMNS = [
     "id", "problem", "optimizer", "seed", "evaluations", "seconds", "cpu_seconds", "error"
@@ -26,7 +26,8 @@ class Runs:
     """What a root holds.
 
     `runs`: a row per finished run; `error` is the root of its loss in `unit`, `irreducible` an
-    estimate of the error that no model of the same inputs can beat; `theta.<name>` its parameters.
+    estimate of the error that no model of the same inputs can beat, `optimum` the smallest error in
+    the space where it is known in closed form (else NaN); `theta.<name>` its parameters.
     `curves`: a row per improvement and one at the end of each run; a step function.
     `damaged`: folders that were skipped, with the reason.
     """
@@ -72,6 +73,7 @@ def _run_row(stored: StoredRun) -> dict[str, Any]:
         "unit": facts.get("unit"),
         **{key: result[key] for key in ("evaluations", "seconds", "cpu_seconds", "setup_seconds")},
         "irreducible": facts.get("irreducible", math.nan),
+        "optimum": _root(facts.get("optimum")),
         "folder": str(stored.folder),
     }
     theta = result["theta"] or [math.nan] * len(result["parameters"])

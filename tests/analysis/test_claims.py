@@ -227,6 +227,29 @@ def test_results_per_method() -> None:
     assert table.loc["miho", "seconds to 1 kN"] == pytest.approx(0.01)
 
 
+def test_gaps_are_to_the_closed_form_optimum_or_to_the_best_run() -> None:
+    runs, curves = frames({"miho": spread_of([412, 408]), "random": spread_of([404, 900])})
+    gaps = results_table(runs, curves).set_index("method")["gap to best of all runs [%]"]
+    assert gaps["miho"] == pytest.approx(100 * (410 / 404 - 1), abs=1e-6)
+    known = results_table(runs.assign(optimum=400.0), curves).set_index("method")
+    assert "gap to best of all runs [%]" not in known
+    assert known.loc["miho", "gap to optimum [%]"] == pytest.approx(2.5)
+    assert known.loc["random", "gap to optimum [%]"] == pytest.approx(63)
+    partly = results_table(runs.assign(optimum=[400.0, 400.0, 400.0, np.nan]), curves)
+    assert "gap to best of all runs [%]" in partly
+    rounding = results_table(runs.assign(error=400.0, optimum=400.0 * (1 + 1e-12)), curves)
+    assert (to_markdown(rounding[["gap to optimum [%]"]]).splitlines()[2:]) == ["| 0 |"] * 2
+
+
+def test_the_papers_targets_are_forces() -> None:
+    torque = results_table(*frames(PAPER, unit="Nm"))
+    assert [name for name in torque if name.startswith("evaluations")] == [
+        "evaluations to best + 1 %"
+    ]
+    asked = results_table(*frames(PAPER, unit="Nm"), targets=[800.0])
+    assert "seconds to 800 Nm" in asked
+
+
 def test_markdown_aligns_numbers_escapes_pipes_and_says_never() -> None:
     frame = pd.DataFrame({"method": ["a|b"], "error [kN]": [0.39182], "evaluations": [np.inf]})
     assert to_markdown(frame) == (

@@ -1,0 +1,102 @@
+"""Variable projection: least squares that solves for the linear parameters in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.least_squares import descend, multi_start
+from miho.optim import Optimizer, Oracle
+from miho.optim.linear_part import LinearPart, solve_linear_part
+from miho.optim.space import LARGEST_BATCH
+from miho.optim.validate import positive, whole
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class VariableProjection(Optimizer):
+    """Multi-start least squares over the nonlinear parameters only (Golub and Pereyra, 1973).
+
+    Wherever the solver looks, the linear parameters have their best values within the box; its
+    derivatives are Kaufman's (1975), which give the exact gradient, with the linear parameters
+    that are at a bound held there. Starts, rounds and solver are those of `LeastSquares`. Where
+    the problem is linear in all its parameters this is one linear solve, and nothing is screened.
+
+    With p linear parameters of d, one look costs p + 2 evaluations and its derivatives d. Needs a
+    least-squares problem that declares linear parameters.
+    """
+
+    screen: int = 500
+    starts: int = 10
+    rounds: int = 3
+    tolerance: float = 1e-10
+
+    def __post_init__(self) -> None:
+        for field in ("screen", "starts", "rounds"):
+            whole(field, getattr(self, field), 1, LARGEST_BATCH)
+        positive("tolerance", self.tolerance)
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        """Screen and solve, `rounds` times; raises ValueError if no parameter is linear."""
+        space = oracle.space
+        if not oracle.linear:
+            raise ValueError(
+                "the problem declares no linear parameters; declare them with the model "
+                "(linear) or choose least_squares"
+            )
+        linear = [space.names.index(name) for name in oracle.linear]
+        nonlinear = [k for k in range(len(space)) if k not in linear]
+        if not nonlinear:
+            _Reduced(oracle, linear, nonlinear, space.decode(space.initial(1))[0]).look()
+            return
+        bounds = space.low[nonlinear], space.high[nonlinear]
+
+        def solve(theta: Array) -> None:
+            reduced = _Reduced(oracle, linear, nonlinear, theta)
+            descend(reduced.residuals, reduced.jacobian, theta[nonlinear], bounds, self.tolerance)
+
+        multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
+
+
+class _Reduced:
+    """The residuals as a function of the nonlinear parameters alone."""
+
+    def __init__(
+        self, oracle: Oracle, linear: list[int], nonlinear: list[int], theta: Array
+    ) -> None:
+        self._oracle = oracle
+        self._linear = linear
+        self._nonlinear = nonlinear
+        self._theta = theta.copy()
+        self._part: LinearPart | None = None
+        self._rows = 1
+
+    def look(self) -> Array:
+        """Residuals (m,) with the best linear parameters for the present nonlinear ones.
+
+        Not finite where the linear parameters cannot be solved for: the solver steps back.
+        """
+        oracle = self._oracle
+        self._part = solve_linear_part(oracle.residuals, self._theta, self._linear, oracle.space)
+        if self._part is None:
+            return np.full(self._rows, np.inf)
+        self._theta = self._part.theta
+        self._rows = self._part.basis.shape[0]
+        return oracle.residuals(self._theta)
+
+    def residuals(self, nonlinear: Array) -> Array:
+        """Residuals (m,) of the reduced problem."""
+        self._theta[self._nonlinear] = nonlinear
+        return self.look()
+
+    def jacobian(self, nonlinear: Array) -> Array:
+        """Kaufman's derivatives (m, d - p): what the basis of the linear part leaves of them."""
+        if not np.array_equal(self._theta[self._nonlinear], nonlinear):
+            self.residuals(nonlinear)
+        if self._part is None:
+            raise ValueError("no derivatives where the linear parameters cannot be solved for")
+        jacobian = self._oracle.jacobian(self._theta)
+        return self._part.outside(jacobian[:, self._nonlinear])

@@ -1,0 +1,81 @@
+"""The closed-form optimum, against published answers and against a search."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from baselines.least_squares import LeastSquares
+from experiments.build import build
+from experiments.cli import composed
+from experiments.schema import register
+from miho import CurveFit, Dataset, Parameter, Space, minimize
+from miho.identification import Huber, linear_optimum
+from miho.models import FunctionModel
+from tests.identification.published import line, misra1a
+
+Array = NDArray[np.float64]
+register()
+
+
+def polynomial(x, *, b0, b1, b2, b3, b4, b5):  # type: ignore[no-untyped-def]
+    return b0 + x * (b1 + x * (b2 + x * (b3 + x * (b4 + x * b5))))
+
+
+polynomial.__annotations__ = dict.fromkeys(("x", "b0", "b1", "b2", "b3", "b4", "b5", "return"), "-")
+
+
+def wampler(base: float) -> CurveFit:
+    """NIST StRD, Wampler1 (base 1) and Wampler2 (base 0.1): y = sum of (base x)^k, k = 0 ... 5."""
+    x = np.arange(21.0)
+    y = sum((base * x) ** k for k in range(6))
+    names = [f"b{k}" for k in range(6)]
+    model = FunctionModel(polynomial, linear=tuple(names))
+    space = Space(tuple(Parameter(name, "-", -100, 100) for name in names))
+    return CurveFit(model, Dataset("w", {"x": x, "y": y}, {"x": "-", "y": "-"}, "y"), space)
+
+
+@pytest.mark.parametrize("base", [1.0, 0.1])
+def test_certified_polynomials(base: float) -> None:
+    """Scaled columns have a condition number of 2e3 and coefficients down to 1e-5: 1e-9 is left."""
+    found = linear_optimum(wampler(base))
+    assert found is not None
+    theta, loss = found
+    assert theta == pytest.approx(base ** np.arange(6), rel=1e-9)
+    assert loss < 1e-12
+
+
+def test_a_line_by_hand() -> None:
+    """Means 2 and 4.5, Sxx 14, Sxy 28.5."""
+    x = np.array([0.0, 1.0, 2.0, 5.0])
+    y = np.array([1.0, 2.5, 3.5, 11.0])
+    found = linear_optimum(line(y, x))
+    assert found is not None
+    slope = 28.5 / 14
+    assert found[0] == pytest.approx([4.5 - 2 * slope, slope], rel=1e-13)
+    assert found[1] * 4 == pytest.approx(((y - 4.5) ** 2).sum() - 28.5**2 / 14, rel=1e-12)
+
+
+def test_an_optimum_outside_the_box_is_the_best_inside() -> None:
+    x = np.linspace(0, 1, 20)
+    problem = line(3 + 5 * x + 0.1 * np.sin(40 * x), x, b=(-1.0, 2.0))
+    found = linear_optimum(problem)
+    assert found is not None
+    assert found[0][1] == 2
+    searched = minimize(LeastSquares(screen=50, starts=5, rounds=1), problem)
+    assert found[1] == pytest.approx(searched.loss, rel=1e-9)
+    assert found[1] <= searched.loss
+
+
+def test_what_is_not_linear_has_none() -> None:
+    assert linear_optimum(misra1a()) is None
+    assert linear_optimum(line(np.ones(4), np.arange(4.0), Huber(1.0))) is None
+
+
+def test_every_run_of_a_linear_model_knows_its_optimum() -> None:
+    experiment = build(composed(["dataset=torque_15"]))
+    data, model = experiment.problem.dataset, experiment.problem.model
+    w = data["omega"] / model.omega_max
+    fit = np.polynomial.Polynomial.fit(w, data[data.output], 3)
+    rms = np.sqrt(np.mean((fit(w) - data[data.output]) ** 2))
+    assert experiment.facts["optimum"] ** 0.5 == pytest.approx(rms, rel=1e-12)
+    assert "optimum" not in build(composed(["dataset=tire_lf", "dataset.n=100"])).facts

@@ -1,0 +1,198 @@
+"""A user's own function: what it may look like, what is said of one that cannot be used."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from experiments.build import ConfigError, build
+from experiments.cli import composed
+from experiments.schema import register
+from miho import Budget, CurveFit, Dataset, Parameter, Space, minimize
+from miho.models import FunctionModel, Model, load_function
+from miho.optim import RandomSearch
+from miho.testing import check_model
+
+DECAY = """
+import numpy as np
+
+def decay(t: "s", *, a: "V", b: "1/s") -> "V":
+    return a * np.exp(-b * t)
+"""
+THETAS = np.array([[2.0, 1.5], [1.0, 0.3], [0.5, 4.0]])
+t = np.linspace(0, 2, 50)
+register()
+
+
+@pytest.fixture
+def load(tmp_path: Path) -> Callable[..., Model]:
+    """Write a file and load the model in it."""
+
+    def write_and_load(text: str, **settings: Any) -> Model:
+        (tmp_path / "mine.py").write_text(text)
+        return load_function(str(tmp_path / "mine.py"), **settings)
+
+    return write_and_load
+
+
+@pytest.mark.parametrize("batched", [True, False])
+@pytest.mark.parametrize("future", ["", "from __future__ import annotations\n"])
+def test_a_function_is_a_model(load: Callable[..., Model], future: str, batched: bool) -> None:
+    model = load(future + DECAY, batched=batched, linear=["a"])
+    assert (dict(model.inputs), dict(model.parameters)) == ({"t": "s"}, {"a": "V", "b": "1/s"})
+    assert (model.output, model.name, model.linear) == ("V", "decay", ("a",))
+    assert model.source is not None
+    assert model.source.name == "mine.py"
+    expected = [2 * np.exp(-1.5 * t), np.exp(-0.3 * t), 0.5 * np.exp(-4 * t)]
+    assert np.array_equal(model.predict(THETAS, t), expected)
+    check_model(model, THETAS, t)
+
+
+def test_the_derivatives_are_those_of_the_formula(load: Callable[..., Model]) -> None:
+    """Central differences leave about 1e-10 of the size of the derivative."""
+    decay = np.exp(-1.5 * t)
+    exact = np.stack([decay, -2 * t * decay], axis=1)
+    found = load(DECAY).jacobian(THETAS[0], t)
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-9)
+
+
+def test_a_function_that_branches_runs_row_by_row(load: Callable[..., Model]) -> None:
+    branching = DECAY.replace("    return", "    if b > 1:\n        return 0\n    return")
+    model = load(branching, batched=False)
+    assert np.array_equal(model.predict(THETAS, t)[1], np.exp(-0.3 * t))
+    assert not model.predict(THETAS, t)[[0, 2]].any()
+    with pytest.raises(ValueError, match=r"mine.py:5: decay raises ValueError: The truth value.*"
+                       r"; it does not with one row.*batched to false"):  # fmt: skip
+        load(branching).predict(THETAS, t)
+
+
+def test_nothing_of_the_callers_is_edited_or_handed_out(load: Callable[..., Model]) -> None:
+    head = (
+        '\nimport numpy as np\nkept = np.zeros((1, 50))\n\ndef f(t: "s", *, a: "V") -> "V":\n    '
+    )
+    model = load(f"{head}return kept")
+    given = model.predict(np.ones((1, 1)), t)
+    given += 1
+    assert not model.predict(np.ones((1, 1)), t).any()
+    thetas = np.ones((2, 1))
+    scribbles = load(f"{head}a *= 2\n    return t + a")
+    assert np.array_equal(scribbles.predict(thetas, t), [t + 2, t + 2])
+    assert np.array_equal(thetas, np.ones((2, 1)))
+    with pytest.raises(ValueError, match="f raises ValueError: output array is read-only"):
+        load(f"{head}t += a[0]\n    return t").predict(thetas, t)
+
+
+BAD = {
+    "no unit": (DECAY.replace('t: "s"', "t"), r"'t' has no unit.*such as t: \"m\""),
+    "no unit of the result": (DECAY.replace(' -> "V"', ""), r"the result has no unit.*-> \"m\""),
+    "a number as unit": (DECAY.replace('b: "1/s"', "b: 1"), "'b' has no unit"),
+    "a default": (DECAY.replace('b: "1/s"', 'b: "1/s" = 1'), "'b' has a default.*remove it"),
+    "any arguments": (DECAY.replace("*,", "*rest,"), r"\*rest stands for any argument"),
+    "no parameters": (DECAY.replace("*, ", ""), "3 input columns and 0 parameters"),
+    "no columns": (DECAY.replace('t: "s", ', ""), "0 input columns and 2 parameters"),
+    "a syntax error": (DECAY.replace("(-b * t)", "(-b * t"), "mine.py:5: '.' was never closed"),
+    "a null byte": (DECAY + "\0", "mine.py.*null bytes"),
+    "a failing import": ("\nimport nothere\n", "mine.py:2: raises ModuleNotFoundError"),
+    "an exit": ("raise SystemExit(5)", "mine.py:1: raises SystemExit: 5"),
+    "no function": ("import numpy as np\nfrom os.path import join", "no public function"),
+    "two functions": (DECAY + DECAY.replace("decay", "other"), "functions decay, other; choose"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_cannot_be_a_model_is_refused(load: Callable[..., Model], case: str) -> None:
+    text, message = BAD[case]
+    with pytest.raises(ValueError, match=message) as caught:
+        load(text)
+    assert "mine.py" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_settings_that_do_not_fit_are_refused(load: Callable[..., Model], tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no function 'grow'; it has decay"):
+        load(DECAY, function="grow")
+    with pytest.raises(ValueError, match=r"linear is \('z',\); expected.*among a, b"):
+        load(DECAY, linear=["z"])
+    assert load(DECAY + DECAY.replace("decay", "_own"), function="_own").name == "_own"
+    with pytest.raises(FileNotFoundError):
+        load_function(str(tmp_path / "none.py"))
+    with pytest.raises(ValueError, match="not a function with a signature"):
+        FunctionModel(5)  # type: ignore[arg-type]
+
+
+def test_results_of_another_shape_or_kind_are_refused(load: Callable[..., Model]) -> None:
+    for result, message in {
+        "t": r"shape \(50,\).*expected \(3, 50\).*broadcast",
+        "np.sum(a * t)": r"shape \(\)",
+        "1j * a * t": "gives complex128; expected real numbers",
+        "None": "gives object",
+    }.items():
+        with pytest.raises(ValueError, match=message):
+            load(DECAY.replace("a * np.exp(-b * t)", result)).predict(THETAS, t)
+    constant = load(DECAY.replace("a * np.exp(-b * t)", "a"))
+    assert np.array_equal(constant.predict(THETAS, t), THETAS[:, [0]] + 0 * t)
+    with pytest.raises(ValueError, match=r"shape \(2,\) for columns \(50,\)"):
+        load(DECAY.replace("a *", "t[:2] +").replace("* t", "+ t[:2]"), batched=False).predict(
+            THETAS, t
+        )
+
+
+def problem(model: Model) -> CurveFit:
+    space = Space((Parameter("a", "V", 0, 5), Parameter("b", "1/s", 0.01, 10, scale="log")))
+    data = Dataset("d", {"t": t, "y": 2 * np.exp(-1.5 * t)}, {"t": "s", "y": "V"}, "y")
+    return CurveFit(model, data, space)
+
+
+def test_what_it_raises_in_a_run_is_counted_with_its_line(load: Callable[..., Model]) -> None:
+    raising = DECAY.replace("    return", "    if np.any(b > 2):\n        1 / 0\n    return")
+    fit = problem(load(raising))
+    record = minimize(RandomSearch(batch=50), fit, Budget(evaluations=200), seed=1)
+    assert record.theta is not None
+    assert record.theta[1] <= 2
+    ((reason, count),) = record.rejected.items()
+    assert reason.endswith("mine.py:6: decay raises ZeroDivisionError: division by zero")
+    assert 0 < count < 200
+
+
+def test_infinities_are_values_without_warnings(load: Callable[..., Model]) -> None:
+    model = load(DECAY.replace("-b", "1e9 * b"))
+    assert np.isinf(model.predict(THETAS, t)[:, 1:]).all()
+
+
+def configuration(tmp_path: Path, text: str) -> list[str]:
+    (tmp_path / "mine.py").write_text(text)
+    rows = "\n".join(f"{x},{2 * np.exp(-1.5 * x)}" for x in t)
+    (tmp_path / "mine.csv").write_text(f"t,y\n{rows}\n")
+    return [
+        "model=function", f"model.path={tmp_path / 'mine.py'}",
+        "dataset=csv", f"dataset.path={tmp_path / 'mine.csv'}",
+        "dataset.columns=[t, y]", "dataset.units=[s, V]", "dataset.output=y",
+        "~space", "+space={a: {unit: V, low: 0, high: 5}, b: {unit: 1/s, low: 0.1, high: 9}}",
+    ]  # fmt: skip
+
+
+def test_an_edit_is_another_run(tmp_path: Path) -> None:
+    first = build(composed(configuration(tmp_path, DECAY)))
+    assert build(composed(configuration(tmp_path, DECAY))).identity == first.identity
+    before = (tmp_path / "mine.py").stat().st_mtime_ns
+    edited = configuration(tmp_path, DECAY.replace("-b", "+b"))  # of the same length
+    os.utime(tmp_path / "mine.py", ns=(before, before))
+    second = build(composed(edited))
+    assert second.identity.code != first.identity.code
+    assert second.problem.loss(THETAS)[0] > first.problem.loss(THETAS)[0] == 0
+    assert first.problem.name == "decay-mine"
+    assert not list(tmp_path.rglob("__pycache__"))
+
+
+def test_a_configuration_that_cannot_be_used_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"model: .*mine.py:5: '\(' was never closed"):
+        build(composed(configuration(tmp_path, DECAY.replace("t)", "t"))))
+    with pytest.raises(ConfigError, match=r"mine.py:5: decay raises NameError: name 'c' is not"):
+        build(composed(configuration(tmp_path, DECAY.replace("-b", "-c"))))
+    with pytest.raises(ConfigError, match=r"model.path: is missing"):
+        build(composed(["model=function"]))
