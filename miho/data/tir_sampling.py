@@ -2,7 +2,8 @@
 
 The spread of the samples around a curve in the slip angle alone is not noise: it is the load,
 camber and slip ratio the curve does not see. `unmodelled_spread` measures it, and no model of
-the slip angle alone can have a smaller RMSE.
+the slip angle alone can have a smaller RMSE. `sample_lateral` keeps those conditions as columns,
+as a tire test does, and `sample_axle` adds the two tires of an axle.
 """
 
 from __future__ import annotations
@@ -26,7 +27,9 @@ Array = NDArray[np.float64]
 Range = tuple[float, float]
 
 _UNMODELLED = ("Fz", "gamma", "kappa")
+AXLES = MappingProxyType({"front": ("lf", "rf"), "rear": ("lr", "rr")})
 UNITS = {"alpha": "rad", "Fz": "N", "gamma": "rad", "kappa": "1", "Fy": "N"}
+LATERAL_UNITS = {"alpha": "rad", "Fz": "N", "gamma": "rad", "pressure": "Pa", "Fy": "N"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +66,10 @@ def _oval(corner_load: float, lean: float) -> SamplingRanges:
         gamma=(radians(-lean - 1.0), radians(-lean + 1.0)),
     )
 
+
+LOADS = (0.35, 0.7, 1.0, 1.5, 2.1)
+PRESSURES = (0.85, 1.0, 1.15)
+"""Where a test measures, relative to nominal load and pressure."""
 
 EMBEDDED_RANGES = MappingProxyType(
     {
@@ -101,15 +108,86 @@ def sample_tir(
     gamma [rad], kappa [1] and the output Fy [N], ISO-W: positive alpha, negative Fy. The name is
     "tire_" and the embedded name or the file's stem. `strict` is that of `load_tir`.
     """
-    if n < 1:
-        raise ValueError(f"n is {n}; at least one sample is needed")
-    if seed < 0:
-        raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
+    rng = _generator(n, seed)
     formula, ranges, name = _resolve(tire, ranges, strict)
-    rng = np.random.default_rng(seed)
     columns = {key: ranges.draw(key, n, rng) for key in ("alpha", *_UNMODELLED)}
     columns["Fy"] = _lateral_force(formula, columns)
     return Dataset(name=f"tire_{name}", columns=columns, units=UNITS, output="Fy")
+
+
+def sample_lateral(
+    tire: str | os.PathLike[str],
+    n: int = 3000,
+    seed: int = 0,
+    noise: float = 50.0,
+    *,
+    alpha: Sequence[float] = (-0.22, 0.22),
+    loads: Sequence[float] | None = None,
+    cambers: Sequence[float] = (-0.07, -0.035, 0.0, 0.035, 0.07),
+    pressures: Sequence[float] | None = None,
+    held_out: int = 1000,
+    held_out_loads: Sequence[float] | None = None,
+    held_out_cambers: Sequence[float] | None = None,
+    strict: bool = True,
+) -> Dataset:
+    """n samples of pure lateral slip at the loads, cambers and pressures of a test, with noise.
+
+    alpha [rad] is uniform between its two bounds; each row draws one of `loads` [N] (0.35, 0.7, 1,
+    1.5 and 2.1 times FNOMIN if None), of `cambers` [rad] and of `pressures` [Pa] (0.85, 1 and 1.15
+    times NOMPRES). noise: standard deviation of the measured force [N], normal. The dataset's
+    `held_out` has that many rows, measured alike at other loads and cambers: halfway between
+    neighbouring ones unless given. Columns alpha, Fz, gamma, pressure and the output Fy, ISO-W;
+    the name is that of `sample_tir` and "_conditions".
+    """
+    rng = _generator(n, seed)
+    _generator(held_out, seed)
+    if not 0 <= noise < np.inf:
+        raise ValueError(f"noise is {noise}; expected a finite number of at least 0")
+    formula, _, name = _resolve(tire, None, strict)
+    p, bounds = formula.parameters, SamplingRanges(Fz=(0, 0), gamma=(0, 0), alpha=_pair(alpha))
+    levels = {
+        "Fz": _levels("loads", [f * p.FNOMIN for f in LOADS] if loads is None else loads),
+        "gamma": _levels("cambers", cambers),
+        "pressure": _levels(
+            "pressures", [f * p.NOMPRES for f in PRESSURES] if pressures is None else pressures
+        ),
+    }
+    unseen = {
+        "Fz": _unseen("held_out_loads", held_out_loads, levels["Fz"]),
+        "gamma": _unseen("held_out_cambers", held_out_cambers, levels["gamma"]),
+    }
+
+    def measured(rows: int, at: dict[str, Array], held: Dataset | None) -> Dataset:
+        columns = {"alpha": bounds.draw("alpha", rows, rng)}
+        columns |= {key: rng.choice(values, rows) for key, values in at.items()}
+        slip, Fz, gamma, pressure = columns.values()
+        force = formula.forces(Fz, 0.0, slip, gamma, pressure=pressure).Fy
+        columns["Fy"] = force + noise * rng.standard_normal(rows)
+        kept = "_conditions" if held else "_held_out"
+        return Dataset(f"tire_{name}{kept}", columns, LATERAL_UNITS, "Fy", held_out=held)
+
+    return measured(n, levels, measured(held_out, levels | unseen, None))
+
+
+def sample_axle(axle: str = "front", n: int = 3000, seed: int = 0) -> Dataset:
+    """n samples of the lateral force of an axle of embedded tires: left and right, added.
+
+    Both wheels have the same slip angle; each draws its own load, camber and slip ratio from
+    `EMBEDDED_RANGES`, as in `sample_tir`. axle: front (lf, rf) or rear (lr, rr). Columns alpha
+    [rad], Fz_left, Fz_right [N], gamma_left, gamma_right [rad], kappa_left, kappa_right [1] and the
+    output Fy [N], ISO-W; the name is the axle and "_axle".
+    """
+    if axle not in AXLES:
+        raise ValueError(f"axle is {axle!r}; choose from {', '.join(AXLES)}")
+    rng = _generator(n, seed)
+    columns = {"alpha": EMBEDDED_RANGES[AXLES[axle][0]].draw("alpha", n, rng)}
+    units, Fy = {"alpha": "rad", "Fy": "N"}, np.zeros(n)
+    for side, tire in zip(("left", "right"), AXLES[axle], strict=True):
+        own = {key: EMBEDDED_RANGES[tire].draw(key, n, rng) for key in _UNMODELLED}
+        Fy += _lateral_force(load_tir(embedded_tire(tire)), own | {"alpha": columns["alpha"]})
+        columns |= {f"{key}_{side}": values for key, values in own.items()}
+        units |= {f"{key}_{side}": UNITS[key] for key in own}
+    return Dataset(f"{axle}_axle", columns | {"Fy": Fy}, units, "Fy")
 
 
 def unmodelled_spread(
@@ -132,6 +210,37 @@ def unmodelled_spread(
     inputs |= {key: ranges.draw(key, (n, redraws), rng) for key in _UNMODELLED}
     Fy = _lateral_force(formula, inputs)
     return float(np.sqrt(Fy.var(axis=1, ddof=1).mean()))
+
+
+def _generator(n: int, seed: int) -> np.random.Generator:
+    if n < 1:
+        raise ValueError(f"n is {n}; at least one sample is needed")
+    if seed < 0:
+        raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
+    return np.random.default_rng(seed)
+
+
+def _pair(bounds: Sequence[float]) -> Range:
+    if len(bounds) != 2:
+        raise ValueError(f"alpha is {bounds}; give its lower and upper bound")
+    return float(bounds[0]), float(bounds[1])
+
+
+def _levels(name: str, values: Sequence[float]) -> Array:
+    levels = np.array(values, dtype=float)
+    if not levels.size or not np.isfinite(levels).all():
+        raise ValueError(f"{name} is {list(values)}; give finite numbers, at least one")
+    return np.unique(levels)
+
+
+def _unseen(name: str, values: Sequence[float] | None, seen: Array) -> Array:
+    """The given levels, none of which may have been seen; else those halfway between."""
+    if values is None:
+        return (seen[1:] + seen[:-1]) / 2 if seen.size > 1 else seen
+    levels = _levels(name, values)
+    if np.isin(levels, seen).any():
+        raise ValueError(f"{name} is {list(values)}; expected none of the training data's")
+    return levels
 
 
 def _lateral_force(formula: MagicFormula, inputs: dict[str, Array]) -> Array:

@@ -11,7 +11,7 @@ Implementations agree on Fx and Fy; they do not on Mz under combined slip, where
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -29,7 +29,7 @@ class TireForces(NamedTuple):
     Mz: Array
 
 
-class _Conditions(NamedTuple):
+class Conditions(NamedTuple):
     """Inputs after the range limits, with the quantities every equation shares."""
 
     Fz: Array
@@ -43,6 +43,7 @@ class _Conditions(NamedTuple):
     cosine: Array  # cos' alpha
     mu_x: Array  # lambda*_mu_x
     mu_y: Array  # lambda*_mu_y
+    loaded: Array  # share of the force that is left below the smallest load
 
 
 class _Longitudinal(NamedTuple):
@@ -50,14 +51,25 @@ class _Longitudinal(NamedTuple):
     K: Array
 
 
-class _Lateral(NamedTuple):
+class PureLateral(NamedTuple):
+    """Lateral force without longitudinal slip, and what it is made of (4.E19-4.E30)."""
+
     Fy: Array
-    slip_part: Array  # G_yk Fy0, the part that acts at the pneumatic trail
+    alpha_y: Array
+    B: Array
+    C: Array
+    D: Array
+    E: Array
     K: Array
     K_prime: Array
     SH: Array
     SV: Array
-    BC: Array
+
+
+class _Lateral(NamedTuple):
+    Fy: Array
+    slip_part: Array  # G_yk Fy0, the part that acts at the pneumatic trail
+    pure: PureLateral
 
 
 @dataclass(frozen=True)
@@ -115,16 +127,13 @@ class MagicFormula:
                 )
             )
         )
-        load = np.maximum(inputs[0], 0.0)
-        c = self._conditions(load, *inputs[1:], alpha_star=alpha_star)
+        c = self.conditions(*inputs, alpha_star=alpha_star)
         x = self._longitudinal(c)
         y = self._lateral(c, c.gamma * p.LGAY)
         Mz = self._aligning_moment(c, x, y)
-        loaded = load / c.Fz if self.clamp_inputs and p.FZMIN > 0 else np.ones_like(load)
-        loaded = np.minimum(loaded, 1.0)
-        return TireForces(*(np.asarray(loaded * force) for force in (x.Fx, y.Fy, Mz)))
+        return TireForces(*(np.asarray(c.loaded * force) for force in (x.Fx, y.Fy, Mz)))
 
-    def _conditions(
+    def conditions(
         self,
         Fz: Array,
         kappa: Array,
@@ -133,9 +142,11 @@ class MagicFormula:
         Vx: Array,
         pressure: Array,
         *,
-        alpha_star: bool,
-    ) -> _Conditions:
+        alpha_star: bool = False,
+    ) -> Conditions:
+        """What the equations read, from inputs of one shape; arguments as in `forces`."""
         p = self.parameters
+        load = Fz = np.maximum(Fz, 0.0)
         if self.clamp_inputs:
             Fz = np.clip(Fz, p.FZMIN, p.FZMAX)
             kappa = np.clip(kappa, p.KPUMIN, p.KPUMAX)
@@ -146,7 +157,8 @@ class MagicFormula:
         slip_speed = speed * np.hypot(kappa, tan_alpha)
         decay = 1 + p.LMUV * slip_speed / p.LONGVL  # 4.E7
         nominal = p.LFZO * p.FNOMIN  # 4.E1
-        return _Conditions(
+        loaded = load / Fz if self.clamp_inputs and p.FZMIN > 0 else np.ones_like(load)
+        return Conditions(
             Fz=Fz,
             kappa=kappa,
             alpha=tan_alpha * np.sign(Vx) if alpha_star else alpha,  # 4.E3
@@ -158,9 +170,10 @@ class MagicFormula:
             cosine=Vx / (speed * np.hypot(1, tan_alpha) + self.epsilon),  # 4.E6
             mu_x=p.LMUX / decay,
             mu_y=p.LMUY / decay,
+            loaded=np.minimum(loaded, 1.0),
         )
 
-    def _longitudinal(self, c: _Conditions) -> _Longitudinal:
+    def _longitudinal(self, c: Conditions) -> _Longitudinal:
         p, e, dfz, dpi = self.parameters, self.epsilon, c.dfz, c.dpi
         # MF 5.2 takes the camber itself here, whatever the mode, and has no low-speed factor.
         gamma = c.inclination * p.LGAX if p.version == "5.2" else c.gamma
@@ -168,7 +181,7 @@ class MagicFormula:
         mu = (p.PDX1 + p.PDX2 * dfz) * (1 + p.PPX3 * dpi + p.PPX4 * dpi**2)
         mu = mu * (1 - p.PDX3 * gamma**2) * c.mu_x  # 4.E13
         SH = (p.PHX1 + p.PHX2 * dfz) * p.LHX  # 4.E17
-        SV = c.Fz * (p.PVX1 + p.PVX2 * dfz) * rolling * p.LVX * self._faded(c.mu_x)  # 4.E18
+        SV = c.Fz * (p.PVX1 + p.PVX2 * dfz) * rolling * p.LVX * self.faded(c.mu_x)  # 4.E18
         kappa_x = c.kappa + SH  # 4.E10
         C = p.PCX1 * p.LCX  # 4.E11
         D = mu * c.Fz  # 4.E12
@@ -184,8 +197,13 @@ class MagicFormula:
         G = _weight(c.alpha, p.RHX1, B, p.RCX1, E)  # 4.E51-4.E53
         return _Longitudinal(Fx=G * Fx0, K=K)  # 4.E50
 
-    def _lateral(self, c: _Conditions, gamma: Array) -> _Lateral:
-        p, e, dfz, dpi = self.parameters, self.epsilon, c.dfz, c.dpi
+    def pure_lateral(self, c: Conditions, gamma: Array, p: Any) -> PureLateral:
+        """Lateral force without longitudinal slip, before the share `c.loaded`.
+
+        p: anything with the names of `MagicFormulaParameters`; coefficients may be columns (n, 1)
+        that broadcast with the conditions.
+        """
+        e, dfz, dpi = self.epsilon, c.dfz, c.dpi
         mu = (p.PDY1 + p.PDY2 * dfz) * (1 + p.PPY3 * dpi + p.PPY4 * dpi**2)
         mu = mu * (1 - p.PDY3 * gamma**2) * c.mu_y  # 4.E23
         nominal = p.LFZO * p.FNOMIN
@@ -193,7 +211,7 @@ class MagicFormula:
         load_at_peak = nominal * (p.PKY2 + p.PKY5 * gamma**2) * (1 + p.PPY2 * dpi)
         K = K_peak * np.sin(p.PKY4 * np.arctan(c.Fz / load_at_peak)) * p.LKY  # 4.E25
         K_prime = K + np.where(K < 0, -e, e)  # 4.E39
-        faded = self._faded(c.mu_y)
+        faded = self.faded(c.mu_y)
         SV_gamma = c.Fz * (p.PVY3 + p.PVY4 * dfz) * gamma * p.LKYC * faded  # 4.E28
         SV = c.Fz * (p.PVY1 + p.PVY2 * dfz) * p.LVY * faded + SV_gamma  # 4.E29
         SH = (p.PHY1 + p.PHY2 * dfz) * p.LHY
@@ -210,31 +228,28 @@ class MagicFormula:
         E = self._curvature(E * (1 + p.PEY5 * gamma**2 - side))  # 4.E24
         B = K / (C * D + e)  # 4.E26
         Fy0 = D * np.sin(C * np.arctan(_argument(alpha_y, B, E))) + SV  # 4.E19
+        return PureLateral(Fy0, alpha_y, B, C, D, E, K, K_prime, SH, SV)
 
+    def _lateral(self, c: Conditions, gamma: Array) -> _Lateral:
+        p, dfz = self.parameters, c.dfz
+        pure = self.pure_lateral(c, gamma, p)
         B_kappa = np.cos(np.arctan(p.RBY2 * (c.alpha - p.RBY3)))
         B_kappa = (p.RBY1 + p.RBY4 * gamma**2) * B_kappa * p.LYKA  # 4.E62
         E_kappa = self._curvature(p.REY1 + p.REY2 * dfz)  # 4.E64
         G = _weight(c.kappa, p.RHY1 + p.RHY2 * dfz, B_kappa, p.RCY1, E_kappa)  # 4.E59-4.E61
-        D_V = D * (p.RVY1 + p.RVY2 * dfz + p.RVY3 * gamma)
+        D_V = pure.D * (p.RVY1 + p.RVY2 * dfz + p.RVY3 * gamma)
         D_V = D_V * np.cos(np.arctan(p.RVY4 * c.alpha))  # 4.E67
         SV_kappa = D_V * np.sin(p.RVY5 * np.arctan(p.RVY6 * c.kappa)) * p.LVYKA  # 4.E66
-        return _Lateral(
-            Fy=G * Fy0 + SV_kappa,  # 4.E58
-            slip_part=G * Fy0,
-            K=K,
-            K_prime=K_prime,
-            SH=SH,
-            SV=SV,
-            BC=B * C,
-        )
+        slip_part = G * pure.Fy
+        return _Lateral(Fy=slip_part + SV_kappa, slip_part=slip_part, pure=pure)  # 4.E58
 
-    def _aligning_moment(self, c: _Conditions, x: _Longitudinal, y: _Lateral) -> Array:
+    def _aligning_moment(self, c: Conditions, x: _Longitudinal, y: _Lateral) -> Array:
         p, dfz, dpi, gamma = self.parameters, c.dfz, c.dpi, c.gamma * self.parameters.LGAZ
         forward, size = np.sign(c.Vx), np.abs(gamma)
         nominal, radius = p.LFZO * p.FNOMIN, p.UNLOADED_RADIUS
 
         alpha_t = c.alpha + p.QHZ1 + p.QHZ2 * dfz + (p.QHZ3 + p.QHZ4 * dfz) * gamma  # 4.E34-4.E35
-        alpha_r = c.alpha + y.SH + y.SV / y.K_prime  # 4.E37-4.E38
+        alpha_r = c.alpha + y.pure.SH + y.pure.SV / y.pure.K_prime  # 4.E37-4.E38
         B = (p.QBZ1 + p.QBZ2 * dfz + p.QBZ3 * dfz**2) * (1 + p.QBZ4 * gamma + p.QBZ5 * size)
         B = B * p.LKY / c.mu_y  # 4.E40
         C = p.QCZ1  # 4.E41
@@ -243,7 +258,7 @@ class MagicFormula:
         E = p.QEZ1 + p.QEZ2 * dfz + p.QEZ3 * dfz**2
         side = (p.QEZ4 + p.QEZ5 * gamma) * 2 / np.pi * np.arctan(B * C * alpha_t)
         E = self._curvature(E * (1 + side))  # 4.E44
-        B_r = p.QBZ9 * p.LKY / c.mu_y + p.QBZ10 * y.BC  # 4.E45
+        B_r = p.QBZ9 * p.LKY / c.mu_y + p.QBZ10 * (y.pure.B * y.pure.C)  # 4.E45
         camber = (p.QDZ8 + p.QDZ9 * dfz) * (1 + p.PPZ2 * dpi) + (p.QDZ10 + p.QDZ11 * dfz) * size
         D_r = (p.QDZ6 + p.QDZ7 * dfz) * p.LRES + camber * gamma * p.LKZC
         D_r = c.Fz * radius * D_r * c.mu_y * forward * c.cosine  # 4.E47
@@ -251,7 +266,7 @@ class MagicFormula:
         # QBZ4 and QDZ3 take the camber with its sign, as MF-Tyre does; the book takes |gamma|.
         # The book adds the longitudinal slip to the angles (4.E77-4.E78), MF-Tyre to their
         # tangents; the reference values follow MF-Tyre.
-        slip = x.K / y.K_prime * c.kappa
+        slip = x.K / y.pure.K_prime * c.kappa
         alpha_t = np.arctan(np.hypot(np.tan(alpha_t), slip)) * np.sign(alpha_t)
         alpha_r = np.arctan(np.hypot(np.tan(alpha_r), slip)) * np.sign(alpha_r)
         trail = D * np.cos(C * np.arctan(_argument(alpha_t, B, E))) * c.cosine  # 4.E73
@@ -264,7 +279,7 @@ class MagicFormula:
     def _curvature(self, E: Array) -> Array:
         return np.minimum(E, 1.0) if self.clamp_curvature else E
 
-    def _faded(self, mu: Array) -> Array:
+    def faded(self, mu: Array) -> Array:
         """lambda'_mu, 4.E8."""
         return self.A_mu * mu / (1 + (self.A_mu - 1) * mu)
 

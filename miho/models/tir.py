@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from math import isfinite, prod
+from math import isfinite, isinf, prod
 from pathlib import Path
 from typing import NoReturn
 
@@ -100,11 +100,15 @@ def read_tir(path: str | os.PathLike[str]) -> PropertyFile:
     return reader.finish()
 
 
-def write_tir(file: PropertyFile, path: str | os.PathLike[str]) -> None:
+def write_tir(file: PropertyFile | MagicFormula, path: str | os.PathLike[str]) -> None:
     """Write in SI units; reading it back gives the same numbers bit for bit. No comments.
 
-    Raises `ValueError` for text that a property file cannot hold.
+    Of a `MagicFormula` its parameters are written, so that `load_tir` gives the same tire; its
+    other fields are not part of a property file, nor are ranges that do not limit. Raises
+    `ValueError` for text or numbers that a property file cannot hold.
     """
+    if isinstance(file, MagicFormula):
+        file = _property_file(file.parameters)
     lines = []
     for name, entries in file.sections.items():
         lines.append(f"[{name}]")
@@ -386,6 +390,22 @@ def _shown(value: Value) -> str:
     if isinstance(value, str):
         return repr(value if len(value) <= 40 else value[:39] + "…")
     return f"{value:g}"
+
+
+def _property_file(parameters: MagicFormulaParameters) -> PropertyFile:
+    version = parameters.version
+    sections: dict[str, dict[str, Value]] = {
+        "MDI_HEADER": {"FILE_TYPE": "tir", "FILE_VERSION": 3.0, "FILE_FORMAT": "ASCII"},
+        "UNITS": dict(SI_UNITS),
+        "MODEL": {"FITTYP": float(version.replace(".", ""))},
+    }
+    for name, value in vars(parameters).items():
+        if name not in parameter_names(version) or (isinf(value) and name[-3:] in ("MIN", "MAX")):
+            continue
+        if not isfinite(value):
+            raise ValueError(f"{name} is {value}; a property file can only hold finite numbers")
+        sections.setdefault(SECTION_OF[name], {})[name] = value
+    return PropertyFile(sections)
 
 
 def _written(section: str, key: str, value: Value) -> str:

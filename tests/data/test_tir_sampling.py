@@ -9,6 +9,8 @@ from miho.data.tir_sampling import (
     EMBEDDED_RANGES,
     SamplingRanges,
     embedded_tire,
+    sample_axle,
+    sample_lateral,
     sample_tir,
     unmodelled_spread,
 )
@@ -135,3 +137,67 @@ def test_bad_arguments_are_named() -> None:
         unmodelled_spread("lf", redraws=1)
     with pytest.raises(ValueError, match=r"range of alpha is \(0\.2, 0\.1\)"):
         SamplingRanges(Fz=(1, 2), gamma=(0, 0), alpha=(0.2, 0.1))
+
+
+def test_a_tire_test_keeps_its_conditions_and_holds_some_out() -> None:
+    data = sample_lateral("lf", n=800, noise=30.0)
+    held = data.held_out
+    assert data.name == "tire_lf_conditions"
+    assert held is not None and len(held) == 1000
+    assert list(data.columns) == ["alpha", "Fz", "gamma", "pressure", "Fy"]
+    for key in ("Fz", "gamma"):
+        assert not set(data[key]) & set(held[key]), "unseen"
+        assert data[key].min() < held[key].min() and held[key].max() < data[key].max()
+    tire = load_tir(embedded_tire("lf"))
+    for rows in (data, held):
+        truth = tire.forces(rows["Fz"], 0, rows["alpha"], rows["gamma"], pressure=rows["pressure"])
+        noise = rows["Fy"] - truth.Fy
+        assert noise.std() == pytest.approx(30, rel=0.1)
+        assert abs(noise.mean()) < 4, "5 standard errors of the smaller set"
+
+
+def test_conditions_of_your_own() -> None:
+    data = sample_lateral(
+        embedded_tire("rr"), n=50, noise=0.0, alpha=[0.0, 0.1], loads=[2000, 4000],
+        cambers=[0.0], pressures=[165000.0], held_out=20, held_out_loads=[3500],
+    )  # fmt: skip
+    held = data.held_out
+    assert held is not None
+    assert set(data["Fz"]) == {2000, 4000} and set(held["Fz"]) == {3500}
+    assert data["alpha"].min() >= 0 and data["alpha"].max() <= 0.1
+    assert set(held["gamma"]) == {0.0}, "nothing lies between one camber"
+    assert sample_lateral("lf", n=9).digest == sample_lateral("lf", n=9).digest
+    assert sample_lateral("lf", n=9).digest != sample_lateral("lf", n=9, seed=1).digest
+
+
+def test_bad_conditions_are_named() -> None:
+    with pytest.raises(ValueError, match=r"loads is \[\]; give finite numbers"):
+        sample_lateral("lf", loads=[])
+    with pytest.raises(ValueError, match=r"held_out_cambers is \[0.0\]; expected none of the tr"):
+        sample_lateral("lf", held_out_cambers=[0.0])
+    with pytest.raises(ValueError, match="noise is -1"):
+        sample_lateral("lf", noise=-1)
+    with pytest.raises(ValueError, match=r"alpha is \[0.1\]"):
+        sample_lateral("lf", alpha=[0.1])
+    with pytest.raises(ValueError, match="axle is 'middle'; choose from front, rear"):
+        sample_axle("middle")
+
+
+@pytest.mark.parametrize(("axle", "tires"), [("front", ("lf", "rf")), ("rear", ("lr", "rr"))])
+def test_an_axle_is_the_sum_of_its_tires(axle: str, tires: tuple[str, str]) -> None:
+    data = sample_axle(axle)
+    assert data.name == f"{axle}_axle"
+    total = np.zeros(len(data))
+    for side, name in zip(("left", "right"), tires, strict=True):
+        Fz, gamma, kappa = (data[f"{key}_{side}"] for key in ("Fz", "gamma", "kappa"))
+        total += load_tir(embedded_tire(name)).forces(Fz, kappa, data["alpha"], gamma).Fy
+    np.testing.assert_allclose(data["Fy"], total, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("axle", "tires"), [("front", ("lf", "rf")), ("rear", ("lr", "rr"))])
+def test_the_spreads_of_two_independent_wheels_add_in_squares(
+    axle: str, tires: tuple[str, str]
+) -> None:
+    data = sample_axle(axle)
+    expected = np.hypot(*(unmodelled_spread(name, n=300, redraws=200) for name in tires))
+    assert irreducible_error(data["alpha"], data["Fy"]) == pytest.approx(expected, rel=0.03)

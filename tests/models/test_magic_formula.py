@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -206,3 +207,18 @@ def test_digressive_friction_acts_on_the_shift_only() -> None:
 def test_refuses_parameters_no_tire_can_have(key: str, value: float) -> None:
     with pytest.raises(InvalidParameterError, match=key):
         tire(**{key: value})
+
+
+def test_pure_lateral_equations_take_columns_of_coefficients() -> None:
+    """A column (n, 1) of a coefficient gives the forces of n tires, bit for bit."""
+    stiffness, friction = np.array([[-50.0], [-60.0]]), np.array([[1.5], [1.7]])
+    alpha = np.linspace(-0.2, 0.2, 9)
+    formula = tire()
+    p = formula.parameters
+    rest = (np.zeros(9), alpha, np.full(9, 0.03), np.full(9, p.LONGVL), np.full(9, p.NOMPRES))
+    c = formula.conditions(np.full(9, 4000.0), *rest)
+    batch = SimpleNamespace(**vars(p) | {"PKY1": stiffness, "PDY1": friction})
+    forces = formula.pure_lateral(c, c.gamma, batch).Fy
+    for row, PKY1, PDY1 in zip(forces, stiffness[:, 0], friction[:, 0], strict=True):
+        single = tire(PKY1=PKY1, PDY1=PDY1).forces(4000, 0, alpha, 0.03)
+        assert np.array_equal(row, single.Fy)

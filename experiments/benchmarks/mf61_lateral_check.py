@@ -1,0 +1,231 @@
+"""How well MF 6.1 lateral coefficients are identified, written, simplified and rebuilt.
+
+    python -m experiments.benchmarks.mf61_lateral_check [FOLDER]
+
+For each embedded tire, and for the MF 6.1 tire in the folder mf_reference of FOLDER (else of
+MIHO_DATA_DIR, else of ../shared/data beside the checkout) if it is there: 27 coefficients from
+3000 noisy samples (`sample_lateral`), least squares from uniform starts in conf/space/mf61_lateral,
+judged against the tire itself at loads and cambers that were not in the data.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from time import perf_counter, process_time
+
+import numpy as np
+import pandas as pd
+import scipy.optimize
+from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
+
+from experiments.build import build, build_space
+from experiments.cli import composed
+from experiments.schema import register
+from miho.data import embedded_tire, sample_axle, sample_lateral
+from miho.identification import CurveFit
+from miho.models import (
+    LateralMagicFormula,
+    Pacejka,
+    central_stiffness,
+    cornering_stiffness,
+    from_simplified,
+    load_tir,
+    mf61_lateral,
+    simplify,
+    write_tir,
+)
+from miho.models.lateral_magic_formula import UNITS
+from miho.models.magic_formula import MagicFormula
+from miho.models.model import central_differences
+from miho.models.simplified_tire import SLIP
+from miho.optim import Budget, Space, minimize
+
+Array = NDArray[np.float64]
+
+STARTS = 20
+LIMIT = 60  # steps of one start
+
+
+def bare(tire: MagicFormula) -> LateralMagicFormula:
+    """The model with nothing of the tire but nominal load, nominal pressure and dimensions."""
+    p = tire.parameters
+    known = ("FNOMIN", "NOMPRES", "UNLOADED_RADIUS", "LONGVL")
+    model = mf61_lateral({name: getattr(p, name) for name in known})
+    assert isinstance(model, LateralMagicFormula)
+    return model
+
+
+def identification(path: Path, space: Space) -> dict[str, object]:
+    """Uniform starts on one tire: how many succeed, how good the best is, what it took."""
+    tire, data = load_tir(path), sample_lateral(str(path), strict=False)
+    problem = CurveFit(bare(tire), data, space)
+    held = data.held_out
+    assert held is not None
+    columns = [held[name] for name in problem.model.inputs]
+    alpha, Fz, gamma, pressure = columns
+    truth = tire.forces(Fz, 0, alpha, gamma, pressure=pressure).Fy
+    peak = np.abs(truth).max()
+    rng = np.random.default_rng(0)
+    errors, seconds, unseen = [], [], []
+    for start in rng.uniform(space.low, space.high, (STARTS, len(space))):
+        began = process_time()
+        found = scipy.optimize.least_squares(
+            problem.residuals, start, jac=problem.jacobian, bounds=(space.low, space.high),
+            x_scale="jac", max_nfev=LIMIT,
+        )  # fmt: skip
+        seconds.append(process_time() - began)
+        errors.append(np.sqrt(2 * found.cost / len(data)))
+        predicted = problem.model.predict(found.x[None], *columns)[0]
+        unseen.append(100 * np.sqrt(np.mean((predicted - truth) ** 2)) / peak)
+    success = np.array(errors) < 1.01 * min(errors)
+    best = int(np.argmin(errors))
+    return {
+        "tire": path.stem,
+        "peak [N]": round(float(peak)),
+        "starts that succeed": f"{success.sum()} of {STARTS}",
+        "training RMSE [N]": errors[best],
+        "unseen RMSE against the tire [% of peak]": unseen[best],
+        "median CPU s per start": float(np.median(seconds)),
+    }
+
+
+def round_trips(path: Path) -> dict[str, object]:
+    """Largest force errors over the peak of each curve: simple curves, and rebuilt tires."""
+    tire = load_tir(path)
+    p = tire.parameters
+    cambers, pressures = np.radians([-4, -2, 0, 2, 4]), p.NOMPRES * np.array([0.85, 1, 1.15])
+    table = simplify(tire, p.FNOMIN * np.array([0.35, 0.7, 1, 1.5, 2.1]), cambers, pressures)
+    row = table.Fz[:, None], table.gamma[:, None], table.pressure[:, None]
+    true = tire.forces(row[0], 0, SLIP, row[1], pressure=row[2]).Fy
+    peak = np.abs(true).max(axis=1, keepdims=True)
+
+    def error(force: Array) -> str:
+        return f"{(np.abs(force - true) / peak).max():.1e}"
+
+    def rebuilt(asymmetry: Array) -> str:
+        again = from_simplified(table._replace(asymmetry=asymmetry), bare(tire).base)
+        return error(again.forces(row[0], 0, SLIP, row[1], pressure=row[2]).Fy)
+
+    return {
+        "tire": path.stem,
+        "curves": table.Fz.size,
+        "one E": error(table.force(SLIP)),
+        "E per side": error(table.force(SLIP, two_sided=True)),
+        "rebuilt from one E": rebuilt(np.zeros_like(table.E)),
+        "rebuilt from E per side": rebuilt(table.asymmetry),
+    }
+
+
+def milliseconds(call: Callable[[], object]) -> float:
+    """The fastest of ten calls."""
+    times = []
+    for _ in range(10):
+        began = perf_counter()
+        call()
+        times.append(1e3 * (perf_counter() - began))
+    return min(times)
+
+
+def whole_run() -> None:
+    """dataset=tire_lf_conditions optimizer=least_squares, and its tire through a file."""
+    experiment = build(composed(["dataset=tire_lf_conditions", "optimizer=least_squares"]))
+    problem, model = experiment.problem, experiment.problem.model
+    assert isinstance(model, LateralMagicFormula)
+    record = minimize(experiment.optimizer, problem, Budget(), seed=0)
+    assert record.theta is not None
+    print(
+        f"\noptimizer=least_squares: RMSE {np.sqrt(record.loss):.3f} N, "
+        f"{record.evaluations} evaluations, {record.seconds:.1f} s, "
+        f"best to 0.1 % after {_reached(record.trace.loss, record.trace.seconds):.2f} s"
+    )
+    tire = model.with_coefficients(record.theta)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "identified.tir"
+        write_tir(tire, path)
+        again = load_tir(path)
+    columns = [problem.dataset[name] for name in model.inputs]
+    alpha, Fz, gamma, pressure = columns
+    force = model.predict(record.theta[None], *columns)[0]
+    difference = again.forces(Fz, 0, alpha, gamma, pressure=pressure).Fy - force
+    print(f"written, read and evaluated: {np.abs(difference).max():.1e} N from the model")
+    theta = record.theta
+    jacobian = model.jacobian(theta, *columns)
+    numeric = central_differences(model, theta, *columns)
+    error = (np.abs(jacobian - numeric).max(axis=0) / np.abs(jacobian).max(axis=0)).max()
+    fast = milliseconds(lambda: model.jacobian(theta, *columns))
+    slow = milliseconds(lambda: central_differences(model, theta, *columns))
+    scaled = jacobian / np.linalg.norm(jacobian, axis=0)
+    print(
+        f"Jacobian {jacobian.shape}: {fast:.1f} ms, by differences {slow:.1f} ms, "
+        f"largest difference {error:.1e} of a column's largest entry; "
+        f"condition with unit columns {np.linalg.cond(scaled):.0f}"
+    )
+
+
+def _reached(losses: list[float], seconds: list[float]) -> float:
+    return next(t for loss, t in zip(losses, seconds, strict=True) if loss <= 1.001**2 * losses[-1])
+
+
+def axles() -> pd.DataFrame:
+    """Pacejka on the axles: its error, and the two stiffnesses beside the tires' own slope."""
+    rows = []
+    for axle, tires in {"front": ("lf", "rf"), "rear": ("lr", "rr")}.items():
+        experiment = build(composed([f"dataset={axle}_axle", "optimizer=least_squares"]))
+        record = minimize(experiment.optimizer, experiment.problem, Budget(), seed=0)
+        assert record.theta is not None
+        data, h = sample_axle(axle), 1e-5
+        slope = 0.0
+        for side, name in zip(("left", "right"), tires, strict=True):
+            tire = load_tir(embedded_tire(name))
+            Fz, gamma = data[f"Fz_{side}"], data[f"gamma_{side}"]
+            ahead, behind = (tire.forces(Fz, 0, x, gamma).Fy for x in (h, -h))
+            slope += float(np.mean(behind - ahead)) / (2 * h)
+        rows.append(
+            {
+                "axle": axle,
+                **dict(zip(Pacejka.parameters, record.theta, strict=True)),
+                "RMSE [N]": np.sqrt(record.loss),
+                "BCD, Eq. 14 [kN/rad]": central_stiffness(record.theta) / 1e3,
+                "slope at 0 [kN/rad]": cornering_stiffness(record.theta) / 1e3,
+                "mean slope of the tires [kN/rad]": slope / 1e3,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def main() -> int:
+    """Print all figures, with one thread."""
+    with threadpool_limits(1):
+        return figures()
+
+
+def figures() -> int:
+    """All figures."""
+    register()
+    default = Path(__file__).parents[3] / "shared" / "data"
+    named = sys.argv[1] if len(sys.argv) > 1 else os.environ.get("MIHO_DATA_DIR", default)
+    tires = [embedded_tire(name) for name in ("lf", "rf", "lr", "rr")]
+    tires += [
+        path
+        for path in sorted((Path(named) / "mf_reference").glob("*.tir"))
+        if load_tir(path).parameters.version == "6.1"
+    ]
+    print(f"{len(UNITS)} coefficients of MF 6.1 from 3000 samples with 50 N of noise")
+    chosen = composed(["model=mf61_lateral", "space=mf61_lateral"]).space
+    space = build_space({str(k): dict(v) for k, v in chosen.items()})
+    print(pd.DataFrame([identification(path, space) for path in tires]).to_string(index=False))
+    whole_run()
+    print("\nsimple curves of 5 loads x 5 cambers x 3 pressures: largest error over each peak")
+    print(pd.DataFrame([round_trips(path) for path in tires]).to_string(index=False))
+    print("\naxles")
+    print(axles().to_string(index=False, float_format="%.4g"))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

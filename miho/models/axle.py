@@ -1,0 +1,91 @@
+"""Axles of the single-track model: two tires at one slip angle, and their cornering stiffness."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from miho.models.tire import Pacejka, PacejkaCurvature
+
+Array = NDArray[np.float64]
+
+_MODELS = {len(model.parameters): model for model in (Pacejka(), PacejkaCurvature())}
+
+
+@dataclass(frozen=True, eq=False)
+class Axle:
+    """The left and the right tire of an axle, which have the same slip angle.
+
+    left, right: parameters of `Pacejka` (B, C, D, Sx, Sy) or of `PacejkaCurvature`
+    (B, C, D, E, Sx, Sy), each at the load its wheel carries; the two may differ in kind. The sum
+    is not such a curve itself; identified from data of the axle, one curve comes close.
+    """
+
+    left: Array
+    right: Array
+
+    def __post_init__(self) -> None:
+        for side in ("left", "right"):
+            theta = np.array(getattr(self, side), dtype=float)
+            if theta.ndim != 1 or theta.size not in _MODELS or not np.isfinite(theta).all():
+                raise ValueError(
+                    f"{side} is {theta.tolist()}; expected the 5 finite parameters of Pacejka or "
+                    "the 6 of PacejkaCurvature"
+                )
+            theta.flags.writeable = False
+            object.__setattr__(self, side, theta)
+
+    def force(self, alpha: ArrayLike) -> Array:
+        """Lateral force of both tires [N] at slip angles [rad] of any shape, ISO-W."""
+        slip = np.asarray(alpha, dtype=float)
+        forces = (
+            _MODELS[theta.size].predict(theta[None], slip.ravel())[0]
+            for theta in (self.left, self.right)
+        )
+        return np.asarray(sum(forces)).reshape(slip.shape)
+
+    @property
+    def cornering_stiffness(self) -> float:
+        """Sum of both tires' slopes at zero slip angle [N/rad]: the axle's, no factor 2."""
+        return float(cornering_stiffness(self.left) + cornering_stiffness(self.right))
+
+
+def cornering_stiffness(theta: ArrayLike) -> Array:
+    """-dFy/dalpha at alpha = 0 [N/rad] of parameters (..., 5) or (..., 6): (...), positive.
+
+        B C D cos(C arctan(w)) / (1 + w^2) (1 - E z^2 / (1 + z^2)),   z = B Sx,
+                                                                      w = z - E (z - arctan(z))
+
+    For E = 0 that is B C D cos(C arctan(B Sx)) / (1 + B^2 Sx^2). It is what a controller
+    linearised about straight running needs; Eq. 14 is the slope at alpha = Sx.
+    """
+    B, C, D, E, Sx = _curve(theta)
+    z = B * Sx
+    w = z - E * (z - np.arctan(z))
+    slope = B * C * D * np.cos(C * np.arctan(w)) / (1 + w * w)
+    return np.asarray(slope * (1 - E * z * z / (1 + z * z)))
+
+
+def central_stiffness(theta: ArrayLike) -> Array:
+    """Eq. 14: B C D [N/rad] of parameters (..., 5) or (..., 6), (...).
+
+    The slope -dFy/dalpha at alpha = Sx, whatever E; for Sx = 0 it is `cornering_stiffness`.
+    """
+    B, C, D, _, _ = _curve(theta)
+    return np.asarray(B * C * D)
+
+
+def _curve(theta: ArrayLike) -> tuple[Array, Array, Array, Array, Array]:
+    """B, C, D, E, Sx; E is 0 for the parameters of `Pacejka`."""
+    values = np.asarray(theta, dtype=float)
+    size = values.shape[-1] if values.ndim else 0
+    if size not in _MODELS:
+        raise ValueError(
+            f"theta has shape {values.shape}; expected 5 parameters of Pacejka or 6 of "
+            "PacejkaCurvature last"
+        )
+    named = dict(zip(_MODELS[size].parameters, np.moveaxis(values, -1, 0), strict=True))
+    B, C, D, Sx = (named[name] for name in ("B", "C", "D", "Sx"))
+    return B, C, D, named.get("E", np.zeros_like(B)), Sx
