@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from experiments.build import ConfigError, rebuild
 from experiments.cli import guarded
-from miho.analysis.page import Section, page
+from miho.analysis.page import Section, page, png
 from miho.analysis.quantities import interval, scaled, with_error, written
 from miho.analysis.report_figures import Column, fit_figure, profile_figure, residual_figure
 from miho.identification import CurveFit, Report, make_report
@@ -67,6 +67,8 @@ def derived_table(report: Report) -> pd.DataFrame:
     """The derived quantities as text, in handy units."""
     rows = []
     for row in report.derived.to_dict("records"):
+        if math.isnan(row["value"]):
+            continue
         factor, unit = scaled(row["value"], row["unit"])
         value, error = row["value"] * factor, row["standard error"] * factor
         chosen = _interval_name(report.derived)
@@ -91,8 +93,9 @@ def correlation_table(report: Report) -> pd.DataFrame:
 def text(report: Report) -> str:
     """The report for a terminal: parameters, derived quantities and what the numbers mean."""
     parts = [parameter_table(report).to_string(index=False)]
-    if len(report.derived):
-        parts.append(derived_table(report).to_string(index=False))
+    quantities = derived_table(report)
+    if len(quantities):
+        parts.append(quantities.to_string(index=False))
     if report.notes:
         parts.append("\n".join(f"- {sentence}" for sentence in report.notes))
     return "\n\n".join(parts)
@@ -105,7 +108,10 @@ def write(report: Report, stored: StoredRun, folder: Path) -> Path:
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
     settings = stored.config["model"]
     write_text(folder / PARAMETERS, parameters_text(identified(report, stored), settings))
-    write_text(folder / PAGE, _page(report, stored))
+    figures = _figures(report)
+    for name, picture in figures.items():
+        (folder / f"{name}.png").write_bytes(picture)
+    write_text(folder / PAGE, _page(report, stored, figures))
     return folder / PAGE
 
 
@@ -163,8 +169,9 @@ def _interval_name(frame: pd.DataFrame) -> str:
     return next(kind for kind in kinds if f"{kind} low" in frame.columns)
 
 
-def _page(report: Report, stored: StoredRun) -> str:
-    problem, result = report.problem, stored.result
+def _figures(report: Report) -> dict[str, bytes]:
+    """The pictures by name."""
+    problem = report.problem
     dataset, model = problem.dataset, problem.model
     errors = Column("error", problem.unit, problem.errors(report.found))
     measured = Column(dataset.output, problem.unit, dataset[dataset.output])
@@ -179,19 +186,31 @@ def _page(report: Report, stored: StoredRun) -> str:
         x = Column(name, model.inputs[name], dataset[name])
         grid = np.linspace(x.values.min(), x.values.max(), GRID)
         band = (grid, *report.band(grid))
-    kinds = [k for k in ("linearised", "profile", "bootstrap") if f"{k} low" in report.parameters]
     profiles = {
         name: (found.values, found.tau)
         for name, found in zip(problem.space.names, report.profiles, strict=True)
         if found is not None
     }
+    figures = {
+        "fit": fit_figure(measured, measured.values + errors.values, x, band),
+        "residuals": residual_figure(errors, columns),
+    }
+    if profiles:
+        quantile = report.at.quantile(report.level)
+        figures["profiles"] = profile_figure(profiles, model.parameters, quantile)
+    return {name: png(figure) for name, figure in figures.items()}
+
+
+def _page(report: Report, stored: StoredRun, figures: Mapping[str, bytes]) -> str:
+    problem, result = report.problem, stored.result
+    kinds = [k for k in ("linearised", "profile", "bootstrap") if f"{k} low" in report.parameters]
     sections = [
         Section("Parameters", table=_all_intervals(report, kinds), caption=_explained(report)),
         Section("What these numbers mean", report.notes or ["Nothing to warn of."]),
         Section(
             "Fit",
-            figure=fit_figure(measured, measured.values + errors.values, x, band),
-            caption=f"{len(dataset)} rows of {dataset.name}.",
+            figure=figures["fit"],
+            caption=f"{len(problem.dataset)} rows of {problem.dataset.name}.",
         ),
         Section("Derived quantities", table=derived_table(report)),
         Section("Errors", table=_rounded(report.errors), caption="Root mean squares."),
@@ -203,23 +222,23 @@ def _page(report: Report, stored: StoredRun) -> str:
         Section(
             "What the errors still follow",
             table=_rounded(report.trends),
-            figure=residual_figure(errors, columns),
+            figure=figures["residuals"],
             caption="explained: share of the errors' variance that the means of groups of rows "
             "explain. Errors are model minus data.",
         ),
         Section("Correlation of the estimates", table=correlation_table(report)),
+        Section(
+            "Profiles",
+            figure=figures.get("profiles"),
+            caption="Signed root of the likelihood ratio; a straight line where the linearised "
+            "interval is right. The interval lies between the dashed lines.",
+        ),
+        Section("Origin", table=_origin(stored)),
     ]
-    if profiles:
-        figure = profile_figure(profiles, model.parameters, report.at.quantile(report.level))
-        caption = (
-            "Signed root of the likelihood ratio; a straight line where the linearised interval is "
-            "right. The interval lies between the dashed lines."
-        )
-        sections.append(Section("Profiles", figure=figure, caption=caption))
-    sections.append(Section("Origin", table=_origin(stored)))
     subtitle = (
-        f"{type(model).__name__} on {dataset.name}, identified by {result['optimizer']}, seed "
-        f"{result['seed']}: error {math.sqrt(result['loss']):.4g} {problem.unit}."
+        f"{type(problem.model).__name__} on {problem.dataset.name}, identified by "
+        f"{result['optimizer']}, seed {result['seed']}: error {math.sqrt(result['loss']):.4g} "
+        f"{problem.unit}."
     )
     return page(f"Identification of {problem.name}", subtitle, [s for s in sections if _full(s)])
 

@@ -36,12 +36,15 @@ img { max-width: 100%; height: auto; }
 
 @dataclass(frozen=True)
 class Section:
-    """A heading with what stands below it, in this order; empty parts are left out."""
+    """A heading with what stands below it, in this order; empty parts are left out.
+
+    `figure` is a picture as `png` makes it.
+    """
 
     heading: str
     sentences: Sequence[str] = ()
     table: pd.DataFrame | None = None
-    figure: Figure | None = None
+    figure: bytes | None = None
     caption: str = ""
 
 
@@ -56,6 +59,14 @@ def page(title: str, subtitle: str, sections: Sequence[Section]) -> str:
     )
 
 
+def png(figure: Figure) -> bytes:
+    """The figure as a picture for a page."""
+    buffer = io.BytesIO()
+    with house_style():
+        figure.savefig(buffer, format="png", dpi=120)
+    return buffer.getvalue()
+
+
 def _section(section: Section) -> str:
     parts = [f"<h2>{escape(section.heading)}</h2>"]
     if len(section.sentences) == 1:
@@ -67,7 +78,8 @@ def _section(section: Section) -> str:
         parts.append(_table(section.table))
     if section.figure is not None:
         alt = escape(section.caption or section.heading, quote=True)
-        parts.append(f'<img alt="{alt}" src="data:image/png;base64,{_png(section.figure)}">')
+        data = base64.b64encode(section.figure).decode("ascii")
+        parts.append(f'<img alt="{alt}" src="data:image/png;base64,{data}">')
     if section.caption:
         parts.append(f'<p class="note">{escape(section.caption)}</p>')
     return "\n".join(parts)
@@ -94,10 +106,3 @@ def _table(frame: pd.DataFrame) -> str:
 def _is_text(column: pd.Series) -> bool:
     """Whether a column holds words or units, which are read from the left, and not numbers."""
     return any(re.search("[a-df-zA-Z]", str(value).replace("inf", "")) for value in column)
-
-
-def _png(figure: Figure) -> str:
-    buffer = io.BytesIO()
-    with house_style():
-        figure.savefig(buffer, format="png", dpi=120)
-    return base64.b64encode(buffer.getvalue()).decode("ascii")

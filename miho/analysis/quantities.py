@@ -6,6 +6,8 @@ import math
 
 KILO = 1e4
 """Values from here on are written in thousands of their unit."""
+PLACES = 6
+"""Numbers that need more decimals than this are written with a power of ten."""
 PREFIXED = ("N", "Pa")
 
 
@@ -30,7 +32,10 @@ def written(value: float, error: float) -> str:
     if not math.isfinite(error) or error <= 0 or math.isinf(value):
         return f"{value:.6g}"
     places = digits(error)
-    return f"{value:.{places}f}" if places < 12 else f"{value:.6g}"
+    if places > PLACES:
+        exponent = math.floor(math.log10(max(abs(value), error)))
+        return f"{value:.{max(0, places + exponent)}e}"
+    return f"{value:.{places}f}"
 
 
 def with_error(value: float, error: float) -> str:

@@ -1,11 +1,35 @@
 """Datasets: the class, its loaders and the embedded tires."""
 
+from miho.data.axle_samples import load_axle_samples
+from miho.data.braking_samples import load_braking_samples
 from miho.data.csv import CSVError, load_csv
 from miho.data.dataset import Dataset
+from miho.data.driving_log import CHANNELS, DrivingLog, load_driving_log
+from miho.data.mat import load_mat
 from miho.data.seong import DataUnavailableError, load_seong_sample
-from miho.data.tir_sampling import SamplingRanges, embedded_tire, sample_tir, unmodelled_spread
+from miho.data.synthetic_brake import (
+    brake_deceleration_test,
+    brake_pressure_test,
+    brake_step_test,
+    brake_torque_test,
+)
+from miho.data.synthetic_engine import dyno_test, engine_driving_log, load_engine_drive
+from miho.data.synthetic_handling import simulated_axle_drive, simulated_weave
+from miho.data.tir_sampling import (
+    SamplingRanges,
+    embedded_tire,
+    sample_axle,
+    sample_lateral,
+    sample_tir,
+    unmodelled_spread,
+)
+from miho.data.torque_samples import TorqueRules, TorqueSamples, load_torque_samples
 
 __all__ = [
-    "CSVError", "DataUnavailableError", "Dataset", "SamplingRanges", "embedded_tire", "load_csv",
-    "load_seong_sample", "sample_tir", "unmodelled_spread",
+    "CHANNELS", "CSVError", "DataUnavailableError", "Dataset", "DrivingLog", "SamplingRanges",
+    "TorqueRules", "TorqueSamples", "brake_deceleration_test", "brake_pressure_test",
+    "brake_step_test", "brake_torque_test", "dyno_test", "embedded_tire", "engine_driving_log",
+    "load_axle_samples", "load_braking_samples", "load_csv", "load_driving_log",
+    "load_engine_drive", "load_mat", "load_seong_sample", "load_torque_samples", "sample_axle",
+    "sample_lateral", "sample_tir", "simulated_axle_drive", "simulated_weave", "unmodelled_spread",
 ]  # fmt: skip

@@ -3,25 +3,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset, file_name
+from miho.data.measurements import Layout
 
 Array = NDArray[np.float64]
 
 MAX_BYTES = 64 * 2**20
 MAX_LINE = 10_000
+MAX_ROWS = 4_000_000
+BLOCK = 10_000
+"""Lines read at a time: where one has a fault, these are read again cell by cell."""
+
+_CELL = re.compile(r'[ \t]*"((?:[^"]|"")*)"[ \t]*(?=,|$)|([^",]*)(?=,|$)')
+_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 
 
 class CSVError(ValueError):
     """One line saying file, line and column, what is wrong and what to do."""
 
     def __init__(self, path: Path, line: int, column: int, problem: str) -> None:
-        super().__init__(f"{path}:{line}:{column}: {problem}")
+        name = str(path) if str(path).isprintable() else repr(str(path))
+        super().__init__(f"{name}:{line}:{column}: {problem}")
 
 
 def read_numbers(path: Path, columns: Sequence[str], *, header: bool) -> dict[str, Array]:
@@ -29,83 +39,186 @@ def read_numbers(path: Path, columns: Sequence[str], *, header: bool) -> dict[st
 
     With a `header`, the first line must name the columns asked for, in any order and among
     others, which are not read; without one, the file must have just these columns in this order.
-    Raises CSVError for anything else, FileNotFoundError if there is no file.
+    Cells may stand in double quotes. Raises CSVError for anything else, FileNotFoundError if
+    there is no file.
     """
-    lines = _lines(path)
-    first = 0
-    positions = list(range(len(columns)))
-    width = len(columns)
-    if header:
-        names = [name.strip().strip('"') for name in lines[0].split(",")]
-        width = len(names)
-        for name in columns:
-            if name not in names:
-                remedy = "rename it or choose other columns"
-                if len(names) == 1 and ";" in lines[0]:
-                    remedy = "separate columns with commas and write decimals with a point"
-                found = f"no column {name!r} in the header {lines[0].strip()[:80]!r}"
-                raise CSVError(path, 1, 1, f"{found}; {remedy}")
-            if names.count(name) > 1:
-                raise CSVError(path, 1, 1, f"column {name!r} is there twice; keep one")
-        positions = [names.index(name) for name in columns]
-        first = 1
-    values = np.empty((len(lines) - first, len(columns)))
-    for row, text in enumerate(lines[first:]):
-        cells = text.split(",")
-        if len(cells) != width:
-            raise CSVError(
-                path, row + first + 1, 1, f"{len(cells)} cells; every row must have {width}"
-            )
-        for column, position in enumerate(positions):
-            number = _number(cells[position])
-            if number is None:
-                raise CSVError(
-                    path,
-                    row + first + 1,
-                    1 + sum(len(cell) + 1 for cell in cells[:position]),
-                    f"{cells[position].strip()[:40]!r} in column {columns[column]!r} is not a "
-                    "finite number; correct the cell or remove the row",
-                )
-            values[row, column] = number
-    if not len(values):
-        raise CSVError(path, 1, 1, "no rows of data; give at least one")
-    return {name: values[:, column].copy() for column, name in enumerate(columns)}
+    return _Table(path, columns, header).numbers()
 
 
 def load_csv(
-    path: str, columns: Sequence[str], units: Sequence[str], output: str, name: str | None = None
+    path: str,
+    columns: Sequence[str],
+    units: Sequence[str],
+    output: str,
+    headers: Sequence[str] | None = None,
+    convention: str = "iso-w",
+    flip: Sequence[str] = (),
+    ranges: Mapping[str, Sequence[float] | None] | None = None,
+    held_out: Mapping[str, Sequence[float]] | None = None,
+    name: str | None = None,
 ) -> Dataset:
     """A dataset from a file with a header line, in SI units, radians and ISO-W signs.
 
-    `columns` are read by name and `units` name their units in the same order. The dataset is
-    called after the file unless `name` is given.
+    The settings are those of `miho.data.measurements.Layout`; the dataset is called after the file
+    unless `name` is given. Raises CSVError for what the file has, ValueError for the settings.
     """
-    if len(columns) != len(units):
-        raise ValueError(f"{len(columns)} columns and {len(units)} units; give one unit a column")
-    numbers = read_numbers(Path(path), columns, header=True)
-    return Dataset(name or file_name(path), numbers, dict(zip(columns, units, strict=True)), output)
+    layout = Layout(columns, units, output, headers, convention, flip, ranges, held_out)
+    table = _Table(Path(path), layout.names, header=True)
+    return layout.dataset(name or file_name(path), table.numbers(), table.fault)
+
+
+class _Table:
+    """The lines of a file, and where the wanted columns stand in them."""
+
+    def __init__(self, path: Path, columns: Sequence[str], header: bool) -> None:
+        self.path = path
+        self.columns = tuple(columns)
+        self.lines = _lines(path)
+        self.first = 0
+        self.width = len(columns)
+        self.positions = list(range(len(columns)))
+        if header:
+            self._read_header()
+
+    def _read_header(self) -> None:
+        names = [text.strip() for _, text in self._cells(0)]
+        for name in self.columns:
+            if name not in names:
+                found = f"no column {name!r} in the header {self.lines[0].strip()[:80]!r}"
+                raise CSVError(self.path, 1, 1, f"{found}; {_header_remedy(name, names)}")
+            if names.count(name) > 1:
+                column = self._cells(0)[names.index(name, names.index(name) + 1)][0]
+                raise CSVError(self.path, 1, column, f"column {name!r} is there twice; keep one")
+        self.first = 1
+        self.width = len(names)
+        self.positions = [names.index(name) for name in self.columns]
+
+    def numbers(self) -> dict[str, Array]:
+        """The wanted columns, (N,) each."""
+        rows = len(self.lines) - self.first
+        if not rows:
+            raise CSVError(self.path, 1, 1, "no rows of data; give at least one")
+        values = np.empty((rows, len(self.columns)))
+        for start in range(0, rows, BLOCK):
+            stop = min(start + BLOCK, rows)
+            block = self._plain_block(start, stop)
+            if block is None:  # cell by cell, which also says where a fault is
+                values[start:stop] = [self._row(row) for row in range(start, stop)]
+            else:
+                values[start:stop] = block
+        return {name: values[:, column].copy() for column, name in enumerate(self.columns)}
+
+    def fault(self, name: str, row: int | None, problem: str) -> CSVError:
+        """The error about a column's header, or about its cell in a row counted from 0."""
+        line = 0 if row is None else row + self.first
+        column = self._cells(line)[self.positions[self.columns.index(name)]][0]
+        return CSVError(self.path, line + 1, column, problem)
+
+    def _plain_block(self, start: int, stop: int) -> Array | None:
+        """Rows of numbers if each cell is one beyond doubt, else None."""
+        lines = self.lines[self.first + start : self.first + stop]
+        text = "\n".join(lines)
+        if not text.isascii() or '"' in text or text.isspace():
+            return None
+        if any(line.count(",") != self.width - 1 for line in lines):
+            return None
+        try:
+            values = np.loadtxt(
+                lines, delimiter=",", comments=None, usecols=self.positions, ndmin=2
+            )
+        except ValueError:
+            return None
+        whole = values.shape == (len(lines), len(self.columns)) and np.isfinite(values).all()
+        return values if whole else None
+
+    def _row(self, row: int) -> list[float]:
+        line = row + self.first
+        cells = self._cells(line)
+        if len(cells) != self.width:
+            remedy = "add or remove cells, and write decimals with a point"
+            if not self.lines[line].strip():
+                remedy = "remove the empty line"
+            problem = f"{len(cells)} cells; every row must have {self.width}; {remedy}"
+            raise CSVError(self.path, line + 1, 1, problem)
+        values = []
+        for name, position in zip(self.columns, self.positions, strict=True):
+            column, text = cells[position]
+            value = _number(text)
+            if value is None:
+                problem = f"{text.strip()[:40]!r} in column {name!r} is not a finite number"
+                remedy = "correct the cell or remove the row"
+                raise CSVError(self.path, line + 1, column, f"{problem}; {remedy}")
+            values.append(value)
+        return values
+
+    def _cells(self, line: int) -> list[tuple[int, str]]:
+        """The cells of a line from 0: where each begins, counted from 1, and what it says."""
+        text = self.lines[line]
+        cells = []
+        start = 0
+        while True:
+            found = _CELL.match(text, start)
+            if found is None:
+                quote = text.index('"', start) + 1
+                problem = "quote inside a cell or never closed"
+                remedy = "quote whole cells on one line, or none"
+                raise CSVError(self.path, line + 1, quote, f"{problem}; {remedy}")
+            quoted = found[1]
+            cells.append((start + 1, found[2] if quoted is None else quoted.replace('""', '"')))
+            start = found.end() + 1
+            if start > len(text):
+                return cells
+
+
+def _header_remedy(name: str, names: Sequence[str]) -> str:
+    if len(names) == 1 and ";" in names[0]:
+        return "separate columns with commas and write decimals with a point"
+    if len(names) == 1 and len(names[0].split()) > 1:
+        return "separate columns with commas"
+    if all(_number(other) is not None for other in names):
+        return "begin the file with a line that names the columns"
+    close = [other for other in names if other.casefold() == name.casefold()]
+    close += get_close_matches(name, names, n=1)
+    if close:
+        return f"rename it, or say headers=[..., {close[0][:40]!r}, ...]"
+    return "rename it or choose other columns"
 
 
 def _lines(path: Path) -> list[str]:
     if path.exists() and not path.is_file():
         raise CSVError(path, 1, 1, "is not a file; name one")
-    if path.stat().st_size > MAX_BYTES:
+    try:
+        with path.open("rb") as stream:
+            data = stream.read(MAX_BYTES + 1) if path.stat().st_size <= MAX_BYTES else None
+    except PermissionError:
+        raise CSVError(path, 1, 1, "cannot be read; check its permissions") from None
+    if data is None or len(data) > MAX_BYTES:
         raise CSVError(path, 1, 1, f"larger than {MAX_BYTES >> 20} MiB; split the file")
-    data = path.read_bytes()
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise CSVError(path, 1, 1, "UTF-16 text; save the file as UTF-8")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
         column = error.start - data.rfind(b"\n", 0, error.start)
         raise CSVError(path, line, column, "not UTF-8 text; save the file as UTF-8") from None
-    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    del data
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if text.count("\n") > MAX_ROWS:
+        raise CSVError(path, MAX_ROWS, 1, f"more than {MAX_ROWS} lines; split the file")
+    lines = text.split("\n")
     while lines and not lines[-1].strip():
         lines.pop()
     if not lines:
         raise CSVError(path, 1, 1, "the file is empty; give rows of numbers")
-    for position, row in enumerate(lines, start=1):
+    control = _CONTROL.search(text)
+    for number, row in enumerate(lines, start=1):
         if len(row) > MAX_LINE:
-            raise CSVError(path, position, MAX_LINE, f"line longer than {MAX_LINE} characters")
+            problem = f"line longer than {MAX_LINE} characters; split it"
+            raise CSVError(path, number, MAX_LINE, problem)
+        if control and (found := _CONTROL.search(row)):
+            problem = f"control character {found[0]!r}; save the file as plain UTF-8 text"
+            raise CSVError(path, number, found.start() + 1, problem)
     return lines
 
 

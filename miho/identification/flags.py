@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from miho.identification.profile import Profile
 from miho.identification.uncertainty import Linearised
@@ -47,16 +47,18 @@ def identifiability(at: Linearised, space: Space, level: float) -> list[str]:
                 f"{_listed(touched)} are not identifiable one by one: they can change together "
                 "and leave every prediction as it is. Fix one of them."
             )
-    pairs = []
-    for one, other in combinations(range(theta.size), 2):
-        r = float(at.correlation[one, other])
-        if abs(r) >= CORRELATED:
-            pairs.append((abs(r), one, other, r))
-    for _, one, other, r in sorted(pairs, reverse=True):
-        how = "a larger one with a smaller other" if r < 0 else "both larger or both smaller"
+    for together in _entangled(at.correlation):
+        block = at.correlation[np.ix_(together, together)]
+        strongest = block[np.triu_indices(len(together), 1)]
+        r = float(strongest[np.abs(strongest).argmax()])
+        who = _listed([names[i] for i in together])
+        one_up = "a larger one with a smaller other" if r < 0 else "both larger or both smaller"
+        if len(together) > 2:
+            told = f"correlations reach {r:.2f}, one can make up for the others"
+        else:
+            told = f"their correlation is {r:.2f}, {one_up} fits almost as well"
         sentences.append(
-            f"{names[one]} and {names[other]} are hard to tell apart: their correlation is "
-            f"{r:.2f}, {how} fits almost as well. Trust what they make together more than either."
+            f"{who} are hard to tell apart: {told}. Trust what they make together more than each."
         )
     reach = at.quantile(level)
     sentences += [
@@ -65,6 +67,14 @@ def identifiability(at: Linearised, space: Space, level: float) -> list[str]:
         if errors[i] * reach >= abs(theta[i])
     ]
     return sentences
+
+
+def _entangled(correlation: Array) -> list[list[int]]:
+    """Groups of parameters that strong correlations connect, in the order of the parameters."""
+    strong = np.abs(np.nan_to_num(correlation)) >= CORRELATED
+    count, label = connected_components(strong, directed=False)
+    groups = [np.flatnonzero(label == group).tolist() for group in range(count)]
+    return [group for group in groups if len(group) > 1]
 
 
 def trustworthiness(

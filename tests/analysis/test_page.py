@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-from miho.analysis.page import Section, page
+from miho.analysis.page import Section, page, png
 from miho.analysis.quantities import interval, scaled, written
 from miho.analysis.report_figures import Column, fit_figure, profile_figure, residual_figure
 
@@ -43,7 +43,7 @@ def test_a_page_is_whole_and_loads_nothing() -> None:
     sections = [
         Section("Table", table=table, caption="a < b"),
         Section("Words", ["one <script>", "two"]),
-        Section("Figure", figure=figure, caption="the fit"),
+        Section("Figure", figure=png(figure), caption="the fit"),
         Section("Nothing", table=pd.DataFrame()),
     ]
     html = page("A <title>", "sub", sections)
@@ -81,6 +81,9 @@ def test_figures_say_what_their_axes_are() -> None:
         (17.3501, 1.3240, "17.4"),
         (0.0074003, 0.00083, "0.00740"),
         (1.66506, 0.0607, "1.665"),
+        (2.49412e-6, 3.51e-9, "2.4941e-06"),
+        (3.51e-9, 3.51e-9, "3.5e-09"),
+        (0.0, 3.51e-9, "0.0e+00"),
         (3.0, math.nan, "3"),
         (math.inf, 0.1, "inf"),
         (math.nan, 0.1, "-"),

@@ -1,12 +1,17 @@
-"""The strict reader: what it takes, and where it says what it does not."""
+"""The strict reader: what it takes, where it says what it does not, and what becomes of it."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from miho.data import CSVError, load_csv
-from miho.data.csv import read_numbers
+from baselines.least_squares import LeastSquares
+from miho import Budget, CurveFit, Dataset, Parameter, Space, minimize
+from miho.data import CSVError, load_csv, sample_tir
+from miho.data.csv import BLOCK, read_numbers
+from miho.data.measurements import PLAUSIBLE
+from miho.models import Pacejka
 
 
 def file(tmp_path: Path, data: str | bytes) -> Path:
@@ -22,14 +27,6 @@ def test_columns_by_name(tmp_path: Path) -> None:
     assert found["Fy"].tolist() == [1000.0, -2.5]
 
 
-def test_a_dataset(tmp_path: Path) -> None:
-    path = file(tmp_path, "alpha,Fy\n0.1,-1\n0.2,-2\n")
-    dataset = load_csv(str(path), ["alpha", "Fy"], ["rad", "N"], "Fy", "mine")
-    assert (dataset.name, len(dataset), dataset.units["Fy"]) == ("mine", 2, "N")
-    with pytest.raises(ValueError, match="one unit a column"):
-        load_csv(str(path), ["alpha", "Fy"], ["rad"], "Fy")
-
-
 BAD = {
     "a text cell": ("a,b\n1,2\n3,four\n", "3:3", "'four' in column 'b'"),
     "an empty cell": ("a,b\n1,\n", "2:3", "'' in column 'b'"),
@@ -41,7 +38,7 @@ BAD = {
     "a short row": ("a,b\n1,2\n3\n", "3:1", "1 cells"),
     "a blank line inside": ("a,b\n1,2\n\n3,4\n", "3:1", "1 cells"),
     "a missing column": ("a,c\n1,2\n", "1:1", "no column 'b' in the header 'a,c'"),
-    "a column twice": ("a,b,b\n1,2,3\n", "1:1", "'b' is there twice"),
+    "a column twice": ("a,b,b\n1,2,3\n", "1:5", "'b' is there twice"),
     "no rows": ("a,b\n", "1:1", "no rows of data"),
     "nothing": ("", "1:1", "empty"),
     "other digits": ("a,b\n1,٣\n", "2:3", "not a finite number"),
@@ -74,3 +71,218 @@ def test_numbers_survive_a_round_trip(tmp_path: Path) -> None:
     values = np.random.default_rng(0).standard_normal(200)
     path = file(tmp_path, "\n".join(repr(v) for v in values.tolist()))
     assert np.array_equal(read_numbers(path, ["x"], header=False)["x"], values)
+
+
+def test_quoted_cells(tmp_path: Path) -> None:
+    path = file(tmp_path, '"a","the ""b"", in kN",note\n"1", "2" ,"x, y"\n3,4,\n')
+    found = read_numbers(path, ["a", 'the "b", in kN'], header=True)
+    assert [column.tolist() for column in found.values()] == [[1.0, 3.0], [2.0, 4.0]]
+
+
+@pytest.mark.parametrize("row", [0, BLOCK - 1, BLOCK, 2 * BLOCK + 3])
+def test_a_fault_is_found_anywhere_in_a_long_file(tmp_path: Path, row: int) -> None:
+    rows = [f"{i},{i / 7!r},run_{i}" for i in range(2 * BLOCK + 4)]
+    text = "\n".join(["a,b,note", *rows])
+    found = read_numbers(file(tmp_path, text), ["b", "a"], header=True)
+    assert np.array_equal(found["b"], np.arange(2 * BLOCK + 4) / 7)
+    assert np.array_equal(found["a"], np.arange(2 * BLOCK + 4))
+    rows[row] = f"{row},1e,run"
+    path = file(tmp_path, "\n".join(["a,b,note", *rows]))
+    with pytest.raises(CSVError, match=f":{row + 2}:{len(str(row)) + 2}: '1e' in column 'b'"):
+        read_numbers(path, ["b", "a"], header=True)
+
+
+def written(tmp_path: Path, columns: dict[str, Any], name: str = "mine") -> str:
+    path = tmp_path / f"{name}.csv"
+    rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
+    lines = [",".join(columns), *(",".join(map(repr, row)) for row in rows)]
+    path.write_text("\n".join(lines))
+    return str(path)
+
+
+TIRE = sample_tir("lf", n=400)
+alpha, Fy, Fz, gamma = (TIRE[name] for name in ("alpha", "Fy", "Fz", "gamma"))
+COLUMNS = ["alpha", "Fy", "Fz", "gamma"]
+UNITS = ["rad", "N", "N", "rad"]
+
+
+def load(tmp_path: Path, file: dict[str, Any], **settings: Any) -> Dataset:
+    given: dict[str, Any] = {"columns": COLUMNS, "units": UNITS, "output": "Fy"}
+    return load_csv(written(tmp_path, file), **given | settings)
+
+
+def mine(**changes: Any) -> dict[str, Any]:
+    return {"alpha": alpha, "Fy": Fy, "Fz": Fz, "gamma": gamma} | changes
+
+
+def test_units_names_and_conditions(tmp_path: Path) -> None:
+    file = {"t": np.arange(400.0), "IA": np.degrees(gamma), "FZ": Fz / 4.4482216152605}
+    file |= {"SA": np.degrees(alpha), "FY": Fy / 1e3}
+    units = ["deg", "kN", "lbf", "deg"]
+    read = load(tmp_path, file, units=units, headers=["SA", "FY", "FZ", "IA"])
+    assert (read.name, read.output, read.held_out) == ("mine", "Fy", None)
+    assert dict(read.units) == dict(zip(COLUMNS, UNITS, strict=True))
+    for name in COLUMNS:
+        np.testing.assert_allclose(read[name], TIRE[name], rtol=1e-15)
+    assert load(tmp_path, mine(), name="other").name == "other"
+
+
+SIGNS = {
+    "iso-w": (1, 1, 1),
+    "sae": (-1, -1, -1),  # y and z the other way
+    "adapted-sae": (1, -1, 1),  # the book: alpha, Fy and Fz are positive together
+}
+
+
+@pytest.mark.parametrize("convention", SIGNS)
+def test_conventions(tmp_path: Path, convention: str) -> None:
+    signs = SIGNS[convention]
+    file = mine(alpha=signs[0] * alpha, Fy=signs[1] * Fy, Fz=signs[2] * Fz)
+    read = load(tmp_path, file, convention=convention)
+    assert all(np.array_equal(read[name], TIRE[name]) for name in COLUMNS)
+    flipped = load(tmp_path, file | {"Fy": -file["Fy"]}, convention=convention, flip=["Fy"])
+    assert flipped.digest == read.digest
+
+
+def test_the_book_s_tire_pushes_right_when_it_slips_left() -> None:
+    """Its own axes: Fy = C alpha with C > 0, Mz = -t Fy, and gamma > 0 pushes to the right."""
+    from miho.data.conventions import FLIPPED
+
+    assert FLIPPED["adapted-sae"] == {"Fy", "My", "Mz"}
+    assert FLIPPED["sae"] - FLIPPED["adapted-sae"] == {"alpha", "Fz"}
+
+
+def test_the_unit_of_the_file_does_not_change_the_tire(tmp_path: Path) -> None:
+    """Written in deg and kN, SAE, the same tire is found; 1e-9 is far above the rounding."""
+    space = Space(
+        (
+            Parameter("B", "1/rad", 2.0, 40.0), Parameter("C", "-", 1.0, 2.5),
+            Parameter("D", "N", 1e3, 8e3), Parameter("Sx", "rad", -0.05, 0.05),
+            Parameter("Sy", "N", -500.0, 500.0),
+        )
+    )  # fmt: skip
+    file = {"SA": -np.degrees(alpha), "FY": -Fy / 1e3}
+    other = load(
+        tmp_path, file, columns=["alpha", "Fy"], units=["deg", "kN"], headers=["SA", "FY"],
+        convention="sae", name=TIRE.name,
+    )  # fmt: skip
+    assert other.digest != TIRE.digest
+    found = [
+        minimize(
+            LeastSquares(), CurveFit(Pacejka(), data, space), Budget(evaluations=5000), seed=1
+        ).theta
+        for data in (TIRE, other)
+    ]
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
+
+
+WRONG_UNITS = {
+    "degrees as radians": ({"alpha": np.degrees(alpha)}, {}, "alpha", "deg"),
+    "radians as degrees": ({}, {"alpha": "deg"}, "alpha", "rad"),
+    "kN as N": ({"Fy": Fy / 1e3}, {}, "Fy", "kN"),
+    "N as kN": ({}, {"Fy": "kN"}, "Fy", "N"),
+    "camber in degrees as radians": ({"gamma": np.degrees(gamma)}, {}, "gamma", "deg"),
+    "camber in radians as degrees": ({}, {"gamma": "deg"}, "gamma", "rad"),
+    "load in kN as N": ({"Fz": Fz / 1e3}, {}, "Fz", "kN"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG_UNITS)
+def test_wrong_units_are_caught(tmp_path: Path, case: str) -> None:
+    changes, declared, column, meant = WRONG_UNITS[case]
+    units = [declared.get(name, unit) for name, unit in zip(COLUMNS, UNITS, strict=True)]
+    file = mine(**changes)
+    with pytest.raises(CSVError, match=rf"is the column in {meant}\?") as error:
+        load(tmp_path, file, units=units)
+    row = int(np.argmax(np.abs(file[column])))
+    assert f"mine.csv:{row + 2}:" in str(error.value)
+    assert f"largest |{column}| is" in str(error.value)
+    limits = {column: [0.0, 1e9]}
+    assert len(load(tmp_path, file, units=units, ranges=limits)) == 400
+    assert len(load(tmp_path, file, units=units, ranges={column: None})) == 400
+
+
+def test_a_single_wild_cell_is_caught(tmp_path: Path) -> None:
+    wild = Fy.copy()
+    wild[6] = -99999e3
+    with pytest.raises(CSVError, match=r"mine.csv:8:\d+: largest \|Fy\| is 1e\+08 N.*this cell"):
+        load(tmp_path, mine(Fy=wild))
+
+
+def test_ranges_that_are_given_bind(tmp_path: Path) -> None:
+    with pytest.raises(CSVError, match=r"expected 1 to 2000; is this cell right\?"):
+        load(tmp_path, mine(), ranges={"Fz": [1, 2000]})
+    assert all(low < high for _, low, high in PLAUSIBLE.values())
+
+
+def test_signs_that_no_tire_has(tmp_path: Path) -> None:
+    with pytest.raises(CSVError, match=r"mine.csv:1:7: Fy rises with alpha.*iso-w, sae, adapted"):
+        load(tmp_path, mine(Fy=-Fy))
+    with pytest.raises(CSVError, match=r"mine.csv:1:10: Fz is mostly negative"):
+        load(tmp_path, mine(Fz=-Fz))
+    sliding = mine(alpha=np.linspace(0.3, 0.9, 400), Fy=-4000 + np.linspace(0, 500, 400))
+    assert len(load(tmp_path, sliding)) == 400  # beyond its peak the force does fall off
+
+
+def test_columns_that_tell_nothing(tmp_path: Path) -> None:
+    load(tmp_path, mine(Fz=0 * Fz + 3000.0, gamma=0 * gamma))  # conditions may stay
+    with pytest.raises(CSVError, match=r":1:7: column 'Fy' has the same value in every row"):
+        load(tmp_path, mine(Fy=0 * Fy - 300.0))
+    two = {"columns": ["alpha", "Fy"], "units": ["rad", "N"]}
+    with pytest.raises(CSVError, match=r":1:1: column 'alpha' has the same value in every row"):
+        load(tmp_path, mine(alpha=0 * alpha + 0.1), **two)
+
+
+def test_rows_are_held_out(tmp_path: Path) -> None:
+    low, high = 2500.0, 2700.0
+    read = load(tmp_path, mine(), held_out={"Fz": [low, high]})
+    inside = (Fz >= low) & (Fz <= high)
+    assert read.held_out is not None
+    assert np.array_equal(read["Fy"], Fy[~inside])
+    assert np.array_equal(read.held_out["Fy"], Fy[inside])
+    with pytest.raises(ValueError, match="no row has Fz"):
+        load(tmp_path, mine(), held_out={"Fz": [1, 2]})
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"units": ["rad"]}, "4 columns, 1 units and 4 headers; give one unit a column"),
+        ({"headers": ["SA"]}, "1 headers"),
+        ({"columns": [], "units": []}, "0 columns"),
+        ({"columns": ["alpha", "Fy", "Fz", "Fy"]}, "name each once"),
+        ({"columns": "alpha"}, "columns is 'alpha'; give a list of names"),
+        ({"units": ["rad", "N", "N", 1]}, "give a list of names"),
+        ({"output": "Mz"}, "output names 'Mz'; columns are alpha, Fy, Fz, gamma"),
+        ({"units": ["rad", "kn", "N", "rad"]}, "did you mean 'kN'"),
+        ({"convention": "ISO"}, "convention is 'ISO'; choose from iso-w, sae, adapted-sae"),
+        ({"flip": ["Mz"]}, "flip names 'Mz'"),
+        ({"ranges": {"SA": [1, 2]}}, "ranges names 'SA'"),
+        ({"ranges": {"alpha": [2, 1]}}, r"the range of alpha is \[2, 1\]"),
+        ({"ranges": 5}, "ranges is 5; map columns to their bounds"),
+        ({"held_out": ["Fz", 1]}, "held_out is .* map columns to their bounds"),
+        ({"held_out": {"Fz": 4000}}, "held_out of Fz is 4000; give two finite numbers"),
+        ({"held_out": {"speed": [1, 2]}}, "held_out names 'speed'"),
+    ],
+)
+def test_bad_settings(tmp_path: Path, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as error:
+        load(tmp_path, mine(), **settings)
+    assert type(error.value) is ValueError
+    assert "\n" not in str(error.value)
+
+
+def test_a_model_of_your_own_has_its_own_units(tmp_path: Path) -> None:
+    columns = {"t": np.arange(5.0), "y": np.arange(5.0) / 7}
+    settings: dict[str, Any] = {"columns": ["t", "y"], "output": "y"}
+    read = load(tmp_path, columns, units=["ms", "own:kmol"], **settings)
+    assert dict(read.units) == {"t": "s", "y": "kmol"}
+    assert read["y"].tolist() == columns["y"].tolist()
+
+
+def test_an_unprintable_path_stays_on_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "a\nb.csv"
+    path.write_text("a\n")
+    with pytest.raises(CSVError) as error:
+        read_numbers(path, ["a"], header=True)
+    assert str(error.value).isprintable()

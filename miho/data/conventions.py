@@ -1,0 +1,67 @@
+"""Sign conventions of tire measurements, and the way to ISO-W.
+
+All of them share the x axis, forward, and with it Fx, kappa, Mx and gamma, a rotation about x
+(positive when the top of the wheel leans to the right). They differ in y and z:
+
+    iso-w        y to the left, z up: a velocity to the left is a positive slip angle, and the
+                 force falls as it grows. What this project, MF-Tyre and Adams use.
+    sae          SAE J670e: y to the right, z down, the same definitions in these axes, so that
+                 alpha, Fy, Fz, My and Mz have the other sign. The Tire Test Consortium's files.
+    adapted-sae  the axes of SAE, but alpha and Fz so that both are positive with a positive Fy:
+                 relative to ISO-W only Fy, My and Mz have the other sign. Pacejka's book.
+
+Source: H. B. Pacejka, Tire and Vehicle Dynamics, 3rd ed. 2012, App. 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FLIPPED: Mapping[str, frozenset[str]] = MappingProxyType(
+    {
+        "iso-w": frozenset(),
+        "sae": frozenset({"alpha", "Fy", "Fz", "My", "Mz"}),
+        "adapted-sae": frozenset({"Fy", "My", "Mz"}),
+    }
+)
+"""The columns whose sign differs from ISO-W, by convention."""
+
+CLEAR = 0.5
+"""Rank correlation from which on one column clearly rises with another."""
+
+
+def to_iso_w(
+    columns: Mapping[str, Array], convention: str, flip: Collection[str] = ()
+) -> dict[str, Array]:
+    """The columns (N,) in ISO-W signs; those named in `flip` change sign once more."""
+    signs = {key: (key in FLIPPED[convention]) != (key in flip) for key in columns}
+    return {key: -column if signs[key] else column for key, column in columns.items()}
+
+
+def sign_problem(columns: Mapping[str, Array], units: Mapping[str, str]) -> tuple[str, str] | None:
+    """The column that cannot be in ISO-W signs and why, with a remedy; None if all can be.
+
+    A tire pushes against its slip: Fy falls as alpha grows. Fz is what the road carries.
+    """
+    names = f"choose the file's convention ({', '.join(FLIPPED)}) or flip the column"
+    if units.get("Fz") == "N" and np.median(columns["Fz"]) < 0:
+        return "Fz", f"Fz is mostly negative, but it is positive in ISO-W; {names}"
+    if units.get("alpha") == "rad" and units.get("Fy") == "N":
+        alpha, Fy = columns["alpha"], columns["Fy"]
+        if _rank_correlation(alpha, Fy) > CLEAR and alpha @ Fy > 0:
+            return "Fy", f"Fy rises with alpha, but it falls in ISO-W; {names}"
+    return None
+
+
+def _rank_correlation(x: Array, y: Array) -> float:
+    """Spearman's, where equal values take their ranks in order of the rows; 0 if one is flat."""
+    if np.ptp(x) == 0 or np.ptp(y) == 0:
+        return 0.0
+    a, b = (np.argsort(np.argsort(column, kind="stable")).astype(float) for column in (x, y))
+    return float(np.corrcoef(a, b)[0, 1])

@@ -1,0 +1,158 @@
+"""From the numbers of a file to a dataset: units, signs, plausibility, and rows held out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.data.conventions import FLIPPED, sign_problem, to_iso_w
+from miho.data.dataset import Dataset, number_pair
+from miho.data.units import UNITS, Unit, si
+
+Array = NDArray[np.float64]
+Fault = Callable[[str, int | None, str], ValueError]
+"""Makes the error about a header and a row from 0 (None: the whole column) of the file."""
+
+PLAUSIBLE: Mapping[str, tuple[str, float, float]] = MappingProxyType(
+    {
+        "alpha": ("rad", 0.01, 1.0),
+        "gamma": ("rad", 0.002, 1.2),
+        "kappa": ("-", 0.003, 2.0),
+        "Fx": ("N", 15.0, 6e4),
+        "Fy": ("N", 15.0, 6e4),
+        "Fz": ("N", 20.0, 8e4),
+        "Mx": ("Nm", 3.0, 1e4),
+        "Mz": ("Nm", 1.0, 2e3),
+        "pressure": ("Pa", 2e4, 2e6),
+        "vx": ("m/s", 0.5, 120.0),
+        "ax": ("m/s^2", 0.3, 100.0),
+        "ay": ("m/s^2", 0.3, 100.0),
+        "yaw_rate": ("rad/s", 0.01, 10.0),
+        "omega": ("rad/s", 5.0, 2500.0),
+    }
+)
+"""Between what the largest magnitude of a column lies, in this unit, for any car or motorcycle.
+
+The lower bounds are as large as they can be without refusing real tests, so that a column in
+rad that was declared in deg, or in kN declared in N, falls below them.
+"""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """What the columns of a file are, and what becomes of them; the settings of the loaders.
+
+    columns, units, headers: in the same order, the names in the model, the units in the file
+    (see `miho.data.units`), and the names in the file if they differ. A column that is neither an
+    input of the model nor the `output` is a condition. convention, flip: see
+    `miho.data.conventions`. ranges: between what the largest magnitude of a column lies, in SI
+    units, instead of `PLAUSIBLE`; None does not check. held_out: the rows to validate with, as
+    ranges of columns in SI units and ISO-W signs (`Dataset.hold_out`).
+    """
+
+    columns: Sequence[str]
+    units: Sequence[str]
+    output: str
+    headers: Sequence[str] | None = None
+    convention: str = "iso-w"
+    flip: Sequence[str] = ()
+    ranges: Mapping[str, Sequence[float] | None] | None = None
+    held_out: Mapping[str, Sequence[float]] | None = None
+
+    def __post_init__(self) -> None:
+        for setting in ("columns", "units", "flip", "headers"):
+            names = getattr(self, setting)
+            listed = isinstance(names, Sequence) and not isinstance(names, str)
+            if names is not None and not (listed and all(isinstance(name, str) for name in names)):
+                raise ValueError(f"{setting} is {names!r}; give a list of names")
+            if setting != "units" and listed and len(set(names)) != len(names):
+                raise ValueError(f"{setting} is {list(names)}; name each once")
+        counts = {len(self.columns), len(self.units), len(self.names)}
+        if len(counts) != 1 or not self.columns:
+            raise ValueError(
+                f"{len(self.columns)} columns, {len(self.units)} units and {len(self.names)} "
+                "headers; give one unit a column, and one header or none at all"
+            )
+        if self.convention not in FLIPPED:
+            raise ValueError(f"convention is {self.convention!r}; choose from {', '.join(FLIPPED)}")
+        for setting in ("ranges", "held_out"):
+            if not isinstance(getattr(self, setting) or {}, Mapping):
+                raise ValueError(
+                    f"{setting} is {getattr(self, setting)!r}; map columns to their bounds, such "
+                    "as {Fz: [3900, 4100]}"
+                )
+        named = {
+            "output": [self.output], "flip": self.flip, "ranges": self.ranges or {},
+            "held_out": self.held_out or {},
+        }  # fmt: skip
+        for setting, names in named.items():
+            for name in names:
+                if name not in self.columns:
+                    raise ValueError(
+                        f"{setting} names {name!r}; columns are {', '.join(self.columns)}"
+                    )
+        for name, bounds in (self.ranges or {}).items():
+            if bounds is not None:
+                number_pair(bounds, f"the range of {name}")
+        for unit in self.units:
+            si(unit)
+
+    @property
+    def names(self) -> Sequence[str]:
+        """The names of the columns in the file."""
+        return self.columns if self.headers is None else self.headers
+
+    def dataset(self, name: str, numbers: Mapping[str, Array], fault: Fault) -> Dataset:
+        """The dataset of these `numbers` (N,), given under the names of the file.
+
+        Raises what `fault` makes of numbers that cannot be what they are declared to be.
+        """
+        columns, units = {}, {}
+        header = dict(zip(self.columns, self.names, strict=True))
+        for key, spelling in zip(self.columns, self.units, strict=True):
+            unit, raw = si(spelling), numbers[header[key]]
+            with np.errstate(over="ignore"):
+                columns[key], units[key] = raw * unit.factor, unit.name
+            row = int(np.argmax(np.abs(columns[key])))
+            problem = self._implausible(key, unit, float(raw[row]))
+            if problem:
+                raise fault(header[key], row, problem)
+        columns = to_iso_w(columns, self.convention, self.flip)
+        found = sign_problem(columns, units)
+        if found:
+            raise fault(header[found[0]], None, found[1])
+        flat = [key for key, column in columns.items() if np.ptp(column) == 0]
+        if self.output in flat or len(flat) >= max(1, len(columns) - 1):
+            key = self.output if self.output in flat else flat[0]
+            problem = f"column {header[key]!r} has the same value in every row"
+            remedy = "choose one that varies: nothing can be identified from this one"
+            raise fault(header[key], None, f"{problem}; {remedy}")
+        dataset = Dataset(name, columns, units, self.output)
+        return dataset.hold_out(self.held_out) if self.held_out else dataset
+
+    def _implausible(self, key: str, unit: Unit, raw: float) -> str | None:
+        """What is wrong with a column whose largest magnitude is |raw| in the file's unit."""
+        largest = abs(raw) * unit.factor
+        if not np.isfinite(largest):
+            return f"{raw:g} is not finite in {unit.name}; correct the cell"
+        known, *default = PLAUSIBLE.get(key, ("", 0.0, 0.0))
+        bounds: Sequence[float] | None = default if known == unit.name else None
+        if self.ranges is not None and key in self.ranges:
+            bounds = self.ranges[key]
+        if bounds is None or largest == 0 or bounds[0] <= largest <= bounds[1]:
+            return None
+        low, high = bounds
+        meant = [
+            spelling
+            for spelling, other in UNITS.items()
+            if other.name == unit.name and low <= abs(raw) * other.factor <= high
+        ]
+        doubt = f"is the column in {meant[0]}?" if meant else "is this cell right?"
+        return (
+            f"largest |{key}| is {largest:.4g} {unit.name}, expected {low:g} to {high:g}; {doubt} "
+            f"Correct it, or set ranges={{{key}: [from, to]}}"
+        )
