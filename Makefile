@@ -34,7 +34,7 @@ figures: $(INSTALLED)
 	$(BIN)/python -m experiments.compare
 
 test: $(INSTALLED)
-	$(BIN)/python -m pytest -q
+	$(BIN)/python -m pytest -q -n auto
 
 lint: $(INSTALLED)
 	$(BIN)/ruff check .

@@ -69,6 +69,7 @@ def test_identify_prints_parameters_error_and_gap(identify: Command, tmp_path: P
     assert "(done before)" in identify(*QUICK)[1]
 
 
+@pytest.mark.slow
 def test_a_second_sweep_runs_nothing(identify: Command, tmp_path: Path) -> None:
     sweep = ["-m", "optimizer=least_squares,random", "seed=range(3)", "dataset.n=100"]
     code, out, _ = identify(*sweep, "budget.evaluations=2000")
@@ -185,6 +186,7 @@ def test_a_full_disk_is_exit_4(identify: Command, monkeypatch: pytest.MonkeyPatc
     assert err.splitlines()[-1] == "error: somewhere: No space left on device"
 
 
+@pytest.mark.slow
 def test_compare_writes_figure_tables_and_provenance(compare: Command, tmp_path: Path) -> None:
     small = [
         "experiment=compare",
@@ -206,6 +208,7 @@ def test_compare_writes_figure_tables_and_provenance(compare: Command, tmp_path:
     assert order[:8] == order[8:], "methods are interleaved inside a repetition"
 
 
+@pytest.mark.slow
 def test_a_failed_method_leaves_the_comparison_undrawn(
     compare: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -223,6 +226,7 @@ def test_a_failed_method_leaves_the_comparison_undrawn(
     assert not (tmp_path / "runs" / "figures").exists()
 
 
+@pytest.mark.slow
 def test_fig4_of_four_identified_tires(
     identify: Command,
     tmp_path: Path,
@@ -246,6 +250,7 @@ def test_fig4_of_four_identified_tires(
     assert (tmp_path / "runs" / "figures" / "fig4.pdf").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sweep", [[], ["-m", "seed=0,1"]])
 def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
     tmp_path: Path, sweep: list[str]

@@ -11,6 +11,9 @@ from miho.testing import CHECKS, run_check
 
 OPTIMIZERS = sorted((Path(__file__).parent.parent / "conf" / "optimizer").glob("*.yaml"))
 
+SLOW = {"optuna_hyperband", "gbo_large"}
+"""Methods that take seconds a check, or differ from another in a setting alone."""
+
 EXPECTED_FAILURES = {
     "miho_reference": {
         "starts_at_the_common_start": "draws uniformly with noise, as the authors' code does",
@@ -20,7 +23,10 @@ EXPECTED_FAILURES = {
 
 
 @pytest.mark.parametrize("check", CHECKS)
-@pytest.mark.parametrize("path", OPTIMIZERS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(p, marks=[pytest.mark.slow] * (p.stem in SLOW), id=p.stem) for p in OPTIMIZERS],
+)
 def test_conformance(path: Path, check: str) -> None:
     node = OmegaConf.to_container(OmegaConf.load(path))
     assert node.pop("name") == path.stem

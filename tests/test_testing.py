@@ -64,6 +64,7 @@ class Plain(Optimizer):
         oracle(oracle.space.decode(oracle.space.initial(1)))
 
 
+@pytest.mark.slow
 def test_a_sound_method_passes() -> None:
     check_optimizer(Sound())
 

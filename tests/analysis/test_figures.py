@@ -63,6 +63,7 @@ def test_fig6_labels_neither_overlap_nor_leave_the_page() -> None:
     assert all(float(label.get_fontsize()) >= 8 for label in labels)
 
 
+@pytest.mark.slow
 def test_a_long_caption_stays_on_the_page() -> None:
     note = "R = 2000, 5 repetitions, at most 4 s per run, " * 4
     figure = fig6(*like_fig6(3), note=note)

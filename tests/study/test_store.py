@@ -177,6 +177,7 @@ def hold(root: Path, held: object, release: object) -> None:
         release.wait(20)
 
 
+@pytest.mark.slow
 def test_two_processes_do_not_run_the_same(tmp_path: Path) -> None:
     context = multiprocessing.get_context("spawn")
     held, release = context.Event(), context.Event()
