@@ -29,6 +29,7 @@ compare: $(INSTALLED)
 
 figures: $(INSTALLED)
 	$(BIN)/python -m experiments.identify -m dataset=tire_lf,tire_rf,tire_lr,tire_rr optimizer=miho
+	$(BIN)/python -m experiments.identify -m dataset=torque_05,torque_15,torque_20 optimizer=miho
 	$(BIN)/python -m experiments.figures fig4
 	$(BIN)/python -m experiments.figures fig5
 	$(BIN)/python -m experiments.compare

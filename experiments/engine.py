@@ -4,23 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.build import Experiment, build
+from experiments.build import build
 from experiments.cli import composed
 from experiments.schema import register
 from miho.data import Dataset, dyno_test
 from miho.data.synthetic_engine import DYNO_TRUSTED, true_torque
+from miho.identification import CurveFit
 from miho.models import EngineMap, TorqueCubic, TorqueCurve
 from miho.models.engine import RPM
 from miho.optim import minimize
 
 Array = NDArray[np.float64]
 
-THROTTLES = (0.05, 0.15, 0.2)
+DATASETS = MappingProxyType({0.05: "torque_05", 0.15: "torque_15", 0.2: "torque_20"})
+"""The embedded data of each throttle whose torque is learned from driving."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class Engine:
     the learned curves.
     """
 
-    problems: Mapping[float, Experiment]
+    problems: Mapping[float, CurveFit]
     curves: Mapping[float, TorqueCurve]
     dyno: Dataset
     trusted: EngineMap
@@ -40,7 +43,7 @@ class Engine:
 
     def samples(self, throttle: float) -> tuple[Array, Array]:
         """Engine speeds [rad/s] and torques [Nm] that the curve was learned from."""
-        dataset = self.problems[throttle].problem.dataset
+        dataset = self.problems[throttle].dataset
         return dataset["omega"], dataset["torque"]
 
 
@@ -51,15 +54,24 @@ def identify_engine(optimizer: str = "least_squares", seed: int = 0) -> Engine:
     engine speed of its samples.
     """
     register()
-    problems, curves = {}, {}
-    for throttle in THROTTLES:
-        name = f"torque_{round(100 * throttle):02d}"
+    problems, thetas = {}, {}
+    for throttle, name in DATASETS.items():
         chosen = build(composed([f"dataset={name}", f"optimizer={optimizer}", f"seed={seed}"]))
         record = minimize(chosen.optimizer, chosen.problem, chosen.budget, seed)
         if record.theta is None:
             raise RuntimeError(f"{optimizer} found no finite error on {name}: {record.error}")
-        problems[throttle] = chosen
-        curves[throttle] = learned_curve(chosen, record.theta, throttle)
+        problems[throttle], thetas[throttle] = chosen.problem, record.theta
+    return engine_of(problems, thetas, seed)
+
+
+def engine_of(
+    problems: Mapping[float, CurveFit], thetas: Mapping[float, Array], seed: int = 0
+) -> Engine:
+    """The engine that identified parameters (4,) per throttle make, with the dyno of a seed."""
+    curves = {
+        throttle: learned_curve(problem, thetas[throttle], throttle)
+        for throttle, problem in problems.items()
+    }
     dyno = dyno_test(seed)
     kept = (dyno["throttle"] == 0) | (dyno["throttle"] >= DYNO_TRUSTED)
     trusted = EngineMap.from_points(*(dyno[name][kept] for name in ("throttle", "omega", "torque")))
@@ -67,9 +79,9 @@ def identify_engine(optimizer: str = "least_squares", seed: int = 0) -> Engine:
     return Engine(problems, curves, dyno, trusted, integrated)
 
 
-def learned_curve(experiment: Experiment, theta: Array, throttle: float) -> TorqueCurve:
-    """The curve that `theta` (4,) is, valid over the speeds of the experiment's data."""
-    model, omega = experiment.problem.model, experiment.problem.dataset["omega"]
+def learned_curve(problem: CurveFit, theta: Array, throttle: float) -> TorqueCurve:
+    """The curve that `theta` (4,) is, valid over the speeds of the problem's data."""
+    model, omega = problem.model, problem.dataset["omega"]
     if not isinstance(model, TorqueCubic):
         raise TypeError(f"the model is {type(model).__name__}; expected a TorqueCubic")
     p0, p1, p2, p3 = theta.tolist()

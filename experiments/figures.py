@@ -2,14 +2,17 @@
 
 python -m experiments.figures fig6   # error over time, and the claims table (after `compare`)
 python -m experiments.figures fig4   # the four learned tires (after `identify` on each of them)
-python -m experiments.figures fig5   # learned torque curves and the engine map (needs no runs)
+python -m experiments.figures fig5   # torque curves and engine map (after `identify` on torque_*)
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import platform
+import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +21,9 @@ import pandas as pd
 
 from experiments.build import ConfigError, rebuild
 from experiments.cli import guarded
-from experiments.engine import fig5_data, identify_engine
+from experiments.engine import DATASETS, engine_of, fig5_data
 from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save, to_markdown
-from miho.study import load_runs, read_run
+from miho.study import StoredRun, load_runs, read_run
 
 COMPARISON = "comparison.json"
 TIRES = ("lf", "rf", "lr", "rr")
@@ -70,28 +73,60 @@ def draw_comparison(root: Path, output: Path) -> list[Path]:
 
 def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:
     """Fig. 4, left and middle: the best run of `optimizer` on each of the four tires."""
-    found = load_runs(root).runs
+    runs = _best_runs(root, "pacejka", [f"tire_{tire}" for tire in TIRES], optimizer)
     samples, curves, errors = {}, {}, {}
-    for tire in TIRES:
-        runs = found[
-            (found["problem"] == f"pacejka-tire_{tire}") & (found["optimizer"] == optimizer)
-        ]
-        if runs.empty:
-            raise ConfigError(
-                f"{root}: no run of {optimizer} on tire_{tire}; run python -m experiments.identify "
-                f"-m dataset=tire_lf,tire_rf,tire_lr,tire_rr optimizer={optimizer} root={root}"
-            )
-        best = runs.sort_values("error").iloc[0]
-        stored = read_run(Path(best["folder"]))
+    for tire, stored in zip(TIRES, runs, strict=True):
         problem = rebuild(stored)
         dataset = problem.dataset
         alpha = np.linspace(dataset["alpha"].min(), dataset["alpha"].max(), 400)
         force = problem.model.predict(np.array([stored.result["theta"]]), alpha)[0]
         samples[tire.upper()] = np.degrees(dataset["alpha"]), dataset["Fy"] / 1000
         curves[tire.upper()] = np.degrees(alpha), force / 1000
-        errors[tire.upper()] = float(best["error"]) / 1000
+        errors[tire.upper()] = math.sqrt(stored.result["loss"]) / 1000
     note = f"{len(dataset)} samples per tire; curves learned by {optimizer}; ISO-W signs"
-    return save(fig4(samples, curves, errors=errors, note=note), output / "fig4")
+    figure = fig4(samples, curves, errors=errors, note=note)
+    return [*save(figure, output / "fig4"), _write_provenance(output / "fig4.json", runs)]
+
+
+def draw_engine(root: Path, output: Path, optimizer: str) -> list[Path]:
+    """Fig. 5: the torque curves of the best runs of `optimizer`, and the map they go into."""
+    runs = _best_runs(root, "torquecubic", list(DATASETS.values()), optimizer)
+    problems = dict(zip(DATASETS, map(rebuild, runs), strict=True))
+    thetas = {
+        throttle: np.array(run.result["theta"])
+        for throttle, run in zip(DATASETS, runs, strict=True)
+    }
+    figure = fig5(**fig5_data(engine_of(problems, thetas)))
+    return [*save(figure, output / "fig5"), _write_provenance(output / "fig5.json", runs)]
+
+
+def _best_runs(root: Path, model: str, datasets: Sequence[str], optimizer: str) -> list[StoredRun]:
+    """The best run of `optimizer` on each dataset, in order."""
+    found = load_runs(root).runs
+    best = []
+    for dataset in datasets:
+        runs = found[(found["problem"] == f"{model}-{dataset}") & (found["optimizer"] == optimizer)]
+        if runs.empty:
+            raise ConfigError(
+                f"{root}: no run of {optimizer} on {dataset}; run python -m experiments.identify "
+                f"-m dataset={','.join(datasets)} optimizer={optimizer} root={root}"
+            )
+        best.append(read_run(Path(runs.sort_values("error", kind="stable").iloc[0]["folder"])))
+    return best
+
+
+def _write_provenance(path: Path, stored: Sequence[StoredRun]) -> Path:
+    """What regenerates a figure of single runs, and what they ran on."""
+    about = {
+        "command": " ".join(["python -m experiments.figures", *sys.argv[1:]]),
+        "runs": [
+            {key: run.result[key] for key in ("problem", "optimizer", "seed", "code", "data")}
+            for run in stored
+        ],
+        "environment": {k: v for k, v in stored[0].environment.items() if k != "load"},
+    }
+    path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    return path
 
 
 def _provenance(about: dict[str, Any], runs: pd.DataFrame) -> dict[str, Any]:
@@ -120,7 +155,7 @@ def main() -> None:
     )
     parser.add_argument("name", choices=("fig4", "fig5", "fig6"))
     parser.add_argument(
-        "--root", type=Path, help="folder of runs (fig6: runs/compare; fig4: runs/identify)"
+        "--root", type=Path, help="folder of runs (fig6: runs/compare; fig4, fig5: runs/identify)"
     )
     parser.add_argument("--output", type=Path, help="where to write (default: ROOT/figures)")
     parser.add_argument("--optimizer", default="miho", help="of fig4 and fig5 (default: miho)")
@@ -132,7 +167,7 @@ def main() -> None:
         if arguments.name == "fig6":
             paths = draw_comparison(root, output)
         elif arguments.name == "fig5":
-            paths = save(fig5(**fig5_data(identify_engine(arguments.optimizer))), output / "fig5")
+            paths = draw_engine(root, output, arguments.optimizer)
         else:
             paths = draw_tires(root, output, arguments.optimizer)
         print("\n".join(map(str, paths)))

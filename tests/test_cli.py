@@ -251,6 +251,26 @@ def test_fig4_of_four_identified_tires(
 
 
 @pytest.mark.slow
+def test_fig5_of_three_identified_torque_curves(
+    identify: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    methods = ("dataset=torque_05,torque_15,torque_20", "optimizer=least_squares")
+    assert identify("-m", *methods)[0] == 0
+    folder = tmp_path / "runs" / "figures"
+    arguments = ["figures", "fig5", "--root", str(tmp_path / "runs")]
+    monkeypatch.setattr(sys, "argv", [*arguments, "--optimizer", "least_squares"])
+    with pytest.raises(SystemExit) as end:
+        figures.main()
+    assert end.value.code == 0
+    assert (folder / "fig5.pdf").stat().st_size > 10_000
+    about = json.loads((folder / "fig5.json").read_text())
+    assert [run["problem"] for run in about["runs"]] == [
+        "torquecubic-torque_05", "torquecubic-torque_15", "torquecubic-torque_20"
+    ]  # fmt: skip
+    assert about["command"].startswith("python -m experiments.figures fig5")
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("sweep", [[], ["-m", "seed=0,1"]])
 def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
     tmp_path: Path, sweep: list[str]
