@@ -87,5 +87,5 @@ def descend(
         x_scale="jac",
         ftol=tolerance,
         xtol=tolerance,
-        gtol=tolerance,
+        gtol=None,  # it is absolute, and no unit of the residuals is known here
     )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +11,7 @@ from scipy.special import ndtr, stdtrit
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import refit
-from miho.identification.uncertainty import EVENT
+from miho.identification.uncertainty import events_of
 
 Array = NDArray[np.float64]
 
@@ -22,31 +22,34 @@ def bootstrap(
     replicates: int,
     rng: np.random.Generator,
     each: Callable[[], object] = lambda: None,
+    held: Sequence[int] = (),
 ) -> Array:
     """Estimates (replicates, d) from rows drawn with replacement, near the optimum `theta` (d,).
 
     Whole rows are drawn (Efron and Tibshirani 1993, Ch. 9.5), so that nothing is assumed of the
     errors but that rows are independent; whole events, if the data have a column that numbers
-    them. `each` is called after every replicate, for progress.
+    them. The parameters at the positions `held` stay where they are. `each` is called after every
+    replicate, for progress.
     """
-    dataset = problem.dataset
-    unit = dataset[EVENT] if EVENT in dataset.columns else np.arange(len(dataset))
-    units, index = np.unique(unit, return_inverse=True)
+    event = events_of(problem.dataset)
+    index = np.arange(len(problem.dataset)) if event is None else event
+    units = int(index.max()) + 1
     found = np.empty((replicates, theta.size))
     for replicate in range(replicates):
-        drawn = rng.multinomial(units.size, np.full(units.size, 1 / units.size))
-        found[replicate] = refit(problem, theta, drawn[index].astype(float), tolerance=1e-6).theta
+        drawn = rng.multinomial(units, np.full(units, 1 / units))
+        weights = drawn[index].astype(float)
+        found[replicate] = refit(problem, theta, weights, held, tolerance=1e-6).theta
         each()
     return found
 
 
-def percentile_intervals(replicates: Array, rows: int, freedom: int, level: float = 0.95) -> Array:
+def percentile_intervals(replicates: Array, units: int, freedom: int, level: float = 0.95) -> Array:
     """Lower and upper percentiles of each column of (n, q) replicates, (q, 2).
 
     The percentiles are a little further out than the level says, by what Student's t and the
-    `freedom` lost of the `rows` make a normal interval wider (Hesterberg, The American
-    Statistician 69, 2015): the plain ones are too narrow for small samples.
+    `freedom` left of the `units` drawn (rows, or events) make a normal interval wider (Hesterberg,
+    The American Statistician 69, 2015): the plain ones are too narrow for small samples.
     """
-    reach = math.sqrt(rows / freedom) * stdtrit(freedom, (1 + level) / 2)
+    reach = math.sqrt(units / freedom) * stdtrit(freedom, (1 + level) / 2)
     tail = float(ndtr(-reach))
     return np.quantile(replicates, [tail, 1 - tail], axis=0).T

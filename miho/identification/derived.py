@@ -44,15 +44,14 @@ def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
 def delta_method(quantity: Derived, at: Linearised) -> tuple[float, float]:
     """Value and standard error of a derived quantity, to first order in the parameters."""
     value = float(quantity.evaluate(at.theta[None])[0])
-    errors = at.standard_errors
-    if np.isinf(errors).any():
-        return value, np.inf
-    moving = np.isfinite(errors) & (errors > 0)
-    step = np.diag(1e-2 * errors)[moving]
-    high, low = (quantity.evaluate(at.theta + sign * step) for sign in (1, -1))
-    gradient = (high - low) / (2 * step.sum(axis=1))
-    variance = gradient @ at.covariance[np.ix_(moving, moving)] @ gradient
-    return value, float(np.sqrt(variance))
+    step = 1e-2 * np.sqrt(np.diag(at.covariance))
+    step[(step == 0) & ~at.at_bound] = 1e-6
+    moving = np.flatnonzero(step)
+    gradient = np.zeros((1, at.theta.size))
+    if moving.size:
+        high, low = (quantity.evaluate(at.theta + sign * np.diag(step)[moving]) for sign in (1, -1))
+        gradient[0, moving] = (high - low) / (2 * step[moving])
+    return value, float(at.spread(gradient)[0])
 
 
 def _at(model: Model, dataset: Dataset, values: Array) -> tuple[Array, ...]:

@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
+import scipy.stats
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from miho.identification.curve_fit import CurveFit
+from miho.identification.loss import Cauchy, Huber
 from miho.identification.profile import Profile
-from miho.identification.uncertainty import Linearised
+from miho.identification.uncertainty import EVENT, Linearised
 from miho.optim.space import Space
 
 Array = NDArray[np.float64]
@@ -21,14 +25,18 @@ UNEVEN = 0.25
 """A sandwich standard error this far from the usual one, as a fraction of it."""
 RESEMBLING = 0.1
 """Correlation of neighbouring rows' errors from which on they are not independent."""
+CHANCE = 0.01
+"""Uneven spread is mentioned if chance makes it this rarely."""
+OUTLIERS = 0.7
+"""A robust loss that takes this fraction of the rows for outliers has too small a scale."""
 NEAR_OPTIMUM = 0.1
 """A run that stopped within this many standard errors of the optimum has found it."""
 
 
-def identifiability(at: Linearised, space: Space, level: float) -> list[str]:
-    """Sentences on bounds, directions the data do not see, vague and entangled parameters."""
+def identifiability(at: Linearised, space: Space) -> list[str]:
+    """Sentences on bounds, directions the data do not see, and entangled parameters."""
     sentences = []
-    names, theta, errors = space.names, at.theta, at.standard_errors
+    names, theta = space.names, at.theta
     for i in np.flatnonzero(at.at_bound):
         p = space.parameters[i]
         low = theta[i] - p.low < p.high - theta[i]
@@ -38,15 +46,16 @@ def identifiability(at: Linearised, space: Space, level: float) -> list[str]:
             "not determine it. It is held there, so it has no standard error and the others' are "
             "too small."
         )
-    for direction in at.unseen:
-        touched = [names[i] for i in np.flatnonzero(np.abs(direction) > 1e-6)]
-        if len(touched) == 1:
-            sentences.append(f"{touched[0]} is not identifiable: the data do not depend on it.")
-        else:
-            sentences.append(
-                f"{_listed(touched)} are not identifiable one by one: they can change together "
-                "and leave every prediction as it is. Fix one of them."
-            )
+    blind = [names[i] for i in np.flatnonzero(at.blind)]
+    if blind and len(blind) == len(at.unseen):
+        sentences.append(
+            f"the data do not depend on {_listed(blind)}: not identifiable, whatever the method."
+        )
+    elif blind:
+        sentences.append(
+            f"{_listed(blind)} are not identifiable one by one: they can change together and "
+            f"leave every prediction as it is. Fix {len(at.unseen)} of them."
+        )
     for together in _entangled(at.correlation):
         block = at.correlation[np.ix_(together, together)]
         strongest = block[np.triu_indices(len(together), 1)]
@@ -60,27 +69,38 @@ def identifiability(at: Linearised, space: Space, level: float) -> list[str]:
         sentences.append(
             f"{who} are hard to tell apart: {told}. Trust what they make together more than each."
         )
-    reach = at.quantile(level)
-    sentences += [
-        f"{names[i]} cannot be told from 0: its {100 * level:g} % interval contains it."
-        for i in np.flatnonzero(np.isfinite(errors))
-        if errors[i] * reach >= abs(theta[i])
-    ]
     return sentences
 
 
-def _entangled(correlation: Array) -> list[list[int]]:
-    """Groups of parameters that strong correlations connect, in the order of the parameters."""
-    strong = np.abs(np.nan_to_num(correlation)) >= CORRELATED
-    count, label = connected_components(strong, directed=False)
-    groups = [np.flatnonzero(label == group).tolist() for group in range(count)]
-    return [group for group in groups if len(group) > 1]
+def too_few(problem: CurveFit) -> list[str]:
+    """A sentence if the only input of a model has fewer values than the model has parameters."""
+    values = np.unique(problem.inputs[0]).size
+    if len(problem.inputs) > 1 or values >= len(problem.space):
+        return []
+    name = next(iter(problem.model.inputs))
+    return [
+        f"{name} has {values} distinct values for {len(problem.space)} parameters: is it the right "
+        "column?"
+    ]
 
 
-def trustworthiness(
+def zeros(parameters: pd.DataFrame, level: float) -> list[str]:
+    """Sentences on parameters whose interval, by profile where there is one, contains 0."""
+    sentences = []
+    for row in parameters.to_dict("records"):
+        kind = "linearised" if np.isnan(row.get("profile low", np.nan)) else "profile"
+        if row[f"{kind} low"] <= 0 <= row[f"{kind} high"] and np.isfinite(row["standard error"]):
+            sentences.append(
+                f"{row['parameter']} cannot be told from 0: its {100 * level:g} % interval "
+                "contains it."
+            )
+    return sentences
+
+
+def profiled(
     at: Linearised, space: Space, profiles: Sequence[Profile | None], level: float
 ) -> list[str]:
-    """Sentences on where the linearised standard errors mislead."""
+    """Sentences on parameters that the data do not bound, and on lopsided intervals."""
     sentences = []
     for name, value, half, found in zip(
         space.names, at.theta, at.quantile(level) * at.standard_errors, profiles, strict=True
@@ -102,35 +122,74 @@ def trustworthiness(
                 f"{name}: its linearised interval is off by {100 * off:.0f} % of its half width; "
                 "use the profile interval."
             )
-    errors, usable = at.standard_errors, np.isfinite(at.standard_errors)
-    usable &= errors > 0
+    return sentences
+
+
+def spread(problem: CurveFit, at: Linearised) -> list[str]:
+    """A sentence if the errors' spread changes along the data, and standard errors with it."""
+    errors = at.standard_errors
+    usable = np.isfinite(errors) & (errors > 0)
     ratio = np.full(errors.size, np.nan)
     ratio[usable] = np.sqrt(np.diag(at.sandwich)[usable]) / errors[usable]
-    uneven = [
-        f"{name} (times {r:.2f})"
-        for name, r in zip(space.names, ratio, strict=True)
-        if np.isfinite(r) and abs(r - 1) > UNEVEN
+    names = np.array(problem.space.names)
+    uneven = [f"{names[i]} (times {ratio[i]:.2f})" for i in np.flatnonzero(abs(ratio - 1) > UNEVEN)]
+    if not uneven or _chance_of_spread(problem, at) > CHANCE:
+        return []
+    return [
+        "the errors do not have the same spread everywhere: standard errors that allow for it "
+        f"differ for {_listed(uneven)}. Prefer the bootstrap."
     ]
-    if uneven:
+
+
+def _chance_of_spread(problem: CurveFit, at: Linearised) -> float:
+    """How often even errors would look as uneven (White 1980, without cross products)."""
+    squares = problem.errors(at.theta) ** 2
+    J = problem.model.jacobian(at.theta, *problem.inputs)[:, at.standard_errors > 0] ** 2
+    size = J.max(axis=0)
+    columns = np.column_stack([np.ones(squares.size), J / np.where(size > 0, size, 1.0)])
+    fitted = columns @ np.linalg.lstsq(columns, squares, rcond=None)[0]
+    explained = np.var(fitted) / np.var(squares)
+    rank = int(np.linalg.matrix_rank(columns)) - 1
+    return float(scipy.stats.chi2.sf(squares.size * explained, rank)) if rank else 1.0
+
+
+def independence(problem: CurveFit, at: Linearised) -> list[str]:
+    """A sentence if rows are not independent: they belong to events, or neighbours are alike."""
+    if at.events:
+        return [
+            f"rows of one event are not independent: standard errors, intervals and bootstrap are "
+            f"those of {at.events} events, and there are no profiles."
+        ]
+    sentences = []
+    if EVENT in problem.dataset.columns:
+        sentences.append("the rows are of too few events to allow for what they share.")
+    errors = problem.errors(at.theta)
+    centred = errors - errors.mean()
+    total = float(centred @ centred)
+    r = float(centred[1:] @ centred[:-1]) / total if total > 0 else 0.0
+    if r > max(RESEMBLING, 3 / np.sqrt(errors.size)):
+        factor = np.sqrt((1 + r) / (1 - r)) if r < 1 else np.inf
         sentences.append(
-            "the errors do not have the same spread everywhere: standard errors that allow for it "
-            f"differ for {_listed(uneven)}. Prefer the bootstrap."
+            f"the errors of neighbouring rows are alike (correlation {r:.2f}), so the rows say "
+            f"less than their number: standard errors are too small by a factor of about "
+            f"{factor:.1f}, unless the model's shape is at fault."
         )
     return sentences
 
 
-def independence(errors: Array) -> list[str]:
-    """A sentence if the errors (N,) of neighbouring rows resemble each other."""
-    centred = errors - errors.mean()
-    total = float(centred @ centred)
-    r = float(centred[1:] @ centred[:-1]) / total if total > 0 else 0.0
-    if r <= max(RESEMBLING, 3 / np.sqrt(errors.size)):
+def outliers(problem: CurveFit, at: Linearised) -> list[str]:
+    """A sentence if a robust loss takes most rows for outliers."""
+    rho = problem.rho
+    if not isinstance(rho, Huber | Cauchy):
         return []
-    factor = np.sqrt((1 + r) / (1 - r)) if r < 1 else np.inf
+    errors = np.abs(problem.errors(at.theta))
+    if np.mean(errors > rho.scale) < OUTLIERS:
+        return []
+    usual = 1.345 * float(np.median(errors)) / 0.6745
     return [
-        f"the errors of neighbouring rows are alike (correlation {r:.2f}), so the rows say less "
-        f"than their number: standard errors are too small by a factor of about {factor:.1f}, "
-        "unless the model's shape is at fault."
+        f"{100 * np.mean(errors > rho.scale):.0f} % of the rows are beyond the scale of the loss, "
+        f"and standard errors are not to be trusted: choose a larger one, such as {usual:.2g} "
+        f"{problem.unit}."
     ]
 
 
@@ -148,6 +207,14 @@ def convergence(found: Array, at: Linearised, space: Space, gain: float) -> list
         f"the run ended {away.max():.2g} standard errors of {name} away from the optimum nearby "
         f"(error {100 * gain:.2g} % lower); the intervals are those of the optimum."
     ]
+
+
+def _entangled(correlation: Array) -> list[list[int]]:
+    """Groups of parameters that strong correlations connect, in the order of the parameters."""
+    strong = np.abs(np.nan_to_num(correlation)) >= CORRELATED
+    count, label = connected_components(strong, directed=False)
+    groups = [np.flatnonzero(label == group).tolist() for group in range(count)]
+    return [group for group in groups if len(group) > 1]
 
 
 def _listed(words: Sequence[str]) -> str:

@@ -90,8 +90,4 @@ def profile(problem: CurveFit, at: Linearised, index: int, level: float = 0.95) 
 def _conditional_direction(at: Linearised, index: int) -> Array:
     """How the other parameters follow when one moves by 1, in the linearised model, (d,)."""
     column = at.covariance[:, index]
-    direction = np.zeros_like(column)
-    usable = np.isfinite(column)
-    if usable[index]:
-        direction[usable] = column[usable] / column[index]
-    return direction
+    return column / column[index] if column[index] > 0 else np.zeros_like(column)

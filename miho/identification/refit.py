@@ -14,6 +14,10 @@ from miho.identification.curve_fit import CurveFit
 Array = NDArray[np.float64]
 
 
+EVALUATIONS = 200
+"""Enough from nearby; a valley that takes longer has no optimum to speak of."""
+
+
 class Refit(NamedTuple):
     """A local optimum: its parameters (d,) and the sum of squared (transformed) residuals."""
 
@@ -34,34 +38,44 @@ def refit(
     their start.
     """
     space = problem.space
+    low, high = space.bounds
     theta = space.clip(start)
     free = np.array([i for i in range(theta.size) if i not in fixed], dtype=int)
     root = None if weights is None else np.sqrt(weights)
+    logs = np.array([p.scale == "log" for p in space.parameters])
 
     def complete(part: Array) -> Array:
-        whole = theta.copy()
-        whole[free] = part
-        return whole
+        whole = space.encode(theta).copy()
+        whole[free] = low[free] + (high - low)[free] * part
+        moved = space.decode(whole)
+        moved[list(fixed)] = theta[list(fixed)]
+        return np.asarray(space.clip(moved))
 
     def residuals(part: Array) -> Array:
         values = problem.residuals(complete(part))
         return values if root is None else values * root
 
     def jacobian(part: Array) -> Array:
-        derivatives = problem.jacobian(complete(part))[:, free]
-        return derivatives if root is None else derivatives * root[:, None]
+        moved = complete(part)
+        stretch = (high - low) * np.where(logs, moved, 1.0)
+        derivatives = problem.jacobian(moved)[:, free] * stretch[free]
+        return np.asarray(derivatives if root is None else derivatives * root[:, None])
 
-    if not free.size:
-        r = residuals(theta[free])
-        return Refit(theta, float(r @ r))
+    before = problem.residuals(theta) if root is None else problem.residuals(theta) * root
+    here = Refit(theta, float(before @ before))
+    if not free.size or here.cost == 0:
+        return here
+    # From 0 to 1 across the box and without an absolute tolerance: no unit is too small.
     solution = scipy.optimize.least_squares(
         residuals,
-        theta[free],
+        np.clip(((space.encode(theta) - low) / (high - low))[free], 0.0, 1.0),
         jac=jacobian,
-        bounds=(space.low[free], space.high[free]),
+        bounds=(0.0, 1.0),
         x_scale="jac",
         ftol=tolerance,
         xtol=tolerance,
-        gtol=tolerance,
+        gtol=None,
+        max_nfev=EVALUATIONS,
     )
-    return Refit(complete(solution.x), 2 * float(solution.cost))
+    cost = 2 * float(solution.cost)
+    return Refit(complete(solution.x), cost) if cost < here.cost else here

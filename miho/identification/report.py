@@ -15,15 +15,26 @@ from numpy.typing import NDArray
 from miho.identification.bootstrap import bootstrap, percentile_intervals
 from miho.identification.curve_fit import CurveFit
 from miho.identification.derived import delta_method, derived
-from miho.identification.flags import convergence, identifiability, independence, trustworthiness
+from miho.identification.flags import (
+    convergence,
+    identifiability,
+    independence,
+    outliers,
+    profiled,
+    spread,
+    too_few,
+    zeros,
+)
 from miho.identification.irreducible import irreducible_error
 from miho.identification.profile import Profile, profile
 from miho.identification.refit import refit
 from miho.identification.uncertainty import Linearised, linearised
 from miho.identification.validation import (
+    BINS,
     conditions,
     error_on,
     leave_one_out,
+    levels,
     residual_trends,
     root_mean_square,
 )
@@ -34,6 +45,7 @@ Array = NDArray[np.float64]
 MOST_PROFILES = 10
 """Models with more parameters are profiled only if asked: each end costs several refits."""
 SUSPICIOUS = 2.0
+CHANCE = 1e-3
 UNMODELLED = 0.1
 """A column that is no input and explains this fraction of the errors' variance is mentioned."""
 
@@ -66,7 +78,11 @@ class Report:
                 "unit": [p.unit for p in space.parameters],
                 "optimum nearby": self.at.theta,
                 "standard error": self.at.standard_errors,
-                "sandwich": np.sqrt(np.diag(self.at.sandwich)),
+                "sandwich": np.where(
+                    np.isfinite(self.at.standard_errors),
+                    np.sqrt(np.diag(self.at.sandwich)),
+                    self.at.standard_errors,
+                ),
             }
         )
         ends = {"linearised": self.at.intervals(self.level)}
@@ -113,17 +129,24 @@ class Report:
     def errors(self) -> pd.DataFrame:
         """Root-mean-square errors in the output's unit: training, held out, irreducible."""
         problem, dataset = self.problem, self.problem.dataset
-        rows = [("training", len(dataset), root_mean_square(problem.errors(self.found)))]
+        rows = [("training", len(dataset), self.error)]
         if dataset.held_out is not None:
             held_out = dataset.held_out
             rows.append(("held out", len(held_out), error_on(problem, self.found, held_out)))
         for name in dict.fromkeys(self.left_out.get("condition", [])):
             part = self.left_out[self.left_out["condition"] == name]
             mean_square = np.average(part["error when left out"] ** 2, weights=part["rows"])
-            rows.append((f"leave one {name} out", int(part["rows"].sum()), math.sqrt(mean_square)))
+            what = "a fifth" if len(part) == BINS and not levels(dataset[name]) else "one level"
+            told = f"leave {what} of {name} out"
+            rows.append((told, int(part["rows"].sum()), math.sqrt(mean_square)))
         if math.isfinite(self.irreducible):
             rows.append(("irreducible, about", len(dataset), self.irreducible))
         return pd.DataFrame(rows, columns=["on", "rows", "error"]).assign(unit=problem.unit)
+
+    @cached_property
+    def error(self) -> float:
+        """Root-mean-square error of the run's parameters on their rows, in the output's unit."""
+        return root_mean_square(self.problem.errors(self.found))
 
     @cached_property
     def irreducible(self) -> float:
@@ -144,17 +167,20 @@ class Report:
         space = self.problem.space
         before, after = (root_mean_square(self.problem.residuals(t)) for t in self._points)
         sentences = convergence(self.found, self.at, space, 1 - after / before if before else 0.0)
-        sentences += identifiability(self.at, space, self.level)
-        sentences += trustworthiness(self.at, space, self.profiles, self.level)
-        sentences += independence(self.problem.errors(self.found))
-        error = self.errors["error"].iloc[0]
+        sentences += identifiability(self.at, space) + too_few(self.problem)
+        sentences += zeros(self.parameters, self.level)
+        sentences += profiled(self.at, space, self.profiles, self.level)
+        sentences += spread(self.problem, self.at)
+        sentences += independence(self.problem, self.at)
+        sentences += outliers(self.problem, self.at)
+        error = self.error
         if error > SUSPICIOUS * self.irreducible:
             sentences.append(
                 f"the error is {error / self.irreducible:.1f} times the irreducible error: check "
                 "units, signs, ranges and the model."
             )
         for row in self.trends.to_dict("records"):
-            if row["explained"] > UNMODELLED:
+            if row["explained"] > UNMODELLED and row["p"] < CHANCE:
                 share = f"{100 * row['explained']:.0f} % of the errors' variance follows"
                 if row["an input"] == "yes":
                     sentences.append(f"{share} {row['column']}: the model has the wrong shape.")
@@ -166,8 +192,8 @@ class Report:
         return sentences
 
     def _percentiles(self, replicates: Array) -> Array:
-        rows = len(self.problem.dataset)
-        return percentile_intervals(replicates, rows, self.at.freedom, self.level)
+        units = self.at.events or len(self.problem.dataset)
+        return percentile_intervals(replicates, units, self.at.freedom, self.level)
 
     @property
     def _points(self) -> tuple[Array, Array]:
@@ -179,11 +205,11 @@ class Report:
         The interval is of the curve, not of new measurements.
         """
         model = self.problem.model
-        free = np.isfinite(self.at.standard_errors)
-        J = model.jacobian(self.at.theta, *inputs)[:, free]
-        variance = np.einsum("ij,jk,ik->i", J, self.at.covariance[np.ix_(free, free)], J)
-        reach = self.at.quantile(self.level) * np.sqrt(variance)
-        return model.predict(self.at.theta[None], *inputs)[0], reach
+        spread = self.at.spread(model.jacobian(self.at.theta, *inputs))
+        return (
+            model.predict(self.at.theta[None], *inputs)[0],
+            self.at.quantile(self.level) * spread,
+        )
 
     @property
     def tables(self) -> Mapping[str, pd.DataFrame]:
@@ -212,32 +238,35 @@ def make_report(
     """The report on parameters `found` (d,) of a problem.
 
     `replicates` bootstrap estimates (1000 for an interval, 0 for none), drawn from `seed`;
-    `profiles` by default for models of up to MOST_PROFILES parameters. `each` is called before
-    each of many steps with the name of the stage, for progress. Raises ValueError where there is
-    no uncertainty to be had: fewer rows than parameters, or derivatives that are not finite.
+    `profiles` by default for models of up to MOST_PROFILES parameters, none for data in events.
+    `each` is called before each of many steps with the name of the stage, for progress. Raises
+    ValueError where there is no uncertainty to be had: fewer rows than parameters, or derivatives
+    that are not finite.
     """
     if not 0 < level < 1:
         raise ValueError(f"level is {level!r}; expected between 0 and 1, such as 0.95")
     at = linearised(problem, refit(problem, found).theta)
     wanted = len(problem.space) <= MOST_PROFILES if profiles is None else profiles
     possible = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
+    possible &= not at.events  # a profile takes every row for independent
+    held = np.flatnonzero(at.blind).tolist()  # no refit moves what the data do not see
     drawn = None
     if replicates:
         rng = stream("bootstrap", problem.dataset.digest, seed)
-        drawn = bootstrap(problem, at.theta, replicates, rng, lambda: each("bootstrap"))
+        drawn = bootstrap(problem, at.theta, replicates, rng, lambda: each("bootstrap"), held)
     left_out = []
     for condition in conditions(problem):
         each(f"leave one {condition} out")
-        left_out.append(leave_one_out(problem, at.theta, condition))
-    profiled: list[Profile | None] = []
+        left_out.append(leave_one_out(problem, at.theta, condition, held))
+    curves: list[Profile | None] = []
     for i, name in enumerate(problem.space.names):
         each(f"profile of {name}")
-        profiled.append(profile(problem, at, i, level) if wanted and possible[i] else None)
+        curves.append(profile(problem, at, i, level) if wanted and possible[i] else None)
     return Report(
         problem=problem,
         found=found,
         at=at,
-        profiles=tuple(profiled),
+        profiles=tuple(curves),
         replicates=drawn,
         left_out=pd.concat(left_out, ignore_index=True) if left_out else pd.DataFrame(),
         level=level,

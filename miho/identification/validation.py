@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+import scipy.stats
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
@@ -15,10 +17,12 @@ from miho.identification.refit import refit
 Array = NDArray[np.float64]
 
 MOST_LEVELS = 12
-"""A condition with more distinct values than this is split into BINS groups of equal size."""
+"""A condition with more levels than this is split into BINS groups of equal size."""
 BINS = 5
 FINE = 15
 """Groups of the first input, finer because the errors may wave along it."""
+ROWS = 10
+"""A group has this many rows at least, where there is a choice."""
 
 
 def root_mean_square(values: Array) -> float:
@@ -40,19 +44,41 @@ def conditions(problem: CurveFit) -> list[str]:
     return [name for name in problem.dataset.columns if name not in (first, problem.dataset.output)]
 
 
+def levels(values: Array) -> list[Array]:
+    """The levels that a condition was set to, if it was: values (n,) that stand close, in order.
+
+    Measured levels scatter, so values belong to one level if they are much closer to each other
+    than to the next level. Empty for a condition that varies continuously.
+    """
+    ordered = np.unique(values)
+    gaps = np.diff(ordered)
+    if not gaps.size:
+        return [ordered]
+    cut = np.flatnonzero(gaps > np.ptp(values) / (2 * MOST_LEVELS))
+    parts = np.split(ordered, cut + 1)
+    widest = max(np.ptp(part) for part in parts)
+    clear = cut.size > 0 and widest < gaps[cut].min() / 2
+    return parts if clear and len(parts) <= MOST_LEVELS else []
+
+
 def groups(values: Array, bins: int = BINS) -> NDArray[np.intp]:
     """Which group each row belongs to, (N,): its level, or one of `bins` with as many rows each."""
-    levels, index = np.unique(values, return_inverse=True)
-    if levels.size <= MOST_LEVELS:
-        return np.asarray(index)
+    if bins < 2:
+        return np.zeros(values.size, dtype=np.intp)
+    found = levels(values)
+    if found:
+        starts = np.array([level[0] for level in found])
+        return np.asarray(np.searchsorted(starts, values, side="right") - 1)
     edges = np.quantile(values, np.linspace(0, 1, bins + 1)[1:-1])
     return np.searchsorted(edges, values, side="right")
 
 
-def leave_one_out(problem: CurveFit, theta: Array, condition: str) -> pd.DataFrame:
+def leave_one_out(
+    problem: CurveFit, theta: Array, condition: str, held: Sequence[int] = ()
+) -> pd.DataFrame:
     """Fit without one group of a condition, and the error on that group; a row per group.
 
-    Columns: condition, from, to (of the group, in the condition's unit), rows, error of all rows
+    Columns: condition, from, to and unit (of the group), rows, error of all rows
     on the group, error of the fit that has not seen it (both in the output's unit).
     """
     dataset = problem.dataset
@@ -63,12 +89,13 @@ def leave_one_out(problem: CurveFit, theta: Array, condition: str) -> pd.DataFra
         out = index == group
         if out.all() or len(dataset) - out.sum() <= len(problem.space):
             continue
-        found = refit(problem, theta, (~out).astype(float)).theta
+        found = refit(problem, theta, (~out).astype(float), held).theta
         rows.append(
             {
                 "condition": condition,
-                "from": values[out].min(),
-                "to": values[out].max(),
+                "from": values[out].min() + 0.0,
+                "to": values[out].max() + 0.0,
+                "unit": dataset.units[condition],
                 "rows": int(out.sum()),
                 "error when seen": root_mean_square(problem.errors(theta)[out]),
                 "error when left out": root_mean_square(problem.errors(found)[out]),
@@ -82,29 +109,43 @@ def residual_trends(problem: CurveFit, theta: Array) -> pd.DataFrame:
 
     The first input stands alone; another column together with it, because what a load does to
     the force has the sign of the slip. Columns: column, whether it is an input, explained (0 to
-    1; epsilon squared, which is 0 on average where nothing is to be explained). What a column that
-    is not an input explains is error no fit of this model can remove.
+    1, epsilon squared), and p, how often chance alone explains as much (F test of the groups).
+    What a column that is not an input explains is error no fit of this model can remove.
     """
     errors, dataset = problem.errors(theta), problem.dataset
     first = next(iter(problem.model.inputs))
-    slip = groups(dataset[first], FINE)
-    alone = _explained(errors, slip)
-    rows = [(first, "yes", alone)]
+    slip = groups(dataset[first], min(FINE, errors.size // ROWS))
+    rows = [(first, "yes", *_explained(errors, slip))]
+    slip = groups(dataset[first], min(FINE, errors.size // (ROWS * BINS)))
     for name in conditions(problem):
-        both = _explained(errors, slip * (MOST_LEVELS + 1) + groups(dataset[name]))
+        both = slip * (MOST_LEVELS + 1) + groups(dataset[name])
         is_input = "yes" if name in problem.model.inputs else "no"
-        rows.append((name, is_input, max(0.0, both - alone)))
-    return pd.DataFrame(rows, columns=["column", "an input", "explained"])
+        rows.append((name, is_input, *_explained(errors, both, slip)))
+    return pd.DataFrame(rows, columns=["column", "an input", "explained", "p"])
 
 
-def _explained(errors: Array, index: NDArray[np.intp]) -> float:
-    """Epsilon squared of a grouping of the errors (Kelley 1935); 0 if it cannot be told."""
-    count = np.bincount(index)
-    count, sums = count[count > 0], np.bincount(index, errors)[count > 0]
-    n, k = errors.size, count.size
+def _explained(
+    errors: Array, index: NDArray[np.intp], coarse: NDArray[np.intp] | None = None
+) -> tuple[float, float]:
+    """Epsilon squared (Kelley 1935) of a grouping beyond a coarser one, and its p value."""
+    n = errors.size
+    (fine, k), (known, j) = _between(errors, index), _between(errors, coarse)
     total = float(np.sum((errors - errors.mean()) ** 2))
-    if k < 2 or n <= k or total == 0:
-        return 0.0
-    between = float(np.sum(sums**2 / count)) - n * float(errors.mean()) ** 2
-    within = (total - between) / (n - k)
-    return max(0.0, (between - (k - 1) * within) / total)
+    if k <= j or n <= k or total == 0:
+        return 0.0, 1.0
+    within = (total - fine) / (n - k)
+    if within <= 0:
+        return 1.0, 0.0
+    F = (fine - known) / (k - j) / within
+    explained = max(0.0, (fine - known - (k - j) * within) / total)
+    return explained, float(scipy.stats.f.sf(F, k - j, n - k))
+
+
+def _between(errors: Array, index: NDArray[np.intp] | None) -> tuple[float, int]:
+    """Sum of squares between the groups of an index (one group if None), and their number."""
+    if index is None:
+        return 0.0, 1
+    count = np.bincount(index)
+    sums = np.bincount(index, errors)[count > 0]
+    count = count[count > 0]
+    return float(np.sum(sums**2 / count)) - errors.size * float(errors.mean()) ** 2, count.size

@@ -8,10 +8,12 @@ import pytest
 
 from miho.data import Dataset, sample_tir
 from miho.identification import CurveFit, Huber, Report, make_report
+from miho.identification.bootstrap import bootstrap
 from miho.identification.refit import refit
-from miho.identification.validation import groups, leave_one_out, residual_trends
+from miho.identification.validation import groups, leave_one_out, levels, residual_trends
 from miho.models import Pacejka
-from tests.identification.published import line, puromycin
+from miho.optim import Space
+from tests.identification.published import Line, line, puromycin
 from tests.identification.test_derived import SPACE
 
 
@@ -33,8 +35,8 @@ def test_every_table_of_a_tire(tire: Report) -> None:
         assert (low < parameters["value"]).all()
         assert (parameters["value"] < high).all()
     assert tire.errors["on"].tolist() == [
-        "training", "leave one Fz out", "leave one gamma out", "leave one kappa out",
-        "irreducible, about",
+        "training", "leave a fifth of Fz out", "leave a fifth of gamma out",
+        "leave a fifth of kappa out", "irreducible, about",
     ]  # fmt: skip
     assert (tire.left_out["error when left out"] >= tire.left_out["error when seen"] - 1e-9).all()
     assert tire.left_out.groupby("condition")["rows"].sum().tolist() == [1000] * 3
@@ -123,6 +125,64 @@ def test_trends_are_zero_for_noise_and_one_for_a_missing_input() -> None:
 def test_groups_are_levels_or_fifths() -> None:
     assert groups(np.array([3.0, 1.0, 3.0])).tolist() == [1, 0, 1]
     assert np.bincount(groups(np.random.default_rng(0).random(500))).tolist() == [100] * 5
+
+
+def test_levels_that_scatter_are_levels() -> None:
+    rng = np.random.default_rng(0)
+    loads = np.repeat([2000.0, 3000.0, 5000.0, 6000.0], 50) + rng.uniform(-20, 20, 200)
+    assert [round(level.mean(), -3) for level in levels(loads)] == [2000, 3000, 5000, 6000]
+    assert np.bincount(groups(loads)).tolist() == [50] * 4
+    for n in (10, 60, 1000):
+        for seed in range(20):
+            assert levels(np.random.default_rng(seed).uniform(0, 1, n)) == [] or n == 10
+
+
+def test_a_true_model_is_not_accused_by_chance() -> None:
+    """60 lines through 20 to 100 rows of their own noise; chance allows each note about 1 %."""
+    accused = 0
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        x = np.linspace(0, 1, 20 + seed // 2 * 2)
+        problem = line(1 + x + 0.1 * rng.standard_normal(x.size), x)
+        notes = make_report(problem, refit(problem, np.ones(2)).theta, profiles=False).notes
+        accused += any("wrong shape" in note or "same spread" in note for note in notes)
+    assert accused <= 3
+
+
+def test_blind_parameters_leave_the_rest_known() -> None:
+    """y = (a + b) x: the sum is known as well as the slope of a line, a and b are not."""
+    x = np.linspace(0, 1, 50)
+    y = 3 * x + 0.1 * np.cos(37 * np.arange(50))
+    problem = replace(line(y, x), model=Twice())
+    report = make_report(problem, np.array([1.0, 2.0]))
+    assert np.isinf(report.at.standard_errors).all()
+    known = np.sqrt(np.sum(problem.errors(report.at.theta) ** 2) / report.at.freedom / (x @ x))
+    _, half = report.band(np.array([1.0]))
+    assert half[0] == pytest.approx(report.at.quantile() * known, rel=1e-6)
+    assert report.at.spread(np.array([[1.0, 1.0], [1.0, 0.0]])).tolist()[1] == np.inf
+
+
+class Twice(Line):
+    """y = a x + b x."""
+
+    def predict(self, thetas: np.ndarray, *inputs: np.ndarray) -> np.ndarray:
+        return (thetas[:, :1] + thetas[:, 1:]) * inputs[0]
+
+    def jacobian(self, theta: np.ndarray, *inputs: np.ndarray) -> np.ndarray:
+        return np.stack([inputs[0], inputs[0]], axis=1)
+
+
+@pytest.mark.parametrize("size", [1e-9, 1.0, 1e9])
+def test_no_unit_is_too_small(size: float) -> None:
+    """The bootstrap of the same data in another unit is the same, up to the refits' tolerance."""
+    fits = []
+    for unit in (1.0, size):
+        problem = line(unit * np.array([1.0, 2.1, 2.9, 4.2, 5.0, 5.9]), np.arange(6.0))
+        bounds = tuple(replace(p, low=-9 * unit, high=9 * unit) for p in problem.space.parameters)
+        problem = replace(problem, space=Space(bounds))
+        theta = refit(problem, unit * np.ones(2)).theta
+        fits.append(bootstrap(problem, theta, 5, np.random.default_rng(0)) / unit)
+    np.testing.assert_allclose(fits[0], fits[1], rtol=1e-5)
 
 
 def test_leaving_a_load_out_is_a_fit_without_it() -> None:
