@@ -44,8 +44,8 @@ class VariableProjection(Optimizer):
         space = oracle.space
         if not oracle.linear:
             raise ValueError(
-                "the problem declares no linear parameters; declare them with the model "
-                "(linear) or choose least_squares"
+                "the problem has no linear parameters: the model declares none (linear), or the "
+                "loss is robust; choose least_squares"
             )
         linear = [space.names.index(name) for name in oracle.linear]
         nonlinear = [k for k in range(len(space)) if k not in linear]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -18,6 +19,9 @@ from miho.optim.space import Space
 
 Array = NDArray[np.float64]
 
+TRIALS = 5
+"""Configurations at which a new problem is tried out."""
+LINEAR = 1e-9
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
 
@@ -41,10 +45,9 @@ class CurveFit(LeastSquaresProblem):
         model, dataset = self.model, self.dataset
         called = model.name or type(model).__name__
         if self.space.names != tuple(model.parameters):
-            raise ValueError(
-                f"the space has parameters {', '.join(self.space.names)}; model "
-                f"{called} needs {', '.join(model.parameters)}"
-            )
+            raise ValueError(_difference(called, list(model.parameters), self.space.names))
+        if model.ordered and dataset.held_out is not None:
+            raise ValueError(f"{called} needs every row in order: no rows can be held out")
         _ = self.inputs
         found = {f"parameter {p.name!r} of the space": p.unit for p in self.space.parameters}
         found |= {
@@ -63,6 +66,41 @@ class CurveFit(LeastSquaresProblem):
         for method, (found_shape, shape) in shapes.items():
             if found_shape != shape:
                 raise ValueError(f"{called}.{method} gives shape {found_shape}; expected {shape}")
+
+        self._check_values(called)
+
+    def _check_values(self, called: str) -> None:
+        """Refuse rows that the model predicts nowhere, and a linearity that is not so."""
+        model, names = self.model, self.space.names
+        thetas = self.space.decode(self.space.initial(TRIALS))
+        try:
+            values = model.predict(thetas, *self.inputs)
+        except ValueError:  # a model may fail on a part of the box; the run counts how often
+            return
+        never = np.flatnonzero(~np.isfinite(values).any(axis=0))
+        if never.size and np.isfinite(values).any():
+            at = ", ".join(
+                f"{name} = {column[never[0]]:g}"
+                for name, column in zip(model.inputs, self.inputs, strict=True)
+            )
+            raise ValueError(
+                f"{called} is not finite at {at} (row {never[0] + 1} of {self.dataset.name}), "
+                "whatever its parameters; remove the row or correct the model"
+            )
+        if not model.linear:
+            return
+        other = thetas[0].copy()
+        for name in model.linear:
+            other[names.index(name)] = thetas[1, names.index(name)]
+        one, two, middle = model.predict(
+            np.stack([thetas[0], other, (thetas[0] + other) / 2]), *self.inputs
+        )
+        size = np.abs(one) + np.abs(two)
+        if (np.abs(one + two - 2 * middle) > LINEAR * (size + size.max())).any():
+            raise ValueError(
+                f"{called} is not linear in {', '.join(model.linear)} as it declares; correct "
+                "`linear`"
+            )
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -134,3 +172,17 @@ class CurveFit(LeastSquaresProblem):
         if self._square:
             return derivatives
         return np.asarray(slope(self.rho, self.errors(theta))[:, None] * derivatives)
+
+
+def _difference(called: str, needed: Sequence[str], given: Sequence[str]) -> str:
+    """What a space lacks or has too much for a model."""
+    lacking = [name for name in needed if name not in given]
+    besides = [name for name in given if name not in needed]
+    told = [f"lacks {', '.join(lacking)}"] * bool(lacking)
+    told += [f"has {', '.join(besides)} besides"] * bool(besides)
+    if not told:
+        told = [f"has them in the order {', '.join(given)}"]
+    return (
+        f"model {called} needs the parameters {', '.join(needed)}; the space {' and '.join(told)}; "
+        "choose the model's own space"
+    )

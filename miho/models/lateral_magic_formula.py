@@ -35,6 +35,7 @@ UNITS = MappingProxyType(
 """All coefficients of the pure lateral force in MF 6.1, with their units."""
 
 ESSENTIAL = ("FNOMIN", "NOMPRES", "UNLOADED_RADIUS", "LONGVL")
+PRESSURE = frozenset(name for name in UNITS if name.startswith("PP"))
 INDISPENSABLE = ("PCY1", "PDY1", "PKY1", "PKY2")
 """Coefficients without which there is no lateral force."""
 
@@ -43,8 +44,9 @@ INDISPENSABLE = ("PCY1", "PDY1", "PKY1", "PKY2")
 class LateralMagicFormula(Model):
     """Lateral force F_y [N] without longitudinal slip in MF 6.1 and 6.2 (4.E19-4.E30), ISO-W.
 
-    Inputs: slip angle alpha [rad], wheel load Fz [N], inclination gamma [rad], pressure [Pa]; the
-    angles themselves enter, not alpha* and gamma*. `base` gives all that is not identified:
+    Inputs: slip angle alpha [rad], wheel load Fz [N], inclination gamma [rad] and, if one of its
+    coefficients PPY1 to PPY5 is identified, pressure [Pa], which is nominal otherwise; the angles
+    themselves enter, not alpha* and gamma*. `base` gives all that is not identified:
     nominal load and pressure, ranges (inputs beyond them are evaluated at their edge), scaling
     factors and the other coefficients. `identified` names the coefficients that are parameters;
     by default all 27, which needs data over load, camber and pressure.
@@ -56,7 +58,6 @@ class LateralMagicFormula(Model):
     identified: tuple[str, ...] = tuple(UNITS)
     source: Path | None = None
 
-    inputs = MappingProxyType({"alpha": "rad", "Fz": "N", "gamma": "rad", "pressure": "Pa"})
     output = "N"
     name = "mf61_lateral"
 
@@ -71,6 +72,12 @@ class LateralMagicFormula(Model):
                 )
         if not self.identified:
             raise ValueError("identified is empty; name at least one coefficient")
+
+    @property
+    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+        """The input columns with their units."""
+        pressure = {"pressure": "Pa"} if PRESSURE & set(self.identified) else {}
+        return {"alpha": "rad", "Fz": "N", "gamma": "rad"} | pressure
 
     @property
     def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
@@ -189,7 +196,8 @@ class LateralMagicFormula(Model):
         }
 
     def _conditions(self, *inputs: Array) -> Conditions:
-        alpha, Fz, gamma, pressure = inputs
+        alpha, Fz, gamma, *others = inputs
+        pressure = others[0] if others else np.full_like(alpha, self.base.parameters.NOMPRES)
         speed = np.full_like(alpha, self.base.parameters.LONGVL)
         return self.base.conditions(Fz, np.zeros_like(alpha), alpha, gamma, speed, pressure)
 

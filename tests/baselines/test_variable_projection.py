@@ -95,7 +95,7 @@ def test_a_problem_without_linear_parameters_is_refused() -> None:
     record = minimize(VariableProjection(), misra1a(), Budget(evaluations=10))
     assert record.outcome is Outcome.FAILED
     assert record.error is not None
-    assert "declares no linear parameters; declare them with the model" in record.error
+    assert "the problem has no linear parameters: the model declares none" in record.error
     with pytest.raises(ValueError, match="screen is 0"):
         VariableProjection(screen=0)
 

@@ -5,6 +5,7 @@ import pytest
 
 from miho import CurveFit, Dataset, Parameter, Space
 from miho.models import Pacejka
+from tests.identification import published
 
 SPACE = Space(
     (
@@ -85,7 +86,9 @@ def test_shapes_are_checked_once() -> None:
 
 def test_the_space_must_fit_the_model() -> None:
     p = problem()
-    with pytest.raises(ValueError, match="needs B, C, D, Sx, Sy"):
+    with pytest.raises(
+        ValueError, match="needs the parameters B, C, D, Sx, Sy; the space lacks Sy"
+    ):
         CurveFit(p.model, p.dataset, Space(SPACE.parameters[:4]))
     degrees = (*SPACE.parameters[:3], Parameter("Sx", "deg", -5, 5), SPACE.parameters[4])
     with pytest.raises(ValueError, match="'Sx' of the space has unit 'deg'"):
@@ -98,3 +101,32 @@ def test_the_space_must_fit_the_model() -> None:
     other = Dataset("d", {"slip": np.ones(3), "Fy": np.ones(3)}, {"slip": "1", "Fy": "N"}, "Fy")
     with pytest.raises(ValueError, match="no column 'alpha'"):
         CurveFit(p.model, other, SPACE)
+
+
+def test_a_row_that_no_parameters_predict_is_named() -> None:
+    x = np.array([1.0, 0.0, 2.0])
+    with pytest.raises(ValueError, match=r"is not finite at x = 0 \(row 2 of published\)"):
+        published.problem(Inverse(), x, x, [(1, 2), (1, 2)])
+
+
+def test_a_linearity_that_is_not_so_is_refused() -> None:
+    x = np.linspace(1, 2, 9)
+    with pytest.raises(ValueError, match="not linear in a, b as it declares"):
+        published.problem(Product(), x, x, [(1, 2), (1, 2)])
+
+
+class Inverse(published.Line):
+    """y = a + b / x."""
+
+    linear = ()
+
+    def predict(self, thetas: np.ndarray, *inputs: np.ndarray) -> np.ndarray:
+        with np.errstate(divide="ignore"):
+            return super().predict(thetas, 1 / inputs[0])
+
+
+class Product(published.Line):
+    """y = a b x: linear in each, not in both."""
+
+    def predict(self, thetas: np.ndarray, *inputs: np.ndarray) -> np.ndarray:
+        return thetas[:, :1] * thetas[:, 1:] * inputs[0]

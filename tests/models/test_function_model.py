@@ -196,3 +196,16 @@ def test_a_configuration_that_cannot_be_used_is_one_line(tmp_path: Path) -> None
         build(composed(configuration(tmp_path, DECAY.replace("-b", "-c"))))
     with pytest.raises(ConfigError, match=r"model.path: is missing"):
         build(composed(["model=function"]))
+
+
+@pytest.mark.parametrize("theta", [0.0, 1e-20, 1e-12, -1e-7, 3.0])
+def test_derivatives_near_zero_are_not_lost(theta: float) -> None:
+    """y = 1000 + a t: the derivative is t, known to the rounding of 1000 over the step."""
+    t = np.linspace(0.5, 1, 5)
+    model = FunctionModel(offset)
+    found = model.jacobian(np.array([theta]), t)[:, 0]
+    np.testing.assert_allclose(found, t, rtol=1e-5)
+
+
+def offset(t: "s", *, a: "V") -> "V":  # noqa: F821, UP037
+    return 1000 + a * t
