@@ -17,7 +17,7 @@ from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 from hydra._internal.utils import get_args_parser
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException
+from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
@@ -102,6 +102,9 @@ def _explained(error: Exception, overrides: Sequence[str]) -> str:
             node = OmegaConf.select(cfg, parent) if parent else cfg
             return f"{key}: is unknown; allowed are {', '.join(map(str, node))}"
     message = one_line(error)
+    if isinstance(error, OverrideParseException) or "Lexer" in message:
+        message = message.partition(" See https")[0]
+        message += '; quote the whole override for the shell, and inside brackets "m/s^2"'
     if isinstance(error.__cause__, OmegaConfBaseException):
         message += f": {one_line(error.__cause__)}"
     return message

@@ -5,8 +5,11 @@ python -m experiments.identify model=pacejka dataset=tire_lf optimizer=miho seed
 
 from __future__ import annotations
 
+import math
 from collections import Counter
+from pathlib import Path
 
+import pandas as pd
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig
@@ -17,6 +20,8 @@ from experiments.run import line, report, run
 from miho.study import Status
 
 statuses: Counter[Status] = Counter()
+found: list[tuple[str, str, float]] = []
+roots: set[Path] = set()
 
 
 def identify(cfg: DictConfig) -> None:
@@ -24,6 +29,10 @@ def identify(cfg: DictConfig) -> None:
     experiment = build(cfg)
     execution = run(experiment)
     statuses[execution.status] += 1
+    roots.add(experiment.root)
+    if execution.run is not None and execution.run.result["loss"] is not None:
+        identity, loss = experiment.identity, execution.run.result["loss"]
+        found.append((identity.problem, identity.optimizer, math.sqrt(loss)))
     print(line(experiment, execution), flush=True)
     if execution.status is Status.INTERRUPTED:
         raise KeyboardInterrupt
@@ -38,7 +47,13 @@ def summary() -> int:
         told = ", ".join(
             f"{n} {status}" for status, n in counts.items() if n or status is Status.RAN
         )
+        if found:
+            table = pd.DataFrame(found, columns=["problem", "method", "error"])
+            errors = table.groupby(["problem", "method"])["error"]
+            print(errors.agg(["count", "min", "median", "max"]).to_string(float_format="%.5g"))
         print(f"{statuses.total()} runs: {told}")
+        for root in roots:
+            print(f"how far to trust the best of them: python -m experiments.report {root}")
     return SOME_FAILED if statuses[Status.FAILED] else OK
 
 

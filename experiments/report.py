@@ -8,6 +8,7 @@ python -m experiments.report runs/identify --bootstrap 1000    # with bootstrap 
 from __future__ import annotations
 
 import argparse
+import json
 import math
 import sys
 from collections.abc import Mapping
@@ -19,7 +20,7 @@ import pandas as pd
 from tqdm import tqdm
 
 from experiments.build import ConfigError, rebuild
-from experiments.cli import guarded
+from experiments.cli import OK, SOME_FAILED, guarded, one_line
 from miho.analysis.page import Section, page, png
 from miho.analysis.quantities import interval, scaled, with_error, written
 from miho.analysis.report_figures import Column, fit_figure, profile_figure, residual_figure
@@ -33,6 +34,8 @@ PAGE, PARAMETERS = "report.html", "parameters.json"
 
 def reported(problem: CurveFit, stored: StoredRun, **settings: Any) -> Report:
     """The report on a finished run of a problem; `settings` are those of `make_report`."""
+    if not sys.stderr.isatty():
+        print(f"report of {problem.name}: running", file=sys.stderr, flush=True)
     with tqdm(leave=False, disable=None, bar_format="report: {desc}{n_fmt}") as bar:
 
         def each(stage: str) -> None:
@@ -55,7 +58,7 @@ def parameter_table(report: Report) -> pd.DataFrame:
                 "value": written(row["value"], error),
                 "unit": row["unit"],
                 "standard error": "held" if math.isnan(error) else written(error, error),
-                f"{100 * report.level:g} % interval": interval(
+                f"{100 * report.level:g} % interval ({chosen})": interval(
                     row[f"{chosen} low"], row[f"{chosen} high"], error
                 ),
             }
@@ -66,19 +69,19 @@ def parameter_table(report: Report) -> pd.DataFrame:
 def derived_table(report: Report) -> pd.DataFrame:
     """The derived quantities as text, in handy units."""
     rows = []
+    chosen = _interval_name(report.derived)
     for row in report.derived.to_dict("records"):
         if math.isnan(row["value"]):
             continue
         factor, unit = scaled(row["value"], row["unit"])
         value, error = row["value"] * factor, row["standard error"] * factor
-        chosen = _interval_name(report.derived)
         low, high = (row[f"{chosen} {end}"] * factor for end in ("low", "high"))
         rows.append(
             {
                 "derived": row["quantity"],
                 "value": with_error(value, error) if error > 0 else "-",
                 "unit": unit,
-                f"{100 * report.level:g} % interval": interval(low, high, error),
+                f"{100 * report.level:g} % interval ({chosen})": interval(low, high, error),
             }
         )
     return pd.DataFrame(rows)
@@ -141,7 +144,7 @@ def identified(report: Report, stored: StoredRun) -> Identified:
             for row in report.derived.to_dict("records")
             if math.isfinite(row["value"])
         },
-        provenance=_provenance(stored) | {"interval": chosen},
+        provenance={"error": report.error, **_provenance(stored), "interval": chosen},
         level=report.level,
     )  # fmt: skip
 
@@ -157,7 +160,6 @@ def _provenance(stored: StoredRun) -> dict[str, Any]:
     result = stored.result
     return {
         **{key: result[key] for key in ("problem", "optimizer", "seed", "id", "code", "data")},
-        "error": math.sqrt(result["loss"]),
         "dataset": stored.config["dataset"],
         "environment": {key: value for key, value in stored.environment.items() if key != "load"},
     }
@@ -166,7 +168,7 @@ def _provenance(stored: StoredRun) -> dict[str, Any]:
 def _interval_name(frame: pd.DataFrame) -> str:
     """The best kind of interval a table has."""
     kinds = ("profile", "bootstrap", "linearised")
-    return next(kind for kind in kinds if f"{kind} low" in frame.columns)
+    return next((kind for kind in kinds if f"{kind} low" in frame.columns), "")
 
 
 def _figures(report: Report) -> dict[str, bytes]:
@@ -224,7 +226,9 @@ def _page(report: Report, stored: StoredRun, figures: Mapping[str, bytes]) -> st
             table=_rounded(report.trends),
             figure=figures["residuals"],
             caption="explained: share of the errors' variance that the means of groups of rows "
-            "explain. Errors are model minus data.",
+            "explain, those of a condition together with the first input; p: how often chance "
+            "alone explains as much. Errors are model minus data; lines are means over rows with "
+            "the first input below and above its median.",
         ),
         Section("Correlation of the estimates", table=correlation_table(report)),
         Section(
@@ -237,8 +241,8 @@ def _page(report: Report, stored: StoredRun, figures: Mapping[str, bytes]) -> st
     ]
     subtitle = (
         f"{type(problem.model).__name__} on {problem.dataset.name}, identified by "
-        f"{result['optimizer']}, seed {result['seed']}: error {math.sqrt(result['loss']):.4g} "
-        f"{problem.unit}."
+        f"{result['optimizer']}, seed {result['seed']}: error {report.error:.5g} "
+        f"{problem.unit} (root mean square)."
     )
     return page(f"Identification of {problem.name}", subtitle, [s for s in sections if _full(s)])
 
@@ -287,19 +291,48 @@ def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def _best_runs(path: Path) -> list[StoredRun]:
-    """The run in a folder, or the best run of each problem below a root."""
+    """The run in a folder, or the best run of each problem below a root.
+
+    Runs compete if they have the same data, model and loss.
+    """
     if (path / "result.json").is_file():
         return [read_run(path)]
     runs = load_runs(path).runs
     runs = runs[runs["error"].notna()] if len(runs) else runs
     if not len(runs):
         raise ConfigError(f"{path}: holds no finished run; run python -m experiments.identify")
-    best = runs.sort_values("error", kind="stable").groupby("problem").head(1)
-    return [read_run(Path(folder)) for folder in best.sort_values("problem")["folder"]]
+    best: dict[str, StoredRun] = {}
+    for folder in runs.sort_values(["problem", "error"], kind="stable")["folder"]:
+        run = read_run(Path(folder))
+        asked = [run.result["data"], *(run.config[key] for key in ("model", "loss"))]
+        best.setdefault(json.dumps([run.result["problem"], *asked], sort_keys=True), run)
+    return list(best.values())
 
 
-def main() -> None:
-    """Report on what a folder holds."""
+def _report(stored: StoredRun, arguments: argparse.Namespace) -> str:
+    """Write the report of one run; its text, and where the page is."""
+    if stored.result["theta"] is None:
+        raise ConfigError("the run found no finite value, so there is nothing to report")
+    problem = rebuild(stored, trusted=arguments.trust)
+    made = reported(
+        problem,
+        stored,
+        replicates=arguments.bootstrap,
+        profiles=arguments.profile,
+        level=arguments.level,
+    )
+    folder = report_folder(stored)
+    if arguments.output is not None:
+        folder = arguments.output / folder.parent.name / folder.name
+    errors = "\n".join(
+        f"error {row['on']}: {row['error']:.5g} {row['unit']} ({row['rows']} rows)"
+        for row in made.errors.to_dict("records")
+    )
+    return f"{text(made)}\n\n{errors}\nreport {write(made, stored, folder)}\n"
+
+
+def main() -> int:
+    """Report on what a folder holds; 3 if that failed for some of its runs."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.report",
         description="Intervals, identifiability and validation of finished runs.",
@@ -316,21 +349,21 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.bootstrap < 0 or not 0 < arguments.level < 1:
         parser.error("--bootstrap must be at least 0 and --level between 0 and 1")
+    failed = 0
     for stored in _best_runs(arguments.path):
-        problem = rebuild(stored, trusted=arguments.trust)
-        print(f"{problem.name}: {stored.folder}", file=sys.stderr, flush=True)
-        report = reported(
-            problem,
-            stored,
-            replicates=arguments.bootstrap,
-            profiles=arguments.profile,
-            level=arguments.level,
-        )
-        folder = report_folder(stored)
-        if arguments.output is not None:
-            folder = arguments.output / folder.parent.name / folder.name
-        print(f"{text(report)}\n\nreport       {write(report, stored, folder)}\n")
+        try:
+            print(f"{stored.result['problem']}: {stored.folder}\n\n{_report(stored, arguments)}")
+        except (ConfigError, ValueError) as error:
+            print(f"error: {stored.folder}: {one_line(error)}", file=sys.stderr)
+            failed += 1
+    return SOME_FAILED if failed else OK
+
+
+def run() -> None:
+    """Report, and exit with the code that fits."""
+    codes: list[int] = []
+    guarded(lambda: codes.append(main()), lambda: codes[0])
 
 
 if __name__ == "__main__":
-    guarded(main)
+    run()

@@ -6,11 +6,14 @@ import math
 import sys
 from functools import cache
 
+import numpy as np
+
 from baselines.least_squares import LeastSquares
 from experiments.build import Experiment
 from experiments.progress import progress
 from experiments.report import report_folder, reported, text, write
-from miho.identification import CurveFit, linear_optimum
+from miho.identification import CurveFit, Square, linear_optimum
+from miho.identification.validation import error_on, root_mean_square
 from miho.optim import Budget, RunRecord, minimize
 from miho.study import Execution, Store, StoredRun, execute
 
@@ -46,9 +49,11 @@ def line(experiment: Experiment, execution: Execution) -> str:
         kept = f"; the next call starts it again (best so far in {execution.partial})"
         return head + ": ".join([str(execution.status), *last]) + kept * bool(execution.partial)
     result = execution.run.result
-    error = "no finite value" if result["loss"] is None else f"{math.sqrt(result['loss']):.2f}"
+    found = "no finite value"
+    if result["loss"] is not None:
+        found = f"{math.sqrt(result['loss']):.5g} {experiment.problem.unit}"
     return (
-        f"{head}{error} {experiment.problem.unit}, {result['evaluations']:,.0f} evaluations, "
+        f"{head}{found}, {result['evaluations']:,.0f} evaluations, "
         f"{result['seconds']:.2f} s ({execution.status})"
     )
 
@@ -63,17 +68,28 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     known, source = best_known_error(problem)
     best = min(known, error)
     gap = f"gap {100 * (error / best - 1) if best else 0:.4f} % ({source})"
-    rows = [
-        ("error", f"{error:.2f} {unit} (root mean square)"),
-        ("best known", f"{best:.2f} {unit}, {gap}"),
+    rows = []
+    measured = root_mean_square(problem.errors(np.array(result["theta"])))
+    rows.append(("error", f"{measured:.5g} {unit} (root mean square)"))
+    held_out = problem.dataset.held_out
+    if held_out is not None:
+        unseen = error_on(problem, np.array(result["theta"]), held_out)
+        rows.append(("held out", f"{unseen:.5g} {unit} ({len(held_out)} rows)"))
+    irreducible = experiment.facts.get("irreducible")
+    if irreducible is not None:
+        reached = "; this fit reaches it" if measured < 1.02 * irreducible else ""
+        rows.append(
+            ("irreducible", f"about {irreducible:.4g} {unit}, from neighbouring points{reached}")
+        )
+    if not isinstance(problem.rho, Square):
+        name = type(problem.rho).__name__
+        rows.append(("loss", f"{error:.5g} {unit} (root of the mean {name} loss)"))
+    rows += [
+        ("best known", f"{best:.5g} {unit}, {gap}"),
         ("evaluations", f"{result['evaluations']:,.0f}"),
         ("seconds", f"{result['seconds']:.3f} (set-up {result['setup_seconds']:.3f})"),
         ("ended by", ENDINGS.get(result["outcome"], result["outcome"])),
     ]
-    irreducible = experiment.facts.get("irreducible")
-    if irreducible is not None:
-        estimate = f"about {irreducible:.2f} {unit} (estimated from neighbouring points)"
-        rows.insert(2, ("irreducible", estimate))
     if result["rejected"]:
         rows.append(("rejected", ", ".join(f"{n} x {r}" for r, n in result["rejected"].items())))
     rows.append(("run", str(stored.folder)))

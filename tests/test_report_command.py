@@ -56,7 +56,13 @@ def test_the_best_run_of_a_root(
     assert found.provenance["seed"] == best["seed"]
     assert found.provenance["interval"] == "profile"
     page = (folder / "report.html").read_text(encoding="utf-8")
-    for words in ("bootstrap replicates", "leave one Fz out", "Correlation", "Profiles", "numpy"):
+    for words in (
+        "bootstrap replicates",
+        "leave a fifth of Fz out",
+        "Correlation",
+        "Profiles",
+        "numpy",
+    ):
         assert words in page
     derived = pd.read_csv(folder / "derived.csv")
     assert (derived["bootstrap low"] < derived["bootstrap high"]).all()
@@ -103,3 +109,22 @@ def test_code_of_the_users_runs_only_if_trusted(tmp_path: Path) -> None:
         rebuild(stored)
     assert not (tmp_path / "canary").exists()
     assert rebuild(stored, trusted=True).model.name == "line"
+
+
+def test_a_run_that_cannot_be_reported_stops_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "runs"
+    for name, rows in (("few", 3), ("many", 60)):
+        alpha = np.linspace(-0.2, 0.2, rows)
+        data = pd.DataFrame({"alpha": alpha, "Fy": -4000 * np.tanh(15 * alpha)})
+        for folder in ("x", "y"):
+            path = tmp_path / folder / f"{name}.csv"
+            path.parent.mkdir(exist_ok=True)
+            data.assign(Fy=data["Fy"] * (1.1 if folder == "y" else 1)).to_csv(path, index=False)
+            stored_run(root, "dataset=csv", f"dataset.path={path}")
+    monkeypatch.setattr(sys, "argv", ["report", str(root)])
+    assert report.main() == 3
+    told = capsys.readouterr()
+    assert told.err.count("3 rows for ") == 2
+    assert told.out.count("report.html") == 2, "other data of the same name is another problem"

@@ -146,9 +146,14 @@ def round_trips(identified: Brake) -> None:
 
 def driving(path: Path) -> None:
     """The law of a driving log, and how it depends on what is selected."""
-    columns, units = ["time", "vx", "ax", "throttle", "brake"], ["s", "m/s", "m/s^2", "%", "kPa"]
-    headers = ["# time(s)", "vx(m/s)", "ax(m/s^2)", "throttle_ped_cmd(%)", "brake_ped_cmd(kPa)"]
-    logged = load_driving_log(path, columns, units, headers, accelerometer=False)
+    columns = ["time", "vx", "vy", "yaw_rate", "ax", "throttle", "brake"]
+    units = ["s", "m/s", "m/s", "rad/s", "m/s^2", "%", "kPa"]
+    headers = [
+        "# time(s)", "vx(m/s)", "vy(m/s)", "omega(rad/s)", "ax(m/s^2)", "throttle_ped_cmd(%)",
+        "brake_ped_cmd(kPa)",
+    ]  # fmt: skip
+    # In this log vy rises with the yaw rate as it would 1.5 m ahead of the centre of gravity.
+    logged = load_driving_log(path, columns, units, headers, sensor_x=1.5, accelerometer=False)
     channels = {key: logged[key] for key in columns if key != "ax"}
     wheels = read_numbers(path, ["wheel_fl(kmph)", "wheel_fr(kmph)"], header=True)
     front = channels | {"vx": np.mean(list(wheels.values()), axis=0) / 3.6}
@@ -169,14 +174,19 @@ def driving(path: Path) -> None:
         "p > 50 kPa": {"min_pressure": 5e4},
         "p > 200 kPa": {"min_pressure": 2e5},
         "vx > 12 m/s": {"min_speed": 12.0},
-        "0.5 Hz": {"cutoff": 0.5},
+        "1.5 Hz": {"cutoff": 1.5},
         "2 Hz": {"cutoff": 2.0},
-        "settle 0.2 s": {"settle": 0.2},
+        "4 Hz": {"cutoff": 4.0},
+        "5 Hz": {"cutoff": 5.0},
+        "settle 0.5 s": {"settle": 0.5},
+        "also in turns": {"max_lateral": np.inf},
         "throttle <= 5 %": {"max_throttle": 0.05},
         "any throttle": {"max_throttle": 1.0},
     }
     for source, log in speeds.items():
         rows += [law(source, name, log, **settings) for name, settings in variants.items()]
+        straight = {key: log[key] for key in channels if key not in ("vy", "yaw_rate")}
+        rows.append(law(source, "turns unknown", DrivingLog(log.name, straight)))
         rows += [
             law(source, f"p late by {late:g} s", DrivingLog(log.name, delayed(log, late)))
             for late in (0.08, 0.16)

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import math
+from types import MappingProxyType
 
 KILO = 1e4
 """Values from here on are written in thousands of their unit."""
 PLACES = 6
 """Numbers that need more decimals than this are written with a power of ten."""
+USUAL = MappingProxyType({"rad": (180 / math.pi, "deg"), "rad/s": (30 / math.pi, "rpm")})
 PREFIXED = ("N", "Pa")
 
 
 def scaled(value: float, unit: str) -> tuple[float, str]:
-    """The factor to multiply by and the unit it gives: N/rad becomes kN/rad for large values."""
+    """The factor to multiply by and the unit it gives.
+
+    rad becomes deg, rad/s becomes rpm, and N/rad becomes kN/rad for large values.
+    """
+    if unit in USUAL:
+        return USUAL[unit]
     if unit.startswith(PREFIXED) and math.isfinite(value) and abs(value) >= KILO:
         return 1e-3, f"k{unit}"
     return 1.0, unit

@@ -15,7 +15,7 @@ from miho.analysis.figures import WIDTH, house_style
 
 Array = NDArray[np.float64]
 
-BINS = 20
+BINS = 10
 PANELS = 3
 
 
@@ -68,36 +68,48 @@ def fit_figure(
 
 
 def residual_figure(errors: Column, columns: Sequence[Column]) -> Figure:
-    """Errors (model minus data) over each column, with the mean of each of BINS groups of rows."""
+    """Errors (model minus data) over each column, with means of groups of rows.
+
+    The rows with the first column below and above its median are drawn apart: what a load does
+    to a force has the sign of the slip, and cancels in the mean over both.
+    """
+    first = columns[0].values
+    above = first > np.median(first)
     with house_style():
         rows = -(-len(columns) // PANELS)
         width = WIDTH if len(columns) > 1 else WIDTH * 0.6
         figure = Figure(figsize=(width, 2.3 * rows), layout="constrained")
-        panels = np.ravel(
-            figure.subplots(rows, min(PANELS, len(columns)), squeeze=False, sharey=True)
-        )
+        across = min(PANELS, len(columns))
+        panels = np.ravel(figure.subplots(rows, across, squeeze=False, sharey=True))
         for ax, column in zip(panels, columns, strict=False):
-            plot_errors_over(errors, column, ax)
+            plot_errors_over(errors, column, above, ax)
         for ax in panels[len(columns) :]:
             ax.remove()
-        for first in range(1, len(columns)):
-            if first % PANELS:
-                panels[first].set_ylabel("")
+        for place in range(1, len(columns)):
+            if place % PANELS:
+                panels[place].set_ylabel("")
+        if len(columns) > 1:
+            name = columns[0].name
+            labels = [f"{name} below its median", f"{name} above it"]
+            figure.legend(panels[0].lines[:2], labels, loc="outside upper right", ncols=2)
     return figure
 
 
-def plot_errors_over(errors: Column, column: Column, ax: Axes) -> Axes:
-    """Errors over one column as points, and the mean in groups of equally many rows."""
-    blue, red = sns.color_palette("colorblind")[0], sns.color_palette("colorblind")[3]
+def plot_errors_over(errors: Column, column: Column, above: NDArray[np.bool_], ax: Axes) -> Axes:
+    """Errors over one column as points, in two parts (N,), each with means of equally many rows."""
     opacity = _opacity(len(errors.values))
-    ax.scatter(
-        column.values, errors.values, s=3, color=blue, alpha=opacity, linewidths=0, rasterized=True
-    )
-    order = np.argsort(column.values, kind="stable")
-    parts = [part for part in np.array_split(order, BINS) if part.size]
-    x = [column.values[part].mean() for part in parts]
-    y = [errors.values[part].mean() for part in parts]
-    ax.plot(x, y, color=red, marker="o", markersize=2.5, linewidth=1)
+    for part, index in ((~above, 0), (above, 3)):
+        color = sns.color_palette("colorblind")[index]
+        rows = np.flatnonzero(part)
+        rows = rows[np.argsort(column.values[rows], kind="stable")]
+        groups = [group for group in np.array_split(rows, BINS) if group.size]
+        x = [column.values[group].mean() for group in groups]
+        y = [errors.values[group].mean() for group in groups]
+        ax.plot(x, y, color=color, marker="o", markersize=2.5, linewidth=1, zorder=3)
+        ax.scatter(
+            column.values[rows], errors.values[rows], s=3, color=color, alpha=opacity,
+            linewidths=0, rasterized=True,
+        )  # fmt: skip
     ax.axhline(0, color="#444444", linewidth=0.6)
     ax.set(xlabel=column.label, ylabel=errors.label)
     return ax

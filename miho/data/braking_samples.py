@@ -15,44 +15,55 @@ UNITS = {"p": "Pa", "vx": "m/s", "deceleration": "m/s^2", "t": "s", "event": "-"
 
 def braking_samples(
     log: DrivingLog,
-    cutoff: float = 1.0,
+    cutoff: float = 3.0,
     min_pressure: float = 1.0e5,
     min_speed: float = 10.0,
     max_throttle: float = 0.01,
+    max_lateral: float = 3.0,
     settle: float = 0.0,
 ) -> Dataset:
     """The braking phases of a log with vx, brake and throttle, for `BrakeDeceleration`.
 
     A sample is braking where the pressure is above min_pressure [Pa], the speed above min_speed
-    [m/s] and the throttle at most max_throttle [-]; the first `settle` seconds of each phase are
-    left out. Deceleration is the falling of the speed, or -ax if ax is logged, less what a logged
-    grade explains. A logged ax may lag by a second or be a set value: compare it with the speed
-    before you name it.
+    [m/s] and the throttle at most max_throttle [-]. Deceleration is -ax or, if ax is not logged,
+    -v_x' + v_y r (without vy or yaw_rate -v_x' alone), less what a logged grade explains. A logged
+    ax may lag by a second or be a set value: compare it with the speed before you name it.
 
     Deceleration, pressure and squared speed pass the same `low_pass` of `cutoff` [Hz], so that a
-    law linear in them stays true of what is filtered, also where the pressure ramps.
+    law linear in them stays true of what is filtered, as long as the filter sees nothing but
+    braking. Near the ends of a phase it mixes in the drive, so that the first and last 1 / cutoff
+    [s] of each phase are left out, and phases shorter than twice that altogether: a higher cutoff
+    keeps more of short brakings and more noise. Left out are also the first `settle` [s] of each
+    phase, if a pressure that is a command takes longer to build up, and, if yaw_rate is logged,
+    samples with |v_x r| above max_lateral [m/s^2], where steered wheels drag.
 
     Columns p [Pa], vx [m/s], the output deceleration [m/s^2], positive, t [s] and event [-],
-    which numbers the phases: samples of one phase share its errors and are far from independent.
+    which numbers the phases, also those of which nothing is kept: samples of one phase share its
+    errors and are far from independent.
     """
     if not settle >= 0:
         raise ValueError(f"settle is {settle}; expected a number of seconds of at least 0")
+    grade = g * np.sin(log.angle("grade", cutoff))
+    deceleration = -log.longitudinal_acceleration(cutoff) - grade
     t, pressure, vx = log["time"], log["brake"], log["vx"]
     braking = (pressure > min_pressure) & (vx > min_speed) & (log["throttle"] <= max_throttle)
     event = np.cumsum(braking & ~np.concatenate([[False], braking[:-1]]))
     began = t[np.searchsorted(event, event)]
-    kept = braking & (t - began >= settle) & log.away_from_ends(cutoff)
+    kept = log.inside(braking, cutoff) & (t - began >= settle)
+    if "yaw_rate" in log:
+        turning = np.abs(log.filtered("vx", cutoff) * log.filtered("yaw_rate", cutoff))
+        kept &= turning <= max_lateral
     if not kept.any():
         raise ValueError(
             f"log {log.name}: no sample of {len(log)} has brake above {min_pressure:g} Pa, vx "
-            f"above {min_speed:g} m/s and throttle of at most {max_throttle:g} for {settle:g} s; "
+            f"above {min_speed:g} m/s, throttle of at most {max_throttle:g} for {1 / cutoff:g} s "
+            f"before and after, settle {settle:g} s and |v_x r| of at most {max_lateral:g} m/s^2; "
             "check the units or widen the selection"
         )
-    grade = g * np.sin(log.angle("grade", cutoff))
     columns = {
         "p": log.filtered("brake", cutoff),
         "vx": np.sqrt(np.maximum(low_pass(vx * vx, log.dt, cutoff), 0.0)),
-        "deceleration": -log.longitudinal_acceleration(cutoff) - grade,
+        "deceleration": deceleration,
         "t": t,
         "event": event.astype(float),
     }
@@ -70,10 +81,11 @@ def load_braking_samples(
     accelerometer: bool = True,
     start: float = 0.0,
     end: float | None = None,
-    cutoff: float = 1.0,
+    cutoff: float = 3.0,
     min_pressure: float = 1.0e5,
     min_speed: float = 10.0,
     max_throttle: float = 0.01,
+    max_lateral: float = 3.0,
     settle: float = 0.0,
 ) -> Dataset:
     """`braking_samples` of a log in a CSV file.
@@ -84,4 +96,4 @@ def load_braking_samples(
         path, columns, units, headers, flip=flip, delays=delays, accelerometer=accelerometer,
         start=start, end=end,
     )  # fmt: skip
-    return braking_samples(log, cutoff, min_pressure, min_speed, max_throttle, settle)
+    return braking_samples(log, cutoff, min_pressure, min_speed, max_throttle, max_lateral, settle)

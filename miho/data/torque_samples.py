@@ -73,10 +73,12 @@ class TorqueRules:
     ) -> TorqueSamples:
         """Columns omega [rad/s], throttle [-] and the output torque [Nm] of the engine.
 
-        The torque follows from ax (if it is not logged, the rate of vx), vx, gear and grade. The
-        channels must include vx, gear, engine_speed, throttle and brake. Raises ValueError, with
-        what each rule dropped, if nothing is left.
+        The torque follows from ax (if it is not logged, `longitudinal_acceleration` takes it from
+        the speeds), vx, gear and grade. The channels must include vx, gear, engine_speed, throttle
+        and brake. Raises ValueError, with what each rule dropped, if nothing is left.
         """
+        if throttle is not None and not 0 <= throttle <= 1:
+            raise ValueError(f"throttle is {throttle!r}; expected 0 to 1, such as 0.3 for 30 %")
         vx, omega = (log.filtered(channel, self.cutoff) for channel in ("vx", "engine_speed"))
         pedal, gear = log["throttle"], log["gear"]
         engaged = np.isin(gear, np.arange(1, len(car.gear_ratios) + 1))
@@ -104,10 +106,20 @@ class TorqueRules:
             kept &= ~drops
         if not kept.any():
             counts = ", ".join(f"{rule} {count}" for rule, count in dropped.items() if count)
-            raise ValueError(
-                f"log {log.name}: no sample of {len(log)} is left; dropped by {counts}; loosen "
-                "the rule that drops too many"
-            )
+            told = f"log {log.name}: no sample of {len(log)} is left; dropped by {counts}"
+            moving = engaged & (vx > self.min_speed)
+            if moving.any():
+                ratio = float(np.median(omega[moving] / car.engine_speed(vx, gear)[moving]))
+                if abs(ratio - 1) > self.max_slip:
+                    raise ValueError(
+                        f"{told}; engine_speed is mostly {ratio:.3g} times what vx, gear and the "
+                        "vehicle give: check their units and the gear ratios"
+                    )
+            if dropped.get("throttle") and np.ptp(pedal) > 0:
+                counted = np.unique(np.round(100 * pedal[~rules["transient"]]), return_counts=True)
+                held = counted[0][np.argsort(counted[1])[::-1][:5]]
+                told += f"; openings held longest: {', '.join(f'{v / 100:g}' for v in held)}"
+            raise ValueError(f"{told}; loosen the rule that drops too many")
         ax, grade = log.longitudinal_acceleration(self.cutoff), log.angle("grade", self.cutoff)
         torque = car.engine_torque(ax, vx, gear, grade)
         columns = {"omega": omega, "throttle": pedal, "torque": torque}

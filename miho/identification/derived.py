@@ -17,6 +17,8 @@ Array = NDArray[np.float64]
 REACH = 1.5
 """Peaks are looked for up to this many times the largest input in the data."""
 GRID = 601
+SAME = 0.1
+"""Loads within this fraction of each other are one load."""
 
 
 @dataclass(frozen=True)
@@ -92,9 +94,13 @@ def _tire(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
         quantities.insert(0, product)
     if "Fz" in dataset.columns:
         load = float(np.median(dataset["Fz"]))
+        known = "Fz" in model.inputs or np.ptp(dataset["Fz"]) <= SAME * load
+        name = f"peak friction at Fz = {load:.0f} N"
+        if not known:
+            name = f"mean peak force over the median load, {load:.0f} N"
         quantities.append(
             Derived(
-                f"peak friction at Fz = {load:.0f} N",
+                name,
                 "-",
                 lambda thetas: (positive(thetas)[1] + negative(thetas)[1]) / (2 * load),
             )

@@ -112,12 +112,16 @@ class EngineMap:
 
             T = T_dyno + weight (T_learned - T_dyno)
 
-        Where both know the torque, the weight is 1 up to the opening fade[0], where the dyno is
-        weak, and falls smoothly to 0 at fade[1], where it is strong. Outside a curve's valid
-        interval the difference at its end is carried on with a weight that falls smoothly to 0
-        over `reach` [rad/s], so that nothing jumps and no cubic is extrapolated. Raises ValueError
-        if two curves share a throttle.
+        In a curve's own row the weight is 1 up to the opening fade[0], where the dyno is weak, and
+        falls smoothly to 0 at fade[1], where it is strong. Dyno rows between two curves are, up to
+        fade[0], on the line between these over the throttle, with weight 1; above, and below the
+        lowest curve, they stay the dyno's.
+
+        Outside a curve's valid interval the difference at its end is carried on with a weight that
+        falls smoothly to 0 over `reach` [rad/s], so that nothing jumps and no cubic is
+        extrapolated. Raises ValueError if two curves share a throttle.
         """
+        curves = sorted(curves, key=lambda curve: curve.throttle)
         throttles = [curve.throttle for curve in curves]
         if len(set(throttles)) != len(throttles):
             raise ValueError(f"the curves have throttles {throttles}; expected one curve each")
@@ -130,13 +134,16 @@ class EngineMap:
         table = self.torque(self.speeds, openings[:, None])
         learned, corrected = np.zeros((2, *table.shape))
         corrected[np.isin(openings, self.openings)] = self.correction
-        for curve in curves:
-            row = np.searchsorted(openings, curve.throttle)
+        share = 1 - _smoothstep((openings - fade[0]) / (fade[1] - fade[0]))
+        share[(openings > fade[0]) & ~np.isin(openings, throttles)] = 0
+        for curve, hat in zip(curves, np.eye(len(curves)), strict=True):
             known = np.clip(self.speeds, *curve.valid)
-            difference = curve.torque(known) - self.torque(known, curve.throttle)
-            share = 1 - _smoothstep((curve.throttle - fade[0]) / (fade[1] - fade[0]))
-            learned[row] = share * (1 - _smoothstep(np.abs(self.speeds - known) / reach))
-            table[row] += learned[row] * difference
+            difference = curve.torque(known) - self.torque(known, openings[:, None])
+            # 1 in the curve's own row, falling linearly to 0 in those of its neighbours
+            near = share * np.interp(openings, throttles, hat, left=0, right=0)
+            weight = np.outer(near, 1 - _smoothstep(np.abs(self.speeds - known) / reach))
+            learned += weight
+            table += weight * difference
         return self._monotone(openings, self.speeds, table, learned, corrected)
 
     def torque(self, omega: ArrayLike, throttle: ArrayLike) -> Array:

@@ -10,7 +10,7 @@ import math
 import os
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -60,10 +60,10 @@ class Identified:
 
     model: Model
     parameters: Mapping[str, Value]
-    correlation: Array
+    correlation: Array = field(repr=False)
     ranges: Mapping[str, tuple[float, float]]
-    derived: Mapping[str, Value]
-    provenance: Mapping[str, Any]
+    derived: Mapping[str, Value] = field(repr=False)
+    provenance: Mapping[str, Any] = field(repr=False)
     level: float = 0.95
 
     def __post_init__(self) -> None:

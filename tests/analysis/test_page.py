@@ -96,6 +96,7 @@ def test_digits_follow_the_error(value: float, error: float, expected: str) -> N
 def test_units_and_intervals() -> None:
     assert scaled(76719.1, "N/rad") == (1e-3, "kN/rad")
     assert scaled(300.0, "N") == (1.0, "N")
+    assert scaled(np.pi, "rad") == (180 / np.pi, "deg")
     assert scaled(-2e6, "Pa") == (1e-3, "kPa")
     assert scaled(math.nan, "N") == (1.0, "N")
     assert interval(1.0, 2.0, 0.25) == "[1.00, 2.00]"

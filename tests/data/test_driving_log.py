@@ -105,9 +105,36 @@ def test_accelerations_from_velocities() -> None:
     log = make(vy=0.5 * TIME, yaw_rate=0.2 + 0 * TIME)
     inner = log.away_from_ends(5.0)
     assert np.count_nonzero(~inner) == 20
-    assert log.longitudinal_acceleration(5.0)[inner] == pytest.approx(1.0, abs=1e-3)
+    turning = 1.0 - 0.5 * TIME * 0.2
+    assert log.longitudinal_acceleration(5.0)[inner] == pytest.approx(turning[inner], abs=1e-3)
     expected = 0.5 + (TIME + 20) * 0.2
     assert log.lateral_acceleration(5.0)[inner] == pytest.approx(expected[inner], abs=1e-3)
+
+
+def test_a_steady_turn_has_the_same_acceleration_with_and_without_accelerometer() -> None:
+    """vx 60 m/s, vy -2 m/s, r 0.3 rad/s: ax = -vy r and ay = vx r, though no speed changes."""
+    level = np.zeros(200)
+    speeds = {"vx": level + 60.0, "vy": level - 2.0, "yaw_rate": level + 0.3}
+    for log in (make(**speeds), make(**speeds, ax=level + 0.6, ay=level + 18.0)):
+        assert log.longitudinal_acceleration(5.0) == pytest.approx(0.6, abs=1e-9)
+        assert log.lateral_acceleration(5.0) == pytest.approx(18.0, abs=1e-9)
+    for missing in ("vy", "yaw_rate"):
+        rest = {key: values for key, values in speeds.items() if key != missing}
+        assert make(**rest).longitudinal_acceleration(5.0) == pytest.approx(0, abs=1e-9)
+
+
+def test_inside_keeps_away_from_both_ends_of_a_phase() -> None:
+    """1 / cutoff is 10 samples; a phase of 21 keeps its middle, one of 20 nothing."""
+    phases = np.zeros(200, dtype=bool)
+    phases[30:51] = phases[60:80] = phases[150:] = True
+    kept = make().inside(phases, 5.0)
+    assert np.flatnonzero(kept).tolist() == [40, *range(160, 190)]
+
+
+def test_a_step_has_little_effect_one_over_the_cutoff_away() -> None:
+    step = np.where(np.arange(1000) < 500, 0.0, 1.0)
+    changed = np.abs(low_pass(step, 0.002, 5.0) - step)
+    assert changed[:401].max() < 0.002 < changed[430]
 
 
 def test_a_file_in_its_own_units(written: Callable[..., Path]) -> None:

@@ -207,3 +207,13 @@ def test_from_a_file(file: Callable[[], Path], uphill: DrivingLog) -> None:
     expected = torque_samples(uphill, CAR, throttle=0.2, window=0.4)
     assert data.name == "hill_torque"
     np.testing.assert_allclose(data["torque"], expected["torque"], rtol=1e-9)
+
+
+def test_wrong_units_and_openings_are_told(uphill: DrivingLog) -> None:
+    with pytest.raises(ValueError, match=r"mostly 0.278 times what vx, gear .* check their units"):
+        torque_samples(changed(uphill, vx=3.6 * uphill["vx"]), CAR)
+    with pytest.raises(ValueError, match=r"throttle is 30; expected 0 to 1, such as 0.3"):
+        torque_samples(uphill, CAR, throttle=30)
+    opening = np.where(TIME < 25, 0.2, 0.35)
+    with pytest.raises(ValueError, match=r"held longest: 0.2, 0.35"):
+        torque_samples(changed(uphill, throttle=opening), CAR, throttle=0.6)

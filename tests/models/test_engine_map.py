@@ -121,6 +121,38 @@ def test_a_curve_where_the_dyno_is_good_shares_the_row() -> None:
     assert engine.learned.max(axis=1).tolist() == pytest.approx([0, 1, 0.5, 0, 0, 0], abs=1e-12)
 
 
+def test_weak_dyno_rows_between_curves_give_way_to_them() -> None:
+    """A dyno row at 15 % that is 30 Nm off: the map is as if it had not been measured.
+
+    Closed form where both curves are valid. Beyond, 80 rad/s of reach are over after 80 rad/s.
+    """
+    openings = np.array([0.0, 0.15, 0.3, 0.5, 0.8, 1.0])
+    throttle, omega = (grid.ravel() for grid in np.meshgrid(openings, SPEEDS, indexing="ij"))
+    off = np.where(throttle == 0.15, 30.0, 0.0)
+    alone = EngineMap.from_points(throttle, omega, surface(omega, throttle) + off)
+    curves = [curve(0.2), curve(0.05)]
+    engine = alone.integrate(curves, reach=80.0)
+    inside = (SPEEDS >= 200) & (SPEEDS <= 600)
+    high, low = (one.torque(SPEEDS[inside]) for one in curves)
+    row = int(np.searchsorted(engine.openings, 0.15))
+    np.testing.assert_allclose(engine.table[row][inside], (low + 2 * high) / 3, atol=1e-9)
+    np.testing.assert_allclose(engine.learned[row][inside], 1, rtol=1e-12)
+    without = dyno().integrate(curves, reach=80.0)
+    np.testing.assert_allclose(
+        engine.torque(SPEEDS[inside], 0.15), without.torque(SPEEDS[inside], 0.15), atol=1e-9
+    )
+    far = (SPEEDS < 120) | (SPEEDS > 680)
+    assert not engine.learned[row][far].any()
+
+
+def test_dyno_rows_above_the_fade_and_below_the_curves_stay() -> None:
+    """The dyno is better at 30 % than the line from 5 to 50 %; below 5 % nothing was learned."""
+    engine = dyno().integrate([curve(0.05), curve(0.5)])
+    assert engine.openings.tolist() == [0.0, 0.05, 0.3, 0.5, 0.8, 1.0]
+    assert engine.learned.max(axis=1).tolist() == [0, 1, 0, 0, 0, 0]
+    assert np.array_equal(engine.table[engine.openings == 0.3], dyno().table[OPENINGS == 0.3])
+
+
 def test_it_is_monotone_everywhere_and_says_what_that_took() -> None:
     """Noise of 40 Nm breaks the order of the rows; the mean of a column stays as it was."""
     raw = dyno(noise=40.0)
