@@ -51,9 +51,9 @@ def summary() -> int:
             table = pd.DataFrame(found, columns=["problem", "method", "error"])
             errors = table.groupby(["problem", "method"])["error"]
             print(errors.agg(["count", "min", "median", "max"]).to_string(float_format="%.5g"))
-        print(f"{statuses.total()} runs: {told}")
         for root in roots:
             print(f"how far to trust the best of them: python -m experiments.report {root}")
+        print(f"{statuses.total()} runs: {told}")
     return SOME_FAILED if statuses[Status.FAILED] else OK
 
 
