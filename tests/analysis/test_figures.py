@@ -48,6 +48,7 @@ def test_fig6_names_each_method_once_with_its_final_error_and_colour() -> None:
     assert "irreducible ≈ 0.39 kN" in written
 
 
+@pytest.mark.slow
 def test_fig6_labels_neither_overlap_nor_leave_the_page() -> None:
     figure = fig6(*like_fig6(3))
     figure.draw_without_rendering()

@@ -46,6 +46,7 @@ def test_gbo_steps_down_the_gradient_of_the_loss() -> None:
         assert second[k] == pytest.approx(first[k] - 1e-3 * slope, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_gbo_descends_to_the_optimum_with_a_fit_rate() -> None:
     problem = DecayFit()
     optimum = least_squares(problem.residuals, [1.0, 1.0], problem.jacobian)
@@ -113,6 +114,7 @@ def test_least_squares_survives_derivatives_that_do_not_exist() -> None:
     assert record.rejected == {"derivative is not finite": 6}
 
 
+@pytest.mark.slow
 def test_optuna_prunes_as_its_own_pruner_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """Trials end at rungs 1, eta, eta^2, ...; with the pruner asleep they all go on to R."""
     R, eta = 27, 3

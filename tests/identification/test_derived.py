@@ -52,6 +52,7 @@ def test_a_curve_that_keeps_rising_has_no_peak() -> None:
     assert np.isnan(found["peak force, alpha < 0"])
 
 
+@pytest.mark.slow
 def test_the_delta_method_agrees_with_repeated_experiments() -> None:
     """300 data sets know a standard deviation to 4 %; the tolerance is four times that."""
     rng = np.random.default_rng(0)

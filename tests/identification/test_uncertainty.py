@@ -110,6 +110,7 @@ def test_uncertainty_needs_more_rows_than_parameters() -> None:
         linearised(fit, np.array([1.0, 1.0]))
 
 
+@pytest.mark.slow
 def test_the_robust_optimum_and_its_standard_error() -> None:
     """The optimum is scipy's; the asymptotic error holds over 300 data sets to 4 standard errors
     of a standard deviation, 4 / sqrt(2 * 300) = 16 %."""

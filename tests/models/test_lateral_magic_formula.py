@@ -134,6 +134,7 @@ def test_what_a_file_cannot_hold_is_not_written(tmp_path: Path) -> None:
     assert load_tir(tmp_path / "free.tir") == bare(LF).base, "no ranges: they do not limit"
 
 
+@pytest.mark.slow
 def test_the_reference_tire_is_identified_again(reference_data: Path) -> None:
     """A tire nobody here wrote, from noise-free samples, to 1e-9 of its largest force."""
     path = reference_data / "mf_reference" / "reference_tire_tvd3.tir"

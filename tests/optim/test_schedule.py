@@ -38,6 +38,7 @@ def test_powers(eta: int, rounding: str) -> None:
         assert largest_bracket(eta**k, eta, rounding) == k
 
 
+@pytest.mark.slow
 def test_random_pairs() -> None:
     rng = random.Random(0)
     for _ in range(1000):
