@@ -11,24 +11,20 @@ import argparse
 import json
 import math
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from tqdm import tqdm
 
 from experiments.build import ConfigError, rebuild
 from experiments.cli import OK, SOME_FAILED, guarded, one_line
-from miho.analysis.page import Section, page, png
-from miho.analysis.quantities import interval, scaled, with_error, written
-from miho.analysis.report_figures import Column, fit_figure, profile_figure, residual_figure
+from experiments.report_page import figures_of, page_of, provenance
+from experiments.report_tables import interval_kind, text
 from miho.identification import CurveFit, Report, make_report
 from miho.models.identified import Identified, Value, parameters_text
 from miho.study import StoredRun, load_runs, read_run, single_thread, write_text
 
-GRID = 200
 PAGE, PARAMETERS = "report.html", "parameters.json"
 
 
@@ -46,64 +42,6 @@ def reported(problem: CurveFit, stored: StoredRun, **settings: Any) -> Report:
             return make_report(problem, np.array(stored.result["theta"]), each=each, **settings)
 
 
-def parameter_table(report: Report) -> pd.DataFrame:
-    """The parameters as text, with their digits cut to what their errors leave."""
-    chosen = _interval_name(report.parameters)
-    rows = []
-    for row in report.parameters.to_dict("records"):
-        error = row["standard error"]
-        rows.append(
-            {
-                "parameter": row["parameter"],
-                "value": written(row["value"], error),
-                "unit": row["unit"],
-                "standard error": "held" if math.isnan(error) else written(error, error),
-                f"{100 * report.level:g} % interval ({chosen})": interval(
-                    row[f"{chosen} low"], row[f"{chosen} high"], error
-                ),
-            }
-        )
-    return pd.DataFrame(rows)
-
-
-def derived_table(report: Report) -> pd.DataFrame:
-    """The derived quantities as text, in handy units."""
-    rows = []
-    chosen = _interval_name(report.derived)
-    for row in report.derived.to_dict("records"):
-        if math.isnan(row["value"]):
-            continue
-        factor, unit = scaled(row["value"], row["unit"])
-        value, error = row["value"] * factor, row["standard error"] * factor
-        low, high = (row[f"{chosen} {end}"] * factor for end in ("low", "high"))
-        rows.append(
-            {
-                "derived": row["quantity"],
-                "value": with_error(value, error) if error > 0 else "-",
-                "unit": unit,
-                f"{100 * report.level:g} % interval ({chosen})": interval(low, high, error),
-            }
-        )
-    return pd.DataFrame(rows)
-
-
-def correlation_table(report: Report) -> pd.DataFrame:
-    """The correlation matrix as text."""
-    text = report.correlation.map(lambda r: "-" if math.isnan(r) else f"{r:+.2f}")
-    return text.rename_axis("").reset_index()
-
-
-def text(report: Report) -> str:
-    """The report for a terminal: parameters, derived quantities and what the numbers mean."""
-    parts = [parameter_table(report).to_string(index=False)]
-    quantities = derived_table(report)
-    if len(quantities):
-        parts.append(quantities.to_string(index=False))
-    if report.notes:
-        parts.append("\n".join(f"- {sentence}" for sentence in report.notes))
-    return "\n\n".join(parts)
-
-
 def write(report: Report, stored: StoredRun, folder: Path) -> Path:
     """Write the page, the tables, the figures and parameters.json; the page's path."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -111,17 +49,17 @@ def write(report: Report, stored: StoredRun, folder: Path) -> Path:
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
     settings = stored.config["model"]
     write_text(folder / PARAMETERS, parameters_text(identified(report, stored), settings))
-    figures = _figures(report)
+    figures = figures_of(report)
     for name, picture in figures.items():
         (folder / f"{name}.png").write_bytes(picture)
-    write_text(folder / PAGE, _page(report, stored, figures))
+    write_text(folder / PAGE, page_of(report, stored, figures))
     return folder / PAGE
 
 
 def identified(report: Report, stored: StoredRun) -> Identified:
     """What a user of the model needs to know."""
     problem = report.problem
-    chosen = _interval_name(report.parameters)
+    chosen = interval_kind(report.parameters)
     return Identified(
         model=problem.model,
         parameters={
@@ -144,7 +82,7 @@ def identified(report: Report, stored: StoredRun) -> Identified:
             for row in report.derived.to_dict("records")
             if math.isfinite(row["value"])
         },
-        provenance={"error": report.error, **_provenance(stored), "interval": chosen},
+        provenance={"error": report.error, **provenance(stored), "interval": chosen},
         level=report.level,
     )  # fmt: skip
 
@@ -154,140 +92,6 @@ def report_folder(stored: StoredRun) -> Path:
     result = stored.result
     root = stored.folder.parent.parent.parent
     return Path(root, "reports", result["problem"], f"{result['optimizer']}-{result['id'][:12]}")
-
-
-def _provenance(stored: StoredRun) -> dict[str, Any]:
-    result = stored.result
-    return {
-        **{key: result[key] for key in ("problem", "optimizer", "seed", "id", "code", "data")},
-        "dataset": stored.config["dataset"],
-        "environment": {key: value for key, value in stored.environment.items() if key != "load"},
-    }
-
-
-def _interval_name(frame: pd.DataFrame) -> str:
-    """The best kind of interval a table has."""
-    kinds = ("profile", "bootstrap", "linearised")
-    return next((kind for kind in kinds if f"{kind} low" in frame.columns), "")
-
-
-def _figures(report: Report) -> dict[str, bytes]:
-    """The pictures by name."""
-    problem = report.problem
-    dataset, model = problem.dataset, problem.model
-    errors = Column("error", problem.unit, problem.errors(report.found))
-    measured = Column(dataset.output, problem.unit, dataset[dataset.output])
-    columns = [
-        Column(name, dataset.units[name], values)
-        for name, values in dataset.columns.items()
-        if name != dataset.output
-    ]
-    x = band = None
-    if len(model.inputs) == 1:
-        (name,) = model.inputs
-        x = Column(name, model.inputs[name], dataset[name])
-        grid = np.linspace(x.values.min(), x.values.max(), GRID)
-        band = (grid, *report.band(grid))
-    profiles = {
-        name: (found.values, found.tau)
-        for name, found in zip(problem.space.names, report.profiles, strict=True)
-        if found is not None
-    }
-    figures = {
-        "fit": fit_figure(measured, measured.values + errors.values, x, band),
-        "residuals": residual_figure(errors, columns),
-    }
-    if profiles:
-        quantile = report.at.quantile(report.level)
-        figures["profiles"] = profile_figure(profiles, model.parameters, quantile)
-    return {name: png(figure) for name, figure in figures.items()}
-
-
-def _page(report: Report, stored: StoredRun, figures: Mapping[str, bytes]) -> str:
-    problem, result = report.problem, stored.result
-    kinds = [k for k in ("linearised", "profile", "bootstrap") if f"{k} low" in report.parameters]
-    sections = [
-        Section("Parameters", table=_all_intervals(report, kinds), caption=_explained(report)),
-        Section("What these numbers mean", report.notes or ["Nothing to warn of."]),
-        Section(
-            "Fit",
-            figure=figures["fit"],
-            caption=f"{len(problem.dataset)} rows of {problem.dataset.name}.",
-        ),
-        Section("Derived quantities", table=derived_table(report)),
-        Section("Errors", table=_rounded(report.errors), caption="Root mean squares."),
-        Section(
-            "Errors by group, left out and seen",
-            table=_rounded(report.left_out),
-            caption="Each group in turn is left out of the fit, and predicted.",
-        ),
-        Section(
-            "What the errors still follow",
-            table=_rounded(report.trends),
-            figure=figures["residuals"],
-            caption="explained: share of the errors' variance that the means of groups of rows "
-            "explain, those of a condition together with the first input; p: how often chance "
-            "alone explains as much. Errors are model minus data; lines are means over rows with "
-            "the first input below and above its median.",
-        ),
-        Section("Correlation of the estimates", table=correlation_table(report)),
-        Section(
-            "Profiles",
-            figure=figures.get("profiles"),
-            caption="Signed root of the likelihood ratio; a straight line where the linearised "
-            "interval is right. The interval lies between the dashed lines.",
-        ),
-        Section("Origin", table=_origin(stored)),
-    ]
-    subtitle = (
-        f"{type(problem.model).__name__} on {problem.dataset.name}, identified by "
-        f"{result['optimizer']}, seed {result['seed']}: error {report.error:.5g} "
-        f"{problem.unit} (root mean square)."
-    )
-    return page(f"Identification of {problem.name}", subtitle, [s for s in sections if _full(s)])
-
-
-def _full(section: Section) -> bool:
-    has_rows = section.table is not None and len(section.table) > 0
-    return bool(section.sentences or has_rows or section.figure)
-
-
-def _all_intervals(report: Report, kinds: list[str]) -> pd.DataFrame:
-    table = parameter_table(report).iloc[:, :4]
-    for kind in kinds:
-        table[kind] = [
-            interval(row[f"{kind} low"], row[f"{kind} high"], row["standard error"])
-            for row in report.parameters.to_dict("records")
-        ]
-    return table
-
-
-def _explained(report: Report) -> str:
-    return (
-        f"{100 * report.level:g} % intervals, linearised at the optimum nearby (Student's t with "
-        f"{report.at.freedom} degrees of freedom), by profile likelihood"
-        + (f", by {len(report.replicates)} bootstrap replicates." if report.replicates is not None
-           else ".")
-    )  # fmt: skip
-
-
-def _rounded(frame: pd.DataFrame) -> pd.DataFrame:
-    return frame.map(lambda value: f"{value:.4g}" if isinstance(value, float) else value)
-
-
-def _origin(stored: StoredRun) -> pd.DataFrame:
-    facts = _flat({"run": str(stored.folder), **_provenance(stored)})
-    return pd.DataFrame({"what": list(facts), "value": [str(value) for value in facts.values()]})
-
-
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            flat |= _flat(value, f"{prefix}{key}.")
-        else:
-            flat[f"{prefix}{key}"] = value
-    return flat
 
 
 def _best_runs(path: Path) -> list[StoredRun]:

@@ -11,7 +11,8 @@ import numpy as np
 from baselines.least_squares import LeastSquares
 from experiments.build import Experiment
 from experiments.progress import progress
-from experiments.report import report_folder, reported, text, write
+from experiments.report import report_folder, reported, write
+from experiments.report_tables import text
 from miho.identification import CurveFit, Square, linear_optimum
 from miho.identification.validation import error_on, root_mean_square
 from miho.optim import Budget, RunRecord, minimize

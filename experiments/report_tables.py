@@ -1,0 +1,76 @@
+"""The tables of a report as text, with the digits their errors leave, in handy units."""
+
+from __future__ import annotations
+
+import math
+
+import pandas as pd
+
+from miho.analysis.quantities import interval, scaled, with_error, written
+from miho.identification import Report
+
+KINDS = ("profile", "bootstrap", "linearised")
+"""Kinds of intervals, the best first."""
+
+
+def parameter_table(report: Report) -> pd.DataFrame:
+    """The parameters as text, with their digits cut to what their errors leave."""
+    chosen = interval_kind(report.parameters)
+    rows = []
+    for row in report.parameters.to_dict("records"):
+        error = row["standard error"]
+        rows.append(
+            {
+                "parameter": row["parameter"],
+                "value": written(row["value"], error),
+                "unit": row["unit"],
+                "standard error": "held" if math.isnan(error) else written(error, error),
+                f"{100 * report.level:g} % interval ({chosen})": interval(
+                    row[f"{chosen} low"], row[f"{chosen} high"], error
+                ),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def derived_table(report: Report) -> pd.DataFrame:
+    """The derived quantities as text, in handy units."""
+    rows = []
+    chosen = interval_kind(report.derived)
+    for row in report.derived.to_dict("records"):
+        if math.isnan(row["value"]):
+            continue
+        factor, unit = scaled(row["value"], row["unit"])
+        value, error = row["value"] * factor, row["standard error"] * factor
+        low, high = (row[f"{chosen} {end}"] * factor for end in ("low", "high"))
+        rows.append(
+            {
+                "derived": row["quantity"],
+                "value": with_error(value, error) if error > 0 else "-",
+                "unit": unit,
+                f"{100 * report.level:g} % interval ({chosen})": interval(low, high, error),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def correlation_table(report: Report) -> pd.DataFrame:
+    """The correlation matrix as text."""
+    text = report.correlation.map(lambda r: "-" if math.isnan(r) else f"{r:+.2f}")
+    return text.rename_axis("").reset_index()
+
+
+def text(report: Report) -> str:
+    """The report for a terminal: parameters, derived quantities and what the numbers mean."""
+    parts = [parameter_table(report).to_string(index=False)]
+    quantities = derived_table(report)
+    if len(quantities):
+        parts.append(quantities.to_string(index=False))
+    if report.notes:
+        parts.append("\n".join(f"- {sentence}" for sentence in report.notes))
+    return "\n\n".join(parts)
+
+
+def interval_kind(frame: pd.DataFrame) -> str:
+    """The best kind of interval a table has."""
+    return next((kind for kind in KINDS if f"{kind} low" in frame.columns), "")
