@@ -172,7 +172,8 @@ def independence(problem: CurveFit, at: Linearised) -> list[str]:
         sentences.append(
             f"the errors of neighbouring rows are alike (correlation {r:.2f}), so the rows say "
             f"less than their number: standard errors are too small by a factor of about "
-            f"{factor:.1f}, unless the model's shape is at fault."
+            f"{factor:.1f}, unless the model's shape is at fault. A column {EVENT!r} that numbers "
+            "stretches of rows allows for it."
         )
     return sentences
 
