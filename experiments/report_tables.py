@@ -15,21 +15,21 @@ KINDS = ("profile", "bootstrap", "linearised")
 
 def parameter_table(report: Report) -> pd.DataFrame:
     """The parameters as text, with their digits cut to what their errors leave."""
-    chosen = interval_kind(report.parameters)
+    kinds = [interval_kind(report.parameters)]
+    kinds += ["bootstrap"] * (report.replicates is not None and "bootstrap" not in kinds)
     rows = []
     for row in report.parameters.to_dict("records"):
         error = row["standard error"]
-        rows.append(
-            {
-                "parameter": row["parameter"],
-                "value": written(row["value"], error),
-                "unit": row["unit"],
-                "standard error": "held" if math.isnan(error) else written(error, error),
-                f"{100 * report.level:g} % interval ({chosen})": interval(
-                    row[f"{chosen} low"], row[f"{chosen} high"], error
-                ),
-            }
-        )
+        told = {
+            "parameter": row["parameter"],
+            "value": written(row["value"], error),
+            "unit": row["unit"],
+            "standard error": "held" if math.isnan(error) else written(error, error),
+        }
+        for kind in kinds:
+            ends = row[f"{kind} low"], row[f"{kind} high"]
+            told[f"{100 * report.level:g} % interval ({kind})"] = interval(*ends, error)
+        rows.append(told)
     return pd.DataFrame(rows)
 
 
