@@ -63,7 +63,9 @@ def fit_figure(
                     max(predicted.max(), measured.values.max())]  # fmt: skip
             ax.plot(ends, ends, color=red, linewidth=1, label="prediction = measurement")
             ax.set(xlabel=f"predicted {measured.label}", ylabel=f"measured {measured.label}")
-        ax.legend(loc="best")
+        for handle in ax.legend(loc="best", markerscale=2).legend_handles:
+            if handle is not None:
+                handle.set_alpha(1)
     return figure
 
 
