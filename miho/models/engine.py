@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isfinite, pi
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.models.model import Model
+from miho.models.expression import Expression, Formula
 
 Array = NDArray[np.float64]
 
@@ -17,8 +18,13 @@ RPM = pi / 30
 """One revolution per minute in rad/s."""
 
 
+def _cubic_bound(ellipse: tuple[Any, ...], theta: tuple[Any, ...]) -> Any:
+    """Nothing is left of a polynomial of the third degree."""
+    return 0.0, 0.0
+
+
 @dataclass(frozen=True)
-class TorqueCubic(Model):
+class TorqueCubic(Expression):
     """Engine torque T [Nm] over the engine speed omega [rad/s] at one throttle opening (Eq. 8).
 
         T = p0 + p1 w + p2 w^2 + p3 w^3,   w = omega / omega_max
@@ -35,6 +41,7 @@ class TorqueCubic(Model):
     parameters = MappingProxyType({"p0": "Nm", "p1": "Nm", "p2": "Nm", "p3": "Nm"})
     output = "Nm"
     linear = ("p0", "p1", "p2", "p3")
+    bound = staticmethod(_cubic_bound)
 
     def __post_init__(self) -> None:
         if not 0 < self.omega_max < np.inf:
@@ -43,22 +50,28 @@ class TorqueCubic(Model):
                 "above 0"
             )
 
-    def predict(self, thetas: Array, *inputs: Array) -> Array:
-        """Torque [Nm], (n, N)."""
-        (omega,) = inputs
-        w = omega / self.omega_max
-        p0, p1, p2, p3 = thetas.T[:, :, None]
-        T = p3 * w
-        for p in (p2, p1):
-            T += p
-            T *= w
-        T += p0
-        return np.asarray(T)
+    @property
+    def value(self) -> Formula:
+        """Torque [Nm]."""
+        omega_max = self.omega_max
 
-    def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Powers 0 to 3 of the normalised speed, (N, 4): the torque is linear in (p0, ..., p3)."""
-        (omega,) = inputs
-        return np.vander(omega / self.omega_max, theta.size, increasing=True)
+        def torque(inputs: tuple[Any, ...], theta: tuple[Any, ...]) -> Any:
+            w = inputs[0] / omega_max
+            p0, p1, p2, p3 = theta
+            return ((p3 * w + p2) * w + p1) * w + p0
+
+        return torque
+
+    @property
+    def derivatives(self) -> Formula:
+        """Powers 0 to 3 of the normalised speed: the torque is linear in (p0, ..., p3)."""
+        omega_max = self.omega_max
+
+        def powers(inputs: tuple[Any, ...], theta: tuple[Any, ...]) -> tuple[Any, ...]:
+            w = inputs[0] / omega_max
+            return w * 0 + 1, w, w * w, w * w * w
+
+        return powers
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,14 @@ from numpy.typing import NDArray
 
 from miho.optim.mutation import ANNEALINGS, CLIPS, annealed_sigma, mutate
 from miho.optim.optimizer import AskTell
+from miho.optim.oracle import Oracle
 from miho.optim.schedule import ROUNDINGS, Rung, hyperband_table
 from miho.optim.space import LARGEST_BATCH, SAMPLINGS, Space
 from miho.optim.validate import one_of, whole
 
 Array = NDArray[np.float64]
+
+PROPOSALS = ("mutation", "fresh")
 
 
 @dataclass
@@ -49,6 +52,11 @@ class MIHO(AskTell[MIHOState]):
     loss is known and not paid for again. All configurations of a rung are mutated side by side,
     so a batch is one mutation of each. Ends by itself after the last bracket.
 
+    `early_stopping` gives a mutant up as soon as its loss cannot be below its parent's, where the
+    problem has a compiled loss; it changes no decision. `proposal` is what a configuration is
+    compared with: a mutation of itself, or, to see what mutation is worth, a fresh draw from the
+    initial distribution in its place.
+
     `rounding` is that of s_max; `sampling` that of fresh configurations; `annealing` that of
     sigma, over the mutations of a rung; `clip` keeps mutants in the box or above its lower bounds.
     """
@@ -59,6 +67,8 @@ class MIHO(AskTell[MIHOState]):
     sampling: str = "normal"
     annealing: str = "linear"
     clip: str = "box"
+    early_stopping: bool = True
+    proposal: str = "mutation"
 
     def __post_init__(self) -> None:
         whole("R", self.R, 1)
@@ -67,6 +77,7 @@ class MIHO(AskTell[MIHOState]):
         one_of("sampling", self.sampling, SAMPLINGS)
         one_of("annealing", self.annealing, ANNEALINGS)
         one_of("clip", self.clip, CLIPS)
+        one_of("proposal", self.proposal, PROPOSALS)
         first = hyperband_table(self.R, self.eta, self.rounding)[0].n
         if first > LARGEST_BATCH:
             raise ValueError(
@@ -103,13 +114,42 @@ class MIHO(AskTell[MIHOState]):
             if better.any():
                 state.P[better] = state.batch[better]
                 state.L[better] = losses[better]
-        state.step += 1
+        self._count(state, 1)
+
+    def leap(self, state: MIHOState, oracle: Oracle) -> bool:
+        """The next steps of this rung in one compiled block."""
+        if state.step < 0 or self.proposal != "mutation":
+            return False
+        left = state.rung.mutations - state.step
+        steps = min(left, oracle.climbing_steps(len(state.P)))
+        if not steps:
+            return False
+        rng, shape = state.rng, state.P.shape
+        before = rng.bit_generator.state
+        low, high = state.space.bounds
+        made = oracle.climb(
+            state.batch,
+            state.P,
+            state.L,
+            rng.standard_normal((steps - 1, *shape)),
+            state.sigma[state.step + 1 : state.step + steps],
+            (low, high if self.clip == "box" else np.full(high.shape, np.inf)),
+            self.early_stopping,
+        )
+        if made < steps:
+            rng.bit_generator.state = before
+            rng.standard_normal((made - 1, *shape))
+        self._count(state, made)
+        return True
+
+    def _count(self, state: MIHOState, steps: int) -> None:
+        """Count steps as done and prepare the next batch."""
+        state.step += steps
         while state.step == state.rung.mutations:
             if not self._advance(state):
                 return
         if state.step >= 0:
-            sigma = state.sigma[state.step]
-            state.batch = mutate(state.P, sigma, state.space, state.rng, self.clip)
+            state.batch = self._proposals(state)
 
     def done(self, state: MIHOState) -> bool:
         """After the last rung of the bracket s = 0."""
@@ -131,6 +171,14 @@ class MIHO(AskTell[MIHOState]):
             state.step = 0
         state.sigma = annealed_sigma(state.space, state.rung.mutations, self.annealing)
         return True
+
+    def _proposals(self, state: MIHOState) -> Array:
+        """What the configurations are compared with next."""
+        if self.proposal == "mutation":
+            sigma = state.sigma[state.step]
+            return mutate(state.P, sigma, state.space, state.rng, self.clip)
+        fresh = state.space.sample(len(state.P), state.rng, self.sampling)
+        return self._clipped(fresh, state.space)
 
     def _clipped(self, P: Array, space: Space) -> Array:
         low, high = space.bounds

@@ -119,6 +119,9 @@ def minimize(
         outcome, error, oracle.state = Outcome.FAILED, traceback.format_exc(), None
     oracle.stop()
     meter = oracle.meter
+    target = oracle.budget.target
+    if outcome is Outcome.CONVERGED and target is not None and meter.best <= target:
+        outcome = Outcome.BUDGET
     if outcome in (Outcome.CONVERGED, Outcome.BUDGET) and math.isinf(meter.best):
         outcome = Outcome.NO_FINITE_VALUE
     resumable = None
@@ -190,6 +193,8 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     toy = _Paraboloid(replace(problem.space, seed=()))
     for job in (
         lambda: Oracle(problem, Budget())(theta),
+        lambda: _climb_once(problem, theta),
+        lambda: isinstance(problem, LeastSquaresProblem) and problem.residuals(theta[0]),
         lambda: isinstance(problem, LeastSquaresProblem) and problem.jacobian(theta[0]),
         lambda: optimizer.run(Oracle(toy, Budget(evaluations=WARM_UP_EVALUATIONS)), stream()),
     ):
@@ -197,6 +202,15 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
             job()
         except Exception:  # noqa: BLE001 -- the run itself will meet and report it
             continue
+
+
+def _climb_once(problem: Problem, theta: Array) -> None:
+    """Compile the problem's climb."""
+    if problem.climb is not None:
+        P, none = theta.copy(), np.empty((0, *theta.shape))
+        bounds = problem.space.bounds
+        L = np.array([math.inf])
+        problem.climb(P, P.copy(), L, none, none[:, 0], bounds, math.inf, -math.inf, True)
 
 
 class _Paraboloid(LeastSquaresProblem):

@@ -50,6 +50,13 @@ class AskTell(Optimizer, Generic[State]):
     def done(self, state: State) -> bool:
         """Whether the method has nothing left to ask."""
 
+    def leap(self, state: State, oracle: Oracle) -> bool:
+        """Do at once what many asks and tells would do, if the oracle can; whether it did.
+
+        The one method that may be overridden: there is nothing to leap over by default.
+        """
+        return False
+
     @final
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Search from the beginning."""
@@ -60,5 +67,6 @@ class AskTell(Optimizer, Generic[State]):
         """Go on from a state, with an oracle that holds the meter of the same moment."""
         oracle.state = state
         while not self.done(state):
-            thetas = self.ask(state)
-            self.tell(state, thetas, oracle(thetas))
+            if not self.leap(state, oracle):
+                thetas = self.ask(state)
+                self.tell(state, thetas, oracle(thetas))

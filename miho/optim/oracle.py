@@ -123,7 +123,7 @@ class Oracle:
 
     @property
     def evaluations(self) -> float:
-        """Full evaluations so far; an evaluation at fidelity f counts f."""
+        """Full evaluations so far; one at a lower fidelity counts what the problem says it costs."""
         return self.meter.evaluations
 
     @property
@@ -156,17 +156,18 @@ class Oracle:
         self._check_open()
         if not 0 < fidelity <= 1:
             raise ValueError(f"fidelity is {fidelity!r}; expected a fraction above 0, at most 1")
+        cost = self._problem.cost(fidelity)
         unfinished = self.meter.unfinished
         losses = np.array(unfinished)
         n = len(thetas)
         try:
             while losses.size < n:
-                rows = thetas[losses.size : losses.size + self._chunk(n - losses.size, fidelity)]
+                rows = thetas[losses.size : losses.size + self._chunk(n - losses.size, cost)]
                 if not len(rows):
                     raise BudgetExhausted
                 started = self.seconds
                 chunk = self._losses(rows, fidelity)
-                self._record(rows, chunk, fidelity, started)
+                self._record(rows, chunk, cost, started)
                 losses = np.concatenate((losses, chunk)) if losses.size else chunk
                 self._check_end()
         except BaseException:
@@ -221,6 +222,49 @@ class Oracle:
         self._check_end()
         return jacobian
 
+    def climbing_steps(self, rows: int) -> int:
+        """How many steps on this many rows `climb` may make next; 0 if batches must be evaluated.
+
+        As many as the evaluations left allow and some 20 ms hold. None where the problem cannot
+        climb, where not even one step is within these limits, and before anything was timed.
+        Raises, as an evaluation would, where the run is over.
+        """
+        self._check_open()
+        meter = self.meter
+        if self._problem.climb is None or meter.unfinished or not meter.seconds:
+            return 0
+        in_time = int(CHUNK_SECONDS * meter.evaluations / meter.seconds)
+        return int(min(max(rows, in_time) if in_time else 0, self.remaining)) // rows
+
+    def climb(
+        self,
+        first: Array,
+        P: Array,
+        L: Array,
+        noise: Array,
+        sigma: Array,
+        bounds: tuple[Array, Array],
+        early_stopping: bool,
+    ) -> int:
+        """A block of compiled steps, as `Climb` describes; how many were made.
+
+        Each counts one evaluation for each row, stopped early or not, and each improvement is
+        recorded at its own evaluation. Fewer steps than asked are made only where the target is
+        reached, which ends the run at its next evaluation. `climbing_steps` says how many may be
+        asked.
+        """
+        climb, meter = self._problem.climb, self.meter
+        if climb is None or (len(noise) + 1) * len(P) > self.remaining:
+            raise ValueError("more steps than climbing_steps allows")
+        started = self.seconds
+        block = climb(first, P, L, noise, sigma, bounds, meter.best, self._target, early_stopping)
+        evaluations = block.steps * len(P)
+        for value, count in (("nan", block.nans), ("inf", block.infinities)):
+            if count:
+                meter.reject(f"loss is {value}", count)
+        self._keep(block.at - 1, block.losses, block.thetas, evaluations, started)
+        return block.steps
+
     def stop(self) -> None:
         """Read the clocks for the last time."""
         self.meter.seconds = self.seconds
@@ -247,14 +291,14 @@ class Oracle:
         if self.meter.seconds >= self._deadline or self.meter.best <= self._target:
             raise BudgetExhausted
 
-    def _chunk(self, rows: int, fidelity: float) -> int:
+    def _chunk(self, rows: int, cost: float) -> int:
         """Rows to evaluate before the next look at the clock, within the evaluations left."""
         meter = self.meter
         if rows > 1:
             rate = meter.evaluations / meter.seconds if meter.seconds > 0 else 0.0
-            rows = min(rows, max(1, int(CHUNK_SECONDS * rate)))
-        if rows * fidelity > self.remaining:
-            rows = int(self.remaining / fidelity)
+            rows = min(rows, max(1, int(CHUNK_SECONDS * rate / cost)))
+        if rows * cost > self.remaining:
+            rows = int(self.remaining / cost)
         return rows
 
     def _losses(self, rows: Array, fidelity: float) -> Array:
@@ -280,30 +324,45 @@ class Oracle:
             self.meter.reject(f"loss is {value}", count)
         return np.where(finite, losses, math.inf)
 
-    def _record(self, rows: Array, losses: Array, fidelity: float, started: float) -> None:
-        """Count the rows, keep their improvements and hold the clock meanwhile.
+    def _record(self, rows: Array, losses: Array, cost: float, started: float) -> None:
+        """Count the rows and keep their improvements."""
+        improving = np.empty(0, int)
+        if cost == 1.0 and np.minimum.reduce(losses) < self.meter.best:
+            lower = losses < np.minimum.accumulate(np.append(self.meter.best, losses[:-1]))
+            improving = np.flatnonzero(lower)
+        self._keep(improving, losses[improving], rows[improving], losses.size, started, cost)
 
-        Inside a chunk the clock is taken to run evenly, so each improvement has its own time.
+    def _keep(
+        self,
+        improving: NDArray[np.int64],
+        losses: Array,
+        thetas: Array,
+        evaluations: int,
+        started: float,
+        cost: float = 1.0,
+    ) -> None:
+        """Count evaluations, record the improvements among them and hold the clock meanwhile.
+
+        `improving` (k,) numbers the evaluations that improve, from 0. The clock is taken to run
+        evenly, so each improvement has its own time.
         """
         meter = self.meter
-        n = losses.size
         meter.seconds = now = self._clock.wall() - self._wall
-        if fidelity == 1.0 and np.minimum.reduce(losses) < meter.best:
+        if improving.size:
             meter.cpu_seconds = self._clock.cpu() - self._cpu
-            per_row = (now - started) / n
-            for i in np.flatnonzero(losses < meter.best).tolist():
-                if losses[i] < meter.best:
-                    meter.best = float(losses[i])
-                    meter.trace.add(
-                        meter.evaluations + i + 1,
-                        now - per_row * (n - 1 - i),
-                        meter.cpu_seconds,
-                        meter.best,
-                        rows[i],
-                    )
+            per_evaluation = (now - started) / evaluations
+            for i, loss, theta in zip(improving.tolist(), losses.tolist(), thetas, strict=True):
+                meter.trace.add(
+                    meter.evaluations + i + 1,
+                    now - per_evaluation * (evaluations - 1 - i),
+                    meter.cpu_seconds,
+                    loss,
+                    theta,
+                )
+            meter.best = meter.trace.loss[-1]
             self._wall = self._clock.wall() - now
             self._cpu = self._clock.cpu() - meter.cpu_seconds
-        meter.evaluations += n * fidelity
+        meter.evaluations += evaluations * cost
         if self._observer is not None and now - self._observed >= OBSERVE_SECONDS:
             self._observed = now
             cpu = self._clock.cpu()

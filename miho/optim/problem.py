@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.optim.climb import Climb
 from miho.optim.space import Space
 
 Array = NDArray[np.float64]
@@ -16,11 +17,13 @@ class Problem(ABC):
     """A loss over a box of parameters; the loss of a row depends on that row alone.
 
     `name` identifies the problem in seeds, stores and figures: two problems with one name are
-    the same problem.
+    the same problem. `climb` makes steps of mutation and acceptance on this very loss, compiled,
+    for problems that have a compiled loss and no parameter on a log scale.
     """
 
     name: str
     space: Space
+    climb: Climb | None = None
 
     @abstractmethod
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
@@ -29,6 +32,13 @@ class Problem(ABC):
         `fidelity` in (0, 1] is the fraction of the data that may be used; a problem without
         cheaper versions of itself ignores it.
         """
+
+    def cost(self, fidelity: float) -> float:
+        """What one evaluation at a fidelity costs, in full evaluations; 1 means it is one.
+
+        A problem that does not use just this fraction of its data says what it uses.
+        """
+        return fidelity
 
 
 class LeastSquaresProblem(Problem):

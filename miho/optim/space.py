@@ -102,12 +102,12 @@ class Space:
     @cached_property
     def low(self) -> Array:
         """Lower bounds in units, (d,)."""
-        return np.array([p.low for p in self.parameters])
+        return np.array([p.low for p in self.parameters], dtype=float)
 
     @cached_property
     def high(self) -> Array:
         """Upper bounds in units, (d,)."""
-        return np.array([p.high for p in self.parameters])
+        return np.array([p.high for p in self.parameters], dtype=float)
 
     @cached_property
     def _log(self) -> NDArray[np.bool_]:

@@ -1,0 +1,223 @@
+"""The loss of a model written as an expression, compiled: data in, one number out, one pass.
+
+The rows of the data go through the expression in blocks of 512, whose temporaries stay in the
+first-level cache. The mean square is summed in a fixed order, so that a loss is the same bits
+alone or in a batch, early stopping on or off, on every machine. Compilation is cached by numba on
+disk, in `__pycache__` or NUMBA_CACHE_DIR; the first use of a new model takes some seconds, off the
+clock.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache, cached_property
+from itertools import pairwise
+from pathlib import Path
+from types import FunctionType
+
+import numpy as np
+from numba import njit
+from numba.extending import register_jitable
+from numba.np.unsafe.ndarray import to_fixed_tuple
+from numpy.typing import NDArray
+
+from miho.models import elementary
+from miho.models.expression import Expression, Formula
+from miho.optim.climb import Climb, climb_on, compiled_climb
+
+Array = NDArray[np.float64]
+
+BLOCK = 512
+"""Rows at a time: a handful of temporaries of 4 KiB."""
+FIRST_BLOCK = 64
+"""Rows before the first look whether a candidate is beaten; doubles up to BLOCK."""
+
+
+@dataclass(frozen=True, eq=False)
+class FusedLoss:
+    """Mean square of model minus data, its residuals and their derivatives.
+
+    X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which the loss
+    goes through them: a random one, so that the first part tells what the rest is like. `losses`
+    uses `threads` threads, and gives the same however many.
+    """
+
+    model: Expression
+    X: Array
+    y: Array
+    order: NDArray[np.intp]
+    threads: int = 1
+
+    @cached_property
+    def _compiled(self) -> _Compiled:
+        model = self.model
+        return _compile(model.value, model.derivatives, len(self.X), len(model.parameters))
+
+    @cached_property
+    def _data(self) -> tuple[Array, Array]:
+        return np.ascontiguousarray(self.X[:, self.order]), self.y[self.order]
+
+    @cached_property
+    def _pool(self) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(self.threads)
+
+    @cached_property
+    def climb(self) -> Climb:
+        """Compiled mutation steps on this loss."""
+        return climb_on(self._compiled.climb, self._data)
+
+    def losses(self, thetas: Array) -> Array:
+        """Losses (n,) of parameter rows (n, d)."""
+        thetas = np.ascontiguousarray(thetas, dtype=float)
+        losses = np.empty(len(thetas))
+        parts = min(self.threads, len(thetas))
+        if parts <= 1:
+            self._compiled.losses(thetas, self._data, losses)
+            return losses
+        cuts = np.linspace(0, len(thetas), parts + 1).astype(int)
+        jobs = [
+            self._pool.submit(self._compiled.losses, thetas[i:j], self._data, losses[i:j])
+            for i, j in pairwise(cuts)
+        ]
+        for job in jobs:
+            job.result()
+        return losses
+
+    def residuals(self, theta: Array) -> Array:
+        """Model minus data, (N,)."""
+        residuals = np.empty_like(self.y)
+        self._compiled.residuals(np.array(theta, dtype=float), self.X, self.y, residuals)
+        return residuals
+
+    def jacobian(self, theta: Array) -> Array:
+        """Derivatives of the residuals, (N, d)."""
+        columns = np.empty((len(self.model.parameters), self.y.size))
+        self._compiled.jacobian(np.array(theta, dtype=float), self.X, columns)
+        return columns.T
+
+
+@dataclass(frozen=True)
+class _Compiled:
+    losses: Callable[[Array, tuple[Array, Array], Array], None]
+    residuals: Callable[[Array, Array, Array, Array], None]
+    jacobian: Callable[[Array, Array, Array], None]
+    climb: Callable[..., tuple[int, int, int, int]]
+
+
+@cache
+def _compile(value: Formula, derivatives: Formula, p: int, d: int) -> _Compiled:
+    columns = COLUMNS[p]
+    value = register_jitable(_detached(value))
+    derivatives = register_jitable(_detached(derivatives))
+
+    @register_jitable(error_model="numpy")
+    def loss(theta: Array, limit: float, data: tuple[Array, Array]) -> float:
+        X, y = data
+        parameters = _tuple(theta, d)
+        total = 0.0
+        start, size = 0, FIRST_BLOCK
+        while start < y.size:
+            end = min(start + size, y.size)
+            residuals = value(columns(X, start, end), parameters) - y[start:end]
+            total += _sum_of_squares(residuals)
+            if total / y.size >= limit:
+                break
+            start, size = end, min(2 * size, BLOCK)
+        return total / y.size
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def losses(thetas: Array, data: tuple[Array, Array], found: Array) -> None:
+        for i in range(len(thetas)):
+            found[i] = loss(thetas[i], np.inf, data)
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def residuals(theta: Array, X: Array, y: Array, found: Array) -> None:
+        parameters = _tuple(theta, d)
+        for start in range(0, y.size, BLOCK):
+            end = min(start + BLOCK, y.size)
+            found[start:end] = value(columns(X, start, end), parameters) - y[start:end]
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    def jacobian(theta: Array, X: Array, found: Array) -> None:
+        parameters = _tuple(theta, d)
+        for start in range(0, X.shape[1], BLOCK):
+            end = min(start + BLOCK, X.shape[1])
+            _store(derivatives(columns(X, start, end), parameters), found[:, start:end])
+
+    return _Compiled(losses, residuals, jacobian, compiled_climb(loss))
+
+
+def _detached(formula: Formula) -> Formula:
+    """A copy whose docstring names the code it calls.
+
+    Numba keys what it caches by the contents of closures. Those of a copy are its own code, not
+    the place of the original, so that an edited model is compiled anew; so is one whose file,
+    sine or sum is edited, by the digest.
+    """
+    copy = FunctionType(
+        formula.__code__, formula.__globals__, formula.__name__, None, formula.__closure__
+    )
+    called = [Path(elementary.__file__), Path(__file__), Path(formula.__code__.co_filename)]
+    texts = [path.read_bytes() for path in called if path.is_file()]
+    copy.__doc__ = hashlib.sha256(b"".join(texts)).hexdigest()
+    return copy
+
+
+@register_jitable
+def _tuple(theta: Array, d: int) -> tuple[float, ...]:
+    parameters: tuple[float, ...] = to_fixed_tuple(theta, d)
+    return parameters
+
+
+@register_jitable
+def _store(columns: tuple[Array, ...], found: Array) -> None:
+    for k, column in enumerate(columns):
+        found[k] = column
+
+
+@register_jitable
+def _add(to: Array, what: Array) -> None:
+    for i in range(what.size):
+        to[i] += what[i]
+
+
+@register_jitable
+def _sum_of_squares(r: Array) -> float:
+    """The sum of r^2, in pairs from both halves, which the processor adds side by side."""
+    r *= r
+    n = r.size
+    while n > 8:
+        half = (n + 1) // 2
+        _add(r[: n - half], r[half:n])
+        n = half
+    total = 0.0
+    for i in range(n):
+        total += r[i]
+    return total
+
+
+@register_jitable
+def _one(X: Array, i: int, j: int) -> tuple[Array, ...]:
+    return (X[0, i:j],)
+
+
+@register_jitable
+def _two(X: Array, i: int, j: int) -> tuple[Array, ...]:
+    return X[0, i:j], X[1, i:j]
+
+
+@register_jitable
+def _three(X: Array, i: int, j: int) -> tuple[Array, ...]:
+    return X[0, i:j], X[1, i:j], X[2, i:j]
+
+
+@register_jitable
+def _four(X: Array, i: int, j: int) -> tuple[Array, ...]:
+    return X[0, i:j], X[1, i:j], X[2, i:j], X[3, i:j]
+
+
+COLUMNS = {1: _one, 2: _two, 3: _three, 4: _four}
+"""Blocks of the input columns as a tuple, by the number of inputs: numba needs its length."""

@@ -1,0 +1,60 @@
+"""Models written once as an expression, which NumPy evaluates and the fused loss compiles."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.models.model import Model
+
+Array = NDArray[np.float64]
+
+Formula = Callable[[tuple[Any, ...], tuple[Any, ...]], Any]
+"""(inputs, theta) -> value: element by element, with the operators and `miho.models.elementary`."""
+
+
+class Expression(Model):
+    """A model whose output at a row depends on that row and theta alone, as one expression.
+
+    `value` and `derivatives` are plain functions of two tuples, the inputs and the parameters in
+    their order. They use arithmetic, NumPy's functions of numbers and those of
+    `miho.models.elementary`, without branches, so that numbers, arrays and compiled blocks go
+    through the same lines. What they need besides is in their closure, as plain numbers.
+
+    `bound`, for a model of one input whose loss can be compressed, is such a function too: ((centre,
+    a, b), theta) -> (A, v) says that |value - q| <= A exp(v) for complex inputs inside the ellipse
+    with the half axes a along and b across the real axis, where q is some polynomial of at most
+    the third degree in the input and A depends on theta alone. v is 1e200 or more where this is
+    not so or not known, as around a branch point.
+    """
+
+    bound: Formula | None = None
+
+    @property
+    @abstractmethod
+    def value(self) -> Formula:
+        """The output at the inputs."""
+
+    @property
+    @abstractmethod
+    def derivatives(self) -> Formula:
+        """A tuple of derivatives of the output, one for each parameter, as wide as the inputs."""
+
+    @final
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
+        rows = np.asarray(self.value(inputs, tuple(thetas.T[:, :, None])))
+        shape = len(thetas), inputs[0].size
+        own = rows.shape == shape and rows.base is None
+        return rows if own else np.broadcast_to(rows, shape).copy()
+
+    @final
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Derivatives of the outputs, (N, d), at one configuration (d,); rows (n, d): (n, N, d)."""
+        columns = self.derivatives(inputs, tuple(np.moveaxis(theta, -1, 0)[..., None]))
+        shape = *theta.shape[:-1], inputs[0].size
+        return np.stack([np.broadcast_to(column, shape) for column in columns], axis=-1)
