@@ -5,46 +5,61 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
-import scipy.optimize
 from numpy.typing import NDArray
 
+from baselines.descent import METHODS, SMALLEST_TOLERANCE, descend
 from miho.optim import Optimizer, Oracle, UnusableValueError
 from miho.optim.space import LARGEST_BATCH
-from miho.optim.validate import positive, whole
+from miho.optim.validate import at_least, one_of, whole
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class LeastSquares(Optimizer):
-    """Screen random configurations, then run SciPy's bounded trust-region solver from the best.
+    """Screen random configurations, then run one of SciPy's solvers from the best.
 
-    A round screens `screen` configurations and starts the solver (trf, scaled by the Jacobian)
-    from the `starts` best of them. The first round screens the common initial configurations.
-    Ends after `rounds` rounds: a method that has converged should say so. Needs a least-squares
-    problem.
+    A round screens `screen` configurations and starts the solver from the `starts` best of them.
+    The first round screens the common initial configurations. Ends after `rounds` rounds, because
+    a method that has converged should say so; goes on until the budget ends if `rounds` is None.
+    Needs a least-squares problem.
+
+    `method` is the solver: `trf`, the trust-region reflective one, which knows bounds, or `lm`,
+    MINPACK's Levenberg-Marquardt, which knows none and moves in transformed parameters. Both are
+    scaled by the Jacobian, stop at a relative change of `tolerance`, and at the latest after
+    SciPy's 100 looks per parameter.
     """
 
     screen: int = 500
     starts: int = 10
-    rounds: int = 3
+    rounds: int | None = 3
     tolerance: float = 1e-10
+    method: str = "trf"
 
     def __post_init__(self) -> None:
-        for field in ("screen", "starts", "rounds"):
-            whole(field, getattr(self, field), 1, LARGEST_BATCH)
-        positive("tolerance", self.tolerance)
+        check_starts(self.screen, self.starts, self.rounds)
+        at_least("tolerance", self.tolerance, SMALLEST_TOLERANCE)
+        one_of("method", self.method, METHODS)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Screen and solve, `rounds` times."""
-        low, high = oracle.space.low, oracle.space.high
 
         def solve(theta: Array) -> None:
-            descend(oracle.residuals, oracle.jacobian, theta, (low, high), self.tolerance)
+            look, slopes = oracle.residuals, oracle.jacobian
+            descend(look, slopes, theta, oracle.space, self.tolerance, self.method)
 
         multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
+
+
+def check_starts(screen: int, starts: int, rounds: int | None) -> None:
+    """Raise ValueError unless these settings of `multi_start` can be used."""
+    whole("screen", screen, 1, LARGEST_BATCH)
+    whole("starts", starts, 1, LARGEST_BATCH)
+    if rounds is not None:
+        whole("rounds", rounds, 1, LARGEST_BATCH)
 
 
 def multi_start(
@@ -52,13 +67,16 @@ def multi_start(
     rng: np.random.Generator,
     screen: int,
     starts: int,
-    rounds: int,
+    rounds: int | None,
     solve: Callable[[Array], None],
 ) -> None:
-    """Call `solve` on the `starts` best (d,) of `screen` configurations, `rounds` times."""
+    """Call `solve` on the `starts` best (d,) of `screen` configurations, `rounds` times.
+
+    Without end if `rounds` is None: the budget is to stop it.
+    """
     space = oracle.space
     coordinates = space.initial(screen)
-    for _ in range(rounds):
+    for _ in count() if rounds is None else range(rounds):
         thetas = space.decode(coordinates)
         losses = oracle(thetas)
         for i in np.argsort(losses, kind="stable")[:starts]:
@@ -68,24 +86,3 @@ def multi_start(
             with contextlib.suppress(UnusableValueError, ValueError, np.linalg.LinAlgError):
                 solve(thetas[i])
         coordinates = space.sample(screen, rng)
-
-
-def descend(
-    residuals: Callable[[Array], Array],
-    jacobian: Callable[[Array], Array],
-    start: Array,
-    bounds: tuple[Array, Array],
-    tolerance: float,
-) -> None:
-    """SciPy's bounded trust-region solver (trf, scaled by the Jacobian) from one start."""
-    scipy.optimize.least_squares(
-        residuals,
-        start,
-        jac=jacobian,
-        bounds=bounds,
-        method="trf",
-        x_scale="jac",
-        ftol=tolerance,
-        xtol=tolerance,
-        gtol=None,  # it is absolute, and no unit of the residuals is known here
-    )

@@ -74,12 +74,29 @@ class OptunaHyperband(Optimizer):
             if trial.should_prune():
                 return L, True
             rung = min(rung * self.eta, self.R)
-            for sigma in annealed_sigma(space, rung - used):
-                mutant = mutate(P, sigma, space, rng, "box")
-                loss = float(oracle(space.decode(mutant))[0])
-                if loss < L:
-                    P, L = mutant, loss
+            P, L = _climbed(P, L, annealed_sigma(space, rung - used), oracle, rng)
             used = rung
+
+
+def _climbed(
+    P: Array, L: float, sigma: Array, oracle: Oracle, rng: np.random.Generator
+) -> tuple[Array, float]:
+    """P (1, d) and its loss after as many mutations as sigma (k, d) has rows; compiled if possible."""
+    space, k = oracle.space, 0
+    while k < len(sigma):
+        mutant = mutate(P, sigma[k], space, rng, "box")
+        steps = min(len(sigma) - k, oracle.climbing_steps(1))
+        if steps:
+            noise = rng.standard_normal((steps - 1, *P.shape))
+            P, losses = P.copy(), np.array([L])
+            oracle.climb(mutant, P, losses, noise, sigma[k + 1 : k + steps], space.bounds, True)
+            L, k = float(losses[0]), k + steps
+        else:
+            loss = float(oracle(space.decode(mutant))[0])
+            k += 1
+            if loss < L:
+                P, L = mutant, loss
+    return P, L
 
 
 def _configurations(space: Space, rng: np.random.Generator) -> Iterator[Array]:

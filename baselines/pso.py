@@ -36,6 +36,10 @@ class PSO(AskTell[PSOState]):
     0.9 to 0.4). Velocities are limited to `velocity_limit` of the range per step, and a particle
     that meets a bound stops there. Particles start at rest at the first common configurations.
     Runs until the budget ends.
+
+    A constant inertia chi with c1 = c2 = chi phi / 2 is the swarm with constriction coefficient
+    chi = 2 / |2 - phi - sqrt(phi^2 - 4 phi)| (Clerc and Kennedy, 2002), whose particles converge
+    for phi > 4.
     """
 
     particles: int = 100

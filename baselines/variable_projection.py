@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.least_squares import descend, multi_start
-from miho.optim import Optimizer, Oracle
+from baselines.descent import METHODS, SMALLEST_TOLERANCE, descend
+from baselines.least_squares import check_starts, multi_start
+from miho.optim import Optimizer, Oracle, Space
 from miho.optim.linear_part import LinearPart, solve_linear_part
-from miho.optim.space import LARGEST_BATCH
-from miho.optim.validate import positive, whole
+from miho.optim.validate import at_least, one_of
 
 Array = NDArray[np.float64]
 
@@ -22,7 +22,7 @@ class VariableProjection(Optimizer):
 
     Wherever the solver looks, the linear parameters have their best values within the box; its
     derivatives are Kaufman's (1975), which give the exact gradient, with the linear parameters
-    that are at a bound held there. Starts, rounds and solver are those of `LeastSquares`. Where
+    that are at a bound held there. Starts, rounds and solvers are those of `LeastSquares`. Where
     the problem is linear in all its parameters this is one linear solve, and nothing is screened.
 
     With p linear parameters of d, one look costs p + 2 evaluations and its derivatives d. Needs a
@@ -31,13 +31,14 @@ class VariableProjection(Optimizer):
 
     screen: int = 500
     starts: int = 10
-    rounds: int = 3
+    rounds: int | None = 3
     tolerance: float = 1e-10
+    method: str = "trf"
 
     def __post_init__(self) -> None:
-        for field in ("screen", "starts", "rounds"):
-            whole(field, getattr(self, field), 1, LARGEST_BATCH)
-        positive("tolerance", self.tolerance)
+        check_starts(self.screen, self.starts, self.rounds)
+        at_least("tolerance", self.tolerance, SMALLEST_TOLERANCE)
+        one_of("method", self.method, METHODS)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Screen and solve, `rounds` times; raises ValueError if no parameter is linear."""
@@ -52,11 +53,13 @@ class VariableProjection(Optimizer):
         if not nonlinear:
             _Reduced(oracle, linear, nonlinear, space.decode(space.initial(1))[0]).look()
             return
-        bounds = space.low[nonlinear], space.high[nonlinear]
+        subspace = Space(tuple(space.parameters[k] for k in nonlinear))
 
         def solve(theta: Array) -> None:
             reduced = _Reduced(oracle, linear, nonlinear, theta)
-            descend(reduced.residuals, reduced.jacobian, theta[nonlinear], bounds, self.tolerance)
+            start = theta[nonlinear]
+            look, slopes = reduced.residuals, reduced.jacobian
+            descend(look, slopes, start, subspace, self.tolerance, self.method)
 
         multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
 

@@ -7,12 +7,21 @@ from omegaconf import OmegaConf
 
 from experiments.build import instantiate
 from miho.optim import Optimizer
-from miho.testing import CHECKS, run_check
+from miho.testing import BUDGET, CHECKS, run_check
 
 OPTIMIZERS = sorted((Path(__file__).parent.parent / "conf" / "optimizer").glob("*.yaml"))
 
-SLOW = {"optuna_hyperband", "gbo_large"}
+SLOW = {
+    "optuna_hyperband", "gbo_large", "pso_500", "pso_constriction", "miho_no_mutation", "hyperband",
+    "successive_halving", "nelder_mead", "least_squares_lm", "variable_projection_lm", "cma_es",
+    "differential_evolution", "dual_annealing", "optuna_tpe", "optuna_cmaes", "ngopt", "dehb",
+}  # fmt: skip
 """Methods that take seconds a check, or differ from another in a setting alone."""
+
+EVALUATIONS = {"optuna_tpe": 150, "optuna_cmaes": 300, "ngopt": 100, "dehb": 100}
+"""Of methods that take milliseconds for each."""
+
+NEEDS = {"ngopt": "nevergrad", "dehb": "dehb"}
 
 EXPECTED_FAILURES = {
     "miho_reference": {
@@ -28,7 +37,10 @@ EXPECTED_FAILURES = {
     [pytest.param(p, marks=[pytest.mark.slow] * (p.stem in SLOW), id=p.stem) for p in OPTIMIZERS],
 )
 def test_conformance(path: Path, check: str) -> None:
+    if path.stem in NEEDS:
+        pytest.importorskip(NEEDS[path.stem])
     node = OmegaConf.to_container(OmegaConf.load(path))
     assert node.pop("name") == path.stem
     optimizer = instantiate(node, "optimizer", Optimizer)
-    run_check(check, optimizer, EXPECTED_FAILURES.get(path.stem, {}))
+    evaluations = EVALUATIONS.get(path.stem, BUDGET)
+    run_check(check, optimizer, EXPECTED_FAILURES.get(path.stem, {}), evaluations)

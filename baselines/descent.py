@@ -1,0 +1,126 @@
+"""One descent in a box by one of SciPy's nonlinear least-squares solvers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+
+from baselines.unit_box import UnitBox
+from miho.optim import Space
+
+Array = NDArray[np.float64]
+Vector = Callable[[Array], Array]
+
+METHODS = ("trf", "lm")
+SMALLEST_TOLERANCE = float(np.finfo(float).eps)
+
+
+def descend(
+    residuals: Vector,
+    jacobian: Vector,
+    start: Array,
+    space: Space,
+    tolerance: float,
+    method: str,
+) -> None:
+    """One of SciPy's solvers from one start (d,), in the box of `space`."""
+    solve = _trust_region if method == "trf" else _levenberg_marquardt
+    solve(residuals, jacobian, start, space, tolerance)
+
+
+def _trust_region(
+    residuals: Vector, jacobian: Vector, start: Array, space: Space, tolerance: float
+) -> None:
+    """Moves the parameters that the residuals depend on: those with a derivative that is not zero.
+
+    On a Jacobian without full rank SciPy takes only steps as long as its trust region, and spends
+    all its looks on them. The other parameters are held, and move too if they have derivatives
+    where the first ones end.
+    """
+    theta, moved = start.copy(), np.zeros(start.size, dtype=bool)
+    while not moved.all():
+        known, slopes = residuals(theta), jacobian(theta)
+        if not (slopes.any(axis=0) & ~moved).any():
+            return
+        moved |= slopes.any(axis=0)
+        theta = _solve(residuals, jacobian, theta, (known, slopes), moved, space, tolerance)
+
+
+def _solve(
+    residuals: Vector,
+    jacobian: Vector,
+    theta: Array,
+    known: tuple[Array, Array],
+    moved: NDArray[np.bool_],
+    space: Space,
+    tolerance: float,
+) -> Array:
+    """The solution from `theta`, whose residuals and Jacobian are `known`: not paid for again."""
+
+    def at(part: Array) -> Array:
+        whole = theta.copy()
+        whole[moved] = part
+        return whole
+
+    def look(part: Array) -> Array:
+        here = at(part)
+        return known[0] if np.array_equal(here, theta) else residuals(here)
+
+    def slopes(part: Array) -> Array:
+        here = at(part)
+        columns = known[1] if np.array_equal(here, theta) else jacobian(here)
+        # A selection of all columns would be stored, and so rounded, in another order.
+        return columns if moved.all() else columns[:, moved]
+
+    found = scipy.optimize.least_squares(
+        look,
+        theta[moved],
+        jac=slopes,
+        bounds=(space.low[moved], space.high[moved]),
+        method="trf",
+        x_scale="jac",
+        ftol=tolerance,
+        xtol=tolerance,
+        gtol=None,  # it is absolute, and no unit of the residuals is known here
+    )
+    return at(found.x)
+
+
+def _levenberg_marquardt(
+    residuals: Vector, jacobian: Vector, start: Array, space: Space, tolerance: float
+) -> None:
+    """Moves angles u with x = (1 + sin u) / 2 in the unit cube, the transformation of MINUIT.
+
+    James and Roos (Computer Physics Communications 10, 1975): no look leaves the box, a start on a
+    bound cannot leave it, and towards a solution on a bound progress is slow. Where residuals are
+    fewer than parameters, which MINPACK refuses, residuals of zero are added.
+    """
+    box = UnitBox(space)
+
+    def at(u: Array) -> Array:
+        return box.theta((1 + np.sin(u)) / 2)
+
+    def tall(rows: Array) -> Array:
+        lacking = max(0, start.size - len(rows))
+        return np.concatenate((rows, np.zeros((lacking, *rows.shape[1:]))))
+
+    def look(u: Array) -> Array:
+        return tall(residuals(at(u)))
+
+    def slopes(u: Array) -> Array:
+        theta = at(u)
+        return tall(jacobian(theta) * box.slope(theta) * np.cos(u) / 2)
+
+    scipy.optimize.least_squares(
+        look,
+        np.arcsin(2 * box.x(start) - 1),
+        jac=slopes,
+        method="lm",
+        x_scale="jac",
+        ftol=tolerance,
+        xtol=tolerance,
+        gtol=tolerance,  # the cosine between residuals and derivatives: it has no unit
+    )

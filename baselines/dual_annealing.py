@@ -1,0 +1,71 @@
+"""Dual annealing, SciPy's."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+
+from baselines.unit_oracle import UnitOracle
+from miho.optim import Optimizer, Oracle
+from miho.optim.validate import whole
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class DualAnnealing(Optimizer):
+    """Generalised simulated annealing with local search (Xiang et al., Phys. Lett. A 233, 1997).
+
+    `scipy.optimize.dual_annealing` over the search coordinates scaled to the unit box, as its
+    visiting steps and the differences of its local search (L-BFGS-B, charged like all evaluations)
+    have one absolute size for all parameters. `maxiter` steps from the first common initial
+    configuration, then from fresh draws of the initial distribution, until the budget ends.
+    """
+
+    maxiter: int = 1000
+    initial_temp: float = 5230.0
+    restart_temp_ratio: float = 2e-5
+    visit: float = 2.62
+    accept: float = -5.0
+    local_search: bool = True
+
+    def __post_init__(self) -> None:
+        whole("maxiter", self.maxiter, 1)
+        for field, low, high in (
+            ("initial_temp", 0.01, 5e4),
+            ("restart_temp_ratio", 0.0, 1.0),
+            ("visit", 1.0, 3.0),
+            ("accept", -1e4, -5.0),
+        ):
+            value = getattr(self, field)
+            if not low < value <= high:
+                raise ValueError(f"{field} is {value!r}; expected above {low:g}, at most {high:g}")
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        """Anneal again and again until the budget ends."""
+        losses = UnitOracle(oracle, 1)
+        start = losses.start[0]
+
+        def objective(x: Array) -> float:
+            return float(losses(x[None])[0])
+
+        box = [(0.0, 1.0)] * len(oracle.space)
+        while True:
+            scipy.optimize.dual_annealing(
+                objective,
+                box,
+                x0=start,
+                maxiter=self.maxiter,
+                initial_temp=self.initial_temp,
+                restart_temp_ratio=self.restart_temp_ratio,
+                visit=self.visit,
+                accept=self.accept,
+                no_local_search=not self.local_search,
+                maxfun=math.inf,
+                rng=rng,
+            )
+            start = losses.fresh(1, rng)[0]

@@ -1,0 +1,84 @@
+"""Hyperband and successive halving as published: synchronous, with rows of data as resource."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+
+from miho.optim import Optimizer, Oracle
+from miho.optim.schedule import Rung, hyperband_table, largest_bracket
+from miho.optim.space import LARGEST_BATCH
+from miho.optim.validate import whole
+
+
+@dataclass(frozen=True)
+class Hyperband(Optimizer):
+    """Li, Jamieson, DeSalvo, Rostamizadeh and Talwalkar (JMLR 18, 2018), Alg. 1.
+
+    The resource is data: a rung evaluates its configurations on r / R of the rows and hands the
+    best one in eta to the next rung, which evaluates them anew on eta times as many; the last
+    rung of every bracket sees all rows, and only its losses can become best. Configurations are
+    drawn from the initial distribution, the first bracket's are the common ones. Repeats its
+    brackets until the budget ends.
+
+    Nothing is learnt from one configuration for the next: this is random search that spends less
+    on hopeless draws, and it cannot do better than the best draw. Where the problem has no
+    cheaper version of itself, the fractions are charged but all rows are used.
+    """
+
+    R: int = 81
+    eta: int = 3
+
+    def __post_init__(self) -> None:
+        whole("R", self.R, 1)
+        whole("eta", self.eta, 2)
+        first = hyperband_table(self.R, self.eta, "floor")[0].n
+        whole("R: configurations in the first bracket", first, 1, LARGEST_BATCH)
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        """Go through the brackets until the budget ends."""
+        _repeat(hyperband_table(self.R, self.eta, "floor"), self.R, oracle, rng)
+
+
+@dataclass(frozen=True)
+class SuccessiveHalving(Optimizer):
+    """Jamieson and Talwalkar (AISTATS 2016), with rows of data as resource, as `Hyperband` has it.
+
+    `n` configurations start on the fraction 1 / R of the rows, or up to eta times that if R is no
+    power of eta; each rung keeps one in eta, at least one, and the last sees all rows. Repeats
+    with fresh configurations until the budget ends.
+    """
+
+    n: int = 64
+    R: int = 64
+    eta: int = 2
+
+    def __post_init__(self) -> None:
+        whole("n", self.n, 1, LARGEST_BATCH)
+        whole("R", self.R, 1)
+        whole("eta", self.eta, 2)
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        """Halve until the budget ends."""
+        s = largest_bracket(self.R, self.eta, "floor")
+        rungs = [
+            Rung(s, j, max(1, self.n // self.eta**j), self.R * self.eta**j // self.eta**s)
+            for j in range(s + 1)
+        ]
+        _repeat(rungs, self.R, oracle, rng)
+
+
+def _repeat(rungs: Sequence[Rung], R: int, oracle: Oracle, rng: np.random.Generator) -> None:
+    """Run the rungs over and over; each bracket draws afresh."""
+    space = oracle.space
+    coordinates, losses = space.initial(rungs[0].n), np.zeros(rungs[0].n)
+    for round_ in count():
+        for rung in rungs:
+            if rung.j > 0:
+                coordinates = coordinates[np.argsort(losses, kind="stable")[: rung.n]]
+            elif round_ > 0 or rung is not rungs[0]:
+                coordinates = space.sample(rung.n, rng)
+            losses = oracle(space.decode(coordinates), rung.mutations / R)

@@ -1,0 +1,183 @@
+"""Multi-start local search that needs only the loss, or the loss and its gradient."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+
+from baselines.least_squares import check_starts, multi_start
+from baselines.unit_box import UnitBox
+from miho.optim import Optimizer, Oracle
+from miho.optim.problem import mean_square
+from miho.optim.validate import positive, whole
+
+Array = NDArray[np.float64]
+Slope = Callable[[Array], tuple[float, Array]]
+
+LARGE = 1e12
+STEP = math.sqrt(np.finfo(float).eps)
+"""Of the range: the forward difference that balances truncation and rounding."""
+
+
+@dataclass(frozen=True)
+class LBFGSB(Optimizer):
+    """Multi-start L-BFGS-B (Byrd, Lu, Nocedal and Zhu, 1995) in the unit cube.
+
+    Rounds of screening and starts are those of `LeastSquares`. A least-squares problem gives the
+    gradient, 2/N J^T r, at the cost of its Jacobian; any other is differenced, at d evaluations a
+    gradient. A descent ends where a step gains less than `tolerance` of the loss: for that the
+    loss is scaled up, since SciPy's measure is absolute for losses below one. A configuration
+    without a finite loss counts as twice the worst one of the descent, with no slope, so that the
+    line search turns back.
+    """
+
+    screen: int = 500
+    starts: int = 10
+    rounds: int | None = None
+    tolerance: float = 1e-10
+    memory: int = 10
+    line_search: int = 20
+    iterations: int = 15_000
+
+    def __post_init__(self) -> None:
+        check_starts(self.screen, self.starts, self.rounds)
+        positive("tolerance", self.tolerance)
+        for field in ("memory", "line_search", "iterations"):
+            whole(field, getattr(self, field), 1)
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        """Screen and descend, `rounds` times."""
+        box = UnitBox(oracle.space)
+        slope = _analytic(oracle, box) if _has_residuals(oracle) else _differenced(oracle, box)
+
+        def solve(theta: Array) -> None:
+            scipy.optimize.minimize(
+                _Scaled(slope),
+                box.x(theta),
+                jac=True,
+                method="L-BFGS-B",
+                bounds=[(0.0, 1.0)] * len(oracle.space),
+                options={
+                    "maxcor": self.memory,
+                    "ftol": self.tolerance,
+                    "gtol": 0.0,  # it is absolute, and no unit of the loss is known here
+                    "maxiter": self.iterations,
+                    "maxfun": self.iterations,
+                    "maxls": self.line_search,
+                },
+            )
+
+        multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
+
+
+@dataclass(frozen=True)
+class NelderMead(Optimizer):
+    """Multi-start Nelder-Mead with coefficients for the dimension (Gao and Han, 2012).
+
+    Rounds of screening and starts are those of `LeastSquares`; the search is SciPy's, in the unit
+    cube. The first simplex has edges of `edge` of the range, turned inwards at an upper bound. A
+    descent ends when the simplex is smaller than `tolerance` of the range, or after `evaluations`
+    per parameter. Only comparisons count: the method needs no derivatives and takes an infinite
+    loss as it is, but it is slow beyond some ten parameters and may stop where nothing is optimal.
+    """
+
+    screen: int = 500
+    starts: int = 10
+    rounds: int | None = None
+    tolerance: float = 1e-8
+    edge: float = 0.05
+    evaluations: int = 1000
+
+    def __post_init__(self) -> None:
+        check_starts(self.screen, self.starts, self.rounds)
+        positive("tolerance", self.tolerance)
+        positive("edge", self.edge)
+        if self.edge > 0.5:
+            raise ValueError(f"edge is {self.edge!r}; expected at most half of the range, 0.5")
+        whole("evaluations", self.evaluations, 1)
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        """Screen and descend, `rounds` times."""
+        box = UnitBox(oracle.space)
+        d = len(oracle.space)
+
+        def loss(x: Array) -> float:
+            return float(oracle(box.theta(x)[None])[0])
+
+        def solve(theta: Array) -> None:
+            x = box.x(theta)
+            inwards = np.where(x + self.edge > 1, -self.edge, self.edge)
+            scipy.optimize.minimize(
+                loss,
+                x,
+                method="Nelder-Mead",
+                bounds=[(0.0, 1.0)] * d,
+                options={
+                    "adaptive": True,
+                    "initial_simplex": np.vstack([x, x + np.diag(inwards)]),
+                    "xatol": self.tolerance,
+                    "fatol": math.inf,  # it is absolute, and no unit of the loss is known here
+                    "maxfev": self.evaluations * d,
+                    "maxiter": self.evaluations * d,
+                },
+            )
+
+        multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
+
+
+class _Scaled:
+    """Loss and gradient for one descent: large where it starts, and finite everywhere."""
+
+    def __init__(self, slope: Slope) -> None:
+        self._slope = slope
+        self._scale: float | None = None
+        self._worst = -math.inf
+
+    def __call__(self, x: Array) -> tuple[float, Array]:
+        loss, gradient = self._slope(x)
+        usable = math.isfinite(loss) and bool(np.isfinite(gradient).all())
+        if self._scale is None:
+            if not usable:
+                raise ValueError("a descent cannot start where loss or gradient is not finite")
+            self._scale = LARGE / abs(loss) if loss != 0 else 1.0
+        if not usable:
+            return self._worst + abs(self._worst), np.zeros_like(x)
+        loss *= self._scale
+        self._worst = max(self._worst, loss)
+        return loss, gradient * self._scale
+
+
+def _has_residuals(oracle: Oracle) -> bool:
+    try:
+        return oracle.linear is not None
+    except TypeError:
+        return False
+
+
+def _analytic(oracle: Oracle, box: UnitBox) -> Slope:
+    def slope(x: Array) -> tuple[float, Array]:
+        theta = box.theta(x)
+        residuals = oracle.residuals(theta)
+        loss = float(mean_square(residuals))
+        if not math.isfinite(loss):
+            return math.inf, np.zeros_like(x)
+        gradient = 2 / residuals.size * (oracle.jacobian(theta).T @ residuals)
+        return loss, gradient * box.slope(theta)
+
+    return slope
+
+
+def _differenced(oracle: Oracle, box: UnitBox) -> Slope:
+    def slope(x: Array) -> tuple[float, Array]:
+        steps = np.where(x + STEP > 1, -STEP, STEP)
+        losses = oracle(box.theta(np.vstack([x, x + np.diag(steps)])))
+        if not math.isfinite(losses[0]):
+            return math.inf, np.zeros_like(x)
+        return float(losses[0]), (losses[1:] - losses[0]) / steps
+
+    return slope
