@@ -88,9 +88,10 @@ def summary(
     return pd.concat(pieces, ignore_index=True)
 
 
-def to_target(curves: pd.DataFrame, axis: Axis, target: float) -> pd.DataFrame:
+def to_target(curves: pd.DataFrame, axis: Axis, target: float | Array) -> pd.DataFrame:
     """Where each run first has an error of at most `target` (the curves' unit); inf if never.
 
+    `target` is one number, or (rows,) one for each row of `curves`.
     One row per run of `curves`, which knows no run without rows: see `tidy.with_silent_runs`.
     Columns: id, problem, optimizer, seed, the axis.
     """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from miho.analysis.figures import CAPTION_WIDTH, WIDTH, Points, house_style
+from miho.analysis.figures import WIDTH, Points, caption, house_style
 
 Array = NDArray[np.float64]
 
@@ -59,9 +58,7 @@ def fig5(
         left.set_title("learned torque curves", loc="left")
         plot_engine_map(rpm, throttle, torque, learned, right)
         right.set_title("integrated engine map, torque [Nm]", loc="left")
-        if note:
-            lines = textwrap.fill(note, CAPTION_WIDTH)
-            figure.supxlabel(lines, fontsize=8, color="#444444", x=0.01, ha="left")
+        caption(figure, note)
         figure.draw_without_rendering()
     return figure
 

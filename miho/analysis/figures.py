@@ -118,8 +118,7 @@ def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
         left.set_title("as in the paper: over time", loc="left")
         right.set_title("the same over evaluations", loc="left")
         _plain_log_ticks(left)
-        caption = "lines: mean over repetitions, bands: 10 to 90 %"
-        _caption(figure, caption + (f"; {note}" if note else ""))
+        caption(figure, "lines: mean over repetitions, bands: 10 to 90 %", note)
         if np.isfinite(irreducible):
             left.annotate(
                 f"irreducible ≈ {irreducible * factor:.2f} {shown}",
@@ -157,7 +156,7 @@ def fig4(
             plot_tires(samples, curves, ax, tires=tires, errors=errors or {})
             ax.set_title(f"{title} tires", loc="left")
         panels[1].set_ylabel("")
-        _caption(figure, note)
+        caption(figure, note)
         figure.draw_without_rendering()
     return figure
 
@@ -203,10 +202,10 @@ def save(figure: Figure, path_without_suffix: str | Path) -> list[Path]:
     return paths
 
 
-def _caption(figure: Figure, text: str) -> None:
-    """Small print below the panels, in as many lines as it needs."""
-    if text:
-        lines = textwrap.fill(text, CAPTION_WIDTH)
+def caption(figure: Figure, *parts: str) -> None:
+    """Small print below the panels: the parts that are not empty, in as many lines as needed."""
+    lines = textwrap.fill("; ".join(part for part in parts if part), CAPTION_WIDTH)
+    if lines:
         figure.supxlabel(lines, fontsize=8, color="#444444", x=0.01, ha="left")
 
 

@@ -1,16 +1,20 @@
-"""The fixed look of each method: a colour-blind-safe colour, a line style, a printed name."""
+"""The fixed look of each method: a colour-blind-safe colour, a line style, a printed name.
+
+Families share a hue: MIHO and Hyperband's kin are red and pink, evolution and annealing blue,
+swarms sky blue, methods that model the loss green, local descent tan, least squares black.
+Members differ by dashes, which also tell them apart in black and white.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, replace
 from typing import Any
 
 import seaborn as sns
 
-_BLUE, _ORANGE, _GREEN, _RED, _PINK, _TAN, _LIGHT_PINK, _GREY, _YELLOW, _SKY = sns.color_palette(
-    "colorblind"
-).as_hex()
+_BLUE, _ORANGE, _GREEN, _RED, _PINK, _TAN, _, _, _, _SKY = sns.color_palette("colorblind").as_hex()
+_BLACK, _GREY, _MUTED, _PURPLE = "#222222", "#6e6e6e", "#8a8a8a", "#6a3d9a"
 
 Dashes = tuple[float, tuple[float, ...] | None]
 
@@ -36,23 +40,43 @@ class MethodStyle:
         """Keyword arguments of `Axes.plot`."""
         return {"color": self.color, "linestyle": self.dashes, "linewidth": self.width}
 
+    @property
+    def muted(self) -> MethodStyle:
+        """The same method in the background: thin, grey and solid."""
+        return replace(self, color=_MUTED, dashes=SOLID, width=0.6)
+
 
 STYLES = {
     "miho": MethodStyle("MIHO", _RED, SOLID, 2.2),
     "miho_reference": MethodStyle("MIHO, public code", _PINK, DASHED, 1.6),
+    "miho_no_mutation": MethodStyle("MIHO, no mutation", _RED, DOTTED, 1.6),
+    "hyperband": MethodStyle("Hyperband", _PINK, SOLID),
+    "successive_halving": MethodStyle("successive halving", _PINK, DOTTED),
+    "optuna_hyperband": MethodStyle("Optuna Hyperband", _PINK, DASH_DOT_DOT),
+    "dehb": MethodStyle("DEHB", _RED, DASH_DOT),
     "gbo_small": MethodStyle("GBO-small", _TAN, DOTTED),
-    "gbo_large": MethodStyle("GBO-large", _ORANGE, DASH_DOT),
+    "gbo_large": MethodStyle("GBO-large", _TAN, DASH_DOT),
+    "lbfgsb": MethodStyle("L-BFGS-B", _TAN, SOLID),
+    "nelder_mead": MethodStyle("Nelder-Mead", _TAN, DASHED),
     "pso_100": MethodStyle("PSO-100", _SKY, DASHED),
-    "pso_500": MethodStyle("PSO-500", _BLUE, SOLID),
-    "optuna_hyperband": MethodStyle("Optuna Hyperband", _GREEN, DASH_DOT_DOT),
+    "pso_500": MethodStyle("PSO-500", _SKY, DASH_DOT_DOT),
+    "pso_constriction": MethodStyle("PSO constriction", _SKY, DOTTED, 1.6),
+    "cma_es": MethodStyle("CMA-ES", _BLUE, SOLID, 1.6),
+    "optuna_cmaes": MethodStyle("Optuna CMA-ES", _BLUE, DASHED),
+    "differential_evolution": MethodStyle("differential evolution", _BLUE, DASH_DOT),
+    "dual_annealing": MethodStyle("dual annealing", _BLUE, DOTTED, 1.6),
+    "ngopt": MethodStyle("NGOpt", _BLUE, DASH_DOT_DOT),
+    "optuna_tpe": MethodStyle("Optuna TPE", _GREEN, DOTTED, 1.6),
     "random": MethodStyle("random search", _GREY, SHORT_DASHES),
-    "least_squares": MethodStyle("least squares", "#222222", SOLID, 1.0),
-    "variable_projection": MethodStyle("variable projection", "#222222", DOTTED, 1.6),
+    "least_squares": MethodStyle("least squares", _BLACK, SOLID, 1.0),
+    "least_squares_lm": MethodStyle("least squares LM", _BLACK, DASHED, 1.0),
+    "variable_projection": MethodStyle("variable projection", _BLACK, DOTTED, 1.6),
+    "variable_projection_lm": MethodStyle("variable projection LM", _BLACK, DASH_DOT, 1.0),
 }
 _SPARE = [
     (color, dashes)
-    for dashes in (DASH_DOT, SHORT_DASHES, DASHED, DOTTED)
-    for color in ("#222222", _PINK, _GREEN, _BLUE, _TAN)
+    for dashes in (DASH_DOT, SHORT_DASHES, DASHED, DASH_DOT_DOT)
+    for color in (_PURPLE, _ORANGE, _GREEN)
 ]
 
 
@@ -68,3 +92,28 @@ def styles_of(methods: Iterable[str]) -> dict[str, MethodStyle]:
         color, dashes = _SPARE[index % len(_SPARE)]
         styles[method] = MethodStyle(method.replace("_", " "), color, dashes)
     return styles
+
+
+MAIN = ("miho", "miho_reference", "cma_es", "differential_evolution", "optuna_tpe", "pso_500",
+        "least_squares", "random")  # fmt: skip
+"""The methods in the foreground where all would be too many: the paper's and one of each family."""
+
+
+def with_emphasis(
+    methods: Iterable[str], highlight: Collection[str] | None = None
+) -> dict[str, MethodStyle]:
+    """As `styles_of`, with all methods but those of `highlight` muted and placed first.
+
+    Drawn in this order, the foreground lies on top. By default those of MAIN that are present
+    stand out. Raises ValueError for a method to highlight that is not among `methods`.
+    """
+    styles = styles_of(methods)
+    unknown = sorted(set(highlight or ()) - set(styles))
+    if unknown:
+        raise ValueError(
+            f"highlight names {', '.join(unknown)}, of which there are no runs; "
+            f"expected some of {', '.join(styles)}"
+        )
+    front = MAIN if highlight is None else highlight
+    back = {method: style.muted for method, style in styles.items() if method not in front}
+    return back | {method: style for method, style in styles.items() if method in front}

@@ -21,14 +21,8 @@ def require_columns(frame: pd.DataFrame, columns: Collection[str], name: str) ->
 
 
 def one_problem(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Both frames, checked to be one comparison: one problem and unit, one run per method and seed.
-
-    The curves come back sorted by run and evaluations, and complete: a run that never saw a
-    finite error gets one row, at its end, whose error is NaN, so that no average forgets it.
-    Raises ValueError otherwise, also when an error rises within a run: curves are best so far.
-    """
+    """Both frames, checked as by `comparison` and to hold one problem and unit."""
     require_columns(runs, RUN_COLUMNS, "runs")
-    require_columns(curves, CURVE_COLUMNS, "curves")
     for column in ("problem", "unit"):
         found = sorted(map(str, runs[column].unique()))
         if len(found) != 1:
@@ -36,14 +30,32 @@ def one_problem(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame,
                 f"runs hold {len(found)} different values of {column} ({', '.join(found)}); "
                 f"pass the runs of one problem at a time"
             )
-    twins = runs[runs.duplicated(["optimizer", "seed"], keep=False)]
+    return comparison(runs, curves)
+
+
+def comparison(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Both frames, checked: one unit per problem, one run per problem, method and seed.
+
+    The curves come back sorted by run and evaluations, and complete: a run that never saw a
+    finite error gets one row, at its end, whose error is NaN, so that no average forgets it.
+    Raises ValueError otherwise, also when an error rises within a run: curves are best so far.
+    """
+    require_columns(runs, RUN_COLUMNS, "runs")
+    require_columns(curves, CURVE_COLUMNS, "curves")
+    units = runs.groupby("problem")["unit"].nunique()
+    if (units > 1).any():
+        raise ValueError(
+            f"runs of {units.idxmax()} have {units.max()} different units; give problems that "
+            f"differ in unit different names"
+        )
+    twins = runs[runs.duplicated(["problem", "optimizer", "seed"], keep=False)]
     if len(twins):
         first = twins.iloc[0]
         raise ValueError(
             f"runs hold several runs of {first['optimizer']} with seed {first['seed']}; "
             f"keep one configuration per method, or give the variants different names"
         )
-    strangers = sorted(set(curves["id"]) - set(runs["id"]))
+    strangers = sorted(set(curves["id"].unique()) - set(runs["id"]))
     if strangers:
         raise ValueError(
             f"curves hold {len(strangers)} runs that are not in runs, such as {strangers[0]}; "
@@ -60,11 +72,17 @@ def one_problem(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame,
 
 def with_silent_runs(runs: pd.DataFrame, curves: pd.DataFrame) -> pd.DataFrame:
     """The curves, plus one row with error NaN for each run that has none."""
-    silent = runs[~runs["id"].isin(curves["id"])]
+    silent = runs[~runs["id"].isin(curves["id"].unique())]
     if silent.empty:
         return curves
     rows = silent.reindex(columns=curves.columns).assign(error=np.nan)
     return pd.concat([curves, rows], ignore_index=True)
+
+
+def dimensions(runs: pd.DataFrame) -> dict[str, int]:
+    """The number of parameters of each problem: its `theta.` columns that hold any value."""
+    thetas = runs.filter(regex=r"^theta\.").notna().groupby(runs["problem"]).any().sum(axis=1)
+    return {str(problem): int(count) for problem, count in thetas.items()}
 
 
 def shown_unit(unit: str) -> tuple[str, float]:

@@ -90,11 +90,11 @@ def test_fig6_refuses_two_problems() -> None:
 
 def test_styles_tell_methods_apart_and_stay_the_same() -> None:
     looks = [
-        (style.color, style.dashes) for style in styles_of([*STYLES, "cma_es", "tpe"]).values()
+        (style.color, style.dashes) for style in styles_of([*STYLES, "tpe_variant", "tpe"]).values()
     ]
     assert len(set(looks)) == len(STYLES) + 2
     assert styles_of(["random", "miho"])["miho"] == styles_of(["miho"])["miho"]
-    assert styles_of(["cma_es"])["cma_es"].name == "cma es"
+    assert styles_of(["tpe_variant"])["tpe_variant"].name == "tpe variant"
 
 
 def test_spread_moves_only_what_is_too_close() -> None:

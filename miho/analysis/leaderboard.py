@@ -1,0 +1,77 @@
+"""One row per method over all problems, best first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+
+from miho.analysis.anytime import area_over_curve
+from miho.analysis.curves import Axis
+from miho.analysis.ranks import ranks
+from miho.analysis.running_time import at_factor, hits, running_times
+
+RANKED, STRICT = 1.01, 1.001
+
+
+def leaderboard(
+    runs: pd.DataFrame,
+    curves: pd.DataFrame,
+    *,
+    factor: float = RANKED,
+    strict: float = STRICT,
+    axis: Axis = "evaluations",
+    budget: float | Mapping[str, float] | None = None,
+) -> pd.DataFrame:
+    """A row per method, best mean rank first.
+
+    - mean rank: over problems, of `problem_scores` at `factor`
+    - solved: problems on which any run reached the factor, of all problems
+    - success: share of runs that did, and that reached the `strict` one
+    - times the best: expected running time over that of the best method, geometric mean over the
+      problems that the method solves; read it beside solved
+    - AOCC: `area_over_curve` up to `budget`, mean over problems
+    - µs per evaluation: seconds over evaluations of whole runs, the loss included, median
+
+    A method that was not run on a problem has not solved it. Success is over the runs it has.
+    """
+    found = hits(runs, curves, (factor, strict))
+    areas = area_over_curve(runs, curves, budget, axis)
+    ert = running_times(found, axis)
+    scores = problem_scores(ert, areas, factor)
+    solved = at_factor(ert, factor)
+    ratios = np.log(solved["ert"] / solved.groupby("problem")["ert"].transform("min"))
+    ratios = ratios[np.isfinite(solved["ert"])].groupby(solved["optimizer"]).mean()
+    per_problem = areas.groupby(["problem", "optimizer"])["aocc"].mean()
+    pace = 1e6 * runs["seconds"] / runs["evaluations"].where(runs["evaluations"] > 0)
+    methods = ranks(scores).rename(columns={"rank": "mean rank"}).set_index("optimizer")
+    table = methods.assign(
+        solved=np.isfinite(solved["ert"]).groupby(solved["optimizer"]).sum().astype(int),
+        **{
+            f"success at {one:g}": at_factor(found, one).groupby("optimizer")["reached"].mean()
+            for one in (factor, strict)
+        },
+        **{"times the best": np.exp(ratios)},
+        AOCC=per_problem.unstack().reindex(scores.index).fillna(0.0).mean(),
+        **{"µs per evaluation": pace.groupby(runs["optimizer"]).median()},
+    )
+    table = table.rename(columns={"solved": f"solved of {len(scores)}"})
+    return table.rename_axis("method").reset_index()
+
+
+def problem_scores(ert: pd.DataFrame, areas: pd.DataFrame, factor: float) -> pd.DataFrame:
+    """Scores (problems, methods) that rank all methods, lower is better; for ranks and tests.
+
+    The logarithm (base 10) of the expected running time at `factor` where it is finite. Where a
+    method never got there, its mean area over the curve decides: one more than the largest finite
+    score of the problem (than 0 if there is none), plus 1 - area. So every method that solves a
+    problem is ahead of every one that does not, by at least a factor of ten. A method that was not
+    run on a problem has area 0 there.
+    """
+    at = at_factor(ert, factor).pivot(index="problem", columns="optimizer", values="ert")
+    logs = at.where(np.isfinite(at)).map(np.log10)
+    area = areas.groupby(["problem", "optimizer"])["aocc"].mean().unstack()
+    area = area.reindex(index=logs.index, columns=logs.columns).fillna(0.0)
+    unsolved = (1 - area).add(logs.max(axis=1).fillna(0.0) + 1, axis=0)
+    return logs.fillna(unsolved)

@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from miho.analysis.arena_figures import (
+    ecdf_figure,
+    error_curves,
+    plot_gap,
+    plot_shares,
+    profiles_figure,
+)  # fmt: skip
+from miho.analysis.profiles import data_profile, ecdf, performance_profile
+from miho.analysis.running_time import hits, running_times
+from miho.analysis.styles import STYLES, with_emphasis
+from tests.analysis.arena_synthetic import arena, methods
+from tests.analysis.synthetic import Steps, frames
+
+GRID = np.array([1.0, 10.0, 100.0, 1000.0])
+
+
+def texts(figure: Figure) -> list[str]:
+    return [found.get_text() for found in figure.findobj(Text) if isinstance(found, Text)]
+
+
+def gap_panel(steps: list[Steps], ends: float = 1000.0, highlight: bool = True) -> Axes:
+    """MIHO's runs against a best known error of 100 N."""
+    runs, curves = frames({"miho": steps}, ends={"miho": ends})
+    ax = Figure().subplots()
+    styles = with_emphasis(["miho"], ["miho"] if highlight else [])
+    return plot_gap(runs, curves, "evaluations", ax, 100.0, GRID, styles)
+
+
+def test_the_line_is_the_median_of_the_relative_gap() -> None:
+    ax = gap_panel([[(1, 300.0), (10, 150.0)], [(1, 500.0), (100, 110.0)], [(1, 400.0)]])
+    np.testing.assert_allclose(np.asarray(ax.lines[0].get_ydata()), [3, 3, 0.5, 0.5])
+
+
+def test_a_median_begins_where_more_than_half_of_the_runs_have_a_value() -> None:
+    ax = gap_panel([[(1, 300.0)], [(10, 200.0)], []])
+    np.testing.assert_allclose(np.asarray(ax.lines[0].get_ydata()), [np.nan, 2, 2, 2])
+    ax = gap_panel([[(1, 300.0)], []])
+    assert np.isnan(np.asarray(ax.lines[0].get_ydata(), dtype=float)).all()
+
+
+def test_a_gap_that_is_not_positive_is_drawn_at_the_floor() -> None:
+    ax = gap_panel([[(1, 300.0), (10, 100.0), (100, 99.999)]])
+    np.testing.assert_allclose(np.asarray(ax.lines[0].get_ydata()), [2, 1e-6, 1e-6, 1e-6])
+    assert ax.get_ylim()[0] < 1e-6
+
+
+def test_a_line_ends_where_the_last_run_ended() -> None:
+    ax = gap_panel([[(1, 300.0)]] * 2, ends=100.0)
+    np.testing.assert_allclose(np.asarray(ax.lines[0].get_ydata()), [2, 2, 2, np.nan])
+
+
+def test_only_highlighted_methods_have_a_band() -> None:
+    steps: list[Steps] = [[(1, 300.0)], [(1, 200.0)]]
+    assert len(gap_panel(steps).collections) == 1
+    assert not gap_panel(steps, highlight=False).collections
+
+
+def test_each_problem_has_a_panel_and_an_unknown_optimum_a_star() -> None:
+    figure = error_curves(*arena(methods(4), 3, 2), highlight=["miho"], note="small size")
+    written = texts(figure)
+    assert len(figure.axes) == 3
+    assert "pacejka-sample_a-wide" in written
+    assert "pacejka-sample_b-wide *" in written
+    assert any("*: best of all runs" in text for text in written)
+    assert {"MIHO", "3 others"} <= set(written)
+    assert any("small size" in text for text in written)
+    assert all(len(ax.lines) == 4 for ax in figure.axes)
+
+
+def test_a_share_is_drawn_as_a_step() -> None:
+    frame = pd.DataFrame({"optimizer": "miho", "tau": [1.0, 10.0, 100.0], "share": [0.2, 0.4, 0.8]})
+    ax = plot_shares(frame, "tau", Figure().subplots())
+    assert ax.lines[0].get_drawstyle() == "steps-post"
+    np.testing.assert_array_equal(ax.lines[0].get_ydata(), [0.2, 0.4, 0.8])
+    assert ax.get_xlim() == (1, 100)
+
+
+def test_shares_without_any_success_still_draw() -> None:
+    frame = pd.DataFrame({"optimizer": ["miho"], "tau": [1.0], "share": [0.0]})
+    plot_shares(frame, "tau", Figure().subplots())
+
+
+def test_the_distributions_end_at_the_share_of_targets_reached() -> None:
+    found = hits(*arena(methods(3), 2, 3, silent=1))
+    figure = ecdf_figure(ecdf(found, "evaluations"), ecdf(found, "seconds"))
+    written = texts(figure)
+    for method, reached in found.groupby("optimizer")["reached"].mean().items():
+        assert f"{100 * reached:3.0f} %  {STYLES[str(method)].name}" in written
+
+
+def test_the_profiles_end_at_the_share_of_problems_solved() -> None:
+    found = hits(*arena(methods(3), 2, 3))
+    ert = running_times(found, "evaluations")
+    dimensions = dict.fromkeys(found["problem"].unique(), 5)
+    figure = profiles_figure(data_profile(found, dimensions, 1.01), performance_profile(ert, 1.01))
+    solved = np.isfinite(ert["ert"][ert["factor"] == 1.01]).groupby(ert["optimizer"]).mean()
+    for method, share in solved.items():
+        assert f"{100 * share:3.0f} %  {STYLES[str(method)].name}" in texts(figure)
+
+
+@pytest.mark.slow
+def test_the_labels_of_twenty_two_methods_stay_apart_and_on_the_page() -> None:
+    found = hits(*arena(methods(22), 2, 2))
+    figure = ecdf_figure(ecdf(found, "evaluations"), ecdf(found, "seconds"))
+    figure.draw_without_rendering()
+    names = tuple(f"%  {STYLES[method].name}" for method in methods(22))
+    boxes = sorted(
+        (
+            text.get_window_extent()
+            for text in figure.findobj(Text)
+            if isinstance(text, Text) and text.get_text().endswith(names)
+        ),
+        key=lambda box: box.y0,
+    )
+    assert len(boxes) == 22
+    assert all(below.y1 <= above.y0 + 1 for below, above in pairwise(boxes))
+    assert max(box.x1 for box in boxes) <= figure.bbox.x1

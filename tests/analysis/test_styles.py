@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from miho.analysis.styles import MAIN, STYLES, styles_of, with_emphasis
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_every_optimizer_of_the_configuration_has_a_fixed_style() -> None:
+    names = [
+        re.search(r"^name: (\w+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+        for path in (ROOT / "conf" / "optimizer").glob("*.yaml")
+    ]
+    assert len(names) > 8
+    assert {found.group(1) if found else None for found in names} <= set(STYLES)
+
+
+def test_all_looks_and_names_differ() -> None:
+    assert len({(style.color, style.dashes) for style in STYLES.values()}) == len(STYLES)
+    assert len({style.name for style in STYLES.values()}) == len(STYLES)
+
+
+def test_spare_styles_differ_from_fixed_ones() -> None:
+    unnamed = [f"variant_{letter}" for letter in "abcdefgh"]
+    styles = styles_of([*STYLES, *unnamed])
+    assert len({(style.color, style.dashes) for style in styles.values()}) == len(styles)
+    assert styles["variant_a"].name == "variant a"
+
+
+def test_the_foreground_comes_last_and_keeps_its_style() -> None:
+    styles = with_emphasis(["miho", "random", "cma_es"], ["cma_es"])
+    assert list(styles)[-1] == "cma_es"
+    assert styles["cma_es"] == STYLES["cma_es"]
+    assert styles["miho"] == STYLES["miho"].muted
+    assert styles["miho"].name == "MIHO"
+
+
+def test_by_default_the_main_methods_stand_out() -> None:
+    styles = with_emphasis(STYLES)
+    assert {method for method, style in styles.items() if style != style.muted} == set(MAIN)
+
+
+def test_only_methods_with_runs_can_be_highlighted() -> None:
+    with pytest.raises(ValueError, match="highlight names mihoo"):
+        with_emphasis(["miho"], ["mihoo"])
