@@ -1,4 +1,5 @@
 # make compare   the paper's comparison at reduced size: figure and claims table (3 minutes)
+# make arena     many methods on many problems: leaderboard, tests, profiles (about 45 minutes)
 # make figures   Fig. 4, 5 and 6 from nothing (6 to 10 minutes)
 # make test      the test suite
 # make lint      formatter, linter, type checker
@@ -11,7 +12,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
 
-.PHONY: help install compare figures test lint lock clean
+.PHONY: help install compare arena figures test lint lock clean
 
 help:
 	@sed -n 's/^# //p' Makefile
@@ -26,6 +27,10 @@ install: $(INSTALLED)
 
 compare: $(INSTALLED)
 	$(BIN)/python -m experiments.compare
+
+arena: $(INSTALLED)
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[experiments,rivals]'
+	$(BIN)/python -m experiments.compare experiment=arena
 
 figures: $(INSTALLED)
 	$(BIN)/python -m experiments.identify -m dataset=tire_lf,tire_rf,tire_lr,tire_rr optimizer=miho

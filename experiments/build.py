@@ -13,7 +13,7 @@ import inspect
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -39,6 +39,10 @@ class ConfigError(ValueError):
     """One line naming the key, what is wrong with it and what is allowed."""
 
 
+class MissingLibraryError(ConfigError):
+    """What is configured needs a library that is not installed; says which extra has it."""
+
+
 @dataclass(frozen=True)
 class Experiment:
     """One run, ready to start."""
@@ -48,58 +52,87 @@ class Experiment:
     budget: Budget
     identity: Identity
     root: Path
+    optimum: float | None = None
 
     @property
     def facts(self) -> dict[str, Any]:
         """What the store keeps about the problem: the unit of its error and what it cannot beat.
 
-        `optimum` is the smallest loss in the space, where linear algebra finds it.
+        `optimum` is the smallest loss in the space, where linear algebra finds it or it is known.
         """
-        dataset, model = self.problem.dataset, self.problem.model
-        facts: dict[str, Any] = {"unit": self.problem.unit}
-        if len(model.inputs) == 1:
-            (column,) = model.inputs
-            floor = irreducible_error(dataset[column], dataset[dataset.output])
-            if math.isfinite(floor):
-                facts["irreducible"] = floor
-        optimum = linear_optimum(self.problem)
-        if optimum is not None:
-            facts["optimum"] = optimum[1]
+        facts = dict(_facts(self.problem))
+        if self.optimum is not None:
+            facts.setdefault("optimum", self.optimum**2)
         return facts
 
 
-def build(cfg: DictConfig) -> Experiment:
-    """Check and build everything one run needs; raises ConfigError or a loader's own error."""
+@lru_cache(maxsize=4)
+def _facts(problem: CurveFit) -> Mapping[str, Any]:
+    dataset, model = problem.dataset, problem.model
+    facts: dict[str, Any] = {"unit": problem.unit}
+    if len(model.inputs) == 1:
+        (column,) = model.inputs
+        floor = irreducible_error(dataset[column], dataset[dataset.output])
+        if math.isfinite(floor):
+            facts["irreducible"] = floor
+    optimum = linear_optimum(problem)
+    if optimum is not None:
+        facts["optimum"] = optimum[1]
+    return facts
+
+
+def build(cfg: DictConfig, problem: CurveFit | None = None) -> Experiment:
+    """Check and build everything one run needs; raises ConfigError or a loader's own error.
+
+    `problem` is what `build_problem` gave for the same configuration, if it was built before.
+    """
     known = [field.name for field in fields(Config)]
     for key in cfg:
         if key not in known:
             raise ConfigError(f"{key!s}: is unknown; allowed are {', '.join(known)}")
+    optimizer = build_optimizer(cfg)
     optimizer_node = _plain(cfg, "optimizer")
-    name = optimizer_node.pop("name", None)
-    if not isinstance(name, str):
-        raise ConfigError("optimizer.name: is missing; give the method a name for its runs")
+    name = optimizer_node.pop("name")
     if cfg.seed < 0:
         raise ConfigError(f"seed: is {cfg.seed}; expected a whole number of at least 0")
-    optimizer = instantiate(optimizer_node, "optimizer", Optimizer)
-    model = instantiate(_plain(cfg, "model"), "model", Model)
-    space = build_space(_plain(cfg, "space"))
-    dataset = instantiate(_plain(cfg, "dataset"), "dataset", Dataset)
-    rho = instantiate(_plain(cfg, "loss"), "loss", Loss)
+    problem = build_problem(cfg) if problem is None else problem
     try:
         budget = Budget(**_plain(cfg, "budget"))
-        problem = CurveFit(model, dataset, space, rho)
         config = {key: _plain(cfg, key) for key in ("model", "dataset", "space", "loss", "budget")}
+        config["problem"] = {key: cfg.problem[key] for key in ("name", "compressed")}
         identity = Identity(
             problem=problem.name,
             optimizer=name,
             seed=cfg.seed,
             config=config | {"optimizer": optimizer_node},
-            code=_code(model),
-            data=dataset.digest,
+            code=_code(problem.model),
+            data=problem.dataset.digest,
         )
     except (TypeError, ValueError) as error:
         raise ConfigError(str(error)) from None
-    return Experiment(problem, optimizer, budget, identity, Path(cfg.root))
+    return Experiment(problem, optimizer, budget, identity, Path(cfg.root), cfg.problem.optimum)
+
+
+def build_optimizer(cfg: DictConfig) -> Optimizer:
+    """The method alone."""
+    node = _plain(cfg, "optimizer")
+    if not isinstance(node.pop("name", None), str):
+        raise ConfigError("optimizer.name: is missing; give the method a name for its runs")
+    return instantiate(node, "optimizer", Optimizer)
+
+
+def build_problem(cfg: DictConfig) -> CurveFit:
+    """The problem alone."""
+    model = instantiate(_plain(cfg, "model"), "model", Model)
+    space = build_space(_plain(cfg, "space"))
+    dataset = instantiate(_plain(cfg, "dataset"), "dataset", Dataset)
+    rho = instantiate(_plain(cfg, "loss"), "loss", Loss)
+    known = _plain(cfg, "problem")
+    switches = {key: known[key] for key in ("threads", "compressed")}
+    try:
+        return CurveFit(model, dataset, space, rho, known["name"], **switches)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(str(error)) from None
 
 
 def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
@@ -119,7 +152,8 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
     model = instantiate(config["model"], "model", Model)
     rho = instantiate(config["loss"], "loss", Loss)
     try:
-        return CurveFit(model, dataset, build_space(config["space"]), rho)
+        name = config["problem"]["name"]
+        return CurveFit(model, dataset, build_space(config["space"]), rho, name)
     except ValueError as error:
         raise ConfigError(f"{stored.folder}: {error}") from None
 
@@ -165,7 +199,7 @@ def _target(path: Any, key: str, kind: type[T]) -> Callable[..., T]:
     public = all(part.isidentifier() and not part.startswith("_") for part in parts)
     if public and len(parts) > 1 and parts[0] in PACKAGES:
         with contextlib.suppress(ModuleNotFoundError):
-            found: Any = getattr(importlib.import_module(".".join(parts[:-1])), parts[-1], None)
+            found: Any = getattr(_module(".".join(parts[:-1]), key), parts[-1], None)
             if inspect.isclass(found):
                 gives = issubclass(found, kind) and not inspect.isabstract(found)
             else:
@@ -178,6 +212,15 @@ def _target(path: Any, key: str, kind: type[T]) -> Callable[..., T]:
         f"{key}._target_: {path!r} is not a class or function of {' or '.join(PACKAGES)} that "
         f"gives a {kind.__name__}; name one that does"
     )
+
+
+def _module(name: str, key: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError:
+        raise
+    except ImportError as error:
+        raise MissingLibraryError(f"{key}: {error}") from None
 
 
 def _typed(value: Any, annotation: Any, key: str) -> Any:
@@ -214,6 +257,7 @@ def _code(model: Model) -> str:
 def _our_code() -> str:
     """Digest of our code that decides what a run finds: all of it but studies and figures."""
     library = Path(miho.__file__).parent
-    problem = [library / "identification" / name for name in ("curve_fit.py", "loss.py")]
+    names = ("curve_fit.py", "loss.py", "fused.py", "compressed.py", "panels.py")
+    problem = [library / "identification" / name for name in names]
     parts = [*(library / name for name in ("optim", "models", "data")), *problem]
     return code_digest([*parts, Path(baselines.__file__).parent])

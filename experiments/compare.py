@@ -1,8 +1,13 @@
-"""Compare methods on one problem, on the clock: interleaved, one at a time, one thread.
+"""Compare methods: on one problem on the clock, or on many problems at once.
+
+On one problem runs are interleaved, one at a time, on one thread. On many problems several run at a
+time, so that evaluations are what compares, and seconds are those of a machine in full use.
 
 python -m experiments.compare                        # reduced size, some three minutes
 python -m experiments.compare experiment=paper_fig6  # full size, some 70 minutes
 python -m experiments.compare experiment=torque_gap  # gaps to a known optimum, half a minute
+python -m experiments.compare experiment=arena       # many methods on many problems, 45 minutes
+python -m experiments.compare experiment=arena_small # the same, small, three minutes
 """
 
 from __future__ import annotations
@@ -14,15 +19,18 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from experiments.build import ConfigError, Experiment, build
+from experiments.arena import execute_all, plan
+from experiments.arena_results import draw_arena
+from experiments.build import ConfigError, build
 from experiments.cli import OK, SOME_FAILED, command, composed
-from experiments.figures import COMPARISON, draw_comparison
+from experiments.comparison import COMPARISON
+from experiments.figures import draw_comparison
 from experiments.run import line, run
 from miho.optim import MIHO
 from miho.study import Status, write_text
 
 DEFAULT = "experiment=compare"
-failed: list[Experiment] = []
+failed: list[str] = []
 
 
 def compare(cfg: DictConfig) -> None:
@@ -30,53 +38,78 @@ def compare(cfg: DictConfig) -> None:
     overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("seed=")]
     if not cfg.comparison.methods:
         raise ConfigError("comparison.methods: is empty; choose an experiment that compares some")
-    repetitions = cfg.comparison.repetitions
-    if repetitions < 1:
-        raise ConfigError(f"comparison.repetitions: is {repetitions}; expected at least 1")
-    if any(o.startswith("optimizer=") for o in overrides):
-        raise ConfigError("optimizer: cannot be chosen here; methods are comparison.methods")
+    for key in ("repetitions", "processes"):
+        if cfg.comparison[key] < 1:
+            raise ConfigError(f"comparison.{key}: is {cfg.comparison[key]}; expected at least 1")
+    for group in ("optimizer", *(("problem",) if cfg.comparison.problems else ())):
+        if any(o.startswith(f"{group}=") for o in overrides):
+            raise ConfigError(f"{group}: cannot be chosen here; see comparison.{group}s")
+    on = _on_problems if cfg.comparison.problems else _on_one
+    ids, note = on(cfg, overrides)
+    if failed:
+        return
+    root = Path(cfg.root)
+    about = {
+        "command": ["python", "-m", "experiments.compare", *overrides],
+        "note": note,
+        "runs": ids,
+    }
+    write_text(root / COMPARISON, json.dumps(about, indent=1) + "\n")
+    draw = draw_arena if cfg.comparison.problems else draw_comparison
+    for path in draw(root, Path(cfg.comparison.output)):
+        print(path)
 
+
+def _on_one(cfg: DictConfig, overrides: list[str]) -> tuple[list[str], str]:
+    """One problem, one run at a time, methods interleaved; the runs and what to say of them."""
     methods = []
     for name, settings in cfg.comparison.methods.items():
         chosen = [f"optimizer={name}", *(f"optimizer.{k}={v}" for k, v in settings.items())]
         methods.append(composed([*overrides, *chosen]))
     planned = []
-    for seed in range(repetitions):
+    for seed in range(cfg.comparison.repetitions):
         for method in methods:
             method.seed = seed
             planned.append(build(method))
     for number, experiment in enumerate(planned, start=1):
         execution = run(experiment)
-        print(f"[{number}/{len(planned)}] {line(experiment, execution)}", flush=True)
+        told = line(experiment, execution)
+        print(f"[{number}/{len(planned)}] {told}", flush=True)
         if execution.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
         if execution.run is None:
-            failed.append(experiment)
-    if failed:
-        return
-
-    root = Path(cfg.root)
-    about = {
-        "command": ["python", "-m", "experiments.compare", *overrides],
-        "note": _note(cfg, planned),
-        "runs": [experiment.identity.id for experiment in planned],
-    }
-    write_text(root / COMPARISON, json.dumps(about, indent=1) + "\n")
-    for path in draw_comparison(root, Path(cfg.comparison.output)):
-        print(path)
-
-
-def _note(cfg: DictConfig, planned: list[Experiment]) -> str:
-    """What the figure must say of its size."""
-    parts = [cfg.comparison.note] if cfg.comparison.note else []
+            failed.append(told)
     miho = next((e.optimizer for e in planned if isinstance(e.optimizer, MIHO)), None)
-    parts += [f"R = {miho.R}"] if miho else []
-    parts.append(f"{cfg.comparison.repetitions} repetitions")
-    limits = planned[0].budget
-    if limits.seconds is not None:
-        parts.append(f"at most {limits.seconds:g} s per run")
-    if limits.evaluations is not None:
-        parts.append(f"at most {limits.evaluations:,} evaluations per run")
+    size = [f"R = {miho.R}"] if miho else []
+    return [experiment.identity.id for experiment in planned], _note(cfg, size)
+
+
+def _on_problems(cfg: DictConfig, overrides: list[str]) -> tuple[list[str], str]:
+    """Several problems, `processes` runs at a time; the runs and what to say of them."""
+    planned = plan(cfg, overrides)
+    for name, reason in planned.left_out.items():
+        print(f"{name}: left out: {reason}", file=sys.stderr)
+    ids = []
+    for done in execute_all(planned, cfg.comparison.processes):
+        ids.append(done.id)
+        if done.status not in (Status.RAN, Status.DONE_BEFORE):
+            failed.append(done.line)
+            print(done.line, file=sys.stderr)
+    problems = len({block.problem for block in planned.blocks})
+    size = [f"{problems} problems", f"{cfg.comparison.processes} runs at a time"]
+    if planned.left_out:
+        size.append(f"without {', '.join(planned.left_out)}, which were not to be had here")
+    return ids, _note(cfg, size)
+
+
+def _note(cfg: DictConfig, size: list[str]) -> str:
+    """What figures and tables must say of the size of the comparison."""
+    parts = [cfg.comparison.note] if cfg.comparison.note else []
+    parts += [*size, f"{cfg.comparison.repetitions} repetitions"]
+    if cfg.budget.seconds is not None:
+        parts.append(f"at most {cfg.budget.seconds:g} s per run")
+    if cfg.budget.evaluations is not None:
+        parts.append(f"at most {cfg.budget.evaluations:,} evaluations per run")
     return ", ".join(parts)
 
 

@@ -2,6 +2,7 @@
 
 python -m experiments.figures fig6   # error over time, and the claims table (after `compare`)
 python -m experiments.figures fig4   # the four learned tires (after `identify` on each of them)
+python -m experiments.figures arena  # leaderboard, tests and profiles (after experiment=arena)
 python -m experiments.figures fig5   # torque curves and engine map (after `identify` on torque_*)
 """
 
@@ -10,22 +11,20 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import platform
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pandas as pd
 
+from experiments.arena_results import draw_arena
 from experiments.build import ConfigError, rebuild
 from experiments.cli import guarded
+from experiments.comparison import Comparison
 from experiments.engine import DATASETS, engine_of, fig5_data
-from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save, to_markdown
+from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save
 from miho.study import StoredRun, load_runs, read_run
 
-COMPARISON = "comparison.json"
 TIRES = ("lf", "rf", "lr", "rr")
 MIHO = "miho"
 CAPTIONS = {
@@ -40,35 +39,15 @@ def draw_comparison(root: Path, output: Path) -> list[Path]:
 
     The claims are about MIHO on a tire: without either there is no table of them.
     """
-    try:
-        about = json.loads((root / COMPARISON).read_text(encoding="utf-8"))
-        planned, note = set(about["runs"]), str(about["note"])
-    except (FileNotFoundError, ValueError, LookupError, TypeError):
-        raise ConfigError(
-            f"{root}: holds no comparison; run python -m experiments.compare root={root} first"
-        ) from None
-    found = load_runs(root)
-    runs = found.runs[found.runs["id"].isin(planned)]
-    curves = found.curves[found.curves["id"].isin(planned)]
-    if len(runs) < len(planned):
-        missing = len(planned) - len(runs)
-        raise ConfigError(f"{root}: {missing} runs of the comparison are missing; compare again")
-
+    found = Comparison.read(root)
+    runs, curves, note = found.runs, found.curves, found.note
     paths = save(fig6(runs, curves, note=note), output / "fig6")
     tables = {"results": results_table(runs, curves)}
     on_a_tire = runs["problem"].str.startswith("pacejka-tire_").all()
     if on_a_tire and MIHO in set(runs["optimizer"]):
         tables["claims"] = claims_table(runs, curves, MIHO)
-    for name, table in tables.items():
-        table.to_csv(output / f"{name}.csv", index=False)
-        text = f"{CAPTIONS[name]} Runs: {note}.\n\n{to_markdown(table)}"
-        (output / f"{name}.md").write_text(text, encoding="utf-8")
-        paths += [output / f"{name}.csv", output / f"{name}.md"]
-    provenance = output / "provenance.json"
-    provenance.write_text(json.dumps(_provenance(about, runs), indent=1) + "\n", encoding="utf-8")
-    for name, table in tables.items():
-        print(f"{CAPTIONS[name]} Runs: {note}.\n\n{to_markdown(table)}")
-    return [*paths, provenance]
+    paths += found.write_tables(tables, CAPTIONS, output)
+    return [*paths, found.write_provenance(output)]
 
 
 def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:
@@ -129,43 +108,30 @@ def _write_provenance(path: Path, stored: Sequence[StoredRun]) -> Path:
     return path
 
 
-def _provenance(about: dict[str, Any], runs: pd.DataFrame) -> dict[str, Any]:
-    """What regenerates a comparison, and what it ran on."""
-    stored = [read_run(Path(folder)) for folder in runs["folder"]]
-    environment = dict(stored[0].environment)
-    environment.pop("load")
-    return {
-        "command": " ".join(about["command"]),
-        "seeds": f"{runs['seed'].min()} to {runs['seed'].max()}",
-        "code": sorted({run.result["code"] for run in stored}),
-        "data": sorted({run.result["data"] for run in stored}),
-        "environment": environment,
-        "drawn with python": platform.python_version(),
-        "largest load average during the runs": max(
-            (run.environment["load"][0] for run in stored if run.environment["load"]), default=None
-        ),
-    }
-
-
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.figures",
         description="Draw a figure of the paper from finished runs, as PNG and PDF.",
     )
-    parser.add_argument("name", choices=("fig4", "fig5", "fig6"))
+    parser.add_argument("name", choices=("fig4", "fig5", "fig6", "arena"))
     parser.add_argument(
-        "--root", type=Path, help="folder of runs (fig6: runs/compare; fig4, fig5: runs/identify)"
+        "--root",
+        type=Path,
+        help="folder of runs (fig6: runs/compare; arena: runs/arena; else runs/identify)",
     )
     parser.add_argument("--output", type=Path, help="where to write (default: ROOT/figures)")
     parser.add_argument("--optimizer", default="miho", help="of fig4 and fig5 (default: miho)")
     arguments = parser.parse_args()
-    root = arguments.root or Path("runs", "compare" if arguments.name == "fig6" else "identify")
+    usual = {"fig6": "compare", "arena": "arena"}.get(arguments.name, "identify")
+    root = arguments.root or Path("runs", usual)
     output = arguments.output or root / "figures"
 
     def job() -> None:
         if arguments.name == "fig6":
             paths = draw_comparison(root, output)
+        elif arguments.name == "arena":
+            paths = draw_arena(root, output)
         elif arguments.name == "fig5":
             paths = draw_engine(root, output, arguments.optimizer)
         else:

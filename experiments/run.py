@@ -21,22 +21,19 @@ from miho.study import Execution, Store, StoredRun, execute
 ENDINGS = {"converged": "itself", "budget": "its budget"}
 
 
-def run(experiment: Experiment) -> Execution:
-    """Run it with a progress bar and store what it found."""
+def run(experiment: Experiment, *, quiet: bool = False) -> Execution:
+    """Run it, unless quiet with a progress bar, and store what it found."""
     identity, problem = experiment.identity, experiment.problem
     title = f"{identity.problem} {identity.optimizer} seed {identity.seed}"
 
     def job() -> RunRecord:
+        settings = experiment.optimizer, problem, experiment.budget, identity.seed
+        if quiet:
+            return minimize(*settings)
         if not sys.stderr.isatty():
             print(f"{title}: running", file=sys.stderr, flush=True)
         with progress(title, experiment.budget, problem.unit) as observer:
-            return minimize(
-                experiment.optimizer,
-                problem,
-                experiment.budget,
-                identity.seed,
-                observer=observer,
-            )
+            return minimize(*settings, observer=observer)
 
     return execute(Store(experiment.root), identity, job, problem.space, experiment.facts)
 

@@ -33,14 +33,32 @@ class BudgetConfig:
 
 
 @dataclass
+class ProblemConfig:
+    """What is known of a problem: its name, if not that of model and data, and its best error.
+
+    `optimum` is the smallest known root of the loss in the space, in the output's unit, and
+    `evidence` says how it is known. `compressed` and `threads` are those of `miho.CurveFit`.
+    """
+
+    name: str | None = None
+    optimum: float | None = None
+    evidence: str = ""
+    compressed: bool = False
+    threads: int = 1
+
+
+@dataclass
 class ComparisonConfig:
     """Which methods to compare, how often, and what to write on the figure.
 
-    `methods` maps an optimizer of conf/optimizer to settings that replace its own. Figure and
-    tables go to `output`.
+    `methods` maps an optimizer of conf/optimizer to settings that replace its own. `problems` names
+    several of conf/problem, which are then compared on together, `processes` runs at a time;
+    without it there is one problem, and one run at a time. Figures and tables go to `output`.
     """
 
     repetitions: int = 5
+    problems: list[str] = field(default_factory=list)
+    processes: int = 1
     methods: dict[str, dict[str, Any]] = field(default_factory=dict)
     note: str = ""
     output: str = "${root}/figures"
@@ -54,6 +72,7 @@ class Config:
     dataset: dict[str, Any] = MISSING
     space: dict[str, ParameterConfig] = MISSING
     loss: dict[str, Any] = MISSING
+    problem: ProblemConfig = field(default_factory=ProblemConfig)
     optimizer: dict[str, Any] = MISSING
     budget: BudgetConfig = field(default_factory=BudgetConfig)
     seed: int = 0

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-NUMERICS = {"numpy", "scipy", "numba"}
+NUMERICS = {"numpy", "scipy", "numba", "llvmlite"}
 TABLES = {"pandas", "seaborn", "matplotlib"}
 
 # package: (ours it may import, third-party packages it may import)
@@ -22,7 +22,10 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "miho.study": ({"miho.study", "miho.optim"}, {"pandas", "filelock", "threadpoolctl"}),
     "miho.analysis": ({"miho.analysis", "miho.study"}, NUMERICS | TABLES),
     "miho.testing": ({"miho.optim", "miho.models"}, NUMERICS),
-    "baselines": ({"baselines", "miho.optim"}, NUMERICS | {"optuna"}),
+    "baselines": (
+        {"baselines", "miho.optim"},
+        NUMERICS | {"optuna", "cmaes", "nevergrad", "dehb", "loguru"},
+    ),
 }
 CONCRETE = {"MIHO", "RandomSearch"}
 

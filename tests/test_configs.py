@@ -1,10 +1,12 @@
 """Every YAML composes, and what it describes can be built and run."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from omegaconf import OmegaConf
 
+from baselines.least_squares import LeastSquares
 from experiments.build import build
 from experiments.cli import composed
 from experiments.schema import register
@@ -12,6 +14,7 @@ from miho.optim import Budget, minimize
 
 CONF = Path(__file__).parent.parent / "conf"
 NEEDS_A_FILE = {"axle_log", "brake_log", "csv", "mat", "tir", "torque_log"}
+NEEDS_A_LIBRARY = {"ngopt": "nevergrad", "dehb": "dehb"}
 register()
 
 
@@ -26,12 +29,15 @@ def options(group: str) -> list[str]:
 def test_the_groups_are_known() -> None:
     groups = {path.name for path in CONF.iterdir() if path.is_dir()}
     assert groups == {
-        "model", "dataset", "space", "loss", "optimizer", "budget", "experiment", "vehicle",
+        "model", "dataset", "space", "loss", "problem", "optimizer", "budget", "experiment",
+        "vehicle",
     }  # fmt: skip
 
 
 @pytest.mark.parametrize("optimizer", options("optimizer"))
 def test_optimizers(optimizer: str) -> None:
+    if optimizer in NEEDS_A_LIBRARY:
+        pytest.importorskip(NEEDS_A_LIBRARY[optimizer])
     experiment = build(composed([f"optimizer={optimizer}"]))
     assert experiment.identity.optimizer == optimizer
 
@@ -73,6 +79,22 @@ def test_spaces(space: str) -> None:
     assert experiment.problem.space.names == tuple(experiment.problem.model.parameters)
 
 
+@pytest.mark.parametrize("problem", options("problem"))
+def test_problems(
+    problem: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each has its file's name, and no run beats its recorded optimum."""
+    if problem.startswith("sample"):
+        monkeypatch.setenv("MIHO_DATA_DIR", str(request.getfixturevalue("reference_data")))
+    cfg = composed([f"problem={problem}"])
+    experiment = build(cfg)
+    assert experiment.problem.name == experiment.identity.problem == problem
+    assert cfg.problem.evidence
+    optimum = experiment.facts["optimum"]
+    found = minimize(LeastSquares(screen=200, starts=1, rounds=1), experiment.problem)
+    assert found.loss > optimum * (1 - 2e-9)
+
+
 @pytest.mark.parametrize("loss", options("loss"))
 def test_losses(loss: str) -> None:
     scale = [] if loss == "square" else ["loss.scale=500"]
@@ -85,11 +107,20 @@ def test_budgets(budget: str) -> None:
     assert build(composed([f"budget={budget}"])).budget != Budget()
 
 
+def test_the_arena_is_everything_but_what_it_says() -> None:
+    comparison = composed(["experiment=arena"]).comparison
+    assert sorted(comparison.problems) == options("problem")
+    assert set(options("optimizer")) - set(comparison.methods) == {"gbo_small", "gbo_large"}
+
+
 @pytest.mark.parametrize("name", options("experiment"))
 def test_experiments(name: str) -> None:
     cfg = composed([f"experiment={name}"])
     assert cfg.root == f"runs/{name}"
+    assert set(cfg.comparison.problems) <= set(options("problem"))
     for method, settings in cfg.comparison.methods.items():
+        if method in NEEDS_A_LIBRARY and find_spec(NEEDS_A_LIBRARY[method]) is None:
+            continue
         chosen = [f"optimizer.{key}={value}" for key, value in settings.items()]
         build(composed([f"experiment={name}", f"optimizer={method}", *chosen]))
 

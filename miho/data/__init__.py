@@ -15,6 +15,9 @@ from miho.data.synthetic_brake import (
 )
 from miho.data.synthetic_engine import dyno_test, engine_driving_log, load_engine_drive
 from miho.data.synthetic_handling import simulated_axle_drive, simulated_weave
+from miho.data.synthetic_outliers import tire_outlier_test
+from miho.data.synthetic_play import brake_play_test
+from miho.data.synthetic_steering import steering_test
 from miho.data.tir_sampling import (
     SamplingRanges,
     embedded_tire,
@@ -27,9 +30,10 @@ from miho.data.torque_samples import TorqueRules, TorqueSamples, load_torque_sam
 
 __all__ = [
     "CHANNELS", "CSVError", "DataUnavailableError", "Dataset", "DrivingLog", "SamplingRanges",
-    "TorqueRules", "TorqueSamples", "brake_deceleration_test", "brake_pressure_test",
-    "brake_step_test", "brake_torque_test", "dyno_test", "embedded_tire", "engine_driving_log",
-    "load_axle_samples", "load_braking_samples", "load_csv", "load_driving_log",
-    "load_engine_drive", "load_mat", "load_seong_sample", "load_torque_samples", "sample_axle",
-    "sample_lateral", "sample_tir", "simulated_axle_drive", "simulated_weave", "unmodelled_spread",
+    "TorqueRules", "TorqueSamples", "brake_deceleration_test", "brake_play_test",
+    "brake_pressure_test", "brake_step_test", "brake_torque_test", "dyno_test", "embedded_tire",
+    "engine_driving_log", "load_axle_samples", "load_braking_samples", "load_csv",
+    "load_driving_log", "load_engine_drive", "load_mat", "load_seong_sample", "load_torque_samples",
+    "sample_axle", "sample_lateral", "sample_tir", "simulated_axle_drive", "simulated_weave",
+    "steering_test", "tire_outlier_test", "unmodelled_spread",
 ]  # fmt: skip

@@ -3,6 +3,7 @@
 from miho.models.axle import Axle, central_stiffness, cornering_stiffness
 from miho.models.brake import Brake, BrakeCommand
 from miho.models.brake_dynamics import BrakeResponse, play
+from miho.models.brake_play import BrakePlay
 from miho.models.brake_statics import BrakeDeceleration, BrakePressure, BrakeTorque
 from miho.models.engine import TorqueCubic, TorqueCurve
 from miho.models.engine_map import EngineMap
@@ -13,14 +14,17 @@ from miho.models.longitudinal import Longitudinal
 from miho.models.model import Model
 from miho.models.simplified_tire import SimplifiedTire, from_simplified, simplify
 from miho.models.single_track import Axles, SingleTrack
+from miho.models.single_track_response import SingleTrackResponse
 from miho.models.tir import TirError, load_tir, write_tir
 from miho.models.tire import Pacejka, PacejkaCurvature
+from miho.models.tire_landmarks import PacejkaLandmarks
 
 __all__ = [
-    "Axle", "Axles", "Brake", "BrakeCommand", "BrakeDeceleration", "BrakePressure", "BrakeResponse",
-    "BrakeTorque", "EngineMap", "FunctionModel", "Identified", "LateralMagicFormula",
-    "Longitudinal", "Model", "OutsideDataWarning", "Pacejka", "PacejkaCurvature", "SimplifiedTire",
-    "SingleTrack", "TirError", "TorqueCubic", "TorqueCurve", "central_stiffness",
-    "cornering_stiffness", "from_simplified", "load_function", "load_tir", "mf61_lateral", "play",
-    "read_parameters", "simplify", "write_tir",
+    "Axle", "Axles", "Brake", "BrakeCommand", "BrakeDeceleration", "BrakePlay", "BrakePressure",
+    "BrakeResponse", "BrakeTorque", "EngineMap", "FunctionModel", "Identified",
+    "LateralMagicFormula", "Longitudinal", "Model", "OutsideDataWarning", "Pacejka",
+    "PacejkaCurvature", "PacejkaLandmarks", "SimplifiedTire", "SingleTrack", "SingleTrackResponse",
+    "TirError", "TorqueCubic", "TorqueCurve", "central_stiffness", "cornering_stiffness",
+    "from_simplified", "load_function", "load_tir", "mf61_lateral", "play", "read_parameters",
+    "simplify", "write_tir",
 ]  # fmt: skip

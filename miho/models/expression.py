@@ -25,11 +25,11 @@ class Expression(Model):
     `miho.models.elementary`, without branches, so that numbers, arrays and compiled blocks go
     through the same lines. What they need besides is in their closure, as plain numbers.
 
-    `bound`, for a model of one input whose loss can be compressed, is such a function too: ((centre,
-    a, b), theta) -> (A, v) says that |value - q| <= A exp(v) for complex inputs inside the ellipse
-    with the half axes a along and b across the real axis, where q is some polynomial of at most
-    the third degree in the input and A depends on theta alone. v is 1e200 or more where this is
-    not so or not known, as around a branch point.
+    `bound`, for a model of one input whose loss can be compressed, is such a function too:
+    ((centre, a, b), theta) -> (A, v) says that |value - q| <= A exp(v) for complex inputs inside
+    the ellipse with the half axes a along and b across the real axis, where q is some polynomial
+    of at most the third degree in the input and A depends on theta alone. v is 1e200 or more where
+    this is not so or not known, as around a branch point.
     """
 
     bound: Formula | None = None

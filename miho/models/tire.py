@@ -23,8 +23,8 @@ def _force_bound(ellipse: tuple[Any, ...], theta: tuple[Any, ...]) -> Any:
     Im arctan(x + iy) = artanh(t) / 2 with t = 2y / (1 + x^2 + y^2) is harmonic, so largest on the
     ellipse itself, if that does not enclose the branch points +-i. There, at x = x_c - a cos s and
     y = b sin s, t = 2b sin s / (1 + b^2 + x_c^2 - 2 a x_c cos s + (a^2 - b^2) cos^2 s). Writing
-    cos^2 s >= 2 c cos s - c^2, any c gives t <= 2b / sqrt(Q^2 - P^2). By its series, artanh(t) is
-    at most t + t^3 / 3 + t^5 / (1 - t^2) / 5.
+    cos^2 s >= 2 c cos s - c^2, any c gives t^2 <= z = 4b^2 / (Q^2 - P^2). By its series, artanh(t)
+    is at most t + t^3 / 3 + t^5 / (1 - t^2) / 5.
     """
     centre, width, height = ellipse
     B, C, D, Sx, _ = theta
@@ -33,18 +33,17 @@ def _force_bound(ellipse: tuple[Any, ...], theta: tuple[Any, ...]) -> Any:
     Q, P, foci = 1 + b * b + x * x, 2 * a * x, a * a - b * b
     c = np.minimum(P / Q, 1.0)
     Q, P = Q - foci * c * c, P - 2 * foci * c
-    t = np.minimum(2 * b / np.sqrt(np.maximum(Q * Q - P * P, b * b)), 1.0)
+    z = np.minimum(4 * b * b / np.maximum(Q * Q - P * P, b * b), 1.0)
     encloses = NEAR * (x * x * b * b + a * a) <= a * a * b * b
-    z = t * t
-    artanh = t * (1 + z / 3 + z * z / (5 * np.maximum(1 - z, 1 - NEAR)))
-    return np.abs(D), np.abs(C) * artanh / 2 + OUTSIDE * np.maximum(encloses, t >= NEAR)
+    artanh = np.sqrt(z) * (1 + z / 3 + z * z / (5 * np.maximum(1 - z, 1 - NEAR)))
+    return np.abs(D), np.abs(C) * artanh / 2 + OUTSIDE * np.maximum(encloses, z >= NEAR)
 
 
 def _bent_force_bound(ellipse: tuple[Any, ...], theta: tuple[Any, ...]) -> Any:
     """As `_force_bound`, for the arctangent of w = (1 - E) z + E arctan(z), in a rectangle.
 
-    |Im w| is at most the sum of both parts', and |Re w| at least (1 - E) |Re z| - max(0, -E) pi / 2,
-    because the real part of arctan(z) is at most pi / 2 and has the sign of that of z. For |x| >= x_0
+    |Im w| is at most the sum of both parts', and |Re w| at least (1 - E) |Re z| - max(0, -E) pi/2,
+    because the real part of arctan(z) is at most pi/2 and has the sign of that of z. For |x| >= x_0
     and |y| <= y_0, t is largest at x_0 and the lesser of y_0 and sqrt(1 + x_0^2).
     """
     centre, width, height = ellipse

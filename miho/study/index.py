@@ -14,7 +14,7 @@ from miho.study.store import RESULT, DamagedRun, StoredRun, read_run
 
 RUN_COLUMNS = [
     "id", "problem", "optimizer", "seed", "outcome", "error", "unit", "evaluations", "seconds",
-    "cpu_seconds", "setup_seconds", "irreducible", "optimum", "folder",
+    "cpu_seconds", "setup_seconds", "irreducible", "optimum", "dimension", "folder",
 ]  # fmt: skip
 CURVE_COLUMNS = [
     "id", "problem", "optimizer", "seed", "evaluations", "seconds", "cpu_seconds", "error"
@@ -27,7 +27,7 @@ class Runs:
 
     `runs`: a row per finished run; `error` is the root of its loss in `unit`, `irreducible` an
     estimate of the error that no model of the same inputs can beat, `optimum` the smallest error in
-    the space where it is known in closed form (else NaN); `theta.<name>` its parameters.
+    the space where it is known (else NaN), `dimension` its number of parameters; `theta.<name>` its parameters.
     `curves`: a row per improvement and one at the end of each run; a step function.
     `damaged`: folders that were skipped, with the reason.
     """
@@ -74,6 +74,7 @@ def _run_row(stored: StoredRun) -> dict[str, Any]:
         **{key: result[key] for key in ("evaluations", "seconds", "cpu_seconds", "setup_seconds")},
         "irreducible": facts.get("irreducible", math.nan),
         "optimum": _root(facts.get("optimum")),
+        "dimension": len(result["parameters"]),
         "folder": str(stored.folder),
     }
     theta = result["theta"] or [math.nan] * len(result["parameters"])

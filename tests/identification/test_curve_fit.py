@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from miho import CurveFit, Dataset, Parameter, Space
+from miho import Budget, CurveFit, Dataset, Oracle, Parameter, Space
 from miho.models import Pacejka
 from tests.identification import published
 
@@ -56,6 +56,20 @@ def test_fidelity_uses_a_fixed_part_of_the_data() -> None:
     part = p._order[:50]
     assert p.loss(theta[:1], 0.25)[0] == pytest.approx(np.mean(residuals[part] ** 2), rel=1e-14)
     assert not np.array_equal(p.loss(theta, 0.25), p.loss(theta))
+    assert p.cost(0.25) == 0.25
+    assert p.cost(0.251) == 51 / 200, "it uses 51 rows"
+
+
+def test_a_model_with_a_memory_costs_all_rows_at_any_fidelity() -> None:
+    class Ordered(Pacejka):
+        ordered = True
+
+    data = problem().dataset
+    ordered = CurveFit(Ordered(), data, SPACE)
+    oracle = Oracle(ordered, Budget())
+    theta = ordered.space.decode(ordered.space.initial(1))
+    assert oracle(theta, 0.1)[0] == ordered.loss(theta)[0] == oracle.best
+    assert oracle.evaluations == 1
 
 
 def test_jacobian_against_differences() -> None:

@@ -1,0 +1,137 @@
+"""What an arena shows: leaderboard, tests and profiles as tables and figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from experiments.comparison import Comparison
+from miho.analysis import save
+from miho.analysis.anytime import area_over_curve
+from miho.analysis.arena_figures import ecdf_figure, error_curves, profiles_figure
+from miho.analysis.ert_figure import ert_table
+from miho.analysis.leaderboard import leaderboard, problem_scores
+from miho.analysis.pairwise import pairwise, pairwise_speed_up
+from miho.analysis.profiles import data_profile, ecdf, performance_profile
+from miho.analysis.ranking_figures import (
+    area_figure,
+    critical_difference_diagram,
+    speed_up_figure,
+)
+from miho.analysis.ranks import cliques, critical_difference, friedman, ranks
+from miho.analysis.running_time import at_factor, expected_running_time, hits, references
+
+FACTOR = 1.01
+MIHO = "miho"
+WITHIN = (1.0, 2.0, 10.0, 100.0)
+CAPTIONS = {
+    "leaderboard": "Methods by mean rank over problems, of the expected number of evaluations to "
+    "within 1 % of the best known error; where a method never got there, its area over the "
+    "convergence curve decides. Success: share of runs.",
+    "problems": "The problems: parameters, best known error, and how many of the methods came "
+    "within 1 % of it at least once.",
+    "profiles": "Performance profile: share of problems on which a method's expected number of "
+    "evaluations to within 1 % is at most so many times that of the best method.",
+    "tests": "MIHO against each rival: problems won and lost, Wilcoxon's signed-rank test over "
+    "problems with Holm's correction, and how many times faster MIHO is where both get there.",
+}
+
+
+def draw_arena(root: Path, output: Path) -> list[Path]:
+    """All tables and figures of the last arena below `root`; tables are printed."""
+    found = Comparison.read(root)
+    runs, curves, rng = found.runs, found.curves, np.random.default_rng(0)
+    reached = hits(runs, curves)
+    ert = {axis: expected_running_time(reached, axis, rng) for axis in ("evaluations", "seconds")}
+    areas = area_over_curve(runs, curves)
+    scores = problem_scores(ert["evaluations"], areas, FACTOR)
+    order, problems = ranks(scores), len(scores)
+    difference = critical_difference(len(order), problems)
+    speed_ups = pairwise_speed_up(reached, FACTOR, "evaluations", rng)
+    dimensions = dict(zip(runs["problem"], runs["dimension"], strict=True))
+
+    tables = {
+        "problems": _problems(runs, reached),
+        "profiles": _profiles(ert["evaluations"]),
+        "leaderboard": leaderboard(runs, curves),
+    }
+    if MIHO in set(runs["optimizer"]):
+        tables["tests"] = _tests(scores, speed_ups)
+    paths = found.write_tables(tables, CAPTIONS, output)
+    print(_friedman(scores, difference))
+    pd.concat([frame.assign(axis=axis) for axis, frame in ert.items()]).to_csv(
+        output / "ert.csv", index=False
+    )
+    speed_ups.to_csv(output / "speed_up.csv", index=False)
+    areas.to_csv(output / "aocc.csv", index=False)
+    note = found.note
+    evaluations, seconds = (ecdf(reached, axis) for axis in ("evaluations", "seconds"))
+    data = data_profile(reached, dimensions, FACTOR)
+    performance = performance_profile(ert["evaluations"], FACTOR)
+    figures = {
+        "error_curves": error_curves(runs, curves, note=note),
+        "ert": ert_table(ert["evaluations"], factor=FACTOR, order=order, note=note),
+        "ecdf": ecdf_figure(evaluations, seconds, note=note),
+        "profiles": profiles_figure(data, performance, note=note),
+        "aocc": area_figure(areas, note=note),
+        "ranks": critical_difference_diagram(
+            order, difference, cliques(order, difference), problems=problems, note=note
+        ),
+    }
+    if MIHO in set(runs["optimizer"]):
+        figures["speed_up"] = speed_up_figure(speed_ups, method=MIHO, note=note)
+    for name, figure in figures.items():
+        paths += save(figure, output / name)
+    csv = [output / f"{name}.csv" for name in ("ert", "speed_up", "aocc")]
+    return [*paths, *csv, found.write_provenance(output)]
+
+
+def _problems(runs: pd.DataFrame, reached: pd.DataFrame) -> pd.DataFrame:
+    known = references(runs)
+    first = runs.groupby("problem", sort=False).first()
+    solved = at_factor(reached, FACTOR)
+    methods = solved[solved["reached"]].groupby("problem")["optimizer"].nunique()
+    return pd.DataFrame(
+        {
+            "problem": first.index,
+            "parameters": first["dimension"].astype(int).to_numpy(),
+            "best known error": known["error"].reindex(first.index).to_numpy(),
+            "unit": first["unit"].to_numpy(),
+            "from": known["source"].reindex(first.index).to_numpy(),
+            "solved by": methods.reindex(first.index).fillna(0).astype(int).to_numpy(),
+        }
+    )
+
+
+def _profiles(ert: pd.DataFrame) -> pd.DataFrame:
+    profile = performance_profile(ert, FACTOR, np.array(WITHIN))
+    table = profile.pivot(index="optimizer", columns="tau", values="share")
+    table.columns = ["fastest", *(f"within {tau:g}×" for tau in WITHIN[1:])]
+    ordered = table.sort_values(list(table.columns[::-1]), ascending=False, kind="stable")
+    return ordered.rename_axis("method").reset_index()
+
+
+def _tests(scores: pd.DataFrame, speed_ups: pd.DataFrame) -> pd.DataFrame:
+    tests = pairwise(scores, MIHO)
+    faster = speed_ups[speed_ups["method"] == MIHO]
+    table = tests.merge(faster, on=["method", "rival"])
+    table["speed-up"] = [
+        f"{row.ratio:.3g}× [{row.low:.3g}, {row.high:.3g}]" if row.problems else "-"
+        for row in table.itertuples()
+    ]
+    chosen = ["rival", "wins", "losses", "p_holm", "effect", "speed-up", "problems"]
+    chosen += ["only_method", "only_rival"]
+    names = {"p_holm": "p (Holm)", "problems": "on problems"}
+    names |= {"only_method": "only MIHO solves", "only_rival": "only the rival solves"}
+    return table[chosen].rename(columns=names)
+
+
+def _friedman(scores: pd.DataFrame, difference: float) -> str:
+    test = friedman(scores)
+    return (
+        f"Friedman's test over {test.problems} problems and {test.methods} methods: "
+        f"chi2 = {test.chi2:.1f}, F = {test.f:.2f}, p = {test.p:.2g}; two mean ranks differ at 5 % "
+        f"if they are {difference:.2f} apart (Nemenyi).\n"
+    )

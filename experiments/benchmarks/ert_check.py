@@ -1,0 +1,96 @@
+"""Our expected running times against iohinspector's, on the same export.
+
+python -m experiments.benchmarks.ert_check ROOT     # after pip install 'miho[crosscheck]'
+
+Exports the last comparison below ROOT in the IOHprofiler format, reads it with iohinspector and
+compares expected running time and success rate of every method on every problem, at four targets.
+iohinspector charges a run without success the whole budget, we what it spent: so that both mean the
+same, each run is taken to have spent as much as the longest on its problem. Exits with 1 if any
+figure differs by more than 1e-12 (relative): both divide sums of whole numbers.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from experiments.build import ConfigError
+from experiments.cli import guarded
+from experiments.comparison import Comparison
+from miho.analysis import write_ioh
+from miho.analysis.running_time import hits, running_times
+
+TOLERANCE = 1e-12
+PAIRS = (("ert", "ERT"), ("success", "success_ratio"))
+
+
+def main() -> None:
+    """Read the command line, export, compare."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.benchmarks.ert_check")
+    parser.add_argument("root", type=Path, help="folder of a comparison")
+    arguments = parser.parse_args()
+
+    def job() -> None:
+        largest, count = differences(Comparison.read(arguments.root))
+        print(f"{count} expected running times and success rates: largest difference {largest:.1e}")
+        if not largest <= TOLERANCE:
+            sys.exit(1)
+
+    guarded(job)
+
+
+def differences(found: Comparison) -> tuple[float, int]:
+    """The largest relative difference, inf where only one is finite, and how many were compared."""
+    metrics, manager = _iohinspector()
+    runs, curves = found.runs.copy(), found.curves.copy()
+    for frame in (runs, curves):
+        frame["evaluations"] = np.ceil(frame["evaluations"])
+    runs["evaluations"] = runs.groupby("problem")["evaluations"].transform("max")
+    reached = hits(runs, curves)
+    ours = running_times(reached, "evaluations")
+    targets = reached.groupby(["problem", "factor"])["target"].first()
+    longest = runs.groupby("problem")["evaluations"].first()
+    with tempfile.TemporaryDirectory() as folder:
+        write_ioh(runs, curves, folder)
+        manager.add_folder(folder)
+        data = manager.load(monotonic=True, include_meta_data=True)
+    largest, count = 0.0, 0
+    for place, target in targets.items():
+        problem, factor = cast(tuple[str, float], place)
+        mine = ours[(ours["problem"] == problem) & (ours["factor"] == factor)]
+        table = metrics.aggregate_running_time(
+            data.filter(data["function_name"] == problem),
+            f_min=target,
+            f_max=target,
+            eval_max=int(longest[problem]),
+        )
+        names = list(table["algorithm_name"])
+        for name, theirs in PAIRS:
+            values = dict(zip(names, table[theirs], strict=True))
+            for method, value in zip(mine["optimizer"], mine[name], strict=True):
+                largest = max(largest, _difference(float(value), float(values[method])))
+                count += 1
+    return largest, count
+
+
+def _difference(one: float, other: float) -> float:
+    if one == other:
+        return 0.0
+    return abs(one - other) / abs(other) if np.isfinite([one, other]).all() else np.inf
+
+
+def _iohinspector() -> tuple[Any, Any]:
+    try:
+        from iohinspector import DataManager, metrics
+    except ImportError:
+        raise ConfigError("iohinspector: is missing; pip install 'miho[crosscheck]'") from None
+    return metrics, DataManager()
+
+
+if __name__ == "__main__":
+    main()

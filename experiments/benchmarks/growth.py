@@ -1,0 +1,99 @@
+"""How the cost of an evaluation grows with the rows of the data.
+
+python -m experiments.benchmarks.growth [--quick] [--output FOLDER]
+
+The evaluations are mutants of a good configuration of the left front tire with the sigma of a
+rung, from its largest to its smallest: what MIHO evaluates. `fused` goes through all rows;
+`stopped` gives a mutant up when it cannot be better than that configuration; `compressed` is the
+compressed loss of the same mutants, `compressed, stopped` its steps with early stopping.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
+from experiments.build import build
+from experiments.cli import composed
+from experiments.schema import register
+from miho.analysis.benchmark_figures import growth_figure
+from miho.identification import CurveFit
+from miho.optim import MIHO, minimize
+from miho.optim.mutation import annealed_sigma, mutate
+from miho.optim.seeds import stream
+
+Array = NDArray[np.float64]
+
+ROWS = (3000, 30_000, 300_000, 3_000_000)
+COMPRESSED = "compressed"
+BAR = 2.0
+
+
+def of_size(rows: int, *, compressed: bool) -> CurveFit:
+    """The tire's problem with this many rows."""
+    return build(
+        composed([f"dataset.n={rows}", "dataset=tire_lf", f"problem.compressed={compressed}"])
+    ).problem
+
+
+def stopped(problem: CurveFit, mutants: Array, loss: float) -> None:
+    """Compare every mutant with the same loss, and give it up early."""
+    if problem.climb is None:
+        raise RuntimeError("the problem has no compiled steps")
+    none, L = np.empty((0, *mutants.shape)), np.full(len(mutants), loss)
+    problem.climb(mutants, mutants.copy(), L, none, none[:, 0], problem.space.bounds,
+                  -math.inf, -math.inf, True)  # fmt: skip
+
+
+def measure(quick: bool) -> Measured:
+    """Microseconds per evaluation, the least of several batches in turns."""
+    register()
+    tidy = []
+    found = minimize(MIHO(R=1000, eta=5), of_size(ROWS[0], compressed=False)).theta
+    if found is None:
+        raise RuntimeError("the run found nothing")
+    for rows in ROWS[:-1] if quick else ROWS:
+        fit = of_size(rows, compressed=False)
+        n = 30 if rows > 100_000 else 300
+        sigma, rng, space = annealed_sigma(fit.space, n), stream("growth"), fit.space
+        mutants = np.vstack([mutate(found[None], s, space, rng, "box") for s in sigma])
+        small = CurveFit(fit.model, fit.dataset, space, fit.rho, compressed=True)
+        loss = fit.loss(found[None])
+        started = time.perf_counter()
+        small.loss(found[None])
+        prepared = time.perf_counter() - started
+        jobs: dict[str, Callable[[], object]] = {
+            "fused": partial(fit.loss, mutants),
+            "stopped": partial(stopped, fit, mutants, loss[0]),
+            COMPRESSED: partial(small.loss, mutants),
+            f"{COMPRESSED}, stopped": partial(stopped, small, mutants, loss[0]),
+        }
+        seconds = interleaved(jobs, 3 if rows > 1_000_000 else 10)
+        tidy += [
+            {"rows": rows, "method": k, "us": 1e6 * s / n, "prepared_seconds": prepared}
+            for k, s in seconds.items()
+        ]
+    frame = pd.DataFrame(tidy)
+    table = frame.pivot(index="rows", columns="method", values="us")[list(jobs)]
+    table.columns = pd.Index([f"{name} [us]" for name in table.columns])
+    table["prepared [s]"] = frame.groupby("rows")["prepared_seconds"].first()
+    cost = frame[frame["method"] == COMPRESSED].set_index("rows")["us"]
+    most = int(cost.index.max())
+    bars = [
+        Bar(f"compressed evaluation of {most:,} rows against 30,000",
+            cost[most] / cost[30_000], AT_MOST, BAR, "times"),
+    ]  # fmt: skip
+    notes = ["prepared: seconds once, from the data to the first compressed loss; the first row's "
+             "hold compilation or its cache"]  # fmt: skip
+    return Measured(table.reset_index(), frame, bars, notes)
+
+
+if __name__ == "__main__":
+    benchmark(__doc__, measure, growth_figure, "growth")

@@ -1,0 +1,203 @@
+"""A whole MIHO run on the left front tire: a plain loop, and every step away from it.
+
+python -m experiments.benchmarks.miho_run [--quick] [--output FOLDER]
+
+R = 10^4, eta = 5, 3000 rows (with --quick R = 10^3). The plain loop is written the way the
+authors' code is: Python loops over the configurations, one NumPy call of the model for each
+mutation, NumPy's own sine and arctangent. It draws the same noise, so that all rows of the table
+are one and the same search and their final errors can be compared. It runs rung by rung; the fast
+runs are repeated between its rungs, so that a machine whose speed changes slows all alike.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark
+from experiments.build import build
+from experiments.cli import composed
+from experiments.schema import register
+from miho.analysis.benchmark_figures import run_figure
+from miho.identification import CurveFit
+from miho.models import Model, Pacejka
+from miho.optim import MIHO, Problem, RunRecord, Space, hyperband_table, minimize
+from miho.optim.seeds import stream
+
+Array = NDArray[np.float64]
+
+ROUNDS = 5
+"""How often the fast runs are made."""
+PLAIN, GENERAL, FUSED = "plain loop", "MIHO, NumPy loss", "MIHO, compiled loss"
+STEPS, STOPPED, SMALL = "compiled steps", "and early stopping", "and compressed loss"
+
+
+@dataclass(frozen=True)
+class NumPyPacejka(Model):
+    """Eq. 4 as a model that is not an expression, so that nothing of it is compiled."""
+
+    inputs = Pacejka.inputs
+    parameters = Pacejka.parameters
+    output = Pacejka.output
+    linear = Pacejka.linear
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        """Lateral force [N] of parameter rows (n, 5) at slip angles (N,)."""
+        return Pacejka().predict(thetas, *inputs)
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Its derivatives (N, 5)."""
+        return Pacejka().jacobian(theta, *inputs)
+
+
+class LossAlone(Problem):
+    """A problem without compiled steps: its loss alone is compiled."""
+
+    def __init__(self, inner: Problem) -> None:
+        self.inner, self.name, self.space = inner, inner.name, inner.space
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Those of the problem."""
+        return self.inner.loss(thetas, fidelity)
+
+
+@dataclass
+class Found:
+    """What the plain loop has done so far."""
+
+    evaluations: int = 0
+    loss: float = np.inf
+    theta: Array | None = None
+
+
+def plain_loop(
+    alpha: Array, force: Array, space: Space, rng: np.random.Generator, R: int, eta: int
+) -> Iterator[Found]:
+    """Alg. 1 in Python loops; what was found after each rung."""
+    low, high = space.bounds
+    sigma_max, sigma_min = space.sigma
+    found = Found()
+
+    def error(theta: Array) -> float:
+        B, C, D, Sx, Sy = theta
+        found.evaluations += 1
+        return float(np.mean((D * np.sin(C * np.arctan(B * (Sx - alpha))) + Sy - force) ** 2))
+
+    table = hyperband_table(R, eta)
+    for rung in table:
+        if rung.j == 0:
+            P = list(space.initial(rung.n) if rung is table[0] else space.sample(rung.n, rng))
+            L = [error(p) for p in P]
+        else:
+            top = sorted(range(len(L)), key=L.__getitem__)[: rung.n]
+            P, L = [P[i] for i in top], [L[i] for i in top]
+        for step in range(rung.mutations):
+            sigma = sigma_max + (sigma_min - sigma_max) * (step / rung.mutations)
+            for i in range(len(P)):
+                mutant = np.clip(rng.standard_normal(len(low)) * sigma + P[i], low, high)
+                loss = error(mutant)
+                if loss < L[i]:
+                    P[i], L[i] = mutant, loss
+        best = min(range(len(L)), key=L.__getitem__)
+        if L[best] < found.loss:
+            found.loss, found.theta = L[best], P[best]
+        yield found
+
+
+def problems() -> tuple[CurveFit, CurveFit, CurveFit]:
+    """The tire's problem, its NumPy form and its compressed form, under one name."""
+    register()
+    fit = build(composed(["dataset=tire_lf", "optimizer=miho"])).problem
+    space, label = fit.space, fit.name
+    return (
+        fit,
+        CurveFit(NumPyPacejka(), fit.dataset, space, label=label),
+        CurveFit(fit.model, fit.dataset, space, label=label, compressed=True),
+    )
+
+
+def measure(quick: bool) -> Measured:
+    """One plain run and one of each slower form, several of the fast ones between its rungs."""
+    R, eta, seed = 1000 if quick else 10_000, 5, 0
+    fit, plain, small = problems()
+    stopping, whole = MIHO(R=R, eta=eta), MIHO(R=R, eta=eta, early_stopping=False)
+    forms = {
+        GENERAL: (whole, plain),
+        FUSED: (whole, LossAlone(fit)),
+        STEPS: (whole, fit),
+        STOPPED: (stopping, fit),
+        SMALL: (stopping, small),
+    }
+    records: dict[str, list[RunRecord]] = {name: [] for name in forms}
+
+    def run(name: str) -> None:
+        records[name].append(minimize(*forms[name], seed=seed))
+
+    alpha, force = fit.inputs[0], fit.dataset[fit.dataset.output]
+    rng, space = stream("own", fit.name, seed, "MIHO"), fit.space.seeded(fit.name, seed)
+    loop = plain_loop(alpha, force, space, rng, R, eta)
+    rungs = len(hyperband_table(R, eta))
+    pauses = set(np.linspace(0, rungs, ROUNDS, dtype=int).tolist())
+    slow = {sorted(pauses)[1]: GENERAL, sorted(pauses)[2]: FUSED, sorted(pauses)[3]: STEPS}
+    seconds, processor, found = 0.0, 0.0, Found()
+    for done in range(rungs + 1):
+        if done in pauses:
+            for name in (STOPPED, SMALL, *([slow[done]] if done in slow else [])):
+                run(name)
+        if done < rungs:
+            started, worked = time.perf_counter(), time.process_time()
+            found = next(loop)
+            seconds += time.perf_counter() - started
+            processor += time.process_time() - worked
+
+    thetas = {PLAIN: found.theta} | {name: runs[0].theta for name, runs in records.items()}
+    errors = {k: float(plain.loss(t[None])[0]) for k, t in thetas.items() if t is not None}
+    if {record.evaluations for runs in records.values() for record in runs} != {found.evaluations}:
+        raise RuntimeError("the runs are not the same search: their evaluations differ")
+    times = {PLAIN: seconds}
+    times |= {k: float(np.median([r.seconds for r in runs])) for k, runs in records.items()}
+    busy = {PLAIN: processor}
+    busy |= {k: float(np.median([r.cpu_seconds for r in runs])) for k, runs in records.items()}
+    setup = {PLAIN: 0.0} | {name: runs[0].setup_seconds for name, runs in records.items()}
+    tidy = pd.DataFrame(
+        [
+            {
+                "form": name,
+                "seconds": times[name],
+                "cpu_seconds": busy[name],
+                "setup_seconds": setup[name],
+                "evaluations": found.evaluations,
+                "us": 1e6 * times[name] / found.evaluations,
+                "speedup": seconds / times[name],
+                "loss": errors[name],
+                "difference": errors[name] / errors[PLAIN] - 1,
+            }
+            for name in times
+        ]
+    )
+    apart = float(np.abs(tidy["difference"]).max())
+    spread = [f"{k} {min(r.seconds for r in records[k]):.2f} to "
+              f"{max(r.seconds for r in records[k]):.2f} s" for k in (STOPPED, SMALL)]  # fmt: skip
+    bars = [
+        Bar(STOPPED, times[PLAIN] / times[STOPPED], AT_LEAST, 40, "times the plain loop"),
+        Bar(SMALL, times[PLAIN] / times[SMALL], AT_LEAST, 100, "times the plain loop"),
+        Bar("final loss on the full data, largest difference", apart, AT_MOST, 1e-9, "relative"),
+    ]
+    notes = [
+        f"R = {R}, eta = {eta}, {len(fit.dataset)} rows; the method's own seconds, median of "
+        f"{ROUNDS} runs of the last two forms ({', '.join(spread)}), one run of the others",
+        f"by processor time, which others on the machine take none of: {STOPPED} "
+        f"{processor / busy[STOPPED]:.1f} times, {SMALL} {processor / busy[SMALL]:.1f} times",
+        "setup_seconds: compilation or its cache, and preparation, before the first run",
+        "difference: final loss against the plain loop's, both by NumPy over all rows",
+    ]
+    return Measured(tidy, tidy, bars, notes)
+
+
+if __name__ == "__main__":
+    benchmark(__doc__, measure, run_figure, "miho_run")

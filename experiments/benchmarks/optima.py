@@ -1,0 +1,261 @@
+"""The best known optimum of each problem in conf/problem, and how well it is known.
+
+python -m experiments.benchmarks.optima [PROBLEM ...] [--starts 1000]
+
+A problem that is linear in its parameters has a closed form. Elsewhere, SciPy's bounded
+trust-region solver descends from uniform starts, at first roughly, and then to the end where the
+rough end is near the best. Nelder and Mead's simplex, which needs no derivative, goes on from the
+ten best: it passes the kinks where a solver with derivatives stops. Exits with 1 if a recorded
+optimum is beaten by more than 1e-9 or missed by more than 1e-7 of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import multiprocessing
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import scipy.optimize
+from numpy.typing import NDArray
+from omegaconf import OmegaConf
+from tqdm import tqdm
+
+from experiments.build import build
+from experiments.cli import composed, guarded
+from experiments.schema import register
+from miho.identification import CurveFit, linear_optimum
+from miho.optim.seeds import stream
+from miho.study import single_thread
+
+Array = NDArray[np.float64]
+
+PROBLEMS = Path(__file__).parents[2] / "conf" / "problem"
+WORKERS = 2
+CHUNK = 10
+"""Starts per task of a worker."""
+ROUGH, FINE = 1e-6, 1e-12
+"""Tolerances of the solver; the fine one is far below what counts as agreement."""
+NEAR = 1e-2
+"""Relative difference to the best rough end up to which a descent is taken to its end."""
+STEPS = 100
+"""Evaluations of one descent: beyond, it creeps over a plateau."""
+POLISHED = 10
+SIMPLEX = 4000
+"""Evaluations of one simplex; it is started twice, as a fresh one often finds more."""
+SAME = 1e-9
+"""Relative difference of two errors that are one minimum, and by which a record is beaten."""
+APART = 1e-6
+"""Relative difference of two errors that are two minima."""
+MISSED = 1e-7
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """What was found of one problem: errors in the output's unit.
+
+    `agreeing` is the number of descents from `starts` starts that end in the optimum, `failed`
+    that of starts where the model gives no number, and `polished` that of the ten simplices that
+    end in the optimum. `second` is the next local minimum, NaN if none was met.
+    """
+
+    name: str
+    dimension: int
+    rows: int
+    error: float
+    theta: Array
+    starts: int
+    agreeing: int
+    failed: int
+    polished: int
+    second: float
+    seconds: float
+
+    @property
+    def evidence(self) -> str:
+        """One sentence for the problem's YAML."""
+        if not self.starts:
+            return "closed form (linear least squares)"
+        told = f"{self.agreeing} of {self.starts:,} uniform least-squares starts agree to 1e-9"
+        if self.failed:
+            told += f" (the model fails at {self.failed} of them)"
+        if self.polished == POLISHED:
+            return f"{told}, and so do simplices from the ten best; none better"
+        return f"{told}, and {self.polished} of ten simplices from the best; none better"
+
+
+@cache
+def problem_of(name: str) -> CurveFit:
+    """The problem of a YAML."""
+    register()
+    return build(composed([f"problem={name}"])).problem
+
+
+def starts_of(name: str, starts: int) -> Array:
+    """Uniform starts in the unit box (starts, d), the same in every process."""
+    return stream("optima", name).random((starts, len(problem_of(name).space)))
+
+
+def thetas_of(problem: CurveFit, points: Array) -> Array:
+    """Points of the unit box (..., d) in units; the box is linear in search coordinates."""
+    low, high = problem.space.bounds
+    return problem.space.clip(problem.space.decode(low + points * (high - low)))
+
+
+def descended(name: str, points: Array, tolerance: float) -> tuple[Array, Array]:
+    """Where least squares ends from points (n, d): points (n, d), and errors (n,).
+
+    The error is NaN where the model fails at the start.
+    """
+    problem = problem_of(name)
+    low, high = problem.space.bounds
+    log = np.array([parameter.scale == "log" for parameter in problem.space.parameters])
+
+    def residuals(point: Array) -> Array:
+        return problem.residuals(thetas_of(problem, point))
+
+    def jacobian(point: Array) -> Array:
+        theta = thetas_of(problem, point)
+        return np.asarray(problem.jacobian(theta) * np.where(log, theta, 1.0) * (high - low))
+
+    ends, errors = points.copy(), np.full(len(points), np.nan)
+    with single_thread():
+        for i, point in enumerate(points):
+            if not np.isfinite(residuals(point)).all():
+                continue
+            found = scipy.optimize.least_squares(
+                residuals, point, jac=jacobian, bounds=(0.0, 1.0), method="trf", x_scale="jac",
+                ftol=tolerance, xtol=tolerance, gtol=None, max_nfev=STEPS,
+            )  # fmt: skip
+            ends[i], errors[i] = found.x, error_of(problem, found.x)
+    return ends, errors
+
+
+def all_descended(
+    name: str, points: Array, tolerance: float, pool: ProcessPoolExecutor
+) -> tuple[Array, Array]:
+    """`descended` by all workers."""
+    chunks = [points[i : i + CHUNK] for i in range(0, len(points), CHUNK)]
+    tasks = [pool.submit(descended, name, chunk, tolerance) for chunk in chunks]
+    done = [task.result() for task in tqdm(tasks, desc=name, leave=False, disable=None)]
+    ends, errors = (np.concatenate(part) for part in zip(*done, strict=True))
+    return ends, errors
+
+
+def polished(name: str, points: Array) -> tuple[Array, Array]:
+    """Where the simplex ends from points (n, d): points (n, d), and errors (n,)."""
+    problem = problem_of(name)
+
+    def error(point: Array) -> float:
+        return error_of(problem, point)
+
+    bounds = [(0.0, 1.0)] * points.shape[1]
+    ends = np.clip(points, 0.0, 1.0)
+    with single_thread():
+        for i in range(len(ends)):
+            for _ in range(2):
+                found = scipy.optimize.minimize(
+                    error, ends[i], method="Nelder-Mead", bounds=bounds,
+                    options={"maxfev": SIMPLEX, "xatol": 1e-13, "fatol": 0.0, "adaptive": True},
+                )  # fmt: skip
+                ends[i] = found.x
+    return ends, np.array([error(end) for end in ends])
+
+
+def error_of(problem: CurveFit, point: Array) -> float:
+    """Root of the loss at a point (d,) of the unit box; infinite where the model fails."""
+    loss = float(problem.loss(thetas_of(problem, point)[None])[0])
+    return math.sqrt(loss) if math.isfinite(loss) else math.inf
+
+
+def optimum_of(name: str, starts: int, pool: ProcessPoolExecutor) -> Optimum:
+    """The best known optimum of one problem."""
+    began = time.perf_counter()
+    problem = problem_of(name)
+    shape = (name, len(problem.space), len(problem.dataset))
+    exact = linear_optimum(problem)
+    if exact is not None:
+        theta, loss = exact
+        seconds = time.perf_counter() - began
+        return Optimum(*shape, math.sqrt(loss), theta, 0, 0, 0, 0, math.nan, seconds)
+    ends, errors = all_descended(name, starts_of(name, starts), ROUGH, pool)
+    near = np.flatnonzero(errors <= np.nanmin(errors) * (1 + NEAR))
+    ends[near], errors[near] = all_descended(name, ends[near], FINE, pool)
+    best = np.argsort(errors, kind="stable")[:POLISHED]
+    tasks = [pool.submit(polished, name, ends[i : i + 1]) for i in best]
+    done = [task.result() for task in tasks]
+    finer, finest = (np.concatenate(part) for part in zip(*done, strict=True))
+    points, found = np.vstack([finer, ends[best]]), np.concatenate([finest, errors[best]])
+    error = float(found.min())
+    others = errors[errors > error * (1 + APART)]
+    return Optimum(
+        *shape,
+        error=error,
+        theta=thetas_of(problem, points[found.argmin()]),
+        starts=starts,
+        agreeing=int(np.count_nonzero(errors <= error * (1 + SAME))),
+        failed=int(np.count_nonzero(np.isnan(errors))),
+        polished=int(np.count_nonzero(finest <= error * (1 + SAME))),
+        second=float(others.min()) if others.size else math.nan,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def verdict(found: Optimum, recorded: float | None) -> str:
+    """How what was found compares with the record: empty if it confirms it."""
+    if recorded is None:
+        return "not recorded"
+    if found.error < recorded * (1 - SAME):
+        return f"beats the recorded {recorded:.12g}"
+    if found.error > recorded * (1 + MISSED):
+        return f"misses the recorded {recorded:.12g}"
+    return ""
+
+
+def main() -> None:
+    """Find, print and compare with the records."""
+    names = sorted(path.stem for path in PROBLEMS.glob("*.yaml"))
+    parser = argparse.ArgumentParser(description="Best known optima of the problems.")
+    parser.add_argument("problems", nargs="*", metavar="PROBLEM", help=", ".join(names))
+    parser.add_argument("--starts", type=int, default=1000)
+    arguments = parser.parse_args()
+    unknown = [name for name in arguments.problems if name not in names]
+    if unknown:
+        parser.error(f"unknown problem {unknown[0]}; choose from {', '.join(names)}")
+    if arguments.starts < POLISHED:
+        parser.error(f"--starts is {arguments.starts}; expected at least {POLISHED}")
+    register()
+    print(
+        f"{'problem':<19}{'dim':>4}{'rows':>6}  {'optimum':<20}{'agree':>12}{'simplices':>11}"
+        f"{'second':>14}{'seconds':>9}"
+    )
+    failed = False
+    with ProcessPoolExecutor(WORKERS, multiprocessing.get_context("spawn")) as pool:
+        for name in arguments.problems or names:
+            found = optimum_of(name, arguments.starts, pool)
+            recorded = OmegaConf.select(composed([f"problem={name}"]), "problem.optimum")
+            said = verdict(found, recorded)
+            failed = failed or (recorded is not None and bool(said))
+            agree = f"{found.agreeing}/{found.starts}" if found.starts else "closed form"
+            print(
+                f"{name:<19}{found.dimension:>4}{found.rows:>6}  {found.error:<20.14g}{agree:>12}"
+                f"{found.polished if found.starts else '-':>11}{found.second:>14.7g}"
+                f"{found.seconds:>9.1f}  {said}",
+                flush=True,
+            )
+            low, high = problem_of(name).space.low, problem_of(name).space.high
+            share = (found.theta - low) / (high - low)
+            at_bound = np.flatnonzero((share < 1e-6) | (share > 1 - 1e-6))
+            bounds = ", ".join(problem_of(name).space.names[i] for i in at_bound)
+            print(f"    {found.evidence}{f'; at a bound: {bounds}' if bounds else ''}")
+    sys.exit(int(failed))
+
+
+if __name__ == "__main__":
+    guarded(main)

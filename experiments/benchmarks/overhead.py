@@ -1,0 +1,222 @@
+"""What methods and the recorder cost besides the loss.
+
+python -m experiments.benchmarks.overhead [--quick] [--output FOLDER]
+
+Each method of conf/optimizer searches a loss that costs almost nothing, whose own time is measured
+and taken away, for two seconds of its clock. The recorder is `Oracle` against calling that loss
+directly. Its share of a MIHO run on the left front tire is what its calls cost, counted in that run
+and timed alone: per block of compiled steps, per batch, per improvement.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from functools import partial
+from typing import Any, cast
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
+from experiments.build import build
+from experiments.cli import CONF, composed
+from experiments.schema import register
+from miho.analysis.benchmark_figures import overhead_figure
+from miho.optim import Budget, LeastSquaresProblem, Optimizer, Oracle, Problem, Space, minimize
+from miho.optim.climb import Climb, Climbed
+
+Array = NDArray[np.float64]
+
+BATCHES = (1, 10, 100, 1000)
+CAP = 2.0
+"""Seconds of the method's clock."""
+
+
+class Bowl(LeastSquaresProblem):
+    """A parabola over the box, which counts the seconds that it takes itself."""
+
+    name = "bowl"
+    linear = ("D", "Sy")
+
+    def __init__(self, space: Space) -> None:
+        self.space = space
+        self._middle, self._width = (space.low + space.high) / 2, space.high - space.low
+        self.seconds = 0.0
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Mean square of the residuals."""
+        started = time.perf_counter()
+        scaled = (thetas - self._middle) / self._width
+        losses = np.asarray(np.einsum("ij,ij->i", scaled, scaled) / scaled.shape[1])
+        self.seconds += time.perf_counter() - started
+        return losses
+
+    def residuals(self, theta: Array) -> Array:
+        """Distance to the middle, relative to the box."""
+        started = time.perf_counter()
+        residuals = np.asarray((theta - self._middle) / self._width)
+        self.seconds += time.perf_counter() - started
+        return residuals
+
+    def jacobian(self, theta: Array) -> Array:
+        """Its derivatives."""
+        started = time.perf_counter()
+        derivatives = np.diag(1 / self._width)
+        self.seconds += time.perf_counter() - started
+        return derivatives
+
+
+class Counted(Problem):
+    """A problem that counts what a run asks of it."""
+
+    def __init__(self, inner: Problem) -> None:
+        self.inner, self.name, self.space = inner, inner.name, inner.space
+        self.batches = self.blocks = 0
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Those of the problem."""
+        self.batches += 1
+        return self.inner.loss(thetas, fidelity)
+
+    @property
+    def climb(self) -> Climb | None:  # type: ignore[override]
+        """The problem's compiled steps."""
+        return cast(Climb, self._climb)
+
+    def _climb(self, *arguments: Any) -> Climbed:
+        self.blocks += 1
+        if self.inner.climb is None:
+            raise RuntimeError("the problem has no compiled steps")
+        return self.inner.climb(*arguments)
+
+
+class Prepared(Problem):
+    """Losses, and blocks of steps, that are there already and cost nothing."""
+
+    name = "prepared"
+
+    def __init__(self, space: Space, losses: Array, block: Climbed | None = None) -> None:
+        self.space, self.losses, self.block = space, losses, block
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """The prepared ones."""
+        return self.losses
+
+    @property
+    def climb(self) -> Climb | None:  # type: ignore[override]
+        """Gives the prepared block."""
+        return None if self.block is None else cast(Climb, self._climb)
+
+    def _climb(self, *arguments: Any) -> Climbed:
+        if self.block is None:
+            raise RuntimeError("there is no block")
+        return self.block
+
+
+def methods(space: Space, cap: float) -> list[dict[str, object]]:
+    """Own microseconds per evaluation of every method of conf/optimizer, 5 parameters."""
+    rows: list[dict[str, object]] = []
+    for path in sorted((CONF / "optimizer").glob("*.yaml")):
+        optimizer: Optimizer = build(composed([f"optimizer={path.stem}"])).optimizer
+        problem = Bowl(space)
+        problem.seconds = 0.0
+        record = minimize(optimizer, problem, Budget(seconds=cap))
+        found = record.evaluations > 0 and record.error is None
+        own = (record.seconds - problem.seconds) / record.evaluations if found else math.nan
+        rows.append(
+            {
+                "kind": "method",
+                "name": path.stem,
+                "us": 1e6 * own,
+                "evaluations": record.evaluations,
+                "ended": record.outcome.value if found else str(record.error).splitlines()[-1],
+            }
+        )
+    return rows
+
+
+def recorder(space: Space, repeats: int) -> dict[tuple[str, int], float]:
+    """Seconds of the oracle's own per batch: of losses that never improve, and that all do."""
+    cost = {}
+    for batch in BATCHES:
+        thetas = space.decode(space.initial(batch))
+        flat = Prepared(space, np.full(batch, 1.0))
+        steady = Oracle(flat, Budget())
+        steady(thetas)
+        both = {"oracle": partial(steady, thetas), "loss": partial(flat.loss, thetas)}
+        seconds = interleaved(both, repeats)
+        cost["none", batch] = seconds["oracle"] - seconds["loss"]
+        falling = Prepared(space, -np.arange(1.0, batch + 1))
+        improving = Oracle(falling, Budget())
+
+        def improve(o: Oracle = improving, p: Prepared = falling, t: Array = thetas) -> None:
+            p.losses = p.losses - len(t)
+            o(t)
+
+        def shift(p: Prepared = falling, t: Array = thetas) -> None:
+            p.losses = p.losses - len(t)
+
+        seconds = interleaved({"oracle": improve, "shift": shift}, repeats, atom=0.001)
+        cost["all", batch] = seconds["oracle"] - seconds["shift"]
+    return cost
+
+
+def block_seconds(space: Space, repeats: int) -> float:
+    """Seconds of the oracle's own per block of compiled steps without improvements."""
+    P = space.initial(1)
+    L, noise, bounds = np.ones(1), np.empty((0, *P.shape)), space.bounds
+    none = np.empty(0, np.int64), np.empty(0), np.empty((0, len(space)))
+    oracle = Oracle(Prepared(space, np.ones(1), Climbed(1, *none, 0, 0)), Budget())
+    oracle(P)
+
+    def step() -> None:
+        oracle.climbing_steps(1)
+        oracle.climb(P, P, L, noise, noise[:, 0], bounds, True)
+
+    return interleaved({"block": step}, repeats)["block"]
+
+
+def measure(quick: bool) -> Measured:
+    """Methods, the recorder alone, and its share of a run."""
+    register()
+    repeats = 5 if quick else 20
+    experiment = build(composed(["dataset=tire_lf", "optimizer=miho"]))
+    space = experiment.problem.space
+    tidy = methods(space, CAP / 10 if quick else CAP)
+    cost = recorder(space, repeats)
+    for (improving, batch), seconds in cost.items():
+        name = f"batch of {batch}, {improving} improve"
+        tidy.append({"kind": "recorder", "name": name, "us": 1e6 * seconds / batch})
+    per_block = block_seconds(space, repeats)
+    tidy.append({"kind": "recorder", "name": "a block of compiled steps", "us": 1e6 * per_block})
+
+    counted = Counted(experiment.problem)
+    minimize(experiment.optimizer, counted, Budget(evaluations=1000))
+    counted.batches = counted.blocks = 0
+    run = minimize(experiment.optimizer, counted)
+    per_improvement = cost["all", 1000] / 1000
+    spent = (
+        counted.blocks * per_block
+        + counted.batches * cost["none", 1]
+        + len(run.trace) * per_improvement
+    )
+    worst = max(cost["none", batch] / batch for batch in BATCHES[1:])
+    bars = [
+        Bar("recorder per evaluation, batches of 10 and more", 1e6 * worst, AT_MOST, 1.0, "us"),
+        Bar("recorder's share of a MIHO run", 100 * spent / run.seconds, AT_MOST, 1.0, "%"),
+    ]
+    notes = [
+        "us: per evaluation, of the method and the recorder together, without the loss; methods "
+        "that search with a block of compiled steps on a compiled loss take their general way here",
+        f"the MIHO run: {run.evaluations:,.0f} evaluations in {run.seconds:.2f} s, "
+        f"{counted.blocks} blocks, {counted.batches} batches, {len(run.trace)} improvements, "
+        f"{1e3 * spent:.1f} ms of recording",
+    ]
+    frame = pd.DataFrame(tidy)
+    return Measured(frame.astype(object).fillna(""), frame, bars, notes)
+
+
+if __name__ == "__main__":
+    benchmark(__doc__, measure, overhead_figure, "overhead")

@@ -1,0 +1,47 @@
+"""A tire test of our own with a bad logger: noise with heavy tails, and rows that dropped out."""
+
+from __future__ import annotations
+
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.data.dataset import Dataset
+from miho.models.tire import Pacejka
+
+Array = NDArray[np.float64]
+
+TRUTH = MappingProxyType({"B": 18.0, "C": 1.5, "D": 4500.0, "Sx": 0.004, "Sy": 150.0})
+"""The tire under test (Eq. 4 in ISO-W)."""
+
+
+def tire_outlier_test(
+    n: int = 1000,
+    seed: int = 0,
+    scale: float = 150.0,
+    freedom: float = 2.5,
+    dropped: float = 0.05,
+) -> Dataset:
+    """n samples of the lateral force at slip angles uniform within 0.22 rad.
+
+    Columns alpha [rad] and the output Fy [N], ISO-W. The noise is Student's t of that `freedom`,
+    times `scale` [N]: near normal in the middle, with rare rows many times `scale` away. A share
+    `dropped` of the rows, chosen at random, reads exactly 0 N. Least squares suffers from both.
+    """
+    if seed < 0:
+        raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
+    if n < 1:
+        raise ValueError(f"n is {n}; expected a whole number of at least 1")
+    if not 0 <= scale < np.inf:
+        raise ValueError(f"scale is {scale}; expected a number of at least 0")
+    if not 0 < freedom < np.inf:
+        raise ValueError(f"freedom is {freedom}; expected a positive number")
+    if not 0 <= dropped < 1:
+        raise ValueError(f"dropped is {dropped}; expected a share from 0 to below 1")
+    rng = np.random.default_rng([seed, *b"outliers"])
+    alpha: Array = rng.uniform(-0.22, 0.22, n)
+    Fy = Pacejka().predict(np.array([list(TRUTH.values())]), alpha)[0]
+    Fy += scale * rng.standard_t(freedom, n)
+    Fy[rng.random(n) < dropped] = 0.0
+    return Dataset("outliers", {"alpha": alpha, "Fy": Fy}, {"alpha": "rad", "Fy": "N"}, "Fy")

@@ -1,0 +1,37 @@
+"""A brake test of our own whose pedal linkage has play: sweeps of the command with reversals."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.data.dataset import Dataset
+from miho.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.models.brake_dynamics import play
+
+Array = NDArray[np.float64]
+
+PLAY = 0.06
+"""Full width of the play [-], in the command; the curve behind it is that of `EMBEDDED_BRAKE`."""
+
+TURNS = (0.0, 1.0, 0.0, 0.8, 0.35, 0.6, 0.5, 0.55, 0.2, 0.9, 0.7, 0.76, 0.1, 0.3, 0.0)
+"""Where the command turns: one full loop, loops inside loops, and reversals within the play."""
+
+
+def brake_play_test(seed: int = 0, samples: int = 800, noise: float = 5.0e4) -> Dataset:
+    """Slow sweeps of the command between `TURNS` and the settled pressure of the front circuit.
+
+    Columns u [-] and the output p [Pa], in the order in which they were taken, at equal steps of
+    the command's path. noise: standard deviation of the pressure [Pa], normal.
+    """
+    if seed < 0:
+        raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
+    if samples < len(TURNS):
+        raise ValueError(f"samples is {samples}; expected at least {len(TURNS)}")
+    if not 0 <= noise < np.inf:
+        raise ValueError(f"noise is {noise}; expected a number of at least 0")
+    rng = np.random.default_rng([seed, *b"play"])
+    travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(TURNS)))])
+    u: Array = np.interp(np.linspace(0.0, travelled[-1], samples), travelled, TURNS)
+    p = EMBEDDED_BRAKE.pressure(play(u, PLAY))[0] + noise * rng.standard_normal(samples)
+    return Dataset("brake_play", {"u": u, "p": p}, {"u": "-", "p": "Pa"}, "p")

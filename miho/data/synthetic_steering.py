@@ -1,0 +1,99 @@
+"""A steering test of our own: the yaw rate of a car that is known, up to its grip's limit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import cache
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from miho.data.dataset import Dataset
+from miho.data.synthetic_handling import AXLES, NOISE
+from miho.models.single_track import SingleTrack
+from miho.models.vehicle_settings import from_settings
+
+Array = NDArray[np.float64]
+
+TRUTH = MappingProxyType(
+    {
+        axle: MappingProxyType({name: values[name] for name in ("B", "C", "D")})
+        for axle, values in AXLES.items()
+    }
+)
+"""The car's axles: those of the simulated weave without their asymmetry."""
+
+AMPLITUDE = 0.12
+"""Largest steering angle [rad]: the rear axle passes the peak of its force, the front nears it."""
+TOLERANCE = 1e-10
+
+
+def steering_test(
+    vehicle: Mapping[str, object],
+    seed: int = 0,
+    duration: float = 6.0,
+    rate: float = 50.0,
+    noise: float = NOISE["yaw_rate"],
+) -> Dataset:
+    """A sine of growing amplitude, 0.25 to 1.25 Hz, driven while the car slows from 45 to 30 m/s.
+
+    Columns t [s], vx [m/s], steering [rad] and the output yaw_rate [rad/s], positive to the left.
+    `vehicle` names the fields of `SingleTrack`; its axles are `TRUTH`. A steering robot goes
+    straight from row to row, and the motion is integrated to a relative 1e-10 by a method of
+    order 8. noise: standard deviation of the yaw rate [rad/s], normal; speed and steering are
+    exact. rate: rows per second.
+    """
+    if seed < 0:
+        raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
+    for name, value in {"duration": duration, "rate": rate}.items():
+        if not 0 < value < np.inf:
+            raise ValueError(f"{name} is {value}; expected a positive number")
+    if not 0 <= noise < np.inf:
+        raise ValueError(f"noise is {noise}; expected a number of at least 0")
+    if round(duration * rate) < 2:
+        raise ValueError(f"duration is {duration} s at rate {rate}; expected two rows or more")
+    t, vx, steering, yaw_rate = _driven(from_settings(SingleTrack, vehicle), duration, rate)
+    rng = np.random.default_rng([seed, *b"steering"])
+    yaw_rate = yaw_rate + noise * rng.standard_normal(t.size)
+    columns = {"t": t, "vx": vx, "steering": steering, "yaw_rate": yaw_rate}
+    units = {"t": "s", "vx": "m/s", "steering": "rad", "yaw_rate": "rad/s"}
+    return Dataset("steering_test", columns, units, "yaw_rate")
+
+
+def manoeuvre(t: Array, duration: float) -> tuple[Array, Array]:
+    """Speed [m/s] and steering angle [rad] at times t [s]."""
+    share = t / duration
+    cycles = t * (0.25 + 0.5 * share)  # frequency 0.25 + share, in Hz
+    return 45.0 - 15.0 * share, AMPLITUDE * share * np.sin(2 * np.pi * cycles)
+
+
+@cache
+def _driven(car: SingleTrack, duration: float, rate: float) -> tuple[Array, Array, Array, Array]:
+    """Time [s], speed [m/s], steering [rad] and yaw rate [rad/s] without noise, (N,) each."""
+    t = np.arange(round(duration * rate)) / rate
+    vx, steering = manoeuvre(t, duration)
+
+    def rates(at: float, state: Array) -> Array:
+        speed, delta = np.interp(at, t, vx), np.interp(at, t, steering)
+        slip = car.slip_angles(speed, state[0], state[1], delta)
+        F_f = _force("front", float(slip.front)) * math.cos(delta)
+        F_r = _force("rear", float(slip.rear))
+        return np.array(
+            [(F_f + F_r) / car.mass - speed * state[1], (car.lf * F_f - car.lr * F_r) / car.Izz]
+        )
+
+    yaw_rate, state = np.zeros(t.size), np.zeros(2)
+    for row in range(1, t.size):  # the steering has a kink at each row
+        span = (t[row - 1], t[row])
+        found = solve_ivp(rates, span, state, "DOP853", rtol=TOLERANCE, atol=TOLERANCE / 100)
+        state = found.y[:, -1]
+        yaw_rate[row] = state[1]
+    return t, vx, steering, yaw_rate
+
+
+def _force(axle: str, alpha: float) -> float:
+    truth = TRUTH[axle]
+    return -truth["D"] * math.sin(truth["C"] * math.atan(truth["B"] * alpha))

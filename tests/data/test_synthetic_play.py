@@ -1,0 +1,53 @@
+"""The embedded brake test with play: what is true is found, and settings are checked."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from miho.data import brake_play_test
+from miho.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.data.synthetic_play import PLAY, TURNS
+from miho.models import BrakePlay
+
+TRUE = np.array([*(getattr(EMBEDDED_BRAKE, name) for name in ("u0", "u1", "P_max", "n")), PLAY])
+
+
+def test_the_sweeps_turn_where_they_should() -> None:
+    u = brake_play_test(samples=2000)["u"]
+    turned = u[1:-1][np.diff(np.sign(np.diff(u))) != 0]
+    assert turned == pytest.approx(TURNS[1:-1], abs=0.005)
+    assert np.abs(np.diff(u)).max() == pytest.approx(np.abs(np.diff(TURNS)).sum() / 1999)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_parameters_are_recovered(seed: int) -> None:
+    """Within four standard errors of linear theory, none above 5 %."""
+    data = brake_play_test(seed)
+
+    def residuals(x: np.ndarray) -> np.ndarray:
+        return np.asarray(BrakePlay().predict((x * TRUE)[None], data["u"])[0] - data["p"])
+
+    def jacobian(x: np.ndarray) -> np.ndarray:
+        return np.asarray(BrakePlay().jacobian(x * TRUE, data["u"]) * TRUE)
+
+    start = np.array([0.8, 1.05, 0.9, 1.1, 1.5])
+    found = least_squares(residuals, start, jac=jacobian).x
+    J = jacobian(found)
+    errors = 5.0e4 * np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
+    assert (np.abs(found - 1) < 4 * errors).all()
+    assert errors.max() < 0.05
+
+
+def test_a_seed_is_a_stream_of_noise() -> None:
+    one, again, other = brake_play_test(1), brake_play_test(1), brake_play_test(2)
+    assert np.array_equal(one["p"], again["p"])
+    noise = one["p"] - brake_play_test(1, noise=0.0)["p"]
+    assert np.std(noise) == pytest.approx(5e4, rel=0.1)
+    assert abs(np.corrcoef(noise, other["p"] - brake_play_test(2, noise=0.0)["p"])[0, 1]) < 0.15
+
+
+@pytest.mark.parametrize("bad", [{"seed": -1}, {"samples": 3}, {"noise": -1.0}, {"noise": np.nan}])
+def test_bad_settings_are_named(bad: dict[str, float]) -> None:
+    ((name, value),) = bad.items()
+    with pytest.raises(ValueError, match=f"{name} is {value}; expected"):
+        brake_play_test(**bad)  # type: ignore[arg-type]
