@@ -81,7 +81,7 @@ class OptunaHyperband(Optimizer):
 def _climbed(
     P: Array, L: float, sigma: Array, oracle: Oracle, rng: np.random.Generator
 ) -> tuple[Array, float]:
-    """P (1, d) and its loss after as many mutations as sigma (k, d) has rows; compiled if possible."""
+    """P (1, d) and its loss after a mutation for each row of sigma (k, d); compiled if possible."""
     space, k = oracle.space, 0
     while k < len(sigma):
         mutant = mutate(P, sigma[k], space, rng, "box")

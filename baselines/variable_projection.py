@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.descent import METHODS, SMALLEST_TOLERANCE, descend
-from baselines.least_squares import check_starts, multi_start
+from baselines.least_squares import LeastSquares, check_starts, multi_start
 from miho.optim import Optimizer, Oracle, Space
 from miho.optim.linear_part import LinearPart, solve_linear_part
 from miho.optim.validate import at_least, one_of
@@ -23,10 +23,11 @@ class VariableProjection(Optimizer):
     Wherever the solver looks, the linear parameters have their best values within the box; its
     derivatives are Kaufman's (1975), which give the exact gradient, with the linear parameters
     that are at a bound held there. Starts, rounds and solvers are those of `LeastSquares`. Where
-    the problem is linear in all its parameters this is one linear solve, and nothing is screened.
+    the problem is linear in all its parameters this is one linear solve, and nothing is screened;
+    where it is linear in none, as with a robust loss, this is `LeastSquares`.
 
     With p linear parameters of d, one look costs p + 2 evaluations and its derivatives d. Needs a
-    least-squares problem that declares linear parameters.
+    least-squares problem.
     """
 
     screen: int = 500
@@ -41,13 +42,12 @@ class VariableProjection(Optimizer):
         one_of("method", self.method, METHODS)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
-        """Screen and solve, `rounds` times; raises ValueError if no parameter is linear."""
+        """Screen and solve, `rounds` times."""
         space = oracle.space
         if not oracle.linear:
-            raise ValueError(
-                "the problem has no linear parameters: the model declares none (linear), or the "
-                "loss is robust; choose least_squares"
-            )
+            settings = self.screen, self.starts, self.rounds, self.tolerance, self.method
+            LeastSquares(*settings).run(oracle, rng)
+            return
         linear = [space.names.index(name) for name in oracle.linear]
         nonlinear = [k for k in range(len(space)) if k not in linear]
         if not nonlinear:

