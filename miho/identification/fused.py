@@ -9,14 +9,11 @@ clock.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
-from pathlib import Path
-from types import FunctionType
 
 import numpy as np
 from numba import njit
@@ -24,7 +21,7 @@ from numba.extending import register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
-from miho.models import elementary
+from miho.identification.signature import signature_of, signed, signed_copy
 from miho.models.expression import Expression, Formula
 from miho.optim.climb import Climb, climb_on, compiled_climb
 
@@ -110,64 +107,55 @@ class _Compiled:
 @cache
 def _compile(value: Formula, derivatives: Formula, p: int, d: int) -> _Compiled:
     columns = COLUMNS[p]
-    value = register_jitable(_detached(value))
-    derivatives = register_jitable(_detached(derivatives))
+    signature = signature_of([value, derivatives], d, __file__)
+    own = signed(signature)
+    value = register_jitable(signed_copy(value, signature))
+    derivatives = register_jitable(signed_copy(derivatives, signature))
 
     @register_jitable(error_model="numpy")
+    @own
     def loss(theta: Array, limit: float, data: tuple[Array, Array]) -> float:
         X, y = data
-        parameters = _tuple(theta, d)
+        parameters = as_tuple(theta, d)
         total = 0.0
         start, size = 0, FIRST_BLOCK
         while start < y.size:
             end = min(start + size, y.size)
             residuals = value(columns(X, start, end), parameters) - y[start:end]
-            total += _sum_of_squares(residuals)
+            total += sum_of_squares(residuals)
             if total / y.size >= limit:
                 break
             start, size = end, min(2 * size, BLOCK)
         return total / y.size
 
     @njit(cache=True, nogil=True, error_model="numpy")
+    @own
     def losses(thetas: Array, data: tuple[Array, Array], found: Array) -> None:
         for i in range(len(thetas)):
             found[i] = loss(thetas[i], np.inf, data)
 
     @njit(cache=True, nogil=True, error_model="numpy")
+    @own
     def residuals(theta: Array, X: Array, y: Array, found: Array) -> None:
-        parameters = _tuple(theta, d)
+        parameters = as_tuple(theta, d)
         for start in range(0, y.size, BLOCK):
             end = min(start + BLOCK, y.size)
             found[start:end] = value(columns(X, start, end), parameters) - y[start:end]
 
     @njit(cache=True, nogil=True, error_model="numpy")
+    @own
     def jacobian(theta: Array, X: Array, found: Array) -> None:
-        parameters = _tuple(theta, d)
+        parameters = as_tuple(theta, d)
         for start in range(0, X.shape[1], BLOCK):
             end = min(start + BLOCK, X.shape[1])
             _store(derivatives(columns(X, start, end), parameters), found[:, start:end])
 
-    return _Compiled(losses, residuals, jacobian, compiled_climb(loss))
-
-
-def _detached(formula: Formula) -> Formula:
-    """A copy whose docstring names the code it calls.
-
-    Numba keys what it caches by the contents of closures. Those of a copy are its own code, not
-    the place of the original, so that an edited model is compiled anew; so is one whose file,
-    sine or sum is edited, by the digest.
-    """
-    copy = FunctionType(
-        formula.__code__, formula.__globals__, formula.__name__, None, formula.__closure__
-    )
-    called = [Path(elementary.__file__), Path(__file__), Path(formula.__code__.co_filename)]
-    texts = [path.read_bytes() for path in called if path.is_file()]
-    copy.__doc__ = hashlib.sha256(b"".join(texts)).hexdigest()
-    return copy
+    return _Compiled(losses, residuals, jacobian, compiled_climb(loss, signature))
 
 
 @register_jitable
-def _tuple(theta: Array, d: int) -> tuple[float, ...]:
+def as_tuple(theta: Array, d: int) -> tuple[float, ...]:
+    """Parameters (d,) as the tuple that a formula takes; compiled code needs its length."""
     parameters: tuple[float, ...] = to_fixed_tuple(theta, d)
     return parameters
 
@@ -185,7 +173,7 @@ def _add(to: Array, what: Array) -> None:
 
 
 @register_jitable
-def _sum_of_squares(r: Array) -> float:
+def sum_of_squares(r: Array) -> float:
     """The sum of r^2, in pairs from both halves, which the processor adds side by side."""
     r *= r
     n = r.size

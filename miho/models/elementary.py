@@ -96,7 +96,8 @@ def _sine_near_zero(r: float) -> float:
     z2 = z * z
     low = _fma(_fma(S4, z, S3), z2, _fma(S2, z, S1))
     high = _fma(_fma(S8, z, S7), z2, _fma(S6, z, S5))
-    return _fma(_fma(high, z2 * z2, low) * z, r, r)
+    s: float = _fma(_fma(high, z2 * z2, low) * z, r, r)
+    return s
 
 
 @register_jitable(inline="always")
@@ -104,7 +105,7 @@ def _sine(x: float) -> float:
     shifted = _fma(x, INVERSE_PI, TO_INTEGER)
     n = shifted - TO_INTEGER
     r = _fma(n, -PI_LOW, _fma(n, -PI_HIGH, x))
-    s = _number(_bits(_sine_near_zero(r)) ^ (_bits(shifted) << 63))
+    s: float = _number(_bits(_sine_near_zero(r)) ^ (_bits(shifted) << 63))
     return s if abs(x) <= LARGEST else math.nan
 
 
@@ -114,7 +115,7 @@ def _cosine(x: float) -> float:
     shifted = _fma(x, INVERSE_PI, -0.5) + TO_INTEGER
     n = (shifted - TO_INTEGER) + 0.5
     r = _fma(n, -PI_LOW, _fma(n, -PI_HIGH, x))
-    s = _number(_bits(-_sine_near_zero(r)) ^ (_bits(shifted) << 63))
+    s: float = _number(_bits(-_sine_near_zero(r)) ^ (_bits(shifted) << 63))
     return s if abs(x) <= LARGEST else math.nan
 
 
@@ -136,18 +137,24 @@ def _arctangent(x: float) -> float:
     low = _fma(_fma(A4, z, A3), z2, _fma(A2, z, A1))
     high = _fma(_fma(A8, z, A7), z2, _fma(A6, z, A5))
     p = _fma(_fma(_fma(A10, z, A9), z4, high), z4, low)
-    return _number(_bits(offset + _fma(p * z, t, t)) | (_bits(x) & SIGN))
+    angle: float = _number(_bits(offset + _fma(p * z, t, t)) | (_bits(x) & SIGN))
+    return angle
 
 
 def _compiled(function: Callable[[Any], Any], of_number: Callable[[float], float]) -> None:
-    """Give a function its compiled form, for numbers and for arrays (n,)."""
+    """Give a function its compiled form, for numbers and for arrays (n,).
 
-    @register_jitable(error_model="numpy")
+    The linker knows compiled functions by name alone, so each gets that of its function.
+    """
+
     def of_array(x: Any) -> Any:
         y = np.empty_like(x)
         for i in range(x.size):
             y[i] = of_number(x[i])
         return y
+
+    of_array.__qualname__ += f".{function.__name__}"
+    register_jitable(error_model="numpy")(of_array)
 
     @overload(function, jit_options={"error_model": "numpy"})
     def choose(x: Any) -> Any:
@@ -156,6 +163,7 @@ def _compiled(function: Callable[[Any], Any], of_number: Callable[[float], float
         def implementation(x: Any) -> Any:
             return chosen(x)
 
+        implementation.__qualname__ += f".{function.__name__}"
         return implementation
 
 

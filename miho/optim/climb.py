@@ -55,13 +55,15 @@ class Climb(Protocol):
         """
 
 
-def compiled_climb(loss: Callable[..., float]) -> Callable[..., tuple[int, int, int, int]]:
+def compiled_climb(
+    loss: Callable[..., float], signature: str
+) -> Callable[..., tuple[int, int, int, int]]:
     """The compiled loop around `loss(theta, limit, data)`, which numba can compile.
 
     `loss` may return any number that is not below `limit` as soon as it knows that the loss is not.
+    `signature` tells this loss from all others: numba and its linker know the loop by its name.
     """
 
-    @njit(cache=True, nogil=True, error_model="numpy")
     def climb(
         data: Any,
         first: Array,
@@ -108,7 +110,9 @@ def compiled_climb(loss: Callable[..., float]) -> Callable[..., tuple[int, int, 
                 break
         return k + 1, found, nans, infinities
 
-    return cast(Callable[..., tuple[int, int, int, int]], climb)
+    climb.__qualname__ += f".{signature}"
+    compiled = njit(cache=True, nogil=True, error_model="numpy")(climb)
+    return cast(Callable[..., tuple[int, int, int, int]], compiled)
 
 
 def climb_on(compiled: Callable[..., tuple[int, int, int, int]], data: Any) -> Climb:

@@ -123,7 +123,7 @@ class Oracle:
 
     @property
     def evaluations(self) -> float:
-        """Full evaluations so far; one at a lower fidelity counts what the problem says it costs."""
+        """Full evaluations so far; at a lower fidelity they count what the problem says."""
         return self.meter.evaluations
 
     @property

@@ -27,7 +27,8 @@ class Runs:
 
     `runs`: a row per finished run; `error` is the root of its loss in `unit`, `irreducible` an
     estimate of the error that no model of the same inputs can beat, `optimum` the smallest error in
-    the space where it is known (else NaN), `dimension` its number of parameters; `theta.<name>` its parameters.
+    the space where it is known (else NaN), `dimension` the number of parameters and `theta.<name>`
+    their values.
     `curves`: a row per improvement and one at the end of each run; a step function.
     `damaged`: folders that were skipped, with the reason.
     """

@@ -1,0 +1,57 @@
+"""Figures of the benchmarks show what their frames hold."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from miho.analysis.benchmark_figures import (
+    growth_figure,
+    loss_figure,
+    overhead_figure,
+    run_figure,
+)
+
+LOSS = pd.DataFrame(
+    [(n, batch, method, ns * (1 + 100 / n))
+     for n in (100, 3000) for batch in (1, 10)
+     for method, ns in (("NumPy", 15.0), ("one thread", 2.0), ("two threads", 1.1))]
+    + [(n, 0, "limit", 0.7) for n in (100, 3000)],
+    columns=["rows", "batch", "method", "ns"],
+)  # fmt: skip
+RUNS = pd.DataFrame({"form": ["plain loop", "steps"], "seconds": [30.0, 0.5], "speedup": [1, 60]})
+METHODS = pd.DataFrame(
+    {"kind": ["method", "method", "recorder", "method"], "name": ["a", "b", "c", "broken"],
+     "us": [3.0, 0.5, 1.0, float("nan")]}
+)  # fmt: skip
+GROWTH = pd.DataFrame({"rows": [3000, 30_000], "method": "compressed", "us": [0.6, 0.7]})
+
+
+def test_loss_figure_has_a_line_per_method_and_the_limit() -> None:
+    for ax, batch in zip(loss_figure(LOSS).axes, (1, 10), strict=True):
+        lines = {str(line.get_label()): line for line in ax.get_lines()}
+        assert set(lines) == {"NumPy", "one thread", "two threads", "limit"}
+        one = LOSS[(LOSS["batch"] == batch) & (LOSS["method"] == "one thread")]
+        assert list(lines["one thread"].get_ydata()) == one["ns"].tolist()
+
+
+def test_run_figure_has_a_bar_per_form_with_its_speedup() -> None:
+    (ax,) = run_figure(RUNS).axes
+    assert [patch.get_width() for patch in ax.patches] == [30.0, 0.5]
+    assert [text.get_text() for text in ax.texts] == ["30 s, 1 times", "0.5 s, 60 times"]
+
+
+def test_overhead_figure_sorts_methods_and_leaves_out_what_was_not_measured() -> None:
+    (ax,) = overhead_figure(METHODS).axes
+    assert [tick.get_text() for tick in ax.get_yticklabels()] == ["b", "a"]
+
+
+def test_growth_figure_is_logarithmic_in_both() -> None:
+    (ax,) = growth_figure(GROWTH).axes
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+    assert list(ax.get_lines()[2].get_ydata()) == [0.6, 0.7]
+
+
+def test_a_frame_of_another_benchmark_is_refused() -> None:
+    with pytest.raises(ValueError, match="lacks the columns"):
+        loss_figure(GROWTH)

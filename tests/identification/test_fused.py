@@ -1,0 +1,326 @@
+"""The compiled loss, residuals and derivatives against NumPy's."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from miho import MIHO, Budget, CurveFit, Dataset, Parameter, Space, minimize
+from miho.identification.fused import FusedLoss
+from miho.models import Model, Pacejka, PacejkaCurvature, TorqueCubic
+from miho.models.expression import Expression, Formula
+from miho.optim.problem import mean_square
+
+Array = NDArray[np.float64]
+
+RELATIVE = 1e-12
+"""Sine and arctangent are a few 1e-16 from NumPy's; C up to 200 multiplies the angle's error."""
+
+B, C, D = ("B", 0, 200), ("C", 0, 200), ("D", 500, 10_000)
+SX, SY = ("Sx", -0.1, 0.1), ("Sy", -1000, 1000)
+WIDE: list[tuple[Expression, tuple[float, float], list[tuple[str, float, float]]]] = [
+    (Pacejka(), (-0.25, 0.25), [B, C, D, SX, SY]),
+    (PacejkaCurvature(), (-0.25, 0.25), [B, C, D, ("E", -10, 1), SX, SY]),
+    (TorqueCubic(), (50, 700), [(f"p{k}", -1000, 1000) for k in range(4)]),
+]
+ROWS = [1, 7, 63, 64, 65, 511, 1500]
+
+
+def space_of(model: Model, box: list[tuple[str, float, float]]) -> Space:
+    return Space(tuple(Parameter(n, model.parameters[n], low, high) for n, low, high in box))
+
+
+def fused(
+    model: Expression, between: tuple[float, float], rows: int = 700, threads: int = 1
+) -> FusedLoss:
+    rng = np.random.default_rng(rows)
+    x = rng.uniform(*between, rows)
+    return FusedLoss(model, x[None], 2000 * rng.standard_normal(rows), rng.permutation(rows),
+                     threads)  # fmt: skip
+
+
+def by_numpy(loss: FusedLoss, thetas: Array) -> Array:
+    return mean_square(loss.model.predict(thetas, *loss.X) - loss.y)
+
+
+@pytest.mark.parametrize("rows", ROWS)
+@pytest.mark.parametrize(("model", "between", "box"), WIDE)
+def test_losses_are_numpys(
+    model: Expression,
+    between: tuple[float, float],
+    box: list[tuple[str, float, float]],
+    rows: int,
+) -> None:
+    """One row's residual may cancel to nearly 0: its loss is exact to the scale of its terms."""
+    loss = fused(model, between, rows)
+    thetas = space_of(model, box).sample(200, np.random.default_rng(1), "uniform")
+    expected = by_numpy(loss, thetas)
+    terms = mean_square(np.abs(model.predict(thetas, *loss.X)) + np.abs(loss.y))
+    scale = expected if rows > 7 else terms
+    assert (np.abs(loss.losses(thetas) - expected) <= RELATIVE * scale).all()
+
+
+@pytest.mark.parametrize(("model", "between", "box"), WIDE)
+def test_residuals_and_derivatives_are_numpys(
+    model: Expression, between: tuple[float, float], box: list[tuple[str, float, float]]
+) -> None:
+    """To the scale of the terms that cancel: the largest of a column, or of output and data."""
+    loss = fused(model, between, 1500)
+    for theta in space_of(model, box).sample(50, np.random.default_rng(2), "uniform"):
+        residuals = model.predict(theta[None], *loss.X)[0] - loss.y
+        scale = np.abs(residuals).max() + np.abs(loss.y).max()
+        np.testing.assert_allclose(loss.residuals(theta), residuals, rtol=0, atol=RELATIVE * scale)
+        expected, found = model.jacobian(theta, *loss.X), loss.jacobian(theta)
+        assert found.shape == expected.shape
+        assert (np.abs(found - expected) <= RELATIVE * np.abs(expected).max(axis=0)).all()
+
+
+@pytest.mark.parametrize("threads", [1, 2, 3, 5])
+@pytest.mark.parametrize("rows", [7, 700])
+def test_a_loss_is_the_same_bits_alone_in_a_batch_and_on_any_threads(
+    rows: int, threads: int
+) -> None:
+    model, between, box = WIDE[0]
+    thetas = space_of(model, box).initial(101)
+    alone = [fused(model, between, rows).losses(theta[None])[0] for theta in thetas]
+    several = fused(model, between, rows, threads)
+    assert several.losses(thetas).tolist() == alone
+    assert several.losses(thetas[40:43]).tolist() == alone[40:43]
+    assert several.losses(thetas[::3]).tolist() == alone[::3]
+    assert several.losses(thetas[:0]).shape == (0,)
+
+
+def test_the_callers_arrays_are_left_alone() -> None:
+    loss = fused(*WIDE[0][:2])
+    X, y = loss.X.copy(), loss.y.copy()
+    thetas = space_of(loss.model, WIDE[0][2]).initial(5)
+    thetas.flags.writeable = False
+    loss.losses(thetas)
+    loss.residuals(thetas[0])
+    loss.jacobian(thetas[0])
+    assert np.array_equal(loss.X, X)
+    assert np.array_equal(loss.y, y)
+
+
+def test_what_is_not_finite_stays_so() -> None:
+    model, between, _ = WIDE[0]
+    good = fused(model, between)
+    theta = np.array([[12.0, 1.4, 3000.0, 0.01, 80.0]])
+    for bad, expected in ((np.nan, np.nan), (np.inf, np.inf)):
+        for row in (0, 100, 699):
+            y = good.y.copy()
+            y[row] = bad
+            loss = FusedLoss(model, good.X, y, good.order)
+            assert np.array_equal(loss.losses(theta), [expected], equal_nan=True)
+            assert np.array_equal(np.abs(loss.residuals(theta[0]))[row], bad, equal_nan=True)
+    huge = np.tile(theta, (4, 1))
+    huge[0, 2] = 1e200
+    huge[1, 0] = np.nan
+    huge[2, 1] = np.inf
+    found = good.losses(huge)
+    assert found[0] == np.inf
+    assert np.isnan(found[1:3]).all()
+    assert found[3] == good.losses(theta)[0]
+
+
+@dataclass(frozen=True)
+class Plane(Expression):
+    """y = a x + b z + c x z^2: several inputs."""
+
+    inputs = MappingProxyType({"x": "1", "z": "1"})
+    parameters = MappingProxyType({"a": "1", "b": "1", "c": "1"})
+    output = "1"
+
+    @property
+    def value(self) -> Formula:
+        return lambda i, t: t[0] * i[0] + t[1] * i[1] + t[2] * i[0] * i[1] * i[1]
+
+    @property
+    def derivatives(self) -> Formula:
+        return lambda i, t: (i[0] * 1, i[1] * 1, i[0] * i[1] * i[1])
+
+
+def test_several_inputs() -> None:
+    rng = np.random.default_rng(3)
+    loss = FusedLoss(Plane(), rng.random((2, 900)), rng.random(900), rng.permutation(900))
+    thetas = rng.standard_normal((20, 3))
+    np.testing.assert_allclose(loss.losses(thetas), by_numpy(loss, thetas), rtol=RELATIVE)
+    np.testing.assert_allclose(loss.jacobian(thetas[0]), loss.model.jacobian(thetas[0], *loss.X))
+
+
+@dataclass(frozen=True)
+class Plain(Model):
+    """The tire model as any other model is written: with NumPy, and not as an expression."""
+
+    inputs = Pacejka.inputs
+    parameters = Pacejka.parameters
+    output = "N"
+    linear = ("D", "Sy")
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        B, C, D, Sx, Sy = thetas.T[:, :, None]
+        return np.asarray(D * np.sin(C * np.arctan(B * (Sx - inputs[0]))) + Sy)
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        return Pacejka().jacobian(theta, *inputs)
+
+
+def test_a_model_that_is_no_expression_goes_the_way_of_numpy() -> None:
+    loss = fused(*WIDE[0][:2])
+    units = {"alpha": "rad", "Fy": "N"}
+    data = Dataset("d", {"alpha": loss.X[0], "Fy": loss.y}, units, "Fy")
+    space = space_of(Pacejka(), WIDE[0][2])
+    plain, compiled = (
+        CurveFit(model, data, space, label="one problem") for model in (Plain(), Pacejka())
+    )
+    assert plain.climb is None
+    assert compiled.climb is not None
+    thetas = space.initial(300)
+    np.testing.assert_allclose(compiled.loss(thetas), plain.loss(thetas), rtol=RELATIVE)
+    theta = thetas[0]
+    np.testing.assert_allclose(compiled.residuals(theta), plain.residuals(theta), atol=1e-8)
+    np.testing.assert_allclose(compiled.jacobian(theta), plain.jacobian(theta), atol=1e-6)
+    short = Budget(evaluations=300)
+    records = [minimize(MIHO(R=30, eta=3), one, short) for one in (plain, compiled)]
+    assert records[0].evaluations == records[1].evaluations
+    assert records[0].loss == pytest.approx(records[1].loss, rel=1e-9)
+
+
+MODEL = """
+from types import MappingProxyType
+import numpy as np
+from numba.extending import register_jitable
+from miho.identification.fused import FusedLoss
+from miho.models.elementary import sin
+from miho.models.expression import Expression
+
+
+@register_jitable
+def scaled(x):
+    return FACTOR * x
+
+
+def formula(inputs, theta):
+    return theta[0] * sin(scaled(inputs[0]))
+
+
+def derivatives(inputs, theta):
+    return (sin(scaled(inputs[0])),)
+
+
+class Wave(Expression):
+    inputs = MappingProxyType({"x": "1"})
+    parameters = MappingProxyType({"a": "1"})
+    output = "1"
+    value = property(lambda self: formula)
+    derivatives = property(lambda self: derivatives)
+
+
+if __name__ == "__main__":
+    import wave_model
+
+    x = np.linspace(0, 1, 100)
+    loss = FusedLoss(wave_model.Wave(), x[None], np.zeros(100), np.arange(100))
+    theta = np.array([1.0])
+    found = loss.losses(theta[None])[0]
+    loss.residuals(theta)
+    loss.jacobian(theta)
+    best, none = np.array([np.inf]), np.empty((0, 1, 1))
+    loss.climb(theta[None], theta[None].copy(), best, none, none[:, 0],
+               (theta - 1, theta + 1), np.inf, -np.inf, True)
+    compiled = loss._compiled
+    each = (compiled.losses, compiled.residuals, compiled.jacobian, compiled.climb)
+    misses = sum(sum(one.stats.cache_misses.values()) for one in each)
+    print(misses, float(found), float(best[0]))
+"""
+
+
+@pytest.mark.slow
+def test_a_second_process_compiles_nothing_and_an_edited_model_anew(tmp_path: Path) -> None:
+    def run(factor: int) -> tuple[int, float]:
+        path = tmp_path / "wave_model.py"
+        path.write_text(MODEL.replace("FACTOR", str(factor)), encoding="utf-8")
+        environment = os.environ | {
+            "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+            "PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(__file__).parents[2])]),
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
+        done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True,
+                              env=environment, check=True)  # fmt: skip
+        misses, loss, climbed = done.stdout.split()
+        assert loss == climbed
+        x = np.linspace(0, 1, 100)
+        assert float(loss) == pytest.approx(np.mean(np.sin(factor * x) ** 2), rel=1e-12)
+        return int(misses), float(loss)
+
+    assert run(2)[0] == 4
+    assert run(2)[0] == 0
+    assert run(3)[0] == 4
+
+
+TWO_MODELS = """
+import sys
+from dataclasses import dataclass
+from types import MappingProxyType
+import numpy as np
+from miho.identification.fused import FusedLoss
+from miho.models.elementary import atan, cos, sin
+from miho.models.expression import Expression
+
+
+@dataclass(frozen=True)
+class Wave(Expression):
+    factor: float
+
+    inputs = MappingProxyType({"x": "1"})
+    parameters = MappingProxyType({"a": "1", "b": "1"})
+    output = "1"
+
+    @property
+    def value(self):
+        factor = self.factor
+        return lambda x, t: t[0] * sin(factor * atan(t[1] * cos(factor * x[0]))) + factor
+
+    @property
+    def derivatives(self):
+        factor = self.factor
+        return lambda x, t: (sin(factor * x[0]), cos(factor * x[0]) * atan(factor * x[0]))
+
+
+x, theta = np.linspace(0, 1, 2000), np.array([2.0, 3.0])
+none = np.empty((0, 1, 2))
+for model in map(Wave, map(float, sys.argv[1:])):
+    loss = FusedLoss(model, x[None], np.zeros(2000), np.arange(2000))
+    found, climbed = loss.losses(theta[None]).tolist(), np.array([np.inf])
+    loss.climb(theta[None], theta[None].copy(), climbed, none, none[:, 0],
+               (theta - 1, theta + 1), np.inf, -np.inf, True)
+    residuals, jacobian = loss.residuals(theta), loss.jacobian(theta)
+    values = model.predict(theta[None], x)[0]
+    expected = np.mean(values**2)
+    assert np.allclose(found, expected, rtol=1e-12), ("losses", found, expected)
+    assert np.allclose(climbed, expected, rtol=1e-12), ("climb", climbed, expected)
+    assert np.allclose(residuals, values, rtol=1e-9), "residuals"
+    assert np.allclose(jacobian, model.jacobian(theta, x), rtol=1e-9, atol=1e-12), "jacobian"
+"""
+
+
+@pytest.mark.slow
+def test_models_that_differ_in_a_number_are_told_apart_in_the_cache(tmp_path: Path) -> None:
+    """Compiled in two processes and read by a third, they must not be taken for each other."""
+    (tmp_path / "two_models.py").write_text(TWO_MODELS, encoding="utf-8")
+    environment = os.environ | {
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+        "PYTHONPATH": str(Path(__file__).parents[2]),
+    }
+    for arguments in (["2"], ["3"], ["2", "3"], ["3", "2"]):
+        command = [sys.executable, str(tmp_path / "two_models.py"), *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, env=environment)
+        assert done.returncode == 0, done.stderr

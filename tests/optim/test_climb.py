@@ -1,0 +1,347 @@
+"""Compiled steps against the general path: the same trace, bit for bit, wherever a run is cut."""
+
+from __future__ import annotations
+
+import math
+import pickle
+import signal
+from dataclasses import dataclass
+from itertools import count
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from miho import (
+    MIHO,
+    AskTell,
+    Budget,
+    CurveFit,
+    Dataset,
+    Oracle,
+    Parameter,
+    Problem,
+    Space,
+    minimize,
+)
+from miho.identification.fused import FusedLoss
+from miho.models import TorqueCubic
+from miho.models.expression import Expression, Formula
+from miho.optim import Clock, Outcome, RunRecord
+from miho.optim.climb import Climb, Climbed
+from miho.optim.seeds import stream
+
+Array = NDArray[np.float64]
+
+BOX = [(-50, 150), (-200, 400), (-400, 200), (-200, 200)]
+
+
+def space_of(model: Expression, box: list[tuple[float, float]]) -> Space:
+    units = model.parameters.items()
+    return Space(tuple(Parameter(n, u, *ends) for (n, u), ends in zip(units, box, strict=True)))
+
+
+SPACE = space_of(TorqueCubic(), BOX)
+
+
+def torque(rows: int = 150) -> FusedLoss:
+    """The loss of a noisy torque curve."""
+    rng = np.random.default_rng(5)
+    omega = rng.uniform(100, 730, rows)
+    w = omega / TorqueCubic().omega_max
+    y = 40 + 150 * w - 90 * w**2 - 20 * w**3 + rng.normal(0, 10, rows)
+    return FusedLoss(TorqueCubic(), omega[None], y, rng.permutation(rows))
+
+
+@dataclass
+class Watched(Problem):
+    """A problem that counts its compiled steps, or has none.
+
+    Beyond `until` steps somebody presses Ctrl-C.
+    """
+
+    fused: FusedLoss
+    compiled: bool = True
+    space: Space = SPACE
+    until: float = math.inf
+    steps: int = 0
+    name: str = "climbed"
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        return self.fused.losses(thetas)
+
+    @property
+    def climb(self) -> Climb | None:  # type: ignore[override]
+        return self._climb if self.compiled else None
+
+    def _climb(self, *arguments: Any) -> Climbed:
+        block = self.fused.climb(*arguments)
+        self.steps += block.steps
+        if self.steps > self.until:
+            signal.raise_signal(signal.SIGINT)
+        return block
+
+
+@pytest.fixture(scope="module")
+def fit() -> FusedLoss:
+    return torque()
+
+
+def both(
+    fit: FusedLoss,
+    optimizer: MIHO,
+    budget: Budget | None = None,
+    seed: int = 3,
+    space: Space = SPACE,
+) -> tuple[RunRecord, RunRecord]:
+    """The run with compiled steps, more of them than the warm-up's, and the one without."""
+    watched = Watched(fit, space=space)
+    climbed = minimize(optimizer, watched, budget, seed)
+    assert watched.steps > 1
+    return climbed, minimize(optimizer, Watched(fit, False, space), budget, seed)
+
+
+def same(one: RunRecord, other: RunRecord) -> None:
+    """Outcome, count, best and every improvement, bit for bit."""
+    assert one.outcome is other.outcome, one.error or other.error
+    assert one.evaluations == other.evaluations
+    assert one.loss == other.loss
+    assert one.trace.evaluations == other.trace.evaluations
+    assert one.trace.loss == other.trace.loss
+    assert np.array_equal(one.trace.theta, other.trace.theta)
+    assert len(one.trace) > 3
+    assert one.trace.seconds == sorted(one.trace.seconds)
+
+
+@pytest.mark.parametrize("early_stopping", [False, True])
+@pytest.mark.parametrize("clip", ["box", "lower"])
+@pytest.mark.parametrize("annealing", ["linear", "exponential"])
+def test_the_trace_is_that_of_the_general_path(
+    fit: FusedLoss, early_stopping: bool, clip: str, annealing: str
+) -> None:
+    optimizer = MIHO(R=100, eta=3, clip=clip, annealing=annealing, early_stopping=early_stopping)
+    climbed, general = both(fit, optimizer)
+    same(climbed, general)
+    assert climbed.outcome is Outcome.CONVERGED
+    assert climbed.rejected == general.rejected == {}
+
+
+@pytest.mark.parametrize(("R", "eta"), [(1, 2), (2, 2), (3, 3), (5, 2), (400, 20)])
+def test_small_schedules(fit: FusedLoss, R: int, eta: int) -> None:
+    runs = [
+        minimize(MIHO(R=R, eta=eta), Watched(fit, compiled), seed=1) for compiled in (True, False)
+    ]
+    assert runs[0].trace.loss == runs[1].trace.loss
+    assert runs[0].evaluations == runs[1].evaluations
+    assert np.array_equal(runs[0].trace.theta, runs[1].trace.theta)
+
+
+@pytest.mark.parametrize("early_stopping", [False, True])
+@pytest.mark.parametrize("evaluations", [1, 80, 81, 100, 163, 250, 333, 401, 600, 777])
+def test_cut_anywhere_and_resumed_from_a_pickle(
+    fit: FusedLoss, evaluations: int, early_stopping: bool
+) -> None:
+    """MIHO(81, 3) starts with 81 configurations; later budgets end inside a step of several."""
+    optimizer = MIHO(R=81, eta=3, early_stopping=early_stopping)
+    whole = minimize(optimizer, Watched(fit, False), Budget(evaluations=900), 3)
+    for compiled in (True, False):
+        cut = minimize(optimizer, Watched(fit, compiled), Budget(evaluations=evaluations), 3)
+        assert cut.evaluations == evaluations
+        assert cut.outcome is Outcome.BUDGET
+        shown = [n for n in whole.trace.evaluations if n <= evaluations]
+        assert cut.trace.evaluations == shown
+        kept = pickle.loads(pickle.dumps(cut.checkpoint))
+        for goes_on in (True, False):
+            resumed = minimize(optimizer, Watched(fit, goes_on), Budget(evaluations=900), 3,
+                               checkpoint=kept)  # fmt: skip
+            same(resumed, whole)
+
+
+def test_a_target_ends_the_run_at_the_same_improvement(fit: FusedLoss) -> None:
+    optimizer = MIHO(R=100, eta=3)
+    losses = minimize(optimizer, Watched(fit), seed=3).trace.loss
+    for target in (losses[-3], losses[len(losses) // 2]):
+        climbed, general = both(fit, optimizer, Budget(target=target))
+        assert climbed.outcome is general.outcome is Outcome.BUDGET
+        at = losses.index(target)
+        assert climbed.trace.loss[at] == general.trace.loss[at] == target
+        assert climbed.trace.evaluations[at] == general.trace.evaluations[at]
+        assert climbed.evaluations - climbed.trace.evaluations[at] < 100
+        resumed = [minimize(optimizer, Watched(fit), seed=3, checkpoint=run.checkpoint)
+                   for run in (climbed, general)]  # fmt: skip
+        same(*resumed)
+        assert resumed[0].trace.loss == losses
+
+
+def test_a_target_in_the_last_step_is_still_what_ended_the_run(fit: FusedLoss) -> None:
+    optimizer = MIHO(R=5, eta=2)
+    last = optimizer.init(SPACE, stream()).table[-1].n
+    runs = (minimize(optimizer, Watched(fit), seed=seed) for seed in range(200))
+    seed, free = next(
+        (seed, run) for seed, run in enumerate(runs)
+        if run.evaluations - run.trace.evaluations[-1] < last
+    )  # fmt: skip
+    climbed, general = both(fit, optimizer, Budget(target=free.loss), seed)
+    assert climbed.outcome is general.outcome is Outcome.BUDGET
+    assert climbed.loss == general.loss == free.loss
+
+
+def test_log_scales_go_the_general_path() -> None:
+    fused = torque()
+    units = {"omega": "rad/s", "T": "Nm"}
+    data = Dataset("torque", {"omega": fused.X[0], "T": fused.y}, units, "T")
+    first = Parameter("p0", "Nm", 1, 150, "log")
+    log = CurveFit(TorqueCubic(), data, Space((first, *SPACE.parameters[1:])))
+    assert log.climb is None
+    assert CurveFit(TorqueCubic(), data, SPACE).climb is not None
+    record = minimize(MIHO(R=30, eta=3), log)
+    assert record.outcome is Outcome.CONVERGED
+    assert record.loss < 1000
+
+
+def test_fresh_proposals_go_the_general_path(fit: FusedLoss) -> None:
+    watched = Watched(fit)
+    minimize(MIHO(R=100, eta=3, proposal="fresh"), watched)
+    assert watched.steps <= 1  # the warm-up's
+
+
+def climb_by(fit: FusedLoss, P: Array, L: Array, noise: Array, early_stopping: bool) -> Climbed:
+    """Mutations of P by the rows of `noise`, against the incumbents L."""
+    sigma, bounds = np.ones((len(noise), P.shape[1])), SPACE.bounds
+    first = np.clip(P + noise[0], *bounds)
+    return fit.climb(first, P, L, noise[1:], sigma[1:], bounds, math.inf, -math.inf,
+                     early_stopping)  # fmt: skip
+
+
+@given(seed=st.integers(0, 2**32 - 1), rows=st.sampled_from([1, 63, 64, 65, 200, 1500]),
+       size=st.floats(1e-6, 100))  # fmt: skip
+@settings(max_examples=60, deadline=None)
+def test_early_stopping_changes_no_decision(seed: int, rows: int, size: float) -> None:
+    fit, rng = FITS[rows], np.random.default_rng(seed)
+    found = []
+    P = SPACE.sample(4, rng)
+    L, noise = fit.losses(P), size * rng.standard_normal((10, *P.shape))
+    L[0], L[1] = np.inf, fit.losses(np.clip(P + noise[0], *SPACE.bounds))[1]
+    for early_stopping in (False, True):
+        p, losses = P.copy(), L.copy()
+        block = climb_by(fit, p, losses, noise, early_stopping)
+        found.append((p.tolist(), losses.tolist(), block.at.tolist(), block.losses.tolist(),
+                      block.thetas.tolist(), block.steps))  # fmt: skip
+    assert found[0] == found[1]
+    assert found[0][5] == 10
+
+
+FITS = {rows: torque(rows) for rows in (1, 63, 64, 65, 200, 1500)}
+
+
+def test_an_equal_loss_does_not_replace_its_parent(fit: FusedLoss) -> None:
+    P = SPACE.initial(3)
+    for early_stopping in (False, True):
+        p, L = P.copy(), fit.losses(P)
+        block = climb_by(fit, p, L, np.zeros((5, *P.shape)), early_stopping)
+        assert block.at.size == 0
+        lower = np.nextafter(L, np.inf)
+        climb_by(fit, p, lower, np.zeros((1, *P.shape)), early_stopping)
+        assert np.array_equal(lower, L)
+
+
+@dataclass(frozen=True)
+class Root(Expression):
+    """y = a sqrt(b + x), which is not a number for b below the smallest -x."""
+
+    inputs = MappingProxyType({"x": "1"})
+    parameters = MappingProxyType({"a": "1", "b": "1"})
+    output = "1"
+
+    @property
+    def value(self) -> Formula:
+        return lambda inputs, theta: theta[0] * np.sqrt(theta[1] + inputs[0])
+
+    @property
+    def derivatives(self) -> Formula:
+        return lambda inputs, theta: (
+            np.sqrt(theta[1] + inputs[0]),
+            theta[0] / (2 * np.sqrt(theta[1] + inputs[0])),
+        )
+
+
+@pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
+def test_losses_that_are_no_numbers_are_rejected_alike() -> None:
+    x = np.linspace(0, 1, 200)
+    fit = FusedLoss(Root(), x[None], np.sqrt(0.02 + x), np.arange(200))
+    space = space_of(Root(), [(0, 3), (-1, 1)])
+    climbed, general = both(fit, MIHO(R=100, eta=3, early_stopping=False), space=space)
+    same(climbed, general)
+    assert climbed.rejected == general.rejected
+    assert climbed.rejected["loss is nan"] > 100
+    stopped, _ = both(fit, MIHO(R=100, eta=3), space=space)
+    same(stopped, general)
+
+
+def test_overflow_and_holes_in_the_data_are_rejected_alike(fit: FusedLoss) -> None:
+    for value, word in ((np.nan, "nan"), (np.inf, "inf"), (1e200, "inf")):
+        y = fit.y.copy()
+        y[7] = value
+        holed = FusedLoss(fit.model, fit.X, y, fit.order)
+        climbed, general = both(holed, MIHO(R=100, eta=3))
+        assert climbed.outcome is general.outcome is Outcome.NO_FINITE_VALUE
+        assert climbed.rejected == general.rejected == {f"loss is {word}": climbed.evaluations}
+
+
+def test_ctrl_c_between_blocks_leaves_a_state_that_goes_on(fit: FusedLoss) -> None:
+    optimizer = MIHO(R=400, eta=3)
+    whole = minimize(optimizer, Watched(fit, False), seed=3)
+    record = minimize(optimizer, Watched(fit, until=100), seed=3)
+    assert record.outcome is Outcome.INTERRUPTED
+    assert record.evaluations < whole.evaluations
+    assert record.trace.loss == whole.trace.loss[: len(record.trace)]
+    kept = pickle.loads(pickle.dumps(record.checkpoint))
+    for compiled in (True, False):
+        same(minimize(optimizer, Watched(fit, compiled), seed=3, checkpoint=kept), whole)
+
+
+def test_more_steps_than_the_budget_allows_are_refused(fit: FusedLoss) -> None:
+    ticks = count()
+    clock = Clock(wall=lambda: 1e-6 * next(ticks))
+    oracle = Oracle(Watched(fit), Budget(evaluations=10), clock=clock)
+    P = SPACE.initial(4)
+    L, noise, bounds = np.full(4, np.inf), np.zeros((2, *P.shape)), SPACE.bounds
+    assert oracle.climbing_steps(4) == 0  # before anything was timed
+    oracle(P[:1])
+    assert oracle.climbing_steps(4) == 2
+    assert oracle.climbing_steps(10) == 0
+    with pytest.raises(ValueError, match="more steps than climbing_steps allows"):
+        oracle.climb(P, P.copy(), L, noise, noise[:, 0], bounds, True)
+    assert oracle.climb(P, P.copy(), L, noise[:1], noise[:1, 0], bounds, True) == 2
+    assert oracle.evaluations == 9
+
+
+def test_by_default_a_method_does_not_leap(fit: FusedLoss) -> None:
+    rng = stream("leap")
+    method = Halves()
+    oracle = Oracle(Watched(fit), Budget())
+    state = method.init(SPACE, rng)
+    assert not method.leap(state, oracle)
+    assert oracle.evaluations == 0
+    method.run(oracle, rng)
+    assert oracle.evaluations == 3
+
+
+class Halves(AskTell[list[float]]):
+    """Asks for the middle of the box three times."""
+
+    def init(self, space: Space, rng: np.random.Generator) -> list[float]:
+        return []
+
+    def ask(self, state: list[float]) -> Array:
+        return (SPACE.low + SPACE.high)[None] / 2
+
+    def tell(self, state: list[float], thetas: Array, losses: Array) -> None:
+        state.extend(losses.tolist())
+
+    def done(self, state: list[float]) -> bool:
+        return len(state) == 3
