@@ -1,9 +1,9 @@
 """Names by which numba and its linker tell the compiled code of one model from another's.
 
 Numba's cache knows a function by its name, its closure and its file; the linker knows it by its
-name alone. A function compiled around a model therefore carries a digest of the model's formulas and
-of all code that they are compiled with: without it two models, compiled in two processes and read
-from the cache by a third, would be taken for each other, and an edited model for the old one.
+name alone. A function compiled around a model therefore carries a digest of the model's formulas
+and of all code that they are compiled with: without it two models, compiled in two processes and
+read from the cache by a third, would be taken for each other, and an edited model for the old one.
 """
 
 from __future__ import annotations
