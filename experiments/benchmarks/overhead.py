@@ -102,7 +102,7 @@ class Prepared(Problem):
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """The prepared ones."""
-        return self.losses
+        return self.losses[: len(thetas)]
 
     @property
     def climb(self) -> Climb | None:  # type: ignore[override]
