@@ -17,6 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 from numba import njit
+from numba.core.errors import NumbaError
 from numba.extending import register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
@@ -29,6 +30,9 @@ Array = NDArray[np.float64]
 
 BLOCK = 512
 """Rows at a time: a handful of temporaries of 4 KiB."""
+SHARE = 50_000
+"""Model values that are worth a thread of their own."""
+CAUSES = ("Untyped global name", "Use of unsupported", "Unknown attribute", "Cannot unify", "No impl")
 FIRST_BLOCK = 64
 """Rows before the first look whether a candidate is beaten; doubles up to BLOCK."""
 
@@ -70,9 +74,12 @@ class FusedLoss:
         """Losses (n,) of parameter rows (n, d)."""
         thetas = np.ascontiguousarray(thetas, dtype=float)
         losses = np.empty(len(thetas))
-        parts = min(self.threads, len(thetas))
+        parts = min(self.threads, len(thetas), len(thetas) * self.y.size // SHARE)
         if parts <= 1:
-            self._compiled.losses(thetas, self._data, losses)
+            try:
+                self._compiled.losses(thetas, self._data, losses)
+            except NumbaError as error:
+                raise ValueError(self._explained(error)) from None
             return losses
         cuts = np.linspace(0, len(thetas), parts + 1).astype(int)
         jobs = [
@@ -82,6 +89,14 @@ class FusedLoss:
         for job in jobs:
             job.result()
         return losses
+
+    def _explained(self, error: NumbaError) -> str:
+        said = [line.strip() for line in str(error).splitlines() if line.strip()]
+        cause = next((line for line in said if line.startswith(CAUSES)), said[0])
+        return (
+            f"{type(self.model).__name__}: its value cannot be compiled: {cause}; write it with "
+            "arithmetic and NumPy's functions of numbers, or derive from Model"
+        )
 
     def residuals(self, theta: Array) -> Array:
         """Model minus data, (N,)."""

@@ -53,7 +53,8 @@ class MIHO(AskTell[MIHOState]):
     so a batch is one mutation of each. Ends by itself after the last bracket.
 
     `early_stopping` gives a mutant up as soon as its loss cannot be below its parent's, where the
-    problem has a compiled loss; it changes no decision. `proposal` is what a configuration is
+    problem has a compiled loss; it changes no decision, but what the rest of its loss would have
+    been, NaN included, is then not seen. `proposal` is what a configuration is
     compared with: a mutation of itself, or, to see what mutation is worth, a fresh draw from the
     initial distribution in its place.
 
