@@ -4,35 +4,38 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cmaes
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.loss_scale import LossScale
 from baselines.unit_box import UnitBox
-from baselines.unit_oracle import UNUSABLE
 from miho.optim import AskTell, Space
 from miho.optim.validate import one_of, positive, whole
 
 Array = NDArray[np.float64]
 
 RESTARTS = ("ipop", "bipop")
+LEVEL = 1e3
+"""Of the first loss: the library's 1e-12 is then 1e-15 of it, just above its rounding."""
 
 
 @dataclass
 class CMAESState:
     """The strategy of the present restart, the batch asked (n, d) in the unit box, and the budgets.
 
-    `large` counts the restarts with a grown population. Evaluations: `used` of at most `limit` in
-    this restart, `last_large` in the last large one, `spent_large` in all large ones, and
-    `spent_small` in all others.
+    `scale` is one for all restarts, and `large` counts those with a grown population. Evaluations:
+    `used` of at most `limit` in this restart, `last_large` in the last large one, `spent_large` in
+    all large ones, and `spent_small` in all others.
     """
 
     space: Space
     rng: np.random.Generator
     strategy: cmaes.CMA | None
     batch: Array
+    scale: LossScale = field(default_factory=lambda: LossScale(LEVEL))
     large: int = 0
     is_large: bool = False
     used: int = 0
@@ -54,8 +57,8 @@ class CMAES(AskTell[CMAESState]):
     `resampling` times, and then clipped (the library's). The first mean is the first common initial
     configuration, evaluated before all else; restarts begin anywhere in the box.
 
-    A strategy ends by the library's tests: losses of the last generations that agree to 1e-12, an
-    absolute number, or a distribution that is too small, too large or too thin to go on.
+    A strategy ends by the library's tests: losses of the last generations that agree to 1e-15 of
+    the run's first loss, or a distribution that is too small, too large or too thin to go on.
     """
 
     restarts: str = "bipop"
@@ -82,12 +85,12 @@ class CMAES(AskTell[CMAESState]):
 
     def tell(self, state: CMAESState, thetas: Array, losses: Array) -> None:
         """Move the distribution, restart where it is done, and draw the next generation."""
+        values = state.scale(losses).tolist()
         if state.strategy is None:
             strategy = self._strategy(state.batch[0], self.sigma, None)
         else:
             # A copy holds what a pickle would: no generator, one half of the covariance matrix.
             strategy = copy.copy(state.strategy)
-            values = np.minimum(losses, UNUSABLE).tolist()
             strategy.tell(list(zip(state.batch, values, strict=True)))
             state.used += len(values)
             if strategy.should_stop() or state.used >= state.limit:

@@ -15,6 +15,9 @@ from miho.optim.validate import at_least, one_of, whole
 
 Array = NDArray[np.float64]
 
+LEVEL = 1e12
+"""Of the first loss: the polish then ends by its relative tolerance."""
+
 STRATEGIES = tuple(
     f"{base}{crossover}"
     for base in ("best1", "best2", "rand1", "rand2", "randtobest1", "currenttobest1")
@@ -31,8 +34,10 @@ class DifferentialEvolution(Optimizer):
     coordinates scaled to the unit box. `mutation_low` to `mutation_high` is the range of the
     dithered mutation constant. A population converges when the standard deviation of its losses is
     at most `tol` of their mean; with `polish`, L-BFGS-B then goes on from its best, with finite
-    differences that are charged. A converged population is replaced by a fresh one drawn from the
-    initial distribution, until the budget ends.
+    differences that are charged, until a step gains less than 2.2e-9 of the loss: losses are scaled
+    up so far that its other test, of the gradient, which is absolute, does not end it before. A
+    converged population is replaced by a fresh one drawn from the initial distribution, until the
+    budget ends.
     """
 
     strategy: str = "best1bin"
@@ -60,7 +65,7 @@ class DifferentialEvolution(Optimizer):
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Evolve one population after the other until the budget ends."""
         members = max(5, self.popsize * len(oracle.space))
-        losses = UnitOracle(oracle, members)
+        losses = UnitOracle(oracle, members, LEVEL)
         population = losses.start
 
         def objective(x: Array) -> Any:

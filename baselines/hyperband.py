@@ -25,8 +25,9 @@ class Hyperband(Optimizer):
     brackets until the budget ends.
 
     Nothing is learnt from one configuration for the next: this is random search that spends less
-    on hopeless draws, and it cannot do better than the best draw. Where the problem has no
-    cheaper version of itself, the fractions are charged but all rows are used.
+    on hopeless draws, and it cannot do better than the best draw. Where the order of the rows
+    matters, every rung uses and is charged for all of them (`Problem.cost`), and its losses can
+    become best: there the method is random search that evaluates good draws again.
     """
 
     R: int = 81

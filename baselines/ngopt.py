@@ -22,6 +22,9 @@ except ModuleNotFoundError as error:
         f"ngopt needs a library that is missing ({error.name}); pip install 'miho[rivals]'"
     ) from error
 
+LEVEL = 1e3
+"""Of the first loss: the CMA-ES among its methods then restarts at differences of 1e-14 of it."""
+
 
 def _number(value: object) -> float:
     return float(np.asarray(value).item())
@@ -36,25 +39,29 @@ class NGOpt(Optimizer):
     """`nevergrad.optimizers.NGOpt` (Meunier et al., IEEE Trans. Evol. Comput. 26, 2022).
 
     It picks and combines methods by the dimension and by the evaluations it is told to plan for:
-    those that the run has left, or `budget` where the run has no such limit, and then again until
-    the run ends. It begins at the first common initial configuration (later plans at a fresh draw)
-    and searches the search coordinates scaled to the unit box. Each of its own steps takes
-    5 to 80 ms, more for larger plans: made for losses that take seconds, not microseconds.
+    `plan`, at most those that the run has left, or all of these where `plan` is None; and then
+    again until the run ends. A plan that the run's limit of seconds cuts short is a wrong one:
+    another method would have been picked. It begins at the first common initial configuration
+    (later plans at a fresh draw) and searches the search coordinates scaled to the unit box. Each
+    of its own steps takes 5 to 80 ms, more for larger plans: made for losses that take seconds,
+    not microseconds.
+
+    Raises ValueError in a run without a limit of evaluations where `plan` is None.
     """
 
-    budget: int = 10_000
+    plan: int | None = None
 
     def __post_init__(self) -> None:
-        whole("budget", self.budget, 1)
+        if self.plan is not None:
+            whole("plan", self.plan, 1)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Plan and search until the budget ends."""
-        losses = UnitOracle(oracle, 1)
+        losses = UnitOracle(oracle, 1, LEVEL)
         start = losses.start[0]
         with _quiet(), _global_generator(int(rng.integers(2**32))):
             while True:
-                left = oracle.remaining
-                plan = max(1, math.ceil(left)) if math.isfinite(left) else self.budget
+                plan = self._planned(oracle.remaining)
                 box = nevergrad.p.Array(
                     init=start, lower=np.zeros_like(start), upper=np.ones_like(start)
                 )
@@ -65,6 +72,16 @@ class NGOpt(Optimizer):
                     candidate = method.ask()
                     method.tell(candidate, float(losses(candidate.value[None])[0]))
                 start = losses.fresh(1, rng)[0]
+
+    def _planned(self, left: float) -> int:
+        """How many evaluations to plan for when the run has this many left."""
+        evaluations = left if self.plan is None else min(self.plan, left)
+        if math.isinf(evaluations):
+            raise ValueError(
+                "plan is None in a run without a limit of evaluations; "
+                "expected a whole number; set plan, or budget.evaluations"
+            )
+        return max(1, math.ceil(evaluations))
 
 
 @contextlib.contextmanager

@@ -1,39 +1,39 @@
-"""The oracle as wrapped libraries want it: over the unit box, with a number for every point."""
+"""The oracle as wrapped libraries want it: over the unit box, with losses in no unit."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.loss_scale import LossScale
 from baselines.unit_box import UnitBox
 from miho.optim import Oracle
 
 Array = NDArray[np.float64]
-
-UNUSABLE = 1e100
-"""The loss of a point that has none: its square and its slope over a step of 1e-8 are finite."""
 
 
 class UnitOracle:
     """Losses (n,) of points (n, d) in [0, 1]^d, which scale linearly to search coordinates.
 
     `start` (n, d) are the first common initial configurations. The first batch must be they, and is
-    evaluated exactly there, whatever a library's own scaling has rounded away.
+    evaluated exactly there, whatever a library's own scaling has rounded away. Losses are scaled as
+    `LossScale` says, to a `level` that suits the library's tolerances.
     """
 
-    def __init__(self, oracle: Oracle, n: int) -> None:
+    def __init__(self, oracle: Oracle, n: int, level: float = 1.0) -> None:
         space = oracle.space
         self._oracle = oracle
         self._box = UnitBox(space)
+        self._scale = LossScale(level)
         self._first: Array | None = space.decode(space.initial(n))
         self.start = self._box.x(self._first)
 
     def __call__(self, x: Array, fidelity: float = 1.0) -> Array:
-        """Losses, `UNUSABLE` where the oracle has +inf."""
+        """Scaled losses, `UNUSABLE` where the oracle has +inf."""
         thetas = self._box.theta(x)
         if self._first is not None:
             thetas, self._first = self._first, None
-        return np.minimum(self._oracle(thetas, fidelity), UNUSABLE)
+        return self._scale(self._oracle(thetas, fidelity))
 
     def common(self, n: int) -> Array:
         """The first common initial configurations, (n, d), up to rounding."""

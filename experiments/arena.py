@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import cast
+from typing import Any, cast
 
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
@@ -62,25 +64,36 @@ class Plan:
         return sum(len(block.methods) for block in self.blocks)
 
 
-def plan(cfg: DictConfig, overrides: Sequence[str]) -> Plan:
+def chosen_method(name: str, settings: Mapping[str, Any]) -> list[str]:
+    """Hydra's overrides that choose a method of conf/optimizer and replace some of its settings.
+
+    JSON is what Hydra reads too: null, true, numbers and quoted strings.
+    """
+    replaced = (f"optimizer.{key}={json.dumps(value)}" for key, value in settings.items())
+    return [f"optimizer={name}", *replaced]
+
+
+def plan(cfg: DictConfig, overrides: Sequence[str], *, methods: int = 3, families: int = 2) -> Plan:
     """Compose and check every problem and every method of `cfg.comparison` once.
 
     A problem whose data cannot be had is left out, and so is a method whose library is not
-    installed; raises ConfigError for any other fault.
+    installed; raises ConfigError for any other fault, and where fewer `methods` or `families` of
+    problems are left than the tests that follow need (Friedman's: 3 on 2).
+
+    Blocks come problem by problem, so that a worker builds each problem once.
     """
     comparison = cfg.comparison
     optimizers = []
     left_out: dict[str, str] = {}
     for name, settings in comparison.methods.items():
-        chosen = [f"optimizer={name}", *(f"optimizer.{k}={v}" for k, v in settings.items())]
-        method = composed(chosen)
+        method = composed(chosen_method(name, settings))
         try:
             build_optimizer(method)
         except MissingLibraryError as error:
             left_out[name] = str(error)
             continue
         optimizers.append(method.optimizer)
-    settings = {}
+    settings, kinds = {}, set()
     for name in comparison.problems:
         setting = composed([*overrides, f"problem={name}"])
         try:
@@ -90,13 +103,19 @@ def plan(cfg: DictConfig, overrides: Sequence[str]) -> Plan:
             continue
         build(setting, problem)
         settings[name] = OmegaConf.to_yaml(setting)
-    if not settings:
-        raise ConfigError(f"comparison.problems: {', '.join(left_out.values())}")
-    methods = tuple(OmegaConf.to_yaml(optimizer) for optimizer in optimizers)
+        kinds.add(setting.problem.family or name)
+    if len(optimizers) < methods or len(kinds) < families:
+        reasons = "".join(f"; {name}: {reason}" for name, reason in left_out.items())
+        raise ConfigError(
+            f"comparison: holds {len(optimizers)} methods on problems of {len(kinds)} families; "
+            f"expected at least {methods} on {families}, so add to comparison.methods or "
+            f"comparison.problems{reasons}"
+        )
+    yamls = tuple(OmegaConf.to_yaml(optimizer) for optimizer in optimizers)
     blocks = tuple(
-        Block(name, setting, methods, seed)
-        for seed in range(comparison.repetitions)
+        Block(name, setting, yamls, seed)
         for name, setting in settings.items()
+        for seed in range(comparison.repetitions)
     )
     return Plan(blocks, left_out)
 
@@ -104,16 +123,17 @@ def plan(cfg: DictConfig, overrides: Sequence[str]) -> Plan:
 def execute_all(planned: Plan, processes: int) -> Iterator[Done]:
     """The runs as they get done, with a bar on a terminal, else a line for each block.
 
-    Raises KeyboardInterrupt once all has stopped after an interrupt; what is done stays done.
+    Raises KeyboardInterrupt once all has stopped after an interrupt, ChildProcessError where the
+    system killed the process of a run; what is done stays done.
     """
     context = multiprocessing.get_context("spawn")
     with (
         tqdm(total=planned.runs, desc="runs", smoothing=0.02, disable=None) as bar,
         ProcessPoolExecutor(processes, context, initializer=schema.register) as pool,
     ):
-        jobs = {pool.submit(_run_block, block): block for block in planned.blocks}
         done = 0
         try:
+            jobs = {pool.submit(_run_block, block): block for block in planned.blocks}
             for job in as_completed(jobs):
                 block, runs = jobs[job], job.result()
                 done += len(runs)
@@ -123,6 +143,11 @@ def execute_all(planned: Plan, processes: int) -> Iterator[Done]:
                 yield from runs
                 if any(one.status is Status.INTERRUPTED for one in runs):
                     raise KeyboardInterrupt
+        except BrokenProcessPool:
+            raise ChildProcessError(
+                "the process of a run was killed, perhaps for want of memory; what is done is "
+                "kept, and the next call goes on from there"
+            ) from None
         except BaseException:
             pool.shutdown(cancel_futures=True)
             raise
@@ -142,8 +167,8 @@ def _run_block(block: Block) -> list[Done]:
     return runs
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=1)
 def _problem(setting: str) -> tuple[DictConfig, CurveFit]:
-    """A problem is built once in a process, for all methods and seeds that come there in a row."""
+    """A problem is built once in a process, whose blocks come problem by problem."""
     cfg = cast(DictConfig, OmegaConf.create(setting))
     return cfg, build_problem(cfg)

@@ -7,12 +7,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from experiments.arena_problems import as_configured
+from experiments.build import ConfigError
 from experiments.comparison import Comparison
 from miho.analysis import save
 from miho.analysis.anytime import area_over_curve
 from miho.analysis.arena_figures import ecdf_figure, error_curves, profiles_figure
 from miho.analysis.ert_figure import ert_table
-from miho.analysis.leaderboard import leaderboard, problem_scores
+from miho.analysis.leaderboard import families, family_scores, leaderboard, problem_scores
 from miho.analysis.pairwise import pairwise, pairwise_speed_up
 from miho.analysis.profiles import data_profile, ecdf, performance_profile
 from miho.analysis.ranking_figures import (
@@ -20,35 +22,49 @@ from miho.analysis.ranking_figures import (
     critical_difference_diagram,
     speed_up_figure,
 )
-from miho.analysis.ranks import cliques, critical_difference, friedman, ranks
+from miho.analysis.ranks import FriedmanTest, cliques, critical_difference, friedman, ranks
 from miho.analysis.running_time import at_factor, expected_running_time, hits, references
 
 FACTOR = 1.01
 MIHO = "miho"
 WITHIN = (1.0, 2.0, 10.0, 100.0)
 CAPTIONS = {
-    "leaderboard": "Methods by mean rank over problems, of the expected number of evaluations to "
-    "within 1 % of the best known error; where a method never got there, its area over the "
-    "convergence curve decides. Success: share of runs.",
-    "problems": "The problems: parameters, best known error, and how many of the methods came "
-    "within 1 % of it at least once.",
+    "leaderboard": "Methods by mean rank over {sample}, by the expected number of evaluations to "
+    "within 1 % of the best known error, whose logarithm is averaged over the problems of a family "
+    "before ranking; a gradient is charged as many evaluations as there are parameters. On a "
+    "problem where it never gets there, a method is at least a factor of ten behind all that do, "
+    "and its area over the convergence curve decides how far. Success: share of runs; cut by "
+    "seconds: share of runs that the cap in seconds ended before their evaluations were spent and "
+    "before they ended by themselves. All but the mean rank is over problems.",
+    "problems": "The problems: family (one model in one kind of box), parameters, best known "
+    "error, and how many of the methods came within 1 % of it at least once.",
     "profiles": "Performance profile: share of problems on which a method's expected number of "
     "evaluations to within 1 % is at most so many times that of the best method.",
-    "tests": "MIHO against each rival: problems won and lost, Wilcoxon's signed-rank test over "
-    "problems with Holm's correction, and how many times faster MIHO is where both get there.",
+    "tests": "MIHO against each rival: families won and lost, and Wilcoxon's signed-rank test over "
+    "families (N = {families}) with Holm's correction, by which no p can be below {least:.2g}. "
+    "Speed-up: how many times faster MIHO is on the problems where both get there; its interval "
+    "draws problems as if each were independent, so it is rather too narrow.",
 }
 
 
 def draw_arena(root: Path, output: Path) -> list[Path]:
-    """All tables and figures of the last arena below `root`; tables are printed."""
+    """All tables and figures of the last arena below `root`; tables are printed.
+
+    Raises ConfigError where it is too small for its tests.
+    """
     found = Comparison.read(root)
-    runs, curves, rng = found.runs, found.curves, np.random.default_rng(0)
+    runs, curves, rng = as_configured(found.runs), found.curves, np.random.default_rng(0)
     reached = hits(runs, curves)
     ert = {axis: expected_running_time(reached, axis, rng) for axis in ("evaluations", "seconds")}
     areas = area_over_curve(runs, curves)
-    scores = problem_scores(ert["evaluations"], areas, FACTOR)
-    order, problems = ranks(scores), len(scores)
-    difference = critical_difference(len(order), problems)
+    solved = problem_scores(ert["evaluations"], areas, FACTOR)
+    scores = family_scores(solved, families(runs))
+    try:
+        test = friedman(scores)
+    except ValueError as error:
+        raise ConfigError(f"{root}: {error}") from None
+    order, sample = ranks(scores), f"{len(solved)} problems in {len(scores)} families"
+    difference = critical_difference(len(order), len(scores))
     speed_ups = pairwise_speed_up(reached, FACTOR, "evaluations", rng)
     dimensions = dict(zip(runs["problem"], runs["dimension"], strict=True))
 
@@ -59,8 +75,11 @@ def draw_arena(root: Path, output: Path) -> list[Path]:
     }
     if MIHO in set(runs["optimizer"]):
         tables["tests"] = _tests(scores, speed_ups)
-    paths = found.write_tables(tables, CAPTIONS, output)
-    print(_friedman(scores, difference))
+    least = min(1.0, (len(order) - 1) * 2.0 ** (1 - len(scores)))
+    facts = {"sample": sample, "families": len(scores), "least": least}
+    captions = {name: text.format(**facts) for name, text in CAPTIONS.items()}
+    paths = found.write_tables(tables, captions, output)
+    print(_friedman(test, sample, difference))
     pd.concat([frame.assign(axis=axis) for axis, frame in ert.items()]).to_csv(
         output / "ert.csv", index=False
     )
@@ -77,7 +96,7 @@ def draw_arena(root: Path, output: Path) -> list[Path]:
         "profiles": profiles_figure(data, performance, note=note),
         "aocc": area_figure(areas, note=note),
         "ranks": critical_difference_diagram(
-            order, difference, cliques(order, difference), problems=problems, note=note
+            order, difference, cliques(order, difference), sample=sample, note=note
         ),
     }
     if MIHO in set(runs["optimizer"]):
@@ -96,6 +115,7 @@ def _problems(runs: pd.DataFrame, reached: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame(
         {
             "problem": first.index,
+            "family": first["family"].to_numpy(),
             "parameters": first["dimension"].astype(int).to_numpy(),
             "best known error": known["error"].reindex(first.index).to_numpy(),
             "unit": first["unit"].to_numpy(),
@@ -128,10 +148,9 @@ def _tests(scores: pd.DataFrame, speed_ups: pd.DataFrame) -> pd.DataFrame:
     return table[chosen].rename(columns=names)
 
 
-def _friedman(scores: pd.DataFrame, difference: float) -> str:
-    test = friedman(scores)
+def _friedman(test: FriedmanTest, sample: str, difference: float) -> str:
     return (
-        f"Friedman's test over {test.problems} problems and {test.methods} methods: "
+        f"Friedman's test over {sample} (N = {test.problems}) and {test.methods} methods: "
         f"chi2 = {test.chi2:.1f}, F = {test.f:.2f}, p = {test.p:.2g}; two mean ranks differ at 5 % "
         f"if they are {difference:.2f} apart (Nemenyi).\n"
     )

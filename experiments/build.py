@@ -152,8 +152,9 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
     model = instantiate(config["model"], "model", Model)
     rho = instantiate(config["loss"], "loss", Loss)
     try:
-        name = config["problem"]["name"]
-        return CurveFit(model, dataset, build_space(config["space"]), rho, name)
+        known, space = config["problem"], build_space(config["space"])
+        compressed = known.get("compressed", False)
+        return CurveFit(model, dataset, space, rho, known["name"], compressed=compressed)
     except ValueError as error:
         raise ConfigError(f"{stored.folder}: {error}") from None
 

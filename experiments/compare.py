@@ -19,7 +19,7 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from experiments.arena import execute_all, plan
+from experiments.arena import chosen_method, execute_all, plan
 from experiments.arena_results import draw_arena
 from experiments.build import ConfigError, build
 from experiments.cli import OK, SOME_FAILED, command, composed
@@ -64,8 +64,7 @@ def _on_one(cfg: DictConfig, overrides: list[str]) -> tuple[list[str], str]:
     """One problem, one run at a time, methods interleaved; the runs and what to say of them."""
     methods = []
     for name, settings in cfg.comparison.methods.items():
-        chosen = [f"optimizer={name}", *(f"optimizer.{k}={v}" for k, v in settings.items())]
-        methods.append(composed([*overrides, *chosen]))
+        methods.append(composed([*overrides, *chosen_method(name, settings)]))
     planned = []
     for seed in range(cfg.comparison.repetitions):
         for method in methods:
@@ -90,11 +89,15 @@ def _on_problems(cfg: DictConfig, overrides: list[str]) -> tuple[list[str], str]
     for name, reason in planned.left_out.items():
         print(f"{name}: left out: {reason}", file=sys.stderr)
     ids = []
-    for done in execute_all(planned, cfg.comparison.processes):
-        ids.append(done.id)
-        if done.status not in (Status.RAN, Status.DONE_BEFORE):
-            failed.append(done.line)
-            print(done.line, file=sys.stderr)
+    try:
+        for done in execute_all(planned, cfg.comparison.processes):
+            ids.append(done.id)
+            if done.status not in (Status.RAN, Status.DONE_BEFORE):
+                failed.append(done.line)
+                print(done.line, file=sys.stderr)
+    except ChildProcessError as error:
+        failed.extend([str(error)] * (planned.runs - len(ids)))
+        print(error, file=sys.stderr)
     problems = len({block.problem for block in planned.blocks})
     size = [f"{problems} problems", f"{cfg.comparison.processes} runs at a time"]
     if planned.left_out:

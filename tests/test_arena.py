@@ -1,19 +1,30 @@
 """The arena: what is planned, that it resumes, and what it writes."""
 
 import json
+import os
+import signal
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
+from omegaconf import OmegaConf
 
-from experiments.arena import plan
-from experiments.build import ConfigError
-from experiments.cli import composed
-from experiments.comparison import Comparison
+from experiments import arena
+from experiments import compare as comparing
+from experiments.arena import Block, Done, Plan, execute_all, plan
+from experiments.arena_problems import as_configured
+from experiments.arena_results import draw_arena
+from experiments.build import ConfigError, build
+from experiments.cli import CONF, SOME_FAILED, composed
+from experiments.comparison import COMPARISON, Comparison
+from experiments.run import run
 from experiments.schema import register
 from miho import load_runs
+from miho.study import Status
 
 ROOT = Path(__file__).parent.parent
 ARENA = ["experiment=arena_small", "comparison.repetitions=2", "budget.evaluations=300"]
@@ -32,11 +43,123 @@ def test_a_plan_has_a_block_for_each_problem_and_seed() -> None:
     overrides = [*ARENA, *METHODS, PROBLEMS]
     planned = plan(composed(overrides), overrides)
     assert [(block.problem, block.seed) for block in planned.blocks] == [
-        ("torque_15", 0), ("brake_static", 0), ("torque_15", 1), ("brake_static", 1),
+        ("torque_15", 0), ("torque_15", 1), ("brake_static", 0), ("brake_static", 1),
     ]  # fmt: skip
     assert all(len(block.methods) == 3 for block in planned.blocks)
     assert planned.runs == 12
     assert not planned.left_out
+
+
+def test_a_worker_builds_each_problem_once() -> None:
+    overrides = [*ARENA, *METHODS, "comparison.problems=[torque_15,brake_static,torque_05]"]
+    arena._problem.cache_clear()
+    for block in plan(composed(overrides), overrides).blocks:
+        arena._problem(block.setting)
+    assert arena._problem.cache_info().misses == 3
+
+
+@pytest.mark.parametrize(
+    ("problems", "methods", "found"),
+    [
+        ("tire_lf,front_axle", 3, "3 methods on problems of 1 families"),
+        ("torque_15,brake_static", 2, "2 methods on problems of 2 families"),
+    ],
+)
+def test_what_is_too_small_for_the_tests_is_refused_before_the_first_run(
+    problems: str, methods: int, found: str
+) -> None:
+    overrides = [*ARENA, *METHODS, f"comparison.problems=[{problems}]"]
+    cfg = composed(overrides)
+    cfg.comparison.methods = {name: {} for name in list(KEPT)[:methods]}
+    with pytest.raises(ConfigError, match=f"{found}; expected at least 3 on 2"):
+        plan(cfg, overrides)
+    assert plan(cfg, overrides, methods=1, families=1).blocks
+
+
+def killed(block: Block) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_process_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(arena, "_run_block", killed)
+    planned = Plan(tuple(Block("p", "", ("",), seed) for seed in range(3)), {})
+    with pytest.raises(ChildProcessError, match=r"was killed, .* goes on from there$"):
+        list(execute_all(planned, 1))
+
+
+def test_all_runs_that_a_killed_process_leaves_undone_are_counted_as_missing(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def one_and_no_more(planned: Plan, processes: int) -> Iterator[Done]:
+        yield Done("", "id", Status.RAN)
+        raise ChildProcessError("the process of a run was killed")
+
+    planned = Plan(tuple(Block("p", "", ("a", "b", "c"), seed) for seed in range(2)), {})
+    monkeypatch.setattr(comparing, "plan", lambda *_: planned)
+    monkeypatch.setattr(comparing, "execute_all", one_and_no_more)
+    monkeypatch.setattr(comparing, "failed", [])
+    ids, _ = comparing._on_problems(composed(ARENA), ARENA)
+    assert ids == ["id"]
+    assert comparing.summary() == SOME_FAILED
+    told = capsys.readouterr().err.splitlines()
+    assert told[0] == "the process of a run was killed"
+    assert told[1].startswith("5 runs are missing")
+
+
+def _model(cfg: Any) -> str:
+    chosen = {str(key): str(value) for entry in cfg.defaults for key, value in entry.items()}
+    return chosen["override /model"]
+
+
+def test_problems_that_are_one_model_in_one_kind_of_box_are_one_family() -> None:
+    names = composed(["experiment=arena"]).comparison.problems
+    own = {name: OmegaConf.load(CONF / "problem" / f"{name}.yaml") for name in names}
+    alike = {name: cfg.problem.family for name, cfg in own.items() if "family" in cfg.problem}
+    assert len({alike.get(name, name) for name in names}) == 9
+    assert sorted(alike.values()) == ["tire_physical"] * 2 + ["tire_wide"] * 7 + ["torque"] * 3
+    models = {(family, _model(own[name])) for name, family in alike.items()}
+    assert sorted(models) == [
+        ("tire_physical", "pacejka"), ("tire_wide", "pacejka"), ("torque", "torque_cubic")
+    ]  # fmt: skip
+
+
+def store(root: Path, *overrides: str) -> None:
+    run(build(composed([*overrides, "optimizer=random", f"root={root}"])), quiet=True)
+
+
+def test_a_corrected_optimum_counts_and_another_problem_keeps_its_own(tmp_path: Path) -> None:
+    once = ["problem=brake_static", "problem.optimum=1234", "budget.evaluations=100"]
+    store(tmp_path / "one", *once)
+    store(tmp_path / "one", *once, "problem.name=mine")
+    stored = load_runs(tmp_path / "one").runs
+    assert stored["optimum"].tolist() == pytest.approx([1234] * 2)
+    runs = as_configured(stored)
+    assert runs.index.equals(stored.index)
+    runs = runs.set_index("problem")
+    assert runs["optimum"]["brake_static"] == composed(["problem=brake_static"]).problem.optimum
+    assert runs["optimum"]["mine"] == pytest.approx(1234)
+    assert runs["family"].tolist() == runs.index.tolist()
+    store(tmp_path / "other", *once, "dataset.seed=1")
+    other = as_configured(load_runs(tmp_path / "other").runs)
+    assert other["optimum"].tolist() == pytest.approx([1234])
+
+
+def test_who_was_cut_by_seconds(tmp_path: Path) -> None:
+    store(tmp_path, "problem=torque_15", "budget.evaluations=100_000_000", "budget.seconds=0.02")
+    store(tmp_path, "problem=brake_static", "budget.evaluations=100", "budget.seconds=60")
+    store(tmp_path, "problem=torque_05", "budget.evaluations=100")
+    runs = as_configured(load_runs(tmp_path).runs).set_index("problem")
+    assert runs["outcome"].tolist() == ["budget"] * 3
+    assert runs["cut"].to_dict() == {"torque_15": True, "brake_static": False, "torque_05": False}
+    assert runs["family"]["torque_15"] == "torque"
+
+
+def test_a_store_that_is_too_small_to_draw_is_one_sentence(tmp_path: Path) -> None:
+    store(tmp_path, "problem=brake_static", "budget.evaluations=100")
+    about = {"command": [], "note": "", "runs": load_runs(tmp_path).runs["id"].tolist()}
+    (tmp_path / COMPARISON).write_text(json.dumps(about))
+    with pytest.raises(ConfigError, match="needs at least 3 on 2"):
+        draw_arena(tmp_path, tmp_path / "figures")
 
 
 def test_problems_without_data_are_left_out_and_named(
@@ -45,9 +168,9 @@ def test_problems_without_data_are_left_out_and_named(
     nowhere = ("http://127.0.0.1:9/x", tmp_path)
     monkeypatch.setattr("miho.data.seong.sample_file.__defaults__", nowhere)
     monkeypatch.delenv("MIHO_DATA_DIR", raising=False)
-    overrides = [*ARENA, *METHODS, "comparison.problems=[sample_a_wide,torque_15]"]
+    overrides = [*ARENA, *METHODS, "comparison.problems=[sample_a_wide,torque_15,brake_static]"]
     planned = plan(composed(overrides), overrides)
-    assert {block.problem for block in planned.blocks} == {"torque_15"}
+    assert {block.problem for block in planned.blocks} == {"torque_15", "brake_static"}
     assert "cannot be downloaded" in planned.left_out["sample_a_wide"]
     overrides = [*ARENA, *METHODS, "comparison.problems=[sample_a_wide]"]
     with pytest.raises(ConfigError, match="cannot be downloaded"):
@@ -59,9 +182,9 @@ def test_methods_without_their_library_are_left_out(monkeypatch: pytest.MonkeyPa
     monkeypatch.delitem(sys.modules, "baselines.dehb", raising=False)
     overrides = [*ARENA, *METHODS, PROBLEMS]
     cfg = composed(overrides)
-    cfg.comparison.methods = {"dehb": {}, "random": {}}
+    cfg.comparison.methods = {"dehb": {}} | {name: {} for name in KEPT}
     planned = plan(cfg, overrides)
-    assert all(len(block.methods) == 1 for block in planned.blocks)
+    assert all(len(block.methods) == 3 for block in planned.blocks)
     assert planned.left_out == {
         "dehb": "optimizer: dehb needs a library that is missing (dehb); pip install 'miho[rivals]'"
     }
@@ -84,12 +207,16 @@ def test_an_arena_draws_resumes_and_exports(tmp_path: Path) -> None:
     overrides = [*ARENA, *METHODS, PROBLEMS, f"root={root}"]
     first = compare(*overrides)
     assert first.returncode == 0, first.stderr
-    assert "Friedman's test over 2 problems and 3 methods" in first.stdout
+    assert "Friedman's test over 2 problems in 2 families (N = 2) and 3 methods" in first.stdout
     figures = root / "figures"
     drawn = {path.stem for path in figures.glob("*.png")}
     assert drawn == {"error_curves", "ert", "ecdf", "profiles", "aocc", "ranks", "speed_up"}
     board = pd.read_csv(figures / "leaderboard.csv")
     assert sorted(board["method"]) == ["miho", "pso_100", "random"]
+    assert board["cut by seconds"].between(0, 1).all()
+    assert "Methods by mean rank over 2 problems in 2 families" in first.stdout
+    # of 2 families at best both are won: 2 of 4 signs, times 2 rivals
+    assert "families (N = 2) with Holm's correction, by which no p can be below 1." in first.stdout
     provenance = json.loads((figures / "provenance.json").read_text())
     assert "experiment=arena_small" in provenance["command"]
 

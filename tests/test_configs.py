@@ -3,13 +3,16 @@
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
 from baselines.least_squares import LeastSquares
+from experiments.arena import chosen_method
 from experiments.build import build
 from experiments.cli import composed
 from experiments.schema import register
+from miho.identification import linear_optimum
 from miho.optim import Budget, minimize
 
 CONF = Path(__file__).parent.parent / "conf"
@@ -121,8 +124,24 @@ def test_experiments(name: str) -> None:
     for method, settings in cfg.comparison.methods.items():
         if method in NEEDS_A_LIBRARY and find_spec(NEEDS_A_LIBRARY[method]) is None:
             continue
-        chosen = [f"optimizer.{key}={value}" for key, value in settings.items()]
-        build(composed([f"experiment={name}", f"optimizer={method}", *chosen]))
+        build(composed([f"experiment={name}", *chosen_method(method, settings)]))
+
+
+def test_a_setting_of_null_reaches_the_method() -> None:
+    chosen = chosen_method("least_squares", {"rounds": None, "screen": 7, "method": "lm"})
+    expected = LeastSquares(screen=7, rounds=None, method="lm")
+    assert build(composed(chosen)).optimizer == expected
+
+
+@pytest.mark.parametrize("problem", ["torque_05", "torque_15", "torque_20"])
+def test_the_optimum_of_a_torque_is_not_where_methods_start(problem: str) -> None:
+    """The common start is drawn around the middle of the box, with a quarter of its width."""
+    fit = build(composed([f"problem={problem}"])).problem
+    found, space = linear_optimum(fit), fit.space
+    assert found is not None
+    place = (found[0] - space.low) / (space.high - space.low)
+    assert (np.abs(place - 0.5) > 0.25).all()
+    assert (np.abs(place - 0.5) < 0.45).all()
 
 
 def test_paper_fig6_is_full_size() -> None:

@@ -26,15 +26,19 @@ def leaderboard(
 ) -> pd.DataFrame:
     """A row per method, best mean rank first.
 
-    - mean rank: over problems, of `problem_scores` at `factor`
+    - mean rank: over families of problems, of the `family_scores` of `problem_scores` at `factor`
     - solved: problems on which any run reached the factor, of all problems
     - success: share of runs that did, and that reached the `strict` one
     - times the best: expected running time over that of the best method, geometric mean over the
       problems that the method solves; read it beside solved
     - AOCC: `area_over_curve` up to `budget`, mean over problems
+    - cut by seconds: share of runs that the cap in seconds ended before their evaluations were
+      spent and before they ended by themselves, where runs have the column `cut` that says so
     - µs per evaluation: seconds over evaluations of whole runs, the loss included, median
 
-    A method that was not run on a problem has not solved it. Success is over the runs it has.
+    `runs` may have a column `family`, equal for problems that are alike; without it each problem
+    is its own. All but the mean rank is over problems. A method that was not run on a problem has
+    not solved it. Success is over the runs it has.
     """
     found = hits(runs, curves, (factor, strict))
     areas = area_over_curve(runs, curves, budget, axis)
@@ -45,7 +49,9 @@ def leaderboard(
     ratios = ratios[np.isfinite(solved["ert"])].groupby(solved["optimizer"]).mean()
     per_problem = areas.groupby(["problem", "optimizer"])["aocc"].mean()
     pace = 1e6 * runs["seconds"] / runs["evaluations"].where(runs["evaluations"] > 0)
-    methods = ranks(scores).rename(columns={"rank": "mean rank"}).set_index("optimizer")
+    order = ranks(family_scores(scores, families(runs)))
+    methods = order.rename(columns={"rank": "mean rank"}).set_index("optimizer")
+    cut = {"cut by seconds": runs.groupby("optimizer")["cut"].mean()} if "cut" in runs else {}
     table = methods.assign(
         solved=np.isfinite(solved["ert"]).groupby(solved["optimizer"]).sum().astype(int),
         **{
@@ -54,6 +60,7 @@ def leaderboard(
         },
         **{"times the best": np.exp(ratios)},
         AOCC=per_problem.unstack().reindex(scores.index).fillna(0.0).mean(),
+        **cut,
         **{"µs per evaluation": pace.groupby(runs["optimizer"]).median()},
     )
     table = table.rename(columns={"solved": f"solved of {len(scores)}"})
@@ -75,3 +82,21 @@ def problem_scores(ert: pd.DataFrame, areas: pd.DataFrame, factor: float) -> pd.
     area = area.reindex(index=logs.index, columns=logs.columns).fillna(0.0)
     unsolved = (1 - area).add(logs.max(axis=1).fillna(0.0) + 1, axis=0)
     return logs.fillna(unsolved)
+
+
+def families(runs: pd.DataFrame) -> dict[str, str]:
+    """The family of each problem: column `family`, or its own name where there is none."""
+    own = runs["family"] if "family" in runs else runs["problem"]
+    return dict(zip(runs["problem"], own, strict=True))
+
+
+def family_scores(scores: pd.DataFrame, families: Mapping[str, str]) -> pd.DataFrame:
+    """Scores (families, methods): the mean of the scores of each family's problems.
+
+    Problems that are one model in one kind of box are no independent sample: ranked one by one,
+    what suits that model would count once for each of them, and tests would take repetition for
+    evidence. The mean of `problem_scores`, which are logarithms, is that of the geometric mean of
+    expected running times where a method solves the whole family; a problem that it does not
+    solve counts with at least ten times what the slowest method that does spends there.
+    """
+    return scores.groupby(scores.index.map(families), sort=False).mean().rename_axis("family")

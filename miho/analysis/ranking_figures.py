@@ -64,14 +64,15 @@ def critical_difference_diagram(
     cd: float,
     cliques: Sequence[Collection[str]],
     *,
-    problems: int | None = None,
+    sample: str = "",
     note: str = "",
 ) -> Figure:
     """Mean ranks and what they do not separate (Demsar 2006, Fig. 1), with a row per method.
 
     Frame: optimizer, rank (1 is best). `cd` is the critical difference, drawn to scale at the
     top; a bar beside the rows joins the methods of one clique, between which the test finds no
-    difference. Methods without a common bar differ.
+    difference. Methods without a common bar differ. `sample` says what the ranks are means over,
+    such as "12 problems".
     """
     with house_style():
         figure = Figure(figsize=(WIDTH, ROW * len(ranks) + 1.1), layout="constrained")
@@ -79,7 +80,7 @@ def critical_difference_diagram(
         left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1 - wide, wide])
         plot_ranks(ranks, cd, left)
         plot_cliques(ranks, cliques, right)
-        over = "" if problems is None else f" over {problems} problems"
+        over = f" over {sample}" if sample else ""
         left.set_xlabel(f"mean rank{over} (1: best)")
         caption(figure, "bars at the right join methods that the test does not separate", note)
         figure.draw_without_rendering()

@@ -25,10 +25,11 @@ from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from miho.identification import fused, panels
 from miho.identification.fused import as_tuple, sum_of_squares
-from miho.identification.panels import ORDERS, STARTS, Panels, panels
-from miho.identification.signature import signature_of, signed, signed_copy
-from miho.models.expression import Expression, Formula
+from miho.models.expression import Expression
+from miho.models.signature import Signed, signed, signed_formulas
+from miho.optim import climb
 from miho.optim.climb import Climb, climb_on, compiled_climb
 
 Array = NDArray[np.float64]
@@ -43,8 +44,8 @@ ELLIPSES = np.stack(
 
 With f, a derivative on the panel is at most M over the width of the ellipse beyond the panel.
 """
-DEGREES = np.array(ORDERS) - 1.0
-PLACES = np.array(STARTS)
+DEGREES = np.array(panels.ORDERS) - 1.0
+PLACES = np.array(panels.STARTS)
 
 TRUNCATION = 0.15
 """Share of the tolerance that E is of the scatter: 0.6 of it, four times E over the root of L."""
@@ -55,6 +56,7 @@ SCATTER = 0.5
 LOOKS = (0.02, 2e-4)
 """First looks at a candidate: E is this part of the root of the loss it has to beat."""
 SCRATCH = 64
+COMPILED_WITH = (climb.__file__, fused.__file__, panels.__file__, __file__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,11 +78,12 @@ class CompressedLoss:
             raise ValueError(
                 f"{type(model).__name__} has no bound; only a model that has one can be compressed"
             )
-        return _compile(model.value, model.bound, len(model.parameters))
+        d = len(model.parameters)
+        return _compile(signed_formulas((model.value, model.bound), (1, d), *COMPILED_WITH), d)
 
     @cached_property
     def _data(self) -> tuple[Any, ...]:
-        found = panels(self.x, self.y)
+        found = panels.panels(self.x, self.y)
         N = self.y.size
         size = math.sqrt(float(np.mean(self.y**2)))
         scatter = SCATTER * math.sqrt(found.unexplained / N)
@@ -118,7 +121,7 @@ class _Compiled:
 
 
 def _data(
-    found: Panels, spread: Array, N: int, size: float, scatter: float, goal: float
+    found: panels.Panels, spread: Array, N: int, size: float, scatter: float, goal: float
 ) -> tuple[Any, ...]:
     """What the compiled loss reads; `terms` (3, ...) are the points, then each panel's nodes."""
     geometry = np.stack([found.centre, found.half, spread], axis=1)
@@ -130,11 +133,9 @@ def _data(
 
 
 @cache
-def _compile(value: Formula, bound: Formula, d: int) -> _Compiled:
-    signature = signature_of([value, bound], d, __file__)
-    named = signed(signature)
-    value = register_jitable(signed_copy(value, signature))
-    bound = register_jitable(signed_copy(bound, signature))
+def _compile(formulas: Signed, d: int) -> _Compiled:
+    named = signed(formulas.signature)
+    value, bound = map(register_jitable, formulas.copies())
 
     @register_jitable(error_model="numpy")
     @named
@@ -239,4 +240,4 @@ def _compile(value: Formula, bound: Formula, d: int) -> _Compiled:
         for i in range(len(thetas)):
             found[i], counts[i] = counted(thetas[i], limits[i], data)
 
-    return _Compiled(losses, compiled_climb(loss, signature))
+    return _Compiled(losses, compiled_climb(loss, formulas.signature))

@@ -182,26 +182,29 @@ class CurveFit(LeastSquaresProblem):
 
     def cost(self, fidelity: float) -> float:
         """The fraction of rows that a fidelity uses; all of them where their order matters."""
-        if self.model.ordered:
-            return 1.0
-        return math.ceil(fidelity * len(self.dataset)) / len(self.dataset)
+        return self._rows(fidelity) / len(self.dataset)
+
+    def _rows(self, fidelity: float) -> int:
+        N = len(self.dataset)
+        return N if self.model.ordered else math.ceil(fidelity * N)
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Mean squared error (n,) of parameter rows (n, d), over a fidelity of the data rows."""
-        compiled = self._compressed or self._fused
-        if compiled is not None and self.cost(fidelity) == 1:
-            return compiled.losses(thetas)
-        inputs, output = self.inputs, self._output
-        if fidelity < 1 and not self.model.ordered:
-            rows = self._order[: math.ceil(fidelity * output.size)]
-            inputs, output = tuple(column[rows] for column in inputs), output[rows]
+        inputs, output, rows = self.inputs, self._output, self._rows(fidelity)
+        if self._compressed is not None and rows == output.size:
+            return self._compressed.losses(thetas)
+        if self._fused is not None:
+            return self._fused.losses(thetas, rows)
+        if rows < output.size:
+            part = self._order[:rows]
+            inputs, output = tuple(column[part] for column in inputs), output[part]
         block = max(1, BLOCK // output.size)
         if len(thetas) <= block:
             return self._block_loss(thetas, inputs, output)
         losses = np.empty(len(thetas))
         for start in range(0, len(thetas), block):
-            part = slice(start, start + block)
-            losses[part] = self._block_loss(thetas[part], inputs, output)
+            some = slice(start, start + block)
+            losses[some] = self._block_loss(thetas[some], inputs, output)
         return losses
 
     def _block_loss(self, thetas: Array, inputs: tuple[Array, ...], output: Array) -> Array:

@@ -22,17 +22,25 @@ from numba.extending import register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
-from miho.identification.signature import signature_of, signed, signed_copy
-from miho.models.expression import Expression, Formula
+from miho.models.expression import Expression
+from miho.models.signature import Signed, signed, signed_formulas
+from miho.optim import climb
 from miho.optim.climb import Climb, climb_on, compiled_climb
 
 Array = NDArray[np.float64]
 
 BLOCK = 512
 """Rows at a time: a handful of temporaries of 4 KiB."""
+COMPILED_WITH = (climb.__file__, __file__)
 SHARE = 50_000
 """Model values that are worth a thread of their own."""
-CAUSES = ("Untyped global name", "Use of unsupported", "Unknown attribute", "Cannot unify", "No impl")
+CAUSES = (
+    "Untyped global name",
+    "Use of unsupported",
+    "Unknown attribute",
+    "Cannot unify",
+    "No impl",
+)
 FIRST_BLOCK = 64
 """Rows before the first look whether a candidate is beaten; doubles up to BLOCK."""
 
@@ -55,7 +63,9 @@ class FusedLoss:
     @cached_property
     def _compiled(self) -> _Compiled:
         model = self.model
-        return _compile(model.value, model.derivatives, len(self.X), len(model.parameters))
+        p, d = len(self.X), len(model.parameters)
+        formulas = signed_formulas((model.value, model.derivatives), (p, d), *COMPILED_WITH)
+        return _compile(formulas, p, d)
 
     @cached_property
     def _data(self) -> tuple[Array, Array]:
@@ -70,20 +80,22 @@ class FusedLoss:
         """Compiled mutation steps on this loss."""
         return climb_on(self._compiled.climb, self._data)
 
-    def losses(self, thetas: Array) -> Array:
-        """Losses (n,) of parameter rows (n, d)."""
+    def losses(self, thetas: Array, rows: int | None = None) -> Array:
+        """Losses (n,) of parameter rows (n, d), over the first rows of the order if not all."""
         thetas = np.ascontiguousarray(thetas, dtype=float)
         losses = np.empty(len(thetas))
-        parts = min(self.threads, len(thetas), len(thetas) * self.y.size // SHARE)
+        X, y = self._data
+        data = X, y[:rows]
+        parts = min(self.threads, len(thetas), len(thetas) * data[1].size // SHARE)
         if parts <= 1:
             try:
-                self._compiled.losses(thetas, self._data, losses)
+                self._compiled.losses(thetas, data, losses)
             except NumbaError as error:
                 raise ValueError(self._explained(error)) from None
             return losses
         cuts = np.linspace(0, len(thetas), parts + 1).astype(int)
         jobs = [
-            self._pool.submit(self._compiled.losses, thetas[i:j], self._data, losses[i:j])
+            self._pool.submit(self._compiled.losses, thetas[i:j], data, losses[i:j])
             for i, j in pairwise(cuts)
         ]
         for job in jobs:
@@ -120,17 +132,15 @@ class _Compiled:
 
 
 @cache
-def _compile(value: Formula, derivatives: Formula, p: int, d: int) -> _Compiled:
+def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
     columns = COLUMNS[p]
-    signature = signature_of([value, derivatives], d, __file__)
-    own = signed(signature)
-    value = register_jitable(signed_copy(value, signature))
-    derivatives = register_jitable(signed_copy(derivatives, signature))
+    own = signed(formulas.signature)
+    value, derivatives = map(register_jitable, formulas.copies())
 
     @register_jitable(error_model="numpy")
     @own
     def loss(theta: Array, limit: float, data: tuple[Array, Array]) -> float:
-        X, y = data
+        X, y = data  # y may be the first part of X's rows
         parameters = as_tuple(theta, d)
         total = 0.0
         start, size = 0, FIRST_BLOCK
@@ -165,7 +175,7 @@ def _compile(value: Formula, derivatives: Formula, p: int, d: int) -> _Compiled:
             end = min(start + BLOCK, X.shape[1])
             _store(derivatives(columns(X, start, end), parameters), found[:, start:end])
 
-    return _Compiled(losses, residuals, jacobian, compiled_climb(loss, signature))
+    return _Compiled(losses, residuals, jacobian, compiled_climb(loss, formulas.signature))
 
 
 @register_jitable

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from miho.models.elementary import atan, sin
 from miho.models.model import Model, central_differences
+from miho.models.signature import signature_of, signed
 from miho.models.single_track import SingleTrack
 from miho.models.vehicle_settings import from_settings
 
@@ -82,6 +83,7 @@ def _with_halves(column: Array) -> Array:
 
 
 @njit(cache=True, error_model="numpy")
+@signed(signature_of())
 def _yaw_rates(
     columns: Array,
     car: tuple[float, float, float],

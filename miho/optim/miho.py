@@ -54,9 +54,10 @@ class MIHO(AskTell[MIHOState]):
 
     `early_stopping` gives a mutant up as soon as its loss cannot be below its parent's, where the
     problem has a compiled loss; it changes no decision, but what the rest of its loss would have
-    been, NaN included, is then not seen. `proposal` is what a configuration is
-    compared with: a mutation of itself, or, to see what mutation is worth, a fresh draw from the
-    initial distribution in its place.
+    been, NaN included, is then not seen. Whether the loss is a compressed one is no setting of a
+    method but a switch of the problem, off by default, and applies to all methods alike. `proposal`
+    is what a configuration is compared with: a mutation of itself, or, to see what mutation is
+    worth, a fresh draw from the initial distribution in its place.
 
     `rounding` is that of s_max; `sampling` that of fresh configurations; `annealing` that of
     sigma, over the mutations of a rung; `clip` keeps mutants in the box or above its lower bounds.

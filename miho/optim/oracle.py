@@ -234,7 +234,7 @@ class Oracle:
         if self._problem.climb is None or meter.unfinished or not meter.seconds:
             return 0
         in_time = int(CHUNK_SECONDS * meter.evaluations / meter.seconds)
-        return int(min(max(rows, in_time) if in_time else 0, self.remaining)) // rows
+        return int(min(in_time, self.remaining)) // rows
 
     def climb(
         self,

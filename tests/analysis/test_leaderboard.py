@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from miho.analysis.anytime import area_over_curve
-from miho.analysis.leaderboard import leaderboard, problem_scores
+from miho.analysis.leaderboard import families, family_scores, leaderboard, problem_scores
 from miho.analysis.markdown import to_markdown
 from miho.analysis.running_time import hits, running_times
 from tests.analysis.several_problems import several
@@ -72,3 +72,33 @@ def test_a_problem_that_nobody_solves_is_ordered_by_area() -> None:
     assert table["mean rank"].tolist() == [1, 2]
     assert table["solved of 1"].tolist() == [0, 0]
     assert table["times the best"].isna().all()
+
+
+def test_a_family_counts_once_and_its_scores_are_averaged() -> None:
+    """On q, r and s one method wins by 10 times; on p the other does: two families, a draw."""
+    quick, late = [[(10.0, 10.0)]], [[(100.0, 10.0)]]
+    runs, curves = several(
+        {"p": {"a": late, "b": quick}} | {name: {"a": quick, "b": late} for name in "qrs"},
+        optimum=dict.fromkeys("pqrs", 10.0),
+    )
+    board = leaderboard(runs, curves).set_index("method")
+    assert board["mean rank"].to_dict() == {"a": 1.25, "b": 1.75}
+    runs["family"] = runs["problem"].where(runs["problem"] == "p", "alike")
+    board = leaderboard(runs, curves).set_index("method")
+    assert board["mean rank"].to_dict() == {"a": 1.5, "b": 1.5}
+    assert board["solved of 4"].to_dict() == {"a": 4, "b": 4}
+    assert families(runs) == {"p": "p", "q": "alike", "r": "alike", "s": "alike"}
+
+
+def test_the_score_of_a_family_is_the_log_of_the_geometric_mean() -> None:
+    scores = pd.DataFrame({"a": np.log10([2.0, 8.0, 5.0])}, index=["p", "q", "r"])
+    found = family_scores(scores, {"p": "one", "q": "one", "r": "r"})
+    assert (10 ** found["a"]).to_dict() == pytest.approx({"one": 4, "r": 5})
+
+
+def test_the_share_of_runs_cut_by_seconds_is_shown_where_it_is_known() -> None:
+    runs, curves = worked()
+    assert "cut by seconds" not in leaderboard(runs, curves)
+    runs["cut"] = (runs["optimizer"] == "slow") & (runs["problem"] == "q")
+    cut = leaderboard(runs, curves).set_index("method")["cut by seconds"]
+    assert cut.to_dict() == {"fast": 0, "slow": 0.5, "absent": 0, "bad": 0}

@@ -117,13 +117,14 @@ def test_figures_are_drawn_from_the_frames_of_the_statistics() -> None:
     ranked = ranks(scores)
     cd = critical_difference(4, 3)
     pairs = pairwise_speed_up(hits(runs, curves), 1.01, "evaluations", np.random.default_rng(1), 50)
+    sample = "3 problems in 2 families"
     figures = [
         area_figure(found),
-        critical_difference_diagram(ranked, cd, cliques(ranked, cd), problems=3),
+        critical_difference_diagram(ranked, cd, cliques(ranked, cd), sample=sample),
         speed_up_figure(pairs),
     ]
     assert rows(figures[1].axes[0]) == [STYLES[method].name for method in ranked["optimizer"]]
-    assert "mean rank over 3 problems (1: best)" in {
+    assert f"mean rank over {sample} (1: best)" in {
         text.get_text() for text in figures[1].findobj(Text) if isinstance(text, Text)
     }
 
@@ -134,7 +135,7 @@ def test_rows_of_twenty_two_methods_stay_on_the_page() -> None:
     ranked = pd.DataFrame({"optimizer": many, "rank": np.arange(22) * 0.9 + 1.5})
     for figure in (
         area_figure(areas(many, 16)),
-        critical_difference_diagram(ranked, 8.0, cliques(ranked, 8.0), problems=16),
+        critical_difference_diagram(ranked, 8.0, cliques(ranked, 8.0), sample="16 problems"),
         speed_up_figure(speed_ups(many, 16)),
     ):
         figure.draw_without_rendering()

@@ -7,6 +7,8 @@ import pytest
 
 pytest.importorskip("nevergrad")
 
+import nevergrad
+
 from baselines.ngopt import NGOpt
 from miho import Budget, minimize
 from miho.testing import DecayFit
@@ -18,12 +20,42 @@ def test_it_reaches_the_optimum(optimum: float) -> None:
     assert optimum < record.loss < 1.001 * optimum
 
 
-def test_it_plans_anew_where_a_run_has_no_limit_of_evaluations() -> None:
-    """A target alone: each plan begins at another configuration."""
-    problem = DecayFit()
+@pytest.fixture
+def plans(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """What the library is told to plan for, plan after plan: 64 in the warm-up, then the run.
+
+    The last plan, of 1, meets the end of the budget.
+    """
+    told = []
+    method = nevergrad.optimizers.NGOpt
+
+    def watched(parametrization: object, budget: int) -> object:
+        told.append(budget)
+        return method(parametrization=parametrization, budget=budget)
+
+    monkeypatch.setattr(nevergrad.optimizers, "NGOpt", watched)
+    return told
+
+
+def test_it_plans_for_what_it_is_told_and_then_for_what_is_left(plans: list[int]) -> None:
+    minimize(NGOpt(plan=30), DecayFit(), Budget(evaluations=70), seed=1)
+    assert plans == [30, 30, 4, 1, 30, 30, 10, 1]
+
+
+def test_it_plans_for_the_whole_run_unless_told(plans: list[int]) -> None:
+    minimize(NGOpt(), DecayFit(), Budget(evaluations=70), seed=1)
+    assert plans == [64, 1, 70, 1]
+
+
+def test_seconds_alone_say_nothing_to_plan_for() -> None:
     budget = Budget(target=1e-9, seconds=0.5)
-    record = minimize(NGOpt(budget=30), problem, budget, seed=1)
+    record = minimize(NGOpt(plan=30), DecayFit(), budget, seed=1)
     assert record.evaluations > 30
+    record = minimize(NGOpt(), DecayFit(), budget, seed=1)
+    assert record.error is not None
+    assert "plan is None in a run without a limit of evaluations" in record.error
+    with pytest.raises(ValueError, match="plan is 0"):
+        NGOpt(plan=0)
 
 
 @pytest.mark.slow
@@ -34,7 +66,7 @@ def test_a_model_of_the_loss_can_be_asked() -> None:
     """
     before = str(np.random.get_state())  # noqa: NPY002
     records = [minimize(NGOpt(), DecayFit(), Budget(evaluations=60), seed=1) for _ in range(2)]
-    records += [minimize(NGOpt(budget=300), DecayFit(), Budget(seconds=2.0), seed=1)]
+    records += [minimize(NGOpt(plan=300), DecayFit(), Budget(seconds=2.0), seed=1)]
     assert records[0].trace.loss == records[1].trace.loss
     assert records[2].error is None
     assert str(np.random.get_state()) == before  # noqa: NPY002

@@ -130,6 +130,22 @@ def test_a_cubic_takes_four_values() -> None:
     assert set(counts) == {4}
 
 
+def test_equal_models_share_one_compilation() -> None:
+    x = np.linspace(50, 700, 100)
+    first, again, other = (
+        CompressedLoss(TorqueCubic(omega_max), x, x)._compiled for omega_max in (650, 650, 600)
+    )
+    assert first is again
+    assert first is not other
+
+
+def test_lower_fidelities_are_those_of_the_points() -> None:
+    thetas = candidates(40)
+    compressed, plain = (problem(3000, switch) for switch in (True, False))
+    assert compressed.loss(thetas, 0.3).tolist() == plain.loss(thetas, 0.3).tolist()
+    assert compressed.loss(thetas).tolist() != plain.loss(thetas).tolist()
+
+
 def test_data_without_scatter_use_every_point() -> None:
     x, y = sample(3000, noise=0.0)
     thetas = TRUE * (1 + np.geomspace(1e-9, 1e-3, 20)[:, None] * np.array([1, 1, 0, 0, 0]))

@@ -60,6 +60,20 @@ def test_fidelity_uses_a_fixed_part_of_the_data() -> None:
     assert p.cost(0.251) == 51 / 200, "it uses 51 rows"
 
 
+@pytest.mark.parametrize("fidelity", [0.01, 0.25, 0.251, 0.999])
+def test_a_fidelity_is_compiled(fidelity: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    p = problem(2000)
+    thetas = SPACE.initial(50)
+    part = p._order[: round(p.cost(fidelity) * 2000)]
+    rows = p.model.predict(thetas, p.inputs[0][part]) - p.dataset["Fy"][part]
+
+    def predict(*arguments: object) -> None:
+        raise AssertionError("it went the way of NumPy")
+
+    monkeypatch.setattr(Pacejka, "predict", predict)
+    assert p.loss(thetas, fidelity) == pytest.approx(np.mean(rows**2, axis=1), rel=1e-12)
+
+
 def test_a_model_with_a_memory_costs_all_rows_at_any_fidelity() -> None:
     class Ordered(Pacejka):
         ordered = True

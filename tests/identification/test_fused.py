@@ -194,6 +194,40 @@ def test_a_model_that_is_no_expression_goes_the_way_of_numpy() -> None:
     assert records[0].loss == pytest.approx(records[1].loss, rel=1e-9)
 
 
+def test_equal_models_share_one_compilation() -> None:
+    x = np.linspace(50, 700, 100)
+    thetas = np.random.default_rng(4).uniform(-100, 100, (5, 4))
+    first, again, other = (
+        FusedLoss(TorqueCubic(omega_max), x[None], x, np.arange(100))
+        for omega_max in (650.0, 650.0, 600.0)
+    )
+    assert first._compiled is again._compiled
+    assert first._compiled is not other._compiled
+    for loss in (first, again, other):
+        np.testing.assert_allclose(loss.losses(thetas), by_numpy(loss, thetas), rtol=RELATIVE)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize(("model", "between", "box"), WIDE)
+def test_the_first_rows_are_numpys_and_compile_nothing(
+    model: Expression,
+    between: tuple[float, float],
+    box: list[tuple[str, float, float]],
+    threads: int,
+) -> None:
+    """From 7 rows on, as the residual of a single row may cancel to nearly 0."""
+    loss = fused(model, between, 1500, threads)
+    thetas = space_of(model, box).sample(200, np.random.default_rng(6), "uniform")
+    whole = loss.losses(thetas)
+    compiled = list(loss._compiled.losses.signatures)
+    for rows in (7, 19, 64, 500, 1499):
+        part = loss.order[:rows]
+        expected = mean_square(model.predict(thetas, loss.X[0, part]) - loss.y[part])
+        np.testing.assert_allclose(loss.losses(thetas, rows), expected, rtol=RELATIVE)
+    assert loss.losses(thetas, 1500).tolist() == whole.tolist()
+    assert loss._compiled.losses.signatures == compiled
+
+
 MODEL = """
 from types import MappingProxyType
 import numpy as np

@@ -115,6 +115,22 @@ def test_seconds_end_a_run_within_a_chunk() -> None:
     assert problem.calls == 3
 
 
+def test_compiled_steps_that_take_longer_than_a_chunk_are_not_made() -> None:
+    """At 6 ms an evaluation, 20 ms hold three rows: a step of more is evaluated in chunks."""
+    watch = Watch()
+
+    class Slow(Given):
+        climb = object()  # type: ignore[assignment]
+
+        def loss(self, thetas: Array, fidelity: float = 1.0) -> Any:
+            watch.now += 0.006 * len(thetas)
+            return np.abs(thetas[:, 0])
+
+    oracle = Oracle(Slow(), Budget(), clock=watch.clock())
+    oracle(column(3))
+    assert [oracle.climbing_steps(rows) for rows in (1, 3, 4, 3125)] == [3, 1, 0, 0]
+
+
 def test_the_target_ends_a_run() -> None:
     oracle = Oracle(Given(), Budget(target=2.5))
     oracle(column(5))

@@ -1,0 +1,52 @@
+"""What conf/problem says of the problems of an arena that is done."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+from omegaconf import DictConfig, OmegaConf
+
+from experiments import schema
+from experiments.cli import CONF, composed
+from miho.study import StoredRun, read_run
+
+SAME = ("model", "dataset", "space", "loss")
+"""What makes a problem, and with it its optimum."""
+
+
+def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
+    """`runs` with `optimum` as conf/problem has it now, and the columns `family` and `cut`.
+
+    An optimum is no part of a run's identity, so the store may hold one that was corrected since.
+    What was run with another model, dataset, space or loss than conf/problem has, or has no file
+    there, keeps what is stored. `cut` is true where a run had spent its seconds before its
+    evaluations and had not ended by itself.
+    """
+    schema.register()
+    pieces = []
+    for name, mine in runs.groupby("problem", sort=False):
+        stored = read_run(Path(mine["folder"].iloc[0]))
+        family = str(name)
+        if (CONF / "problem" / f"{name}.yaml").exists():
+            cfg = composed([f"problem={name}"])
+            family = cfg.problem.family or family
+            if cfg.problem.optimum is not None and _is_same(stored, cfg):
+                mine = mine.assign(optimum=cfg.problem.optimum)
+        pieces.append(mine.assign(family=family, cut=_cut(mine, stored)))
+    return pd.concat(pieces).loc[runs.index]
+
+
+def _is_same(stored: StoredRun, cfg: DictConfig) -> bool:
+    return all(stored.config[key] == OmegaConf.to_container(cfg[key], resolve=True) for key in SAME)
+
+
+def _cut(runs: pd.DataFrame, stored: StoredRun) -> pd.Series:
+    """All runs of a problem have the budget of the `stored` one."""
+    budget = stored.config["budget"]
+    late = pd.Series(budget["seconds"] is not None, index=runs.index)
+    if budget["seconds"] is not None:
+        late &= runs["seconds"] >= budget["seconds"]
+    if budget["evaluations"] is not None:
+        late &= runs["evaluations"] < budget["evaluations"]
+    return late & (runs["outcome"] != "converged")
