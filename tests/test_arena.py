@@ -243,6 +243,7 @@ def test_an_arena_draws_resumes_and_exports(tmp_path: Path) -> None:
     assert "not empty" in done.stderr
 
 
+@pytest.mark.slow
 def test_what_cannot_be_combined_is_refused() -> None:
     done = compare("experiment=arena_small", "problem=tire_lf")
     assert done.returncode == 2

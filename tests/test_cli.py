@@ -95,7 +95,7 @@ def missing_coefficient(tmp_path: Path) -> list[str]:
 BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "unknown optimizer": (
         ["optimizer=foo"],
-        "optimizer/foo' Available options in 'optimizer': gbo",
+        "optimizer/foo' Available options in 'optimizer': cma_es",
     ),
     "R = 0": (["optimizer.R=0"], "R is 0; expected a whole number of at least 1"),
     "R is a word": (["optimizer.R=many"], "optimizer.R: is 'many'; expected a value of type int"),

@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 
 from baselines.least_squares import LeastSquares
 from experiments.arena import chosen_method
-from experiments.build import build
+from experiments.build import build, build_optimizer
 from experiments.cli import composed
 from experiments.schema import register
 from miho.identification import linear_optimum
@@ -121,10 +121,14 @@ def test_experiments(name: str) -> None:
     cfg = composed([f"experiment={name}"])
     assert cfg.root == f"runs/{name}"
     assert set(cfg.comparison.problems) <= set(options("problem"))
+    build(cfg)
     for method, settings in cfg.comparison.methods.items():
         if method in NEEDS_A_LIBRARY and find_spec(NEEDS_A_LIBRARY[method]) is None:
             continue
-        build(composed([f"experiment={name}", *chosen_method(method, settings)]))
+        node = OmegaConf.load(CONF / "optimizer" / f"{method}.yaml")
+        assert set(settings) <= set(node), method
+        cfg.optimizer = OmegaConf.merge(node, settings)
+        build_optimizer(cfg)
 
 
 def test_a_setting_of_null_reaches_the_method() -> None:
