@@ -1,8 +1,9 @@
 """Runs on disk: written once, whole or not at all, never silently wrong."""
 
 import json
-import multiprocessing
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -171,27 +172,30 @@ def test_interrupted_and_failed_runs_keep_their_curve_and_run_again(tmp_path: Pa
     assert not execution.partial.exists()
 
 
-def hold(root: Path, held: object, release: object) -> None:
-    with Store(root).claim(identity()):
-        held.set()
-        release.wait(20)
+HOLD = """
+import sys
+from miho.study import Identity, Store
+
+identity = Identity("decay", "random", 0, {}, code="c0de", data="da7a")
+with Store(__import__("pathlib").Path(sys.argv[1])).claim(identity):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
 
 
 @pytest.mark.slow
 def test_two_processes_do_not_run_the_same(tmp_path: Path) -> None:
-    context = multiprocessing.get_context("spawn")
-    held, release = context.Event(), context.Event()
-    other = context.Process(target=hold, args=(tmp_path, held, release))
-    other.start()
-    try:
-        assert held.wait(20)
+    command = [sys.executable, "-c", HOLD, str(tmp_path)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "held\n"
         with pytest.raises(RunInUse), Store(tmp_path).claim(identity()):
             pass
         execution = execute(Store(tmp_path), identity(), record, DecayFit.space, FACTS)
         assert execution.status is Status.RUNNING_ELSEWHERE
-    finally:
-        release.set()
-        other.join(20)
+        other.communicate()
+    assert other.returncode == 0
     assert execute(Store(tmp_path), identity(), record, DecayFit.space, FACTS).status is Status.RAN
 
 
