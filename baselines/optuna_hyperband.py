@@ -85,7 +85,7 @@ def _climbed(
     space, k = oracle.space, 0
     while k < len(sigma):
         mutant = mutate(P, sigma[k], space, rng, "box")
-        steps = min(len(sigma) - k, oracle.climbing_steps(1))
+        steps = min(len(sigma) - k, oracle.climbing_evaluations())
         if steps:
             noise = rng.standard_normal((steps - 1, *P.shape))
             P, losses = P.copy(), np.array([L])

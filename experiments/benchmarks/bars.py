@@ -98,10 +98,10 @@ def machine() -> str:
     )
 
 
-def interleaved(
+def turns(
     jobs: Mapping[str, Callable[[], object]], repeats: int, atom: float = 0.01
-) -> dict[str, float]:
-    """Smallest seconds of one call of each job, taken in turns.
+) -> dict[str, list[float]]:
+    """Seconds of one call of each job, once for each of the turns that they take.
 
     A measurement is as many calls as `atom` seconds hold, so that the clock's own cost is lost in
     it; jobs slower than that are called once a turn.
@@ -112,11 +112,18 @@ def interleaved(
         started = time.perf_counter()
         job()
         calls[name] = max(1, int(atom / max(time.perf_counter() - started, 1e-9)))
-    least = dict.fromkeys(jobs, float("inf"))
+    seconds: dict[str, list[float]] = {name: [] for name in jobs}
     for _ in range(repeats):
         for name, job in jobs.items():
             started = time.perf_counter()
             for _ in range(calls[name]):
                 job()
-            least[name] = min(least[name], (time.perf_counter() - started) / calls[name])
-    return least
+            seconds[name].append((time.perf_counter() - started) / calls[name])
+    return seconds
+
+
+def interleaved(
+    jobs: Mapping[str, Callable[[], object]], repeats: int, atom: float = 0.01
+) -> dict[str, float]:
+    """Smallest seconds of one call of each job, taken in turns."""
+    return {name: min(seconds) for name, seconds in turns(jobs, repeats, atom).items()}

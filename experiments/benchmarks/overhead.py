@@ -176,7 +176,7 @@ def block_seconds(space: Space, repeats: int) -> float:
     oracle(P)
 
     def step() -> None:
-        oracle.climbing_steps(1)
+        oracle.climbing_evaluations()
         oracle.climb(P, P, L, noise, noise[:, 0], bounds, True)
 
     return interleaved({"block": step}, repeats)["block"]

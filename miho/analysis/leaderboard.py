@@ -26,7 +26,9 @@ def leaderboard(
 ) -> pd.DataFrame:
     """A row per method, best mean rank first.
 
-    - mean rank: over families of problems, of the `family_scores` of `problem_scores` at `factor`
+    - mean rank: over problems, of `problem_scores` at `factor`
+    - by families: the same over families of problems, of `family_scores`, where runs have the
+      column `family`, equal for problems that are alike
     - solved: problems on which any run reached the factor, of all problems
     - success: share of runs that did, and that reached the `strict` one
     - times the best: expected running time over that of the best method, geometric mean over the
@@ -36,9 +38,7 @@ def leaderboard(
       spent and before they ended by themselves, where runs have the column `cut` that says so
     - µs per evaluation: seconds over evaluations of whole runs, the loss included, median
 
-    `runs` may have a column `family`, equal for problems that are alike; without it each problem
-    is its own. All but the mean rank is over problems. A method that was not run on a problem has
-    not solved it. Success is over the runs it has.
+    A method that was not run on a problem has not solved it. Success is over the runs it has.
     """
     found = hits(runs, curves, (factor, strict))
     areas = area_over_curve(runs, curves, budget, axis)
@@ -49,8 +49,10 @@ def leaderboard(
     ratios = ratios[np.isfinite(solved["ert"])].groupby(solved["optimizer"]).mean()
     per_problem = areas.groupby(["problem", "optimizer"])["aocc"].mean()
     pace = 1e6 * runs["seconds"] / runs["evaluations"].where(runs["evaluations"] > 0)
-    order = ranks(family_scores(scores, families(runs)))
-    methods = order.rename(columns={"rank": "mean rank"}).set_index("optimizer")
+    methods = ranks(scores).rename(columns={"rank": "mean rank"}).set_index("optimizer")
+    if "family" in runs:
+        by_family = ranks(family_scores(scores, families(runs))).set_index("optimizer")
+        methods["by families"] = by_family["rank"]
     cut = {"cut by seconds": runs.groupby("optimizer")["cut"].mean()} if "cut" in runs else {}
     table = methods.assign(
         solved=np.isfinite(solved["ert"]).groupby(solved["optimizer"]).sum().astype(int),
@@ -85,9 +87,8 @@ def problem_scores(ert: pd.DataFrame, areas: pd.DataFrame, factor: float) -> pd.
 
 
 def families(runs: pd.DataFrame) -> dict[str, str]:
-    """The family of each problem: column `family`, or its own name where there is none."""
-    own = runs["family"] if "family" in runs else runs["problem"]
-    return dict(zip(runs["problem"], own, strict=True))
+    """The family of each problem, by the column `family`."""
+    return dict(zip(runs["problem"], runs["family"], strict=True))
 
 
 def family_scores(scores: pd.DataFrame, families: Mapping[str, str]) -> pd.DataFrame:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import combinations, permutations
 
 import numpy as np
@@ -87,6 +88,7 @@ def pairwise_speed_up(
     axis: Axis,
     rng: np.random.Generator,
     resamples: int = RESAMPLES,
+    families: Mapping[str, str] | None = None,
 ) -> pd.DataFrame:
     """How many times faster each method reaches the factor than each rival: a row per pair.
 
@@ -96,21 +98,25 @@ def pairwise_speed_up(
     one of them solves, which no ratio can hold: read them together.
 
     [low, high] is the 95 % percentile interval of a hierarchical bootstrap: problems are drawn
-    with replacement, and for each drawn problem its runs are, the same seeds for all methods. It
-    is an interval for problems like these, not for these problems. Problems drawn as they are
-    vary by their runs already, so runs count twice: between two names of one method (16 problems,
-    10 runs) 99 % of the intervals hold the truth, while drawing problems or runs alone gives 89
-    and 92 %. Of a resample only problems that both solve in it count.
+    with replacement, all of a family together where `families` names that of each, and for each
+    drawn problem its runs are, the same seeds for all methods. It is an interval for problems like
+    these, not for these problems. Problems drawn as they are vary by their runs already, so runs
+    count twice: between two names of one method (16 problems, 10 runs) 99 % of the intervals hold
+    the truth, while drawing problems or runs alone gives 89 and 92 %. Of a resample only problems
+    that both solve in it count.
     """
     names, values = resampled(at_factor(hits, factor), axis, rng, resamples)
     problems, methods = names["problem"].unique(), sorted(names["optimizer"].unique())
-    logs = np.full((len(methods), problems.size, 1 + resamples), np.nan)
+    logs = np.full((len(methods), problems.size + 1, 1 + resamples), np.nan)
     place = pd.Index(methods).get_indexer(names["optimizer"])
     where = pd.Index(problems).get_indexer(names["problem"])
     logs[place, where] = np.log(values)
-    rows = rng.integers(problems.size, size=(1 + resamples, problems.size))
+    groups = _members([families[name] if families else name for name in problems])
+    drawn_groups = rng.integers(len(groups), size=(1 + resamples, len(groups)))
+    drawn_groups[0] = np.arange(len(groups))
+    rows = groups[drawn_groups].reshape(1 + resamples, -1)
     columns = rng.integers(1, 1 + resamples, size=rows.shape)
-    rows[0], columns[0] = np.arange(problems.size), 0
+    columns[0] = 0
     drawn = dict(zip(methods, logs[:, rows, columns], strict=True))
     return pd.DataFrame(
         [
@@ -118,6 +124,16 @@ def pairwise_speed_up(
             for mine, rival in permutations(methods, 2)
         ]
     )
+
+
+def _members(families: list[str]) -> NDArray[np.intp]:
+    """The places of each family's members (families, most); the place after the last fills rows."""
+    codes = pd.factorize(pd.Series(families))[0]
+    table = np.full((codes.max() + 1, np.bincount(codes).max()), codes.size)
+    for code, row in enumerate(table):
+        places = np.flatnonzero(codes == code)
+        row[: places.size] = places
+    return table
 
 
 def _speed_up(mine: Array, rival: Array) -> dict[str, float]:

@@ -2,9 +2,10 @@
 
 The sample is the set of problems: `scores` (problems, methods) holds one number per problem and
 method, lower is better, such as an expected running time or a median over repetitions. Repetitions
-are never rows, they would be counted as independent problems. Problems that are alike should be one
-row (`leaderboard.family_scores`), and "problems" below are rows, be they families. Source: Demšar
-2006, "Statistical comparisons of classifiers over multiple data sets", Sec. 3.2.
+are never rows, they would be counted as independent problems. Problems that are alike are no
+independent sample either: with one row for each family of them (`leaderboard.family_scores`) the
+same tests are stricter, and "problems" below are families. Source: Demšar 2006, "Statistical
+comparisons of classifiers over multiple data sets", Sec. 3.2.
 """
 
 from __future__ import annotations

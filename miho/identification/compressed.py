@@ -18,7 +18,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -27,13 +27,13 @@ from numpy.typing import NDArray
 
 from miho.identification import fused, panels
 from miho.identification.fused import as_tuple, sum_of_squares
-from miho.models.expression import Expression
+from miho.models.expression import Expression, Formula
 from miho.models.signature import Signed, signed, signed_formulas
 from miho.optim import climb
 from miho.optim.climb import Climb, climb_on, compiled_climb
 
 Array = NDArray[np.float64]
-Function = TypeVar("Function", bound=Callable[..., Any])
+Sign = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 RHOS = np.array([1.4, 2.2, 3.6, 7.0])
 WIDTHS, HEIGHTS = (RHOS + 1 / RHOS) / 2, (RHOS - 1 / RHOS) / 2
@@ -53,8 +53,8 @@ ROUNDING = 16 * np.finfo(float).eps
 """Relative error of weights and values, and of the nodes to the largest input of a panel."""
 SCATTER = 0.5
 """Part of the leaves' scatter that a loss is expected to have at least."""
-LOOKS = (0.02, 2e-4)
-"""First looks at a candidate: E is this part of the root of the loss it has to beat."""
+LOOK = 0.02
+"""First look at a candidate: E is this part of the root of the loss it has to beat."""
 SCRATCH = 64
 COMPILED_WITH = (climb.__file__, fused.__file__, panels.__file__, __file__)
 
@@ -132,10 +132,8 @@ def _data(
     return geometry, places, terms, found.points.shape[1], found.rests, numbers, ELLIPSES
 
 
-@cache
-def _compile(formulas: Signed, d: int) -> _Compiled:
-    named = signed(formulas.signature)
-    value, bound = map(register_jitable, formulas.copies())
+def _order(bound: Formula, named: Sign) -> Any:
+    """Which rule keeps to E on a panel."""
 
     @register_jitable(error_model="numpy")
     @named
@@ -162,6 +160,12 @@ def _compile(formulas: Signed, d: int) -> _Compiled:
         while found < orders and not needed <= DEGREES[found]:
             found += 1
         return found
+
+    return order
+
+
+def _walk(value: Formula, order: Callable[..., int], named: Sign) -> Any:
+    """The sum over panels that keep to E, and over the points of leaves that do not."""
 
     @register_jitable(error_model="numpy")
     @named
@@ -202,6 +206,15 @@ def _compile(formulas: Signed, d: int) -> _Compiled:
                         return total / N, count
         return (total + sum_of_squares(residuals[:pending])) / N, count
 
+    return walk
+
+
+@cache
+def _compile(formulas: Signed, d: int) -> _Compiled:
+    named = signed(formulas.signature)
+    value, bound = map(register_jitable, formulas.copies())
+    walk = _walk(value, _order(bound, named), named)
+
     @register_jitable(error_model="numpy")
     @named
     def counted(theta: Array, limit: float, data: Any) -> tuple[float, int]:
@@ -211,20 +224,21 @@ def _compile(formulas: Signed, d: int) -> _Compiled:
         parameters = as_tuple(theta, d)
         amplitude = math.log(bound((0.0, 0.0, 0.0), parameters)[0])
         scratch = np.empty(SCRATCH), np.empty(ellipses.shape[1])
-        root = math.sqrt(limit)
-        found, count = 0.0, 0
-        for stage in range(0 if 0 < limit < np.inf else len(LOOKS), len(LOOKS) + 2):
-            enough, wanted = limit, -np.inf
-            if stage < len(LOOKS):
-                beaten = root * (1 + 1e-8 + 2.1 * LOOKS[stage]) + 4 * ROUNDING * size
-                enough, wanted = beaten * beaten, math.log(LOOKS[stage] * root)
-            elif stage == len(LOOKS):
-                wanted = goal
-            found, more = walk(parameters, amplitude, wanted, enough, scratch, data)
+        count = 0
+        if 0 < limit < np.inf:
+            root = math.sqrt(limit)
+            beaten = (root * (1 + 1e-8 + 2.1 * LOOK) + 4 * ROUNDING * size) ** 2
+            wanted = math.log(LOOK * root)
+            found, count = walk(parameters, amplitude, wanted, beaten, scratch, data)
+            if found >= beaten:
+                return found, count
+        if goal > -np.inf:
+            found, more = walk(parameters, amplitude, goal, limit, scratch, data)
             count += more
-            if found >= enough or (stage == len(LOOKS) and (found >= lowest or goal == -np.inf)):
-                break
-        return found, count
+            if found >= min(limit, lowest):
+                return found, count
+        found, more = walk(parameters, amplitude, -np.inf, limit, scratch, data)
+        return found, count + more
 
     @register_jitable(error_model="numpy")
     @named

@@ -24,7 +24,8 @@ class MIHOState:
     """Where Alg. 1 stands: P (n, d) in search coordinates with losses L (n,) on rung `position`.
 
     `step` counts the mutations done on this rung, -1 while fresh configurations are evaluated;
-    `sigma` (mutations, d) anneals over them; `batch` is what is being evaluated.
+    `sigma` (mutations, d) anneals over them; `batch` (n, d) is what is being evaluated, and its
+    first `row` rows have been.
     """
 
     space: Space
@@ -36,6 +37,7 @@ class MIHOState:
     step: int
     sigma: Array
     batch: Array = field(repr=False)
+    row: int = 0
 
     @property
     def rung(self) -> Rung:
@@ -105,43 +107,49 @@ class MIHO(AskTell[MIHOState]):
 
     def ask(self, state: MIHOState) -> Array:
         """Fresh configurations, or one mutation of each configuration of the rung."""
-        return state.space.decode(state.batch)
+        return state.space.decode(state.batch[state.row :])
 
     def tell(self, state: MIHOState, thetas: Array, losses: Array) -> None:
         """Keep each mutant that is better than its parent, then prepare the next batch."""
+        rest = slice(state.row, None)
         if state.step < 0:
             state.L = losses.copy()
         else:
-            better = losses < state.L
+            better = losses < state.L[rest]
             if better.any():
-                state.P[better] = state.batch[better]
-                state.L[better] = losses[better]
+                state.P[rest][better] = state.batch[rest][better]
+                state.L[rest][better] = losses[better]
+        state.row = 0
         self._count(state, 1)
 
     def leap(self, state: MIHOState, oracle: Oracle) -> bool:
-        """The next steps of this rung in one compiled block."""
+        """The next steps of this rung, or the next rows of one step, in one compiled block."""
         if state.step < 0 or self.proposal != "mutation":
             return False
-        left = state.rung.mutations - state.step
-        steps = min(left, oracle.climbing_steps(len(state.P)))
-        if not steps:
+        evaluations, n = oracle.climbing_evaluations(), len(state.P)
+        if not evaluations:
             return False
-        rng, shape = state.rng, state.P.shape
+        whole = evaluations >= n and state.row == 0
+        steps = min(evaluations // n, state.rung.mutations - state.step) if whole else 1
+        rows = slice(state.row, min(state.row + evaluations, n))
+        rng, shape = state.rng, (steps - 1, *state.P.shape)
         before = rng.bit_generator.state
         low, high = state.space.bounds
         made = oracle.climb(
-            state.batch,
-            state.P,
-            state.L,
-            rng.standard_normal((steps - 1, *shape)),
+            state.batch[rows],
+            state.P[rows],
+            state.L[rows],
+            rng.standard_normal(shape),
             state.sigma[state.step + 1 : state.step + steps],
             (low, high if self.clip == "box" else np.full(high.shape, np.inf)),
             self.early_stopping,
         )
         if made < steps:
             rng.bit_generator.state = before
-            rng.standard_normal((made - 1, *shape))
-        self._count(state, made)
+            rng.standard_normal((made - 1, *shape[1:]))
+        state.row = rows.stop % n
+        if state.row == 0:
+            self._count(state, made)
         return True
 
     def _count(self, state: MIHOState, steps: int) -> None:

@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 CHUNK_SECONDS = 0.02
 OBSERVE_SECONDS = 0.1
 REASONS = 20
+NONE, NOWHERE = np.empty(0), np.empty(0, np.int64)
 
 
 class BudgetExhausted(Exception):  # noqa: N818 -- the signal that ends every run, not an error
@@ -158,7 +159,7 @@ class Oracle:
             raise ValueError(f"fidelity is {fidelity!r}; expected a fraction above 0, at most 1")
         cost = self._problem.cost(fidelity)
         unfinished = self.meter.unfinished
-        losses = np.array(unfinished)
+        losses = np.array(unfinished) if unfinished else NONE
         n = len(thetas)
         try:
             while losses.size < n:
@@ -222,19 +223,19 @@ class Oracle:
         self._check_end()
         return jacobian
 
-    def climbing_steps(self, rows: int) -> int:
-        """How many steps on this many rows `climb` may make next; 0 if batches must be evaluated.
+    def climbing_evaluations(self) -> int:
+        """How many evaluations `climb` may make next; 0 if batches must be evaluated.
 
-        As many as the evaluations left allow and some 20 ms hold. None where the problem cannot
-        climb, where not even one step is within these limits, and before anything was timed.
-        Raises, as an evaluation would, where the run is over.
+        As many as are left and some 20 ms hold. None where the problem cannot climb, where not even
+        one is within these limits, and before anything was timed. Raises, as an evaluation would,
+        where the run is over.
         """
         self._check_open()
         meter = self.meter
         if self._problem.climb is None or meter.unfinished or not meter.seconds:
             return 0
         in_time = int(CHUNK_SECONDS * meter.evaluations / meter.seconds)
-        return int(min(in_time, self.remaining)) // rows
+        return int(min(in_time, self.remaining))
 
     def climb(
         self,
@@ -250,12 +251,12 @@ class Oracle:
 
         Each counts one evaluation for each row, stopped early or not, and each improvement is
         recorded at its own evaluation. Fewer steps than asked are made only where the target is
-        reached, which ends the run at its next evaluation. `climbing_steps` says how many may be
-        asked.
+        reached, which ends the run at its next evaluation. `climbing_evaluations` says how many
+        may be asked.
         """
         climb, meter = self._problem.climb, self.meter
         if climb is None or (len(noise) + 1) * len(P) > self.remaining:
-            raise ValueError("more steps than climbing_steps allows")
+            raise ValueError("more steps than climbing_evaluations allows")
         started = self.seconds
         block = climb(first, P, L, noise, sigma, bounds, meter.best, self._target, early_stopping)
         evaluations = block.steps * len(P)
@@ -317,6 +318,8 @@ class Oracle:
 
     def _usable(self, losses: Array) -> Array:
         """The losses with +inf in place of every value that is not a finite number."""
+        if math.isfinite(losses.dot(losses)):  # the quickest look that no bad value passes
+            return losses
         finite = np.isfinite(losses)
         if finite.all():
             return losses
@@ -326,11 +329,13 @@ class Oracle:
 
     def _record(self, rows: Array, losses: Array, cost: float, started: float) -> None:
         """Count the rows and keep their improvements."""
-        improving = np.empty(0, int)
         if cost == 1.0 and np.minimum.reduce(losses) < self.meter.best:
             lower = losses < np.minimum.accumulate(np.append(self.meter.best, losses[:-1]))
             improving = np.flatnonzero(lower)
-        self._keep(improving, losses[improving], rows[improving], losses.size, started, cost)
+            found, thetas = losses[improving], rows[improving]
+        else:
+            improving, found, thetas = NOWHERE, NONE, rows[:0]
+        self._keep(improving, found, thetas, losses.size, started, cost)
 
     def _keep(
         self,

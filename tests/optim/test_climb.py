@@ -310,11 +310,10 @@ def test_more_steps_than_the_budget_allows_are_refused(fit: FusedLoss) -> None:
     oracle = Oracle(Watched(fit), Budget(evaluations=10), clock=clock)
     P = SPACE.initial(4)
     L, noise, bounds = np.full(4, np.inf), np.zeros((2, *P.shape)), SPACE.bounds
-    assert oracle.climbing_steps(4) == 0  # before anything was timed
+    assert oracle.climbing_evaluations() == 0  # before anything was timed
     oracle(P[:1])
-    assert oracle.climbing_steps(4) == 2
-    assert oracle.climbing_steps(10) == 0
-    with pytest.raises(ValueError, match="more steps than climbing_steps allows"):
+    assert oracle.climbing_evaluations() == 9
+    with pytest.raises(ValueError, match="more steps than climbing_evaluations allows"):
         oracle.climb(P, P.copy(), L, noise, noise[:, 0], bounds, True)
     assert oracle.climb(P, P.copy(), L, noise[:1], noise[:1, 0], bounds, True) == 2
     assert oracle.evaluations == 9
