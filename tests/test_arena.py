@@ -50,6 +50,7 @@ def test_a_plan_has_a_block_for_each_problem_and_seed() -> None:
     assert not planned.left_out
 
 
+@pytest.mark.slow
 def test_a_worker_builds_each_problem_once() -> None:
     overrides = [*ARENA, *METHODS, "comparison.problems=[torque_15,brake_static,torque_05]"]
     arena._problem.cache_clear()
@@ -58,6 +59,7 @@ def test_a_worker_builds_each_problem_once() -> None:
     assert arena._problem.cache_info().misses == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("problems", "methods", "found"),
     [
@@ -127,6 +129,7 @@ def store(root: Path, *overrides: str) -> None:
     run(build(composed([*overrides, "optimizer=random", f"root={root}"])), quiet=True)
 
 
+@pytest.mark.slow
 def test_a_corrected_optimum_counts_and_another_problem_keeps_its_own(tmp_path: Path) -> None:
     once = ["problem=brake_static", "problem.optimum=1234", "budget.evaluations=100"]
     store(tmp_path / "one", *once)
@@ -144,6 +147,7 @@ def test_a_corrected_optimum_counts_and_another_problem_keeps_its_own(tmp_path: 
     assert other["optimum"].tolist() == pytest.approx([1234])
 
 
+@pytest.mark.slow
 def test_who_was_cut_by_seconds(tmp_path: Path) -> None:
     store(tmp_path, "problem=torque_15", "budget.evaluations=100_000_000", "budget.seconds=0.02")
     store(tmp_path, "problem=brake_static", "budget.evaluations=100", "budget.seconds=60")
@@ -177,6 +181,7 @@ def test_problems_without_data_are_left_out_and_named(
         plan(composed(overrides), overrides)
 
 
+@pytest.mark.slow
 def test_methods_without_their_library_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "dehb", None)
     monkeypatch.delitem(sys.modules, "baselines.dehb", raising=False)

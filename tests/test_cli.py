@@ -294,6 +294,7 @@ def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
     assert load_runs(tmp_path).runs.empty
 
 
+@pytest.mark.slow
 def test_help_names_the_groups() -> None:
     done = subprocess.run(
         [sys.executable, "-m", "experiments.identify", "--help"],

@@ -12,10 +12,10 @@ from miho.testing import BUDGET, CHECKS, run_check
 OPTIMIZERS = sorted((Path(__file__).parent.parent / "conf" / "optimizer").glob("*.yaml"))
 
 SLOW = {
-    "optuna_hyperband", "gbo_large", "pso_500", "pso_constriction", "miho_no_mutation", "hyperband",
-    "successive_halving", "nelder_mead", "lbfgsb", "least_squares_lm", "variable_projection_lm",
-    "cma_es", "differential_evolution", "dual_annealing", "optuna_tpe", "optuna_cmaes", "ngopt",
-    "dehb",
+    "optuna_hyperband", "gbo_small", "gbo_large", "pso_500", "pso_constriction",
+    "miho_no_mutation", "hyperband", "successive_halving", "nelder_mead", "lbfgsb",
+    "least_squares_lm", "variable_projection_lm", "cma_es", "differential_evolution",
+    "dual_annealing", "optuna_tpe", "optuna_cmaes", "ngopt", "dehb",
 }  # fmt: skip
 """Methods that take seconds a check, or differ from another in a setting alone."""
 

@@ -74,6 +74,7 @@ def test_the_best_run_of_a_root(
     assert load_runs(root).damaged.empty
 
 
+@pytest.mark.slow
 def test_one_run_and_another_folder(
     root: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -119,6 +120,7 @@ def test_code_of_the_users_runs_only_if_trusted(tmp_path: Path) -> None:
     assert rebuild(stored, trusted=True).model.name == "line"
 
 
+@pytest.mark.slow
 def test_a_run_that_cannot_be_reported_stops_no_other(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -267,6 +267,7 @@ def plainly_read_csv(content: bytes) -> dict[str, list[float]]:
     return {name: [float(row[names.index(name)]) for row in rows] for name in COLUMNS}
 
 
+@pytest.mark.slow
 @MUTATIONS
 @given(edits=EDITS)
 def test_mutated_csv(tmp_path: Path, edits: list[tuple[str, float, int]]) -> None:
@@ -297,6 +298,7 @@ def plainly_read_tir(content: bytes) -> dict[tuple[str, str], float]:
     return found
 
 
+@pytest.mark.slow
 @MUTATIONS
 @given(edits=EDITS)
 def test_mutated_tir(tmp_path: Path, edits: list[tuple[str, float, int]]) -> None:
