@@ -38,7 +38,7 @@ def ert_table(
     what the best method of each problem needs, in the unit of `axis`.
     """
     rows = at_factor(ert, factor)
-    methods, problems = rows["optimizer"].nunique(), rows["problem"].nunique()
+    methods = rows["optimizer"].nunique()
     with house_style():
         height = ROW * methods + LETTER * rows["problem"].str.len().max() + 1.2
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
@@ -47,7 +47,7 @@ def ert_table(
         bar = figure.colorbar(mesh, ax=ax, orientation="horizontal", aspect=50, pad=0.02)
         bar.set_label(f"expected {axis} to {factor:g} times the optimum / the best method's")
         bar.set_ticks([0, 1, 2, 3], labels=["1", "10", "100", "1000 or more"])
-        text = f"small: share of runs that arrived, if not all; -: never; {problems} problems"
+        text = "small: share of runs that arrived, if not all; -: never"
         caption(figure, text, note)
         figure.draw_without_rendering()
     return figure
