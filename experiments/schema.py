@@ -36,8 +36,8 @@ class BudgetConfig:
 class ProblemConfig:
     """What is known of a problem: its name, if not that of model and data, and its best error.
 
-    Problems of one `family` (default: each is its own) are one model in one kind of box: what
-    ranks methods over problems counts them as one, for their outcomes are not independent.
+    Problems of one `family` (default: each is its own) are one model in one kind of box: their
+    outcomes are not independent, so ranks and tests are shown over families as well.
     `optimum` is the smallest known root of the loss in the space, in the output's unit, and
     `evidence` says how it is known. `compressed` and `threads` are those of `miho.CurveFit`.
     """

@@ -3,7 +3,7 @@
 python -m experiments.benchmarks.aa_check [METHOD]
 
 Runs the method (default pso_constriction) 20 times on each problem of the arena, on two cores in
-some two minutes. Runs with even and odd seeds go by the names A and B. Exits with 1 if Wilcoxon's
+some four minutes. Runs with even and odd seeds go by the names A and B. Exits with 1 if Wilcoxon's
 test over problems separates them at p < 0.05, or the interval of their speed ratio does not hold 1.
 
 Seeds are fixed, so that this has one outcome and repeats it: it finds a gross fault of the
