@@ -60,12 +60,12 @@ def summary() -> int:
     bad = [done for done in finished if done.reason is not None]
     for done in bad:
         print(f"{done.status}: {done.wanted.asked}: {done.reason}")
-    counts = Counter(done.status for done in finished)
-    told = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
-    print(f"{len(finished)} runs: {told}")
     roots = dict.fromkeys(done.wanted.root for done in finished if done.error is not None)
     for root in roots:
         print(f"how far to trust the best of them: python -m experiments.report {root}")
+    counts = Counter(done.status for done in finished)
+    told = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
+    print(f"{len(finished)} runs: {told}")
     return SOME_FAILED if bad else OK
 
 
