@@ -7,21 +7,24 @@ that `model.path` names, which a user chooses on the command line or in a YAML o
 
 from __future__ import annotations
 
-import contextlib
-import importlib
 import inspect
 import math
+import os
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cache, lru_cache
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 from omegaconf import DictConfig, OmegaConf
 
 import baselines
 import miho
+from experiments.confidential import SecretError, check_no_secret, refuse_environment
 from experiments.schema import Config
+from experiments.targets import TargetError, find_target, nested_target
 from miho.data import Dataset
 from miho.identification import CurveFit, Loss, irreducible_error, linear_optimum
 from miho.models import Model
@@ -29,10 +32,14 @@ from miho.optim import Budget, Optimizer, Parameter, Space
 from miho.study import Identity, StoredRun, code_digest
 from miho.study.identity import sha256
 
-PACKAGES = ("miho", "baselines")
 PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
 
+NUMERICAL = {"numpy", "scipy", "numba"}
+WRAPPED = {"optuna", "cmaes", "nevergrad", "dehb"}
+
 T = TypeVar("T")
+
+refuse_environment()
 
 
 class ConfigError(ValueError):
@@ -90,6 +97,7 @@ def build(cfg: DictConfig, problem: CurveFit | None = None) -> Experiment:
     for key in cfg:
         if key not in known:
             raise ConfigError(f"{key!s}: is unknown; allowed are {', '.join(known)}")
+    root = _root(cfg.root)
     optimizer = build_optimizer(cfg)
     optimizer_node = _plain(cfg, "optimizer")
     name = optimizer_node.pop("name")
@@ -107,10 +115,11 @@ def build(cfg: DictConfig, problem: CurveFit | None = None) -> Experiment:
             config=config | {"optimizer": optimizer_node},
             code=_code(problem.model),
             data=problem.dataset.digest,
+            packages=_packages(optimizer),
         )
     except (TypeError, ValueError) as error:
         raise ConfigError(str(error)) from None
-    return Experiment(problem, optimizer, budget, identity, Path(cfg.root), cfg.problem.optimum)
+    return Experiment(problem, optimizer, budget, identity, root, cfg.problem.optimum)
 
 
 def build_optimizer(cfg: DictConfig) -> Optimizer:
@@ -140,23 +149,32 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
 
     A model in a file of the user's is code: it runs only if `trusted`.
     """
-    config = stored.config
+    config = {key: _part(stored, key) for key in ("model", "dataset", "loss", "space", "problem")}
     own = config["model"].get("path")
     if own is not None and not trusted:
         raise ConfigError(
             f"{stored.folder}: its model is code in {own}; add --trust to run that file"
         )
-    dataset = instantiate(config["dataset"], "dataset", Dataset)
-    if dataset.digest != stored.result["data"]:
-        raise ConfigError(f"{stored.folder}: its data have changed since; identify again")
     model = instantiate(config["model"], "model", Model)
     rho = instantiate(config["loss"], "loss", Loss)
+    dataset = instantiate(config["dataset"], "dataset", Dataset)
+    if dataset.digest != stored.result.get("data"):
+        raise ConfigError(f"{stored.folder}: its data have changed since; identify again")
     try:
-        known, space = config["problem"], build_space(config["space"])
-        compressed = known.get("compressed", False)
-        return CurveFit(model, dataset, space, rho, known["name"], compressed=compressed)
-    except ValueError as error:
+        name, space = config["problem"].get("name"), build_space(config["space"])
+        compressed = config["problem"].get("compressed", False)
+        return CurveFit(model, dataset, space, rho, name, compressed=compressed)
+    except (TypeError, ValueError) as error:
         raise ConfigError(f"{stored.folder}: {error}") from None
+
+
+def _part(stored: StoredRun, key: str) -> Mapping[str, Any]:
+    """A mapping in the configuration of a stored run, which can say anything."""
+    whole = stored.config
+    part = whole.get(key) if isinstance(whole, Mapping) else None
+    if not isinstance(part, Mapping):
+        raise ConfigError(f"{stored.folder}: its configuration has no {key}; identify again")
+    return part
 
 
 def build_space(node: Mapping[str, Any]) -> Space:
@@ -170,8 +188,8 @@ def build_space(node: Mapping[str, Any]) -> Space:
 def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
     """The object that `node` describes.
 
-    Its target must be a public class or function of our own packages that gives a `kind`, and
-    know every setting; all that is checked before anything is called. Hydra's own `instantiate`
+    Its target must be one of those that `experiments.targets` allows for a `kind`, and know every
+    setting; all that is checked before anything is imported or called. Hydra's own `instantiate`
     is not used: it runs any target.
     """
     target = _target(node.get("_target_"), key, kind)
@@ -180,6 +198,9 @@ def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
     for name, value in settings.items():
         if name not in allowed:
             raise ConfigError(f"{key}.{name}: is unknown; allowed are {', '.join(allowed)}")
+        inner = nested_target(value, f"{key}.{name}")
+        if inner:
+            raise ConfigError(f"{inner}: a target cannot stand inside of a setting; remove it")
         settings[name] = _typed(value, allowed[name].annotation, f"{key}.{name}")
     try:
         built = target(**settings)
@@ -187,39 +208,18 @@ def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
         if type(error) is not ValueError:
             raise
         raise ConfigError(f"{key}: {error}") from None
-    except TypeError as error:
+    except (TypeError, OverflowError) as error:
         raise ConfigError(f"{key}: {error}") from None
     except MemoryError:
         raise ConfigError(f"{key}: is too large for the memory of this machine") from None
     return built
 
 
-def _target(path: Any, key: str, kind: type[T]) -> Callable[..., T]:
-    """What stands at a dotted path, if it is ours and gives a `kind`; nothing else is imported."""
-    parts = path.split(".") if isinstance(path, str) else []
-    public = all(part.isidentifier() and not part.startswith("_") for part in parts)
-    if public and len(parts) > 1 and parts[0] in PACKAGES:
-        with contextlib.suppress(ModuleNotFoundError):
-            found: Any = getattr(_module(".".join(parts[:-1]), key), parts[-1], None)
-            if inspect.isclass(found):
-                gives = issubclass(found, kind) and not inspect.isabstract(found)
-            else:
-                gives = inspect.isfunction(found) and (
-                    inspect.get_annotations(found).get("return") == kind.__name__
-                )
-            if gives and found.__module__.partition(".")[0] in PACKAGES:
-                return cast(Callable[..., T], found)
-    raise ConfigError(
-        f"{key}._target_: {path!r} is not a class or function of {' or '.join(PACKAGES)} that "
-        f"gives a {kind.__name__}; name one that does"
-    )
-
-
-def _module(name: str, key: str) -> Any:
+def _target(path: object, key: str, kind: type[T]) -> Callable[..., T]:
     try:
-        return importlib.import_module(name)
-    except ModuleNotFoundError:
-        raise
+        return find_target(path, kind)
+    except TargetError as error:
+        raise ConfigError(f"{key}._target_: {error}") from None
     except ImportError as error:
         raise MissingLibraryError(f"{key}: {error}") from None
 
@@ -245,7 +245,41 @@ def _plain(cfg: DictConfig, key: str) -> dict[str, Any]:
     node = OmegaConf.to_container(cfg[key], resolve=True)
     if not isinstance(node, dict):
         raise ConfigError(f"{key}: is {node!r}; expected a mapping")
+    _check_no_secret(node, key)
     return {str(name): value for name, value in node.items()}
+
+
+def _check_no_secret(value: Any, key: str) -> None:
+    try:
+        check_no_secret(value, key)
+    except SecretError as error:
+        raise ConfigError(str(error)) from None
+
+
+def _root(text: str) -> Path:
+    _check_no_secret(text, "root")
+    if not text.strip() or not text.isprintable():
+        raise ConfigError(f"root: is {text[:80]!r}; expected the path of a folder")
+    try:
+        os.fsencode(text)
+    except UnicodeEncodeError:
+        raise ConfigError(
+            f"root: {text!a} cannot be a file name in the locale of this system; "
+            "set LC_ALL=C.UTF-8 or choose a plain name"
+        ) from None
+    return Path(text)
+
+
+def _packages(optimizer: Optimizer) -> dict[str, str]:
+    """Versions of the packages that decide what a run finds: the numerical ones, the method's."""
+    names = vars(sys.modules[type(optimizer).__module__]).values()
+    tops = {str(getattr(one, "__module__", None) or getattr(one, "__name__", "")) for one in names}
+    wrapped = WRAPPED & {top.partition(".")[0] for top in tops}
+    return {name: _version(name) for name in sorted(NUMERICAL | wrapped)}
+
+
+_version = cache(version)
+"""Looking a version up takes milliseconds."""
 
 
 def _code(model: Model) -> str:

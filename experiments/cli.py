@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import contextlib
+import copy
+import io
 import os
 import re
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import hydra
@@ -20,18 +24,25 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException, OverrideParseException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
 
 from experiments import schema
 from experiments.build import ConfigError
+from experiments.hydra_settings import HydraSettingError, check_arguments, check_hydra
+from experiments.stopped import Stopped
 from miho.data import CSVError, DataUnavailableError
 from miho.models import TirError
+from miho.study.changes import ResumeRefused
+from miho.study.redaction import redacted
 
 CONF = Path(__file__).parent.parent / "conf"
 
-OK, BUG, BAD_INPUT, SOME_FAILED, STORAGE, INTERRUPTED, PIPE_CLOSED = 0, 1, 2, 3, 4, 130, 141
+OK, BUG, BAD_INPUT, SOME_FAILED, STORAGE, REFUSED, PIPE_CLOSED = 0, 1, 2, 3, 4, 5, 141
+BY_SIGNAL = 128
+SEED = re.compile(r"seed=\d+")
 BAD_INPUT_ERRORS = (
     HydraException, OmegaConfBaseException, ConfigError, CSVError, TirError, DataUnavailableError,
-    FileNotFoundError, IsADirectoryError,
+    HydraSettingError, YAMLError, FileNotFoundError, IsADirectoryError,
 )  # fmt: skip
 
 
@@ -60,6 +71,7 @@ def command(
 
     def job() -> None:
         arguments = get_args_parser().parse_args()
+        check_arguments(arguments)
         jobs = _sweep(arguments.overrides) if arguments.multirun else [arguments.overrides]
         try:
             for overrides in jobs:
@@ -70,7 +82,7 @@ def command(
             raise ConfigError(_explained(error, arguments.overrides)) from error
         try:
             main(kept)()
-        except Exception as error:
+        except (HydraException, OmegaConfBaseException, ValueError) as error:
             raise ConfigError(_explained(error, arguments.overrides)) from error
         for failure in failures:
             raise failure
@@ -80,6 +92,12 @@ def command(
 
 def composed(overrides: Sequence[str]) -> DictConfig:
     """The configuration that these overrides give, outside of a Hydra command or inside one."""
+    return copy.deepcopy(_once(tuple(overrides), GlobalHydra.instance().is_initialized()))
+
+
+@cache
+def _once(overrides: tuple[str, ...], inside: bool) -> DictConfig:
+    """Composing takes a tenth of a second; inside of a command it sees more folders."""
     return _composed(overrides)
 
 
@@ -112,17 +130,7 @@ def _explained(error: Exception, overrides: Sequence[str]) -> str:
 
 def _check_hydra(overrides: Sequence[str]) -> None:
     """Refuse what Hydra itself would run for a configuration, other than a launcher's job."""
-    hydra_node, usual = _composed(overrides, hydra_too=True).hydra, _usual_hydra()
-    for key in ("callbacks", "job_logging", "hydra_logging"):
-        if hydra_node[key] != usual[key]:
-            raise ConfigError(f"hydra.{key}: cannot be changed here; leave it as it is")
-    for key in ("launcher", "sweeper"):
-        node = {str(name): value for name, value in hydra_node[key].items()}
-        target = str(node.pop("_target_"))
-        if not target.startswith(("hydra._internal.core_plugins.", "hydra_plugins.")):
-            raise ConfigError(f"hydra.{key}._target_: {target!r} is not a plugin of Hydra")
-        if "_target_" in str(node):
-            raise ConfigError(f"hydra.{key}: holds a target of its own; remove it")
+    check_hydra(_composed(overrides, hydra_too=True).hydra, _usual_hydra(), overrides)
 
 
 @cache
@@ -131,20 +139,35 @@ def _usual_hydra() -> Any:
 
 
 def _sweep(overrides: Sequence[str]) -> list[tuple[str, ...]]:
-    """The overrides of the jobs of a sweep that show every seed and everything else once."""
+    """The overrides of the jobs of a sweep that show everything but good seeds once."""
     parsed = OverridesParser.create().parse_overrides(list(overrides))
     jobs = BasicSweeper.split_arguments(parsed, max_batch_size=None)[0]
     first: dict[tuple[str, ...], tuple[str, ...]] = {}
     for job in jobs:
-        seeds = tuple(o for o in job if o.startswith("seed="))
-        rest = tuple(o for o in job if not o.startswith("seed="))
-        if rest not in first or seeds not in first:
-            first[rest] = first[seeds] = tuple(job)
+        rest = tuple(o for o in job if not SEED.fullmatch(o))
+        first.setdefault(rest, tuple(job))
     return list(dict.fromkeys(first.values()))
 
 
+_ended_by: int = signal.SIGINT
+"""The signal that an interrupt of this process stands for."""
+
+
+def _as_interrupt(number: int, frame: FrameType | None) -> None:
+    global _ended_by
+    _ended_by = number
+    signal.raise_signal(signal.SIGINT)
+
+
 def guarded(job: Callable[[], object], after: Callable[[], int] = lambda: OK) -> None:
-    """Run `job`, turn what it raises into one line and the exit code that fits, and exit."""
+    """Run `job`, turn what it raises into one line and the exit code that fits, and exit.
+
+    SIGTERM stops it like Ctrl-C: what was found is kept.
+    """
+    signal.signal(signal.SIGTERM, _as_interrupt)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 gets escapes
+            stream.reconfigure(errors="backslashreplace")
     try:
         job()
         code = after()
@@ -155,17 +178,20 @@ def guarded(job: Callable[[], object], after: Callable[[], int] = lambda: OK) ->
         code = PIPE_CLOSED
     except OSError as error:
         code = _say(error, STORAGE)
-    except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
-        code = INTERRUPTED
+    except ResumeRefused as error:
+        code = _say(error, REFUSED)
+    except KeyboardInterrupt as error:
+        number = error.number if isinstance(error, Stopped) else _ended_by
+        print(f"interrupted by {signal.Signals(number).name}", file=sys.stderr)
+        code = BY_SIGNAL + number
     except Exception:  # noqa: BLE001 -- a bug: the traceback is the message
-        traceback.print_exc()
+        print(redacted(traceback.format_exc()), file=sys.stderr, end="")
         code = BUG
     sys.exit(code)
 
 
 def _say(error: BaseException, code: int) -> int:
-    print(f"error: {one_line(error)}", file=sys.stderr)
+    print(f"error: {redacted(one_line(error))}", file=sys.stderr)
     return code
 
 
@@ -175,4 +201,5 @@ def one_line(error: BaseException) -> str:
         return f"{error.filename}: {error.strerror}"
     lines = (line.strip() for line in str(error).splitlines())
     noise = ("full_key", "object_type", "reference_type", "Config search path", "provider=")
-    return " ".join(line for line in lines if line and not line.startswith(noise))
+    told = " ".join(line for line in lines if line and not line.startswith(noise))
+    return "".join(one if one.isprintable() else repr(one)[1:-1] for one in told)

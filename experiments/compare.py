@@ -19,15 +19,18 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from experiments.arena import chosen_method, execute_all, plan
+from experiments.arena import chosen_method, plan
 from experiments.arena_results import draw_arena
 from experiments.build import ConfigError, build
 from experiments.cli import OK, SOME_FAILED, command, composed
 from experiments.comparison import COMPARISON
 from experiments.figures import draw_comparison
 from experiments.run import line, run
+from experiments.sweep import mirrors, sweep
+from experiments.sweep_command import sweep_settings
 from miho.optim import MIHO
-from miho.study import Status, write_text
+from miho.study import Status, Store, write_text
+from miho.study.changes import refuse_changes
 
 DEFAULT = "experiment=compare"
 failed: list[str] = []
@@ -70,6 +73,8 @@ def _on_one(cfg: DictConfig, overrides: list[str]) -> tuple[list[str], str]:
         for method in methods:
             method.seed = seed
             planned.append(build(method))
+    store = Store(Path(cfg.root))
+    refuse_changes(store, [experiment.identity for experiment in planned], fresh=cfg.fresh)
     for number, experiment in enumerate(planned, start=1):
         execution = run(experiment)
         told = line(experiment, execution)
@@ -78,6 +83,10 @@ def _on_one(cfg: DictConfig, overrides: list[str]) -> tuple[list[str], str]:
             raise KeyboardInterrupt
         if execution.run is None:
             failed.append(told)
+    with mirrors([cfg.root], cfg.tracking) as opened:  # after the last run: they were on the clock
+        for stored in (store.find(e.identity) for e in planned if opened):
+            if stored is not None:
+                opened[cfg.root].push(stored)
     miho = next((e.optimizer for e in planned if isinstance(e.optimizer, MIHO)), None)
     size = [f"R = {miho.R}"] if miho else []
     return [experiment.identity.id for experiment in planned], _note(cfg, size)
@@ -88,21 +97,18 @@ def _on_problems(cfg: DictConfig, overrides: list[str]) -> tuple[list[str], str]
     planned = plan(cfg, overrides)
     for name, reason in planned.left_out.items():
         print(f"{name}: left out: {reason}", file=sys.stderr)
-    ids = []
-    try:
-        for done in execute_all(planned, cfg.comparison.processes):
-            ids.append(done.id)
-            if done.status not in (Status.RAN, Status.DONE_BEFORE):
-                failed.append(done.line)
-                print(done.line, file=sys.stderr)
-    except ChildProcessError as error:
-        failed.extend([str(error)] * (planned.runs - len(ids)))
-        print(error, file=sys.stderr)
-    problems = len({block.problem for block in planned.blocks})
+    settings = sweep_settings(cfg)
+    settings.processes = cfg.comparison.processes
+    how = {"fresh": cfg.fresh, "overrides": overrides, "tracking": cfg.tracking}
+    ended = sweep(planned.runs, settings, **how)
+    failed.extend(done.line for done in ended if done.error is None and done.reason is not None)
+    for told in failed:
+        print(told, file=sys.stderr)
+    problems = len({one.identity.problem for one in planned.runs})
     size = [f"{problems} problems", f"{cfg.comparison.processes} runs at a time"]
     if planned.left_out:
         size.append(f"without {', '.join(planned.left_out)}, which were not to be had here")
-    return ids, _note(cfg, size)
+    return [one.identity.id for one in planned.runs], _note(cfg, size)
 
 
 def _note(cfg: DictConfig, size: list[str]) -> str:

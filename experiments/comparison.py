@@ -67,6 +67,7 @@ class Comparison:
         stored = [read_run(Path(folder)) for folder in self.runs["folder"]]
         environment = dict(stored[0].environment)
         environment.pop("load")
+        environment.pop("timing", None)
         loads = [run.environment["load"] for run in stored]
         about: dict[str, Any] = {
             "command": " ".join(self.command),

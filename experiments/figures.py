@@ -102,7 +102,9 @@ def _write_provenance(path: Path, stored: Sequence[StoredRun]) -> Path:
             {key: run.result[key] for key in ("problem", "optimizer", "seed", "code", "data")}
             for run in stored
         ],
-        "environment": {k: v for k, v in stored[0].environment.items() if k != "load"},
+        "environment": {
+            k: v for k, v in stored[0].environment.items() if k not in ("load", "timing")
+        },
     }
     path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
     return path

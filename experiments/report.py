@@ -1,6 +1,8 @@
 """How far to trust an identification: intervals, identifiability, validation, as text and a page.
 
-python -m experiments.report runs/identify                     # the best run of each problem
+python -m experiments.report runs/identify                     # ROOT/report.html: all runs, and
+                                                               # the best run of each problem
+python -m experiments.report runs/identify --quick             # without intervals
 python -m experiments.report runs/identify/PROBLEM/METHOD/ID   # one run
 python -m experiments.report runs/identify --bootstrap 1000    # with bootstrap intervals
 """
@@ -8,7 +10,6 @@ python -m experiments.report runs/identify --bootstrap 1000    # with bootstrap 
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from pathlib import Path
@@ -20,12 +21,15 @@ from tqdm import tqdm
 from experiments.build import ConfigError, rebuild
 from experiments.cli import OK, SOME_FAILED, guarded, one_line
 from experiments.report_page import figures_of, page_of, provenance
-from experiments.report_tables import interval_kind, text
+from experiments.report_sweep import best_runs, read_sweep, write_sweep
+from experiments.report_tables import interval_kind, parameter_table, text, values_table
+from miho.analysis.sweep_page import Best
 from miho.identification import CurveFit, Report, make_report
 from miho.models.identified import Identified, Value, parameters_text
-from miho.study import StoredRun, load_runs, read_run, single_thread, write_text
+from miho.study import StoredRun, read_run, single_thread, write_text
 
 PAGE, PARAMETERS = "report.html", "parameters.json"
+NO_INTERVALS = "Intervals were not computed; without --quick they are, and a page of their own."
 
 
 def reported(problem: CurveFit, stored: StoredRun, **settings: Any) -> Report:
@@ -94,26 +98,7 @@ def report_folder(stored: StoredRun) -> Path:
     return Path(root, "reports", result["problem"], f"{result['optimizer']}-{result['id'][:12]}")
 
 
-def _best_runs(path: Path) -> list[StoredRun]:
-    """The run in a folder, or the best run of each problem below a root.
-
-    Runs compete if they have the same data, model and loss.
-    """
-    if (path / "result.json").is_file():
-        return [read_run(path)]
-    runs = load_runs(path).runs
-    runs = runs[runs["error"].notna()] if len(runs) else runs
-    if not len(runs):
-        raise ConfigError(f"{path}: holds no finished run; run python -m experiments.identify")
-    best: dict[str, StoredRun] = {}
-    for folder in runs.sort_values(["problem", "error"], kind="stable")["folder"]:
-        run = read_run(Path(folder))
-        asked = [run.result["data"], *(run.config[key] for key in ("model", "loss"))]
-        best.setdefault(json.dumps([run.result["problem"], *asked], sort_keys=True), run)
-    return list(best.values())
-
-
-def _report(stored: StoredRun, arguments: argparse.Namespace) -> str:
+def _report(stored: StoredRun, folder: Path, arguments: argparse.Namespace) -> tuple[str, Report]:
     """Write the report of one run; its text, and where the page is."""
     if stored.result["theta"] is None:
         raise ConfigError("the run found no finite value, so there is nothing to report")
@@ -125,14 +110,33 @@ def _report(stored: StoredRun, arguments: argparse.Namespace) -> str:
         profiles=arguments.profile,
         level=arguments.level,
     )
-    folder = report_folder(stored)
-    if arguments.output is not None:
-        folder = arguments.output / folder.parent.name / folder.name
     errors = "\n".join(
         f"error {row['on']}: {row['error']:.5g} {row['unit']} ({row['rows']} rows)"
         for row in made.errors.to_dict("records")
     )
-    return f"{text(made)}\n\n{errors}\nreport {write(made, stored, folder)}\n"
+    return f"{text(made)}\n\n{errors}\nreport {write(made, stored, folder)}\n", made
+
+
+def _of_run(stored: StoredRun, arguments: argparse.Namespace) -> tuple[Best, bool]:
+    """Report on one run; what a page of all runs says of it, and whether that failed."""
+    result = stored.result
+    folder = report_folder(stored)
+    if arguments.output is not None:
+        folder = arguments.output / folder.parent.name / folder.name
+    start = folder.parent.parent.parent if arguments.output is None else arguments.output
+    run_ = str(result["optimizer"]), int(result["seed"])
+    page = (folder / PAGE).relative_to(start).as_posix()
+    there = (folder / PAGE).is_file()
+    if arguments.quick:
+        return Best(*run_, values_table(stored), [NO_INTERVALS], page if there else ""), False
+    try:
+        told, made = _report(stored, folder, arguments)
+    except (ConfigError, ValueError) as error:
+        print(f"error: {stored.folder}: {one_line(error)}", file=sys.stderr)
+        said = f"No intervals: {one_line(error)}."
+        return Best(*run_, values_table(stored), [said], page if there else ""), True
+    print(f"{result['problem']}: {stored.folder}\n\n{told}")
+    return Best(*run_, parameter_table(made), made.notes, page), False
 
 
 def main() -> int:
@@ -149,18 +153,26 @@ def main() -> int:
     )  # fmt: skip
     parser.add_argument("--level", type=float, default=0.95, help="of the intervals (0.95)")
     parser.add_argument("--trust", action="store_true", help="run models in files of your own")
+    parser.add_argument(
+        "--quick", "--no-detail", action="store_true", help="of a root: no intervals, no page each"
+    )
     parser.add_argument("--output", type=Path, help="folder; by default reports/ in the root")
     arguments = parser.parse_args()
     if arguments.bootstrap < 0 or not 0 < arguments.level < 1:
         parser.error("--bootstrap must be at least 0 and --level between 0 and 1")
-    failed = 0
-    for stored in _best_runs(arguments.path):
-        try:
-            print(f"{stored.result['problem']}: {stored.folder}\n\n{_report(stored, arguments)}")
-        except (ConfigError, ValueError) as error:
-            print(f"error: {stored.folder}: {one_line(error)}", file=sys.stderr)
-            failed += 1
-    return SOME_FAILED if failed else OK
+    if (arguments.path / "result.json").is_file():
+        if arguments.quick:
+            parser.error("--quick is for a root of runs; this is the folder of one run")
+        return SOME_FAILED if _of_run(read_run(arguments.path), arguments)[1] else OK
+    sweep = read_sweep(arguments.path)
+    found = {
+        problem: _of_run(read_run(folder), arguments)
+        for problem, folder in best_runs(sweep).items()
+    }
+    best = {problem: one for problem, (one, _) in found.items()}
+    path = (arguments.output or arguments.path) / PAGE
+    print(f"all runs {write_sweep(sweep, arguments.path, path, best)}")
+    return SOME_FAILED if any(failed for _, failed in found.values()) else OK
 
 
 def run() -> None:

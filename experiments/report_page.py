@@ -144,5 +144,7 @@ def provenance(stored: StoredRun) -> dict[str, Any]:
     return {
         **{key: result[key] for key in ("problem", "optimizer", "seed", "id", "code", "data")},
         "dataset": stored.config["dataset"],
-        "environment": {key: value for key, value in stored.environment.items() if key != "load"},
+        "environment": {
+            key: value for key, value in stored.environment.items() if key not in ("load", "timing")
+        },
     }

@@ -8,6 +8,7 @@ import pandas as pd
 
 from miho.analysis.quantities import interval, scaled, with_error, written
 from miho.identification import Report
+from miho.study import StoredRun
 
 KINDS = ("profile", "bootstrap", "linearised")
 """Kinds of intervals, the best first."""
@@ -31,6 +32,13 @@ def parameter_table(report: Report) -> pd.DataFrame:
             told[f"{100 * report.level:g} % interval ({kind})"] = interval(*ends, error)
         rows.append(told)
     return pd.DataFrame(rows)
+
+
+def values_table(stored: StoredRun) -> pd.DataFrame:
+    """The parameters of a run as it stored them, without errors or intervals."""
+    pairs = zip(stored.result["parameters"], stored.result["theta"], strict=True)
+    rows = [(each["name"], f"{value:.6g}", each["unit"]) for each, value in pairs]
+    return pd.DataFrame(rows, columns=["parameter", "value", "unit"])
 
 
 def derived_table(report: Report) -> pd.DataFrame:

@@ -68,8 +68,37 @@ class ComparisonConfig:
 
 
 @dataclass
+class SweepConfig:
+    """How a sweep (-m) goes through its runs.
+
+    `processes` runs at a time; a run that takes longer than `time_limit` seconds in all is killed.
+    A run that fails or is lost stops no other, unless `stop_on_failure`; the next call does it
+    again. `dry_run` lists the runs and does none. `seeds` are those of one job of a launcher.
+    """
+
+    processes: int = 1
+    time_limit: float | None = None
+    stop_on_failure: bool = False
+    dry_run: bool = False
+    seeds: list[int] | None = None
+
+
+@dataclass
+class TrackingConfig:
+    """Where finished runs are mirrored to; see conf/tracking."""
+
+    tracker: str | None = None
+    uri: str | None = None
+    experiment: str | None = None
+
+
+@dataclass
 class Config:
-    """One run, or with `comparison` a set of runs of the same problem."""
+    """One run, or with `comparison` a set of runs of the same problem.
+
+    `fresh` sets aside finished runs of the same request that were made of other code, data,
+    settings or packages, where the program else refuses to mix old and new.
+    """
 
     model: dict[str, Any] = MISSING
     dataset: dict[str, Any] = MISSING
@@ -80,6 +109,9 @@ class Config:
     budget: BudgetConfig = field(default_factory=BudgetConfig)
     seed: int = 0
     root: str = "runs/identify"
+    fresh: bool = False
+    sweep: SweepConfig = field(default_factory=SweepConfig)
+    tracking: TrackingConfig = field(default_factory=TrackingConfig)
     comparison: ComparisonConfig = field(default_factory=ComparisonConfig)
 
 

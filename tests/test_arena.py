@@ -1,11 +1,8 @@
 """The arena: what is planned, that it resumes, and what it writes."""
 
 import json
-import os
-import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +10,8 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
-from experiments import arena
 from experiments import compare as comparing
-from experiments.arena import Block, Done, Plan, execute_all, plan
+from experiments.arena import plan
 from experiments.arena_problems import as_configured
 from experiments.arena_results import draw_arena
 from experiments.build import ConfigError, build
@@ -23,6 +19,7 @@ from experiments.cli import CONF, SOME_FAILED, composed
 from experiments.comparison import COMPARISON, Comparison
 from experiments.run import run
 from experiments.schema import register
+from experiments.sweep import Done
 from miho import load_runs
 from miho.study import Status
 
@@ -39,24 +36,18 @@ METHODS += [
 ]
 
 
-def test_a_plan_has_a_block_for_each_problem_and_seed() -> None:
+def test_runs_come_problem_by_problem_and_methods_side_by_side() -> None:
     overrides = [*ARENA, *METHODS, PROBLEMS]
     planned = plan(composed(overrides), overrides)
-    assert [(block.problem, block.seed) for block in planned.blocks] == [
-        ("torque_15", 0), ("torque_15", 1), ("brake_static", 0), ("brake_static", 1),
-    ]  # fmt: skip
-    assert all(len(block.methods) == 3 for block in planned.blocks)
-    assert planned.runs == 12
+    names = tuple(composed(overrides).comparison.methods)
+    assert [(i.problem, i.seed, i.optimizer) for i in (one.identity for one in planned.runs)] == [
+        (problem, seed, name)
+        for problem in ("torque_15", "brake_static")
+        for seed in range(2)
+        for name in names
+    ]
+    assert len({one.identity.id for one in planned.runs}) == 12
     assert not planned.left_out
-
-
-@pytest.mark.slow
-def test_a_worker_builds_each_problem_once() -> None:
-    overrides = [*ARENA, *METHODS, "comparison.problems=[torque_15,brake_static,torque_05]"]
-    arena._problem.cache_clear()
-    for block in plan(composed(overrides), overrides).blocks:
-        arena._problem(block.setting)
-    assert arena._problem.cache_info().misses == 3
 
 
 @pytest.mark.slow
@@ -75,37 +66,24 @@ def test_what_is_too_small_for_the_tests_is_refused_before_the_first_run(
     cfg.comparison.methods = {name: {} for name in list(KEPT)[:methods]}
     with pytest.raises(ConfigError, match=f"{found}; expected at least 3 on 2"):
         plan(cfg, overrides)
-    assert plan(cfg, overrides, methods=1, families=1).blocks
+    assert plan(cfg, overrides, methods=1, families=1).runs
 
 
-def killed(block: Block) -> None:
-    os.kill(os.getpid(), signal.SIGKILL)
-
-
-def test_a_killed_process_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(arena, "_run_block", killed)
-    planned = Plan(tuple(Block("p", "", ("",), seed) for seed in range(3)), {})
-    with pytest.raises(ChildProcessError, match=r"was killed, .* goes on from there$"):
-        list(execute_all(planned, 1))
-
-
-def test_all_runs_that_a_killed_process_leaves_undone_are_counted_as_missing(
+def test_runs_that_are_lost_are_named_and_nothing_is_drawn(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def one_and_no_more(planned: Plan, processes: int) -> Iterator[Done]:
-        yield Done("", "id", Status.RAN)
-        raise ChildProcessError("the process of a run was killed")
-
-    planned = Plan(tuple(Block("p", "", ("a", "b", "c"), seed) for seed in range(2)), {})
+    overrides = [*ARENA, *METHODS, PROBLEMS]
+    planned = plan(composed(overrides), overrides)
+    lost = Done(planned.runs[0], Status.LOST, "it was lost", reason="killed by SIGKILL")
     monkeypatch.setattr(comparing, "plan", lambda *_: planned)
-    monkeypatch.setattr(comparing, "execute_all", one_and_no_more)
+    monkeypatch.setattr(comparing, "sweep", lambda *_, **__: [lost])
     monkeypatch.setattr(comparing, "failed", [])
     ids, _ = comparing._on_problems(composed(ARENA), ARENA)
-    assert ids == ["id"]
+    assert len(ids) == 12
     assert comparing.summary() == SOME_FAILED
     told = capsys.readouterr().err.splitlines()
-    assert told[0] == "the process of a run was killed"
-    assert told[1].startswith("5 runs are missing")
+    assert told[0] == "it was lost"
+    assert told[1].startswith("1 runs are missing")
 
 
 def _model(cfg: Any) -> str:
@@ -174,7 +152,7 @@ def test_problems_without_data_are_left_out_and_named(
     monkeypatch.delenv("MIHO_DATA_DIR", raising=False)
     overrides = [*ARENA, *METHODS, "comparison.problems=[sample_a_wide,torque_15,brake_static]"]
     planned = plan(composed(overrides), overrides)
-    assert {block.problem for block in planned.blocks} == {"torque_15", "brake_static"}
+    assert {one.identity.problem for one in planned.runs} == {"torque_15", "brake_static"}
     assert "cannot be downloaded" in planned.left_out["sample_a_wide"]
     overrides = [*ARENA, *METHODS, "comparison.problems=[sample_a_wide]"]
     with pytest.raises(ConfigError, match="cannot be downloaded"):
@@ -189,7 +167,7 @@ def test_methods_without_their_library_are_left_out(monkeypatch: pytest.MonkeyPa
     cfg = composed(overrides)
     cfg.comparison.methods = {"dehb": {}} | {name: {} for name in KEPT}
     planned = plan(cfg, overrides)
-    assert all(len(block.methods) == 3 for block in planned.blocks)
+    assert {one.identity.optimizer for one in planned.runs} == set(KEPT)
     assert planned.left_out == {
         "dehb": "optimizer: dehb needs a library that is missing (dehb); pip install 'miho[rivals]'"
     }

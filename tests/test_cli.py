@@ -51,7 +51,8 @@ def _command(
 ) -> Command:
     def run(*arguments: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["command", *arguments, f"root={tmp_path / 'runs'}"])
-        identifying.statuses.clear()
+        identifying.finished.clear()
+        identifying.failed.clear()
         GlobalHydra.instance().clear()
         with pytest.raises(SystemExit) as end:
             command(task, build, after)
@@ -183,7 +184,9 @@ def test_a_full_disk_is_exit_4(identify: Command, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr("os.fsync", full)
     code, _, err = identify(*QUICK)
     assert code == 4
-    assert err.splitlines()[-1] == "error: somewhere: No space left on device"
+    last = err.splitlines()[-1]
+    assert last.startswith("error: /")
+    assert last.endswith("/config.json: No space left on device")
 
 
 @pytest.mark.slow

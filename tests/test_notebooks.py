@@ -28,11 +28,38 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.fixture(scope="module")
+def arena(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three methods on two problems of known optimum."""
+    root = tmp_path_factory.mktemp("arena")
+    for problem in ("torque_15", "brake_static"):
+        for method in ("miho", "pso_100", "least_squares"):
+            asked = [f"problem={problem}", f"optimizer={method}", "budget.evaluations=3000"]
+            for seed in range(3):
+                run(build(composed([*asked, f"seed={seed}", f"root={root}"])), quiet=True)
+    return root
+
+
+@pytest.fixture(scope="module")
+def ablation(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """MIHO with two sizes and two reaches."""
+    root = tmp_path_factory.mktemp("ablation")
+    for setting in ("optimizer.R=9", "optimizer.R=27", "space.B.sigma_max=20"):
+        asked = ["dataset.n=100", "optimizer=miho", "optimizer.R=9", setting, f"root={root}"]
+        for seed in range(3):
+            run(build(composed([*asked, f"seed={seed}"])), quiet=True)
+    return root
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda path: path.stem)
 @pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
-def test_notebook(path: Path, runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_notebook(
+    path: Path, runs: Path, arena: Path, ablation: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("MIHO_RUNS", str(runs))
+    monkeypatch.setenv("MIHO_ARENA", str(arena))
+    monkeypatch.setenv("MIHO_ABLATION", str(ablation))
     monkeypatch.setenv("PYTHONPATH", str(NOTEBOOKS.parent))
     monkeypatch.setenv("IPYTHONDIR", str(runs / ".ipython"))
     notebook = nbformat.read(path, as_version=4)

@@ -1,6 +1,7 @@
 """The report of stored runs: what it writes, what it refuses."""
 
 import json
+import re
 import sys
 from pathlib import Path
 
@@ -74,6 +75,67 @@ def test_the_best_run_of_a_root(
     assert load_runs(root).damaged.empty
 
 
+def test_the_page_of_all_runs(
+    root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    broken = stored_run(root, *TIRE, "seed=2").folder
+    (broken / "curve.json").write_text("{}")
+    called(monkeypatch, root, "--quick", "--output", tmp_path)
+    assert capsys.readouterr().out == f"all runs {tmp_path / 'report.html'}\n"
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for words in (
+        f"Runs of {root.name}",
+        f"python -m experiments.report {root.name} --quick",
+        "Intervals were not computed",
+        "1 run folder is damaged and is left out",
+        broken.relative_to(root).as_posix(),
+        "sample_tir",
+        "least squares",
+    ):
+        assert words in page, words
+    assert str(root) not in page, "the page may be shown to others"
+    assert "reports/" not in page
+    called(monkeypatch, root)
+    page = (root / "report.html").read_text(encoding="utf-8")
+    (link,) = re.findall(r'href="(reports/[^"]*)"', page)
+    assert (root / link).is_file()
+    assert "95 % interval (profile)" in page
+    called(monkeypatch, root, "--no-detail")
+    page = (root / "report.html").read_text(encoding="utf-8")
+    assert f'href="{link}"' in page, "the detailed page of the same run is still there"
+
+
+def test_a_comparison_has_its_claims_and_says_what_is_missing(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    ids = []
+    for optimizer in ("least_squares", "miho"):
+        asked = [*TIRE, f"optimizer={optimizer}", "budget.evaluations=200", f"root={tmp_path}"]
+        for seed in (0, 1):
+            found = run(build(composed([*asked, f"seed={seed}"]))).run
+            assert found is not None
+            ids.append(found.result["id"])
+    about = {"command": ["python", "-m", "x"], "note": "small <b>", "runs": ids}
+    (tmp_path / "comparison.json").write_text(json.dumps(about))
+    called(monkeypatch, tmp_path, "--quick")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    for words in ("python -m x", "small &lt;b&gt;", "Claims of the paper", "494×", "verdict"):
+        assert words in page, words
+    (tmp_path / "comparison.json").write_text(json.dumps(about | {"runs": [*ids, "gone"]}))
+    called(monkeypatch, tmp_path, "--quick")
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "1 runs of the comparison are missing" in page
+    assert "Claims of the paper" not in page
+
+
+def test_quick_is_for_roots(
+    root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        called(monkeypatch, load_runs(root).runs["folder"][0], "--quick")
+    assert "the folder of one run" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_one_run_and_another_folder(
     root: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
@@ -137,4 +199,10 @@ def test_a_run_that_cannot_be_reported_stops_no_other(
     assert report.main() == 3
     told = capsys.readouterr()
     assert told.err.count("3 rows for ") == 2
-    assert told.out.count("report.html") == 2, "other data of the same name is another problem"
+    reports = [line for line in told.out.splitlines() if line.startswith("report ")]
+    assert len(reports) == 2, "other data of the same name is another problem"
+    page = (root / "report.html").read_text(encoding="utf-8")
+    assert page.count("No intervals: ") == 2
+    headings = re.findall(r"<h3>([^<]*)</h3>", page)
+    assert len(set(headings)) == 4
+    assert all(re.search(r"data=[0-9a-f]{6}$", heading) for heading in headings), headings

@@ -18,10 +18,11 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.arena import execute_all, plan
+from experiments.arena import plan
 from experiments.arena_problems import as_configured
 from experiments.cli import composed, guarded
-from experiments.schema import register
+from experiments.schema import SweepConfig, register
+from experiments.sweep import sweep
 from miho.analysis.anytime import area_over_curve
 from miho.analysis.leaderboard import families, family_scores, leaderboard, problem_scores
 from miho.analysis.markdown import to_markdown
@@ -42,8 +43,7 @@ def main() -> None:
         cfg = composed(overrides)
         cfg.comparison.repetitions = REPETITIONS
         cfg.comparison.methods = {method: {}}
-        for _ in execute_all(plan(cfg, overrides, methods=1), processes=2):
-            pass
+        sweep(plan(cfg, overrides, methods=1).runs, SweepConfig(processes=2))
         found = load_runs(Path(root))
         runs, curves = as_configured(found.runs), found.curves
     for frame in (runs, curves):

@@ -21,6 +21,7 @@ from miho.analysis.statistics import (
     speed_up,
 )
 from miho.analysis.tidy import one_problem
+from miho.analysis.timing import valid_seconds
 from miho.analysis.verdict import Printed, Verdict
 
 Array = NDArray[np.float64]
@@ -121,6 +122,9 @@ class _Study:
     ) -> tuple[Interval, int] | None:
         """The speed-up against the fastest of the rivals; None without common seeds."""
         seeds = self.seeds([self.miho, *rivals])
+        if axis == "seconds":
+            timed = set(valid_seconds(self.runs)[0]["seed"])
+            seeds = [seed for seed in seeds if seed in timed]
         if not seeds:
             return None
         mine = self.curve(self.miho, axis, seeds)
@@ -136,9 +140,10 @@ class _Study:
         printed = f"{paper.value:g}×"
         measured = [self.speed(present, target, a) if present else None for a in SPEED_AXES]
         verdicts = []
-        for found in measured:
+        for axis, found in zip(SPEED_AXES, measured, strict=True):
             if found is None:
-                verdicts.append(verdict.missing(absent or ["common seeds"]))
+                valid = "valid " * (axis == "seconds")
+                verdicts.append(verdict.missing(absent or [f"common {valid}seeds"]))
                 continue
             of_present = verdict.of_advantage(found[0], paper, found[1], no_advantage=1)
             verdicts.append(verdict.with_missing_rivals(of_present, absent))

@@ -22,6 +22,7 @@ from miho.analysis.end_labels import EndLabel, draw_end_labels
 from miho.analysis.markdown import number
 from miho.analysis.styles import styles_of
 from miho.analysis.tidy import one_problem, shown_unit
+from miho.analysis.timing import valid_seconds
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64]]
 
@@ -109,16 +110,28 @@ def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
     unit = str(runs["unit"].iloc[0])
     shown, factor = shown_unit(unit)
     irreducible = float(runs["irreducible"].mean())
+    timed, why = valid_seconds(runs)
     with house_style():
         figure = Figure(figsize=(WIDTH, 3.3), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
-        plot_error_over(curves, "seconds", left, unit=unit, irreducible=irreducible)
+        if timed.empty:
+            left.set(xlabel=AXIS_LABELS["seconds"], ylabel=f"error [{shown}]", xticks=[])
+            told = textwrap.fill(why, 34)
+            left.text(0.5, 0.5, told, transform=left.transAxes, ha="center", va="center")
+        else:
+            shown_curves = curves[curves["id"].isin(timed["id"])]
+            plot_error_over(shown_curves, "seconds", left, unit=unit, irreducible=irreducible)
         plot_error_over(curves, "evaluations", right, unit=unit, irreducible=irreducible)
         right.set_ylabel("")
         left.set_title("as in the paper: over time", loc="left")
         right.set_title("the same over evaluations", loc="left")
         _plain_log_ticks(left)
-        caption(figure, "lines: mean over repetitions, bands: 10 to 90 %", note)
+        caption(
+            figure,
+            "lines: mean over repetitions, bands: 10 to 90 %",
+            "" if timed.empty else why,
+            note,
+        )
         if np.isfinite(irreducible):
             left.annotate(
                 f"irreducible ≈ {irreducible * factor:.2f} {shown}",

@@ -9,6 +9,7 @@ import pandas as pd
 
 from miho.analysis.curves import Axis, to_target
 from miho.analysis.tidy import one_problem, shown_unit
+from miho.analysis.timing import valid_seconds
 
 AXES: tuple[Axis, Axis] = ("evaluations", "seconds")
 PAPER_TARGETS = (1000.0, 500.0)
@@ -56,9 +57,12 @@ def results_table(
     nearly = float(runs["error"].min() * (1 + near_best))
     labels = [f"{target * factor:g} {unit}" for target in targets]
     labels.append(f"best + {near_best * 100:g} %")
+    timed = curves[curves["id"].isin(valid_seconds(runs)[0]["id"])]
     for target, label in zip([*targets, nearly], labels, strict=True):
         for axis in AXES:
-            reached = to_target(curves, axis, target)
+            reached = to_target(timed if axis == "seconds" else curves, axis, target)
             table[f"{axis} to {label}"] = reached.groupby("optimizer")[axis].median()
-    table["success"] = np.isfinite(reached[axis]).groupby(reached["optimizer"]).mean()
+    reached = to_target(curves, "evaluations", nearly)
+    solved = np.isfinite(reached["evaluations"])
+    table["success"] = solved.groupby(reached["optimizer"]).mean()
     return table.sort_values(f"mean error [{unit}]").rename_axis("method").reset_index()

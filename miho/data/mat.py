@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import struct
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -18,7 +20,10 @@ Array = NDArray[np.float64]
 T = TypeVar("T")
 
 MAX_BYTES = 64 * 2**20
+MAX_INFLATED = 128 * 2**20
 MAX_ROWS = 4_000_000
+CHUNK = 2**20
+COMPRESSED = 15  # miCOMPRESSED, MAT-File Format 5, table 1-1
 NUMBERS = (
     "double",
     "single",
@@ -98,6 +103,35 @@ def _check(file: Path) -> None:
         raise ValueError(f"{file}: not a MATLAB file; save one with save(..., '-v7')")
     if file.stat().st_size > MAX_BYTES:
         raise ValueError(f"{file}: larger than {MAX_BYTES >> 20} MiB; save fewer variables or rows")
+    if _inflated(file, "<" if head[126:128] == b"IM" else ">") > MAX_INFLATED:
+        raise ValueError(
+            f"{file}: holds more than {MAX_INFLATED >> 20} MiB when decompressed; save fewer "
+            "variables or rows"
+        )
+
+
+def _inflated(file: Path, order: str) -> int:
+    """Bytes that the compressed variables of a file would take, counted up to MAX_INFLATED.
+
+    SciPy makes room for what a variable says of its size, in memory. Nothing is kept here.
+    """
+    total = 0
+    with file.open("rb") as stream:
+        stream.seek(128)
+        while len(tag := stream.read(8)) == 8:
+            kind, size = struct.unpack(f"{order}II", tag)
+            if kind != COMPRESSED:
+                stream.seek(size, os.SEEK_CUR)
+                continue
+            inflate = zlib.decompressobj()
+            packed = stream.read(size)
+            while packed and not inflate.eof and total <= MAX_INFLATED:
+                try:
+                    total += len(inflate.decompress(packed, CHUNK))
+                except zlib.error:
+                    break  # SciPy says what is wrong with it
+                packed = inflate.unconsumed_tail
+    return total
 
 
 def _check_variable(

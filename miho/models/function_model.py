@@ -139,6 +139,8 @@ class FunctionModel(Model):
                     *columns, **dict(zip(self.parameters, parameters, strict=True))
                 )
             values = np.asarray(given)
+        except MemoryError:
+            raise
         except Exception as error:
             raise ValueError(self._at_line(error)) from error
         if values.dtype.kind not in "fiu":
@@ -188,7 +190,7 @@ def load_function(
     # after an edit within the same second.
     text = source.read_bytes()
     try:
-        exec(compile(text, str(source), "exec", dont_inherit=True), module.__dict__)
+        exec(compile(text, str(source), "exec", dont_inherit=True), module.__dict__)  # noqa: S102 -- the user's file
     except SyntaxError as error:
         raise ValueError(f"{source}:{error.lineno or 1}: {error.msg}; correct it") from None
     except (Exception, SystemExit) as error:

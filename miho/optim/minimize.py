@@ -115,7 +115,7 @@ def minimize(
         outcome = Outcome.INTERRUPTED
     except KeyboardInterrupt:
         outcome, oracle.state = Outcome.INTERRUPTED, None
-    except Exception:  # noqa: BLE001 -- a failed run is a result: its curve and traceback are kept
+    except (Exception, SystemExit):  # noqa: BLE001 -- a failed run is a result: its curve is kept
         outcome, error, oracle.state = Outcome.FAILED, traceback.format_exc(), None
     oracle.stop()
     meter = oracle.meter
@@ -200,7 +200,7 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     ):
         try:
             job()
-        except Exception:  # noqa: BLE001 -- the run itself will meet and report it
+        except Exception:  # noqa: BLE001, S112 -- the run itself will meet and report it
             continue
 
 

@@ -188,7 +188,7 @@ class Oracle:
         self._check_open()
         started = self.seconds
         try:
-            residuals = problem.residuals(_read_only(theta))
+            residuals = _real(problem.residuals(_read_only(theta)))
             loss = self._usable(mean_square(residuals)[None])
         except Exception as error:
             self.meter.reject(f"{type(error).__name__}: {error}")
@@ -211,7 +211,7 @@ class Oracle:
             raise BudgetExhausted
         reason = "derivative is not finite"
         try:
-            jacobian = problem.jacobian(_read_only(theta))
+            jacobian = _real(problem.jacobian(_read_only(theta)))
             usable = bool(np.isfinite(jacobian).all())
         except Exception as error:  # noqa: BLE001 -- as for residuals
             reason, usable = f"{type(error).__name__}: {error}", False
@@ -309,7 +309,9 @@ class Oracle:
             if losses.shape == (len(rows),) and losses.dtype.kind in "fiu":
                 return self._usable(losses.astype(float))
             reason = f"not one real number a row: {losses.dtype} of shape {losses.shape}"
-        except Exception as error:  # noqa: BLE001 -- whatever a model raises is a rejected value
+        except MemoryError:
+            raise
+        except Exception as error:  # noqa: BLE001 -- whatever else a model raises is a rejected value
             reason = f"{type(error).__name__}: {error}"
         if len(rows) == 1:
             self.meter.reject(reason)
@@ -379,3 +381,11 @@ def _read_only(array: Array) -> Array:
     view = array.view()
     view.flags.writeable = False
     return view
+
+
+def _real(values: Array) -> Array:
+    """The values as an array; raises TypeError unless they are real numbers."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(f"not real numbers: {array.dtype} of shape {array.shape}")
+    return array

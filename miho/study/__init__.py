@@ -1,5 +1,6 @@
 """Runs on disk: identity, atomic folders, the runner and the tables read from them."""
 
+from miho.study.compaction import compact
 from miho.study.environment import environment_stamp, single_thread
 from miho.study.identity import Identity, code_digest
 from miho.study.index import Runs, load_runs
@@ -8,6 +9,6 @@ from miho.study.store import DamagedRun, RunInUse, Store, StoredRun, read_run, w
 
 __all__ = [
     "DamagedRun", "Execution", "Identity", "RunInUse", "Runs", "Status", "Store", "StoredRun",
-    "code_digest", "environment_stamp", "execute", "load_runs", "read_run", "single_thread",
-    "write_text",
+    "code_digest", "compact", "environment_stamp", "execute", "load_runs", "read_run",
+    "single_thread", "write_text",
 ]  # fmt: skip

@@ -5,8 +5,10 @@ from __future__ import annotations
 import datetime
 import os
 import platform
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -19,8 +21,19 @@ PACKAGES = ("numpy", "scipy", "optuna", "hydra-core", "pandas")
 @contextmanager
 def single_thread() -> Iterator[None]:
     """Pin the numerical libraries of this process to one thread."""
-    with threadpoolctl.threadpool_limits(limits=1):
+    with _pools(len(sys.modules)).limit(limits=1):
         yield
+
+
+def library_threads() -> list[int]:
+    """How many threads each numerical library of this process may use now."""
+    return [pool["num_threads"] for pool in _pools(len(sys.modules)).info()]
+
+
+@lru_cache(maxsize=1)
+def _pools(modules: int) -> threadpoolctl.ThreadpoolController:
+    """Looking for libraries takes milliseconds; none is loaded where no module is imported."""
+    return threadpoolctl.ThreadpoolController()
 
 
 def environment_stamp() -> dict[str, Any]:
@@ -34,10 +47,26 @@ def environment_stamp() -> dict[str, Any]:
         "processor": _processor(),
         "cores": os.cpu_count(),
         "load": list(os.getloadavg()) if hasattr(os, "getloadavg") else None,
-        "threads": [pool["num_threads"] for pool in threadpoolctl.threadpool_info()],
+        "threads": library_threads(),
     }
 
 
+def machine_seconds() -> float | None:
+    """CPU seconds that all cores together have worked since boot; None where nobody counts them.
+
+    Time that a hypervisor gave to other machines is included, waiting for disks is not. The counter
+    ticks at 10 ms per core.
+    """
+    try:
+        with Path("/proc/stat").open(encoding="ascii") as file:
+            fields = [int(value) for value in file.readline().split()[1:9]]
+    except (OSError, ValueError):
+        return None
+    user, nice, system, _idle, _disk, irq, softirq, stolen = fields
+    return (user + nice + system + irq + softirq + stolen) / os.sysconf("SC_CLK_TCK")
+
+
+@cache
 def _version(package: str) -> str | None:
     try:
         return version(package)
@@ -45,6 +74,7 @@ def _version(package: str) -> str | None:
         return None
 
 
+@cache
 def _processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()

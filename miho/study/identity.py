@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
-import re
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,99}")
+from miho.study.places import check_name
 
 
 def canonical(value: Any) -> str:
@@ -24,19 +24,40 @@ def sha256(text: str | bytes) -> str:
 
 
 def code_digest(places: Iterable[Path]) -> str:
-    """SHA-256 over the names and texts of these Python files and all below these folders."""
+    """SHA-256 over the names and the meaning of these Python files and all below these folders.
+
+    What Python makes of the text counts: comments, docstrings and layout do not.
+    """
     digest = hashlib.sha256()
     for place in places:
         for path in [place] if place.is_file() else sorted(place.rglob("*.py")):
             name = path.relative_to(place.parent).as_posix()
-            digest.update(f"\0{name}\0".encode() + path.read_bytes())
+            digest.update(f"\0{name}\0{meaning(path.read_bytes())}".encode())
     return digest.hexdigest()
+
+
+def meaning(source: bytes) -> str:
+    """The syntax tree of a program as text, without docstrings; raises SyntaxError."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        body = getattr(node, "body", None)
+        if isinstance(body, list):
+            node.body = [line for line in body if not _is_text(line)]  # type: ignore[attr-defined]
+    return ast.dump(tree)
+
+
+def _is_text(line: ast.AST) -> bool:
+    """Whether a line is a string alone, which does nothing."""
+    alone = isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant)
+    return alone and isinstance(line.value.value, str)  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)
 class Identity:
-    """The content that keys a run: names, seed, resolved configuration, digests of code and data.
+    """The content that keys a run.
 
+    Names, seed and resolved configuration say what was asked; digests of code and data and versions
+    of packages say what of. The same request of something else is another run.
     `problem` and `optimizer` become folder names and must be plain words.
     """
 
@@ -46,17 +67,19 @@ class Identity:
     config: Mapping[str, Any]
     code: str
     data: str
+    packages: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for field in ("problem", "optimizer"):
-            name = getattr(self, field)
-            if not NAME.fullmatch(name):
-                raise ValueError(
-                    f"{field} name {name!r} cannot name a folder; use letters, digits, "
-                    "'_', '-' and '.', at most 100"
-                )
+        for what in ("problem", "optimizer"):
+            check_name(what, getattr(self, what))
+
+    @property
+    def request(self) -> str:
+        """Ten hexadecimal digits of the hash of what was asked."""
+        asked = (self.problem, self.optimizer, self.seed, dict(self.config))
+        return sha256(canonical(asked))[:10]
 
     @property
     def id(self) -> str:
-        """The first 16 hexadecimal digits of the hash of everything above."""
-        return sha256(canonical(vars(self)))[:16]
+        """The request, and ten hexadecimal digits of the hash of what it was asked of."""
+        return self.request + sha256(canonical([self.code, self.data, dict(self.packages)]))[:10]

@@ -5,25 +5,26 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from miho.study.store import RESULT, DamagedRun, StoredRun, read_run
+from miho.study.compaction import COLUMNS, compacted, error_of, without_theta
+from miho.study.scan import CheckedRun, Damage, scan
 
 RUN_COLUMNS = [
     "id", "problem", "optimizer", "seed", "outcome", "error", "unit", "evaluations", "seconds",
-    "cpu_seconds", "setup_seconds", "irreducible", "optimum", "dimension", "folder",
+    "cpu_seconds", "setup_seconds", "irreducible", "optimum", "dimension", "timing_valid",
+    "folder",
 ]  # fmt: skip
-CURVE_COLUMNS = [
-    "id", "problem", "optimizer", "seed", "evaluations", "seconds", "cpu_seconds", "error"
-]  # fmt: skip
+KEYS = ["id", "problem", "optimizer", "seed"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Runs:
-    """What a root holds.
+    """What a root held when it was read.
 
     `runs`: a row per finished run; `error` is the root of its loss in `unit`, `irreducible` an
     estimate of the error that no model of the same inputs can beat, `optimum` the smallest error in
@@ -34,64 +35,90 @@ class Runs:
     """
 
     runs: pd.DataFrame
-    curves: pd.DataFrame
-    damaged: pd.DataFrame
+    top: Path
+    skipped: tuple[Damage, ...]
+    keys: pd.DataFrame
+    texts: tuple[tuple[str, bytes], ...]
+    """SHA-256 and text, without parameters, of the curve of each row of `keys`."""
+
+    @property
+    def curves(self) -> pd.DataFrame:
+        """Id, problem, optimizer, seed, evaluations, seconds, cpu_seconds and error."""
+        return self._curves[0]
+
+    @cached_property
+    def damaged(self) -> pd.DataFrame:
+        """Folder and reason."""
+        skipped = sorted([*self.skipped, *self._curves[1]], key=lambda damage: damage.folder)
+        rows = [(damage.folder, damage.reason) for damage in skipped]
+        return pd.DataFrame(rows, columns=["folder", "reason"])
+
+    @cached_property
+    def _curves(self) -> tuple[pd.DataFrame, list[Damage]]:
+        """The curves, and which of them were none although their checksum matched."""
+        known, malformed, rows = compacted(self.top), [], []
+        for row, (digest, text) in enumerate(self.texts):
+            try:
+                if digest not in known.spans:
+                    known.add(digest, text)
+                rows.append(row)
+            except ValueError as error:
+                folder = str(self.keys["folder"].iloc[row])
+                malformed.append(Damage(folder, f"{folder}: {error}"))
+        digests = [self.texts[row][0] for row in rows]
+        lengths = [stop - start for start, stop in map(known.spans.__getitem__, digests)]
+        keys = self.keys[KEYS].iloc[rows].reset_index(drop=True)
+        table = keys.loc[keys.index.repeat(lengths)].reset_index(drop=True)
+        columns = {name: pd.Series(known.gathered(name, digests), dtype=float) for name in COLUMNS}
+        return table.assign(**columns), malformed
 
 
 def load_runs(root: str | Path) -> Runs:
     """Read every finished run below `root`; what is damaged is listed and skipped.
 
+    Every file of every run is read here and checked against its checksum, so that no number of a
+    damaged run is in either table. Curves are kept as text and become a table when first asked
+    for, faster after `miho.study.compact(root)`. What changes on disk later is not seen.
+    A checksum finds damage, not forgery: a `curve.json` that matches its own and still holds no
+    curve is listed and left out of `curves`, while its row in `runs`, which has a checksum of its
+    own, stays.
+
     Raises FileNotFoundError if the root does not exist.
     """
-    root = Path(root)
-    if not root.is_dir():
-        raise FileNotFoundError(f"{root}: no such folder of runs; run something first")
-    runs: list[dict[str, Any]] = []
-    curves: dict[str, list[Any]] = {column: [] for column in CURVE_COLUMNS}
-    damaged: list[dict[str, str]] = []
-    for path in sorted(root.rglob(RESULT)):
-        try:
-            stored = read_run(path.parent)
-        except DamagedRun as error:
-            damaged.append({"folder": str(path.parent), "reason": str(error)})
+    top = Path(root)
+    if not top.is_dir():
+        raise FileNotFoundError(f"{top}: no such folder of runs; run something first")
+    rows: list[dict[str, Any]] = []
+    curves: list[tuple[str, bytes]] = []
+    skipped: list[Damage] = []
+    for run in scan(top):
+        if isinstance(run, Damage):
+            skipped.append(run)
             continue
-        runs.append(_run_row(stored))
-        _extend(curves, stored)
-    return Runs(
-        pd.DataFrame(runs) if runs else pd.DataFrame(columns=RUN_COLUMNS),
-        pd.DataFrame(curves),
-        pd.DataFrame(damaged, columns=["folder", "reason"]),
-    )
+        try:
+            rows.append(_run_row(run))
+            curves.append((run.digest, without_theta(run.curve)))
+        except (ArithmeticError, ValueError, LookupError, TypeError, AttributeError) as error:
+            reason = f"{run.folder}: {type(error).__name__}: {error}"
+            skipped.append(Damage(run.folder, reason))
+    table = pd.DataFrame(rows) if rows else pd.DataFrame(columns=RUN_COLUMNS)
+    return Runs(table, top, tuple(skipped), table[[*KEYS, "folder"]], tuple(curves))
 
 
-def _run_row(stored: StoredRun) -> dict[str, Any]:
-    result = stored.result
+def _run_row(run: CheckedRun) -> dict[str, Any]:
+    result = run.result
     facts: Mapping[str, Any] = result["facts"]
-    loss = result["loss"]
     row = {
-        **{key: result[key] for key in ("id", "problem", "optimizer", "seed", "outcome")},
-        "error": _root(loss),
+        **{key: result[key] for key in (*KEYS, "outcome")},
+        "error": error_of(result["loss"]),
         "unit": facts.get("unit"),
         **{key: result[key] for key in ("evaluations", "seconds", "cpu_seconds", "setup_seconds")},
         "irreducible": facts.get("irreducible", math.nan),
-        "optimum": _root(facts.get("optimum")),
+        "optimum": error_of(facts.get("optimum")),
         "dimension": len(result["parameters"]),
-        "folder": str(stored.folder),
+        "timing_valid": facts.get("timing_valid"),
+        "folder": run.folder,
     }
     theta = result["theta"] or [math.nan] * len(result["parameters"])
     names = [parameter["name"] for parameter in result["parameters"]]
     return row | {f"theta.{name}": value for name, value in zip(names, theta, strict=True)}
-
-
-def _root(loss: float | None) -> float:
-    """The error that belongs to a loss, NaN where there is none."""
-    return math.nan if loss is None or loss < 0 else math.sqrt(loss)
-
-
-def _extend(curves: dict[str, list[Any]], stored: StoredRun) -> None:
-    curve, result = stored.curve, stored.result
-    for key in ("evaluations", "seconds", "cpu_seconds"):
-        curves[key].extend(curve[key])
-    curves["error"].extend(map(_root, curve["loss"]))
-    for key in ("id", "problem", "optimizer", "seed"):
-        curves[key].extend([result[key]] * len(curve["loss"]))

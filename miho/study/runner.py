@@ -11,17 +11,21 @@ from typing import Any
 from miho.optim import Outcome, RunRecord, Space
 from miho.study.environment import environment_stamp, single_thread
 from miho.study.identity import Identity
+from miho.study.redaction import without_secrets
 from miho.study.store import RunInUse, Store, StoredRun
+from miho.study.validity import stamped
 
 
 class Status(StrEnum):
-    """What became of a requested run."""
+    """What became of a requested run; `lost` are those whose process ended, or never did."""
 
     RAN = "ran"
     DONE_BEFORE = "done before"
     RUNNING_ELSEWHERE = "running elsewhere"
     FAILED = "failed"
     INTERRUPTED = "interrupted"
+    LOST = "lost"
+    TO_DO = "to do"
 
 
 @dataclass(frozen=True)
@@ -53,14 +57,17 @@ def execute(
             done = store.find(identity)
             if done is not None:
                 return Execution(Status.DONE_BEFORE, done)
-            with single_thread():
+            with single_thread(), stamped() as stamp:
                 environment = environment_stamp()
-                record = job()
+                record = without_secrets(job())
             if record.outcome in (Outcome.FAILED, Outcome.INTERRUPTED):
                 partial = store.keep_partial(identity, record)
                 failed = record.outcome is Outcome.FAILED
                 status = Status.FAILED if failed else Status.INTERRUPTED
                 return Execution(status, partial=partial, error=record.error)
+            timing = stamp.judge(record.seconds, record.cpu_seconds)
+            environment["timing"] = timing.as_dict()
+            facts = {**facts, "timing_valid": timing.valid}
             return Execution(Status.RAN, store.commit(identity, record, space, environment, facts))
     except RunInUse:
         return Execution(Status.RUNNING_ELSEWHERE)

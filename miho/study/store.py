@@ -8,6 +8,8 @@ only sign that a run is done. A held lock is the only sign that one is running.
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import json
 import math
 import os
@@ -21,12 +23,18 @@ from filelock import FileLock, Timeout
 
 from miho.optim import RunRecord, Space
 from miho.study.identity import Identity, canonical, sha256
+from miho.study.places import inside
+from miho.study.redaction import redacted
 
 CONFIG, ENVIRONMENT, CURVE, RESULT = "config.json", "environment.json", "curve.json", "result.json"
 PARTIAL = "partial.json"
+SUPERSEDED = ".superseded"
 RESOLUTION = 1e-3
 SPACING = 1e-2
 """Stored curves are exact to this fraction of the loss, or of the evaluations and seconds."""
+LARGEST = 256 << 20
+"""No file of a run is larger, in bytes; whatever is, is not read."""
+CHUNK = 64 << 10
 
 
 class DamagedRun(Exception):  # noqa: N818 -- a finding about a folder, reported and skipped
@@ -55,8 +63,8 @@ class Store:
     root: Path
 
     def folder(self, identity: Identity) -> Path:
-        """Where this run lies, or will lie."""
-        return self.root / identity.problem / identity.optimizer / identity.id
+        """Where this run lies, or will lie; raises PermissionError if that is not in the root."""
+        return inside(self.root, identity.problem, identity.optimizer, identity.id)
 
     def find(self, identity: Identity) -> StoredRun | None:
         """The finished run, or None; a damaged one is None, so that it is run anew."""
@@ -95,7 +103,7 @@ class Store:
             CURVE: canonical(_curve(record)),
         }
         for name, text in contents.items():
-            write_text(folder / name, text)
+            write_text(folder / name, text, last=False)
         result = {
             **_result(identity, record, space),
             "facts": dict(facts),
@@ -108,32 +116,104 @@ class Store:
 
     def keep_partial(self, identity: Identity, record: RunRecord) -> Path:
         """Keep what an interrupted or failed run has found; the run is not done."""
-        path = self.folder(identity) / PARTIAL
         partial = {"outcome": str(record.outcome), "error": record.error, "curve": _curve(record)}
-        write_text(path, canonical(partial))
-        return path
+        return self._keep(identity, partial)
+
+    def keep_reason(self, identity: Identity, reason: str, detail: str | None) -> Path:
+        """Keep why a run was lost with its process, and its traceback if there is one."""
+        error = redacted(detail or reason)
+        return self._keep(identity, {"outcome": "lost", "error": error, "curve": None})
+
+    def reason(self, identity: Identity) -> str | None:
+        """Why a run that was tried is not done, in one line; None if it was not tried."""
+        try:
+            partial = json.loads((self.folder(identity) / PARTIAL).read_bytes())
+            told = str(partial["error"] or partial["outcome"]).strip()
+        except (OSError, ValueError, LookupError, TypeError, RecursionError):
+            return None
+        return told.splitlines()[-1][:200] if told else None
+
+    def _keep(self, identity: Identity, partial: Mapping[str, Any]) -> Path:
+        folder = self.folder(identity)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(folder / PARTIAL, canonical(partial))
+        return folder / PARTIAL
+
+    def others(self, identity: Identity) -> list[Path]:
+        """Folders of finished runs of the same request, but of other code, data or packages."""
+        folder = self.folder(identity)
+        if not folder.parent.is_dir():
+            return []
+        alike = folder.parent.glob(f"{identity.request}*/{RESULT}")
+        return sorted(path.parent for path in alike if path.parent.name != folder.name)
+
+    def set_aside(self, folder: Path) -> None:
+        """Move a run out of the sight of readers, below SUPERSEDED."""
+        place = self.root / SUPERSEDED / folder.relative_to(self.root)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        folder.replace(place)
+
+
+class NoResult(DamagedRun):
+    """A run folder without a result: its run is not done."""
 
 
 def read_run(folder: Path) -> StoredRun:
     """Read one run folder; raises DamagedRun with the reason if anything does not match."""
+    result, files = read_checked(str(folder))
     try:
-        result = json.loads((folder / RESULT).read_bytes())
-        own = result.pop("sha256")
-        if own != sha256(canonical(result)):
-            raise DamagedRun(f"{folder / RESULT}: checksum does not match")
-        contents = {}
+        contents = {name: json.loads(data) for name, data in files.items()}
+    except (ValueError, RecursionError) as error:
+        raise DamagedRun(f"{folder}: {type(error).__name__}: {error}") from None
+    return StoredRun(folder, contents[CONFIG], contents[ENVIRONMENT], contents[CURVE], result)
+
+
+def read_checked(folder: str) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """The result of a run, and its other files as bytes, all as their checksums say.
+
+    Raises NoResult if the run is not done, and DamagedRun with the reason if anything does not
+    match.
+    """
+    try:
+        data = read_bytes(f"{folder}/{RESULT}")
+    except FileNotFoundError:
+        raise NoResult(f"{folder}: holds no {RESULT}") from None
+    except OSError as error:
+        raise DamagedRun(f"{folder}/{RESULT}: {error.strerror}") from None
+    try:
+        result = json.loads(data)
+        signature = f',"sha256":"{result.pop("sha256")}"'.encode()
+        if signature != f',"sha256":"{sha256(data.replace(signature, b"", 1))}"'.encode():
+            raise DamagedRun(f"{folder}/{RESULT}: checksum does not match")
+        files = {}
         for name in (CONFIG, ENVIRONMENT, CURVE):
-            data = (folder / name).read_bytes()
-            if sha256(data) != result["files"][name]:
-                raise DamagedRun(f"{folder / name}: checksum does not match")
-            contents[name] = json.loads(data)
+            files[name] = read_bytes(f"{folder}/{name}")
+            if sha256(files[name]) != result["files"][name]:
+                raise DamagedRun(f"{folder}/{name}: checksum does not match")
+        named = [result["problem"], result["optimizer"], result["id"]]
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
         raise DamagedRun(f"{folder}: {type(error).__name__}: {error}") from None
-    place = [folder.parent.parent.name, folder.parent.name, folder.name]
-    named = [result.get(key) for key in ("problem", "optimizer", "id")]
-    if place != named:
+    if folder.split("/")[-3:] != named:
         raise DamagedRun(f"{folder}: holds the run {'/'.join(map(str, named))}")
-    return StoredRun(folder, contents[CONFIG], contents[ENVIRONMENT], contents[CURVE], result)
+    return result, files
+
+
+def read_bytes(path: str) -> bytes:
+    """A whole file; raises OSError for a symbolic link and for what is larger than LARGEST.
+
+    A pipe gives nothing or an error, so that no reader waits for it.
+    """
+    chunks, size = [], 0
+    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    try:
+        while chunk := os.read(descriptor, CHUNK):
+            chunks.append(chunk)
+            size += len(chunk)
+            if size > LARGEST:
+                raise OSError(errno.EFBIG, f"is larger than {LARGEST >> 20} MiB", path)
+    finally:
+        os.close(descriptor)
+    return b"".join(chunks)
 
 
 def _curve(record: RunRecord) -> dict[str, list[Any]]:
@@ -181,6 +261,7 @@ def _result(identity: Identity, record: RunRecord, space: Space) -> dict[str, An
         "seed": identity.seed,
         "code": identity.code,
         "data": identity.data,
+        "packages": dict(identity.packages),
         "outcome": str(record.outcome),
         "loss": record.loss if math.isfinite(record.loss) else None,
         "theta": None if record.theta is None else record.theta.tolist(),
@@ -193,20 +274,29 @@ def _result(identity: Identity, record: RunRecord, space: Space) -> dict[str, An
     }
 
 
-def write_text(path: Path, text: str) -> None:
-    """Replace a file in one step: readers see the old one or the new one, whole."""
+def write_text(path: Path, text: str, *, last: bool = True) -> None:
+    """Replace a file in one step: readers see the old one or the new one, whole.
+
+    Of several files in a folder the last one makes the names of all of them lasting.
+    An OSError names the file.
+    """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with temporary.open("w", encoding="utf-8") as file:
+        temporary.unlink(missing_ok=True)
+        with temporary.open("x", encoding="utf-8") as file:  # never through a link left there
             file.write(text)
             file.flush()
             os.fsync(file.fileno())
         temporary.replace(path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
+        if last:
+            folder = os.open(path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise OSError(error.errno, error.strerror, str(path)) from error
         raise
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)

@@ -1,5 +1,7 @@
 """MATLAB files: the consortium's layout, and everything that is not a vector of numbers."""
 
+import time
+import tracemalloc
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
+from experiments.faults.hostile_files import mat_bomb
 from miho.data import Dataset, load_mat, sample_tir
 
 TIRE = sample_tir("rf", n=300)
@@ -166,3 +169,18 @@ def test_damaged_files_give_one_line(tmp_path: Path) -> None:
             assert str(error).isprintable()
             errors += 1
     assert errors > 100
+
+
+def test_what_takes_too_much_room_is_refused_unread(tmp_path: Path) -> None:
+    """Ten numbers by what the header says, half a gigabyte of zeros by what follows."""
+    path = tmp_path / "bomb.mat"
+    mat_bomb(path)
+    assert path.stat().st_size < 4e6
+    tracemalloc.start()
+    started = time.process_time()
+    with pytest.raises(ValueError, match=r"bomb.mat: holds more than 128 MiB when decompressed; "):
+        load_mat(str(path), ["alpha", "Fy"], ["rad", "N"], "Fy")
+    seconds, peak = time.process_time() - started, tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert seconds < 1.0
+    assert peak < 200e6

@@ -1,0 +1,159 @@
+"""Checks of a results folder, and the moving aside of what is damaged in it."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import os
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from experiments.doctor.check import Check, State
+from miho.study import load_runs
+from miho.study.store import PARTIAL, RESULT
+
+QUARANTINE = ".quarantine"
+TEMPORARY = re.compile(r"\..+\.(\d+)")
+"""What `write_text` calls a file until it is whole: .NAME.PID."""
+
+LOCK, SHOWN = "lock", 3
+
+
+def result_checks(root: Path, *, quarantine: bool) -> Iterator[Check]:
+    """One check after the other of an existing root; `quarantine` moves damaged runs aside."""
+    yield runs(root, quarantine=quarantine)
+    files, links = contents(root)
+    yield partial(files)
+    yield temporary(files)
+    yield locks(files)
+    yield leading_out(root, links)
+
+
+def contents(root: Path) -> tuple[list[Path], list[Path]]:
+    """All files and all symbolic links below the root, without following any; not what is aside."""
+    files, links = [], []
+    for folder, folders, names in os.walk(root, followlinks=False):
+        if QUARANTINE in folders:
+            folders.remove(QUARANTINE)
+        for path in (Path(folder, name) for name in [*folders, *names]):
+            if path.is_symlink():
+                links.append(path)
+            elif path.name in names:
+                files.append(path)
+    return files, links
+
+
+def runs(root: Path, *, quarantine: bool) -> Check:
+    """Finished runs, and those whose files do not match their checksums."""
+    found = load_runs(root)
+    told = f"{len(found.runs)} finished, {len(found.curves):,} rows of curves"
+    damaged = found.damaged
+    if damaged.empty:
+        return Check("runs", State.OK, told)
+    told = f"{told}, {len(damaged)} damaged: {_some(damaged['reason'].tolist())}"
+    if not quarantine:
+        return Check("runs", State.FAILED, f"{told}; --quarantine moves them aside")
+    moved = [move_aside(root, Path(folder)) for folder in damaged["folder"]]
+    kept = [folder for folder, to in zip(damaged["folder"], moved, strict=True) if to is None]
+    told = f"{told}; moved {len(moved) - len(kept)} to {root / QUARANTINE}"
+    if kept:
+        return Check("runs", State.FAILED, f"{told}, left {_some(kept)}: in use or outside")
+    return Check("runs", State.OK, f"{told}; the next sweep runs them again")
+
+
+def move_aside(root: Path, folder: Path) -> Path | None:
+    """Move a damaged run below ROOT/.quarantine and say where; None if it is in use or outside.
+
+    Nothing is deleted. Of a symbolic link the link is moved, whatever it leads to.
+    """
+    if not folder.parent.resolve().is_relative_to(root.resolve()) or folder == root:
+        return None
+    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    name = f"{date}-{folder.name}"
+    aside, number = root / QUARANTINE / name, 1
+    aside.parent.mkdir(exist_ok=True)
+    while os.path.lexists(aside):
+        number += 1
+        aside = aside.with_name(f"{name}-{number}")
+    if folder.is_symlink():
+        folder.rename(aside)
+        return aside
+    try:
+        with FileLock(folder / LOCK, timeout=0):
+            folder.rename(aside)
+    except Timeout:
+        return None
+    return aside
+
+
+def partial(files: Sequence[Path]) -> Check:
+    """Runs that were interrupted or failed; what they found is kept."""
+    found = {path.parent for path in files if path.name == PARTIAL}
+    found -= {path.parent for path in files if path.name == RESULT}
+    if not found:
+        return Check("partial runs", State.OK, "none")
+    told = f"{len(found)} interrupted or failed: {_some(found)}; the next sweep runs them again"
+    return Check("partial runs", State.WARNING, told)
+
+
+def temporary(files: Sequence[Path]) -> Check:
+    """Files that a process was writing when it was killed."""
+    stale = []
+    for path in files:
+        match = TEMPORARY.fullmatch(path.name)
+        if match and not _alive(int(match[1])):
+            stale.append(path)
+    if not stale:
+        return Check("temporary files", State.OK, "none of processes that have ended")
+    told = f"{len(stale)} of processes that have ended: {_some(stale)}; they can be deleted"
+    return Check("temporary files", State.WARNING, told)
+
+
+def locks(files: Sequence[Path]) -> Check:
+    """Runs that some process is running, as the kernel lists them; taking no lock ourselves."""
+    try:
+        lines = Path("/proc/locks").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return Check("running", State.OK, "this system does not list locks")
+    holders = {}
+    for fields in (line.split() for line in lines if "->" not in line):
+        major, minor, inode = fields[5].split(":")
+        holders[os.makedev(int(major, 16), int(minor, 16)), int(inode)] = fields[4]
+    held = []
+    for path in (path for path in files if path.name == LOCK):
+        with contextlib.suppress(FileNotFoundError):  # it ended meanwhile
+            status = path.stat()
+            process = holders.get((status.st_dev, status.st_ino))
+            if process is not None:
+                held.append(f"{path.parent} by process {process}")
+    return Check("running", State.OK, f"{len(held)} runs: {_some(held)}" if held else "nothing")
+
+
+def leading_out(root: Path, links: Sequence[Path]) -> Check:
+    """Symbolic links to places outside of the root."""
+    inside = root.resolve()
+    out = [link for link in links if not link.resolve().is_relative_to(inside)]
+    if not out:
+        return Check("links", State.OK, "none leads out")
+    told = f"{len(out)} lead out of {root}: {_some(out)}; remove them, nothing there is read"
+    return Check("links", State.FAILED, told)
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
+
+
+def _some(things: Sequence[object] | set[Path]) -> str:
+    """The first few, and how many more."""
+    named = sorted(map(str, things))
+    more = f" and {len(named) - SHOWN} more" * (len(named) > SHOWN)
+    return ", ".join(named[:SHOWN]) + more

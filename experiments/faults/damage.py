@@ -1,0 +1,95 @@
+"""R7: files of runs that were cut, altered, overwritten with zeros or exchanged."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+
+from experiments.faults.made_runs import make_runs
+from experiments.faults.row import Row
+from miho.study import Runs, load_runs
+from miho.study.compaction import FOLDER, NAME, compact, compacted
+from miho.study.store import CONFIG, CURVE, ENVIRONMENT, RESULT
+
+TIMES = 300
+WHOLE = 10
+COMPACTED_RUNS, EVERY = 5, 20
+TAIL = 64
+
+
+def damage(folder: Path, times: int = TIMES) -> Row:
+    """Spoil each kind of file in many ways, each in a run of its own, and read them all.
+
+    The file of compacted curves is one for all runs: whatever is done to it, all runs must be read
+    as before.
+    """
+    rng = np.random.default_rng(0)
+    ways = 2 * times + 2
+    folders = make_runs(folder / "runs", ways + WHOLE, rng)
+    expected = load_runs(folder / "runs")
+    detected, right = 0, 0
+    for name in (RESULT, CURVE, CONFIG, ENVIRONMENT):
+        other = (folders[-1] / name).read_bytes()
+        good = [(run / name).read_bytes() for run in folders[:ways]]
+        for way, data in enumerate(good):
+            (folders[way] / name).write_bytes(_spoilt(data, other, way, times, rng))
+        found = load_runs(folder / "runs")
+        listed = found.damaged[found.damaged["reason"] != ""]["folder"]
+        detected += len({str(run) for run in folders[:ways]} & set(listed))
+        right += len(found.runs) == WHOLE and _agrees(found, expected)
+        for run, data in zip(folders, good, strict=False):
+            (run / name).write_bytes(data)
+    ignored = _compacted(folder, ways, times, rng)
+    tried = 5 * ways
+    detected += ignored
+    return Row(
+        "R7",
+        f"5 kinds of file: cut at {times} places, {times} bits flipped, tail zeroed, exchanged",
+        "all detected, all other runs read, no wrong number",
+        f"{detected:,} of {tried:,} detected, "
+        + ("the others read right" if right == 4 else f"the others wrong in {4 - right} of 4"),
+        detected == tried and right == 4,
+    )
+
+
+def _compacted(folder: Path, ways: int, times: int, rng: np.random.Generator) -> int:
+    """How many of the damages to the compacted curves change nothing that is read."""
+    root, other = folder / "compacted", folder / "other"
+    make_runs(root, COMPACTED_RUNS, rng)
+    make_runs(other, COMPACTED_RUNS, rng)
+    expected = load_runs(root)
+    expected.curves  # noqa: B018 -- read now, from the runs' own files
+    path = root / FOLDER / NAME
+    compact(root)
+    compact(other)
+    good, foreign = path.read_bytes(), (other / FOLDER / NAME).read_bytes()
+    harmless = 0
+    for way in range(ways):
+        path.write_bytes(_spoilt(good, foreign, way, times, rng))
+        exchanged = way == ways - 1
+        unused = exchanged or not compacted(root).spans
+        if exchanged or way % EVERY == 0:
+            found = load_runs(root)
+            unused &= len(found.runs) == COMPACTED_RUNS and _agrees(found, expected)
+        harmless += unused
+    shutil.rmtree(other)
+    return harmless
+
+
+def _spoilt(good: bytes, other: bytes, way: int, times: int, rng: np.random.Generator) -> bytes:
+    if way < times:
+        return good[: len(good) * way // times]
+    if way < 2 * times:
+        position, bit = int(rng.integers(len(good))), int(rng.integers(8))
+        return good[:position] + bytes([good[position] ^ 1 << bit]) + good[position + 1 :]
+    return good[:-TAIL] + bytes(TAIL) if way == 2 * times else other
+
+
+def _agrees(found: Runs, expected: Runs) -> bool:
+    """Whether the runs that were found have the numbers that are expected of them."""
+    return all(
+        after.equals(before[before["id"].isin(found.runs["id"])].reset_index(drop=True))
+        for after, before in ((found.runs, expected.runs), (found.curves, expected.curves))
+    )

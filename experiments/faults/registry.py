@@ -1,0 +1,60 @@
+"""The rows of the fault table in their order, and where each is done."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.faults.row import Row
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A row's number, the module and function that does it, and whether it takes little time."""
+
+    number: str
+    name: str
+    quick: bool = False
+
+    @property
+    def module(self) -> str:
+        """The dotted name."""
+        return f"experiments.faults.{self.name}"
+
+    @property
+    def exists(self) -> bool:
+        """Whether its module is there; nothing is imported."""
+        return importlib.util.find_spec(self.module) is not None
+
+    def load(self) -> Callable[[Path], Row]:
+        """The function that does the fault in an empty folder and measures."""
+        function: Callable[[Path], Row] = getattr(importlib.import_module(self.module), self.name)
+        return function
+
+
+ENTRIES = (
+    Entry("R1", "kills"),
+    Entry("R2", "full_disk"),
+    Entry("R3", "isolation"),
+    Entry("R4", "signals"),
+    Entry("R5", "sharing"),
+    Entry("R6", "identical_sweeps"),
+    Entry("R7", "damage"),
+    Entry("R8", "objectives"),
+    Entry("R9", "clock", quick=True),
+    Entry("R10", "loading"),
+    Entry("R11", "overhead"),
+    Entry("R12", "timing"),
+    Entry("R13", "malformed"),
+    Entry("R14", "targets", quick=True),
+    Entry("R15", "names", quick=True),
+    Entry("R16", "secrets"),
+    Entry("R17", "changes"),
+    Entry("R18", "schedule", quick=True),
+    Entry("R19", "determinism"),
+    Entry("R20", "tracker"),
+    Entry("R21", "places"),
+)

@@ -1,0 +1,16 @@
+"""One row of the fault table: what was done to the program and what it did."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Row:
+    """A measured row: its number (R1 to R21), the fault, the goal, the figure, the verdict."""
+
+    number: str
+    fault: str
+    goal: str
+    measured: str
+    met: bool

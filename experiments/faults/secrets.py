@@ -1,0 +1,71 @@
+"""R16: secrets in the environment, in settings and in URLs, and where they turn up again."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from experiments.faults.called import Call, called
+from experiments.faults.row import Row
+
+VARIABLE = "MIHO_CANARY_TOKEN"
+CANARIES = ("canary-of-the-environment", "canary-of-a-setting", "canary-of-a-url")
+QUICK = ["dataset.n=40", "optimizer=random", "optimizer.batch=10", "budget.evaluations=40"]
+MODEL = f"""import os
+calls = 0
+
+
+def line(alpha: "rad", *, a: "N/rad") -> "N":
+    global calls
+    calls += 1
+    if calls > os.environ.get("AFTER_CALLS", "").count("x"):
+        raise RuntimeError("cannot log in with " + os.environ["{VARIABLE}"])
+    return a * alpha
+"""
+"""A model of the user's that fails, at once or during a run, and says too much."""
+
+
+def secrets(folder: Path) -> Row:
+    """Commands that know secrets; then every file below their root and all they print."""
+    model, root = folder / "mine.py", folder / "runs"
+    model.write_text(MODEL, encoding="utf-8")
+    environment, setting, url = CANARIES
+    address = f"https://user:{url}@localhost/lf.tir"
+    own = [
+        f"model.path={model}", "model=function", "~space",
+        "+space={a: {unit: N/rad, low: -1e6, high: 0}}",
+    ]  # fmt: skip
+    expected = {
+        (): 0,
+        (f"dataset.tire=${{oc.env:{VARIABLE}}}",): 2,
+        ("--cfg", "job", "--resolve", f"dataset.tire=${{oc.env:{VARIABLE}}}"): 2,
+        (f"dataset.tire={environment}",): 2,
+        (f"seed={environment}",): 2,
+        (f"+password={setting}",): 2,
+        (f"+dataset.password={setting}",): 2,
+        ("-m", "seed=1,2", f"+optimizer.token={setting}"): 2,
+        (f"dataset.tire={address}",): 2,
+        (f"problem.name={address}",): 2,
+        ("-m", "seed=1,2", f"dataset.tire=lf,{address}"): 2,
+        tuple(own): 2,
+    }
+    calls = [Call([*given, *QUICK, f"root={root}"]) for given in expected]
+    calls += [
+        Call([*QUICK, *own, f"root={root}"], environment={"AFTER_CALLS": "x" * 3}),
+        Call([str(root), "--no-profile"], "experiments.report"),
+        Call([*QUICK, f"root={folder}/{address}"]),
+    ]
+    ended = called(calls, {**os.environ, VARIABLE: environment})
+    wrong = sum(end.code != code for end, code in zip(ended, expected.values(), strict=False))
+    files = [path for path in root.rglob("*") if path.is_file()]
+    stored = b"".join(str(path).encode() + path.read_bytes() for path in files)
+    printed = "".join(end.out + end.err for end in ended)
+    found = [stored.count(canary.encode()) for canary in CANARIES]
+    shown = [printed.count(canary) for canary in CANARIES]
+    return Row(
+        "R16",
+        f"secrets in the environment, settings and URLs of {len(calls)} commands",
+        "0 occurrences in results, reports, output and error text",
+        f"{sum(found)} in {len(files)} files, {sum(shown)} printed, {wrong} exit codes differ",
+        bool(files) and not sum(found) and not sum(shown) and not wrong,
+    )

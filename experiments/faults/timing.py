@@ -1,0 +1,115 @@
+"""R12: one method by two names while other work begins, on one core and on all."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import threadpoolctl
+
+from experiments.doctor.machine import BUSY_CORES, busy_cores
+from experiments.doctor.same_method import CPU_RATIO, Pairs, evaluations_in, same_method_twice
+from experiments.faults.row import Row
+from miho.study import single_thread
+
+NOT_JUDGED = "not judged"
+SIZE, PRODUCTS, ONE_CORE = 400, 20, 1.1
+SLOT_PAIRS = 10
+
+
+def timing(folder: Path) -> Row:
+    """Ratios of a method with itself, interleaved and in sequence, with load from half time on."""
+    busy = busy_cores()
+    cores, evaluations = cores_of_products(), evaluations_in()
+    alternating, in_sequence = (
+        loaded_halfway(evaluations, interleaved=interleaved) for interleaved in (True, False)
+    )
+    alone, crowded = slots(evaluations)
+    later = alternating.valid[len(alternating.valid) // 2 :]
+    flagged = int((~later).sum() + (~in_sequence.valid[:, 1]).sum())
+    loaded = later.size + len(in_sequence.valid)
+    sound = cores <= ONE_CORE and flagged == loaded
+    wrong = alternating.outside()
+    for name, ratio in (("CPU in sequence", in_sequence.cpu_ratio), ("slots", crowded / alone)):
+        if not CPU_RATIO[0] <= ratio <= CPU_RATIO[1]:
+            wrong.append(f"{name} {ratio:.3f} outside {CPU_RATIO[0]} to {CPU_RATIO[1]}")
+    measured = (
+        f"interleaved: CPU {alternating.cpu_ratio:.3f}, wall {alternating.wall_ratio:.3f}; in "
+        f"sequence: CPU {in_sequence.cpu_ratio:.3f}, wall {in_sequence.wall_ratio:.3f}; CPU of "
+        f"all slots by one {crowded / alone:.3f}; {flagged} of {loaded} loaded runs flagged; "
+        f"matrix products kept {cores:.2f} cores busy" + "".join(f"; {one}" for one in wrong)
+    )
+    quiet = busy is not None and busy <= BUSY_CORES
+    if sound and not quiet:
+        other = "an unknown load" if busy is None else f"{busy:.2f} cores busy with other work"
+        measured = f"{NOT_JUDGED}: {other}; {measured}"
+    return Row(
+        "R12",
+        "one method by two names, load on all cores in the second half; one slot and all",
+        "CPU ratio 0.95 to 1.05, interleaved wall ratio 0.90 to 1.10, loaded runs flagged, "
+        "one thread",
+        measured,
+        bool(sound and quiet and not wrong),
+    )
+
+
+def loaded_halfway(evaluations: int, *, interleaved: bool) -> Pairs:
+    """The A/A test with two busy processes for each core from its middle on."""
+    with contextlib.ExitStack() as stack:
+        return same_method_twice(
+            evaluations,
+            interleaved=interleaved,
+            halfway=lambda: stack.enter_context(load()),
+        )
+
+
+@contextlib.contextmanager
+def load(settle: float = 0.2) -> Iterator[None]:
+    """Two busy processes for each core, which end with the context; begins when they are busy."""
+    busy = [
+        subprocess.Popen([sys.executable, "-c", "while True: pass"])
+        for _ in range(2 * (os.cpu_count() or 1))
+    ]
+    try:
+        time.sleep(settle)
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+        for process in busy:
+            process.wait()
+
+
+def cores_of_products() -> float:
+    """Cores that matrix products keep busy within `single_thread`: what a library really does."""
+    square = np.ones((SIZE, SIZE))
+    with single_thread():
+        threads = [pool["num_threads"] for pool in threadpoolctl.threadpool_info()]
+        wall, cpu = time.perf_counter(), time.process_time()
+        for _ in range(PRODUCTS):
+            square @ square
+        wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    return max(cpu / wall, *threads) if max(threads, default=1) > 1 else cpu / wall
+
+
+def slots(evaluations: int) -> tuple[float, float]:
+    """CPU seconds of a run when one process computes, and when one for each core does."""
+    cores = os.cpu_count() or 1
+    with ProcessPoolExecutor(cores, multiprocessing.get_context("spawn")) as pool:
+        list(pool.map(slot, [evaluations] * 2 * cores))  # all have started and compiled
+        alone = list(pool.map(slot, [evaluations]))
+        crowded = list(pool.map(slot, [evaluations] * cores))
+    return float(np.median(alone)), float(np.median(crowded))
+
+
+def slot(evaluations: int) -> float:
+    """The median CPU seconds of some runs in this process."""
+    return float(np.median(same_method_twice(evaluations, SLOT_PAIRS).cpu))

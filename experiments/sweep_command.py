@@ -1,0 +1,100 @@
+"""From the command line's -m to a sweep: which runs are wanted, and which launcher does them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.plugins import Plugins
+from hydra.types import HydraContext, TaskFunction
+from omegaconf import DictConfig
+
+from experiments.build import ConfigError
+from experiments.cli import composed
+from experiments.schema import SweepConfig
+from experiments.sweep import Done, Wanted, found, sweep, wanted
+from miho.study import Status
+
+finished: list[Done] = []
+"""What the sweep of this process did, for the command that asked for it."""
+BASIC = "hydra._internal.core_plugins.basic_launcher.BasicLauncher"
+OURS = ("seed", "fresh", "sweep")
+"""What says how to go through the runs, or which repetition, but not what they are."""
+
+
+def run_sweep(
+    arguments: list[str], context: HydraContext, task: TaskFunction, config: DictConfig
+) -> list[Done]:
+    """Do what the arguments of -m ask for, here or by a launcher, and keep it in `finished`.
+
+    A launcher gets one job for each setting but for the seed, which does all seeds; what became of
+    them is then read from the results.
+    """
+    plan = groups(tuple(arguments))
+    runs = [one for group, seeds in plan for one in _wanted(group, seeds)]
+    settings = sweep_settings(config)
+    asked = [argument for argument in arguments if not _ours(argument, ("fresh", "sweep"))]
+    if config.hydra.launcher._target_ == BASIC or settings.dry_run:
+        how = {"fresh": config.fresh, "overrides": asked, "tracking": config.tracking}
+        finished.extend(sweep(runs, settings, **how))
+        return finished
+    launcher = Plugins.instance().instantiate_launcher(
+        hydra_context=context, task_function=task, config=config
+    )
+    typed = [argument for argument in arguments if _ours(argument, ("fresh", "sweep"))]
+    jobs = [[*group, *typed, f"sweep.seeds=[{','.join(map(str, seeds))}]"] for group, seeds in plan]
+    try:
+        launcher.launch(jobs, initial_job_idx=0)
+    except Exception as error:  # noqa: BLE001 -- a job of the launcher died; the others are stored
+        print(f"{type(launcher).__name__}: {type(error).__name__}: {error}")
+    finished.extend(_after_launch(found(one)) for one in runs)
+    return finished
+
+
+def _after_launch(done: Done) -> Done:
+    """What a launcher was to do and is not done is lost."""
+    if done.status is Status.DONE_BEFORE:
+        return done
+    reason = done.reason or "its job ended without a result"
+    return replace(done, status=Status.LOST, reason=reason)
+
+
+def sweep_settings(config: DictConfig) -> SweepConfig:
+    """The checked settings of `sweep`; raises ConfigError."""
+    settings = SweepConfig(**{str(key): value for key, value in config.sweep.items()})
+    if settings.processes < 1:
+        raise ConfigError(f"sweep.processes: is {settings.processes}; expected at least 1")
+    if settings.time_limit is not None and not settings.time_limit > 0:
+        raise ConfigError(f"sweep.time_limit: is {settings.time_limit}; expected seconds above 0")
+    return settings
+
+
+@cache
+def groups(arguments: tuple[str, ...]) -> list[tuple[tuple[str, ...], list[int]]]:
+    """The settings of a sweep but for the seed, each with its seeds, in the order asked."""
+    parsed = OverridesParser.create().parse_overrides(list(arguments))
+    jobs = BasicSweeper.split_arguments(parsed, max_batch_size=None)[0]
+    found: dict[tuple[str, ...], dict[int, None]] = {}
+    for job in jobs:
+        rest = tuple(one for one in job if not _ours(one, OURS))
+        seeds = [one.partition("=")[2] for one in job if one.startswith("seed=")]
+        found.setdefault(rest, {})[_whole(seeds[-1]) if seeds else 0] = None
+    return [(rest, list(seeds)) for rest, seeds in found.items()]
+
+
+def _whole(seed: str) -> int:
+    if not seed.isdecimal():
+        raise ConfigError(f"seed: is {seed!r}; expected a whole number of at least 0")
+    return int(seed)
+
+
+def _ours(argument: str, keys: Sequence[str]) -> bool:
+    key = argument.partition("=")[0].lstrip("+~")
+    return key.partition(".")[0] in keys
+
+
+def _wanted(group: tuple[str, ...], seeds: list[int]) -> list[Wanted]:
+    return wanted(composed(group), " ".join(group), seeds)

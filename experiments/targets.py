@@ -1,0 +1,120 @@
+"""Which classes and functions a configuration may name, decided before anything is imported."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any, TypeVar, cast
+
+import baselines
+import miho.data
+import miho.identification
+import miho.models
+import miho.optim
+from miho.data import Dataset
+from miho.identification import Loss
+from miho.models import Model
+from miho.optim import AskTell, Optimizer
+
+T = TypeVar("T")
+
+HOMES: Mapping[type, ModuleType] = {
+    Model: miho.models,
+    Dataset: miho.data,
+    Loss: miho.identification,
+    Optimizer: miho.optim,
+}
+"""Where targets of each kind come from: what `__all__` of these packages names."""
+
+METHODS = Path(baselines.__file__).parent
+BASES = {Optimizer.__name__, AskTell.__name__}
+SHOWN = 80
+
+
+class TargetError(ValueError):
+    """What is wrong with a target and which are allowed, in one line."""
+
+
+def find_target(path: object, kind: type[T]) -> Callable[..., T]:
+    """The class or function at a dotted path that makes a `kind`.
+
+    Allowed are the public names of our packages and the methods in `baselines`, found by reading
+    their source; only what is allowed is imported. Raises TargetError for any other path, and
+    ImportError where the library that a method wraps is missing.
+    """
+    home, _, name = path.rpartition(".") if isinstance(path, str) else ("", "", "")
+    if home == HOMES[kind].__name__ and name in _public(kind):
+        return cast(Callable[..., T], getattr(HOMES[kind], name))
+    package, _, module = home.rpartition(".")
+    if kind is Optimizer and package == baselines.__name__ and name in _methods(module):
+        return cast(Callable[..., T], getattr(importlib.import_module(home), name))
+    raise TargetError(
+        f"{_shown(path)} is not a class or function that gives a {kind.__name__}; "
+        f"allowed are {', '.join(allowed(kind))}"
+    )
+
+
+def allowed(kind: type) -> list[str]:
+    """Every dotted path that a configuration may name for this kind."""
+    names = [f"{HOMES[kind].__name__}.{name}" for name in _public(kind)]
+    if kind is Optimizer:
+        for file in sorted(METHODS.glob("*.py")):
+            names += [f"{baselines.__name__}.{file.stem}.{name}" for name in _methods(file.stem)]
+    return names
+
+
+def nested_target(value: Any, place: str) -> str | None:
+    """The key path of a target inside of a setting, where none belongs; None if there is none."""
+    if isinstance(value, Mapping):
+        if "_target_" in value:
+            return f"{place}._target_"
+        inner = [(f"{place}.{key}", part) for key, part in value.items()]
+    elif isinstance(value, list):
+        inner = [(f"{place}[{index}]", part) for index, part in enumerate(value)]
+    else:
+        return None
+    found = (nested_target(part, key) for key, part in inner)
+    return next((key for key in found if key), None)
+
+
+def _public(kind: type) -> list[str]:
+    home = HOMES[kind]
+    return [name for name in home.__all__ if _gives(getattr(home, name), kind)]
+
+
+def _gives(found: Any, kind: type) -> bool:
+    if inspect.isclass(found):
+        return issubclass(found, kind) and not inspect.isabstract(found)
+    return inspect.isfunction(found) and (
+        inspect.get_annotations(found).get("return") == kind.__name__
+    )
+
+
+def _methods(module: str) -> list[str]:
+    """The methods in one module of `baselines`, read from its source and not imported."""
+    file = METHODS / f"{module}.py"
+    if not (module.isascii() and module.isidentifier() and file.is_file()):
+        return []
+    statements = ast.parse(file.read_bytes()).body
+    classes = (node for node in statements if isinstance(node, ast.ClassDef))
+    return [
+        node.name
+        for node in classes
+        if not node.name.startswith("_") and BASES & {_base(base) for base in node.bases}
+    ]
+
+
+def _base(node: ast.expr) -> str:
+    """The bare name of a base class: `AskTell` of `AskTell[State]` or `miho.AskTell`."""
+    if isinstance(node, ast.Subscript):
+        return _base(node.value)
+    return node.attr if isinstance(node, ast.Attribute) else getattr(node, "id", "")
+
+
+def _shown(path: object) -> str:
+    text = repr(path)
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."

@@ -1,0 +1,213 @@
+"""The tables of a sweep and what a reader must know before reading them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import Counter
+from collections.abc import Mapping
+from itertools import product
+from numbers import Real
+
+import numpy as np
+import pandas as pd
+
+from miho.analysis.markdown import number
+from miho.analysis.statistics import interval, resample
+from miho.analysis.styles import styles_of
+from miho.analysis.sweep_curves import final_order
+from miho.analysis.sweep_origins import Origin
+from miho.analysis.sweep_runs import Sweep
+from miho.analysis.tidy import shown_unit
+from miho.analysis.timing import valid_seconds
+
+FEW = 5
+"""Repetitions below which a bootstrap interval is far too short; see `statistics`."""
+LARGE = 1e9
+"""From here on numbers are written with a power of ten."""
+SHORT = 12
+"""Hexadecimal digits of a digest that are shown."""
+
+
+def final_errors(runs: pd.DataFrame) -> pd.DataFrame:
+    """A row per method on one problem, best median first; errors in the shown unit.
+
+    The interval is the 95 % percentile bootstrap of the median over seeds, "-" for a single run.
+    A run without a finite value counts as infinitely bad.
+    """
+    unit, factor = shown_unit(str(runs["unit"].iloc[0]))
+    names = printed(runs["optimizer"])
+    rng = np.random.default_rng(0)
+    rows = []
+    kept = runs[["optimizer", "error", "evaluations", "seconds", "outcome"]]
+    of = dict(iter(kept.groupby("optimizer", sort=False)))
+    for method in final_order(runs):
+        mine = of[method]
+        final = (mine["error"] * factor).fillna(np.inf).to_numpy(dtype=float)
+        several = len(final) > 1
+        medians = np.median(final[resample(len(final), rng)], axis=1)
+        found = interval(medians, medians)
+        ends = mine["outcome"].value_counts()
+        rows.append(
+            {
+                "method": names[method],
+                "runs": len(mine),
+                f"median error [{unit}]": digits(found.estimate),
+                "95 % interval": f"[{digits(found.low)}, {digits(found.high)}]" if several else "-",
+                f"best [{unit}]": digits(final.min()),
+                f"worst [{unit}]": digits(final.max()),
+                "evaluations": number(mine["evaluations"].median()),
+                "seconds": number(mine["seconds"].median()),
+                "ended by": ", ".join(f"{outcome} {count}" for outcome, count in ends.items()),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def digits(value: float) -> str:
+    """Five significant digits, all digits before the point, "∞" where no value was found."""
+    if math.isinf(value):
+        return "∞"
+    return f"{value:,.0f}" if 1e4 <= value < LARGE else f"{value:.5g}"
+
+
+def printed(methods: pd.Series) -> dict[str, str]:
+    """The name that figures print for each method."""
+    return {name: style.name for name, style in styles_of(map(str, methods.unique())).items()}
+
+
+def problems_table(sweep: Sweep) -> pd.DataFrame:
+    """A row per problem: what it is of, its data digest and its size."""
+    rows = []
+    for problem, mine in sweep.runs.groupby("problem", sort=False):
+        origin = sweep.origins[mine["folder"].iloc[0]]
+        rows.append(
+            {
+                "problem": problem,
+                "model": _target(origin, "model"),
+                "dataset": _target(origin, "dataset"),
+                "loss": _target(origin, "loss"),
+                "parameters": int(mine["dimension"].iloc[0]),
+                "runs": len(mine),
+                "data digest": origin.data[:SHORT],
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def methods_table(sweep: Sweep) -> pd.DataFrame:
+    """A row per method: its runs, the seeds they have and the digest of its code."""
+    names = printed(sweep.runs["optimizer"])
+    rows = []
+    for method, mine in sweep.runs.groupby("optimizer", sort=False):
+        codes = dict.fromkeys(sweep.origins[folder].code[:SHORT] for folder in mine["folder"])
+        rows.append(
+            {
+                "method": names[str(method)],
+                "runs": len(mine),
+                "seeds": seeds_told(mine["seed"]),
+                "code digest": ", ".join(codes),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def seeds_told(seeds: pd.Series) -> str:
+    """Seeds such as "0 to 9", or all of them where some are missing in between."""
+    values = sorted(int(seed) for seed in seeds.unique())
+    if len(values) > 2 and values[-1] - values[0] == len(values) - 1:
+        return f"{values[0]} to {values[-1]}"
+    return ", ".join(map(str, values))
+
+
+def warnings(sweep: Sweep) -> list[str]:
+    """What a reader must know before trusting the page, a sentence each."""
+    runs = sweep.runs
+    return [
+        *_gaps(runs),
+        *_ends(runs),
+        *_mixtures(list(sweep.origins.values())),
+        *_seconds(valid_seconds(runs)[1]),
+        *_damaged(len(sweep.damaged)),
+    ]
+
+
+def _gaps(runs: pd.DataFrame) -> list[str]:
+    """Of missing and few repetitions."""
+    said = []
+    pairs = Counter(zip(runs["problem"], runs["optimizer"], strict=True))
+    most = max(pairs.values())
+    every = product(runs["problem"].unique(), runs["optimizer"].unique())
+    lacking = [pair for pair in every if pairs[pair] < most]
+    if lacking:
+        problem, method = lacking[0]
+        more = f", and {len(lacking) - 1} more like it" if len(lacking) > 1 else ""
+        said.append(
+            f"Not every method has the same runs: {method} has {pairs[lacking[0]]} of {most} on "
+            f"{problem}{more}."
+        )
+    if most < FEW:
+        said.append(
+            f"No method has more than {most} run{'s' * (most > 1)} on a problem, so medians hang "
+            "on chance and intervals are too short."
+        )
+    return said
+
+
+def _ends(runs: pd.DataFrame) -> list[str]:
+    silent = int(runs["error"].isna().sum())
+    failed = int((runs["outcome"] == "failed").sum())
+    said = []
+    if silent:
+        said.append(f"{silent} of {len(runs)} runs found no finite value; they count as worst.")
+    if failed:
+        said.append(f"{failed} of {len(runs)} runs ended because the method failed.")
+    return said
+
+
+def _mixtures(origins: list[Origin]) -> list[str]:
+    """Of machines, versions and load."""
+    said = []
+    for what, keys in {
+        "machines": ("processor", "machine", "cores", "system"),
+        "versions of Python or packages": ("python", "packages."),
+        "numbers of threads": ("threads",),
+    }.items():
+        kinds = {
+            tuple((k, v) for k, v in sorted(one.environment.items()) if k.startswith(keys))
+            for one in origins
+        }
+        if len(kinds) > 1:
+            said.append(
+                f"The runs come from {len(kinds)} different {what}: do not compare their seconds."
+            )
+    busy = sum(_busy(one.environment) for one in origins)
+    if busy:
+        said.append(
+            f"{busy} of {len(origins)} runs were made with more processes waiting than the machine "
+            "has cores, so their seconds are those of a busy machine; evaluations are not affected."
+        )
+    return said
+
+
+def _busy(environment: Mapping[str, str]) -> bool:
+    """Whether the load average of one minute exceeds the cores, where both are known."""
+    load, cores = (json.loads(environment.get(key, "null")) for key in ("load", "cores"))
+    first = load[0] if isinstance(load, list) and load else None
+    return isinstance(first, Real) and isinstance(cores, Real) and float(first) > float(cores)
+
+
+def _seconds(said: str) -> list[str]:
+    return [f"{said[0].upper()}{said[1:]}."] if said else []
+
+
+def _damaged(count: int) -> list[str]:
+    if not count:
+        return []
+    are = "run folders are damaged and are" if count > 1 else "run folder is damaged and is"
+    return [f"{count} {are} left out; see the list at the end."]
+
+
+def _target(origin: Origin, group: str) -> str:
+    """The last word of what a group of the configuration makes."""
+    return origin.config.get(f"{group}._target_", '"-"').strip('"').rpartition(".")[2]

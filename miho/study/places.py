@@ -1,0 +1,52 @@
+"""Names that may become folders, and folders that stay below their root."""
+
+from __future__ import annotations
+
+import errno
+import re
+from pathlib import Path
+
+NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]{0,98}[A-Za-z0-9_-])?")
+DEVICES = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?", re.IGNORECASE)
+"""Windows opens a device under these names, whatever extension follows; see "Naming Files, Paths,
+and Namespaces" in the documentation of the Win32 API."""
+
+
+def check_name(field: str, name: object) -> str:
+    """The name, if it names one plain folder on every system; else raises ValueError.
+
+    Letters, digits and punctuation are those of ASCII: a look-alike letter is no letter, so two
+    names that look the same are the same.
+    """
+    if isinstance(name, str) and NAME.fullmatch(name) and not DEVICES.fullmatch(name):
+        return name
+    shown = repr(name)
+    shown = shown if len(shown) <= 110 else f"{shown[:110]}..."
+    raise ValueError(
+        f"{field} name {shown} cannot name a folder; use letters, digits, '_', '-' and '.', "
+        "at most 100, no '.' at either end and no name of a device such as CON"
+    )
+
+
+def inside(root: Path, *names: str) -> Path:
+    """root/names[0]/names[1]/...; raises PermissionError where that is not below the root.
+
+    The root is where the user wants it, through links or not. Below it, a link that someone left
+    in a received folder must not lead elsewhere: nothing is written through it.
+    """
+    place = root
+    for name in names:
+        place = place / name
+        if len(Path(name).parts) != 1 or name == ".." or not _below(place, root):
+            problem = "leads out of the folder of results; remove it, or choose another root"
+            raise PermissionError(errno.EPERM, problem, str(place))
+    return place
+
+
+def _below(place: Path, root: Path) -> bool:
+    if not place.is_symlink():
+        return True
+    try:
+        return place.resolve().is_relative_to(root.resolve())
+    except RuntimeError:  # a link to itself, until Python 3.13
+        return False

@@ -1,0 +1,73 @@
+"""Every finished run below a root, read once and checked."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from miho.study.store import CURVE, DamagedRun, NoResult, read_checked
+
+DEPTH = 3
+"""Runs lie at root/<problem>/<optimizer>/<id>."""
+
+
+@dataclass(frozen=True)
+class CheckedRun:
+    """A run whose four files match their checksums: its result, and `curve.json` as it is."""
+
+    folder: str
+    result: dict[str, Any]
+    curve: bytes
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of `curve.json`."""
+        return str(self.result["files"][CURVE])
+
+
+@dataclass(frozen=True)
+class Damage:
+    """A folder that was skipped, and why."""
+
+    folder: str
+    reason: str
+
+
+def scan(root: Path) -> Iterator[CheckedRun | Damage]:
+    """The runs below `root`, sorted by folder; a folder without a result is not done and left out.
+
+    Hidden folders are left out. Links to folders are not followed, since they can lead out of the
+    root: they are damage, and so is what cannot be read.
+    """
+    found = list(_folders(str(root), DEPTH))
+    for folder in sorted(found, key=lambda folder: str(getattr(folder, "folder", folder))):
+        if isinstance(folder, Damage):
+            yield folder
+            continue
+        try:
+            result, files = read_checked(folder)
+            yield CheckedRun(folder, result, files[CURVE])
+        except NoResult:
+            continue
+        except DamagedRun as damage:
+            yield Damage(folder, str(damage))
+
+
+def _folders(top: str, depth: int) -> Iterator[str | Damage]:
+    """The folders `depth` levels below `top`."""
+    if depth == 0:
+        yield top
+        return
+    try:
+        with os.scandir(top) as entries:
+            inside = [entry for entry in entries if not entry.name.startswith(".")]
+        for entry in inside:
+            if entry.is_dir(follow_symlinks=False):
+                yield from _folders(entry.path, depth - 1)
+            elif entry.is_dir():
+                yield Damage(entry.path, f"{entry.path}: is a symbolic link, which is not followed")
+    except OSError as error:
+        yield Damage(top, f"{top}: {error.strerror}")

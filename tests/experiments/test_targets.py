@@ -1,0 +1,67 @@
+"""What a configuration may name, and that the list is read and not imported."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from omegaconf import OmegaConf
+
+from experiments.build import ConfigError, instantiate
+from experiments.targets import HOMES, TargetError, allowed, find_target, nested_target
+from miho.data import Dataset
+from miho.models import Model, Pacejka
+from miho.optim import Optimizer
+
+CONF = Path(__file__).parents[2] / "conf"
+
+
+def test_every_target_in_conf_is_allowed() -> None:
+    known = {name for kind in HOMES for name in allowed(kind)}
+    for path in CONF.rglob("*.yaml"):
+        for line in path.read_text(encoding="utf-8").splitlines():
+            if line.strip().startswith("_target_:"):
+                assert line.split(":")[1].strip() in known, path
+
+
+def test_what_is_allowed_is_found() -> None:
+    assert find_target("miho.models.Pacejka", Model) is Pacejka
+    for name in allowed(Dataset):
+        assert callable(find_target(name, Dataset))
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "miho.models.tire.Pacejka", "miho.models.Model", "miho.models.TirError", "miho.optim.MIHO",
+        "miho.models.Pacejka ", "miho.models.__all__", "baselines.pso.PSO", "Pacejka", "", None, 3,
+        ["miho.models.Pacejka"], {"_target_": "miho.models.Pacejka"}, "x" * 10_000,
+    ],
+)  # fmt: skip
+def test_anything_else_is_refused_in_one_line(path: object) -> None:
+    with pytest.raises(TargetError, match=r"that gives a Model; allowed are .*Pacejka") as caught:
+        find_target(path, Model)
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize("name", ["unit_box.UnitBox", "local_search._Scaled", "pso.np", "pso"])
+def test_only_methods_come_from_the_baselines(name: str) -> None:
+    with pytest.raises(TargetError):
+        find_target(f"baselines.{name}", Optimizer)
+
+
+def test_the_list_is_read_without_importing_a_method() -> None:
+    script = (
+        "import sys; from experiments.targets import allowed; from miho.optim import Optimizer;"
+        "names = allowed(Optimizer); assert 'baselines.dehb.DEHB' in names;"
+        "assert not [name for name in sys.modules if name.startswith('baselines.')], sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, cwd=CONF.parent)
+
+
+def test_a_target_inside_of_a_setting_is_refused() -> None:
+    node = {"_target_": "miho.data.sample_tir", "tire": "lf", "ranges": {"Fz": [{"_target_": "x"}]}}
+    with pytest.raises(ConfigError, match=r"dataset.ranges.Fz\[0\]._target_: a target cannot"):
+        instantiate(node, "dataset", Dataset)
+    assert nested_target(OmegaConf.to_container(OmegaConf.create({"a": [1, {}]})), "k") is None

@@ -1,0 +1,211 @@
+"""Tables of a root: every number as in the files, nothing damaged, nothing from elsewhere."""
+
+import json
+import math
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments.faults.made_runs import POINTS, make_runs
+from miho import load_runs
+from miho.study.identity import canonical, sha256
+
+
+@pytest.fixture
+def folders(tmp_path: Path) -> list[Path]:
+    return make_runs(tmp_path / "root", 12, np.random.default_rng(0))
+
+
+def forge(folder: Path, curve: Any = None, **changes: Any) -> None:
+    """Change a run and give it the checksums that belong to the changed files."""
+    result = json.loads((folder / "result.json").read_text())
+    del result["sha256"]
+    result |= changes
+    if curve is not None:
+        (folder / "curve.json").write_text(json.dumps(curve))
+        result["files"]["curve.json"] = sha256(json.dumps(curve))
+    result["sha256"] = sha256(canonical(result))
+    (folder / "result.json").write_text(canonical(result))
+
+
+def test_every_number_is_that_of_the_files(tmp_path: Path) -> None:
+    folders = make_runs(tmp_path, 300, np.random.default_rng(0))
+    found = load_runs(tmp_path)
+    assert found.damaged.empty
+    assert (len(found.runs), len(found.curves)) == (300, 300 * POINTS)
+    assert found.runs["folder"].tolist() == sorted(map(str, folders))
+    curves = dict(list(found.curves.groupby("id")))
+    for row in found.runs.to_dict("records"):
+        folder = Path(row["folder"])
+        result = json.loads((folder / "result.json").read_text())
+        for key in ("id", "problem", "optimizer", "seed", "evaluations", "seconds", "outcome"):
+            assert row[key] == result[key]
+        assert row["error"] == math.sqrt(result["loss"])
+        assert row["optimum"] == math.sqrt(result["facts"]["optimum"])
+        names = [parameter["name"] for parameter in result["parameters"]]
+        assert [row[f"theta.{name}"] for name in names] == result["theta"]
+        curve, table = json.loads((folder / "curve.json").read_text()), curves[row["id"]]
+        for key in ("evaluations", "seconds", "cpu_seconds"):
+            assert table[key].tolist() == curve[key]
+        assert table["error"].tolist() == list(map(math.sqrt, curve["loss"]))
+        for key in ("problem", "optimizer", "seed"):
+            assert set(table[key]) == {result[key]}
+
+
+@pytest.mark.parametrize("name", ["config.json", "environment.json", "curve.json", "result.json"])
+@pytest.mark.parametrize("first", ["runs", "curves", "damaged"])
+def test_damage_is_known_whichever_table_is_read_first(
+    folders: list[Path], name: str, first: str
+) -> None:
+    path = folders[3] / name
+    path.write_bytes(path.read_bytes()[:-1])
+    found = load_runs(folders[0].parents[2])
+    getattr(found, first)
+    assert found.damaged["folder"].tolist() == [str(folders[3])]
+    assert 3 not in found.runs["seed"].tolist()
+    assert 3 not in set(found.curves["seed"])
+    assert len(found.runs) == found.curves["seed"].nunique() == 11
+
+
+def test_the_tables_are_of_one_moment(folders: list[Path]) -> None:
+    root = folders[0].parents[2]
+    expected = load_runs(root).curves
+    found = load_runs(root)
+    (folders[0] / "curve.json").unlink()
+    found.runs["id"] = found.runs["id"].to_numpy()[::-1]
+    found.runs["seed"] = -1
+    pd.testing.assert_frame_equal(found.curves, expected)
+
+
+def test_an_empty_root_has_the_columns(tmp_path: Path) -> None:
+    found = load_runs(tmp_path)
+    assert found.runs.empty
+    assert found.curves.empty
+    assert found.damaged.empty
+    assert {"id", "error", "folder"} <= set(found.runs)
+    assert {"id", "seed", "evaluations", "error"} <= set(found.curves)
+
+
+@pytest.mark.parametrize("level", ["problem", "optimizer", "id"])
+def test_links_out_of_the_root_are_not_followed(folders: list[Path], level: str) -> None:
+    outside = folders[0].parents[2]
+    root = outside.with_name("other")
+    target = {"problem": folders[0].parents[1], "optimizer": folders[0].parent, "id": folders[0]}
+    link = root / target[level].relative_to(outside)
+    link.parent.mkdir(parents=True)
+    link.symlink_to(target[level])
+    (root / "nowhere").symlink_to(root / "absent")
+    found = load_runs(root)
+    assert found.runs.empty
+    assert found.damaged["folder"].tolist() == [str(link)]
+    assert "symbolic link" in found.damaged["reason"][0]
+
+
+@pytest.mark.parametrize("name", ["config.json", "result.json"])
+def test_linked_files_are_not_followed(folders: list[Path], name: str) -> None:
+    path = folders[0] / name
+    path.rename(path.with_name("moved"))
+    path.symlink_to(path.with_name("moved"))
+    found = load_runs(folders[0].parents[2])
+    assert found.damaged["folder"].tolist() == [str(folders[0])]
+    assert len(found.runs) == 11
+
+
+def test_hidden_folders_and_unfinished_runs_are_left_out(folders: list[Path]) -> None:
+    root = folders[0].parents[2]
+    folders[0].parents[1].rename(root / ".hidden")
+    (folders[1] / "result.json").unlink()
+    (root / "comparison.json").write_text("{}")
+    found = load_runs(root)
+    assert found.damaged.empty
+    assert sorted(found.runs["seed"]) == [2, 3, 4, 5, 6, 7, 8, 9, 11]
+
+
+@pytest.mark.parametrize("call", ["scandir", "open"])
+def test_what_cannot_be_read_is_listed(
+    folders: list[Path], monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    closed = folders[4].parent if call == "scandir" else folders[4]
+    real: Callable[..., Any] = getattr(os, call)
+
+    def refusing(path: Any, *arguments: Any, **settings: Any) -> Any:
+        if str(path).startswith(str(closed)):
+            raise PermissionError(13, "Permission denied", str(path))
+        return real(path, *arguments, **settings)
+
+    monkeypatch.setattr(os, call, refusing)
+    found = load_runs(folders[0].parents[2])
+    assert len(found.runs) == 11
+    assert found.damaged["folder"].tolist() == [str(closed)]
+    assert "Permission denied" in found.damaged["reason"][0]
+
+
+def test_a_pipe_does_not_hold_the_reader(folders: list[Path]) -> None:
+    for name in ("result.json", "curve.json"):
+        path = folders[len(name) % 12] / name
+        path.unlink()
+        os.mkfifo(path)
+    assert len(load_runs(folders[0].parents[2]).damaged) == 2
+
+
+def test_what_is_too_large_is_not_read(
+    folders: list[Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with (folders[0] / "config.json").open("ab") as file:
+        file.truncate(1 << 20)
+    monkeypatch.setattr("miho.study.store.LARGEST", 1 << 19)
+    found = load_runs(folders[0].parents[2])
+    assert "larger than" in found.damaged["reason"].item()
+
+
+@pytest.mark.parametrize(
+    "curve",
+    [
+        [],
+        {},
+        {"evaluations": [1], "seconds": [1], "cpu_seconds": [1], "loss": []},
+        {"evaluations": ["1"], "seconds": [1], "cpu_seconds": [1], "loss": [1]},
+        {"evaluations": [10**400], "seconds": [1], "cpu_seconds": [1], "loss": [1]},
+        {"evaluations": [1], "seconds": [1], "cpu_seconds": [1], "loss": ["1"]},
+        {"evaluations": 1, "seconds": 1, "cpu_seconds": 1, "loss": 1},
+    ],
+)
+def test_what_is_no_curve_is_listed_though_its_checksum_matches(
+    folders: list[Path], curve: Any
+) -> None:
+    forge(folders[5], curve)
+    found = load_runs(folders[0].parents[2])
+    assert sorted(set(found.curves["seed"])) == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11]
+    assert len(found.curves) == 11 * POINTS
+    assert found.damaged["folder"].tolist() == [str(folders[5])]
+    assert "holds no curve" in found.damaged["reason"][0]
+
+
+@pytest.mark.parametrize(
+    "change", [{"loss": "x"}, {"facts": None}, {"parameters": 3}, {"theta": [1.0]}, {"files": []}]
+)
+def test_what_is_no_result_is_listed_though_its_checksum_matches(
+    folders: list[Path], change: dict[str, Any]
+) -> None:
+    forge(folders[5], **change)
+    found = load_runs(folders[0].parents[2])
+    assert len(found.runs) == found.curves["seed"].nunique() == 11
+    assert found.damaged["folder"].tolist() == [str(folders[5])]
+
+
+def test_curves_written_in_another_order_or_without_parameters_are_read(
+    folders: list[Path],
+) -> None:
+    root = folders[0].parents[2]
+    expected = load_runs(root).curves
+    for folder in folders[:2]:
+        curve = json.loads((folder / "curve.json").read_text())
+        if folder == folders[0]:
+            del curve["theta"]
+        forge(folder, dict(sorted(curve.items(), reverse=True)))
+    pd.testing.assert_frame_equal(load_runs(root).curves, expected)

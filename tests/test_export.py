@@ -1,0 +1,142 @@
+"""Tables for other tools, bit for bit."""
+
+import csv
+import hashlib
+import json
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments import export
+from experiments.build import MissingLibraryError
+from experiments.export import write_csv, write_parquet
+from miho import Budget, load_runs, minimize
+from miho.optim import RandomSearch
+from miho.study import Identity, Store, execute
+from miho.testing import DecayFit
+
+NASTY = [0.1 + 0.2, 5e-324, -1.7976931348623157e308, 1 / 3, np.pi * 1e-200, np.nan, -0.0, np.inf]
+
+
+def root_of(folder: Path, seeds: int = 8) -> Path:
+    root = folder / "runs"
+    for seed in range(seeds):
+        identity = Identity("decay", "random", seed, {}, "c0de", "da7a")
+        record = minimize(RandomSearch(), DecayFit(), Budget(evaluations=40), seed)
+        execute(Store(root), identity, lambda r=record: r, DecayFit.space, {"unit": "V"})
+    return root
+
+
+def nasty(root: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Real runs, whose numbers are made the ones that a careless writer changes."""
+    found = load_runs(root)
+    runs, curves = found.runs.copy(), found.curves.copy()
+    runs["theta.a"] = NASTY
+    curves["error"] = np.resize(NASTY, len(curves))
+    runs["optimizer"] = 'a "quoted", name\nof two lines'
+    return runs, curves
+
+
+def same_bits(one: Iterable[float], other: Iterable[float]) -> bool:
+    """Equal, and -0.0 is not 0.0; any NaN equals any other."""
+    numbers, others = (np.where(np.isnan(x), np.nan, x) for x in map(np.array, (one, other)))
+    return numbers.astype(float).tobytes() == others.astype(float).tobytes()
+
+
+def check_columns(folder: Path, file: str, table: pd.DataFrame) -> None:
+    said = json.loads((folder / "columns.json").read_text())["files"][file]
+    assert said["sha256"] == hashlib.sha256((folder / file).read_bytes()).hexdigest()
+    assert (said["rows"], list(said["columns"])) == (len(table), list(table))
+    assert all(column["meaning"] for column in said["columns"].values()), said["columns"]
+
+
+def test_csv_numbers_come_back_bit_for_bit(tmp_path: Path) -> None:
+    runs, curves = nasty(root_of(tmp_path))
+    folder = tmp_path / "csv"
+    write_csv(runs, curves, folder)
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "columns.json", "curves.csv", "runs.csv"
+    ]  # fmt: skip
+    for file, table in (("runs.csv", runs), ("curves.csv", curves)):
+        with (folder / file).open(newline="") as opened:
+            back = list(csv.DictReader(opened))
+        for column in table:
+            read = [row[column] for row in back]
+            if table[column].dtype.kind in "if":
+                assert same_bits([float(text or "nan") for text in read], table[column]), column
+            else:
+                told = ["" if pd.isna(value) else str(value) for value in table[column]]
+                assert read == told, column
+        check_columns(folder, file, table)
+    columns = json.loads((folder / "columns.json").read_text())["files"]["runs.csv"]["columns"]
+    units = {p.name: p.unit for p in DecayFit.space.parameters}
+    assert columns["theta.a"]["unit"] == {"decay": units["a"]}
+    assert columns["seconds"]["unit"] == "s"
+
+
+def test_parquet_round_trips_and_finds_a_damaged_page(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet", exc_type=ImportError)
+    runs, curves = nasty(root_of(tmp_path))
+    folder = tmp_path / "parquet"
+    write_parquet(runs, curves, folder)
+    for file, table in (("runs.parquet", runs), ("curves.parquet", curves)):
+        back = parquet.read_table(folder / file, page_checksum_verification=True).to_pandas()
+        for column in table.select_dtypes("number"):
+            assert same_bits(back[column], table[column]), column
+        assert back["optimizer"].tolist() == table["optimizer"].tolist()
+        check_columns(folder, file, table)
+    path = folder / "curves.parquet"
+    chunk = parquet.ParquetFile(path).metadata.row_group(0).column(list(curves).index("seconds"))
+    data = bytearray(path.read_bytes())
+    data[chunk.data_page_offset + chunk.total_compressed_size // 2] ^= 1
+    path.write_bytes(data)
+    with pytest.raises(OSError, match=r"(?i)crc|checksum|corrupt|deserialize"):
+        parquet.read_table(path, page_checksum_verification=True)
+
+
+def test_parquet_names_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(MissingLibraryError, match=r"pip install 'miho\[parquet\]'"):
+        write_parquet(pd.DataFrame(), pd.DataFrame(), tmp_path)
+
+
+def command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    monkeypatch.setattr(sys, "argv", ["export", *map(str, arguments)])
+    with pytest.raises(SystemExit) as ended:
+        export.main()
+    return int(ended.value.code or 0)
+
+
+def test_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = root_of(tmp_path, seeds=3)
+    for _ in range(2):
+        assert command(monkeypatch, root, "--to", "csv") == 0
+        assert capsys.readouterr().out == f"3 runs in {root / 'exports' / 'csv'}\n"
+    assert len(load_runs(root).runs) == 3
+    assert load_runs(root).damaged.empty, "what is exported into a root is not taken for runs"
+
+    assert command(monkeypatch, root, tmp_path / "ioh") == 0
+    assert (tmp_path / "ioh" / "random").is_dir()
+    assert command(monkeypatch, root, "--to", "ioh", "--output", tmp_path / "ioh") == 2
+    assert "is not empty" in capsys.readouterr().err
+
+    result = next(root.rglob("result.json"))
+    result.write_text(result.read_text()[:-9])
+    assert command(monkeypatch, root, "--to", "csv", "--output", tmp_path / "two") == 0
+    assert capsys.readouterr().err == "1 damaged runs were left out\n"
+    assert len(pd.read_csv(tmp_path / "two" / "runs.csv")) == 2
+
+
+def test_nothing_to_export(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command(monkeypatch, tmp_path, "--to", "csv") == 2
+    assert command(monkeypatch, tmp_path / "absent", "--to", "csv") == 2
+    assert command(monkeypatch, tmp_path, tmp_path, "--output", tmp_path) == 2
+    assert "no finished runs" in capsys.readouterr().err

@@ -1,0 +1,394 @@
+"""A mirror never harms a sweep, and a sync makes it equal the files."""
+
+import importlib.util
+import json
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from urllib.parse import unquote, urlparse
+
+import numpy as np
+import pandas as pd
+import pytest
+from omegaconf import OmegaConf
+
+from experiments.build import ConfigError, MissingLibraryError
+from experiments.mirror import (
+    Entry,
+    Mirror,
+    Tracker,
+    digest_of,
+    is_right,
+    mirrored,
+    mlflow_mirror,
+    numbers_of,
+    open_mirror,
+    sync,
+    told,
+    word,
+)
+from experiments.sync import connect
+from miho import Budget, load_runs, minimize
+from miho.optim import RandomSearch
+from miho.study import Identity, Store, StoredRun, execute
+from miho.testing import DecayFit
+
+ROOT = Path(__file__).parent.parent
+SHARED = ("--experiment", "shared")
+needs_mlflow = pytest.mark.skipif(
+    importlib.util.find_spec("mlflow") is None, reason="mlflow is not installed (extra mlflow)"
+)
+
+
+def sweep(root: Path, seeds: range) -> list[StoredRun]:
+    made = []
+    for seed in seeds:
+        config = {"optimizer": {"n": 1, "name": "a"}, "space": {"a b": None}}
+        identity = Identity("decay", "random", seed, config, "c0de", "da7a")
+        record = minimize(RandomSearch(), DecayFit(), Budget(evaluations=40), seed)
+        done = execute(Store(root), identity, lambda r=record: r, DecayFit.space, {"unit": "V"})
+        assert done.run is not None
+        made.append(done.run)
+    return made
+
+
+@dataclass
+class Remembered(Tracker):
+    """A tracker in memory that refuses the runs it is told to."""
+
+    held: dict[str, Entry] = field(default_factory=dict)
+    refused: frozenset[int] = frozenset()
+    asked: list[int] = field(default_factory=list)
+
+    def alone(self) -> AbstractContextManager[None]:
+        return nullcontext()
+
+    def entries(self, run: str | None = None) -> list[Entry]:
+        return [entry for entry in self.held.values() if run in (None, entry.id)]
+
+    def add(self, stored: StoredRun) -> None:
+        seed = stored.result["seed"]
+        self.asked.append(seed)
+        if seed in self.refused:
+            raise ConnectionError("cannot reach http://me:hidden@tracker:5000/api")
+        key = f"{len(self.held)}-{seed}"
+        run = stored.result["id"]
+        self.held[key] = Entry(key, run, digest_of(stored), True, numbers_of(stored))
+
+    def remove(self, entry: Entry) -> None:
+        del self.held[entry.key]
+
+
+def test_what_is_wrong_is_written_again(tmp_path: Path) -> None:
+    (stored,) = sweep(tmp_path, range(1))
+    tracker = Remembered()
+    assert mirrored(tracker, stored) == "added"
+    assert mirrored(tracker, stored) == "there"
+    (right,) = tracker.held.values()
+    error = np.nextafter(right.numbers["error"], 1.0)
+    for wrong in (
+        replace(right, whole=False),
+        replace(right, digest="0"),
+        replace(right, numbers={**right.numbers, "error": error}),
+        replace(right, numbers={}),
+    ):
+        tracker.held = {right.key: wrong}
+        assert mirrored(tracker, stored) == "repaired"
+        assert [is_right(entry, stored) for entry in tracker.entries()] == [True]
+    tracker.held = {"one": replace(right, key="one"), "two": replace(right, key="two")}
+    assert mirrored(tracker, stored) == "repaired", "a run is there once"
+    assert list(tracker.held) == ["one"]
+
+
+def test_numbers_are_those_of_the_tables(tmp_path: Path) -> None:
+    (stored,) = sweep(tmp_path, range(1))
+    row = load_runs(tmp_path).runs.iloc[0]
+    numbers = numbers_of(stored)
+    assert {key: row[key] for key in numbers} == numbers
+    assert set(numbers) >= {"error", "evaluations", "seconds", "theta.a", "theta.b"}
+    none = replace(stored, result={**stored.result, "loss": None, "theta": None})
+    assert "error" not in numbers_of(none)
+    assert not any(key.startswith("theta") for key in numbers_of(none))
+
+
+def test_a_sync_counts_and_catches_up(tmp_path: Path) -> None:
+    sweep(tmp_path, range(6))
+    tracker = Remembered(refused=frozenset({2}))
+    first = sync(tmp_path, tracker)
+    assert (first.there, first.added, first.repaired, len(first.failed)) == (0, 5, 0, 1)
+    assert "hidden" not in str(first.failed)
+    tracker.refused = frozenset()
+    key = next(iter(tracker.held))
+    tracker.held[key] = replace(tracker.held[key], whole=False)
+    second = sync(tmp_path, tracker)
+    assert (second.there, second.added, second.repaired, second.failed) == (4, 1, 1, {})
+    assert sync(tmp_path, tracker).there == 6
+
+
+def test_a_dead_tracker_is_given_up(tmp_path: Path) -> None:
+    sweep(tmp_path, range(8))
+    tracker = Remembered(refused=frozenset(range(8)))
+    assert len(sync(tmp_path, tracker).failed) == 8
+    assert len(tracker.asked) == 3
+
+
+def mirror(root: Path, program: str) -> Mirror:
+    return Mirror(root, [sys.executable, "-S", "-c", program], {})
+
+
+def pushed(made: Mirror, stored: StoredRun, times: int) -> float:
+    """Seconds of the longest push."""
+    longest = 0.0
+    for _ in range(times):
+        began = time.perf_counter()
+        made.push(stored)
+        longest = max(longest, time.perf_counter() - began)
+    return longest
+
+
+def test_pushing_never_waits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """More than a pipe holds (64 KB) to a process that never reads."""
+    (stored,) = sweep(tmp_path, range(1))
+    made = mirror(tmp_path, "import time; time.sleep(60)")
+    assert pushed(made, stored, 3000) < 0.5
+    began = time.perf_counter()
+    made.close(0.0)
+    assert time.perf_counter() - began < 2
+    assert capsys.readouterr().err == (
+        "mirror: 3000 of 3000 runs are not in the tracker yet; "
+        f"run python -m experiments.sync {tmp_path}\n"
+    )
+    made.push(stored)
+    made.close()
+    assert capsys.readouterr().err == "", "said once"
+
+
+@pytest.mark.parametrize(
+    ("program", "reason"),
+    [
+        ("import sys; print('the disk is full', flush=True); sys.stdin.read()", "disk is full"),
+        ("raise SystemExit(1)", "the process that writes it has ended"),
+        ("print('Traceback of another program', flush=True)", "Traceback of another program"),
+    ],
+)
+def test_a_failure_is_said_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], program: str, reason: str
+) -> None:
+    (stored,) = sweep(tmp_path, range(1))
+    made = mirror(tmp_path, program)
+    made.push(stored)
+    made.close(30.0)
+    said = capsys.readouterr().err
+    assert reason in said
+    assert said.count("\n") == 1
+    assert "1 of 1 runs are not in the tracker" in said
+
+
+def test_no_process_at_all(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (stored,) = sweep(tmp_path, range(1))
+    made = Mirror(tmp_path, [str(tmp_path / "absent")], {})
+    made.push(stored)
+    made.close()
+    assert "No such file" in capsys.readouterr().err
+
+
+def test_a_healthy_mirror_is_silent_and_is_waited_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (stored,) = sweep(tmp_path, range(1))
+    program = (
+        "import sys, time\n"
+        "next(sys.stdin)\n"
+        "for line in sys.stdin: time.sleep(0.01); print(flush=True)"
+    )
+    made = mirror(tmp_path, program)
+    pushed(made, stored, 20)
+    made.close(30.0)
+    assert (made.done, made.reason) == (20, "")
+    assert capsys.readouterr().err == ""
+
+
+def test_messages_are_short_and_hold_no_password() -> None:
+    text = told(ValueError("at  http://user:secret@host/path\nand " + "x" * 1000))
+    assert text.startswith("at http://host/path and x")
+    assert len(text) == 200
+    assert told(KeyError()) == "KeyError"
+    assert word("theta.mu:y/ä") == "theta.mu_y__"
+
+
+def test_mlflow_is_an_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "mlflow", None)
+    for start in (lambda: mlflow_mirror(tmp_path, None, None), lambda: connect(tmp_path)):
+        with pytest.raises(MissingLibraryError, match=r"pip install 'miho\[mlflow\]'"):
+            start()
+
+
+def test_a_configuration_chooses(tmp_path: Path) -> None:
+    for path in sorted((ROOT / "conf" / "tracking").glob("*.yaml")):
+        settings = OmegaConf.load(path)
+        assert set(settings) == {"tracker", "uri", "experiment"}
+        assert settings.tracker in (None, path.stem)
+    assert open_mirror(tmp_path, **OmegaConf.load(ROOT / "conf" / "tracking" / "none.yaml")) is None
+    with pytest.raises(ConfigError, match=r"tracking.tracker: is 'wandb'; expected mlflow"):
+        open_mirror(tmp_path, "wandb")
+
+
+@pytest.fixture
+def other_version(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """An MLflow of another version, which notes what it finds when it is imported."""
+    package = tmp_path / "site" / "mlflow"
+    package.mkdir(parents=True)
+    noted = 'import os\n__version__ = "4.0.1"\nSEEN = os.environ["MLFLOW_DISABLE_TELEMETRY"]\n'
+    (package / "__init__.py").write_text(noted)
+    (package / "entities.py").touch()
+    monkeypatch.syspath_prepend(str(package.parent))
+    monkeypatch.setenv("MLFLOW_DISABLE_TELEMETRY", "false")
+    for name in ("DO_NOT_TRACK", "MLFLOW_HTTP_REQUEST_MAX_RETRIES", "MLFLOW_HTTP_REQUEST_TIMEOUT"):
+        monkeypatch.setenv(name, "1")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "mlflow"]:
+        monkeypatch.delitem(sys.modules, name)
+    yield
+    for name in ("mlflow", "mlflow.entities"):
+        sys.modules.pop(name, None)
+
+
+@pytest.mark.usefixtures("other_version")
+def test_another_version_is_refused_and_telemetry_is_off_before(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"mlflow: is version 4\.0\.1; expected at least 3\.10"):
+        connect(tmp_path)
+    assert sys.modules["mlflow"].SEEN == "true"
+
+
+def run_sync(*arguments: object) -> subprocess.CompletedProcess[str]:
+    line = [sys.executable, "-m", "experiments.sync", *map(str, arguments)]
+    return subprocess.run(line, cwd=ROOT, capture_output=True, text=True, timeout=170, check=False)
+
+
+def check_database(database: Path, files: list[StoredRun]) -> dict[str, Path]:
+    """Compare the tables of MLflow, read without MLflow, to the files; artifacts by run id."""
+    with sqlite3.connect(database) as connection:
+        rows = connection.execute(
+            "SELECT t.value, r.run_uuid, r.status, r.artifact_uri FROM runs r JOIN tags t ON "
+            "t.run_uuid = r.run_uuid AND t.key = 'miho.id' WHERE r.lifecycle_stage = 'active'"
+        ).fetchall()
+
+        assert sorted(row[0] for row in rows) == sorted(stored.result["id"] for stored in files)
+        of = {row[0]: row[1:] for row in rows}
+        for stored in files:
+            key, status, _ = of[stored.result["id"]]
+            assert status == "FINISHED"
+            points = pd.read_sql_query(
+                "SELECT key, value, timestamp, step FROM metrics WHERE run_uuid = ? ORDER BY step",
+                connection, params=[key],
+            )  # fmt: skip
+            numbers = numbers_of(stored)
+            last = points.groupby("key")["value"].last()
+            assert {name: last[name] for name in numbers} == numbers
+            curve = points[points["key"] == "error"]
+            expected = pd.DataFrame(
+                {k: stored.curve[k] for k in ("evaluations", "seconds", "loss")}
+            )
+            assert curve["step"].tolist() == expected["evaluations"].tolist()
+            assert curve["value"].tolist() == np.sqrt(expected["loss"]).tolist()
+            start = pd.Timestamp(stored.environment["time"]).timestamp() * 1000
+            late = curve["timestamp"].to_numpy() - start - 1000 * expected["seconds"]
+            assert np.abs(late).max() <= 0.5 + 1e-3, "milliseconds, rounded"
+            params = dict(
+                connection.execute("SELECT key, value FROM params WHERE run_uuid = ?", [key])
+            )
+            assert params == {"optimizer.n": "1", "optimizer.name": "a", "space.a b": "null"}
+            tags = dict(connection.execute("SELECT key, value FROM tags WHERE run_uuid = ?", [key]))
+            for name in ("problem", "optimizer", "seed", "outcome", "code", "data"):
+                assert tags[f"miho.{name}"] == str(stored.result[name])
+    connection.close()
+    return {run: Path(unquote(urlparse(row[2]).path)) for run, row in of.items()}
+
+
+@pytest.mark.slow
+@needs_mlflow
+def test_mlflow_equals_the_files(tmp_path: Path) -> None:
+    root = tmp_path / "my runs"
+    files = sweep(root, range(4))
+    (root / "figures").mkdir()
+    (root / "figures" / "fig.png").write_bytes(b"picture")
+    (root / "report.html").write_text("<p>page</p>")
+    (tmp_path / "private.png").write_bytes(b"private")
+    (root / "figures" / "link.png").symlink_to(tmp_path / "private.png")
+    done = run_sync(root)
+    assert done.returncode == 0, done.stderr
+    assert "4 runs: 0 were there, 4 added, 0 repaired, 0 failed; 2 figures" in done.stdout
+    database = root / ".mlflow" / "mlflow.db"
+    places = check_database(database, files)
+    for stored in files:
+        place = places[stored.result["id"]]
+        curve = pd.read_csv(place / "curve.csv")
+        assert curve["evaluations"].tolist() == stored.curve["evaluations"]
+        assert curve["error"].tolist() == np.sqrt(stored.curve["loss"]).tolist()
+        assert json.loads((place / "config.json").read_text()) == stored.config
+    assert [path.name for path in database.parent.rglob("*.png")] == ["fig.png"]
+    assert len(list(database.parent.rglob("report.html"))) == 1
+    assert load_runs(root).damaged.empty
+    assert len(load_runs(root).runs) == 4
+
+    with sqlite3.connect(database) as connection:
+        connection.execute(
+            "UPDATE runs SET status = 'RUNNING' WHERE run_uuid IN "
+            "(SELECT run_uuid FROM tags WHERE key = 'miho.seed' AND value = '1')"
+        )
+        connection.execute(
+            "UPDATE latest_metrics SET value = value * 1.001 WHERE key = 'error' AND run_uuid IN "
+            "(SELECT run_uuid FROM tags WHERE key = 'miho.seed' AND value = '2')"
+        )
+    connection.close()
+    again = run_sync(root)
+    assert "4 runs: 2 were there, 0 added, 2 repaired, 0 failed; 0 figures" in again.stdout
+    check_database(database, files)
+
+
+@pytest.mark.slow
+@needs_mlflow
+def test_mlflow_down_is_one_line(tmp_path: Path) -> None:
+    sweep(tmp_path, range(1))
+    done = run_sync(tmp_path, "--uri", "http://me:hidden@127.0.0.1:9")
+    assert done.returncode == 4
+    assert done.stderr.startswith("error: mlflow: ")
+    assert done.stderr.count("\n") == 1
+    assert "hidden" not in done.stderr
+
+
+@pytest.mark.slow
+@needs_mlflow
+def test_four_sweeps_on_one_fresh_database(tmp_path: Path) -> None:
+    """Four processes start on a database that is not there; then four mirrors push to it."""
+    uri = f"sqlite:///{tmp_path / 'shared' / 'mlflow.db'}"
+    roots = [tmp_path / f"sweep{i}" for i in range(4)]
+    files = [stored for i, root in enumerate(roots) for stored in sweep(root, seeds(i, 0))]
+    with ThreadPoolExecutor(4) as pool:
+        done = list(pool.map(lambda root: run_sync(root, "--uri", uri, *SHARED), roots))
+    assert [each.returncode for each in done] == [0] * 4, [each.stderr for each in done]
+    assert all("10 runs: 0 were there, 10 added" in each.stdout for each in done)
+    check_database(tmp_path / "shared" / "mlflow.db", files)
+
+    mirrors = [mlflow_mirror(root, uri, SHARED[1]) for root in roots]
+    for i, (root, each) in enumerate(zip(roots, mirrors, strict=True)):
+        for stored in sweep(root, seeds(i, 1)):
+            each.push(stored)
+            files.append(stored)
+    for each in mirrors:
+        each.close(10.0)
+    assert [each.reason for each in mirrors] == [""] * 4
+    with ThreadPoolExecutor(4) as pool:
+        done = list(pool.map(lambda root: run_sync(root, "--uri", uri, *SHARED), roots))
+    assert [each.returncode for each in done] == [0] * 4, [each.stderr for each in done]
+    check_database(tmp_path / "shared" / "mlflow.db", files)
+
+
+def seeds(sweep_number: int, part: int) -> range:
+    first = 100 * sweep_number + 10 * part
+    return range(first, first + 10)

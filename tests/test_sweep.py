@@ -1,0 +1,125 @@
+"""Sweeps: what is wanted is done once, and what was made of something else is not mixed in."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from omegaconf import DictConfig
+
+from experiments import manifest
+from experiments.build import ConfigError
+from experiments.cli import composed
+from experiments.schema import SweepConfig, register
+from experiments.sweep import Done, Wanted, found, sweep, wanted
+from experiments.sweep_command import groups, sweep_settings
+from miho import load_runs
+from miho.study import Status, Store
+from miho.study.changes import ResumeRefused, refuse_changes
+
+TINY = ("optimizer=random", "optimizer.batch=5", "budget.evaluations=20")
+register()
+
+
+def config(root: Path, *more: str) -> DictConfig:
+    return composed([*TINY, f"root={root}", *more])
+
+
+def runs_of(root: Path, *more: str, seeds: int = 2) -> list[Wanted]:
+    return wanted(config(root, *more), " ".join(more), range(seeds))
+
+
+def statuses(runs: list[Done]) -> list[Status]:
+    return [done.status for done in runs]
+
+
+def test_seeds_of_one_setting_are_one_group_in_the_order_asked() -> None:
+    found = groups(("optimizer=random,miho", "seed=3,1,3", "sweep.processes=2", "fresh=true"))
+    assert found == [(("optimizer=random",), [3, 1]), (("optimizer=miho",), [3, 1])]
+    assert groups(("optimizer=random",)) == [(("optimizer=random",), [0])]
+    with pytest.raises(ConfigError, match="seed: is 'x'"):
+        groups(("seed=x",))
+
+
+@pytest.mark.parametrize("setting", ["processes=0", "time_limit=0"])
+def test_a_bad_setting_is_one_line(tmp_path: Path, setting: str) -> None:
+    with pytest.raises(ConfigError, match=f"sweep.{setting.partition('=')[0]}: is 0"):
+        sweep_settings(config(tmp_path, f"sweep.{setting}"))
+
+
+def test_what_is_wanted_twice_is_done_once_and_then_done_before(tmp_path: Path) -> None:
+    runs = [*runs_of(tmp_path), *runs_of(tmp_path)]
+    listed = sweep(runs, SweepConfig(dry_run=True))
+    assert statuses(listed) == [Status.TO_DO] * 2
+    assert list(tmp_path.iterdir()) == []
+    assert statuses(sweep(runs, SweepConfig(processes=2))) == [Status.RAN] * 2
+    again = sweep(runs, SweepConfig())
+    assert statuses(again) == [Status.DONE_BEFORE] * 2
+    assert statuses(sweep(runs, SweepConfig(dry_run=True))) == [Status.DONE_BEFORE] * 2
+    errors = load_runs(tmp_path).runs["error"].tolist()
+    assert sorted(done.error or 0 for done in again) == sorted(errors)
+
+
+def test_a_run_that_was_tried_says_why_it_is_not_done(tmp_path: Path) -> None:
+    (one,) = runs_of(tmp_path, seeds=1)
+    assert found(one).reason is None
+    Store(tmp_path).keep_reason(one.identity, "killed by SIGKILL", None)
+    assert found(one).reason == "killed by SIGKILL"
+    assert found(one).status is Status.TO_DO
+
+
+def test_the_words_of_a_sweep_must_mean_the_same(tmp_path: Path) -> None:
+    words = ["optimizer=random"]
+    old = {"seed 0": runs_of(tmp_path, seeds=1)[0].identity}
+    new = {"seed 0": runs_of(tmp_path, "optimizer.batch=7", seeds=1)[0].identity}
+    manifest.write_manifest(tmp_path, words, old)
+    manifest.refuse_other_settings(tmp_path, words, new, fresh=False)  # nothing is done yet
+    sweep(runs_of(tmp_path, seeds=1), SweepConfig(), overrides=words)
+    manifest.write_manifest(tmp_path, words, old)
+    with pytest.raises(ResumeRefused, match=r"other settings of optimizer\.batch \(1 runs\)"):
+        manifest.refuse_other_settings(tmp_path, words, new, fresh=False)
+    manifest.refuse_other_settings(tmp_path, [*words, "seed=1"], new, fresh=False)
+    manifest.refuse_other_settings(tmp_path, words, new, fresh=True)
+    assert not len(load_runs(tmp_path).runs)
+    assert len(list((tmp_path / ".superseded").rglob("result.json"))) == 1
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"runs": 3}', '{"runs": {"a": {"place": [1]}}}'])
+def test_a_damaged_manifest_is_none(tmp_path: Path, text: str) -> None:
+    manifest.write_manifest(tmp_path, [], {})
+    (path,) = (tmp_path / manifest.MANIFESTS).iterdir()
+    path.write_text(text)
+    manifest.refuse_other_settings(tmp_path, [], {}, fresh=False)
+
+
+def test_a_manifest_cannot_move_what_is_outside(tmp_path: Path) -> None:
+    root, outside = tmp_path / "root", tmp_path / "x" / "y"
+    outside.mkdir(parents=True)
+    (outside / "result.json").write_text("{}")
+    identity = runs_of(root, seeds=1)[0].identity
+    manifest.write_manifest(root, [], {"seed 0": identity})
+    (path,) = (root / manifest.MANIFESTS).iterdir()
+    about = json.loads(path.read_text())
+    about["runs"]["seed 0"] = {"place": ["..", "x", "y"], "config": {}}
+    path.write_text(json.dumps(about))
+    with pytest.raises(PermissionError):
+        manifest.refuse_other_settings(root, [], {"seed 0": identity}, fresh=True)
+    assert (outside / "result.json").exists()
+
+
+def test_other_code_data_or_packages_are_refused_and_named(tmp_path: Path) -> None:
+    runs = runs_of(tmp_path, seeds=2)
+    sweep(runs, SweepConfig())
+    store = Store(tmp_path)
+    now = [one.identity for one in runs]
+    refuse_changes(store, now, fresh=False)
+    changed = [
+        replace(one, code="other", data="other", packages={**one.packages, "numpy": "9.9"})
+        for one in now
+    ]
+    told = r"code \(2 runs\), data \(2 runs\), numpy from \S+ to 9\.9 \(2 runs\); .*fresh=true"
+    with pytest.raises(ResumeRefused, match=told):
+        refuse_changes(store, changed, fresh=False)
+    refuse_changes(store, changed, fresh=True)
+    refuse_changes(store, changed, fresh=False)
+    assert not len(load_runs(tmp_path).runs)
