@@ -12,8 +12,9 @@ runs are repeated between its rungs, so that a machine whose speed changes slows
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -35,6 +36,9 @@ ROUNDS = 5
 """How often the fast runs are made."""
 PLAIN, GENERAL, FUSED = "plain loop", "MIHO, NumPy loss", "MIHO, compiled loss"
 STEPS, STOPPED, SMALL = "compiled steps", "and early stopping", "and compressed loss"
+STOPPED_2, SMALL_2 = "early stopping, two threads", "compressed loss, two threads"
+FAST = (STOPPED, STOPPED_2, SMALL, SMALL_2)
+KINDS = ("seconds", "cpu_seconds")
 
 
 @dataclass(frozen=True)
@@ -121,78 +125,89 @@ def problems() -> tuple[CurveFit, CurveFit, CurveFit]:
     )
 
 
+@dataclass
+class Race:
+    """The plain loop's time so far and the runs of the other forms, made between its rungs."""
+
+    forms: Mapping[str, tuple[MIHO, Problem]]
+    loop: Iterator[Found]
+    rungs: int
+    records: dict[str, list[RunRecord]] = field(default_factory=dict)
+    found: Found = field(default_factory=Found)
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+
+    def run(self, seed: int) -> None:
+        """Run all: the fast forms ROUNDS times over the length of the loop, the others once."""
+        pauses = sorted(set(np.linspace(0, self.rungs, ROUNDS, dtype=int).tolist()))
+        slow = dict(zip(pauses[1:], (GENERAL, FUSED, STEPS), strict=False))
+        for done in range(self.rungs + 1):
+            if done in pauses:
+                for name in (*FAST, *([slow[done]] if done in slow else [])):
+                    record = minimize(*self.forms[name], seed=seed)
+                    self.records.setdefault(name, []).append(record)
+            if done < self.rungs:
+                started, worked = time.perf_counter(), time.process_time()
+                self.found = next(self.loop)
+                self.seconds += time.perf_counter() - started
+                self.cpu_seconds += time.process_time() - worked
+        counts = {record.evaluations for runs in self.records.values() for record in runs}
+        if counts != {self.found.evaluations}:
+            raise RuntimeError(f"the runs are not the same search: {counts} evaluations")
+
+    def table(self, error: Callable[[Array], float]) -> pd.DataFrame:
+        """A row for each form: medians of seconds, and `error` of what its first run found."""
+        rows: list[tuple[Any, ...]] = [
+            (PLAIN, self.seconds, self.cpu_seconds, 0.0, self.found.theta)
+        ]
+        for name in self.forms:
+            runs = self.records[name]
+            spent = (np.median([getattr(run, kind) for run in runs]) for kind in KINDS)
+            rows.append((name, *spent, runs[0].setup_seconds, runs[0].theta))
+        table = pd.DataFrame(rows, columns=["form", *KINDS, "setup_seconds", "theta"])
+        table["evaluations"] = self.found.evaluations
+        table["us"] = 1e6 * table["seconds"] / self.found.evaluations
+        table["speedup"] = self.seconds / table["seconds"]
+        table["loss"] = [error(theta) for theta in table.pop("theta")]
+        table["difference"] = table["loss"] / table["loss"][0] - 1
+        return table
+
+
 def measure(quick: bool) -> Measured:
     """One plain run and one of each slower form, several of the fast ones between its rungs."""
     R, eta, seed = 1000 if quick else 10_000, 5, 0
     fit, plain, small = problems()
     stopping, whole = MIHO(R=R, eta=eta), MIHO(R=R, eta=eta, early_stopping=False)
-    forms = {
+    forms: dict[str, tuple[MIHO, Problem]] = {
         GENERAL: (whole, plain),
         FUSED: (whole, LossAlone(fit)),
         STEPS: (whole, fit),
         STOPPED: (stopping, fit),
+        STOPPED_2: (stopping, replace(fit, threads=2)),
         SMALL: (stopping, small),
+        SMALL_2: (stopping, replace(small, threads=2)),
     }
-    records: dict[str, list[RunRecord]] = {name: [] for name in forms}
-
-    def run(name: str) -> None:
-        records[name].append(minimize(*forms[name], seed=seed))
-
     alpha, force = fit.inputs[0], fit.dataset[fit.dataset.output]
     rng, space = stream("own", fit.name, seed, "MIHO"), fit.space.seeded(fit.name, seed)
     loop = plain_loop(alpha, force, space, rng, R, eta)
-    rungs = len(hyperband_table(R, eta))
-    pauses = set(np.linspace(0, rungs, ROUNDS, dtype=int).tolist())
-    slow = {sorted(pauses)[1]: GENERAL, sorted(pauses)[2]: FUSED, sorted(pauses)[3]: STEPS}
-    seconds, processor, found = 0.0, 0.0, Found()
-    for done in range(rungs + 1):
-        if done in pauses:
-            for name in (STOPPED, SMALL, *([slow[done]] if done in slow else [])):
-                run(name)
-        if done < rungs:
-            started, worked = time.perf_counter(), time.process_time()
-            found = next(loop)
-            seconds += time.perf_counter() - started
-            processor += time.process_time() - worked
-
-    thetas = {PLAIN: found.theta} | {name: runs[0].theta for name, runs in records.items()}
-    errors = {k: float(plain.loss(t[None])[0]) for k, t in thetas.items() if t is not None}
-    if {record.evaluations for runs in records.values() for record in runs} != {found.evaluations}:
-        raise RuntimeError("the runs are not the same search: their evaluations differ")
-    times = {PLAIN: seconds}
-    times |= {k: float(np.median([r.seconds for r in runs])) for k, runs in records.items()}
-    busy = {PLAIN: processor}
-    busy |= {k: float(np.median([r.cpu_seconds for r in runs])) for k, runs in records.items()}
-    setup = {PLAIN: 0.0} | {name: runs[0].setup_seconds for name, runs in records.items()}
-    tidy = pd.DataFrame(
-        [
-            {
-                "form": name,
-                "seconds": times[name],
-                "cpu_seconds": busy[name],
-                "setup_seconds": setup[name],
-                "evaluations": found.evaluations,
-                "us": 1e6 * times[name] / found.evaluations,
-                "speedup": seconds / times[name],
-                "loss": errors[name],
-                "difference": errors[name] / errors[PLAIN] - 1,
-            }
-            for name in times
-        ]
-    )
+    race = Race(forms, loop, len(hyperband_table(R, eta)))
+    race.run(seed)
+    tidy = race.table(lambda theta: float(plain.loss(theta[None])[0]))
     apart = float(np.abs(tidy["difference"]).max())
-    spread = [f"{k} {min(r.seconds for r in records[k]):.2f} to "
-              f"{max(r.seconds for r in records[k]):.2f} s" for k in (STOPPED, SMALL)]  # fmt: skip
+    speedup = tidy.set_index("form")["speedup"]
+    busy = race.cpu_seconds / tidy.set_index("form")["cpu_seconds"]
+    spread = [f"{name}: {min(times):.2f} to {max(times):.2f} s" for name in FAST
+              if (times := [record.seconds for record in race.records[name]])]  # fmt: skip
     bars = [
-        Bar(STOPPED, times[PLAIN] / times[STOPPED], AT_LEAST, 40, "times the plain loop"),
-        Bar(SMALL, times[PLAIN] / times[SMALL], AT_LEAST, 100, "times the plain loop"),
+        Bar(STOPPED, speedup[STOPPED], AT_LEAST, 40, "times the plain loop"),
+        Bar(SMALL, speedup[SMALL], AT_LEAST, 100, "times the plain loop"),
         Bar("final loss on the full data, largest difference", apart, AT_MOST, 1e-9, "relative"),
     ]
     notes = [
         f"R = {R}, eta = {eta}, {len(fit.dataset)} rows; the method's own seconds, median of "
-        f"{ROUNDS} runs of the last two forms ({', '.join(spread)}), one run of the others",
+        f"{ROUNDS} runs of the fast forms ({'; '.join(spread)}), one run of the others",
         f"by processor time, which others on the machine take none of: {STOPPED} "
-        f"{processor / busy[STOPPED]:.1f} times, {SMALL} {processor / busy[SMALL]:.1f} times",
+        f"{busy[STOPPED]:.1f} times, {SMALL} {busy[SMALL]:.1f} times",
         "setup_seconds: compilation or its cache, and preparation, before the first run",
         "difference: final loss against the plain loop's, both by NumPy over all rows",
     ]

@@ -165,7 +165,7 @@ class CurveFit(LeastSquaresProblem):
             return None
         if len(self.inputs) != 1 or model.bound is None:
             return None
-        return CompressedLoss(model, self.inputs[0], self._output)
+        return CompressedLoss(model, self.inputs[0], self._output, threads=self.threads)
 
     @property
     def climb(self) -> Climb | None:  # type: ignore[override]

@@ -14,6 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -22,6 +23,8 @@ from numba.extending import register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
+from miho.identification import panel_sums, panels
+from miho.identification.panel_sums import panel_data, scratch_for
 from miho.models.expression import Expression
 from miho.models.signature import Signed, signed, signed_formulas
 from miho.optim import climb
@@ -31,7 +34,7 @@ Array = NDArray[np.float64]
 
 BLOCK = 512
 """Rows at a time: a handful of temporaries of 4 KiB."""
-COMPILED_WITH = (climb.__file__, __file__)
+COMPILED_WITH = (climb.__file__, panels.__file__, panel_sums.__file__, __file__)
 SHARE = 50_000
 """Model values that are worth a thread of their own."""
 CAUSES = (
@@ -43,6 +46,8 @@ CAUSES = (
 )
 FIRST_BLOCK = 64
 """Rows before the first look whether a candidate is beaten; doubles up to BLOCK."""
+WORTH_PANELS = 1000
+"""Rows from which sums over panels tell sooner than the rows that a candidate is beaten."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +56,8 @@ class FusedLoss:
 
     X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which the loss
     goes through them: a random one, so that the first part tells what the rest is like. `losses`
-    uses `threads` threads, and gives the same however many.
+    and `climb` use `threads` threads, and give the same however many. `climb` gives a mutant up as
+    soon as it is beaten by sums over panels, if the model has a bound, or by a part of the rows.
     """
 
     model: Expression
@@ -64,8 +70,14 @@ class FusedLoss:
     def _compiled(self) -> _Compiled:
         model = self.model
         p, d = len(self.X), len(model.parameters)
-        formulas = signed_formulas((model.value, model.derivatives), (p, d), *COMPILED_WITH)
-        return _compile(formulas, p, d)
+        formulas = [model.value, model.derivatives]
+        if self._in_panels and model.bound is not None:
+            formulas.append(model.bound)
+        return _compile(signed_formulas(tuple(formulas), (p, d), *COMPILED_WITH), p, d)
+
+    @property
+    def _in_panels(self) -> bool:
+        return len(self.X) == 1 and self.y.size >= WORTH_PANELS and self.model.bound is not None
 
     @cached_property
     def _data(self) -> tuple[Array, Array]:
@@ -78,7 +90,11 @@ class FusedLoss:
     @cached_property
     def climb(self) -> Climb:
         """Compiled mutation steps on this loss."""
-        return climb_on(self._compiled.climb, self._data)
+        if not self._in_panels:
+            return climb_on(self._compiled.climb, (self._data, ()), self.threads)
+        size = float(np.sqrt(np.mean(self.y**2)))
+        found = panel_data(panels.panels(self.X[0], self.y), self.y.size, size)
+        return climb_on(self._compiled.climb, (self._data, found), self.threads)
 
     def losses(self, thetas: Array, rows: int | None = None) -> Array:
         """Losses (n,) of parameter rows (n, d), over the first rows of the order if not all."""
@@ -135,7 +151,7 @@ class _Compiled:
 def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
     columns = COLUMNS[p]
     own = signed(formulas.signature)
-    value, derivatives = map(register_jitable, formulas.copies())
+    value, derivatives, *bound = map(register_jitable, formulas.copies())
 
     @register_jitable(error_model="numpy")
     @own
@@ -175,7 +191,39 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
             end = min(start + BLOCK, X.shape[1])
             _store(derivatives(columns(X, start, end), parameters), found[:, start:end])
 
-    return _Compiled(losses, residuals, jacobian, compiled_climb(loss, formulas.signature))
+    @register_jitable(error_model="numpy")
+    @own
+    def of_rows(theta: Array, limit: float, data: Any, scratch: Any) -> float:
+        found: float = loss(theta, limit, data[0])
+        return found
+
+    if not bound:
+        steps = compiled_climb(of_rows, no_room, formulas.signature)
+        return _Compiled(losses, residuals, jacobian, steps)
+    _, beaten = panel_sums.panel_sums(value, bound[0], own)
+
+    @register_jitable(error_model="numpy")
+    @own
+    def panels_first(theta: Array, limit: float, data: Any, scratch: Any) -> float:
+        if limit < np.inf and beaten(as_tuple(theta, d), limit, scratch, data[1])[0]:
+            return limit
+        found: float = of_rows(theta, limit, data, scratch)
+        return found
+
+    steps = compiled_climb(panels_first, room_for_panels, formulas.signature)
+    return _Compiled(losses, residuals, jacobian, steps)
+
+
+@register_jitable
+def no_room(data: Any) -> tuple[()]:
+    """What the steps work in where the rows alone decide."""
+    return ()
+
+
+@register_jitable
+def room_for_panels(data: Any) -> Any:
+    """What they work in where sums over panels come first."""
+    return scratch_for(data[1])
 
 
 @register_jitable

@@ -7,14 +7,15 @@ for them (Golub and Welsch 1969, for a discrete measure) give the same sum of sq
 
 because the values of orthonormal polynomials at the nodes, times w_k, are an orthogonal matrix: u
 is y's projection on the polynomials and rest the squared length of what is left. No term is
-negative, so nothing cancels. The polynomials come from the Lanczos process. Two neighbouring panels
-become one by the same construction from their nodes.
+negative, so nothing cancels. The polynomials come from the Lanczos process. Four neighbouring
+panels become one by the same construction from their nodes.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
@@ -22,11 +23,14 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dstev
 
 Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
 
-ORDERS = (4, 8, 12, 16, 20, 24, 28, 32)
+ORDERS = (4, 8, 12, 16, 24, 32)
 """Numbers of nodes a panel can be replaced by."""
-STARTS = (0, 4, 12, 24, 40, 60, 84, 112, 144)
+STARTS = (0, 4, 12, 24, 40, 64, 96)
 """Where the nodes of each order start within a panel, and their end."""
+SIDE_BY_SIDE = 4
+"""Panels of a group: as many as the processor looks at in one go."""
 LEAF = 64
 """A panel of more points is divided."""
 LEAVES = 1024
@@ -36,61 +40,59 @@ SMALLEST = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Panels:
-    """A binary tree of panels in the order in which a walk meets them: parent, left, right.
+    """A tree of panels in groups of four: a group divides a panel into quarters of its width.
 
     points (3, m) are the distinct inputs in ascending order, their weights w and their values u, as
-    in the sum above; `rest` is what these leave out. Panel k covers `centre[k]` +- `half[k]` and
-    the points from `first[k]` to `last[k]`; it has `orders[k]` rules, and those of order o are in
-    `nodes[k]` (3, ...) from STARTS[o], leaving out `rests[k, o]` of its points. The walk goes on
-    at `after[k]` if it is done with the panel; at k + 1, if that is less, to see its halves.
+    in the sum above; `rest` is what these leave out. Panel k = 4 g + i is number i of group g: it
+    covers `centre[k]` +- `half[k]` and the points from `first[k]` to `last[k]`, maybe none, and
+    group `below[k]` divides it, none if that is -1. It has `orders[k]` rules, and those of order o
+    are in `nodes[k]` (3, ...) from STARTS[o], leaving out `rests[k, o]` of its points. Group 0
+    divides all there is; a group comes before those that divide its panels.
     """
 
     points: Array
     rest: float
     centre: Array
     half: Array
-    first: NDArray[np.int64]
-    last: NDArray[np.int64]
-    after: NDArray[np.int64]
-    orders: NDArray[np.int64]
+    first: Whole
+    last: Whole
+    below: Whole
+    orders: Whole
     nodes: Array
     rests: Array
 
     @property
     def unexplained(self) -> float:
         """The sum of squares that a polynomial of degree 7 on every leaf leaves."""
-        leaves = (self.after == np.arange(self.after.size) + 1) & (self.orders > 1)
+        leaves = (self.below < 0) & (self.orders > 1)
         return self.rest + float(self.rests[leaves, 1].sum())
 
 
 def panels(x: Array, y: Array) -> Panels:
-    """The panels of points x (N,) with values y (N,), halved until few points are left in each."""
+    """The panels of points x (N,) with values y (N,), divided until few points are left in each."""
     points, rest = _distinct(x, y)
-    leaf = max(LEAF, points.shape[1] // LEAVES)
-    spans, after = _divide(points[0], leaf)
-    count = len(spans)
-    centre, half = np.empty(count), np.empty(count)
+    first, last, below = _divide(points[0], max(LEAF, points.shape[1] // LEAVES))
+    count = first.size
+    centre, half = np.zeros(count), np.zeros(count)
     orders = np.zeros(count, np.int64)
     nodes, rests = np.zeros((count, 3, STARTS[-1])), np.zeros((count, len(ORDERS)))
     exact: dict[int, tuple[Array, float]] = {}
-    for k in reversed(range(count)):
-        i, j = spans[k]
-        low, high = points[0, i], points[0, j - 1]
+    for k in reversed(np.flatnonzero(last > first).tolist()):
+        low, high = points[0, first[k]], points[0, last[k] - 1]
         centre[k], half[k] = (low + high) / 2, (high - low) / 2
-        if after[k] == k + 1:
-            given, before = points[:, i:j], 0.0
+        if below[k] < 0:
+            given, before = points[:, first[k] : last[k]], 0.0
         else:
-            halves = [exact.pop(k + 1), exact.pop(int(after[k + 1]))]
-            given = np.hstack([part for part, _ in halves])
-            before = sum(left for _, left in halves)
+            quarters = SIDE_BY_SIDE * below[k] + np.arange(SIDE_BY_SIDE)
+            parts = [exact.pop(q) for q in quarters.tolist() if q in exact]
+            given, before = np.hstack([part for part, _ in parts]), sum(left for _, left in parts)
         orders[k] = _rules(given, centre[k], half[k], nodes[k], rests[k])
         rests[k] += before
         if orders[k] == len(ORDERS):
             exact[k] = nodes[k, :, STARTS[-2] :], float(rests[k, -1])
         else:
             exact[k] = given, before
-    first, last = np.array(spans).T
-    return Panels(points, rest, centre, half, first, last, np.array(after), orders, nodes, rests)
+    return Panels(points, rest, centre, half, first, last, below, orders, nodes, rests)
 
 
 def _distinct(x: Array, y: Array) -> tuple[Array, float]:
@@ -105,29 +107,22 @@ def _distinct(x: Array, y: Array) -> tuple[Array, float]:
     return np.stack([x[starts], roots, roots * means]), float(within @ within)
 
 
-def _divide(x: Array, leaf: int) -> tuple[list[tuple[int, int]], list[int]]:
-    """First and last point of each panel, and the panel after it and its halves.
-
-    A panel ends at its outer points and is halved in the middle, so that no half is empty.
-    """
-    spans: list[tuple[int, int]] = []
-    after: list[int] = []
-    open_panels = [(0, x.size)]
-    parents: list[tuple[int, int]] = []
-    while open_panels:
-        i, j = open_panels.pop()
-        while parents and parents[-1][1] <= i:
-            after[parents.pop()[0]] = len(spans)
-        spans.append((i, j))
-        after.append(len(spans))
+def _divide(x: Array, leaf: int) -> tuple[Whole, Whole, Whole]:
+    """First and last point of each panel and the group that divides it, from the whole down."""
+    spans, below = _quarters(x, 0, x.size), []
+    for i, j in spans:  # which grows
+        below.append(len(spans) // SIDE_BY_SIDE if j - i > leaf else -1)
         if j - i > leaf:
-            parents.append((len(spans) - 1, j))
-            cut = i + int(np.searchsorted(x[i:j], x[i] + (x[j - 1] - x[i]) / 2, "right"))
-            cut = min(max(cut, i + 1), j - 1)
-            open_panels += [(cut, j), (i, cut)]
-    for parent, _ in parents:
-        after[parent] = len(spans)
-    return spans, after
+            spans += _quarters(x, i, j)
+    first, last = np.array(spans).T
+    return first, last, np.array(below)
+
+
+def _quarters(x: Array, i: int, j: int) -> list[tuple[int, int]]:
+    """First and last point of each quarter of the width of the points from i to j."""
+    inner = x[i] + (x[j - 1] - x[i]) * np.arange(1, SIDE_BY_SIDE) / SIDE_BY_SIDE
+    cuts = i + np.searchsorted(x[i:j], inner, "right")
+    return list(pairwise([i, *cuts.tolist(), j]))
 
 
 def _rules(given: Array, centre: float, half: float, nodes: Array, rests: Array) -> int:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, Protocol, cast
 
 import numpy as np
@@ -12,6 +14,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+WORTH_THREADS = 1
+"""Steps after the first that a block must have to be shared out."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +61,12 @@ class Climb(Protocol):
 
 
 def compiled_climb(
-    loss: Callable[..., float], signature: str
+    loss: Callable[..., float], room: Callable[..., Any], signature: str
 ) -> Callable[..., tuple[int, int, int, int]]:
-    """The compiled loop around `loss(theta, limit, data)`, which numba can compile.
+    """The compiled loop around `loss(theta, limit, data, room(data))`, which numba can compile.
 
-    `loss` may return any number that is not below `limit` as soon as it knows that the loss is not.
+    `loss` may return any number that is not below `limit` as soon as it knows that the loss is not;
+    `room` makes the arrays that it works in.
     `signature` tells this loss from all others: numba and its linker know the loop by its name.
     """
 
@@ -82,7 +88,7 @@ def compiled_climb(
     ) -> tuple[int, int, int, int]:
         n, d = P.shape
         found = nans = infinities = evaluations = 0
-        mutant = np.empty(d)
+        mutant, scratch = np.empty(d), room(data)
         for k in range(noise.shape[0] + 1):
             for i in range(n):
                 if k == 0:
@@ -91,7 +97,7 @@ def compiled_climb(
                     for j in range(d):
                         moved = noise[k - 1, i, j] * sigma[k - 1, j] + P[i, j]
                         mutant[j] = min(max(moved, low[j]), high[j])
-                value = loss(mutant, L[i] if early_stopping else np.inf, data)
+                value = loss(mutant, L[i] if early_stopping else np.inf, data, scratch)
                 evaluations += 1
                 if value < L[i]:
                     P[i] = mutant
@@ -115,10 +121,17 @@ def compiled_climb(
     return cast(Callable[..., tuple[int, int, int, int]], compiled)
 
 
-def climb_on(compiled: Callable[..., tuple[int, int, int, int]], data: Any) -> Climb:
-    """The compiled loop on one problem's data."""
+def climb_on(
+    compiled: Callable[..., tuple[int, int, int, int]], data: Any, threads: int = 1
+) -> Climb:
+    """The compiled loop on one problem's data, its rows shared out among threads.
 
-    def climb(
+    A row climbs by itself, so that the result is the same however many there are. A run with a
+    target has one: where it ends, all rows must.
+    """
+    pool = ThreadPoolExecutor(threads) if threads > 1 else None
+
+    def climb_rows(
         first: Array,
         P: Array,
         L: Array,
@@ -137,4 +150,49 @@ def climb_on(compiled: Callable[..., tuple[int, int, int, int]], data: Any) -> C
         )  # fmt: skip
         return Climbed(steps, at[:found], losses[:found], thetas[:found], nans, infinities)
 
+    def climb(
+        first: Array,
+        P: Array,
+        L: Array,
+        noise: Array,
+        sigma: Array,
+        bounds: tuple[Array, Array],
+        best: float,
+        target: float,
+        early_stopping: bool,
+    ) -> Climbed:
+        rest = sigma, bounds, best, target, early_stopping
+        if pool is None or target > -math.inf or len(P) < threads or len(noise) < WORTH_THREADS:
+            return climb_rows(first, P, L, noise, *rest)
+        parts = list(pairwise(np.linspace(0, len(P), threads + 1).astype(int).tolist()))
+        jobs = [
+            pool.submit(
+                climb_rows, first[i:j], P[i:j], L[i:j], np.ascontiguousarray(noise[:, i:j]), *rest
+            )
+            for i, j in parts
+        ]
+        return _together([job.result() for job in jobs], parts, best)
+
     return climb
+
+
+def _together(parts: list[Climbed], rows: list[tuple[int, int]], best: float) -> Climbed:
+    """What the rows did, with the improvements in the order of a loop over all of them."""
+    n = rows[-1][1]
+    numbers = []
+    for part, (i, j) in zip(parts, rows, strict=True):
+        step, row = np.divmod(part.at - 1, j - i)
+        numbers.append(step * n + i + row + 1)
+    at = np.concatenate(numbers)
+    order = np.argsort(at)
+    losses = np.concatenate([part.losses for part in parts])[order]
+    lower = losses < np.minimum.accumulate(np.append(best, losses[:-1]))
+    kept = order[lower]
+    return Climbed(
+        parts[0].steps,
+        at[kept],
+        losses[lower],
+        np.concatenate([part.thetas for part in parts])[kept],
+        sum(part.nans for part in parts),
+        sum(part.infinities for part in parts),
+    )
