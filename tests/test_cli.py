@@ -76,7 +76,7 @@ def test_a_second_sweep_runs_nothing(identify: Command, tmp_path: Path) -> None:
     code, out, _ = identify(*sweep, "budget.evaluations=2000")
     assert (code, out.splitlines()[-1]) == (0, "6 runs: 6 ran")
     code, out, _ = identify(*sweep, "budget.evaluations=2000")
-    assert (code, out.splitlines()[-1]) == (0, "6 runs: 0 ran, 6 done before")
+    assert (code, out.splitlines()[-1]) == (0, "6 runs: 6 done before")
     assert len(load_runs(tmp_path / "runs").runs) == 6
 
 
@@ -283,7 +283,7 @@ def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
     process = subprocess.Popen(
         arguments, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    deadline = time.monotonic() + 30
+    deadline = time.monotonic() + 300
     while not list(tmp_path.rglob("lock")) and time.monotonic() < deadline:
         time.sleep(0.05)
     time.sleep(1.0)
