@@ -165,6 +165,21 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("problem=tire_lf", "error: problem: cannot be chosen here"),
+        ("comparison.processes=0", "error: comparison.processes: is 0"),
+    ],
+)
+def test_what_a_comparison_cannot_combine_is_refused(
+    compare: Command, override: str, message: str
+) -> None:
+    code, _, err = compare("experiment=arena_small", override)
+    assert code == 2
+    assert err.splitlines()[-1].startswith(message)
+
+
 def test_a_missing_download_is_one_line(
     identify: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
