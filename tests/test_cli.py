@@ -293,23 +293,28 @@ def test_fig5_of_three_identified_torque_curves(
 def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
     tmp_path: Path, sweep: list[str]
 ) -> None:
-    arguments = [sys.executable, "-m", "experiments.identify", *sweep, "optimizer=random"]
-    arguments += [f"root={tmp_path}", "budget.evaluations=null", "budget.seconds=60"]
-    process = subprocess.Popen(
-        arguments, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    deadline = time.monotonic() + 300
-    while not list(tmp_path.rglob("lock")) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    time.sleep(1.0)
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=20)
-    assert process.returncode == 130, err
-    assert "interrupted" in out
-    assert "Traceback" not in err
-    (partial,) = tmp_path.rglob("partial.json")
-    assert json.loads(partial.read_text())["curve"]["loss"]
-    assert load_runs(tmp_path).runs.empty
+    for patience in (1.0, 5.0, 25.0):  # [s] a busy machine may still be compiling the loss
+        root = tmp_path / str(patience)
+        arguments = [sys.executable, "-m", "experiments.identify", *sweep, "optimizer=random"]
+        arguments += [f"root={root}", "budget.evaluations=null", "budget.seconds=60"]
+        process = subprocess.Popen(
+            arguments, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        deadline = time.monotonic() + 300
+        while not list(root.rglob("lock")) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(patience)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=100)
+        assert process.returncode == 130, err
+        assert "interrupted" in out
+        assert "Traceback" not in err
+        (partial,) = root.rglob("partial.json")
+        assert load_runs(root).runs.empty
+        curve = json.loads(partial.read_text())["curve"]
+        if curve:
+            break
+    assert curve["loss"]
 
 
 @pytest.mark.slow
