@@ -12,6 +12,9 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALLED := .venv/installed
 
+# With it every process, and every compiled loss, is made from the sources again.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help install compare arena figures test lint lock clean
 
 help:
@@ -21,6 +24,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "error: Python 3.11 or newer is needed; name it with make PYTHON=...")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[experiments,dev]'
+	$(BIN)/python -m compileall -q miho baselines experiments
 	touch $@
 
 install: $(INSTALLED)

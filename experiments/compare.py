@@ -20,11 +20,9 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from experiments.arena import chosen_method, plan
-from experiments.arena_results import draw_arena
 from experiments.build import ConfigError, build
 from experiments.cli import OK, SOME_FAILED, command, composed
 from experiments.comparison import COMPARISON
-from experiments.figures import draw_comparison
 from experiments.run import line, run
 from experiments.sweep import mirrors, sweep
 from experiments.sweep_command import sweep_settings
@@ -58,6 +56,10 @@ def compare(cfg: DictConfig) -> None:
         "runs": ids,
     }
     write_text(root / COMPARISON, json.dumps(about, indent=1) + "\n")
+    # Here, because a worker process needs no figures, and they take a second to import.
+    from experiments.arena_results import draw_arena
+    from experiments.figures import draw_comparison
+
     draw = draw_arena if cfg.comparison.problems else draw_comparison
     for path in draw(root, Path(cfg.comparison.output)):
         print(path)

@@ -12,7 +12,6 @@ from typing import Any
 import pandas as pd
 
 from experiments.build import ConfigError
-from miho.analysis import to_markdown
 from miho.study import load_runs, read_run
 
 COMPARISON = "comparison.json"
@@ -52,6 +51,8 @@ class Comparison:
         self, tables: Mapping[str, pd.DataFrame], captions: Mapping[str, str], output: Path
     ) -> list[Path]:
         """Each table as CSV and as Markdown with its caption, which is printed as well."""
+        from miho.analysis import to_markdown  # not before a comparison is over: it loads figures
+
         output.mkdir(parents=True, exist_ok=True)
         paths = []
         for name, table in tables.items():

@@ -11,8 +11,6 @@ import numpy as np
 from baselines.least_squares import LeastSquares
 from experiments.build import Experiment
 from experiments.progress import progress
-from experiments.report import report_folder, reported, write
-from experiments.report_tables import text
 from miho.identification import CurveFit, Square, linear_optimum
 from miho.identification.validation import error_on, root_mean_square
 from miho.optim import Budget, RunRecord, minimize
@@ -58,6 +56,10 @@ def line(experiment: Experiment, execution: Execution) -> str:
 
 def report(experiment: Experiment, stored: StoredRun) -> str:
     """The identified parameters, how far to trust them and how good they are; writes the page."""
+    # Here, because figures take longer to import than a small run takes: only who draws them waits.
+    from experiments.report import report_folder, reported, write
+    from experiments.report_tables import text
+
     problem, result = experiment.problem, stored.result
     if result["theta"] is None:
         reasons = ", ".join(f"{n} x {reason}" for reason, n in result["rejected"].items())

@@ -225,13 +225,3 @@ def test_an_arena_draws_resumes_and_exports(tmp_path: Path) -> None:
     done = subprocess.run(export, cwd=ROOT, capture_output=True, text=True, timeout=100)
     assert done.returncode == 2
     assert "not empty" in done.stderr
-
-
-@pytest.mark.slow
-def test_what_cannot_be_combined_is_refused() -> None:
-    done = compare("experiment=arena_small", "problem=tire_lf")
-    assert done.returncode == 2
-    assert done.stderr.splitlines()[-1].startswith("error: problem: cannot be chosen here")
-    done = compare("experiment=arena_small", "comparison.processes=0")
-    assert done.returncode == 2
-    assert "comparison.processes: is 0" in done.stderr

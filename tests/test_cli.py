@@ -76,7 +76,7 @@ def test_a_second_sweep_runs_nothing(identify: Command, tmp_path: Path) -> None:
     code, out, _ = identify(*sweep, "budget.evaluations=2000")
     assert (code, out.splitlines()[-1]) == (0, "6 runs: 6 ran")
     code, out, _ = identify(*sweep, "budget.evaluations=2000")
-    assert (code, out.splitlines()[-1]) == (0, "6 runs: 0 ran, 6 done before")
+    assert (code, out.splitlines()[-1]) == (0, "6 runs: 6 done before")
     assert len(load_runs(tmp_path / "runs").runs) == 6
 
 
@@ -163,6 +163,21 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert err.count("\n") == 1
     assert message in err
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("problem=tire_lf", "error: problem: cannot be chosen here"),
+        ("comparison.processes=0", "error: comparison.processes: is 0"),
+    ],
+)
+def test_what_a_comparison_cannot_combine_is_refused(
+    compare: Command, override: str, message: str
+) -> None:
+    code, _, err = compare("experiment=arena_small", override)
+    assert code == 2
+    assert err.splitlines()[-1].startswith(message)
 
 
 def test_a_missing_download_is_one_line(
@@ -278,23 +293,28 @@ def test_fig5_of_three_identified_torque_curves(
 def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
     tmp_path: Path, sweep: list[str]
 ) -> None:
-    arguments = [sys.executable, "-m", "experiments.identify", *sweep, "optimizer=random"]
-    arguments += [f"root={tmp_path}", "budget.evaluations=null", "budget.seconds=60"]
-    process = subprocess.Popen(
-        arguments, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    )
-    deadline = time.monotonic() + 30
-    while not list(tmp_path.rglob("lock")) and time.monotonic() < deadline:
-        time.sleep(0.05)
-    time.sleep(1.0)
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=20)
-    assert process.returncode == 130, err
-    assert "interrupted" in out
-    assert "Traceback" not in err
-    (partial,) = tmp_path.rglob("partial.json")
-    assert json.loads(partial.read_text())["curve"]["loss"]
-    assert load_runs(tmp_path).runs.empty
+    for patience in (1.0, 5.0, 25.0):  # [s] a busy machine may still be compiling the loss
+        root = tmp_path / str(patience)
+        arguments = [sys.executable, "-m", "experiments.identify", *sweep, "optimizer=random"]
+        arguments += [f"root={root}", "budget.evaluations=null", "budget.seconds=60"]
+        process = subprocess.Popen(
+            arguments, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        deadline = time.monotonic() + 300
+        while not list(root.rglob("lock")) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(patience)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=100)
+        assert process.returncode == 130, err
+        assert "interrupted" in out
+        assert "Traceback" not in err
+        (partial,) = root.rglob("partial.json")
+        assert load_runs(root).runs.empty
+        curve = json.loads(partial.read_text())["curve"]
+        if curve:
+            break
+    assert curve["loss"]
 
 
 @pytest.mark.slow

@@ -19,8 +19,11 @@ SLOW = {
 }  # fmt: skip
 """Methods that take seconds a check, or differ from another in a setting alone."""
 
-EVALUATIONS = {"optuna_tpe": 150, "optuna_cmaes": 300, "ngopt": 100, "dehb": 100}
-"""Of methods that take milliseconds for each."""
+EVALUATIONS = {
+    "optuna_tpe": 150, "optuna_cmaes": 300, "ngopt": 100, "dehb": 100,
+    "cma_es": 3000, "differential_evolution": 3000, "dual_annealing": 3000,
+}  # fmt: skip
+"""Of methods that take a tenth of a millisecond and more for each; the others have 20,000."""
 
 NEEDS = {"ngopt": "nevergrad", "dehb": "dehb"}
 

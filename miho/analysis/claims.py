@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
@@ -87,6 +87,8 @@ class _Study:
     miho: str
     rng: np.random.Generator
     resamples: int
+    known: dict[tuple[str, Axis, tuple[int, ...]], MeanCurve] = field(default_factory=dict)
+    """Mean curves that several claims are about."""
 
     @property
     def methods(self) -> list[str]:
@@ -99,7 +101,10 @@ class _Study:
         return sorted(int(seed) for seed in common)
 
     def curve(self, method: str, axis: Axis, seeds: Sequence[int]) -> MeanCurve:
-        return MeanCurve.of(self.runs, self.curves, method, axis, seeds)
+        key = method, axis, tuple(seeds)
+        if key not in self.known:
+            self.known[key] = MeanCurve.of(self.runs, self.curves, method, axis, seeds)
+        return self.known[key]
 
     def final(self, method: str, seeds: Sequence[int]) -> Array:
         """Final errors (n,) in N; inf where a run saw nothing finite."""

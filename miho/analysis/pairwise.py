@@ -7,8 +7,8 @@ from itertools import combinations, permutations
 
 import numpy as np
 import pandas as pd
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
-from scipy import stats
 
 from miho.analysis.curves import Axis
 from miho.analysis.ranks import rank_rows
@@ -57,7 +57,7 @@ def signed_rank(differences: Array) -> tuple[float, float]:
     given the ranks, also with ties: the distribution of the rank sum over all 2^m signs of the m
     differences that are not zero.
     """
-    doubled = np.round(2 * stats.rankdata(np.abs(differences))).astype(int)
+    doubled = np.round(2 * scipy.stats.rankdata(np.abs(differences))).astype(int)
     signed = doubled[differences != 0]
     total = int(signed.sum())
     if not total:

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
-from scipy import stats
 
 Array = NDArray[np.float64]
 
@@ -55,10 +55,10 @@ def friedman(scores: pd.DataFrame) -> FriedmanTest:
         )
     if (table == table[:, :1]).all():
         return FriedmanTest(methods, problems, 0.0, 1.0, 0.0, 1.0)
-    test = stats.friedmanchisquare(*table.T)
+    test = scipy.stats.friedmanchisquare(*table.T)
     chi2, most = float(test.statistic), problems * (methods - 1)
     f = (problems - 1) * chi2 / (most - chi2) if most - chi2 > 1e-9 * most else math.inf
-    p = float(stats.f.sf(f, methods - 1, (methods - 1) * (problems - 1)))
+    p = float(scipy.stats.f.sf(f, methods - 1, (methods - 1) * (problems - 1)))
     return FriedmanTest(methods, problems, chi2, float(test.pvalue), f, p)
 
 
@@ -73,7 +73,7 @@ def critical_difference(methods: int, problems: int, level: float = 0.05) -> flo
             f"methods, problems and level are {methods}, {problems}, {level}; expected at least 2, "
             f"at least 1, and a number between 0 and 1"
         )
-    q = float(stats.studentized_range.ppf(1 - level, methods, np.inf)) / math.sqrt(2)
+    q = float(scipy.stats.studentized_range.ppf(1 - level, methods, np.inf)) / math.sqrt(2)
     return q * math.sqrt(methods * (methods + 1) / (6 * problems))
 
 
@@ -106,4 +106,4 @@ def rank_rows(scores: pd.DataFrame) -> Array:
             f"scores of {scores.columns[column]} on {scores.index[row]} are missing; give every "
             f"method a score on every problem, inf where it has none"
         )
-    return np.asarray(stats.rankdata(values, axis=1), dtype=float)
+    return np.asarray(scipy.stats.rankdata(values, axis=1), dtype=float)

@@ -9,10 +9,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
 from scipy.constants import g
-from scipy.ndimage import binary_erosion
-from scipy.signal import butter, sosfiltfilt
 
 from miho.data.csv import CSVError, read_numbers
 from miho.data.dataset import file_name
@@ -161,7 +160,7 @@ class DrivingLog:
         A step one such time away changes what `low_pass` gives by some 0.2 % of its height.
         """
         around = np.ones(2 * round(1 / (cutoff * self.dt)) + 1, dtype=bool)
-        return np.asarray(binary_erosion(phases, around))
+        return np.asarray(scipy.ndimage.binary_erosion(phases, around))
 
 
 def low_pass(values: Array, dt: float, cutoff: float) -> Array:
@@ -175,7 +174,8 @@ def low_pass(values: Array, dt: float, cutoff: float) -> Array:
             f"cutoff is {cutoff:g} Hz; expected above 0 and below {0.5 / dt:g} Hz, half the "
             "sampling rate"
         )
-    return np.asarray(sosfiltfilt(butter(2, cutoff, fs=1 / dt, output="sos"), values))
+    sections = scipy.signal.butter(2, cutoff, fs=1 / dt, output="sos")
+    return np.asarray(scipy.signal.sosfiltfilt(sections, values))
 
 
 def load_driving_log(

@@ -8,8 +8,8 @@ from functools import cache
 from types import MappingProxyType
 
 import numpy as np
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
 
 from miho.data.dataset import Dataset
 from miho.data.synthetic_handling import AXLES, NOISE
@@ -88,7 +88,9 @@ def _driven(car: SingleTrack, duration: float, rate: float) -> tuple[Array, Arra
     yaw_rate, state = np.zeros(t.size), np.zeros(2)
     for row in range(1, t.size):  # the steering has a kink at each row
         span = (t[row - 1], t[row])
-        found = solve_ivp(rates, span, state, "DOP853", rtol=TOLERANCE, atol=TOLERANCE / 100)
+        found = scipy.integrate.solve_ivp(
+            rates, span, state, "DOP853", rtol=TOLERANCE, atol=TOLERANCE / 100
+        )
         state = found.y[:, -1]
         yaw_rate[row] = state[1]
     return t, vx, steering, yaw_rate

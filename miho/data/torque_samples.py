@@ -7,8 +7,8 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
-from scipy.ndimage import binary_dilation, maximum_filter1d, minimum_filter1d
 
 from miho.data.dataset import Dataset
 from miho.data.driving_log import DrivingLog, load_driving_log
@@ -133,7 +133,7 @@ class TorqueRules:
     def _nearby(self, events: Mask, dt: float) -> Mask:
         """True within `window` of an event."""
         around = np.ones(2 * round(self.window / dt) + 1, dtype=bool)
-        return np.asarray(binary_dilation(events, around))
+        return np.asarray(scipy.ndimage.binary_dilation(events, around))
 
     def _swing(self, pedal: Array, dt: float) -> Array:
         """Largest less smallest value from `settle` ago to `window` ahead."""
@@ -142,7 +142,7 @@ class TorqueRules:
         origin = before - size // 2
         high, low = (
             extreme(pedal, size, origin=origin, mode="nearest")
-            for extreme in (maximum_filter1d, minimum_filter1d)
+            for extreme in (scipy.ndimage.maximum_filter1d, scipy.ndimage.minimum_filter1d)
         )
         return np.asarray(high - low)
 

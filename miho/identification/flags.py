@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-import scipy.stats
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
+from scipy.special import chdtrc
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Cauchy, Huber
@@ -150,7 +150,7 @@ def _chance_of_spread(problem: CurveFit, at: Linearised) -> float:
     fitted = columns @ np.linalg.lstsq(columns, squares, rcond=None)[0]
     explained = np.var(fitted) / np.var(squares)
     rank = int(np.linalg.matrix_rank(columns)) - 1
-    return float(scipy.stats.chi2.sf(squares.size * explained, rank)) if rank else 1.0
+    return float(chdtrc(rank, squares.size * explained)) if rank else 1.0
 
 
 def independence(problem: CurveFit, at: Linearised) -> list[str]:

@@ -49,8 +49,8 @@ def test_it_plans_for_the_whole_run_unless_told(plans: list[int]) -> None:
 
 def test_seconds_alone_say_nothing_to_plan_for() -> None:
     budget = Budget(target=1e-9, seconds=0.5)
-    record = minimize(NGOpt(plan=30), DecayFit(), budget, seed=1)
-    assert record.evaluations > 30
+    record = minimize(NGOpt(plan=5), DecayFit(), budget, seed=1)
+    assert record.evaluations > 5
     record = minimize(NGOpt(), DecayFit(), budget, seed=1)
     assert record.error is not None
     assert "plan is None in a run without a limit of evaluations" in record.error
