@@ -53,8 +53,8 @@ def command(
     """Compose the configuration from the command line, run `task` on it and exit.
 
     Before a sweep starts, `check` sees each of its settings and each of its seeds once, so that
-    a mistake in the last one stops the first. `after` runs once at the end, also of a sweep, and
-    gives the exit code.
+    a mistake in the last one stops the first. `after` runs once at the end, also of a sweep and of
+    one that is interrupted, and gives the exit code of what is not.
     """
     schema.register()
     os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors reach us instead of being printed
@@ -81,6 +81,9 @@ def command(
             raise ConfigError(_explained(error, arguments.overrides)) from error
         try:
             main(kept)()
+        except KeyboardInterrupt:
+            after()
+            raise
         except (HydraException, OmegaConfBaseException, ValueError) as error:
             raise ConfigError(_explained(error, arguments.overrides)) from error
         for failure in failures:
@@ -159,6 +162,8 @@ _ended_by: int = signal.SIGINT
 def _as_interrupt(number: int, frame: FrameType | None) -> None:
     global _ended_by
     _ended_by = number
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's background jobs begin so
+        raise KeyboardInterrupt
     signal.raise_signal(signal.SIGINT)
 
 

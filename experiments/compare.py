@@ -1,7 +1,8 @@
 """Compare methods: on one problem on the clock, or on many problems at once.
 
 On one problem runs are interleaved, one at a time, on one thread. On many problems several run at a
-time, so that evaluations are what compares, and seconds are those of a machine in full use.
+time, so that evaluations are what compares, and seconds are those of a machine in full use. Runs
+have processes of their own, so that one that is killed ends alone.
 
 python -m experiments.compare                        # reduced size, some three minutes
 python -m experiments.compare experiment=paper_fig6  # full size, some 70 minutes
@@ -14,21 +15,21 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from experiments.arena import chosen_method, plan
-from experiments.build import ConfigError, build
+from experiments.build import ConfigError, build, build_optimizer
 from experiments.cli import OK, SOME_FAILED, command, composed
 from experiments.comparison import COMPARISON
-from experiments.run import line, run
-from experiments.sweep import mirrors, sweep
+from experiments.sweep import Wanted, mirrors, sweep, wanted
 from experiments.sweep_command import sweep_settings
 from miho.optim import MIHO
-from miho.study import Status, Store, write_text
-from miho.study.changes import refuse_changes
+from miho.study import Store, write_text
 
 DEFAULT = "experiment=compare"
 failed: list[str] = []
@@ -67,31 +68,23 @@ def compare(cfg: DictConfig) -> None:
 
 def _on_one(cfg: DictConfig, overrides: list[str]) -> tuple[list[str], str]:
     """One problem, one run at a time, methods interleaved; the runs and what to say of them."""
-    methods = []
-    for name, settings in cfg.comparison.methods.items():
-        methods.append(composed([*overrides, *chosen_method(name, settings)]))
-    planned = []
-    for seed in range(cfg.comparison.repetitions):
-        for method in methods:
-            method.seed = seed
-            planned.append(build(method))
+    by_method: list[list[Wanted]] = []
+    size: list[str] = []
+    for name, replaced in cfg.comparison.methods.items():
+        chosen = chosen_method(name, replaced)
+        method = composed([*overrides, *chosen])
+        by_method.append(wanted(method, " ".join(chosen), range(cfg.comparison.repetitions)))
+        optimizer = build_optimizer(method)
+        if isinstance(optimizer, MIHO) and not size:
+            size = [f"R = {optimizer.R}"]
+    runs = [one for seed in zip(*by_method, strict=True) for one in seed]
+    _sweep(runs, cfg, overrides, processes=1, tracking={})
     store = Store(Path(cfg.root))
-    refuse_changes(store, [experiment.identity for experiment in planned], fresh=cfg.fresh)
-    for number, experiment in enumerate(planned, start=1):
-        execution = run(experiment)
-        told = line(experiment, execution)
-        print(f"[{number}/{len(planned)}] {told}", flush=True)
-        if execution.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
-        if execution.run is None:
-            failed.append(told)
     with mirrors([cfg.root], cfg.tracking) as opened:  # after the last run: they were on the clock
-        for stored in (store.find(e.identity) for e in planned if opened):
+        for stored in (store.find(one.identity) for one in runs if opened):
             if stored is not None:
                 opened[cfg.root].push(stored)
-    miho = next((e.optimizer for e in planned if isinstance(e.optimizer, MIHO)), None)
-    size = [f"R = {miho.R}"] if miho else []
-    return [experiment.identity.id for experiment in planned], _note(cfg, size)
+    return [one.identity.id for one in runs], _note(cfg, size)
 
 
 def _on_problems(cfg: DictConfig, overrides: list[str]) -> tuple[list[str], str]:
@@ -99,18 +92,28 @@ def _on_problems(cfg: DictConfig, overrides: list[str]) -> tuple[list[str], str]
     planned = plan(cfg, overrides)
     for name, reason in planned.left_out.items():
         print(f"{name}: left out: {reason}", file=sys.stderr)
-    settings = sweep_settings(cfg)
-    settings.processes = cfg.comparison.processes
-    how = {"fresh": cfg.fresh, "overrides": overrides, "tracking": cfg.tracking}
-    ended = sweep(planned.runs, settings, **how)
-    failed.extend(done.line for done in ended if done.error is None and done.reason is not None)
-    for told in failed:
-        print(told, file=sys.stderr)
+    _sweep(planned.runs, cfg, overrides, cfg.comparison.processes, cfg.tracking)
     problems = len({one.identity.problem for one in planned.runs})
     size = [f"{problems} problems", f"{cfg.comparison.processes} runs at a time"]
     if planned.left_out:
         size.append(f"without {', '.join(planned.left_out)}, which were not to be had here")
     return [one.identity.id for one in planned.runs], _note(cfg, size)
+
+
+def _sweep(
+    runs: Sequence[Wanted],
+    cfg: DictConfig,
+    overrides: list[str],
+    processes: int,
+    tracking: Mapping[str, Any],
+) -> None:
+    """Do the runs in processes of their own and say which are missing."""
+    settings = sweep_settings(cfg)
+    settings.processes = processes
+    ended = sweep(runs, settings, fresh=cfg.fresh, overrides=overrides, tracking=tracking)
+    failed.extend(done.line for done in ended if done.error is None and done.reason is not None)
+    for told in failed:
+        print(told, file=sys.stderr)
 
 
 def _note(cfg: DictConfig, size: list[str]) -> str:

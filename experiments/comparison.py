@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 
 from experiments.build import ConfigError
-from miho.study import load_runs, read_run
+from miho.study import load_runs, read_run, write_text
 
 COMPARISON = "comparison.json"
 
@@ -58,8 +58,8 @@ class Comparison:
         for name, table in tables.items():
             text = f"{captions[name]} Runs: {self.note}.\n\n{to_markdown(table)}"
             print(text)
-            table.to_csv(output / f"{name}.csv", index=False)
-            (output / f"{name}.md").write_text(text, encoding="utf-8")
+            write_text(output / f"{name}.csv", table.to_csv(index=False))
+            write_text(output / f"{name}.md", text)
             paths += [output / f"{name}.csv", output / f"{name}.md"]
         return paths
 
@@ -82,5 +82,5 @@ class Comparison:
             ),
         }
         path = output / "provenance.json"
-        path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+        write_text(path, json.dumps(about, indent=1) + "\n")
         return path

@@ -23,7 +23,7 @@ from experiments.cli import guarded
 from experiments.comparison import Comparison
 from experiments.engine import DATASETS, engine_of, fig5_data
 from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save
-from miho.study import StoredRun, load_runs, read_run
+from miho.study import StoredRun, load_runs, read_run, write_text
 
 TIRES = ("lf", "rf", "lr", "rr")
 MIHO = "miho"
@@ -106,7 +106,7 @@ def _write_provenance(path: Path, stored: Sequence[StoredRun]) -> Path:
             k: v for k, v in stored[0].environment.items() if k not in ("load", "timing")
         },
     }
-    path.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(about, indent=1) + "\n")
     return path
 
 

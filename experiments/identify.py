@@ -31,7 +31,7 @@ def identify(cfg: DictConfig) -> None:
     if settings.seeds is not None or settings.dry_run:
         seeds = [cfg.seed] if settings.seeds is None else settings.seeds
         runs = wanted(cfg, "", seeds)
-        finished.extend(sweep(runs, settings, fresh=cfg.fresh, tracking=cfg.tracking))
+        sweep(runs, settings, fresh=cfg.fresh, tracking=cfg.tracking, ended=finished)
         return
     experiment = build(cfg)
     refuse_changes(Store(experiment.root), [experiment.identity], fresh=cfg.fresh)
@@ -55,7 +55,7 @@ def summary() -> int:
         return SOME_FAILED if failed else OK
     listed = all(done.status in (Status.TO_DO, Status.DONE_BEFORE) for done in finished)
     if listed:
-        print("\n".join(done.line for done in finished))
+        print("\n".join(done.line for done in finished if done.line))
     _tell_errors(finished)
     bad = [done for done in finished if done.reason is not None]
     for done in bad:

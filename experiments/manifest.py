@@ -1,17 +1,25 @@
-"""What a sweep consisted of, by the words it was asked in: the same words must mean the same."""
+"""What a sweep consisted of, by the words it was asked in: the same words must mean the same.
+
+    root/.sweeps/<hash of the words>.json
+
+holds each distinct part of a configuration (the model, the dataset ...) once, each configuration as
+the numbers of its parts, and each run as its place and the number of its configuration: thousands
+of runs that differ in seed and one setting repeat nothing else.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from miho.study import Identity, Store, write_text
 from miho.study.changes import ResumeRefused
+from miho.study.files import RESULT
 from miho.study.identity import canonical, sha256
 from miho.study.places import inside
-from miho.study.store import RESULT
 
 MANIFESTS = ".sweeps"
 
@@ -20,17 +28,13 @@ def write_manifest(root: Path, overrides: Sequence[str], runs: Mapping[str, Iden
     """Keep the settings of the runs that these overrides asked for, by what each was asked in."""
     path = _path(root, overrides)
     path.parent.mkdir(parents=True, exist_ok=True)
-    about = {
-        "overrides": list(overrides),
-        "runs": {
-            asked: {
-                "place": [one.problem, one.optimizer, one.id],
-                "config": dict(one.config),
-            }
-            for asked, one in runs.items()
-        },
-    }
-    write_text(path, json.dumps(about, indent=1) + "\n")
+    parts, configs, found = _Numbered(), _Numbered(), {}
+    for asked, one in runs.items():
+        config = {name: parts.number(part) for name, part in one.config.items()}
+        place = [one.problem, one.optimizer, one.id]
+        found[asked] = {"place": place, "config": configs.number(config)}
+    about = {"parts": parts.values, "configs": configs.values, "runs": found}
+    write_text(path, canonical({"overrides": list(overrides), **about}) + "\n")
 
 
 def refuse_other_settings(
@@ -62,17 +66,39 @@ def refuse_other_settings(
 
 
 def _path(root: Path, overrides: Sequence[str]) -> Path:
-    return root / MANIFESTS / f"{sha256(canonical(list(overrides)))[:16]}.json"
+    return inside(root, MANIFESTS) / f"{sha256(canonical(list(overrides)))[:16]}.json"
 
 
 def _read(path: Path) -> dict[str, dict[str, Any]]:
-    """The runs of a manifest; none where it is absent or not readable as one."""
+    """Place and configuration of the runs of a manifest; none where it is not readable as one."""
     try:
-        runs = json.loads(path.read_text(encoding="utf-8"))["runs"]
-        whole = {asked: one for asked, one in runs.items() if {"place", "config"} <= set(one)}
-        return {asked: one for asked, one in whole.items() if len(one["place"]) == 3}
+        about = json.loads(path.read_text(encoding="utf-8"))
+        configs = [
+            {name: about["parts"][number] for name, number in config.items()}
+            for config in about["configs"]
+        ]
+        return {
+            asked: {"place": [*map(str, one["place"])], "config": configs[one["config"]]}
+            for asked, one in about["runs"].items()
+            if len(one["place"]) == 3
+        }
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return {}
+
+
+@dataclass
+class _Numbered:
+    """Distinct values in the order in which they came."""
+
+    values: list[Any] = field(default_factory=list)
+    numbers: dict[str, int] = field(default_factory=dict)
+
+    def number(self, value: Any) -> int:
+        """Where this value stands, or its like."""
+        number = self.numbers.setdefault(canonical(value), len(self.values))
+        if number == len(self.values):
+            self.values.append(value)
+        return number
 
 
 def _different(old: Any, new: Any, key: str = "") -> Iterator[str]:

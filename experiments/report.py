@@ -26,7 +26,8 @@ from experiments.report_tables import interval_kind, parameter_table, text, valu
 from miho.analysis.sweep_page import Best
 from miho.identification import CurveFit, Report, make_report
 from miho.models.identified import Identified, Value, parameters_text
-from miho.study import StoredRun, read_run, single_thread, write_text
+from miho.study import StoredRun, read_run, single_thread, write_bytes, write_text
+from miho.study.places import inside
 
 PAGE, PARAMETERS = "report.html", "parameters.json"
 NO_INTERVALS = "Intervals were not computed; without --quick they are, and a page of their own."
@@ -55,7 +56,7 @@ def write(report: Report, stored: StoredRun, folder: Path) -> Path:
     write_text(folder / PARAMETERS, parameters_text(identified(report, stored), settings))
     figures = figures_of(report)
     for name, picture in figures.items():
-        (folder / f"{name}.png").write_bytes(picture)
+        write_bytes(folder / f"{name}.png", picture)
     write_text(folder / PAGE, page_of(report, stored, figures))
     return folder / PAGE
 
@@ -92,10 +93,13 @@ def identified(report: Report, stored: StoredRun) -> Identified:
 
 
 def report_folder(stored: StoredRun) -> Path:
-    """Where a run's report goes: reports/ beside the problems of its root."""
+    """Where a run's report goes: reports/ beside the problems of its root.
+
+    Raises PermissionError where a link leads out of the root.
+    """
     result = stored.result
     root = stored.folder.parent.parent.parent
-    return Path(root, "reports", result["problem"], f"{result['optimizer']}-{result['id'][:12]}")
+    return inside(root, "reports", result["problem"], f"{result['optimizer']}-{result['id'][:12]}")
 
 
 def _report(stored: StoredRun, folder: Path, arguments: argparse.Namespace) -> tuple[str, Report]:
@@ -122,7 +126,7 @@ def _of_run(stored: StoredRun, arguments: argparse.Namespace) -> tuple[Best, boo
     result = stored.result
     folder = report_folder(stored)
     if arguments.output is not None:
-        folder = arguments.output / folder.parent.name / folder.name
+        folder = inside(arguments.output, folder.parent.name, folder.name)
     start = folder.parent.parent.parent if arguments.output is None else arguments.output
     run_ = str(result["optimizer"]), int(result["seed"])
     page = (folder / PAGE).relative_to(start).as_posix()

@@ -22,6 +22,7 @@ from miho.analysis.running_time import references
 from miho.analysis.sweep_origins import environment_table
 from miho.analysis.sweep_page import Best, Told, sweep_page
 from miho.analysis.sweep_runs import Sweep
+from miho.analysis.timing import undisturbed
 from miho.study import load_runs, write_text
 
 MIHO = "miho"
@@ -33,7 +34,7 @@ LEADERBOARD = (
     "known error; on a problem where it never gets there, a method is behind all that do. Success: "
     "share of runs within that factor of the best known error. AOCC: area over the convergence "
     "curve, more is better. Times the best: over the problems that a method solves; read it beside "
-    "solved."
+    "solved. Microseconds: of the {timed} runs that no other work disturbed."
 )
 
 
@@ -116,7 +117,7 @@ def _told(sweep: Sweep, root: Path) -> Told:
         facts=_facts(sweep, compared, name),
         warnings=warnings,
         leaderboard=board,
-        leaderboard_note=LEADERBOARD,
+        leaderboard_note=LEADERBOARD.format(timed=_timed(sweep, compared)),
         claims=claims,
         claims_note=CLAIMS,
         references=_references(sweep.runs),
@@ -131,6 +132,12 @@ def _leaderboard(sweep: Sweep, compared: Compared | None) -> pd.DataFrame | None
     if runs["problem"].nunique() < 2 or runs["optimizer"].nunique() < 2:
         return None
     return leaderboard(runs, curves)
+
+
+def _timed(sweep: Sweep, compared: Compared | None) -> str:
+    """Such as "3 of 7"; of the runs of the leaderboard."""
+    runs = sweep.runs if compared is None or compared.runs.empty else compared.runs
+    return f"{int(undisturbed(runs).sum())} of {len(runs)}"
 
 
 def _claims(compared: Compared | None) -> pd.DataFrame | None:

@@ -91,33 +91,50 @@ def sweep(
     fresh: bool = False,
     overrides: Sequence[str] = (),
     tracking: Mapping[str, Any] = MappingProxyType({}),
+    ended: list[Done] | None = None,
 ) -> list[Done]:
     """Do the runs that are not done, `settings.processes` at a time, and say what became of all.
 
     A run that is wanted twice is done once; one that another process is doing is waited for. A run
     that raises, exits, is killed or takes too long is lost alone. After the first signal the runs
-    in progress keep what they found and stop; raises Stopped then. Raises ResumeRefused if finished
-    runs were made of something else. What is finished goes to the tracker of `tracking` as well.
+    in progress keep what they found and stop; raises Stopped then, and `ended`, which gets what it
+    returns, holds how all runs stand. Raises ResumeRefused if finished runs were made of something
+    else. What is finished goes to the tracker of `tracking` as well.
     """
+    ended = [] if ended is None else ended
     unique = list({one.identity.id: one for one in runs}.values())
     roots = {one.root for one in unique}
     if settings.dry_run:
-        return [replace(found(one), reason=None) for one in unique]
+        ended += [replace(found(one), reason=None) for one in unique]
+        return ended
     for root in roots:
         mine = {one.asked: one.identity for one in unique if one.root == root}
         refuse_other_settings(Path(root), overrides, mine, fresh=fresh)
         refuse_changes(Store(Path(root)), mine.values(), fresh=fresh)
         write_manifest(Path(root), overrides, mine)
-    ended = []
     with mirrors(roots, tracking) as opened, _bar(len(unique), settings.processes) as bar:
-        for done in _each(unique, settings):
-            ended.append(done)
-            bar.tell(done)
-            mirror = opened.get(done.wanted.root)
-            stored = Store(Path(done.wanted.root)).find(done.wanted.identity) if mirror else None
-            if mirror and stored:
-                mirror.push(stored)
+        try:
+            for done in _each(unique, settings):
+                ended.append(done)
+                bar.tell(done)
+                _push(opened.get(done.wanted.root), done.wanted)
+        except Stopped:
+            known = {done.wanted.identity.id for done in ended}
+            ended += [_unread(one) for one in unique if one.identity.id not in known]
+            raise
     return ended
+
+
+def _push(mirror: Mirror | None, one: Wanted) -> None:
+    stored = Store(Path(one.root)).find(one.identity) if mirror else None
+    if mirror and stored:
+        mirror.push(stored)
+
+
+def _unread(one: Wanted) -> Done:
+    """What a look at its folder says of a run that a sweep did not come to."""
+    there = Store(Path(one.root)).has_result(one.identity)
+    return Done(one, Status.DONE_BEFORE if there else Status.TO_DO, "")
 
 
 @contextmanager
@@ -196,7 +213,7 @@ def _done(ended: Ended[Wanted, Done]) -> Done:
         return replace(ended.result, wanted=ended.job)
     one, reason = ended.job, ended.reason or "no answer"
     status = Status.INTERRUPTED if ended.interrupted else Status.LOST
-    Store(Path(one.root)).keep_reason(one.identity, reason, ended.detail)
+    Store(Path(one.root)).keep_reason(one.identity, reason, ended.detail, str(status))
     who = f"{one.identity.problem} {one.identity.optimizer} seed {one.identity.seed}"
     return Done(one, status, f"{who}: {status}: {reason}", reason=reason)
 

@@ -39,8 +39,7 @@ def run_sweep(
     asked = [argument for argument in arguments if not _ours(argument, ("fresh", "sweep"))]
     if config.hydra.launcher._target_ == BASIC or settings.dry_run:
         how = {"fresh": config.fresh, "overrides": asked, "tracking": config.tracking}
-        finished.extend(sweep(runs, settings, **how))
-        return finished
+        return sweep(runs, settings, ended=finished, **how)
     launcher = Plugins.instance().instantiate_launcher(
         hydra_context=context, task_function=task, config=config
     )

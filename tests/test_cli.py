@@ -17,6 +17,7 @@ from experiments import figures
 from experiments import identify as identifying
 from experiments.build import build
 from experiments.cli import command
+from experiments.faults.isolation import MODEL
 from miho import load_runs
 
 ROOT = Path(__file__).parent.parent
@@ -109,7 +110,7 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "no evaluation": (["budget.evaluations=0"], "budget.evaluations is 0"),
     "negative seed": (["seed=-1"], "seed: is -1"),
     "a foreign target": (["model._target_=os.system"], "model._target_: 'os.system' is not"),
-    "a target behind ours": (["model._target_=miho.study.store.os.system"], "is not a class or"),
+    "a target behind ours": (["model._target_=miho.study.files.os.system"], "is not a class or"),
     "a target of another kind": (["model._target_=miho.optim.MIHO"], "that gives a Model"),
     "a target that Hydra would run": (
         ["+hydra.callbacks.x={_target_: os.getcwd}"],
@@ -227,20 +228,21 @@ def test_compare_writes_figure_tables_and_provenance(compare: Command, tmp_path:
 
 
 @pytest.mark.slow
-def test_a_failed_method_leaves_the_comparison_undrawn(
+def test_a_run_that_is_killed_leaves_the_others_and_the_comparison_undrawn(
     compare: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(*_: object) -> None:
-        raise RuntimeError("a bug in the method")
-
-    monkeypatch.setattr("miho.optim.random_search.RandomSearch.tell", broken)
+    """The model kills its process at its 200th call, which only small batches come to."""
+    model = tmp_path / "fatal.py"
+    model.write_text(MODEL.format(how="kill"), encoding="utf-8")
     monkeypatch.setattr(comparing, "failed", [])
-    small = ["experiment=compare", "comparison.repetitions=1", "budget.seconds=0.05"]
-    code, out, err = compare(*small, "dataset.n=100")
+    methods = "+comparison.methods.random={batch: 1}", "+comparison.methods.pso_100={}"
+    small = ["comparison.repetitions=1", "budget.evaluations=2000", "budget.seconds=null"]
+    own = ["model=function", f"model.path={model}", "dataset.n=40"]
+    code, out, err = compare(*methods, *small, *own)
     assert code == 3
-    assert "random seed 0: failed: RuntimeError: a bug in the method" in out
+    assert "random seed 0: lost: killed by SIGKILL" in out
     assert err.splitlines()[-1].startswith("1 runs are missing")
-    assert len(load_runs(tmp_path / "runs").runs) == 7
+    assert load_runs(tmp_path / "runs").runs["optimizer"].tolist() == ["pso_100"]
     assert not (tmp_path / "runs" / "figures").exists()
 
 
@@ -308,6 +310,7 @@ def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
         out, err = process.communicate(timeout=100)
         assert process.returncode == 130, err
         assert "interrupted" in out
+        assert not sweep or out.splitlines()[-1] == "2 runs: 1 interrupted, 1 to do"
         assert "Traceback" not in err
         (partial,) = root.rglob("partial.json")
         assert load_runs(root).runs.empty
@@ -315,6 +318,22 @@ def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
         if curve:
             break
     assert curve["loss"]
+
+
+@pytest.mark.slow
+def test_sigterm_stops_what_the_shell_made_deaf_to_ctrl_c() -> None:
+    """As `command &` in a script is: the shell ignores SIGINT for it."""
+    program = (
+        "import signal, time; from experiments.cli import guarded;"
+        "signal.signal(signal.SIGINT, signal.SIG_IGN);"
+        "guarded(lambda: (print('ready', flush=True), time.sleep(60)))"
+    )
+    command = [sys.executable, "-c", program]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=20) == 128 + signal.SIGTERM
 
 
 @pytest.mark.slow

@@ -33,6 +33,9 @@ def test_the_wheel_contains_only_miho(wheel: Path) -> None:
     assert {top for top in tops if not top.endswith(".dist-info")} == {"miho"}
     assert "miho/py.typed" in names
     assert {f"miho/data/tires/{tire}.tir" for tire in ("lf", "rf", "lr", "rr")} <= set(names)
+    pages = {path.relative_to(ROOT).as_posix() for path in (ROOT / "miho/analysis/web").iterdir()}
+    assert pages
+    assert pages <= set(names)
 
 
 @pytest.mark.slow

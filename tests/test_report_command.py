@@ -37,6 +37,24 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+def test_a_report_writes_through_no_link_that_was_left_there(tmp_path: Path) -> None:
+    stored = stored_run(tmp_path / "runs", *TIRE)
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (outside / "private.png").write_text("mine")
+    problem = rebuild(stored)
+    folder = report.report_folder(stored)
+    folder.mkdir(parents=True)
+    (folder / "fit.png").symlink_to(outside / "private.png")
+    report.write(report.reported(problem, stored), stored, folder)
+    assert (outside / "private.png").read_text() == "mine"
+    assert (folder / "fit.png").read_bytes().startswith(b"\x89PNG")
+    folder.rename(tmp_path / "moved")
+    folder.symlink_to(outside)
+    with pytest.raises(PermissionError, match="leads out of the folder of results"):
+        report.report_folder(stored)
+
+
 def called(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
     monkeypatch.setattr(sys, "argv", ["report", *map(str, arguments)])
     report.main()

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from omegaconf import DictConfig
@@ -14,8 +15,10 @@ from experiments.schema import SweepConfig, register
 from experiments.sweep import Done, Wanted, found, sweep, wanted
 from experiments.sweep_command import groups, sweep_settings
 from miho import load_runs
-from miho.study import Status, Store
+from miho.optim import Budget, RandomSearch, minimize
+from miho.study import Status, Store, execute
 from miho.study.changes import ResumeRefused, refuse_changes
+from miho.testing import DecayFit
 
 TINY = ("optimizer=random", "optimizer.batch=5", "budget.evaluations=20")
 register()
@@ -84,6 +87,38 @@ def test_the_words_of_a_sweep_must_mean_the_same(tmp_path: Path) -> None:
     assert len(list((tmp_path / ".superseded").rglob("result.json"))) == 1
 
 
+def test_a_manifest_repeats_no_part_of_a_configuration(tmp_path: Path) -> None:
+    (one,) = runs_of(tmp_path, seeds=1)
+
+    def sized(batch: int) -> dict[str, Any]:
+        config = one.identity.config
+        return {**config, "optimizer": {**config["optimizer"], "batch": batch}}
+
+    batches, seeds = range(1, 21), range(50)
+    runs = {
+        f"batch={batch} seed={seed}": replace(one.identity, config=sized(batch), seed=seed)
+        for batch in batches
+        for seed in seeds
+    }
+    manifest.write_manifest(tmp_path, [], runs)
+    (path,) = (tmp_path / manifest.MANIFESTS).iterdir()
+    once = len(json.dumps(dict(one.identity.config)))
+    assert path.stat().st_size < 2 * once + 150 * len(runs)
+    about = json.loads(path.read_text())
+    assert len(about["configs"]) == len(batches)
+    execute(
+        Store(tmp_path),
+        runs["batch=3 seed=4"],
+        lambda: minimize(RandomSearch(), DecayFit(), Budget(evaluations=5), 4),
+        DecayFit.space,
+        {},
+    )
+    manifest.refuse_other_settings(tmp_path, [], runs, fresh=False)
+    other = {asked: replace(run, config=sized(99)) for asked, run in runs.items()}
+    with pytest.raises(ResumeRefused, match=r"other settings of optimizer\.batch \(1 runs\)"):
+        manifest.refuse_other_settings(tmp_path, [], other, fresh=False)
+
+
 @pytest.mark.parametrize("text", ["", "[]", '{"runs": 3}', '{"runs": {"a": {"place": [1]}}}'])
 def test_a_damaged_manifest_is_none(tmp_path: Path, text: str) -> None:
     manifest.write_manifest(tmp_path, [], {})
@@ -100,7 +135,8 @@ def test_a_manifest_cannot_move_what_is_outside(tmp_path: Path) -> None:
     manifest.write_manifest(root, [], {"seed 0": identity})
     (path,) = (root / manifest.MANIFESTS).iterdir()
     about = json.loads(path.read_text())
-    about["runs"]["seed 0"] = {"place": ["..", "x", "y"], "config": {}}
+    about["runs"]["seed 0"] = {"place": ["..", "x", "y"], "config": 1}
+    about["configs"].append({})
     path.write_text(json.dumps(about))
     with pytest.raises(PermissionError):
         manifest.refuse_other_settings(root, [], {"seed 0": identity}, fresh=True)

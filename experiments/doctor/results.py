@@ -13,7 +13,7 @@ from filelock import FileLock, Timeout
 
 from experiments.doctor.check import Check, State
 from miho.study import load_runs
-from miho.study.store import PARTIAL, RESULT
+from miho.study.files import PARTIAL, RESULT
 
 QUARANTINE = ".quarantine"
 TEMPORARY = re.compile(r"\..+\.(\d+)")

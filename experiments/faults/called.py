@@ -1,8 +1,11 @@
 """Commands as a user types them, each in a process of its own that starts in milliseconds.
 
+It is forked from one that has imported what the commands need: from this one (`begun`), or from a
+fresh interpreter in other surroundings (`called`), which is
+
     python -m experiments.faults.called < calls.json
 
-imports what the commands need once and forks for each call.
+The workers of sweeps come from one server of this process, where each command has its own.
 """
 
 from __future__ import annotations
@@ -12,27 +15,35 @@ import datetime
 import json
 import os
 import runpy
+import signal
 import subprocess
 import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
+from functools import cache, partial
+from multiprocessing import forkserver, get_context, util
 from pathlib import Path
+from typing import IO
 from unittest import mock
 
-import experiments.run  # noqa: F401 -- the forks find it imported
+from experiments.cli import composed
+from experiments.faults.identifying import CHECKOUT
+from experiments.schema import register
+from experiments.sweep import wanted
 
-CHECKOUT = Path(__file__).parent.parent.parent
-DEADLINE = 100.0
+DEADLINE = 140.0
 
 
 @dataclass(frozen=True)
 class Call:
     """A command and what is wrong with its surroundings.
 
-    A `plain` user may write only where permissions say so, even one that is root. `now` is what
-    the clock says in seconds since 1970, `fsync` the error number with which each fsync fails.
+    `files` are written just before, by their paths. A `plain` user may write only where
+    permissions say so, even one that is root. `now` is what the clock says in seconds since 1970,
+    `fsync` the error number with which each fsync fails.
     """
 
     arguments: list[str]
@@ -41,6 +52,7 @@ class Call:
     plain: bool = False
     now: float | None = None
     fsync: int | None = None
+    files: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -58,12 +70,75 @@ class Ended:
         return "\n".join(lines)
 
 
-def called(calls: Iterable[Call], environment: Mapping[str, str] | None = None) -> list[Ended]:
+@dataclass(frozen=True)
+class Begun:
+    """A command in progress, and what it prints."""
+
+    pid: int
+    out: IO[bytes]
+    err: IO[bytes]
+
+    def end(self) -> Ended:
+        """Wait for its end; how it was."""
+        code = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+        texts = []
+        for stream in (self.out, self.err):
+            stream.seek(0)
+            texts.append(stream.read().decode("utf-8", "backslashreplace"))
+            stream.close()
+        return Ended(code, *texts)
+
+
+def begun(call: Call) -> Begun:
+    """Start the command in a session of its own, forked from this process."""
+    if "-m" in call.arguments:
+        serve_workers()
+    for path, text in call.files.items():
+        Path(path).write_text(text, encoding="utf-8")
+    return forked(partial(_command, call))
+
+
+def forked(job: Callable[[], object]) -> Begun:
+    """Start `job` in a session of its own, forked from this process; what it exits with counts."""
+    streams = tempfile.TemporaryFile(), tempfile.TemporaryFile()  # noqa: SIM115 -- see end
+    pid = os.fork()
+    if not pid:
+        for stream, descriptor in zip(streams, (1, 2), strict=True):
+            os.dup2(stream.fileno(), descriptor)
+        _become(job)
+    return Begun(pid, *streams)
+
+
+def identified(*arguments: str) -> Ended:
+    """How `python -m experiments.identify` with these arguments ended, forked from this process."""
+    return begun(Call(list(arguments))).end()
+
+
+@cache
+def prepare() -> None:
+    """Serve workers, and find here what forks would find each: the digest of the code above all."""
+    serve_workers()
+    register()
+    wanted(composed([]), "", [0])
+
+
+@cache
+def serve_workers() -> None:
+    """Start the server of workers, which the forks of this process share."""
+    get_context("forkserver").set_forkserver_preload(["miho.study.workers", "experiments.sweep"])
+    forkserver.ensure_running()
+
+
+def called(
+    calls: Iterable[Call],
+    environment: Mapping[str, str] | None = None,
+    checkout: Path = CHECKOUT,
+) -> list[Ended]:
     """Run the commands one after the other, in this `environment` if it is given."""
     given = json.dumps([asdict(call) for call in calls])
     told = subprocess.run(
         [sys.executable, "-m", "experiments.faults.called"],
-        input=given, capture_output=True, encoding="utf-8", check=False, cwd=CHECKOUT,
+        input=given, capture_output=True, encoding="utf-8", check=False, cwd=checkout,
         env=environment, timeout=DEADLINE,
     )  # fmt: skip
     if told.returncode:
@@ -71,41 +146,36 @@ def called(calls: Iterable[Call], environment: Mapping[str, str] | None = None) 
     return [Ended(**ended) for ended in json.loads(told.stdout)]
 
 
-def _forked(call: Call) -> Ended:
-    pipes = [os.pipe() for _ in range(2)]
-    child = os.fork()
-    if not child:
-        for (_, write), descriptor in zip(pipes, (1, 2), strict=True):
-            os.dup2(write, descriptor)
-        _become(call)
-    for _, write in pipes:
-        os.close(write)
-    texts = []
-    for read, _ in pipes:  # what a command prints is far less than a pipe holds
-        with os.fdopen(read, encoding="utf-8", errors="backslashreplace") as stream:
-            texts.append(stream.read())
-    return Ended(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), *texts)
+def _command(call: Call) -> None:
+    os.environ.update(call.environment)
+    if call.fsync is not None:
+        mock.patch("os.fsync", _failing(call.fsync)).start()
+    if call.now is not None:
+        _set_clock(call.now)
+    if call.plain:
+        _drop_capabilities()
+    sys.argv = [call.command, *call.arguments]
+    sys.modules.pop(call.command, None)
+    runpy.run_module(call.command, run_name="__main__")
 
 
-def _become(call: Call) -> None:
-    """Turn this process into the command; does not return."""
+def _become(job: Callable[[], object]) -> None:
+    """Let this process do the job and end; does not return."""
     code = 1
     try:
-        os.environ.update(call.environment)
-        if call.fsync is not None:
-            mock.patch("os.fsync", _failing(call.fsync)).start()
-        if call.now is not None:
-            _set_clock(call.now)
-        if call.plain:
-            _drop_capabilities()
-        sys.argv = [call.command, *call.arguments]
-        sys.modules.pop(call.command, None)
-        runpy.run_module(call.command, run_name="__main__")
+        os.setsid()
+        sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if serve_workers.cache_info().currsize:  # which our parent alone may wait for
+            mock.patch.object(forkserver._forkserver, "ensure_running").start()
+        job()
+        code = 0
     except SystemExit as end:
         code = end.code if isinstance(end.code, int) else int(end.code is not None)
     except BaseException:  # noqa: BLE001 -- shown as a command shows it
         traceback.print_exc()
     finally:
+        util._exit_function()  # type: ignore[attr-defined]  # as every process of multiprocessing ends
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(code)
@@ -142,4 +212,4 @@ def _set_clock(now: float) -> None:
 
 
 if __name__ == "__main__":
-    print(json.dumps([asdict(_forked(Call(**call))) for call in json.load(sys.stdin)]))
+    print(json.dumps([asdict(begun(Call(**call)).end()) for call in json.load(sys.stdin)]))

@@ -6,7 +6,8 @@ import re
 import shutil
 from pathlib import Path
 
-from experiments.faults.identifying import CHECKOUT, TINY, identified
+from experiments.faults.called import Call, called
+from experiments.faults.identifying import CHECKOUT, TINY
 from experiments.faults.row import Row
 from miho.study import load_runs
 
@@ -20,35 +21,32 @@ def changes(folder: Path) -> Row:
     for part in PARTS:
         ignored = shutil.ignore_patterns("__pycache__")
         shutil.copytree(CHECKOUT / part, checkout / part, ignore=ignored)
-    data.write_text(CSV, encoding="utf-8")
-    root = folder / "runs"
-    sweep = (
-        "-m", *TINY, "seed=0,1", f"root={root}", "dataset=csv", f"dataset.path={data}",
-    )  # fmt: skip
     method = checkout / "miho/optim/random_search.py"
     settings = checkout / "conf/optimizer/random.yaml"
-
-    def call(*more: str) -> tuple[int, str]:
-        code, _, err = identified(*sweep, *more, checkout=checkout)
-        return code, err.strip().rpartition("\n")[2]
-
-    found = {"first": call()[0]}
-    method.write_text(method.read_text() + "\n# a comment\n", encoding="utf-8")
-    found["comment"] = call()[0]
-    method.write_text(method.read_text() + "\nCHANGED = True\n", encoding="utf-8")
-    found["code"], code_told = call()
-    found["fresh"] = call("fresh=true")[0]
+    commented = method.read_text(encoding="utf-8") + "\n# a comment\n"
     edited = re.sub(r"(?m)^batch: .*$", "batch: 7", settings.read_text(encoding="utf-8"))
-    settings.write_text(edited, encoding="utf-8")
-    found["settings"], settings_told = call()
-    data.write_text(CSV + "0.31,-620\n", encoding="utf-8")
-    found["data"], _ = call("fresh=true")
-    expected = {"first": 0, "comment": 0, "code": 5, "fresh": 0, "settings": 5, "data": 0}
-    named = " code " in code_told and "optimizer.batch" in settings_told
+    root = folder / "runs"
+    sweep = [
+        "-m", *TINY[:2], "seed=0,1", f"root={root}", "dataset=csv", f"dataset.path={data}",
+    ]  # fmt: skip
+    fresh = [*sweep, "fresh=true"]
+    steps = {
+        # step: (exit code, call)
+        "first": (0, Call(sweep, files={str(data): CSV})),
+        "comment": (0, Call(sweep, files={str(method): commented})),
+        "code": (5, Call(sweep, files={str(method): f"{commented}\nCHANGED = True\n"})),
+        "fresh": (0, Call(fresh)),
+        "settings": (5, Call(sweep, files={str(settings): edited})),
+        "data": (0, Call(fresh, files={str(data): CSV + "0.31,-620\n"})),
+    }
+    ended = dict(zip(steps, called([c for _, c in steps.values()], checkout=checkout), strict=True))
+    found = {step: one.code for step, one in ended.items()}
+    told = {step: one.err.strip().rpartition("\n")[2] for step, one in ended.items()}
+    named = " code " in told["code"] and "optimizer.batch" in told["settings"]
     runs = load_runs(root).runs
     return Row(
         "R17", "code, settings or data change before a sweep goes on",
         "exit 5 says what changed, fresh=true starts anew, comments count for nothing",
         f"exits {found}; changes named: {named}; {len(runs)} rows for 2 runs",
-        found == expected and named and len(runs) == 2,
+        found == {step: code for step, (code, _) in steps.items()} and named and len(runs) == 2,
     )  # fmt: skip

@@ -11,7 +11,7 @@ from experiments.faults.made_runs import make_runs
 from experiments.faults.row import Row
 from miho.study import Runs, load_runs
 from miho.study.compaction import FOLDER, NAME, compact, compacted
-from miho.study.store import CONFIG, CURVE, ENVIRONMENT, RESULT
+from miho.study.files import CONFIG, CURVE, ENVIRONMENT, RESULT
 
 TIMES = 300
 WHOLE = 10

@@ -8,41 +8,25 @@ import sys
 from pathlib import Path
 
 CHECKOUT = Path(__file__).parent.parent.parent
-TINY = ("optimizer=random", "budget.evaluations=200")
-"""A method and a budget that take a millisecond."""
+TINY = ("optimizer=random", "budget.evaluations=200", "dataset.n=40")
+"""A method, a budget and data that take a millisecond."""
 
 
-def started(
-    *arguments: str, checkout: Path = CHECKOUT, out: int = subprocess.PIPE
-) -> subprocess.Popen[str]:
-    """`python -m experiments.identify` with these arguments, in a session of its own."""
+def started(*arguments: str) -> subprocess.Popen[bytes]:
+    """`python -m experiments.identify` in a session of its own, from a fresh interpreter."""
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     return subprocess.Popen(
         [sys.executable, "-m", "experiments.identify", *arguments],
-        cwd=checkout,
+        cwd=CHECKOUT,
         env=environment,
-        stdout=out,
-        stderr=out,
-        text=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
         start_new_session=True,
     )
 
 
-def identified(
-    *arguments: str, checkout: Path = CHECKOUT, seconds: float = 120
-) -> tuple[int, str, str]:
-    """Exit code, standard output and standard error of that command."""
-    process = started(*arguments, checkout=checkout)
-    try:
-        out, err = process.communicate(timeout=seconds)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        out, err = process.communicate()
-    return process.returncode, out, err
-
-
 def descendants(pid: int) -> list[int]:
-    """Processes that stem from this one, by what /proc says."""
+    """Processes that stem from this one and have not ended, by what /proc says."""
     parents: dict[int, int] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         try:
@@ -56,4 +40,17 @@ def descendants(pid: int) -> list[int]:
         children = [child for child, parent in parents.items() if parent == open_ones[0]]
         found += children
         open_ones = [*open_ones[1:], *children]
+    return found
+
+
+def alive(pids: list[int]) -> list[int]:
+    """Those that have not ended."""
+    found = []
+    for pid in pids:
+        try:
+            stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")
+        except OSError:
+            continue
+        if stat.rpartition(")")[2].split()[0] != "Z":
+            found.append(pid)
     return found

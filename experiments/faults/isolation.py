@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from experiments.faults.identifying import identified
+from experiments.faults.called import identified, prepare
 from experiments.faults.row import Row
 
 BAD = ("leave", "exit", "kill", "memory", "hang")
@@ -28,18 +28,23 @@ def line(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N") -> "N"
 
 def isolation(folder: Path) -> Row:
     """Twenty runs of models in files, five of which go wrong, two at a time."""
+    prepare()
     paths = []
     for how in (*BAD, "raise", *(f"good{k}" for k in range(GOOD - 1))):
         path = folder / f"{how}.py"
         path.write_text(MODEL.format(how=how), encoding="utf-8")
         paths.append(str(path))
-    code, out, err = identified(
-        "-m", "model=function", f"model.path={','.join(paths)}", "optimizer=random",
+    ended = identified(
+        "-m", "model=function", f"model.path={','.join(paths)}", "dataset.n=40", "optimizer=random",
         "optimizer.batch=1", "budget.evaluations=500", f"root={folder / 'runs'}",
-        "sweep.processes=2", "sweep.time_limit=2",
+        "sweep.processes=2", "sweep.time_limit=5",
     )  # fmt: skip
     done = len(list((folder / "runs").glob("*/*/*/result.json")))
-    told = [line for line in (out + err).splitlines() if line.startswith(("failed:", "lost:"))]
+    told = [
+        line
+        for line in (ended.out + ended.err).splitlines()
+        if line.startswith(("failed:", "lost:"))
+    ]
     named = sum(any(f"{how}.py" in line for line in told) for how in BAD)
     results = [json.loads(p.read_text()) for p in (folder / "runs").glob("*/*/*/result.json")]
     rejected = sorted(sum(result["rejected"].values()) for result in results)
@@ -47,8 +52,8 @@ def isolation(folder: Path) -> Row:
     traces = sum("Traceback" in str(partial["error"]) for partial in kept)
     return Row(
         "R3", "5 of 20 runs go wrong, one raises", "the other 15 finish, exit 3, a line for each",
-        f"{done} of {GOOD} finished, exit {code}, {named} of {len(BAD)} named in {len(told)} "
+        f"{done} of {GOOD} finished, exit {ended.code}, {named} of {len(BAD)} named in {len(told)} "
         f"lines, {traces} tracebacks kept; the one that raises: {rejected[-1:]} values rejected",
-        (done, code, named, len(told)) == (GOOD, 3, len(BAD), len(BAD))
+        (done, ended.code, named, len(told)) == (GOOD, 3, len(BAD), len(BAD))
         and traces == 2 and rejected[:-1] == [0] * (GOOD - 1) and rejected[-1] > 0,
     )  # fmt: skip

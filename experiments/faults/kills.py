@@ -14,13 +14,14 @@ from experiments.faults.trivial import begun, do, forked
 from miho.study import load_runs
 
 KILLS, RUNS = 200, 50
+FIRST, LIVES = 5, 6
+"""So many runs are timed before; a sweep lives for a random time, at most that of so many runs."""
 
 
 def kills(folder: Path) -> Row:
-    """Kill a sweep of 50 runs 200 times; whenever it is done, begin another."""
-    chance = random.Random(1)
-    do(folder / "warm", 0, folder / "warm log")  # a child starts with what this has loaded
-    killed = sweeps = lost = repeated = unreadable = 0
+    """Kill a sweep of 50 runs 200 times; begin another whenever it is done, finish the last."""
+    chance, longest = random.Random(1), LIVES * _seconds_of_a_run(folder)
+    killed = sweeps = finished = lost = repeated = unreadable = 0
     while killed < KILLS:
         root, log = folder / f"runs{sweeps}", folder / f"log{sweeps}"
         seen: dict[Path, bytes] = {}
@@ -28,25 +29,36 @@ def kills(folder: Path) -> Row:
         while len(seen) < RUNS:
             before, done = begun(log), {_seed(data) for data in seen.values()}
             child = forked(_sweep, root, log)
-            time.sleep(chance.uniform(0.001, 0.15))
-            os.kill(child, signal.SIGKILL)
+            if killed < KILLS:
+                time.sleep(chance.uniform(0.001, longest))
+                os.kill(child, signal.SIGKILL)
+                killed += 1
             os.waitpid(child, 0)
-            killed += 1
             now = {path: path.read_bytes() for path in root.glob("*/*/*/result.json")}
             lost += sum(now.get(path) != data for path, data in seen.items())
             repeated += sum((begun(log) - before)[seed] for seed in done)
+            finished += len(now) - len(seen) if killed < KILLS else 0
             seen = now
-        unreadable += len(load_runs(root).damaged) if root.is_dir() else 0
+        unreadable += len(load_runs(root).damaged)
         lost += RUNS - len(load_runs(root).runs)
-    measured = f"{killed} kills: {lost} lost, {repeated} repeated, {unreadable} unreadable"
     return Row(
         "R1", "SIGKILL of a sweep, rerun", "0 runs lost, 0 repeated, 0 unreadable files",
-        measured, lost == repeated == unreadable == 0,
+        f"{killed} kills, {finished} runs finished between them: {lost} lost, {repeated} repeated, "
+        f"{unreadable} unreadable",
+        lost == repeated == unreadable == 0 and finished >= RUNS,
     )  # fmt: skip
 
 
-def _sweep(root: Path, log: Path) -> None:
-    for seed in range(RUNS):
+def _seconds_of_a_run(folder: Path) -> float:
+    """In a child, which starts with all that this process has loaded by then."""
+    do(folder / "first", 0, folder / "first log")
+    began = time.perf_counter()
+    os.waitpid(forked(_sweep, folder / "timed", folder / "timed log", FIRST), 0)
+    return (time.perf_counter() - began) / FIRST
+
+
+def _sweep(root: Path, log: Path, runs: int = RUNS) -> None:
+    for seed in range(runs):
         do(root, seed, log, seconds=0.002)
 
 

@@ -10,8 +10,8 @@ import numpy as np
 
 from miho.optim import Outcome, Parameter, RunRecord, Space, Trace
 from miho.study import Identity, Store, StoredRun, environment_stamp
+from miho.study.files import CONFIG, CURVE, ENVIRONMENT, RESULT
 from miho.study.identity import canonical, sha256
-from miho.study.store import CONFIG, CURVE, ENVIRONMENT, RESULT
 
 POINTS = 50
 NAMES = ("B", "C", "D", "Sx", "Sy")

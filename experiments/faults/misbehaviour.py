@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -18,6 +19,9 @@ def misbehave(how: str) -> str:
         os.kill(os.getpid(), signal.SIGKILL)
     if how == "hang":
         time.sleep(1000)
+    while how == "deaf":
+        with contextlib.suppress(KeyboardInterrupt):
+            time.sleep(1000)
     if how == "raise":
         raise ValueError("no\n  good")
     if how == "memory":

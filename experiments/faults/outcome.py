@@ -1,30 +1,38 @@
-"""What became of a row, run on its own: in a process of its own, within a time limit."""
+"""What became of rows, each run in a process of its own, within a time limit."""
 
 from __future__ import annotations
 
+import contextlib
 import multiprocessing
 import os
 import signal
 import tempfile
 import time
 import traceback
-from dataclasses import dataclass
-from multiprocessing.connection import Connection
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from multiprocessing import connection
 from pathlib import Path
+from typing import Any
 
+from experiments.faults.identifying import descendants
 from experiments.faults.registry import Entry
 from experiments.faults.row import Row
 
-LIMIT_SECONDS = 90.0
+LIMIT_SECONDS = 240.0
 STOP_SECONDS = 5.0
 NOT_JUDGED = "not judged"
 MET, MISSED, MISSING, BROKEN = "met", "MISSED", "missing", "BROKEN"
+PRELOADED = ("experiments.faults.outcome", "experiments.faults.called")
+"""What the server of the rows' processes imports once, so that no row has to."""
 
 
 @dataclass(frozen=True)
 class Outcome:
     """A row, how it ended and what it took; `verdict` is met, MISSED, not judged or why not."""
 
+    entry: Entry
     row: Row
     verdict: str
     seconds: float
@@ -35,59 +43,118 @@ class Outcome:
         return self.verdict in (MET, NOT_JUDGED)
 
 
-def run_row(entry: Entry, limit: float = LIMIT_SECONDS) -> Outcome:
-    """Do one row in a fresh folder; it and all it started end with it or at the time limit."""
-    if not entry.exists:
-        return Outcome(_empty(entry, f"no {entry.name}.py here"), MISSING, 0.0)
-    started = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix=f"{entry.name}-", ignore_cleanup_errors=True) as folder:
-        spawn = multiprocessing.get_context("spawn")
-        ours, theirs = spawn.Pipe(duplex=False)
-        process = spawn.Process(target=_work, args=(entry, Path(folder), theirs))
-        process.start()
+@dataclass
+class _Running:
+    """A row in progress: its process, which leads a group, and where it will say what it found."""
+
+    entry: Entry
+    limit: float
+    folder: tempfile.TemporaryDirectory[str] = field(init=False)
+    pipe: connection.Connection = field(init=False)
+    process: Any = field(init=False)
+    started: float = field(default_factory=time.perf_counter)
+
+    def __post_init__(self) -> None:
+        self.folder = tempfile.TemporaryDirectory(
+            prefix=f"{self.entry.name}-", ignore_cleanup_errors=True
+        )
+        context = _context()
+        self.pipe, theirs = context.Pipe(duplex=False)
+        given = self.entry, Path(self.folder.name), theirs
+        self.process = context.Process(target=_work, args=given)
+        self.process.start()
         theirs.close()
-        try:
-            found = _received(ours, limit, process.pid)
-        finally:
-            _end(process.pid)
-            process.kill()
-            process.join(STOP_SECONDS)
-    seconds = time.perf_counter() - started
-    if isinstance(found, str):
-        return Outcome(_empty(entry, found), BROKEN, seconds)
-    if found.measured.startswith(NOT_JUDGED):
-        return Outcome(found, NOT_JUDGED, seconds)
-    return Outcome(found, MET if found.met else MISSED, seconds)
+
+    @property
+    def left(self) -> float:
+        """Seconds until its time limit."""
+        return max(0.0, self.started + self.limit - time.perf_counter())
+
+    def outcome(self) -> Outcome | None:
+        """What became of it, if it has ended or is out of time."""
+        found: Row | str
+        if self.pipe.poll():
+            try:
+                found = self.pipe.recv()
+            except EOFError:
+                found = f"its process {self.process.pid} ended without a word"
+        elif self.left > 0:
+            return None
+        else:
+            found = f"stopped after {self.limit:g} s"
+        return _judged(self.entry, found, time.perf_counter() - self.started)
+
+    def end(self, grace: float = 0.0) -> None:
+        """End it, if it does not in some seconds, and all it started, and remove its folder."""
+        family = descendants(self.process.pid)
+        self.process.join(grace)
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.kill()
+        for pid in family:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        self.process.join(STOP_SECONDS)
+        self.pipe.close()
+        self.folder.cleanup()
 
 
-def _received(ours: Connection, limit: float, process: int | None) -> Row | str:
-    """The row, or in words why there is none."""
-    if not ours.poll(limit):
-        return f"stopped after {limit:g} s"
+def run_rows(
+    entries: Iterable[Entry], at_once: int = 1, limit: float = LIMIT_SECONDS
+) -> Iterator[Outcome]:
+    """Do rows in fresh folders, `at_once` at a time; those that judge seconds last, one by one.
+
+    A row and all it started end with it, at `limit` seconds, or with the iteration. Outcomes come
+    as rows end.
+    """
+    waiting = deque(sorted(entries, key=lambda entry: entry.timed))
+    running: list[_Running] = []
     try:
-        found: Row | str = ours.recv()
-    except EOFError:
-        return f"its process {process} ended without a word"
-    return found
+        while waiting or running:
+            while waiting and len(running) < (1 if waiting[0].timed else at_once):
+                entry = waiting.popleft()
+                if entry.exists:
+                    running.append(_Running(entry, limit))
+                else:
+                    yield Outcome(entry, _empty(entry, f"no {entry.name}.py here"), MISSING, 0.0)
+            if not running:
+                continue
+            connection.wait([one.pipe for one in running], min(one.left for one in running))
+            for one in list(running):
+                outcome = one.outcome()
+                if outcome is not None:
+                    running.remove(one)
+                    one.end(0.0 if outcome.verdict == BROKEN else STOP_SECONDS)
+                    yield outcome
+    finally:
+        for one in running:
+            one.end()
 
 
-def _work(entry: Entry, folder: Path, theirs: Connection) -> None:
+def _judged(entry: Entry, found: Row | str, seconds: float) -> Outcome:
+    if isinstance(found, str):
+        return Outcome(entry, _empty(entry, found), BROKEN, seconds)
+    if found.measured.startswith(NOT_JUDGED):
+        return Outcome(entry, found, NOT_JUDGED, seconds)
+    return Outcome(entry, found, MET if found.met else MISSED, seconds)
+
+
+def _context() -> Any:
+    """Processes are forked from a server that imported everything once, where the system can."""
+    if "forkserver" not in multiprocessing.get_all_start_methods():
+        return multiprocessing.get_context("spawn")
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(PRELOADED))
+    return context
+
+
+def _work(entry: Entry, folder: Path, theirs: connection.Connection) -> None:
     """In the process of the row: lead a group of its own, so that all of it can be ended."""
     os.setsid()
     try:
         theirs.send(entry.load()(folder))
     except BaseException:  # noqa: BLE001 -- whatever ends it is what it has to tell
         theirs.send(traceback.format_exc().strip().splitlines()[-1])
-
-
-def _end(process: int | None) -> None:
-    """End the group that this process leads, if it has come so far as to lead one."""
-    if process is None:
-        return
-    try:
-        os.killpg(process, signal.SIGKILL)
-    except ProcessLookupError:
-        return
 
 
 def _empty(entry: Entry, told: str) -> Row:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 import time
 from pathlib import Path
 
@@ -17,14 +16,13 @@ def overhead(folder: Path) -> Row:
     root = folder / "runs"
     process = started(
         "-m", "optimizer=random", "optimizer.batch=1", "budget.evaluations=1",
-        f"seed=range({RUNS})", f"root={root}", out=subprocess.DEVNULL,
+        f"seed=range({RUNS})", f"root={root}",
     )  # fmt: skip
     sizes: dict[int, list[int]] = {}
     while process.poll() is None:
         for pid in (process.pid, *descendants(process.pid)):
             sizes.setdefault(pid, []).append(_resident(pid))
         time.sleep(0.2)
-    process.communicate()
     times = sorted(path.stat().st_mtime for path in root.glob("*/*/*/result.json"))
     per_run = 1e3 * (times[-1] - times[0]) / (len(times) - 1) if len(times) > 1 else float("inf")
     grown = max(_growth([size for size in series if size]) for series in sizes.values())

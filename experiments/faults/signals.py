@@ -1,76 +1,169 @@
-"""R4: a sweep that is told to stop."""
+"""R4: sweeps that are told to stop."""
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import signal
-import subprocess
 import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from experiments.faults.identifying import descendants, identified, started
+from experiments.cli import composed, guarded
+from experiments.faults.called import forked, prepare
+from experiments.faults.identifying import alive, descendants, started
+from experiments.faults.isolation import MODEL
 from experiments.faults.row import Row
+from experiments.schema import SweepConfig
+from experiments.sweep import Wanted, sweep, wanted
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
-ROUNDS = 1
-SWEEP = ("-m", "optimizer=random", "seed=0,1,2", "budget.evaluations=null", "budget.seconds=60",
-         "sweep.processes=2")  # fmt: skip
+SENT, TRIES, SEEDS, LATEST = 20, 26, 6, 1.3
+"""Each signal goes to a sweep over some seeds of its own. It comes at a random time after the first
+run has begun, at most so many times what a first run takes, and can find the sweep at its end."""
+ALLOWED, AT_ONCE, SECOND = 5.0, 1.0, 0.3
+SWEEP = ["optimizer=random", "dataset.n=40", "budget.evaluations=null", "budget.seconds=0.2"]
+
+
+@dataclass(frozen=True)
+class Stopped:
+    """How long a sweep's processes lived after the last signal, how many did not end, the code."""
+
+    seconds: float
+    left: int
+    code: int
 
 
 def signals(folder: Path) -> Row:
-    """Signal sweeps at random times; then one twice, which must end at once."""
-    chance = random.Random(4)
-    slowest = orphans = wrong = kept = 0.0
-    for number in SIGNALS * ROUNDS:
-        root = folder / f"{number.name}{chance.random():.6f}"
-        taken, left, code = _stopped(root, number, chance.uniform(0, 1.5), twice=False)
-        slowest, orphans = max(slowest, taken), orphans + left
-        wrong += code != 128 + number
-        kept += len(list(root.glob("*/*/*/partial.json"))) == 2
-    twice, left, _ = _stopped(folder / "twice", signal.SIGINT, 0.5, twice=True)
-    again = identified(*SWEEP, f"root={folder / 'twice'}", "budget.seconds=0.2")[0]
-    sent = len(SIGNALS) * ROUNDS
+    """Signal sweeps at random times, then go on with all they left; then what ignores a signal.
+
+    A run that does not listen is killed with its process, after some seconds or at the second
+    signal. The last sweep is the command in an interpreter of its own, with all it starts.
+    """
+    root = folder / "runs"
+    prepare()
+    stopped, wrong, runs = _at_random_times(root)
+    before = {path: path.read_bytes() for path in root.glob("*/*/*/result.json")}
+    marked, curves, opened = _open_runs(root)
+    again = forked(partial(_sweep, runs)).end()
+    done = len(list(root.glob("*/*/*/result.json")))
+    kept = sum(path.read_bytes() == data for path, data in before.items())
+    once, twice = (_deaf(folder / str(count), [signal.SIGINT] * count) for count in (1, 2))
+    whole = _whole_command(folder / "whole")
+    slowest = max(one.seconds for one in (*stopped, once, whole))
+    left = sum(one.left for one in (*stopped, once, twice, whole))
+    wrong += sum(one.code != 130 for one in (once, twice, whole))
     return Row(
-        "R4", "SIGINT, SIGTERM, SIGUSR1 to a sweep",
-        "all processes gone in 5 s, partial curves kept, rerun resumes; a second one ends at once",
-        f"{sent} signals: gone in {slowest:.1f} s at most, {orphans + left:.0f} left, {kept:.0f} "
-        f"of {sent} kept both curves, {wrong:.0f} wrong exit codes; second: {twice:.1f} s; rerun "
-        f"exit {again}",
-        slowest <= 5 and not orphans + left and kept == sent and not wrong and twice <= 2
-        and again == 0,
+        "R4",
+        f"SIGINT, SIGTERM, SIGUSR1 to a sweep at {SENT} random times; runs that do not listen",
+        "all processes gone in 5 s, open runs marked, curves kept, rerun resumes; a second signal "
+        "ends at once",
+        f"{len(stopped)} signals: gone in {slowest:.1f} s at most, {left} left, {wrong} wrong exit "
+        f"codes; {marked} of {opened} open runs marked interrupted, {curves} with a curve; rerun "
+        f"exit {again.code}, {done} of {len(runs)} done, {kept} of {len(before)} untouched; "
+        f"second: {twice.seconds:.1f} s",
+        slowest <= ALLOWED and not left and not wrong and twice.seconds <= AT_ONCE
+        and len(stopped) == SENT <= opened == marked and 4 * curves >= SENT
+        and again.code == 0 and done == len(runs) and kept == len(before),
     )  # fmt: skip
 
 
-def _stopped(root: Path, number: int, wait: float, *, twice: bool) -> tuple[float, int, int]:
-    """Seconds until a sweep was gone, how many of its processes were left, and its exit code."""
-    process = started(*SWEEP, f"root={root}", out=subprocess.DEVNULL)
-    until = time.monotonic() + 60
-    while len(list(root.glob("*/*/*/lock"))) < 2 and time.monotonic() < until:
-        time.sleep(0.05)
-    time.sleep(wait)
-    family = descendants(process.pid)
-    os.kill(process.pid, number)
-    if twice:
-        time.sleep(0.05)
-        os.kill(process.pid, number)
+def _at_random_times(root: Path) -> tuple[list[Stopped], int, list[Wanted]]:
+    """The sweeps that a signal stopped, how many had a wrong exit code, and all that was wanted."""
+    chance = random.Random(4)
+    asked = wanted(composed([*SWEEP, f"root={root}"]), "", range((TRIES + 1) * SEEDS))
+    process = forked(partial(_sweep, asked[:SEEDS]))
+    _wait_for(root, "lock", 1)
     began = time.monotonic()
-    while _alive(family) and time.monotonic() < began + 20:
+    _wait_for(root, "result.json", 1)
+    latest = LATEST * (time.monotonic() - began)
+    process.end()
+    stopped: list[Stopped] = []
+    wrong, sweeps = 0, 1
+    while len(stopped) < SENT and sweeps <= TRIES:
+        job = partial(_sweep, asked[SEEDS * sweeps : SEEDS * (sweeps + 1)])
+        number = SIGNALS[sweeps % 3]
+        one = _stop(job, root, [number], chance.uniform(0, latest))
+        stopped += [one] * (one.code != 0)
+        wrong += one.code not in (0, 128 + number)
+        sweeps += 1
+    return stopped, wrong, asked[: SEEDS * sweeps]
+
+
+def _deaf(root: Path, numbers: list[signal.Signals]) -> Stopped:
+    """Signal a run that takes no notice."""
+    root.mkdir()
+    model = root / "deaf.py"
+    model.write_text(MODEL.format(how="deaf"), encoding="utf-8")
+    own = ["model=function", f"model.path={model}", "optimizer.batch=1", f"root={root}"]
+    return _stop(partial(_sweep, wanted(composed([*SWEEP, *own]), "", [0])), root, numbers, 1.0)
+
+
+def _sweep(runs: Sequence[Wanted]) -> None:
+    """What the command does once it is clear which runs are wanted."""
+    guarded(lambda: sweep(runs, SweepConfig(processes=2)))
+
+
+def _stop(
+    job: Callable[[], None], root: Path, numbers: list[signal.Signals], wait: float
+) -> Stopped:
+    """Signal a sweep `wait` seconds after it has begun its first run; then again, if told to."""
+    locks, serving = _count(root, "lock"), set(descendants(os.getpid()))
+    process = forked(job)
+    _wait_for(root, "lock", locks + 1)
+    time.sleep(wait)
+    family = [pid for pid in descendants(os.getpid()) if pid not in serving]
+    os.kill(process.pid, numbers[0])
+    for number in numbers[1:]:
+        time.sleep(SECOND)
+        os.kill(process.pid, number)
+    seconds, left = _outlived(family)
+    return Stopped(seconds, left, process.end().code)
+
+
+def _whole_command(root: Path) -> Stopped:
+    process = started("-m", *SWEEP, "sweep.processes=2", "seed=range(100)", f"root={root}")
+    _wait_for(root, "lock", 2)
+    family = [process.pid, *descendants(process.pid)]
+    os.kill(process.pid, signal.SIGINT)
+    seconds, left = _outlived(family)
+    return Stopped(seconds, left, process.wait())
+
+
+def _outlived(family: list[int]) -> tuple[float, int]:
+    """Seconds until all these have ended, and how many did not; those are killed."""
+    began = time.monotonic()
+    while (left := alive(family)) and time.monotonic() < began + 2 * ALLOWED:
         time.sleep(0.02)
-    process.communicate(timeout=20)
-    taken, left = time.monotonic() - began, _alive(family)
+    seconds = time.monotonic() - began
     for pid in left:
         os.kill(pid, signal.SIGKILL)
-    return taken, len(left), process.returncode
+    return seconds, len(left)
 
 
-def _alive(pids: list[int]) -> list[int]:
-    alive = []
-    for pid in pids:
-        try:
-            stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")
-        except OSError:
+def _open_runs(root: Path) -> tuple[int, int, int]:
+    """Of the runs that began and are not done: marked interrupted, with a curve, in all."""
+    marked = curves = opened = 0
+    for lock in root.glob("*/*/*/lock"):
+        if lock.with_name("result.json").exists():
             continue
-        if stat.rpartition(")")[2].split()[0] != "Z":
-            alive.append(pid)
-    return alive
+        opened += 1
+        path = lock.with_name("partial.json")
+        partial = json.loads(path.read_bytes()) if path.exists() else {}
+        marked += partial.get("outcome") == "interrupted"
+        curves += len((partial.get("curve") or {"loss": []})["loss"]) > 0
+    return marked, curves, opened
+
+
+def _count(root: Path, name: str) -> int:
+    return len(list(root.glob(f"*/*/*/{name}")))
+
+
+def _wait_for(root: Path, name: str, count: int) -> None:
+    """Until so many runs have a file of this name."""
+    until = time.monotonic() + 60
+    while _count(root, name) < count and time.monotonic() < until:
+        time.sleep(0.02)

@@ -30,7 +30,7 @@ TARGETS = [
     "webbrowser.open", "numpy.load", "pandas.read_pickle", "scipy.io.loadmat",
     "hydra.utils.instantiate", "hydra._internal.instantiate._instantiate2.instantiate",
     "omegaconf.OmegaConf.save", CANARY, f"{CANARY}.Pacejka", f"{CANARY}.inner.Pacejka",
-    "miho.study.store.os.system", "miho.models.function_model.Path.unlink",
+    "miho.study.files.os.system", "miho.models.function_model.Path.unlink",
     "miho.models.function_model.ast.literal_eval", "miho.models.Pacejka.__init__.__globals__",
     "baselines.dehb.os.system", "baselines.canary_of_targets.Pacejka", "miho.testing.pickle.loads",
     "baselines...os.system", "miho.models.\uff30acejka", "__main__.Pacejka", "",

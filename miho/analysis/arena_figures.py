@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from miho.analysis.curves import Array, Axis, log_grid, positions, step
 from miho.analysis.end_labels import EndLabel, draw_end_labels
-from miho.analysis.figures import AXIS_LABELS, WIDTH, caption, house_style
+from miho.analysis.figures import AXIS_LABELS, WIDTH, caption, house_style, say_why_empty
 from miho.analysis.running_time import references
 from miho.analysis.styles import MethodStyle, with_emphasis
 from miho.analysis.tidy import comparison, require_columns
@@ -117,21 +117,29 @@ def ecdf_figure(
     *,
     highlight: Collection[str] | None = None,
     note: str = "",
+    seconds_note: str = "",
 ) -> Figure:
     """Share of all (problem, repetition, target) reached, over evaluations and over seconds.
 
     Frames hold optimizer, the axis and share (runtime distributions as in COCO). The share of
-    each method at the end of its evaluations stands at the right.
+    each method at the end of its evaluations stands at the right. `seconds_note` says which runs
+    are not in `over_seconds`; where that is empty, it stands in the place of the curves.
     """
     with house_style():
         figure = Figure(figsize=(WIDTH, 4.3), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
         plot_shares(over_evaluations, "evaluations", left, highlight=highlight)
-        plot_shares(over_seconds, "seconds", right, highlight=highlight)
         left.set(xlabel=AXIS_LABELS["evaluations"], ylabel="targets reached")
         right.set_xlabel(AXIS_LABELS["seconds"])
-        caption(figure, "a target is one problem, repetition and distance to the optimum", note)
-        label_shares(over_seconds, "seconds", right, highlight=highlight)
+        said = "a target is one problem, repetition and distance to the optimum"
+        if over_seconds.empty:
+            say_why_empty(right, seconds_note)
+            right.set_xticks([])
+            caption(figure, said, note)
+        else:
+            plot_shares(over_seconds, "seconds", right, highlight=highlight)
+            caption(figure, said, seconds_note, note)
+        label_shares(over_evaluations, "evaluations", right, highlight=highlight)
     return figure
 
 

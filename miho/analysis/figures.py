@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import textwrap
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
@@ -23,6 +24,7 @@ from miho.analysis.markdown import number
 from miho.analysis.styles import styles_of
 from miho.analysis.tidy import one_problem, shown_unit
 from miho.analysis.timing import valid_seconds
+from miho.study import write_bytes
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64]]
 
@@ -116,8 +118,7 @@ def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
         left, right = figure.subplots(1, 2, sharey=True)
         if timed.empty:
             left.set(xlabel=AXIS_LABELS["seconds"], ylabel=f"error [{shown}]", xticks=[])
-            told = textwrap.fill(why, 34)
-            left.text(0.5, 0.5, told, transform=left.transAxes, ha="center", va="center")
+            say_why_empty(left, why)
         else:
             shown_curves = curves[curves["id"].isin(timed["id"])]
             plot_error_over(shown_curves, "seconds", left, unit=unit, irreducible=irreducible)
@@ -211,8 +212,16 @@ def save(figure: Figure, path_without_suffix: str | Path) -> list[Path]:
     with house_style():
         for path in paths:
             metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
-            figure.savefig(path, dpi=200, metadata=metadata)
+            drawn = io.BytesIO()
+            figure.savefig(drawn, format=path.suffix[1:], dpi=200, metadata=metadata)
+            write_bytes(path, drawn.getvalue())
     return paths
+
+
+def say_why_empty(ax: Axes, why: str) -> None:
+    """A sentence in the middle of a panel that has nothing to show."""
+    told = textwrap.fill(why, 34)
+    ax.text(0.5, 0.5, told, transform=ax.transAxes, ha="center", va="center")
 
 
 def caption(figure: Figure, *parts: str) -> None:

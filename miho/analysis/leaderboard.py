@@ -11,6 +11,7 @@ from miho.analysis.anytime import area_over_curve
 from miho.analysis.curves import Axis
 from miho.analysis.ranks import ranks
 from miho.analysis.running_time import at_factor, hits, running_times
+from miho.analysis.timing import undisturbed
 
 RANKED, STRICT = 1.01, 1.001
 
@@ -36,7 +37,8 @@ def leaderboard(
     - AOCC: `area_over_curve` up to `budget`, mean over problems
     - cut by seconds: share of runs that the cap in seconds ended before their evaluations were
       spent and before they ended by themselves, where runs have the column `cut` that says so
-    - µs per evaluation: seconds over evaluations of whole runs, the loss included, median
+    - µs per evaluation: seconds over evaluations of whole runs, the loss included, median over
+      runs that nothing disturbed, NaN without any
 
     A method that was not run on a problem has not solved it. Success is over the runs it has.
     """
@@ -49,6 +51,7 @@ def leaderboard(
     ratios = ratios[np.isfinite(solved["ert"])].groupby(solved["optimizer"]).mean()
     per_problem = areas.groupby(["problem", "optimizer"])["aocc"].mean()
     pace = 1e6 * runs["seconds"] / runs["evaluations"].where(runs["evaluations"] > 0)
+    pace = pace.where(undisturbed(runs))
     methods = ranks(scores).rename(columns={"rank": "mean rank"}).set_index("optimizer")
     if "family" in runs:
         by_family = ranks(family_scores(scores, families(runs))).set_index("optimizer")

@@ -9,7 +9,7 @@ from typing import Any
 
 import pandas as pd
 
-from miho.study.store import CONFIG, ENVIRONMENT, DamagedRun, read_checked
+from miho.study.files import CONFIG, ENVIRONMENT, DamagedRun, read_checked
 
 Settings = Mapping[str, str]
 

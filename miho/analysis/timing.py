@@ -9,6 +9,11 @@ from miho.analysis.tidy import require_columns
 VALID = "timing_valid"
 
 
+def undisturbed(runs: pd.DataFrame) -> pd.Series[bool]:
+    """Whether the seconds of each run may be shown; all may where nobody judged any."""
+    return runs[VALID].eq(True) if VALID in runs else pd.Series(True, runs.index)
+
+
 def valid_seconds(runs: pd.DataFrame) -> tuple[pd.DataFrame, str]:
     """The runs whose seconds may be compared, and a sentence on the others, "" if there are none.
 

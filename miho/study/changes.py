@@ -6,8 +6,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from miho.study.files import DamagedRun
 from miho.study.identity import Identity
-from miho.study.store import DamagedRun, Store, read_run
+from miho.study.store import Store, read_run
 
 
 class ResumeRefused(Exception):  # noqa: N818 -- a decision for the user, no error

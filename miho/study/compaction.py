@@ -21,10 +21,10 @@ from pathlib import Path
 
 from filelock import FileLock
 
+from miho.study.files import LARGEST
 from miho.study.identity import canonical
 from miho.study.places import inside
 from miho.study.scan import CheckedRun, scan
-from miho.study.store import LARGEST
 
 FOLDER, NAME = ".compact", "curves"
 FORMAT = 1
@@ -78,8 +78,8 @@ def error_of(loss: float | None) -> float:
 
 def without_theta(curve: bytes) -> bytes:
     """A `curve.json` up to its parameters, which are most of it: its keys are sorted."""
-    head, theta, _ = curve.partition(b',"theta":')
-    return head + b"}" if theta else curve
+    end = curve.find(b',"theta":')
+    return curve if end < 0 else curve[:end] + b"}"
 
 
 def compact(top: Path) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -108,17 +108,30 @@ def load_runs(root: str | Path) -> Runs:
 def _run_row(run: CheckedRun) -> dict[str, Any]:
     result = run.result
     facts: Mapping[str, Any] = result["facts"]
+    names = _theta_names(*(parameter["name"] for parameter in result["parameters"]))
+    theta = result["theta"] or [math.nan] * len(names)
     row = {
-        **{key: result[key] for key in (*KEYS, "outcome")},
+        "id": result["id"],
+        "problem": result["problem"],
+        "optimizer": result["optimizer"],
+        "seed": result["seed"],
+        "outcome": result["outcome"],
         "error": error_of(result["loss"]),
         "unit": facts.get("unit"),
-        **{key: result[key] for key in ("evaluations", "seconds", "cpu_seconds", "setup_seconds")},
+        "evaluations": result["evaluations"],
+        "seconds": result["seconds"],
+        "cpu_seconds": result["cpu_seconds"],
+        "setup_seconds": result["setup_seconds"],
         "irreducible": facts.get("irreducible", math.nan),
         "optimum": error_of(facts.get("optimum")),
-        "dimension": len(result["parameters"]),
+        "dimension": len(names),
         "timing_valid": facts.get("timing_valid"),
         "folder": run.folder,
     }
-    theta = result["theta"] or [math.nan] * len(result["parameters"])
-    names = [parameter["name"] for parameter in result["parameters"]]
-    return row | {f"theta.{name}": value for name, value in zip(names, theta, strict=True)}
+    row.update(zip(names, theta, strict=True))
+    return row
+
+
+@lru_cache
+def _theta_names(*parameters: str) -> list[str]:
+    return [f"theta.{name}" for name in parameters]

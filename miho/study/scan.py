@@ -6,16 +6,15 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from miho.study.store import CURVE, DamagedRun, NoResult, read_checked
+from miho.study.files import CURVE, DamagedRun, NoResult, read_checked
 
 DEPTH = 3
 """Runs lie at root/<problem>/<optimizer>/<id>."""
 
 
-@dataclass(frozen=True)
-class CheckedRun:
+class CheckedRun(NamedTuple):
     """A run whose four files match their checksums: its result, and `curve.json` as it is."""
 
     folder: str
@@ -42,18 +41,19 @@ def scan(root: Path) -> Iterator[CheckedRun | Damage]:
     Hidden folders are left out. Links to folders are not followed, since they can lead out of the
     root: they are damage, and so is what cannot be read.
     """
-    found = list(_folders(str(root), DEPTH))
-    for folder in sorted(found, key=lambda folder: str(getattr(folder, "folder", folder))):
-        if isinstance(folder, Damage):
-            yield folder
+    found = {str(getattr(one, "folder", one)): one for one in _folders(str(root), DEPTH)}
+    for folder in sorted(found):
+        damage = found[folder]
+        if isinstance(damage, Damage):
+            yield damage
             continue
         try:
             result, files = read_checked(folder)
             yield CheckedRun(folder, result, files[CURVE])
         except NoResult:
             continue
-        except DamagedRun as damage:
-            yield Damage(folder, str(damage))
+        except DamagedRun as error:
+            yield Damage(folder, str(error))
 
 
 def _folders(top: str, depth: int) -> Iterator[str | Damage]:

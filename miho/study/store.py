@@ -3,16 +3,14 @@
     root/<problem>/<optimizer>/<id>/config.json environment.json curve.json result.json
 
 `result.json` is written last and carries the SHA-256 of the other files and of itself: it is the
-only sign that a run is done. A held lock is the only sign that one is running.
+only sign that a run is done. A held lock is the only sign that one is running. `partial.json`, with
+a checksum of its own, is what a run left that was not done.
 """
 
 from __future__ import annotations
 
-import contextlib
-import errno
 import json
 import math
-import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,23 +20,26 @@ from typing import Any
 from filelock import FileLock, Timeout
 
 from miho.optim import RunRecord, Space
+from miho.study.files import (
+    CONFIG,
+    CURVE,
+    ENVIRONMENT,
+    PARTIAL,
+    RESULT,
+    DamagedRun,
+    read_checked,
+    read_signed,
+    signed,
+    write_text,
+)
 from miho.study.identity import Identity, canonical, sha256
 from miho.study.places import inside
 from miho.study.redaction import redacted
 
-CONFIG, ENVIRONMENT, CURVE, RESULT = "config.json", "environment.json", "curve.json", "result.json"
-PARTIAL = "partial.json"
 SUPERSEDED = ".superseded"
 RESOLUTION = 1e-3
 SPACING = 1e-2
 """Stored curves are exact to this fraction of the loss, or of the evaluations and seconds."""
-LARGEST = 256 << 20
-"""No file of a run is larger, in bytes; whatever is, is not read."""
-CHUNK = 64 << 10
-
-
-class DamagedRun(Exception):  # noqa: N818 -- a finding about a folder, reported and skipped
-    """A run folder whose files do not match their checksums."""
 
 
 class RunInUse(Exception):  # noqa: N818 -- another process holds the run, which is no error
@@ -69,12 +70,16 @@ class Store:
     def find(self, identity: Identity) -> StoredRun | None:
         """The finished run, or None; a damaged one is None, so that it is run anew."""
         folder = self.folder(identity)
-        if not (folder / RESULT).exists():
+        if not self.has_result(identity):
             return None
         try:
             return read_run(folder)
         except DamagedRun:
             return None
+
+    def has_result(self, identity: Identity) -> bool:
+        """Whether there is a result, unread."""
+        return (self.folder(identity) / RESULT).is_file()
 
     @contextmanager
     def claim(self, identity: Identity) -> Iterator[None]:
@@ -109,8 +114,7 @@ class Store:
             "facts": dict(facts),
             "files": {name: sha256(text) for name, text in contents.items()},
         }
-        result["sha256"] = sha256(canonical(result))
-        write_text(folder / RESULT, canonical(result))
+        write_text(folder / RESULT, signed(result))
         (folder / PARTIAL).unlink(missing_ok=True)
         return read_run(folder)
 
@@ -119,24 +123,26 @@ class Store:
         partial = {"outcome": str(record.outcome), "error": record.error, "curve": _curve(record)}
         return self._keep(identity, partial)
 
-    def keep_reason(self, identity: Identity, reason: str, detail: str | None) -> Path:
-        """Keep why a run was lost with its process, and its traceback if there is one."""
+    def keep_reason(
+        self, identity: Identity, reason: str, detail: str | None, outcome: str = "lost"
+    ) -> Path:
+        """Keep why a run ended with its process, and its traceback if there is one."""
         error = redacted(detail or reason)
-        return self._keep(identity, {"outcome": "lost", "error": error, "curve": None})
+        return self._keep(identity, {"outcome": outcome, "error": error, "curve": None})
 
     def reason(self, identity: Identity) -> str | None:
-        """Why a run that was tried is not done, in one line; None if it was not tried."""
+        """Why a run that was tried is not done, in one line; None if nobody can tell."""
         try:
-            partial = json.loads((self.folder(identity) / PARTIAL).read_bytes())
+            partial = read_signed(f"{self.folder(identity)}/{PARTIAL}")
             told = str(partial["error"] or partial["outcome"]).strip()
-        except (OSError, ValueError, LookupError, TypeError, RecursionError):
+        except (OSError, DamagedRun, LookupError):
             return None
         return told.splitlines()[-1][:200] if told else None
 
     def _keep(self, identity: Identity, partial: Mapping[str, Any]) -> Path:
         folder = self.folder(identity)
         folder.mkdir(parents=True, exist_ok=True)
-        write_text(folder / PARTIAL, canonical(partial))
+        write_text(folder / PARTIAL, signed(partial))
         return folder / PARTIAL
 
     def others(self, identity: Identity) -> list[Path]:
@@ -149,13 +155,9 @@ class Store:
 
     def set_aside(self, folder: Path) -> None:
         """Move a run out of the sight of readers, below SUPERSEDED."""
-        place = self.root / SUPERSEDED / folder.relative_to(self.root)
+        place = inside(self.root, SUPERSEDED, *folder.relative_to(self.root).parts)
         place.parent.mkdir(parents=True, exist_ok=True)
         folder.replace(place)
-
-
-class NoResult(DamagedRun):
-    """A run folder without a result: its run is not done."""
 
 
 def read_run(folder: Path) -> StoredRun:
@@ -166,54 +168,6 @@ def read_run(folder: Path) -> StoredRun:
     except (ValueError, RecursionError) as error:
         raise DamagedRun(f"{folder}: {type(error).__name__}: {error}") from None
     return StoredRun(folder, contents[CONFIG], contents[ENVIRONMENT], contents[CURVE], result)
-
-
-def read_checked(folder: str) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """The result of a run, and its other files as bytes, all as their checksums say.
-
-    Raises NoResult if the run is not done, and DamagedRun with the reason if anything does not
-    match.
-    """
-    try:
-        data = read_bytes(f"{folder}/{RESULT}")
-    except FileNotFoundError:
-        raise NoResult(f"{folder}: holds no {RESULT}") from None
-    except OSError as error:
-        raise DamagedRun(f"{folder}/{RESULT}: {error.strerror}") from None
-    try:
-        result = json.loads(data)
-        signature = f',"sha256":"{result.pop("sha256")}"'.encode()
-        if signature != f',"sha256":"{sha256(data.replace(signature, b"", 1))}"'.encode():
-            raise DamagedRun(f"{folder}/{RESULT}: checksum does not match")
-        files = {}
-        for name in (CONFIG, ENVIRONMENT, CURVE):
-            files[name] = read_bytes(f"{folder}/{name}")
-            if sha256(files[name]) != result["files"][name]:
-                raise DamagedRun(f"{folder}/{name}: checksum does not match")
-        named = [result["problem"], result["optimizer"], result["id"]]
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise DamagedRun(f"{folder}: {type(error).__name__}: {error}") from None
-    if folder.split("/")[-3:] != named:
-        raise DamagedRun(f"{folder}: holds the run {'/'.join(map(str, named))}")
-    return result, files
-
-
-def read_bytes(path: str) -> bytes:
-    """A whole file; raises OSError for a symbolic link and for what is larger than LARGEST.
-
-    A pipe gives nothing or an error, so that no reader waits for it.
-    """
-    chunks, size = [], 0
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    try:
-        while chunk := os.read(descriptor, CHUNK):
-            chunks.append(chunk)
-            size += len(chunk)
-            if size > LARGEST:
-                raise OSError(errno.EFBIG, f"is larger than {LARGEST >> 20} MiB", path)
-    finally:
-        os.close(descriptor)
-    return b"".join(chunks)
 
 
 def _curve(record: RunRecord) -> dict[str, list[Any]]:
@@ -272,31 +226,3 @@ def _result(identity: Identity, record: RunRecord, space: Space) -> dict[str, An
         "setup_seconds": record.setup_seconds,
         "rejected": dict(record.rejected),
     }
-
-
-def write_text(path: Path, text: str, *, last: bool = True) -> None:
-    """Replace a file in one step: readers see the old one or the new one, whole.
-
-    Of several files in a folder the last one makes the names of all of them lasting.
-    An OSError names the file.
-    """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        temporary.unlink(missing_ok=True)
-        with temporary.open("x", encoding="utf-8") as file:  # never through a link left there
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(path)
-        if last:
-            folder = os.open(path.parent, os.O_RDONLY)
-            try:
-                os.fsync(folder)
-            finally:
-                os.close(folder)
-    except BaseException as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise OSError(error.errno, error.strerror, str(path)) from error
-        raise

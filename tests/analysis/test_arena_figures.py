@@ -99,6 +99,19 @@ def test_the_distributions_end_at_the_share_of_targets_reached() -> None:
         assert f"{100 * reached:3.0f} %  {STYLES[str(method)].name}" in written
 
 
+def test_seconds_that_nobody_may_compare_are_not_drawn() -> None:
+    found = hits(*arena(methods(3), 2, 3))
+    over = ecdf(found, "evaluations")
+    figure = ecdf_figure(over, pd.DataFrame(), note="2 problems", seconds_note="no seconds at all")
+    left, right = figure.axes
+    assert [line.get_drawstyle() for line in left.lines] == ["steps-post"] * 3
+    assert "steps-post" not in [line.get_drawstyle() for line in right.lines]
+    assert "no seconds at all" in [text.get_text() for text in right.texts]
+    figure = ecdf_figure(over, ecdf(found, "seconds"), seconds_note="2 of 9 runs were disturbed")
+    assert [line.get_drawstyle() for line in figure.axes[1].lines].count("steps-post") == 3
+    assert any("2 of 9 runs were disturbed" in written for written in texts(figure))
+
+
 def test_the_profiles_end_at_the_share_of_problems_solved() -> None:
     found = hits(*arena(methods(3), 2, 3))
     ert = running_times(found, "evaluations")

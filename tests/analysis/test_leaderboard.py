@@ -50,6 +50,18 @@ def test_the_leaderboard_of_a_worked_example() -> None:
     assert "never" not in to_markdown(table.reset_index())
 
 
+def test_the_pace_is_that_of_runs_that_nothing_disturbed() -> None:
+    runs, curves = worked()
+    runs["timing_valid"] = pd.Series(True, runs.index, dtype=object)
+    first = ~runs.duplicated("optimizer")
+    runs.loc[first, "seconds"] *= 1000
+    runs.loc[first, "timing_valid"] = False
+    runs.loc[runs["optimizer"] == "bad", "timing_valid"] = None
+    pace = leaderboard(runs, curves).set_index("method")["µs per evaluation"]
+    assert pace[["fast", "slow", "absent"]].tolist() == pytest.approx([100.0] * 3)
+    assert np.isnan(pace["bad"])
+
+
 def test_scores_put_every_solver_ahead_and_order_the_others_by_area() -> None:
     runs, curves = worked()
     ert = running_times(hits(runs, curves, (1.01,)), "evaluations")

@@ -158,7 +158,7 @@ def test_what_is_too_large_is_not_read(
 ) -> None:
     with (folders[0] / "config.json").open("ab") as file:
         file.truncate(1 << 20)
-    monkeypatch.setattr("miho.study.store.LARGEST", 1 << 19)
+    monkeypatch.setattr("miho.study.files.LARGEST", 1 << 19)
     found = load_runs(folders[0].parents[2])
     assert "larger than" in found.damaged["reason"].item()
 

@@ -172,6 +172,23 @@ def test_interrupted_and_failed_runs_keep_their_curve_and_run_again(tmp_path: Pa
     assert not execution.partial.exists()
 
 
+def test_a_partial_run_that_was_altered_says_nothing(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    path = store.keep_reason(identity(), "killed by SIGKILL", None, "interrupted")
+    assert store.reason(identity()) == "killed by SIGKILL"
+    good = path.read_bytes()
+    rng = np.random.default_rng(0)
+    for cut in range(0, len(good), 7):
+        path.write_bytes(good[:cut])
+        assert store.reason(identity()) is None
+    for _ in range(50):
+        at, bit = int(rng.integers(len(good))), int(rng.integers(8))
+        path.write_bytes(good[:at] + bytes([good[at] ^ 1 << bit]) + good[at + 1 :])
+        assert store.reason(identity()) is None
+    path.write_bytes(good)
+    assert store.reason(identity()) == "killed by SIGKILL"
+
+
 HOLD = """
 import sys
 from miho.study import Identity, Store

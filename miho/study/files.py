@@ -1,0 +1,135 @@
+"""The files of a run: written whole or not at all, and read with their checksums.
+
+What a mapping of JSON says of itself is signed: `sha256`, one of its keys, is that of the canonical
+text of all others. That finds damage, and no forgery.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+from collections.abc import Mapping
+from hashlib import sha256 as digest_of
+from pathlib import Path
+from typing import Any
+
+from miho.study.identity import canonical, sha256
+
+CONFIG, ENVIRONMENT, CURVE, RESULT = "config.json", "environment.json", "curve.json", "result.json"
+PARTIAL = "partial.json"
+LARGEST = 256 << 20
+"""No file of a run is larger, in bytes; whatever is, is not read."""
+CHUNK = 32 << 10
+FLAGS = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
+MALFORMED = (ValueError, LookupError, TypeError, AttributeError, RecursionError)
+"""What is raised by a file that does not hold what it should."""
+_decode = json.JSONDecoder().raw_decode
+
+
+class DamagedRun(Exception):  # noqa: N818 -- a finding about a folder, reported and skipped
+    """A run folder whose files do not match their checksums."""
+
+
+class NoResult(DamagedRun):
+    """A run folder without a result: its run is not done."""
+
+
+def read_checked(folder: str) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """The result of a run, and its other files as bytes, all as their checksums say.
+
+    Raises NoResult if the run is not done, and DamagedRun with the reason if anything does not
+    match.
+    """
+    try:
+        result = read_signed(f"{folder}/{RESULT}")
+    except FileNotFoundError:
+        raise NoResult(f"{folder}: holds no {RESULT}") from None
+    except OSError as error:
+        raise DamagedRun(f"{folder}/{RESULT}: {error.strerror}") from None
+    try:
+        files, digests = {}, result["files"]
+        for name in (CONFIG, ENVIRONMENT, CURVE):
+            data = files[name] = read_bytes(f"{folder}/{name}")
+            if digest_of(data).hexdigest() != digests[name]:
+                raise DamagedRun(f"{folder}/{name}: checksum does not match")
+        place = f"{result['problem']}/{result['optimizer']}/{result['id']}"
+    except (OSError, *MALFORMED) as error:
+        raise DamagedRun(f"{folder}: {type(error).__name__}: {error}") from None
+    if not folder.endswith(f"/{place}"):
+        raise DamagedRun(f"{folder}: holds the run {place}")
+    return result, files
+
+
+def signed(contents: Mapping[str, Any]) -> str:
+    """The text of a file that holds these contents and their checksum."""
+    return canonical({**contents, "sha256": sha256(canonical(contents))})
+
+
+def read_signed(path: str) -> dict[str, Any]:
+    """What a file holds that `signed` made; raises DamagedRun if it is not as it was written."""
+    data = read_bytes(path)
+    try:
+        contents: dict[str, Any] = _decode(str(data, "utf-8"))[0]
+        told = contents.pop("sha256")
+        unsigned = data.replace(f',"sha256":"{told}"'.encode(), b"", 1)
+        if digest_of(unsigned).hexdigest() == told:
+            return contents
+    except MALFORMED as error:
+        raise DamagedRun(f"{path}: {type(error).__name__}: {error}") from None
+    raise DamagedRun(f"{path}: checksum does not match")
+
+
+def read_bytes(path: str) -> bytes:
+    """A whole file; raises OSError for a symbolic link and for what is larger than LARGEST.
+
+    A pipe gives nothing or an error, so that no reader waits for it.
+    """
+    descriptor = os.open(path, FLAGS)
+    try:
+        first = os.read(descriptor, CHUNK)
+        if len(first) < CHUNK:  # of a file, that is all
+            return first
+        chunks, size = [first], len(first)
+        while chunk := os.read(descriptor, CHUNK):
+            chunks.append(chunk)
+            size += len(chunk)
+            if size > LARGEST:
+                raise OSError(errno.EFBIG, f"is larger than {LARGEST >> 20} MiB", path)
+    finally:
+        os.close(descriptor)
+    return b"".join(chunks)
+
+
+def write_text(path: Path, text: str, *, last: bool = True) -> None:
+    """`write_bytes` of a text in UTF-8."""
+    write_bytes(path, text.encode(), last=last)
+
+
+def write_bytes(path: Path, data: bytes, *, last: bool = True) -> None:
+    """Replace a file in one step: readers see the old one or the new one, whole.
+
+    A link that someone left there is replaced, and nothing is written through it. Of several files
+    in a folder the last one makes the names of all of them lasting. An OSError names the file.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        temporary.unlink(missing_ok=True)
+        with temporary.open("xb") as file:  # never through a link left there
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+        if last:
+            folder = os.open(path.parent, os.O_RDONLY)
+            try:
+                os.fsync(folder)
+            finally:
+                os.close(folder)
+    except BaseException as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise OSError(error.errno, error.strerror, str(path)) from error
+        raise
