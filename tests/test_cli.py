@@ -288,7 +288,7 @@ def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
     deadline = time.monotonic() + 30
     while not list(tmp_path.rglob("lock")) and time.monotonic() < deadline:
         time.sleep(0.05)
-    time.sleep(1.0)
+    time.sleep(3.0)
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=20)
     assert process.returncode == 130, err
