@@ -247,6 +247,22 @@ def test_a_run_that_is_killed_leaves_the_others_and_the_comparison_undrawn(
 
 
 @pytest.mark.slow
+def test_a_method_that_raises_leaves_the_others_and_the_comparison_undrawn(
+    compare: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("nevergrad")
+    monkeypatch.setattr(comparing, "failed", [])
+    methods = "+comparison.methods.random={}", "+comparison.methods.ngopt={plan: null}"
+    small = ["comparison.repetitions=1", "budget.seconds=0.2", "budget.evaluations=null"]
+    code, out, err = compare(*methods, *small, "dataset=tire_lf", "dataset.n=40")
+    assert code == 3
+    assert "ngopt seed 0: failed: ValueError: plan is None" in out
+    assert "run again" in err.splitlines()[-1]
+    assert load_runs(tmp_path / "runs").runs["optimizer"].tolist() == ["random"]
+    assert not (tmp_path / "runs" / "figures").exists()
+
+
+@pytest.mark.slow
 def test_fig4_of_four_identified_tires(
     identify: Command,
     tmp_path: Path,
