@@ -1,0 +1,1 @@
+"""Drive what was identified: the car, its plant, planning and control."""
