@@ -96,10 +96,7 @@ class LoadTransfer:
         car = self.vehicle
         unsprung = car.unsprung_mass_front, car.unsprung_mass_rear
         radii = car.wheel_radius_front, car.wheel_radius
-        sprung = (
-            car.mass * car.lr / car.wheelbase - unsprung[0],
-            (car.mass * car.lf / car.wheelbase - unsprung[1]),
-        )
+        sprung = [m - u for m, u in zip(self._carried, unsprung, strict=True)]
         centres = car.roll_centre_front, car.roll_centre_rear
         moments = [m * z for m, z in zip(sprung, centres, strict=True)]
         hubs = [m * r for m, r in zip(unsprung, radii, strict=True)]
@@ -116,14 +113,19 @@ class LoadTransfer:
     @property
     def coefficients(self) -> LoadCoefficients:
         """What `wheel_loads` computes with."""
-        car, (front, rear) = self.vehicle, self.lateral_parts
-        carried = car.mass * car.lr / car.wheelbase, car.mass * car.lf / car.wheelbase
+        car, carried, (front, rear) = self.vehicle, self._carried, self.lateral_parts
         if self.as_printed:
             return LoadCoefficients(*carried, 0.0, 0.0, 0.0, front.elastic, rear.elastic)
         longitudinal = car.mass * car.h_cg / car.wheelbase
         return LoadCoefficients(
             *carried, car.C_l_front, car.C_l_rear, longitudinal, sum(front), sum(rear)
         )
+
+    @property
+    def _carried(self) -> tuple[float, float]:
+        """Mass that each axle carries at rest [kg]."""
+        car = self.vehicle
+        return car.mass * car.lr / car.wheelbase, car.mass * car.lf / car.wheelbase
 
 
 @register_jitable(error_model="numpy")
