@@ -104,7 +104,7 @@ def _closed(name: str, segments: list[Segment], slack: float) -> list[Segment]:
             [_effect(end, ends[-1], one) for end, one in zip(ends, trial, strict=True)]
         )
         found = found - np.linalg.lstsq(moved.T, miss, rcond=None)[0]
-        if np.abs(found - lengths).max() > slack:
+        if np.abs(found - lengths).max() > slack or found.min() <= 0:
             break
     gap = _poses(segments)[-1]
     raise ValueError(
