@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,13 +69,13 @@ def track_of(
     if not 0 < step < math.inf:
         raise ValueError(f"step is {step}; expected a positive number of metres")
     closed = _closed(name, list(segments), slack)
-    bounds = np.concatenate([[0.0], np.cumsum([one.length for one in closed])])
-    length = float(bounds[-1])
+    length = sum(one.length for one in closed)
     n = math.ceil(length / step)
     s = np.linspace(0.0, length, n, endpoint=False)
-    which = np.clip(np.searchsorted(bounds, s, side="right") - 1, 0, len(closed) - 1)
-    within = s - bounds[which]
-    x, y, heading, curvature = _advance(_poses(closed)[which], closed, which, within)
+    pieces = [piece for one in closed for piece in _cut(one)]
+    which, within = _position(s, pieces)
+    x, y, heading, curvature = _advance(_poses(pieces)[which], pieces, which, within)
+    which, within = _position(s, closed)
     share = within / np.array([one.length for one in closed])[which]
     smooth = share * share * (3 - 2 * share)
     bank, width = (
@@ -126,34 +127,44 @@ def _effect(end: Array, last: Array, segment: Segment) -> Array:
     return np.array([math.cos(end[2]) - bend * y, math.sin(end[2]) + bend * x, bend])
 
 
+def _cut(segment: Segment) -> list[Segment]:
+    """Parts of equal length, at most `PIECE`, with the curvature alone."""
+    count = math.ceil(segment.length / PIECE)
+    ends = np.linspace(*segment.curvature, count + 1).tolist()
+    length = segment.length / count
+    return [Segment(length=length, curvature=pair) for pair in pairwise(ends)]
+
+
+def _position(s: Array, segments: Sequence[Segment]) -> tuple[NDArray[np.intp], Array]:
+    """The segment that each arc length (n,) is in, and how far from its start [m]."""
+    bounds = np.concatenate([[0.0], np.cumsum([one.length for one in segments])])
+    which = np.clip(np.searchsorted(bounds, s, side="right") - 1, 0, len(segments) - 1)
+    return which, s - bounds[which]
+
+
 def _poses(segments: Sequence[Segment]) -> Array:
     """(x, y, heading) at the start of each segment and at the end of the last, (k + 1, 3)."""
-    poses = [np.zeros(3)]
-    for k, one in enumerate(segments):
-        steps = math.ceil(one.length / PIECE)
-        where = np.full(1, k)
-        x, y, heading, _ = _advance(
-            poses[-1][None], segments, where, np.array([one.length]), pieces=steps
-        )
-        poses.append(np.array([x[0], y[0], heading[0]]))
-    return np.array(poses)
+    lengths = np.array([one.length for one in segments])
+    turned = lengths * np.array([sum(one.curvature) / 2 for one in segments])
+    starts = np.zeros((len(segments), 3))
+    starts[1:, 2] = np.cumsum(turned)[:-1]
+    steps = np.stack(_advance(starts, segments, np.arange(len(segments)), lengths)[:2], axis=1)
+    ends = np.column_stack([np.cumsum(steps, axis=0), np.cumsum(turned)])
+    return np.concatenate([np.zeros((1, 3)), ends])
 
 
 def _advance(
-    poses: Array,
-    segments: Sequence[Segment],
-    which: NDArray[np.intp],
-    within: Array,
-    pieces: int | None = None,
+    poses: Array, segments: Sequence[Segment], which: NDArray[np.intp], within: Array
 ) -> tuple[Array, Array, Array, Array]:
     """x, y, heading and curvature (n,) at distances `within` (n,) of the starts `poses` (n, 3)."""
     pairs = np.array([one.curvature for one in segments])[which]
-    slope = (pairs[:, 1] - pairs[:, 0]) / np.array([one.length for one in segments])[which]
-    pieces = pieces or math.ceil(max(one.length for one in segments) / PIECE)
-    edges = np.arange(pieces)[:, None] + (_NODES + 1) / 2
-    t = within[:, None] * edges.ravel() / pieces
+    lengths = np.array([one.length for one in segments])
+    slope = (pairs[:, 1] - pairs[:, 0]) / lengths[which]
+    rules = math.ceil(lengths.max() / PIECE)
+    edges = np.arange(rules)[:, None] + (_NODES + 1) / 2
+    t = within[:, None] * edges.ravel() / rules
     turned = poses[:, 2, None] + (pairs[:, :1] + slope[:, None] * t / 2) * t
-    weights = np.tile(_WEIGHTS / 2, pieces) / pieces
+    weights = np.tile(_WEIGHTS / 2, rules) / rules
     x = poses[:, 0] + within * (np.cos(turned) @ weights)
     y = poses[:, 1] + within * (np.sin(turned) @ weights)
     heading = poses[:, 2] + (pairs[:, 0] + slope * within / 2) * within

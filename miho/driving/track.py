@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -83,12 +84,12 @@ class Track:
             )
         self._check_closed()
 
-    @property
+    @cached_property
     def step(self) -> float:
         """Distance of the points [m]."""
         return self.length / self.s.size
 
-    @property
+    @cached_property
     def turn(self) -> float:
         """Change of the heading over a lap [rad]: 2 pi where the line turns left."""
         bend = self.step * (self.curvature[-1] + self.curvature[0]) / 2
