@@ -134,6 +134,10 @@ class DoubleTrack(Plant[DoubleTrackState]):
             moved.brake, moved.seen, float(command.steering), float(command.throttle),
             float(command.brake), int(command.gear),
         )  # fmt: skip
+        if not np.isfinite(moved.y).all():
+            raise ValueError(
+                f"the motion is not finite at {moved.time:.3f} s; the car started beyond all speeds"
+            )
         return moved
 
     def motion(self, state: DoubleTrackState) -> Motion:

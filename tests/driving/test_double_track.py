@@ -5,6 +5,8 @@ from math import atan, cos, sin, sqrt, tan
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.constants import g
 
 from miho.driving.double_track import DoubleTrack
@@ -229,6 +231,22 @@ def test_it_comes_to_rest_from_a_spin() -> None:
     assert abs(last.yaw_rate) < 0.01
 
 
+COMMANDS = st.builds(
+    Command, st.floats(-2, 2), st.floats(0, 1), st.floats(0, 1e8), st.integers(0, 6)
+)
+
+
+@settings(max_examples=15, deadline=None, derandomize=True)
+@given(st.lists(st.tuples(st.just(0.5), COMMANDS), max_size=6), st.floats(-30, 100))
+def test_no_drive_breaks_it(commands: list[tuple[float, Command]], speed: float) -> None:
+    """Any commands in range, from any speed, also backwards: finite, and never faster by itself."""
+    motions = driven(plant(), commands, speed=speed)
+    assert np.isfinite(np.array([np.hstack(motion) for motion in motions])).all()
+    fastest = abs(speed) + 1.0 + 10.0 * motions[-1].time
+    assert max(np.hypot(motion.vx, motion.vy) for motion in motions) < fastest
+    assert min(motion.loads.min() for motion in motions) >= 0
+
+
 @pytest.mark.parametrize(
     ("command", "sentence"),
     [
@@ -256,5 +274,7 @@ def test_refused_settings() -> None:
         replace(car, step=0.002)
     with pytest.raises(ValueError, match=r"^speed is nan; expected a finite number"):
         car.start(speed=float("nan"))
+    with pytest.raises(ValueError, match=r"^the motion is not finite at 0.010 s; the car started"):
+        car.advance(car.start(speed=1e200), Command(), 0.01)
     with pytest.raises(ValueError, match=r"^tires are 2; expected 4"):
         replace(car, tires=car.tires[:2])
