@@ -113,6 +113,19 @@ def use_at(car: FrictionCar, v: float, ax: float, curvature: float, bank: float)
 
 
 @njit(cache=True, error_model="numpy")
+def uses_of(car: FrictionCar, v: Array, ax: Array, ay: Array, gravity: Array) -> Array:
+    """Use of the friction by a car that was driven, (n,), from what its accelerometer felt.
+
+    ax and ay [m/s^2] as in `miho.driving.plant.Motion`, drag among the forces; gravity [m/s^2]
+    presses the car on the road.
+    """
+    use = np.empty(v.size)
+    for i in range(v.size):
+        use[i] = use_of(car, v[i], ax[i] - car.C_r / car.mass, ay[i], gravity[i])
+    return use
+
+
+@njit(cache=True, error_model="numpy")
 def uses(
     car: FrictionCar, v: Array, ax: Array, curvature: Array, bank: Array
 ) -> tuple[Array, Array]:

@@ -97,15 +97,9 @@ class Track:
 
     def at(self, s: ArrayLike) -> TrackPoint:
         """The line at arc lengths [m] of any shape, beyond a lap too; the heading goes on."""
-        cell, part = self._cell(np.asarray(s, dtype=float))
-        following = (cell + 1) % self.s.size
-        x, y = self._along(cell, part)
-        values = [
-            (1 - part) * column[cell] + part * column[following]
-            for column in (self.curvature, self.bank, self.width_left, self.width_right)
-        ]
-        laps = np.floor(np.asarray(s, dtype=float) / self.length)
-        return TrackPoint(x, y, self._heading(cell, part) + laps * self.turn, *values)
+        s = np.asarray(s, dtype=float)
+        found = _points(s.ravel(), self.length, self.turn, *self._columns)
+        return TrackPoint(*found.reshape(7, *s.shape))
 
     def position(self, s: ArrayLike, e: ArrayLike = 0.0) -> tuple[Array, Array]:
         """x and y [m] at an offset e [m] to the left of the line; arguments broadcast."""
@@ -120,32 +114,20 @@ class Track:
         """
         if hint is None:
             hint = float(self.s[np.argmin((self.x - x) ** 2 + (self.y - y) ** 2)])
-        columns = self.x, self.y, self.heading, self.curvature
-        s, e = _project(x, y, hint, self.length, self.turn, *columns)
+        s, e = _project(x, y, hint, self.length, self.turn, *self._columns[:4])
         return Projection(s, e)
 
-    def _cell(self, s: ArrayLike) -> tuple[NDArray[np.intp], Array]:
-        """The point before each arc length, and how far it is to the next one, 0 to 1."""
-        steps = np.mod(s, self.length) / self.step
-        cell = np.minimum(steps.astype(np.intp), self.s.size - 1)
-        return cell, steps - cell
-
-    def _heading(self, cell: NDArray[np.intp], part: Array) -> Array:
-        following = (cell + 1) % self.s.size
-        wrapped = np.where(following == 0, self.turn, 0.0)
-        rise = self.heading[following] + wrapped - self.heading[cell]
-        return np.asarray(self.heading[cell] + part * rise)
-
-    def _along(self, cell: NDArray[np.intp], part: Array) -> tuple[Array, Array]:
-        """x and y within a cell, as an arc: the chord has the heading of its middle."""
-        middle = self._heading(cell, part / 2)
-        chord = part * self.step
-        return self.x[cell] + chord * np.cos(middle), self.y[cell] + chord * np.sin(middle)
+    @property
+    def _columns(self) -> tuple[Array, ...]:
+        """In the order of `TrackPoint`."""
+        return (
+            self.x, self.y, self.heading, self.curvature, self.bank, self.width_left,
+            self.width_right,
+        )  # fmt: skip
 
     def _check_closed(self) -> None:
-        last, one = np.asarray(self.s.size - 1), np.asarray(1.0)
-        x, y = self._along(last, one)
-        gap = math.hypot(float(x) - self.x[0], float(y) - self.y[0])
+        end = self.at(self.length * (1 - 1e-12))
+        gap = math.hypot(float(end.x) - self.x[0], float(end.y) - self.y[0])
         steps = np.hypot(np.diff(self.x), np.diff(self.y))
         if gap > GAP or np.abs(steps - self.step).max() > GAP or self.turn == 0:
             raise ValueError(
@@ -155,7 +137,36 @@ class Track:
             )
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
+def _points(
+    s: Array, length: float, turn: float, xs: Array, ys: Array, heading: Array,
+    curvature: Array, bank: Array, left: Array, right: Array,
+) -> Array:  # fmt: skip
+    """The rows of `TrackPoint` (7, m) at arc lengths (m,).
+
+    Within a cell the position is on an arc: the chord has the heading of its middle.
+    """
+    n = xs.size
+    step = length / n
+    points = np.empty((7, s.size))
+    for k in range(s.size):
+        lap = np.floor(s[k] / length)
+        steps = (s[k] - lap * length) / step
+        i = min(int(steps), n - 1)
+        part, j = steps - i, (i + 1) % n
+        rise = heading[j] + (turn if j == 0 else 0.0) - heading[i]
+        middle, chord = heading[i] + part * rise / 2, part * step
+        points[0, k] = xs[i] + chord * math.cos(middle)
+        points[1, k] = ys[i] + chord * math.sin(middle)
+        points[2, k] = heading[i] + part * rise + lap * turn
+        points[3, k] = (1 - part) * curvature[i] + part * curvature[j]
+        points[4, k] = (1 - part) * bank[i] + part * bank[j]
+        points[5, k] = (1 - part) * left[i] + part * left[j]
+        points[6, k] = (1 - part) * right[i] + part * right[j]
+    return points
+
+
+@njit(cache=True, error_model="numpy")
 def _project(
     x: float,
     y: float,

@@ -99,8 +99,7 @@ class VelocityPlanner:
 
     def plan(self, line: Track) -> VelocityPlan:
         """The fastest plan for laps of a closed line; raises ValueError where no speed is safe."""
-        car, powers = self.friction, self._powers()
-        limits = _lateral_limits(car, line.curvature, line.bank, self._highest(powers))
+        limits = self.lateral_limits(line)
         if not (limits > 0).all():
             i = int(np.argmin(limits))
             raise ValueError(
@@ -108,8 +107,13 @@ class VelocityPlanner:
                 f"curvature is {line.curvature[i]:.4g} 1/m and the bank {line.bank[i]:.4g} rad; "
                 f"expected more grip than mu = {self.mu:g} gives"
             )
-        v = _passes(car, powers, line.curvature, line.bank, limits, line.step)
+        v = _passes(self.friction, self._powers(), line.curvature, line.bank, limits, line.step)
         return self.judged(line, v)
+
+    def lateral_limits(self, line: Track) -> Array:
+        """Largest speeds (n,) [m/s] that can be kept at each point of a line; 0 where none can."""
+        highest = self._highest(self._powers())
+        return np.asarray(_lateral_limits(self.friction, line.curvature, line.bank, highest))
 
     def judged(self, line: Track, v: Array) -> VelocityPlan:
         """Any speeds (n,) [m/s] at the points of a line, with the limits known here."""
