@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from importlib import import_module
 from types import SimpleNamespace
@@ -25,9 +25,9 @@ from miho.driving.plant_parameters import Engine
 from miho.driving.powertrain import map_torque
 from miho.driving.road import PLANE, Road, place_at
 from miho.driving.vehicle import Vehicle
+from miho.models.axle import Axle
 from miho.models.brake import Brake
 from miho.models.engine_map import EngineMap
-from miho.models.single_track import SingleTrack
 
 Array = NDArray[np.float64]
 
@@ -55,10 +55,10 @@ class MultiBody(Plant[MultiBodyState]):
     """A car of CommonRoad on flat ground, with the actuators of `vehicle`.
 
     The model is driven by a steering rate and an acceleration. Steering has the delay, lag and
-    rate of `vehicle`. Throttle, gear and brake give at once the acceleration that they would give
-    to `vehicle`, with its engine, brake and drag, so that one speed controller serves both plants;
-    the model limits it (11.5 m/s^2, and above 7.3 m/s less when driving). road: only where it
-    starts; its bank is not felt. step: of the Runge-Kutta integration of fourth order [s].
+    rate of `vehicle`. Throttle, gear and brake act at once with the driveline, brake and drag of
+    `vehicle` on the model's own mass; the model limits the acceleration (11.5 m/s^2, and above
+    7.3 m/s less when driving). Controllers know it as `own_vehicle` and `axles`. road: only where
+    it starts; its bank is not felt. step: of the Runge-Kutta integration of fourth order [s].
     """
 
     vehicle: Vehicle
@@ -88,17 +88,29 @@ class MultiBody(Plant[MultiBodyState]):
         return _plain(module.setup_vehicle_parameters(vehicle_id=self.kind))
 
     @property
-    def single_track(self) -> SingleTrack:
-        """The model's own mass, axles and yaw inertia."""
+    def own_vehicle(self) -> Vehicle:
+        """`vehicle` with the model's mass, geometry and yaw inertia, and without downforce."""
         p = self.parameters
-        return SingleTrack(mass=p.m, lf=p.a, lr=p.b, Izz=p.I_z)
+        return replace(
+            self.vehicle, mass=p.m, lf=p.a, lr=p.b, Izz=p.I_z, h_cg=p.h_cg,
+            track_front=p.T_f, track_rear=p.T_r, C_l_front=0.0, C_l_rear=0.0,
+            unsprung_mass_front=p.m_uf, unsprung_mass_rear=p.m_ur, roll_centre_front=p.h_raf,
+            roll_centre_rear=p.h_rar, inclination_front=0.0, inclination_rear=0.0,
+        )  # fmt: skip
 
     @property
-    def cornering_stiffness(self) -> tuple[float, float]:
-        """Of the front and of the rear axle at rest [N/rad]: |PKY1| times the axle's load."""
-        p = self.parameters
-        weight = p.m * GRAVITY / (p.a + p.b)
-        return abs(p.tire.p_ky1) * weight * p.b, abs(p.tire.p_ky1) * weight * p.a
+    def axles(self) -> tuple[Axle, Axle]:
+        """Front and rear axle at rest, from the model's lateral tire formula; ISO-W.
+
+        Its D and its stiffness are proportional to the load, and its shifts vanish without camber.
+        """
+        p, tire = self.parameters, self.parameters.tire
+        curves = []
+        for arm in (p.b, p.a):
+            D = tire.p_dy1 * p.m * GRAVITY * arm / (p.a + p.b) / 2
+            B = abs(tire.p_ky1) / (tire.p_cy1 * tire.p_dy1)
+            curves.append(np.array([B, tire.p_cy1, D, tire.p_ey1, 0.0, 0.0]))
+        return Axle(curves[0], curves[0]), Axle(curves[1], curves[1])
 
     def start(
         self, s: float = 0.0, offset: float = 0.0, speed: float = 0.0, gear: int = 1
@@ -175,10 +187,10 @@ class MultiBody(Plant[MultiBodyState]):
         return max(vx * ratio / v.wheel_radius, v.idle_speed)
 
     def _pull(self, command: Command) -> Callable[[float], float]:
-        """Acceleration of `vehicle` under a command [m/s^2] over the speed [m/s]."""
+        """Acceleration under a command [m/s^2] over the speed [m/s]."""
         v, gear = self.vehicle, int(command.gear)
         braking = float(self.brake.force_of_pressure(command.brake)) + v.C_r
-        inertia, lever = v.mass, 0.0
+        inertia, lever = float(self.parameters.m), 0.0
         if gear > 0:
             inertia += float(v.longitudinal.equivalent_mass(gear))
             lever = v.efficiency * v.gear_ratios[gear - 1] * v.final_drive / v.wheel_radius

@@ -1,8 +1,11 @@
 """The second plant behind the interface of the first; skipped where its package is absent."""
 
+from importlib import import_module
+
 import numpy as np
 import pytest
 
+from miho.driving.load_transfer import LoadTransfer
 from miho.driving.multi_body import MultiBody
 from miho.driving.plant import Command
 from tests.driving.plants import circle, plant
@@ -21,13 +24,13 @@ def test_a_gentle_turn_is_that_of_a_neutral_car(car: MultiBody) -> None:
 
     Within 5 %: camber and compliance of its axles add some understeer at 1.2 m/s^2.
     """
-    track = car.single_track
-    front, rear = car.cornering_stiffness
-    assert front * track.lf == pytest.approx(rear * track.lr)
+    own = car.own_vehicle
+    front, rear = (axle.cornering_stiffness for axle in car.axles)
+    assert front * own.lf == pytest.approx(rear * own.lr)
     state = car.advance(car.start(speed=20.0, gear=0), Command(0.008, gear=0), 1.5)
     motion = car.motion(state)
     assert motion.steering == pytest.approx(0.008, rel=1e-6)
-    expected = motion.vx * 0.008 / (track.lf + track.lr)
+    expected = motion.vx * 0.008 / own.wheelbase
     assert motion.yaw_rate == pytest.approx(expected, rel=0.05)
     assert motion.ay == pytest.approx(motion.vx * motion.yaw_rate, rel=0.05)
 
@@ -37,13 +40,23 @@ def test_a_left_turn_loads_the_right_wheels(car: MultiBody) -> None:
     motion = car.motion(state)
     fl, fr, rl, rr = motion.loads
     assert motion.y > 0 and fr > 2 * fl and rr > 2 * rl
-    assert motion.loads.sum() == pytest.approx(9.81 * car.single_track.mass, rel=0.01)
+    assert motion.loads.sum() == pytest.approx(9.81 * car.own_vehicle.mass, rel=0.01)
     assert motion.wheel_speeds[1] > motion.wheel_speeds[0], "the outer wheel turns faster"
 
 
-def test_commands_give_the_acceleration_of_the_vehicle(car: MultiBody) -> None:
-    """Of its longitudinal model at that speed; the model turns wheels of its own, within 10 %."""
-    v = car.vehicle
+def test_its_axles_are_its_own_tires(car: MultiBody) -> None:
+    """At rest and without camber, by the library's own function."""
+    formula = import_module("vehiclemodels.utils.tire_model").formula_lateral
+    loads = LoadTransfer(car.own_vehicle).wheel_loads(0.0, gravity=9.81)
+    for axle, load in zip(car.axles, (loads.front_left, loads.rear_left), strict=True):
+        for alpha in (-0.2, -0.05, 0.01, 0.1):
+            expected = 2 * formula(alpha, 0.0, float(load), car.parameters.tire)[0]
+            assert float(axle.force(alpha)) == pytest.approx(expected, rel=1e-9)
+
+
+def test_commands_act_on_its_mass(car: MultiBody) -> None:
+    """As its longitudinal model says at that speed, within 10 %: its wheels are heavier."""
+    v = car.own_vehicle
     start = car.start(speed=25.0, gear=3)
     motion = car.motion(car.advance(start, Command(throttle=0.5, gear=3), 0.5))
     torque = float(car.engine.torque(motion.engine_speed, 0.5))
