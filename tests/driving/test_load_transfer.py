@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.constants import g
 
+from miho.driving.embedded import embedded_tires
 from miho.driving.load_transfer import LoadTransfer
 from miho.driving.vehicle import Vehicle
 from tests.driving.test_vehicle import av21
@@ -42,8 +43,8 @@ def test_the_parts_by_hand(car: Vehicle) -> None:
     axis = (sprung_front * car.roll_centre_front + sprung_rear * car.roll_centre_rear) / m_s
     front, rear = LoadTransfer(car).lateral_parts
     couple = m_s * (h_s - axis)
-    assert front.elastic == pytest.approx(0.55 * couple / 1.639, rel=1e-12)
-    assert rear.elastic == pytest.approx(0.45 * couple / 1.524, rel=1e-12)
+    assert front.elastic == pytest.approx(car.roll_share_front * couple / 1.639, rel=1e-12)
+    assert rear.elastic == pytest.approx((1 - car.roll_share_front) * couple / 1.524, rel=1e-12)
     assert rear.geometric == pytest.approx(sprung_rear * 0.05 / 1.524, rel=1e-12)
     assert front.unsprung == pytest.approx(55 * 0.298 / 1.639, rel=1e-12)
 
@@ -63,3 +64,26 @@ def test_a_lifted_wheel_leaves_its_load_to_the_other(car: Vehicle) -> None:
     np.testing.assert_allclose(loads.front_left, [0.0, axle])
     np.testing.assert_allclose(loads.front_right, [axle, 0.0])
     assert LoadTransfer(car).wheel_loads(0.0, ax=200.0).front_left == 0
+
+
+@pytest.mark.parametrize("speed", [40.0, 60.0, 80.0])
+def test_the_front_axle_of_the_av21_reaches_its_limit_first(car: Vehicle, speed: float) -> None:
+    """In a left turn on a flat road; an axle's limit is where its peak force turns its share.
+
+    The lateral acceleration at which an axle slides, by fixed point on the loads.
+    """
+    tires, alpha = embedded_tires(), np.linspace(-0.25, 0.25, 501)
+    limits = []
+    for first, gamma, arm in (
+        (0, car.inclination_front, car.lr),
+        (2, car.inclination_rear, car.lf),
+    ):
+        ay = 10.0
+        for _ in range(40):
+            loads = LoadTransfer(car).wheel_loads(speed, 0.0, ay)
+            peak = max(
+                sum(tires[i].forces(loads[i], 0.0, alpha, gamma).Fy for i in (first, first + 1))
+            )
+            ay = (ay + peak / (car.mass * arm / car.wheelbase)) / 2
+        limits.append(ay)
+    assert limits[0] < limits[1]
