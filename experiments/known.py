@@ -42,11 +42,11 @@ PARTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 
 def known_car(cfg: DictConfig, vehicle: Vehicle) -> KnownCar:
     """What `drive.known` asks for."""
-    if cfg.drive.known == "true":
+    if cfg.drive.known == "truth":
         tires, engine = embedded_tires(), embedded_engine()
         return KnownCar.of_tires(vehicle, tires, engine, EMBEDDED_BRAKE)
     if cfg.drive.known != "identified":
-        raise ConfigError(f"drive.known: is {cfg.drive.known!r}; expected identified or true")
+        raise ConfigError(f"drive.known: is {cfg.drive.known!r}; expected identified or truth")
     unknown = sorted(set(cfg.drive.parameters) - set(PARTS))
     if unknown:
         raise ConfigError(
@@ -54,7 +54,7 @@ def known_car(cfg: DictConfig, vehicle: Vehicle) -> KnownCar:
         )
     problems, thetas = {}, {}
     for part in PARTS:
-        problems[part], thetas[part] = _identified(cfg, part)
+        problems[part], thetas[part] = identified_part(cfg, part)
     return assembled(vehicle, problems, thetas, cfg.drive.sensitivity)
 
 
@@ -77,7 +77,7 @@ def assembled(
     )
 
 
-def _identified(cfg: DictConfig, part: str) -> tuple[CurveFit, Array]:
+def identified_part(cfg: DictConfig, part: str) -> tuple[CurveFit, Array]:
     """The problem of a part, and its parameters from a file or by the configured method."""
     chosen = build_part(cfg, part)
     path = cfg.drive.parameters.get(part)

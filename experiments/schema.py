@@ -109,7 +109,7 @@ class DriveConfig:
     """A drive in closed loop; see conf/track, conf/vehicle and conf/controller.
 
     known: what planner and controllers know of the car, `identified` from the embedded data by the
-    optimizer or the `true` models; `parameters` names parameters.json files of parts of it that
+    optimizer or the `truth`; `parameters` names parameters.json files of parts of it that
     were identified before. mu: the performance factor of the plan. The car starts at the arc length
     `start` [m] of the line with `speed` [m/s] and drives a distance [m]. `top_speeds` [m/s] of the
     laps in turn; without them only the plan's `top_speed` counts.

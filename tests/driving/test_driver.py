@@ -20,7 +20,7 @@ from tests.driving.cars import car
 LINE = lvms(step=4.0)
 PLANNER = car().planner(0.7, 40.0)
 DRIVER = Driver(
-    PLANNER.plan(LINE), car().speed_controller(), car().steering_controller(Weights(steering=300))
+    PLANNER.plan(LINE), car().speed_controller(), car().steering_controller(Weights(steering=100.0))
 )
 PLANT = embedded_plant(car().vehicle, road_of(LINE))
 GEAR = DRIVER.speed.start(30.0).gear

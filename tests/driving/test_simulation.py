@@ -22,7 +22,7 @@ from miho.driving.simulation import Drive, drive
 from miho.driving.track import Track
 from tests.driving.cars import car
 
-WEIGHTS = Weights(steering=300.0)
+WEIGHTS = Weights(steering=100.0)
 
 
 def driver(line: Track, mu: float, top_speed: float, **more: object) -> Driver:

@@ -64,11 +64,11 @@ def test_downforce_adds_to_the_closed_form() -> None:
 
 def test_load_transfer_costs_speed_only_with_load_sensitivity() -> None:
     """Eq. 10 lets it cancel on axles with equal tires; a lower centre of gravity then gains 0."""
-    low = replace(PLAIN, h_cg=0.2)
+    low, high = (replace(PLAIN, h_cg=h_cg) for h_cg in (0.2, 0.5))
     track = ring(100.0, 0.0)
     for sensitivity, gains in ((0.0, False), (-0.2, True)):
         grip = equal_grip(sensitivity)
-        high_plan, low_plan = (VelocityPlanner(one, grip).plan(track) for one in (PLAIN, low))
+        high_plan, low_plan = (VelocityPlanner(one, grip).plan(track) for one in (high, low))
         gain = low_plan.v[0] / high_plan.v[0] - 1
         assert (gain > 0.005) == gains
         if not gains:
