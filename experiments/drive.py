@@ -46,10 +46,10 @@ OVALS = {"ims": ims, "lvms": lvms}
 
 def drive(cfg: DictConfig) -> None:
     """One drive: log, figure, table and what regenerates them, in `root`."""
-    road, line, vehicle = _prepared(cfg)
+    road, line, vehicle = prepared(cfg)
     known = known_car(cfg, vehicle)
     with _one_line():
-        driver = _driver(cfg, known, line)
+        driver = driver_of(cfg, known, line)
         plant = embedded_plant(vehicle, road_of(road))
         gear = driver.speed.start(cfg.drive.speed).gear
         at = road.project(*map(float, line.position(cfg.drive.start)))
@@ -93,10 +93,10 @@ def write(cfg: DictConfig, done: Drive, driver: Driver, road: Track) -> None:
 
 def check(cfg: DictConfig) -> None:
     """Everything that can be wrong before identification begins."""
-    _prepared(cfg)
+    prepared(cfg)
 
 
-def _prepared(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
+def prepared(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
     """The road, the line that is driven on it, and the vehicle."""
     if not cfg.drive.track or not cfg.drive.vehicle or not cfg.drive.controller:
         raise ConfigError("drive: is incomplete; choose experiment=ims_obstacle or lvms_laps")
@@ -116,7 +116,8 @@ def _prepared(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
     return road, line, vehicle
 
 
-def _driver(cfg: DictConfig, known: KnownCar, line: Track) -> Driver:
+def driver_of(cfg: DictConfig, known: KnownCar, line: Track) -> Driver:
+    """The driver that `drive` describes, for a line and what is known of the car."""
     settings = _mapping(cfg.drive.controller)
     planner = known.planner(cfg.drive.mu, cfg.drive.top_speed)
     steering = known.steering_controller(Weights(**settings["weights"]), settings["period"])
