@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from miho.driving.local_plan import LocalPlanner, NoPathError, Obstacle
 from miho.driving.plant import Command, Motion
@@ -89,11 +90,12 @@ def place(line: Track, motion: Motion, hint: float | None) -> Place:
 
 
 class DriverState(NamedTuple):
-    """What a driver remembers. at: where it was; laps and cap [m/s] belong to its pace; stopped
-    says why it makes a safe stop, "" while it drives."""
+    """What a driver remembers. at, vx: where it was [m] and how fast; laps and cap [m/s] belong to
+    its pace; stopped says why it makes a safe stop, "" while it drives."""
 
     plan: VelocityPlan
     at: float
+    vx: float
     laps: int
     cap: float
     desired: float
@@ -109,7 +111,7 @@ class Driver:
     """Follows a plan by steering, throttle, brake and gear, a command every `period` [s].
 
     A measurement that is not finite, an offset of more than 10 m or an obstacle with no path
-    around it make a safe stop: along the line while it is known, on the brakes.
+    around it make a safe stop: along the line, on the brakes; what is not measured is guessed.
     """
 
     plan: VelocityPlan
@@ -129,21 +131,30 @@ class Driver:
         at = self.plan.line.project(motion.x, motion.y).s
         command = Command(gear=speed.gear)
         return DriverState(
-            self.plan, at, 0, motion.vx, motion.vx, speed, self.steering.initial, command, False, ""
+            self.plan,
+            at,
+            motion.vx,
+            0,
+            motion.vx,
+            motion.vx,
+            speed,
+            self.steering.initial,
+            command,
+            False,
+            "",
         )
 
     def step(self, state: DriverState, motion: Motion) -> tuple[Command, DriverState]:
         """The next command from a measured motion."""
-        known = all(math.isfinite(getattr(motion, name)) for name in NEEDED)
-        if not known and not state.stopped:
-            wrong = next(n for n in NEEDED if not math.isfinite(getattr(motion, n)))
-            state = state._replace(stopped=f"{wrong} is {getattr(motion, wrong)}")
-        if not known:
-            return self._brake(state, state.command.steering)
+        unknown = [name for name in NEEDED if not math.isfinite(getattr(motion, name))]
+        if unknown:
+            motion = self._guessed(state, motion, unknown)
+            reason = f"{unknown[0]} is not finite"
+            state = state._replace(stopped=state.stopped or reason)
         state = self._replanned(state, motion.vx)
         here = place(state.plan.line, motion, state.at)
         laps = state.laps + (state.at - here.at.s > state.plan.line.length / 2)
-        state = state._replace(at=here.at.s, laps=laps)
+        state = state._replace(at=here.at.s, laps=laps, vx=motion.vx)
         if abs(here.at.e) > LOST and not state.stopped:
             state = state._replace(stopped=f"{here.at.e:.1f} m off the line")
         steering, remembered = self.steering.command(
@@ -157,10 +168,24 @@ class Driver:
         command = Command(steering, pedals.throttle, pedals.brake, pedals.gear)
         return command, state._replace(cap=cap, desired=desired, speed=speed, command=command)
 
+    def _guessed(self, state: DriverState, motion: Motion, unknown: Sequence[str]) -> Motion:
+        """The motion with what is unknown as if the car was on its line and braking safely."""
+        vx = max(state.vx - SAFE_BRAKE * self.period, 0.0)
+        here = state.plan.line.at(state.at + vx * self.period)
+        turn = self.steering.feed_forward(vx, float(here.curvature), float(here.bank))
+        guess: dict[str, Any] = {
+            "x": float(here.x), "y": float(here.y), "yaw": float(here.heading) - turn.slip,
+            "vx": vx, "vy": vx * turn.slip, "steering": turn.steering,
+            "yaw_rate": vx * float(here.curvature) * math.cos(float(here.bank)),
+        }  # fmt: skip
+        return motion._replace(**{name: guess[name] for name in unknown})
+
     def _replanned(self, state: DriverState, vx: float) -> DriverState:
         """The state with a plan around the obstacles, once they are seen."""
         sighting = self.sighting
-        if sighting is None or state.planned or not sighting.seen(self.plan.line, state.at):
+        if sighting is None or state.planned or state.stopped:
+            return state
+        if not sighting.seen(self.plan.line, state.at):
             return state
         state = state._replace(planned=True)
         try:
