@@ -93,6 +93,47 @@ class TrackingConfig:
 
 
 @dataclass
+class ObstacleConfig:
+    """A box on the line that is driven: s along it, e to its left, sides [m]; and from how far
+    before it is seen [m]. Without `sight` there is none."""
+
+    s: float = 0.0
+    e: float = 0.0
+    length: float = 5.0
+    width: float = 2.0
+    sight: float | None = None
+
+
+@dataclass
+class DriveConfig:
+    """A drive in closed loop; see conf/track, conf/vehicle and conf/controller.
+
+    known: what planner and controllers know of the car, `identified` from the embedded data by the
+    optimizer or the `truth`; `parameters` names parameters.json files of parts of it that
+    were identified before. mu: the performance factor of the plan. The car starts at the arc length
+    `start` [m] of the line with `speed` [m/s] and drives a distance [m]. `top_speeds` [m/s] of the
+    laps in turn; without them only the plan's `top_speed` counts.
+    """
+
+    vehicle: dict[str, Any] = field(default_factory=dict)
+    track: dict[str, Any] = field(default_factory=dict)
+    controller: dict[str, Any] = field(default_factory=dict)
+    known: str = "identified"
+    parameters: dict[str, str] = field(default_factory=dict)
+    sensitivity: float = 0.0
+    noise: bool = True
+    mu: float = 1.0
+    top_speed: float = 90.0
+    top_speeds: list[float] = field(default_factory=list)
+    ramp: float = 1.5
+    start: float = 0.0
+    speed: float = 30.0
+    distance: float = 0.0
+    figure: str = "fig8"
+    obstacle: ObstacleConfig = field(default_factory=ObstacleConfig)
+
+
+@dataclass
 class Config:
     """One run, or with `comparison` a set of runs of the same problem.
 
@@ -113,6 +154,7 @@ class Config:
     sweep: SweepConfig = field(default_factory=SweepConfig)
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     comparison: ComparisonConfig = field(default_factory=ComparisonConfig)
+    drive: DriveConfig = field(default_factory=DriveConfig)
 
 
 def register() -> None:

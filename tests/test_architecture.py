@@ -19,6 +19,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         {"miho.identification", "miho.optim", "miho.models", "miho.data"},
         NUMERICS | TABLES,
     ),
+    "miho.driving": ({"miho.driving", "miho.models", "miho.data"}, NUMERICS),
     "miho.study": ({"miho.study", "miho.optim"}, {"pandas", "filelock", "threadpoolctl"}),
     "miho.analysis": ({"miho.analysis", "miho.study"}, NUMERICS | TABLES),
     "miho.testing": ({"miho.optim", "miho.models"}, NUMERICS),

@@ -33,7 +33,7 @@ def test_the_groups_are_known() -> None:
     groups = {path.name for path in CONF.iterdir() if path.is_dir()}
     assert groups == {
         "model", "dataset", "space", "loss", "problem", "optimizer", "budget", "experiment",
-        "vehicle", "tracking", "hydra",
+        "vehicle", "tracking", "hydra", "track", "controller",
     }  # fmt: skip
 
 

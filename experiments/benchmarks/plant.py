@@ -1,0 +1,173 @@
+"""How fast and how exact the plants are.
+
+python -m experiments.benchmarks.plant [--quick]
+
+Speed is simulated seconds per second of one thread, at a step of 1 ms: plant 1 in control periods
+of 10 ms, as a closed loop calls it, and of 100 ms; plant 2 in control periods, where its package is
+installed. The fastest of many short turns counts, taken in turns. Exactness is what half the step
+changes: of a lap of IMS in closed loop, with braking before its turns, and of an open-loop drive of
+acceleration, weave, shifts and braking, whose error against a step of 0.125 ms is shown for each.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from dataclasses import replace
+
+import hydra
+import numpy as np
+import pandas as pd
+from omegaconf import OmegaConf
+
+from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, interleaved, machine
+from experiments.cli import BUG, CONF, OK, guarded
+from miho.driving.double_track import DoubleTrack
+from miho.driving.driver import Driver
+from miho.driving.embedded import embedded_plant
+from miho.driving.known_car import KnownCar
+from miho.driving.multi_body import MultiBody
+from miho.driving.ovals import ims
+from miho.driving.path_tracking import Weights
+from miho.driving.plant import Command, Motion, Plant, State
+from miho.driving.road import road_of
+from miho.driving.simulation import drive
+from miho.driving.vehicle import Vehicle
+from miho.study import single_thread
+
+PERIOD = 0.01
+CRUISE = Command(0.005, 0.3, 0.0, 4)
+DRIVE = (
+    (1.0, Command(throttle=1.0, gear=4)),
+    (1.0, Command(0.02, 0.5, gear=4)),
+    (1.0, Command(-0.03, 0.5, gear=5)),
+    (0.5, Command(0.02, 0.0, 2e6, gear=5)),
+    (1.5, Command(0.0, 0.0, 2e6, gear=3)),
+    (2.0, Command(0.01, 1.0, gear=3)),
+)
+"""Seconds and command, from 40 m/s in gear 4."""
+STEPS = (1e-3, 5e-4, 2.5e-4)
+FINEST = 1.25e-4
+
+
+def av21() -> Vehicle:
+    """The car of the configuration."""
+    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
+        chosen = OmegaConf.to_container(hydra.compose("vehicle/av21_full").vehicle)
+    return Vehicle.from_settings(chosen)  # type: ignore[arg-type]
+
+
+def held(plant: Plant[State], command: Command, period: float, count: int) -> Callable[[], object]:
+    """So many periods under one command, from the same start each time."""
+    start = plant.start(speed=40.0, gear=4)
+
+    def run() -> None:
+        state = start
+        for _ in range(count):
+            state = plant.advance(state, command, period)
+            plant.motion(state)
+
+    return run
+
+
+def speeds(car: DoubleTrack, quick: bool) -> pd.DataFrame:
+    """Simulated seconds per second."""
+    jobs = {
+        "plant 1, 10 ms": (0.1, held(car, CRUISE, PERIOD, 10)),
+        "plant 1, 100 ms": (0.1, held(car, CRUISE, 0.1, 1)),
+    }
+    try:
+        other = MultiBody(car.vehicle, car.engine, car.brake)
+    except ImportError as error:
+        print(error)
+    else:
+        jobs["plant 2, 10 ms"] = (PERIOD, held(other, CRUISE, PERIOD, 1))
+    # As short as a turn can be: one that no other program interrupts is then among them.
+    took = interleaved({name: job for name, (_, job) in jobs.items()}, 50 if quick else 500, 1e-4)
+    rows = [
+        {
+            "": name,
+            "times real time": seconds / took[name],
+            "us per step": 1e3 * took[name] / seconds,
+        }
+        for name, (seconds, _) in jobs.items()
+    ]
+    return pd.DataFrame(rows)
+
+
+def end_of(car: DoubleTrack) -> Motion:
+    """Where the open-loop drive ends."""
+    state = car.start(speed=40.0, gear=4)
+    for seconds, command in DRIVE:
+        for _ in range(round(seconds / PERIOD)):
+            state = car.advance(state, command, PERIOD)
+    return car.motion(state)
+
+
+def convergence(car: DoubleTrack) -> pd.DataFrame:
+    """Error of the open-loop drive's end against the finest step, for each step."""
+    best = end_of(replace(car, step=FINEST))
+    rows = []
+    for step in STEPS:
+        end = end_of(replace(car, step=step))
+        off = np.hypot(end.x - best.x, end.y - best.y)
+        rows.append({"step [ms]": 1e3 * step, "position [m]": off, "vx [m/s]": end.vx - best.vx})
+    return pd.DataFrame(rows)
+
+
+def lap_time(vehicle: Vehicle, step: float) -> float:
+    """Seconds of the second lap of IMS, planned and driven with all that is true of the car."""
+    line = ims()
+    car = embedded_plant(vehicle, road_of(line), step)
+    known = KnownCar.of_tires(vehicle, car.tires, car.engine, car.brake)
+    plan = known.planner(mu=0.6, top_speed=85.0).plan(line)
+    driver = Driver(
+        plan, known.speed_controller(), known.steering_controller(Weights(steering=100.0))
+    )
+    start = car.start(speed=float(plan.v[0]), gear=6)
+    log = drive(car, driver, start, 2.01 * line.length)
+    if log.stopped:
+        raise RuntimeError(f"the lap of IMS ended early: {log.stopped}")
+    first, second = np.interp([line.length, 2 * line.length], log["distance"], log["time"])
+    return float(second - first)
+
+
+def measure(quick: bool) -> list[Bar]:
+    """Print all figures; the bars that they have to meet."""
+    vehicle = av21()
+    car = embedded_plant(vehicle)
+    fast = speeds(car, quick)
+    print(f"\n{fast.to_string(index=False, float_format='{:.4g}'.format)}\n")
+    errors = convergence(car)
+    print(f"{errors.to_string(index=False, float_format='{:.3g}'.format)}\n")
+    laps = [lap_time(vehicle, step) for step in STEPS[:2]]
+    print(f"lap of IMS in closed loop: {laps[0]:.6f} s, half the step {laps[1]:.6f} s\n")
+    ends = [end_of(replace(car, step=step)) for step in STEPS[:2]]
+    moved = float(np.hypot(ends[0].x - ends[1].x, ends[0].y - ends[1].y))
+    length = sum(seconds for seconds, _ in DRIVE) * 40.0
+    return [
+        Bar("real time factor of plant 1", float(fast["times real time"].iloc[0]), AT_LEAST, 50.0),
+        Bar("half the step: lap time, relative", abs(laps[1] / laps[0] - 1), AT_MOST, 1e-4),
+        Bar("half the step: end of the open-loop drive, per metre", moved / length, AT_MOST, 1e-4),
+    ]
+
+
+def main() -> None:
+    """Measure on one thread, print, and exit with 1 if a bar is missed."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--quick", action="store_true", help="fewer repeats")
+    quick: bool = parser.parse_args().quick
+    bars: list[Bar] = []
+
+    def job() -> None:
+        print(machine())
+        with single_thread():
+            bars.extend(measure(quick))
+        for bar in bars:
+            print(bar)
+
+    guarded(job, lambda: OK if all(bar.met for bar in bars) else BUG)
+
+
+if __name__ == "__main__":
+    main()

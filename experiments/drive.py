@@ -1,0 +1,160 @@
+"""Drive the paper's field tests in closed loop, and draw their figures.
+
+python -m experiments.drive experiment=ims_obstacle   # Fig. 7: around an obstacle, two minutes
+python -m experiments.drive experiment=lvms_laps      # Fig. 8: nine laps, three minutes
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from omegaconf import DictConfig, OmegaConf
+
+from experiments.build import ConfigError
+from experiments.cli import command
+from experiments.drive_results import judged, plans
+from experiments.known import known_car
+from miho.analysis import save
+from miho.analysis.driving_figures import fig7, fig8
+from miho.data import CSVError
+from miho.driving.centre_line import track_from_csv
+from miho.driving.driver import Driver, Pace, Sighting
+from miho.driving.embedded import embedded_plant
+from miho.driving.known_car import KnownCar
+from miho.driving.lines import beside, constant
+from miho.driving.local_plan import LocalPlanner, Obstacle
+from miho.driving.ovals import ims, lvms
+from miho.driving.path_tracking import Weights
+from miho.driving.road import road_of
+from miho.driving.sensors import Sensors
+from miho.driving.simulation import Drive
+from miho.driving.simulation import drive as drive_loop
+from miho.driving.speed_control import SpeedSettings
+from miho.driving.track import Track
+from miho.driving.vehicle import Vehicle
+from miho.study import write_text
+
+OVALS = {"ims": ims, "lvms": lvms}
+
+
+def drive(cfg: DictConfig) -> None:
+    """One drive: log, figure, table and what regenerates them, in `root`."""
+    road, line, vehicle = prepared(cfg)
+    known = known_car(cfg, vehicle)
+    with _one_line():
+        driver = driver_of(cfg, known, line)
+        plant = embedded_plant(vehicle, road_of(road))
+        gear = driver.speed.start(cfg.drive.speed).gear
+        at = road.project(*map(float, line.position(cfg.drive.start)))
+        start = plant.start(at.s, at.e, cfg.drive.speed, gear)
+        sensors = Sensors() if cfg.drive.noise else None
+        rng = np.random.default_rng(cfg.seed)
+        done = drive_loop(plant, driver, start, cfg.drive.distance, sensors=sensors, rng=rng)
+    write(cfg, done, driver, road)
+
+
+def write(cfg: DictConfig, done: Drive, driver: Driver, road: Track) -> None:
+    """The log as CSV, the figure, the table, and the command."""
+    root = Path(cfg.root)
+    root.mkdir(parents=True, exist_ok=True)
+    log = pd.DataFrame(dict(done.columns))
+    write_text(root / "log.csv", log.to_csv(index=False, float_format="%.6g"))
+    note = f"mu = {cfg.drive.mu:g}; {cfg.drive.known} models"
+    if cfg.drive.known == "identified":
+        note += f" by {cfg.optimizer.name}"
+    if cfg.drive.figure == "fig7":
+        ratio = driver.speed.vehicle.steering_ratio
+        figure = fig7(log, steering_ratio=ratio, obstacle=_passing(cfg, log), note=note)
+    else:
+        length = driver.plan.line.length
+        laps = [k * length for k in range(int(log["distance"].max() / length) + 1)]
+        figure = fig8(log, laps=laps, note=note)
+    paths = save(figure, root / "figures" / cfg.drive.figure)
+    table = judged(done, driver, road)
+    if driver.sighting is not None:
+        table |= plans(driver, cfg.drive.start)
+    about = {
+        "command": ["python", "-m", "experiments.drive", *sys.argv[1:]],
+        "seed": cfg.seed,
+        "results": table,
+    }
+    write_text(root / "drive.json", json.dumps(about, indent=1) + "\n")
+    for name, value in table.items():
+        print(f"{name:<48} {value}")
+    print("\n".join(map(str, [*paths, root / "log.csv", root / "drive.json"])))
+
+
+def check(cfg: DictConfig) -> None:
+    """Everything that can be wrong before identification begins."""
+    prepared(cfg)
+
+
+def prepared(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
+    """The road, the line that is driven on it, and the vehicle."""
+    if not cfg.drive.track or not cfg.drive.vehicle or not cfg.drive.controller:
+        raise ConfigError("drive: is incomplete; choose experiment=ims_obstacle or lvms_laps")
+    if cfg.drive.figure not in ("fig7", "fig8"):
+        raise ConfigError(f"drive.figure: is {cfg.drive.figure!r}; expected fig7 or fig8")
+    with _one_line():
+        vehicle = Vehicle.from_settings(_mapping(cfg.drive.vehicle))
+        settings = _mapping(cfg.drive.track)
+        name, offset = settings.pop("name", None), settings.pop("offset", 0.0)
+        if name in OVALS:
+            road = OVALS[name](**settings)
+        elif name == "csv":
+            road = track_from_csv(**settings)
+        else:
+            raise ConfigError(f"drive.track.name: is {name!r}; expected ims, lvms or csv")
+        line = road if offset == 0 else beside(road, constant(float(offset)))
+    return road, line, vehicle
+
+
+def driver_of(cfg: DictConfig, known: KnownCar, line: Track) -> Driver:
+    """The driver that `drive` describes, for a line and what is known of the car."""
+    settings = _mapping(cfg.drive.controller)
+    planner = known.planner(cfg.drive.mu, cfg.drive.top_speed)
+    steering = known.steering_controller(Weights(**settings["weights"]), settings["period"])
+    speed = known.speed_controller(SpeedSettings(**settings["speed"]))
+    tops = tuple(cfg.drive.top_speeds)
+    pace = Pace(tops, cfg.drive.ramp) if tops else None
+    box = cfg.drive.obstacle
+    sighting = None
+    if box.sight is not None:
+        obstacle = Obstacle(s=box.s, e=box.e, length=box.length, width=box.width)
+        sighting = Sighting((obstacle,), box.sight, LocalPlanner(), planner)
+    return Driver(planner.plan(line), speed, steering, pace, sighting)
+
+
+def _passing(cfg: DictConfig, log: pd.DataFrame) -> float | None:
+    """When the car is beside the obstacle [s]."""
+    gone = log["distance"] >= cfg.drive.obstacle.s - cfg.drive.start
+    return float(log["time"][gone].iloc[0]) if gone.any() else None
+
+
+def _mapping(node: DictConfig) -> dict[str, Any]:
+    plain = OmegaConf.to_container(node, resolve=True)
+    if not isinstance(plain, Mapping):
+        raise ConfigError(f"{node!r} is not a mapping; expected settings by name")
+    return {str(key): value for key, value in plain.items()}
+
+
+@contextmanager
+def _one_line() -> Iterator[None]:
+    """What the library finds wrong with settings is bad input, in its own words."""
+    try:
+        yield
+    except (ConfigError, CSVError):
+        raise
+    except (ValueError, TypeError) as error:
+        raise ConfigError(f"drive: {error}") from None
+
+
+if __name__ == "__main__":
+    command(drive, check)

@@ -1,0 +1,125 @@
+"""What a drive came to: errors, limits, clearance, and what the printed equations would plan."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from scipy.constants import g
+
+from miho.driving.driver import Driver
+from miho.driving.embedded import embedded_tires
+from miho.driving.friction import friction_car, uses_of
+from miho.driving.grip import Grip
+from miho.driving.known_car import inclinations, static_loads
+from miho.driving.simulation import Drive
+from miho.driving.track import Track
+from miho.driving.velocity_as_printed import PrintedPlanner
+from miho.driving.velocity_planner import front_share
+
+CAR_LENGTH, CAR_WIDTH = 4.9, 1.93
+"""Of the AV-21 [m]."""
+
+
+def judged(done: Drive, driver: Driver, road: Track) -> dict[str, float | str]:
+    """Largest errors and uses of a drive; the road is that of the plant."""
+    e_psi = float(np.degrees(np.abs(done["e_psi"]).max()))
+    error = done["vx"] - done["v_des"]
+    within = np.abs(done["ay"]) / done["ay_limit"]
+    table: dict[str, float | str] = {
+        "stopped": done.stopped or "no",
+        "time [s]": _round(done["time"][-1]),
+        "top speed [km/h]": _round(3.6 * done["vx"].max()),
+        "largest position error [m]": _round(np.abs(done["e_y"]).max()),
+        "largest heading error [deg]": _round(e_psi),
+        "velocity error, RMS [m/s]": _round(math.sqrt(float(np.mean(error**2)))),
+        "velocity error, largest [m/s]": _round(np.abs(error).max()),
+        "largest lateral acceleration [m/s^2]": _round(np.abs(done["ay"]).max()),
+        "largest share of the planned lateral limit": _round(within.max()),
+        "largest use of the true tires' friction": _round(true_use(done, driver).max()),
+        "least room to an edge of the road [m]": _round(_room(done, road)),
+    }
+    if driver.sighting is not None:
+        table["least gap to the obstacle [m]"] = _round(gap(done, driver))
+    return table
+
+
+def true_use(done: Drive, driver: Driver) -> np.ndarray:
+    """Use of the true tires' friction in steady terms, (N,); above 1 an axle would slide."""
+    vehicle = driver.speed.vehicle
+    grip = Grip.of_tires(embedded_tires(), static_loads(vehicle), inclinations(vehicle))
+    car = friction_car(vehicle, grip, 1.0, front_share(driver.speed.brake))
+    turning = done["vx"] ** 2 * done["curvature"]
+    gravity = g * np.cos(done["bank"]) + turning * np.sin(done["bank"])
+    return np.asarray(uses_of(car, done["vx"], done["ax"], done["ay"], gravity))
+
+
+def gap(done: Drive, driver: Driver) -> float:
+    """Least distance [m] between the boxes of car and obstacle, negative in a collision.
+
+    The car is taken to lie along the line that it would drive without the obstacle.
+    """
+    if driver.sighting is None:
+        raise ValueError("the driver has no obstacle; expected a sighting")
+    obstacle, line = driver.sighting.obstacles[0], driver.plan.line
+    least, hint = math.inf, None
+    for x, y in zip(done["x"], done["y"], strict=True):
+        at = line.project(float(x), float(y), hint)
+        hint = at.s
+        ahead = abs(math.remainder(at.s - obstacle.s, line.length))
+        beside = abs(at.e - obstacle.e) - (CAR_WIDTH + obstacle.width) / 2
+        along = ahead - (CAR_LENGTH + obstacle.length) / 2
+        least = min(least, max(beside, along))
+    return least
+
+
+def plans(driver: Driver, now: float) -> dict[str, float | str]:
+    """The least speeds [km/h] that the planners give on the path around the obstacle.
+
+    The avoidance is planned without a top speed, at the point at which the obstacle is seen, so
+    that the tires alone are the limit.
+    """
+    sighting = driver.sighting
+    if sighting is None:
+        raise ValueError("the driver has no obstacle; expected a sighting")
+    line = driver.plan.line
+    seen = max(now, sighting.obstacles[0].s - sighting.distance)
+    path = sighting.local.path(line, sighting.obstacles, seen)
+    near = (path.s > seen) & (path.s < sighting.obstacles[0].s + sighting.distance)
+    planner = replace(sighting.velocity, top_speed=90.0)
+    slowest = {"corrected": planner.lateral_limits(path)[near].min()}
+    for name, transfer, yaw in (
+        ("as printed", False, True),
+        ("as printed, Eq. 11 without yaw term", False, False),
+        ("the same with load transfer by a_y", True, False),
+    ):
+        printed = PrintedPlanner(
+            planner.vehicle, planner.grip, planner.mu, transfer=transfer, yaw_term=yaw
+        )
+        slowest[name] = printed.speeds(path)[near].min()
+    ratio = slowest["as printed"] / slowest["as printed, Eq. 11 without yaw term"]
+    moved = slowest["the same with load transfer by a_y"]
+    cancels = moved / slowest["as printed, Eq. 11 without yaw term"] - 1
+    table: dict[str, float | str] = {
+        f"least speed of the plan, {name} [km/h]": _round(3.6 * v) for name, v in slowest.items()
+    }
+    table["printed Eq. 11 over the same without yaw term"] = _round(ratio)
+    table["effect of load transfer in Eq. 10 [%]"] = _round(100 * cancels)
+    return table
+
+
+def _room(done: Drive, road: Track) -> float:
+    """Least distance of the car's sides from an edge of the road [m]."""
+    least, hint = math.inf, None
+    for x, y in zip(done["x"][::5], done["y"][::5], strict=True):
+        at = road.project(float(x), float(y), hint)
+        hint = at.s
+        here = road.at(at.s)
+        least = min(least, float(here.width_left) - at.e, float(here.width_right) + at.e)
+    return least - CAR_WIDTH / 2
+
+
+def _round(value: float) -> float:
+    """Four digits."""
+    return float(f"{float(value):.4g}")

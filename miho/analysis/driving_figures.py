@@ -1,0 +1,129 @@
+"""The paper's figures of the two field tests: obstacle avoidance and laps at speed."""
+
+from __future__ import annotations
+
+import math
+
+import pandas as pd
+import seaborn as sns
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from miho.analysis.figures import WIDTH, caption, house_style
+
+BLUE, _, GREEN, RED = sns.color_palette("colorblind").as_hex()[:4]
+DASHED = (0, (4, 2))
+KMH = 3.6
+LEAST_RANGE = 20.0
+"""Of the axis of velocities [km/h], so that noise does not fill it."""
+
+
+def fig7(
+    log: pd.DataFrame, *, steering_ratio: float, obstacle: float | None = None, note: str = ""
+) -> Figure:
+    """Fig. 7: velocity, lateral acceleration within its limits, and steering, over time.
+
+    `log` has the columns of `miho.driving.simulation.Drive`. steering_ratio: steering wheel over
+    road wheel [-]. obstacle: the time [s] at which the car is beside it, marked in all panels.
+    """
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
+        velocity, lateral, steering = figure.subplots(3, 1, sharex=True)
+        plot_velocity(log, velocity, over="time")
+        plot_lateral(log, lateral)
+        plot_steering(log, steering, steering_ratio)
+        for ax in (velocity, lateral, steering):
+            ax.margins(x=0)
+            if obstacle is not None:
+                ax.axvline(obstacle, color="#888888", linewidth=0.9, linestyle=":")
+        steering.set_xlabel("time [s]")
+        caption(figure, "" if obstacle is None else "dotted: beside the obstacle", note)
+        figure.draw_without_rendering()
+    return figure
+
+
+def fig8(log: pd.DataFrame, *, laps: list[float] | None = None, note: str = "") -> Figure:
+    """Fig. 8: errors of position and heading, velocity, throttle and brake, over the distance.
+
+    `laps`: distances [m] at which laps begin, marked in all panels.
+    """
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 5.8), layout="constrained")
+        position, heading, velocity, pedals = figure.subplots(4, 1, sharex=True)
+        plot_error(log, "e_y", 1.0, "position\nerror [m]", position)
+        plot_error(log, "e_psi", 180 / math.pi, "heading\nerror [deg]", heading)
+        plot_velocity(log, velocity, over="distance")
+        plot_pedals(log, pedals)
+        for ax in (position, heading, velocity, pedals):
+            ax.margins(x=0)
+            for start in laps or []:
+                ax.axvline(start / 1000, color="#bbbbbb", linewidth=0.7, linestyle=":", zorder=0)
+        pedals.set_xlabel("distance [km]")
+        caption(figure, "dotted: start of a lap" if laps else "", note)
+        figure.draw_without_rendering()
+    return figure
+
+
+def plot_velocity(log: pd.DataFrame, ax: Axes, *, over: str) -> Axes:
+    """Measured and desired velocity [km/h] over the time [s] or the distance [km]."""
+    at = log["time"] if over == "time" else log["distance"] / 1000
+    ax.plot(at, KMH * log["v_des"], color="black", linewidth=1.0, linestyle=DASHED, label="desired")
+    ax.plot(at, KMH * log["vx"], color=BLUE, linewidth=1.4, label="driven")
+    low, high = ax.get_ylim()
+    spare = max(LEAST_RANGE - (high - low), 0.0) / 2
+    ax.set(ylabel="velocity\n[km/h]", ylim=(low - spare, high + spare))
+    _legend(ax)
+    return ax
+
+
+def plot_lateral(log: pd.DataFrame, ax: Axes) -> Axes:
+    """Lateral acceleration [m/s^2], driven and planned, between the planned limits, over time."""
+    t = log["time"]
+    ax.plot(t, log["ay_plan"], color="black", linewidth=1.0, linestyle=DASHED, label="planned")
+    ax.plot(t, log["ay"], color=BLUE, linewidth=1.4, label="driven")
+    ax.plot(t, log["ay_limit"], color=RED, linewidth=1.0, label="limit")
+    ax.plot(t, -log["ay_limit"], color=RED, linewidth=1.0)
+    ax.set_ylabel("lateral accel.\n[m/s²]")
+    _legend(ax)
+    return ax
+
+
+def plot_steering(log: pd.DataFrame, ax: Axes, ratio: float) -> Axes:
+    """Angle of the steering wheel [deg], commanded and driven, over time."""
+    degrees = ratio * 180 / math.pi
+    t = log["time"]
+    ax.plot(
+        t, degrees * log["u_steering"], color="black", linewidth=1.0, linestyle=DASHED,
+        label="command",
+    )  # fmt: skip
+    ax.plot(t, degrees * log["steering"], color=BLUE, linewidth=1.4, label="driven")
+    ax.set_ylabel("steering wheel\n[deg]")
+    _legend(ax)
+    return ax
+
+
+def plot_error(log: pd.DataFrame, column: str, factor: float, label: str, ax: Axes) -> Axes:
+    """A column times a factor over the distance [km], with its largest magnitude written in."""
+    values = factor * log[column]
+    ax.plot(log["distance"] / 1000, values, color=BLUE, linewidth=0.9)
+    ax.axhline(0.0, color="black", linewidth=0.6)
+    most = float(values.abs().max())
+    ax.set_ylim(-1.45 * most, 1.45 * most)
+    ax.set_title(f"largest {most:.2f}", loc="right", pad=2, fontsize=8)
+    ax.set_ylabel(label)
+    return ax
+
+
+def plot_pedals(log: pd.DataFrame, ax: Axes) -> Axes:
+    """Throttle [%] and brake pressure [bar], as commanded, over the distance [km]."""
+    at = log["distance"] / 1000
+    ax.plot(at, 100 * log["u_throttle"], color=GREEN, linewidth=0.9, label="throttle [%]")
+    ax.plot(at, log["u_brake"] / 1e5, color=RED, linewidth=0.9, label="brake [bar]")
+    ax.set(ylabel="throttle, brake", ylim=(0, 105))
+    _legend(ax)
+    return ax
+
+
+def _legend(ax: Axes) -> None:
+    """In a row above the panel, where no line is."""
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, borderpad=0.1)

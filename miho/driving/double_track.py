@@ -1,0 +1,225 @@
+"""Plant 1: a double track that knows more than any controller here."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from miho.driving import (
+    compiled_tire,
+    dynamics,
+    load_transfer,
+    plant_parameters,
+    powertrain,
+    road,
+)
+from miho.driving.dynamics import (
+    CHI,
+    DELTA,
+    PRESSURE,
+    SIZE,
+    TORQUE,
+    VX,
+    VY,
+    WHEELS,
+    N,
+    R,
+    S,
+    derivative,
+    loads_of,
+)
+from miho.driving.plant import Command, Motion, Plant, steps_of
+from miho.driving.plant_parameters import Car, Tires, car_of
+from miho.driving.powertrain import engine_speed
+from miho.driving.road import PLANE, Road, place_at, shape_at
+from miho.driving.vehicle import Vehicle
+from miho.models.brake import Brake
+from miho.models.engine_map import EngineMap
+from miho.models.signature import signature_of, signed
+
+Array = NDArray[np.float64]
+
+LARGEST_STEP = 1e-3
+"""Above it the lightest mode, a wheel that comes to rest, is no longer stable [s]."""
+COMPILED_WITH = tuple(
+    str(module.__file__)
+    for module in (compiled_tire, dynamics, load_transfer, plant_parameters, powertrain, road)
+)
+
+
+@dataclass(frozen=True, eq=False)
+class DoubleTrackState:
+    """All that moves: y (23,) as in `dynamics`, and what the actuators have not yet heard.
+
+    gearbox (2,): gear engaged, seconds until its clutch closes. steering, brake: commands on
+    their way, the next one first, one per step. seen (11,): x, y [m], heading of the line and
+    bank [rad] below the car, engine speed [rad/s], a_x, a_y [m/s^2] and four loads [N].
+    """
+
+    time: float
+    y: Array
+    gearbox: Array
+    steering: Array
+    brake: Array
+    seen: Array
+
+
+@dataclass(frozen=True, eq=False)
+class DoubleTrack(Plant[DoubleTrackState]):
+    """Three planar degrees of freedom, wheel spins, combined slip, banking, engine and brake.
+
+    step: of the Runge-Kutta integration of fourth order [s]; actuator delays are rounded to
+    whole steps. The motion is deterministic: noise belongs to `Sensors`.
+    """
+
+    vehicle: Vehicle
+    tires: Tires
+    engine: EngineMap
+    brake: Brake
+    road: Road = field(default=PLANE, repr=False)
+    step: float = 1e-3
+
+    def __post_init__(self) -> None:
+        if not 0 < self.step <= LARGEST_STEP:
+            raise ValueError(
+                f"step is {self.step} s; expected above 0 and at most {LARGEST_STEP:g} s"
+            )
+        if len(self.tires) != 4:
+            raise ValueError(f"tires are {len(self.tires)}; expected 4: FL, FR, RL, RR")
+
+    @cached_property
+    def car(self) -> Car:
+        """The numbers that the compiled code reads."""
+        return car_of(self.vehicle, self.tires, self.engine, self.brake)
+
+    def start(
+        self, s: float = 0.0, offset: float = 0.0, speed: float = 0.0, gear: int = 1
+    ) -> DoubleTrackState:
+        """As in `Plant`; the engine runs at closed throttle."""
+        for name, value in (("s", s), ("offset", offset), ("speed", speed)):
+            if not math.isfinite(value):
+                raise ValueError(f"{name} is {value}; expected a finite number")
+        Command(gear=gear).check(len(self.vehicle.gear_ratios))
+        curvature, bank = shape_at(self.road, s)
+        y = np.zeros(SIZE)
+        y[S], y[N], y[VX] = s, offset / math.cos(bank), speed
+        y[R] = curvature * math.cos(bank) * speed / (1 - offset * curvature)
+        y[WHEELS : WHEELS + 2] = speed / self.vehicle.wheel_radius_front
+        y[WHEELS + 2 : WHEELS + 4] = speed / self.vehicle.wheel_radius
+        steering = np.zeros(round(self.vehicle.steering_delay / self.step))
+        brake = np.zeros(round(self.brake.delay / self.step))
+        gearbox, seen = np.array([gear, 0.0]), np.empty(11)
+        _advance(
+            self.car, self.road, self.step, 0, y, gearbox, steering, brake, seen, 0.0, 0.0, 0.0, 0
+        )
+        return DoubleTrackState(0.0, y, gearbox, steering, brake, seen)
+
+    def advance(
+        self, state: DoubleTrackState, command: Command, duration: float
+    ) -> DoubleTrackState:
+        """As in `Plant`; the duration is a multiple of the step."""
+        count = steps_of(duration, self.step)
+        command.check(len(self.vehicle.gear_ratios))
+        moved = DoubleTrackState(
+            state.time + duration, state.y.copy(), state.gearbox.copy(),
+            state.steering.copy(), state.brake.copy(), state.seen.copy(),
+        )  # fmt: skip
+        _advance(
+            self.car, self.road, self.step, count, moved.y, moved.gearbox, moved.steering,
+            moved.brake, moved.seen, float(command.steering), float(command.throttle),
+            float(command.brake), int(command.gear),
+        )  # fmt: skip
+        if not np.isfinite(moved.y).all():
+            raise ValueError(
+                f"the motion is not finite at {moved.time:.3f} s; the car started beyond all speeds"
+            )
+        return moved
+
+    def motion(self, state: DoubleTrackState) -> Motion:
+        """As in `Plant`."""
+        y, (x, y_plan, heading, bank, engine_speed, ax, ay, *loads) = state.y, state.seen
+        chi = float(y[CHI])
+        turned = math.atan2(math.sin(chi) * math.cos(bank), math.cos(chi))
+        laps_of_its_own = math.tau * round((chi - turned) / math.tau)
+        return Motion(
+            time=state.time, x=float(x), y=float(y_plan),
+            yaw=float(heading + turned + laps_of_its_own),
+            vx=float(y[VX]), vy=float(y[VY]), yaw_rate=float(y[R]), ax=float(ax), ay=float(ay),
+            steering=float(y[DELTA]), wheel_speeds=y[WHEELS : WHEELS + 4].copy(),
+            engine_speed=float(engine_speed), engine_torque=float(y[TORQUE]),
+            gear=int(state.gearbox[0]), brake_pressure=float(y[PRESSURE]), loads=np.array(loads),
+        )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+@signed(signature_of(*COMPILED_WITH))
+def _advance(
+    car: Car, road: Road, step: float, count: int, y: Array, gearbox: Array, steering: Array,
+    brake: Array, seen: Array, asked_steering: float, throttle: float, asked_brake: float,
+    asked_gear: int,
+) -> None:  # fmt: skip
+    """Runge-Kutta steps of fourth order, in place; gear and delays change between steps only."""
+    slope, trial, total = np.empty(y.size), np.empty(y.size), np.empty(y.size)
+    for _ in range(count):
+        gear, closed = _shift(car, y, gearbox, asked_gear, step)
+        inputs = (_delayed(steering, asked_steering), throttle, _delayed(brake, asked_brake))
+        for j in range(y.size):
+            trial[j] = total[j] = y[j]
+        for stage in range(4):
+            derivative(car, road, gear, closed, inputs, trial, slope)
+            ahead = step if stage == 2 else step / 2
+            weight = step / 3 if stage in (1, 2) else step / 6
+            for j in range(y.size):
+                trial[j] = y[j] + ahead * slope[j]
+                total[j] += weight * slope[j]
+        for j in range(y.size):
+            y[j] = total[j]
+    _look(car, road, int(gearbox[0]), gearbox[1] <= step / 2, y, slope, seen)
+
+
+@njit(error_model="numpy")
+def _look(
+    car: Car, road: Road, gear: int, closed: bool, y: Array, slope: Array, seen: Array
+) -> None:
+    """Write what `DoubleTrackState.seen` holds."""
+    _, bank = shape_at(road, y[S])
+    seen[0], seen[1], seen[2] = place_at(road, y[S], y[N] * math.cos(bank))
+    seen[3] = bank
+    rear = (y[WHEELS + 2] + y[WHEELS + 3]) / 2
+    seen[4], _ = engine_speed(car.engine, car.driveline[0], gear, closed, rear)
+    seen[5], seen[6] = derivative(car, road, gear, closed, (0.0, 0.0, 0.0), y, slope)
+    seen[7], seen[8], seen[9], seen[10] = loads_of(car, road, y)
+
+
+@njit(error_model="numpy")
+def _shift(car: Car, y: Array, gearbox: Array, asked: int, step: float) -> tuple[int, bool]:
+    """The gear and whether its clutch is closed.
+
+    A shift that would turn the engine beyond its largest speed is refused.
+    """
+    gear = int(gearbox[0])
+    if gearbox[1] > 0:
+        gearbox[1] -= step
+    elif asked != gear:
+        mean = (y[WHEELS + 2] + y[WHEELS + 3]) / 2
+        if asked == 0 or car.engine.ratios[asked - 1] * mean <= car.driveline[0].engine_speed_max:
+            gear = asked
+            gearbox[0], gearbox[1] = gear, car.driveline[0].shift_time
+    return gear, gearbox[1] <= step / 2
+
+
+@njit(error_model="numpy")
+def _delayed(queue: Array, asked: float) -> float:
+    """The command that arrives now, while a new one joins the queue."""
+    if queue.size == 0:
+        return asked
+    first: float = queue[0]
+    for i in range(queue.size - 1):
+        queue[i] = queue[i + 1]
+    queue[queue.size - 1] = asked
+    return first

@@ -1,0 +1,214 @@
+"""A driver: the plan it follows, its controllers, and when it stops instead."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from miho.driving.local_plan import LocalPlanner, NoPathError, Obstacle
+from miho.driving.plant import Command, Motion
+from miho.driving.speed_control import SpeedController, SpeedState
+from miho.driving.steering_control import (
+    SteeringController,
+    SteeringState,
+    TrackingError,
+    tracking_error,
+)
+from miho.driving.track import Projection, Track
+from miho.driving.velocity_planner import VelocityPlan, VelocityPlanner
+
+LOST = 10.0
+"""Offset [m] at which a car is no longer on its line and stops."""
+SAFE_BRAKE = 6.0
+"""Deceleration of a safe stop [m/s^2]."""
+TOO_FAST = 0.5
+"""Speed above the plan's at its start [m/s] that control can still take away."""
+NEEDED = ("x", "y", "yaw", "vx", "vy", "yaw_rate", "steering")
+"""What must be known of the motion to drive."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """Top speeds [m/s] of the laps in turn, the last one for all further, reached by a ramp.
+
+    ramp [m/s^2]: rate of the desired speed on the way from one to the next.
+    """
+
+    top_speeds: tuple[float, ...]
+    ramp: float = 1.5
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "top_speeds", tuple(self.top_speeds))
+        if not self.top_speeds or not all(0 < v < math.inf for v in self.top_speeds):
+            raise ValueError(f"top_speeds is {self.top_speeds}; expected speeds above 0 m/s")
+        if not 0 < self.ramp < math.inf:
+            raise ValueError(f"ramp is {self.ramp}; expected a positive number [m/s^2]")
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """Obstacles that are seen from a distance [m] along the line, and planned around then."""
+
+    obstacles: tuple[Obstacle, ...]
+    distance: float
+    local: LocalPlanner
+    velocity: VelocityPlanner
+
+    def seen(self, line: Track, s: float) -> bool:
+        """Whether the first obstacle is near enough ahead of an arc length [m]."""
+        return 0 <= (self.obstacles[0].s - s) % line.length <= self.distance
+
+    def replan(self, line: Track, s: float, vx: float) -> VelocityPlan:
+        """The plan around them from an arc length [m] on, for a car that is as fast as vx [m/s].
+
+        Raises ValueError if there is none, or none without braking sooner than now.
+        """
+        plan = self.velocity.plan(self.local.path(line, self.obstacles, s))
+        v, _ = plan.at(s)
+        if vx > v + TOO_FAST:
+            raise NoPathError(
+                f"at {vx:.1f} m/s, {(self.obstacles[0].s - s) % line.length:.1f} m before the "
+                f"obstacle, the car is too fast for the path around it, which allows {v:.1f} m/s"
+            )
+        return plan
+
+
+class Place(NamedTuple):
+    """Where a car is on the line of its plan, and how far off."""
+
+    at: Projection
+    error: TrackingError
+
+
+def place(line: Track, motion: Motion, hint: float | None) -> Place:
+    """The place of a motion, near an arc length [m] if that is known."""
+    at = line.project(motion.x, motion.y, hint)
+    error = tracking_error(line, at, motion.yaw, motion.vx, motion.vy, motion.yaw_rate)
+    return Place(at, error)
+
+
+class DriverState(NamedTuple):
+    """What a driver remembers. at, vx: where it was [m] and how fast; laps and cap [m/s] belong to
+    its pace; stopped says why it makes a safe stop, "" while it drives."""
+
+    plan: VelocityPlan
+    at: float
+    vx: float
+    laps: int
+    cap: float
+    desired: float
+    speed: SpeedState
+    steering: SteeringState
+    command: Command
+    planned: bool
+    stopped: str
+
+
+@dataclass(frozen=True)
+class Driver:
+    """Follows a plan by steering, throttle, brake and gear, a command every `period` [s].
+
+    A measurement that is not finite, an offset of more than 10 m or an obstacle with no path
+    around it make a safe stop: along the line, on the brakes; what is not measured is guessed.
+    """
+
+    plan: VelocityPlan
+    speed: SpeedController
+    steering: SteeringController
+    pace: Pace | None = None
+    sighting: Sighting | None = None
+
+    @property
+    def period(self) -> float:
+        """Time from one command to the next [s]."""
+        return self.steering.schedule.sampled.period
+
+    def begin(self, motion: Motion) -> DriverState:
+        """The state of a driver that takes over a car."""
+        speed = self.speed.start(motion.vx)
+        at = self.plan.line.project(motion.x, motion.y).s
+        command = Command(gear=speed.gear)
+        return DriverState(
+            self.plan,
+            at,
+            motion.vx,
+            0,
+            motion.vx,
+            motion.vx,
+            speed,
+            self.steering.initial,
+            command,
+            False,
+            "",
+        )
+
+    def step(self, state: DriverState, motion: Motion) -> tuple[Command, DriverState]:
+        """The next command from a measured motion."""
+        unknown = [name for name in NEEDED if not math.isfinite(getattr(motion, name))]
+        if unknown:
+            motion = self._guessed(state, motion, unknown)
+            reason = f"{unknown[0]} is not finite"
+            state = state._replace(stopped=state.stopped or reason)
+        state = self._replanned(state, motion.vx)
+        here = place(state.plan.line, motion, state.at)
+        laps = state.laps + (state.at - here.at.s > state.plan.line.length / 2)
+        state = state._replace(at=here.at.s, laps=laps, vx=motion.vx)
+        if abs(here.at.e) > LOST and not state.stopped:
+            state = state._replace(stopped=f"{here.at.e:.1f} m off the line")
+        steering, remembered = self.steering.command(
+            state.steering, state.plan.line, here.at, here.error, motion.vx, motion.steering
+        )
+        state = state._replace(steering=remembered)
+        if state.stopped:
+            return self._brake(state, steering)
+        desired, ax, cap = self._wanted(state)
+        pedals, speed = self.speed.command(state.speed, desired, ax, motion.vx, self.period)
+        command = Command(steering, pedals.throttle, pedals.brake, pedals.gear)
+        return command, state._replace(cap=cap, desired=desired, speed=speed, command=command)
+
+    def _guessed(self, state: DriverState, motion: Motion, unknown: Sequence[str]) -> Motion:
+        """The motion with what is unknown as if the car was on its line and braking safely."""
+        vx = max(state.vx - SAFE_BRAKE * self.period, 0.0)
+        here = state.plan.line.at(state.at + vx * self.period)
+        turn = self.steering.feed_forward(vx, float(here.curvature), float(here.bank))
+        guess: dict[str, Any] = {
+            "x": float(here.x), "y": float(here.y), "yaw": float(here.heading) - turn.slip,
+            "vx": vx, "vy": vx * turn.slip, "steering": turn.steering,
+            "yaw_rate": vx * float(here.curvature) * math.cos(float(here.bank)),
+        }  # fmt: skip
+        return motion._replace(**{name: guess[name] for name in unknown})
+
+    def _replanned(self, state: DriverState, vx: float) -> DriverState:
+        """The state with a plan around the obstacles, once they are seen."""
+        sighting = self.sighting
+        if sighting is None or state.planned or state.stopped:
+            return state
+        if not sighting.seen(self.plan.line, state.at):
+            return state
+        state = state._replace(planned=True)
+        try:
+            plan = sighting.replan(self.plan.line, state.at, vx)
+        except ValueError as error:
+            return state._replace(stopped=str(error))
+        return state._replace(plan=plan, at=state.at * plan.line.length / self.plan.line.length)
+
+    def _wanted(self, state: DriverState) -> tuple[float, float, float]:
+        """Desired speed [m/s], its rate [m/s^2], and the cap of the pace [m/s]."""
+        v, ax = state.plan.at(state.at)
+        if self.pace is None:
+            return v, ax, state.cap
+        tops, most = self.pace.top_speeds, self.pace.ramp * self.period
+        change = tops[min(state.laps, len(tops) - 1)] - state.cap
+        rise = min(max(change, -most), most)
+        cap = state.cap + rise
+        return (v, ax, cap) if v <= cap else (cap, rise / self.period, cap)
+
+    def _brake(self, state: DriverState, steering: float) -> tuple[Command, DriverState]:
+        """The command of a safe stop."""
+        brake = self.speed.brake
+        u = brake.command(SAFE_BRAKE * self.speed.vehicle.mass).u
+        pressure = float(brake.pressure(u)[0])
+        command = Command(steering, 0.0, pressure, state.command.gear)
+        return command, state._replace(command=command, desired=0.0)

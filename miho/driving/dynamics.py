@@ -1,0 +1,165 @@
+"""The equations of motion of the double track, compiled.
+
+Body (three planar degrees of freedom, in the plane of the road), four wheels that turn, slips that
+follow with relaxation lengths, loads that follow with a lag, steering, engine and brake:
+
+    v_x' = a_x + v_y r + g sin(bank) sin(chi)     I_zz r' = sum of x F_y - y F_x over the wheels
+    v_y' = a_y - v_x r + g sin(bank) cos(chi)     I w' = T_drive - R F_x - T_brake - T_rolling
+    s' = (v_x cos(chi) - v_y sin(chi)) / (1 - n kappa cos(bank))    chi' = r - kappa cos(bank) s'
+    sigma_x k' = (w R - u) - |u| k                sigma_y tan(alpha)' = v - |u| tan(alpha)
+
+with a_x, a_y the forces over the mass, u, v the velocity of a wheel's centre along and across it,
+chi the heading relative to the line and n the offset from it in the plane of the road, which
+bends by kappa cos(bank) in that plane and presses the car on it with kappa sin(bank) v^2 (a cone).
+How fast the bank itself changes is left out, and so are the tires' aligning moments. Relaxation:
+Bernard and Clover, SAE 950311; Pacejka, Tire and Vehicle Dynamics, 3rd ed., Ch. 7-8.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+from scipy.constants import g
+
+from miho.driving.compiled_tire import wheel_forces
+from miho.driving.load_transfer import wheel_loads
+from miho.driving.plant_parameters import Car
+from miho.driving.powertrain import (
+    against,
+    brake_torques,
+    engine_speed,
+    pressure_rate,
+    rear_accelerations,
+    torque_rate,
+)
+from miho.driving.road import Road, shape_at
+
+Array = NDArray[np.float64]
+
+S, N, CHI, VX, VY, R, AX, AY, DELTA, TORQUE, PRESSURE = range(11)
+WHEELS, KAPPA, TAN_ALPHA, SIZE = 11, 15, 19, 23
+"""Where the state (23,) holds what: per wheel FL, FR, RL, RR its speed, slip ratio and tan alpha.
+
+AX and AY are the accelerations that the loads follow.
+"""
+
+SLOW = 2.0
+"""Speed [m/s] below which slips are damped, without which a standing car would rock for ever."""
+DAMPING = 0.05
+"""Slip that a sliding speed adds there [s/m]; Pacejka, Ch. 8.6."""
+LARGEST_SLIP = 1.5
+"""Where slip ratio and tan(alpha) stop to grow; the tires slide long before."""
+
+
+@register_jitable(error_model="numpy")
+def derivative(
+    car: Car, road: Road, gear: int, closed: bool, inputs: tuple[float, float, float],
+    y: Array, dy: Array,
+) -> tuple[float, float]:  # fmt: skip
+    """Write the rates of the state y (23,) to dy; returns a_x and a_y [m/s^2].
+
+    gear: engaged, 0 for neutral; closed: no shift is going on. inputs: steering [rad], throttle
+    and brake pressure [Pa] that reach the actuators.
+    """
+    c = car.chassis[0]
+    fx, fy, moment = _wheels(car, road, gear, closed, y, dy)
+    ax = (fx - c.C_d * y[VX] * abs(y[VX])) / c.mass
+    ay = fy / c.mass
+
+    curvature, bank = shape_at(road, y[S])
+    sine, cosine = math.sin(y[CHI]), math.cos(y[CHI])
+    lean, level = math.sin(bank), math.cos(bank)
+    dy[S] = (y[VX] * cosine - y[VY] * sine) / max(1 - y[N] * curvature * level, 0.1)
+    dy[N] = y[VX] * sine + y[VY] * cosine
+    dy[CHI] = y[R] - curvature * level * dy[S]
+    dy[VX] = ax + y[VY] * y[R] + g * lean * sine
+    dy[VY] = ay - y[VX] * y[R] + g * lean * cosine
+    dy[R] = moment / c.Izz
+    dy[AX] = (ax - y[AX]) / c.load_lag
+    dy[AY] = (ay - y[AY]) / c.load_lag
+
+    steering, throttle, brake = inputs
+    steering = min(max(steering, -c.steering_max), c.steering_max)
+    turning = (steering - y[DELTA]) / c.steering_lag
+    dy[DELTA] = min(max(turning, -c.steering_rate), c.steering_rate)
+    mean = (y[WHEELS + 2] + y[WHEELS + 3]) / 2
+    d = car.driveline[0]
+    omega, _ = engine_speed(car.engine, d, gear, closed, mean)
+    # While gears change the ignition is cut and the turbo keeps turning.
+    dy[TORQUE] = torque_rate(car.engine, d, y[TORQUE], omega, throttle) if closed else 0.0
+    dy[PRESSURE] = pressure_rate(car.brakes[0], y[PRESSURE], brake)
+    return ax, ay
+
+
+@register_jitable(error_model="numpy")
+def loads_of(car: Car, road: Road, y: Array) -> tuple[float, float, float, float]:
+    """Loads of the wheels [N]."""
+    curvature, bank = shape_at(road, y[S])
+    along = y[VX] * math.cos(y[CHI]) - y[VY] * math.sin(y[CHI])
+    turning = curvature * along / max(1 - y[N] * curvature * math.cos(bank), 0.1)
+    gravity = g * math.cos(bank) + along * turning * math.sin(bank)
+    fl, fr, rl, rr = wheel_loads(car.loads[0], y[VX], y[AX], y[AY], gravity)
+    return fl, fr, rl, rr
+
+
+@register_jitable(error_model="numpy")
+def _wheels(
+    car: Car, road: Road, gear: int, closed: bool, y: Array, dy: Array
+) -> tuple[float, float, float]:
+    """Force of all tires on the body along x and y [N] and moment about z [Nm].
+
+    Writes the rates of the wheels and of their slips.
+    """
+    c, d = car.chassis[0], car.driveline[0]
+    loads = loads_of(car, road, y)
+    on_front, on_rear = brake_torques(car.brakes[0], y[PRESSURE])
+    sine, cosine = math.sin(y[DELTA]), math.cos(y[DELTA])
+    fx = fy = moment = 0.0
+    rear = (0.0, 0.0)
+    for i in range(4):
+        front = i < 2
+        side = 1.0 if i % 2 == 0 else -1.0
+        px = c.lf if front else -c.lr
+        py = side * (c.half_track_front if front else c.half_track_rear)
+        sin_d, cos_d = (sine, cosine) if front else (0.0, 1.0)
+        vx, vy = y[VX] - y[R] * py, y[VY] + y[R] * px
+        along, across = vx * cos_d + vy * sin_d, vy * cos_d - vx * sin_d
+        omega = y[WHEELS + i]
+        radius = c.radius_front if front else c.radius_rear
+        sliding = omega * radius - along
+        dy[KAPPA + i] = _slip_rate(y[KAPPA + i], sliding, along, c.relaxation_x)
+        dy[TAN_ALPHA + i] = _slip_rate(y[TAN_ALPHA + i], across, along, c.relaxation_y)
+        damping = _damping(along)
+        kappa = y[KAPPA + i] + damping * sliding
+        alpha = math.atan(y[TAN_ALPHA + i] + damping * across)
+        long, lat = wheel_forces(car.tires[i], loads[i], kappa, alpha, along)
+        braking = on_front + c.rolling_torque_front if front else on_rear + c.rolling_torque_rear
+        torque = against(braking, omega) - radius * long
+        if front:
+            dy[WHEELS + i] = torque / d.wheel_inertia
+        else:
+            rear = (torque, 0.0) if i == 2 else (rear[0], torque)
+        wheel_x, wheel_y = long * cos_d - lat * sin_d, long * sin_d + lat * cos_d
+        fx += wheel_x
+        fy += wheel_y
+        moment += px * wheel_y - py * wheel_x
+    dy[WHEELS + 2], dy[WHEELS + 3] = rear_accelerations(
+        car.engine, d, gear, closed, y[TORQUE], y[WHEELS + 2], y[WHEELS + 3], rear
+    )
+    return fx, fy, moment
+
+
+@register_jitable(error_model="numpy")
+def _slip_rate(slip: float, sliding: float, along: float, relaxation: float) -> float:
+    rate: float = (sliding - abs(along) * slip) / relaxation
+    return 0.0 if abs(slip) >= LARGEST_SLIP and rate * slip > 0 else rate
+
+
+@register_jitable(error_model="numpy")
+def _damping(along: float) -> float:
+    if abs(along) >= SLOW:
+        return 0.0
+    return DAMPING * (1 + math.cos(math.pi * along / SLOW)) / 2

@@ -1,0 +1,40 @@
+"""The true car of a simulation, which its controllers know only as far as it was identified."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from miho.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.data.synthetic_engine import true_torque
+from miho.data.tir_sampling import embedded_tire
+from miho.driving.double_track import DoubleTrack
+from miho.driving.plant_parameters import Tires
+from miho.driving.road import PLANE, Road
+from miho.driving.vehicle import Vehicle
+from miho.models.engine import RPM
+from miho.models.engine_map import EngineMap
+from miho.models.tir import load_tir
+
+
+def embedded_plant(vehicle: Vehicle, road: Road = PLANE, step: float = 1e-3) -> DoubleTrack:
+    """A vehicle with the embedded tires, engine and brake, from which the datasets are made."""
+    return DoubleTrack(vehicle, embedded_tires(), embedded_engine(), EMBEDDED_BRAKE, road, step)
+
+
+@cache
+def embedded_tires() -> Tires:
+    """The four oval tires."""
+    lf, rf, lr, rr = (load_tir(embedded_tire(name)) for name in ("lf", "rf", "lr", "rr"))
+    return lf, rf, lr, rr
+
+
+@cache
+def embedded_engine() -> EngineMap:
+    """The closed form of the embedded engine, every 50 rpm and 2.5 % of throttle, without noise."""
+    throttle, omega = np.meshgrid(
+        np.linspace(0, 1, 41), np.arange(1000, 7001, 50) * RPM, indexing="ij"
+    )
+    torque = true_torque(omega, throttle)
+    return EngineMap.from_points(throttle.ravel(), omega.ravel(), torque.ravel())

@@ -1,0 +1,74 @@
+"""Lines beside a line: racing lines, lanes and swerves, as tracks of their own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import cumulative_simpson
+from scipy.interpolate import PchipInterpolator
+
+from miho.driving.track import Track
+
+Array = NDArray[np.float64]
+
+
+class Offset(NamedTuple):
+    """An offset e [m] over the arc length of a line, left positive, with e' [-] and e'' [1/m]."""
+
+    e: Array
+    slope: Array
+    bend: Array
+
+
+def constant(e: float) -> Callable[[Array], Offset]:
+    """The same offset [m] everywhere, as `beside` takes it."""
+
+    def offset(s: Array) -> Offset:
+        return Offset(np.full_like(s, e), np.zeros_like(s), np.zeros_like(s))
+
+    return offset
+
+
+def beside(track: Track, offset: Callable[[Array], Offset], name: str | None = None) -> Track:
+    """The line at an offset from `track`, with its own arc length, heading and curvature.
+
+    `offset` is called with arc lengths of the track (m,) [m] and must join up after a lap. The
+    curvature is that of x'' where primes are by the track's arc length:
+
+        kappa = (u (u kappa_0 + e'') + e' (kappa_0' e + 2 kappa_0 e')) / (u^2 + e'^2)^(3/2),
+        u = 1 - kappa_0 e
+
+    Raises ValueError where the line leaves the road or the offset reaches the centre of a bend.
+    """
+    fine = np.linspace(0.0, track.length, 4 * track.s.size + 1)
+    length = cumulative_simpson(_stretch(track, offset, fine), x=fine, initial=0.0)
+    n = math.ceil(length[-1] / track.step)
+    s_line = np.arange(n) * (length[-1] / n)
+    s = PchipInterpolator(length, fine)(s_line)
+    e, slope, bend = offset(s)
+    point = track.at(s)
+    x, y = track.position(s, e)
+    u = 1 - point.curvature * e
+    change = (track.at(s + 0.5).curvature - track.at(s - 0.5).curvature) / 1.0
+    turned = u * (u * point.curvature + bend) + slope * (change * e + 2 * point.curvature * slope)
+    return Track(
+        track.name if name is None else name, float(length[-1]), s_line, x, y,
+        point.heading + np.arctan2(slope, u), turned / np.hypot(u, slope) ** 3,
+        point.bank, point.width_left - e, point.width_right + e,
+    )  # fmt: skip
+
+
+def _stretch(track: Track, offset: Callable[[Array], Offset], s: Array) -> Array:
+    """Length of the line beside a track per length of the track [-]."""
+    e, slope, _ = offset(s)
+    u = 1 - track.at(s).curvature * e
+    if u.min() <= 0.05:
+        raise ValueError(
+            f"an offset of {e[np.argmin(u)]:.4g} m at s = {s[np.argmin(u)]:.4g} m reaches the "
+            "centre of the bend; expected a smaller one"
+        )
+    return np.asarray(np.hypot(u, slope))

@@ -1,0 +1,139 @@
+"""Loads of the four wheels in a manoeuvre, quasi-static (Sec. IV-A).
+
+The lateral load transfer of an axle has three parts (Milliken and Milliken, Race Car Vehicle
+Dynamics, 1995, Ch. 18; Seward, Race Car Design, 2017, Ch. 5):
+
+    elastic    lambda m_s a_y h_a / t      through springs and bars, split by roll stiffness
+    geometric  m_s,axle a_y z / t          through the suspension's links, at the roll centre
+    unsprung   m_u a_y R / t               of the wheels themselves
+
+with the sprung mass m_s, its height h_a above the roll axis, roll-centre height z, track t and
+wheel radius R. Together they balance the moment m a_y h of the whole car. The small shift of the
+centre of gravity as the body rolls is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import ArrayLike, NDArray
+from scipy.constants import g
+
+from miho.driving.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+
+
+class WheelLoads(NamedTuple):
+    """Vertical load of each wheel [N], at least 0."""
+
+    front_left: Array
+    front_right: Array
+    rear_left: Array
+    rear_right: Array
+
+
+class LateralTransfer(NamedTuple):
+    """Load that an axle moves from the left to the right wheel per lateral acceleration [kg]."""
+
+    elastic: float
+    geometric: float
+    unsprung: float
+
+
+class LoadCoefficients(NamedTuple):
+    """What the loads are linear in; masses [kg], downforce [N s^2/m^2]."""
+
+    mass_front: float  # carried by the axle at rest
+    mass_rear: float
+    C_l_front: float
+    C_l_rear: float
+    longitudinal: float  # from the front to the rear axle per a_x
+    lateral_front: float  # from the left to the right wheel per a_y
+    lateral_rear: float
+
+
+@dataclass(frozen=True)
+class LoadTransfer:
+    """The loads of a vehicle's wheels.
+
+    `as_printed` is the paper's: the roll couple m_s v_y' h_a alone, with the rate of the lateral
+    velocity, which is zero in steady cornering, and neither longitudinal transfer nor downforce.
+    """
+
+    vehicle: Vehicle
+    as_printed: bool = False
+
+    def wheel_loads(
+        self,
+        vx: ArrayLike,
+        ax: ArrayLike = 0.0,
+        ay: ArrayLike = 0.0,
+        vy_rate: ArrayLike = 0.0,
+        gravity: ArrayLike = g,
+    ) -> WheelLoads:
+        """Loads [N] for inputs that broadcast.
+
+        vx: speed [m/s]. ax, ay: forces other than weight, per mass, as an accelerometer feels them
+        [m/s^2]; on a flat road ay is v_y' + v_x r, on a bank g sin(bank) less. vy_rate: v_y'
+        [m/s^2], read only as printed. gravity: what presses the car on the road [m/s^2]; on a bank
+        g cos(bank) + v^2 kappa sin(bank) with the curvature kappa in the plan.
+
+        A wheel that lifts carries 0 and the axle's other wheel all; an axle that lifts carries 0.
+        """
+        vx, ax, ay, vy_rate, gravity = np.broadcast_arrays(
+            *(np.asarray(value, dtype=float) for value in (vx, ax, ay, vy_rate, gravity))
+        )
+        lateral = vy_rate if self.as_printed else ay
+        return WheelLoads(*wheel_loads(self.coefficients, vx, ax, lateral, gravity))
+
+    @property
+    def lateral_parts(self) -> tuple[LateralTransfer, LateralTransfer]:
+        """The parts of the lateral transfer, front and rear axle."""
+        car = self.vehicle
+        unsprung = car.unsprung_mass_front, car.unsprung_mass_rear
+        radii = car.wheel_radius_front, car.wheel_radius
+        sprung = [m - u for m, u in zip(self._carried, unsprung, strict=True)]
+        centres = car.roll_centre_front, car.roll_centre_rear
+        moments = [m * z for m, z in zip(sprung, centres, strict=True)]
+        hubs = [m * r for m, r in zip(unsprung, radii, strict=True)]
+        # m_s h_a: what is left of the whole moment, which the three parts balance.
+        couple = car.mass * car.h_cg - sum(moments) - sum(hubs)
+        shares = car.roll_share_front, 1 - car.roll_share_front
+        tracks = car.track_front, car.track_rear
+        front, rear = (
+            LateralTransfer(share * couple / t, moment / t, hub / t)
+            for share, moment, hub, t in zip(shares, moments, hubs, tracks, strict=True)
+        )
+        return front, rear
+
+    @property
+    def coefficients(self) -> LoadCoefficients:
+        """What `wheel_loads` computes with."""
+        car, carried, (front, rear) = self.vehicle, self._carried, self.lateral_parts
+        if self.as_printed:
+            return LoadCoefficients(*carried, 0.0, 0.0, 0.0, front.elastic, rear.elastic)
+        longitudinal = car.mass * car.h_cg / car.wheelbase
+        return LoadCoefficients(
+            *carried, car.C_l_front, car.C_l_rear, longitudinal, sum(front), sum(rear)
+        )
+
+    @property
+    def _carried(self) -> tuple[float, float]:
+        """Mass that each axle carries at rest [kg]."""
+        car = self.vehicle
+        return car.mass * car.lr / car.wheelbase, car.mass * car.lf / car.wheelbase
+
+
+@register_jitable(error_model="numpy")
+def wheel_loads(c: LoadCoefficients, vx: Any, ax: Any, ay: Any, gravity: Any) -> tuple[Any, ...]:
+    """Loads of the wheels in the order of `WheelLoads`, of numbers or arrays, compiled or not."""
+    air = vx * vx
+    front = np.maximum(c.mass_front * gravity + c.C_l_front * air - c.longitudinal * ax, 0.0) / 2
+    rear = np.maximum(c.mass_rear * gravity + c.C_l_rear * air + c.longitudinal * ax, 0.0) / 2
+    at_front = np.minimum(np.maximum(c.lateral_front * ay, -front), front)
+    at_rear = np.minimum(np.maximum(c.lateral_rear * ay, -rear), rear)
+    return front - at_front, front + at_front, rear - at_rear, rear + at_rear

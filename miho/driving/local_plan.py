@@ -1,0 +1,139 @@
+"""A local plan: a path around obstacles and back to the line (Sec. V-B.1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.driving.lines import Offset, beside
+from miho.driving.track import Track
+
+Array = NDArray[np.float64]
+
+
+class NoPathError(ValueError):
+    """There is no path around the obstacles: a car must stop."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Obstacle:
+    """A box along a line: its middle at the arc length s and the offset e (left positive) [m]."""
+
+    s: float
+    e: float
+    length: float = 5.0
+    width: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.s) and math.isfinite(self.e)):
+            raise ValueError(f"obstacle at s = {self.s}, e = {self.e}; expected finite numbers")
+        for name in ("length", "width"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(f"obstacle {name} is {getattr(self, name)}; expected above 0 m")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Swerve:
+    """An offset from a line of length `lap`: out to e over one stretch, and back over another.
+
+    It rises from `start` over `out` [m] to e [m], stays for `stay` and returns over `back`, each
+    by the polynomial of fifth degree whose slope and bend are zero at both ends.
+    """
+
+    lap: float
+    start: float
+    out: float
+    stay: float
+    back: float
+    e: float
+
+    def __call__(self, s: Array) -> Offset:
+        """The offset at arc lengths (m,) of the line, as `beside` takes it."""
+        since = np.mod(s - self.start, self.lap)
+        rising = np.clip(since / self.out, 0, 1)
+        falling = np.clip((since - self.out - self.stay) / self.back, 0, 1)
+        up, up_slope, up_bend = _quintic(rising, self.out)
+        down, down_slope, down_bend = _quintic(falling, self.back)
+        return Offset(
+            self.e * (up - down), self.e * (up_slope - down_slope), self.e * (up_bend - down_bend)
+        )
+
+
+def _quintic(t: Array, length: float) -> tuple[Array, Array, Array]:
+    """10 t^3 - 15 t^4 + 6 t^5 and its first two derivatives by t * length."""
+    value = t**3 * (10 - 15 * t + 6 * t * t)
+    slope = 30 * t * t * (1 - t) ** 2 / length
+    bend = 60 * t * (1 - t) * (1 - 2 * t) / length**2
+    return value, slope, bend
+
+
+@dataclass(frozen=True, kw_only=True)
+class LocalPlanner:
+    """Paths for a car of a length and width [m].
+
+    clearance [m]: kept beside an obstacle; edge [m]: kept from the road's edges; ahead [m]: the
+    car is beside the obstacle for so long before and after it; out, back [m]: the longest stretch
+    in which the path leaves the line, and the one over which it returns; candidates lie `spacing`
+    [m] apart.
+    """
+
+    length: float = 4.9
+    width: float = 1.93
+    clearance: float = 0.7
+    edge: float = 0.5
+    ahead: float = 3.0
+    out: float = 80.0
+    back: float = 120.0
+    spacing: float = 0.25
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if not 0 < getattr(self, field.name) < math.inf:
+                raise ValueError(
+                    f"{field.name} is {getattr(self, field.name)}; expected a positive number [m]"
+                )
+
+    def path(self, line: Track, obstacles: Sequence[Obstacle], now: float) -> Track:
+        """The line with the smallest offset that passes all obstacles, from `now` [m] on.
+
+        The car is on the line at `now` and has to be beside the first obstacle when it reaches it.
+        Raises NoPathError where no offset clears the obstacles and stays on the road.
+        """
+        if not obstacles:
+            return line
+        room = (self.length / 2 + self.ahead) * np.array([-1.0, 1.0])
+        distances = [(one.s - now) % line.length for one in obstacles]
+        first = min(d - o.length / 2 for d, o in zip(distances, obstacles, strict=True)) + room[0]
+        last = max(d + o.length / 2 for d, o in zip(distances, obstacles, strict=True)) + room[1]
+        if first <= self.length:
+            raise NoPathError(
+                f"the obstacle is {min(distances):.1f} m ahead; expected more room to pass it"
+            )
+        out = min(first, self.out)
+        half = self.width / 2
+        near = line.at(now + np.linspace(first - out, last + self.back, 200))
+        left = float(near.width_left.min()) - half - self.edge
+        right = float(near.width_right.min()) - half - self.edge
+        steps = np.arange(-math.floor(right / self.spacing), math.floor(left / self.spacing) + 1)
+        for e in sorted(steps * self.spacing, key=abs):
+            swerve = Swerve(
+                lap=line.length, start=now + first - out, out=out, stay=last - first,
+                back=self.back, e=float(e),
+            )  # fmt: skip
+            if all(self._clear(swerve, one) for one in obstacles):
+                return beside(line, swerve)
+        raise NoPathError(
+            f"no path between {-right:.2f} and {left:.2f} m beside the line passes the obstacle at "
+            f"s = {obstacles[0].s:.1f} m with {self.clearance:g} m to spare"
+        )
+
+    def _clear(self, swerve: Swerve, obstacle: Obstacle) -> bool:
+        """Whether the car keeps its distance wherever it is beside the obstacle."""
+        reach = (self.length + obstacle.length) / 2
+        beside_it = obstacle.s + np.linspace(-reach, reach, 41)
+        apart = np.abs(swerve(beside_it).e - obstacle.e)
+        return bool(apart.min() >= (self.width + obstacle.width) / 2 + self.clearance)

@@ -1,0 +1,188 @@
+"""Path tracking (Sec. IV-C): a linear-quadratic regulator over speed, with feed-forward.
+
+Symbols are those of Eq. 13-15 and of Rajamani, Vehicle Dynamics and Control (2011), Ch. 2.5.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import g
+from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
+
+from miho.models.single_track import SingleTrack
+
+Array = NDArray[np.float64]
+
+SLOWEST = 3.0
+"""Speed [m/s] below which the tires' slip says nothing and the path is followed by geometry."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LateralModel:
+    """Errors against a path of a single-track car with linear tires (Eq. 13).
+
+        xi = [e_y, e_y', e_psi, e_psi'],   xi' = A xi + B1 delta + B2 psi_des' + B3 sin(bank)
+
+    e_y [m] is how far the car is to the left of the path, e_psi [rad] its heading less the path's,
+    delta [rad] the steering angle and psi_des' = vx kappa [rad/s] the path's yaw rate. C_f and C_r
+    are the axles' cornering stiffnesses [N/rad], each of both tires (Eq. 14, no factor 2); bank is
+    positive when the left side is lower.
+    """
+
+    car: SingleTrack
+    C_f: float
+    C_r: float
+
+    def __post_init__(self) -> None:
+        for name in ("C_f", "C_r"):
+            if not 0 < getattr(self, name) < math.inf:
+                raise ValueError(
+                    f"{name} is {getattr(self, name)}; expected a positive number [N/rad]"
+                )
+
+    def matrices(self, vx: float) -> tuple[Array, Array, Array, Array]:
+        """A (4, 4), B1, B2 and B3 (4,) at a speed [m/s] above 0."""
+        if not 0 < vx < math.inf:
+            raise ValueError(f"vx is {vx}; expected a speed above 0 m/s")
+        m, lf, lr, Izz = self.car.mass, self.car.lf, self.car.lr, self.car.Izz
+        both, turn = self.C_f + self.C_r, self.C_f * lf - self.C_r * lr
+        square = self.C_f * lf**2 + self.C_r * lr**2
+        A = np.array(
+            [
+                [0, 1, 0, 0],
+                [0, -both / (m * vx), both / m, -turn / (m * vx)],
+                [0, 0, 0, 1],
+                [0, -turn / (Izz * vx), turn / Izz, -square / (Izz * vx)],
+            ]
+        )
+        B1 = np.array([0, self.C_f / m, 0, self.C_f * lf / Izz])
+        B2 = np.array([0, -turn / (m * vx) - vx, 0, -square / (Izz * vx)])
+        return A, B1, B2, np.array([0, g, 0, 0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Weights:
+    """Q = diag(e_y, e_y_rate, e_psi, e_psi_rate) and R = steering of Eq. 15."""
+
+    e_y: float = 1.0
+    e_y_rate: float = 0.0
+    e_psi: float = 1.0
+    e_psi_rate: float = 0.0
+    steering: float = 10.0
+
+    def __post_init__(self) -> None:
+        state = (self.e_y, self.e_y_rate, self.e_psi, self.e_psi_rate)
+        if not all(0 <= w < math.inf for w in state) or self.e_y == 0:
+            raise ValueError(f"weights are {state}; expected numbers of at least 0, e_y above 0")
+        if not 0 < self.steering < math.inf:
+            raise ValueError(f"steering is {self.steering}; expected a weight above 0")
+
+    @property
+    def Q(self) -> Array:  # noqa: N802
+        """The weights of xi, (4, 4)."""
+        return np.diag([self.e_y, self.e_y_rate, self.e_psi, self.e_psi_rate])
+
+
+def continuous_gains(model: LateralModel, weights: Weights, vx: float) -> Array:
+    """K (4,) of delta = -K xi as printed (Eq. 15): in continuous time, the steering at once."""
+    A, B1, _, _ = model.matrices(vx)
+    P = solve_continuous_are(A, B1[:, None], weights.Q, np.array([[weights.steering]]))
+    return np.asarray(B1 @ P / weights.steering)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SteeringActuator:
+    """Between a steering command and the road wheels: a dead time, then a first-order lag [s]."""
+
+    delay: float
+    lag: float
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.delay < math.inf or not 0 < self.lag < math.inf:
+            raise ValueError(
+                f"delay is {self.delay} s and lag is {self.lag} s; expected at least 0 and above 0"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampledModel:
+    """A `LateralModel` with its steering, from one command to the next, period [s] apart.
+
+    z = [xi, delta, u_1, ..., u_d]     delta: angle of the road wheels, u_i: the command i
+    z_next = F z + G u                 periods ago, d = delay / period, a whole number
+    """
+
+    model: LateralModel
+    steering: SteeringActuator
+    period: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.period < math.inf:
+            raise ValueError(f"period is {self.period}; expected a positive number of seconds")
+
+    @property
+    def delayed(self) -> int:
+        """d, the delay in periods, rounded."""
+        return round(self.steering.delay / self.period)
+
+    def matrices(self, vx: float) -> tuple[Array, Array]:
+        """F (5 + d, 5 + d) and G (5 + d,) at a speed [m/s] above 0; exact for held commands."""
+        A, B1, _, _ = self.model.matrices(vx)
+        joint = np.zeros((6, 6))
+        joint[:4, :4], joint[:4, 4] = A, B1
+        joint[4, 4:] = np.array([-1, 1]) / self.steering.lag
+        held = expm(joint * self.period)
+        d = self.delayed
+        F, G = np.zeros((5 + d, 5 + d)), np.zeros(5 + d)
+        F[:5, :5] = held[:5, :5]
+        if d == 0:
+            G[:5] = held[:5, 5]
+        else:
+            F[:5, 4 + d] = held[:5, 5]
+            F[6:, 5:-1] = np.eye(d - 1)
+            G[5] = 1.0
+        return F, G
+
+    def gains(self, weights: Weights, vx: float) -> Array:
+        """K (5 + d,) of u = -K z that minimises the sum of Eq. 15 over the samples."""
+        F, G = self.matrices(vx)
+        Q = np.zeros_like(F)
+        Q[:4, :4] = weights.Q
+        R = np.array([[weights.steering]])
+        P = solve_discrete_are(F, G[:, None], Q, R)
+        return np.asarray(G @ P @ F / (weights.steering + G @ P @ G))
+
+
+@dataclass(frozen=True, eq=False)
+class GainSchedule:
+    """Gains over speed: K (k, 5 + d) at rising speeds (k,) [m/s], linear between, held beyond."""
+
+    sampled: SampledModel
+    speeds: Array
+    K: Array
+
+    @classmethod
+    def of(
+        cls, sampled: SampledModel, weights: Weights, speeds: Array | None = None
+    ) -> GainSchedule:
+        """The optimal gains at these speeds, by default 32 from 3 to 90 m/s, closer when slow."""
+        speeds = np.geomspace(SLOWEST, 90.0, 32) if speeds is None else np.asarray(speeds, float)
+        if speeds.ndim != 1 or speeds.size < 2 or not (np.diff(speeds) > 0).all() or speeds[0] <= 0:
+            raise ValueError(f"speeds are {speeds}; expected rising numbers above 0 m/s")
+        return cls(sampled, speeds, np.array([sampled.gains(weights, float(v)) for v in speeds]))
+
+    def at(self, vx: float) -> Array:
+        """K (5 + d,) at a speed [m/s]."""
+        right = min(max(int(np.searchsorted(self.speeds, vx)), 1), self.speeds.size - 1)
+        low, high = self.speeds[right - 1], self.speeds[right]
+        part = min(max((vx - low) / (high - low), 0.0), 1.0)
+        return np.asarray((1 - part) * self.K[right - 1] + part * self.K[right])
+
+    def radius(self, vx: float) -> float:
+        """Largest modulus of the closed loop's poles at a speed [m/s]: below 1 it is stable."""
+        F, G = self.sampled.matrices(vx)
+        return float(np.abs(np.linalg.eigvals(F - np.outer(G, self.at(vx)))).max())

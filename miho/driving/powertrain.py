@@ -1,0 +1,123 @@
+"""Engine, clutch, gears, differential and brakes of a simulated car, compiled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from miho.driving.plant_parameters import Brakes, Driveline, Engine
+
+Array = NDArray[np.float64]
+
+CUT = 20.0
+"""Engine speed over which the limiter closes the throttle, above the largest [rad/s]."""
+STICTION = 1.0
+"""Wheel speed [rad/s] below which what brakes a wheel fades, so that it comes to rest."""
+
+
+@register_jitable(error_model="numpy")
+def map_torque(e: Engine, omega: float, throttle: float) -> float:
+    """Torque [Nm] of the map at an engine speed [rad/s] and an opening, as `EngineMap.torque`."""
+    i = _cell(e.speeds, omega)
+    k = _cell(e.openings, throttle)
+    right = (omega - e.speeds[i]) / (e.speeds[i + 1] - e.speeds[i])
+    up = (throttle - e.openings[k]) / (e.openings[k + 1] - e.openings[k])
+    right, up = min(max(right, 0.0), 1.0), min(max(up, 0.0), 1.0)
+    low = (1 - right) * e.table[k, i] + right * e.table[k, i + 1]
+    high = (1 - right) * e.table[k + 1, i] + right * e.table[k + 1, i + 1]
+    torque: float = (1 - up) * low + up * high
+    return torque
+
+
+@register_jitable(error_model="numpy")
+def _cell(axis: Array, at: float) -> int:
+    """Index of the cell of a rising axis that holds a point, the first or last beyond the ends."""
+    low, high = 0, axis.size - 2
+    while low < high:
+        middle = (low + high + 1) // 2
+        if axis[middle] <= at:
+            low = middle
+        else:
+            high = middle - 1
+    return low
+
+
+@register_jitable(error_model="numpy")
+def engine_speed(
+    e: Engine, d: Driveline, gear: int, closed: bool, rear: float
+) -> tuple[float, bool]:
+    """Engine speed [rad/s] and whether the clutch has locked it to the rear wheels' mean speed.
+
+    Below the idle speed the clutch slips and the engine stays at it.
+    """
+    if gear == 0:
+        return d.idle_speed, False
+    turned = e.ratios[gear - 1] * rear
+    return max(turned, d.idle_speed), closed and turned >= d.idle_speed
+
+
+@register_jitable(error_model="numpy")
+def torque_rate(e: Engine, d: Driveline, torque: float, omega: float, throttle: float) -> float:
+    """Rate of the engine torque [Nm/s]: it follows the map with a lag, slower when it rises."""
+    allowed = min(max((d.engine_speed_max + CUT - omega) / CUT, 0.0), 1.0)
+    wanted = map_torque(e, omega, throttle * allowed)
+    rate: float = (wanted - torque) / (d.spool_rise if wanted > torque else d.spool_fall)
+    return rate
+
+
+@register_jitable(error_model="numpy")
+def rear_accelerations(
+    e: Engine,
+    d: Driveline,
+    gear: int,
+    closed: bool,
+    torque: float,
+    left: float,
+    right: float,
+    outer: tuple[float, float],
+) -> tuple[float, float]:
+    """Accelerations of the rear wheels [rad/s^2] at their speeds, left and right [rad/s].
+
+    torque: of the engine [Nm]. outer: what tire and brake put on either wheel [Nm]. Gears and
+    engine inertia are those of `Longitudinal`, on the mean of the two wheels.
+    """
+    I = d.wheel_inertia  # noqa: E741
+    both = outer[0] + outer[1]
+    mean = both / (2 * I)
+    _, locked = engine_speed(e, d, gear, closed, (left + right) / 2)
+    if locked:
+        ratio = e.ratios[gear - 1]
+        drives = torque >= d.engine_inertia * ratio * mean
+        lever = ratio * (d.efficiency if drives else 1 / d.efficiency)
+        mean = (both + lever * torque) / (2 * I + lever * d.engine_inertia * ratio)
+    elif closed and gear > 0:
+        mean += e.ratios[gear - 1] * d.efficiency * max(torque, 0.0) / (2 * I)
+    through_gears = 2 * I * mean - both
+    across = d.differential_damping * (left - right)
+    return (
+        (outer[0] + through_gears / 2 - across) / I,
+        (outer[1] + through_gears / 2 + across) / I,
+    )
+
+
+@register_jitable(error_model="numpy")
+def brake_torques(b: Brakes, pressure: float) -> tuple[float, float]:
+    """Torque of a front and of a rear wheel [Nm] at a pressure of the front circuit [Pa]."""
+    front = b.K_front * max(pressure - b.P0_front, 0.0)
+    return front, b.K_rear * max(pressure * b.rear - b.P0_rear, 0.0)
+
+
+@register_jitable(error_model="numpy")
+def pressure_rate(b: Brakes, pressure: float, wanted: float) -> float:
+    """Rate of the pressure [Pa/s] towards the wanted one, at most that of the pump."""
+    wanted = min(wanted, b.P_max)
+    rate: float = (wanted - pressure) / (b.tau_rise if wanted > pressure else b.tau_fall)
+    return rate
+
+
+@register_jitable(error_model="numpy")
+def against(torque: float, omega: float) -> float:
+    """A braking torque [Nm] with its sign: against the turning of the wheel [rad/s]."""
+    signed: float = -torque * min(max(omega / STICTION, -1.0), 1.0)
+    return signed

@@ -1,0 +1,79 @@
+"""The road under a simulated car: a banked ribbon along a line, or a plane."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from miho.driving.track import Track
+
+Array = NDArray[np.float64]
+
+
+class Road(NamedTuple):
+    """A line in n cells of equal length, as compiled code reads it; units and signs of `Track`.
+
+    x, y, heading, bank (n + 1,) at the ends of the cells; curvature (n,) of each cell, so that
+    its integral is the heading; turn: change of the heading over a lap [rad]. A line that is not
+    closed goes on straight beyond its ends.
+    """
+
+    step: float
+    closed: bool
+    turn: float
+    x: Array
+    y: Array
+    heading: Array
+    bank: Array
+    curvature: Array
+
+
+PLANE = Road(
+    1.0, False, 0.0, np.array([0.0, 1.0]), np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(1)
+)
+"""Flat ground, whose line is the x axis."""
+
+
+def road_of(track: Track) -> Road:
+    """The road of a track."""
+    x, y, bank = (np.append(column, column[0]) for column in (track.x, track.y, track.bank))
+    heading = np.append(track.heading, track.heading[0] + track.turn)
+    curvature = np.diff(heading) / track.step
+    return Road(float(track.step), True, track.turn, x, y, heading, bank, curvature)
+
+
+@register_jitable(error_model="numpy")
+def shape_at(road: Road, s: float) -> tuple[float, float]:
+    """Curvature [1/m] in the plan and bank [rad] at an arc length [m], beyond a lap too."""
+    i, part, _ = _cell(road, s)
+    bank: float = road.bank[i] + part * (road.bank[i + 1] - road.bank[i])
+    return road.curvature[i], bank
+
+
+@register_jitable(error_model="numpy")
+def place_at(road: Road, s: float, offset: float) -> tuple[float, float, float]:
+    """x, y [m] and the line's heading [rad] at an arc length and an offset in the plan [m].
+
+    Within a cell the line is an arc, as that of `Track`: the chord has the heading of its middle.
+    """
+    i, part, lap = _cell(road, s)
+    rise = road.heading[i + 1] - road.heading[i]
+    middle, heading = road.heading[i] + part * rise / 2, road.heading[i] + part * rise
+    x = road.x[i] + part * road.step * np.cos(middle) - offset * np.sin(heading)
+    y = road.y[i] + part * road.step * np.sin(middle) + offset * np.cos(heading)
+    return x, y, heading + lap * road.turn
+
+
+@register_jitable(error_model="numpy")
+def _cell(road: Road, s: float) -> tuple[int, float, Any]:
+    """The cell that holds an arc length, how far into it (0 to 1 if closed), and laps done."""
+    at, lap = s / road.step, 0.0
+    n = road.curvature.size
+    if road.closed:
+        lap = np.floor(at / n)
+        at -= lap * n
+    i = min(max(int(np.floor(at)), 0), n - 1)
+    return i, at - i, lap

@@ -1,0 +1,171 @@
+"""A track from straights, arcs and clothoids, as designers of roads describe it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.driving.track import Track
+
+Array = NDArray[np.float64]
+
+PIECE = 20.0
+"""Length [m] over which one Gauss rule integrates; the error is below 1e-12 m."""
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segment:
+    """A part of a track whose curvature is linear in the arc length.
+
+    length [m]; curvature [1/m] at its start and end, positive to the left: equal on arcs, 0 on
+    straights. bank [rad], positive when the left side is lower, and width [m] of the whole road go
+    from the first to the second value with zero slope at both.
+    """
+
+    length: float
+    curvature: tuple[float, float] = (0.0, 0.0)
+    bank: tuple[float, float] = (0.0, 0.0)
+    width: tuple[float, float] = (15.0, 15.0)
+
+    def __post_init__(self) -> None:
+        if not 0 < self.length < math.inf:
+            raise ValueError(f"length of a segment is {self.length}; expected a positive number")
+        for field in fields(self)[1:]:
+            pair = getattr(self, field.name)
+            if len(pair) != 2 or not all(map(math.isfinite, pair)):
+                raise ValueError(
+                    f"{field.name} of a segment is {pair}; expected two numbers, start and end"
+                )
+
+    def mirrored(self) -> Segment:
+        """The segment driven from its end to its start, with the same bends to the left."""
+        return replace(
+            self,
+            curvature=self.curvature[::-1], bank=self.bank[::-1], width=self.width[::-1],
+        )  # fmt: skip
+
+
+def track_of(
+    name: str,
+    segments: Sequence[Segment],
+    *,
+    step: float = 1.0,
+    left: float | None = None,
+    slack: float = 1.0,
+) -> Track:
+    """The closed track of these segments in a row.
+
+    step: distance of its points [m], made smaller to fit a lap. left: from the line to the road's
+    left edge [m]; the line is in the middle of the road if None. Lengths that are rounded leave a
+    gap; they are changed by the least sum of squares that closes it, each by at most `slack` [m].
+    Raises ValueError where that is not enough.
+    """
+    if not 0 < step < math.inf:
+        raise ValueError(f"step is {step}; expected a positive number of metres")
+    closed = _closed(name, list(segments), slack)
+    length = sum(one.length for one in closed)
+    n = math.ceil(length / step)
+    s = np.linspace(0.0, length, n, endpoint=False)
+    pieces = [piece for one in closed for piece in _cut(one)]
+    which, within = _position(s, pieces)
+    x, y, heading, curvature = _advance(_poses(pieces)[which], pieces, which, within)
+    which, within = _position(s, closed)
+    share = within / np.array([one.length for one in closed])[which]
+    smooth = share * share * (3 - 2 * share)
+    bank, width = (
+        _between(np.array([getattr(one, what) for one in closed])[which], smooth)
+        for what in ("bank", "width")
+    )
+    beside = width / 2 if left is None else np.full_like(width, left)
+    return Track(name, length, s, x, y, heading, curvature, bank, beside, width - beside)
+
+
+def _between(pairs: Array, share: Array) -> Array:
+    return np.asarray(pairs[:, 0] + share * (pairs[:, 1] - pairs[:, 0]))
+
+
+def _closed(name: str, segments: list[Segment], slack: float) -> list[Segment]:
+    """The segments with lengths that bring the last end to the first start (Gauss-Newton)."""
+    whole = math.tau if sum(sum(one.curvature) * one.length for one in segments) > 0 else -math.tau
+    lengths = np.array([one.length for one in segments])
+    found = lengths.copy()
+    for _ in range(10):
+        trial = [replace(o, length=float(f)) for o, f in zip(segments, found, strict=True)]
+        miss = _poses(trial)[-1] - np.array([0.0, 0.0, whole])
+        if np.abs(miss).max() < 1e-10:
+            return trial
+        ends = _poses(trial)[1:]
+        moved = np.array(
+            [_effect(end, ends[-1], one) for end, one in zip(ends, trial, strict=True)]
+        )
+        found = found - np.linalg.lstsq(moved.T, miss, rcond=None)[0]
+        if np.abs(found - lengths).max() > slack or found.min() <= 0:
+            break
+    gap = _poses(segments)[-1]
+    raise ValueError(
+        f"track {name} does not close: its end is {math.hypot(gap[0], gap[1]):.3g} m from its "
+        f"start after a turn of {math.degrees(gap[2]):.5g} degrees, which changes of the lengths "
+        f"by up to {slack:g} m do not mend; correct the segments"
+    )
+
+
+def _effect(end: Array, last: Array, segment: Segment) -> Array:
+    """How the last pose moves with the length of a segment that ends at `end`, per metre.
+
+    All that follows is carried along in the direction of the segment and turned about its end; a
+    longer clothoid turns by its mean curvature. What the shape of a longer clothoid adds is left
+    out: the iteration corrects it.
+    """
+    bend = sum(segment.curvature) / 2
+    x, y = last[0] - end[0], last[1] - end[1]
+    return np.array([math.cos(end[2]) - bend * y, math.sin(end[2]) + bend * x, bend])
+
+
+def _cut(segment: Segment) -> list[Segment]:
+    """Parts of equal length, at most `PIECE`, with the curvature alone."""
+    count = math.ceil(segment.length / PIECE)
+    ends = np.linspace(*segment.curvature, count + 1).tolist()
+    length = segment.length / count
+    return [Segment(length=length, curvature=pair) for pair in pairwise(ends)]
+
+
+def _position(s: Array, segments: Sequence[Segment]) -> tuple[NDArray[np.intp], Array]:
+    """The segment that each arc length (n,) is in, and how far from its start [m]."""
+    bounds = np.concatenate([[0.0], np.cumsum([one.length for one in segments])])
+    which = np.clip(np.searchsorted(bounds, s, side="right") - 1, 0, len(segments) - 1)
+    return which, s - bounds[which]
+
+
+def _poses(segments: Sequence[Segment]) -> Array:
+    """(x, y, heading) at the start of each segment and at the end of the last, (k + 1, 3)."""
+    lengths = np.array([one.length for one in segments])
+    turned = lengths * np.array([sum(one.curvature) / 2 for one in segments])
+    starts = np.zeros((len(segments), 3))
+    starts[1:, 2] = np.cumsum(turned)[:-1]
+    steps = np.stack(_advance(starts, segments, np.arange(len(segments)), lengths)[:2], axis=1)
+    ends = np.column_stack([np.cumsum(steps, axis=0), np.cumsum(turned)])
+    return np.concatenate([np.zeros((1, 3)), ends])
+
+
+def _advance(
+    poses: Array, segments: Sequence[Segment], which: NDArray[np.intp], within: Array
+) -> tuple[Array, Array, Array, Array]:
+    """x, y, heading and curvature (n,) at distances `within` (n,) of the starts `poses` (n, 3)."""
+    pairs = np.array([one.curvature for one in segments])[which]
+    lengths = np.array([one.length for one in segments])
+    slope = (pairs[:, 1] - pairs[:, 0]) / lengths[which]
+    rules = math.ceil(lengths.max() / PIECE)
+    edges = np.arange(rules)[:, None] + (_NODES + 1) / 2
+    t = within[:, None] * edges.ravel() / rules
+    turned = poses[:, 2, None] + (pairs[:, :1] + slope[:, None] * t / 2) * t
+    weights = np.tile(_WEIGHTS / 2, rules) / rules
+    x = poses[:, 0] + within * (np.cos(turned) @ weights)
+    y = poses[:, 1] + within * (np.sin(turned) @ weights)
+    heading = poses[:, 2] + (pairs[:, 0] + slope * within / 2) * within
+    return x, y, heading, pairs[:, 0] + slope * within

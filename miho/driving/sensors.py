@@ -1,0 +1,50 @@
+"""What a controller sees of the motion: the same with measurement noise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from miho.driving.plant import Motion
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensors:
+    """White noise on each channel of a `Motion`: standard deviations in the channel's SI unit.
+
+    The defaults are ours, of the size of a good inertial unit with GNSS (RTK) and of the wheel
+    and engine sensors of a racing car. `position` is of x and of y. Time and gear are exact.
+    """
+
+    position: float = 0.02
+    yaw: float = 0.002
+    vx: float = 0.05
+    vy: float = 0.05
+    yaw_rate: float = 0.005
+    ax: float = 0.2
+    ay: float = 0.2
+    steering: float = 0.001
+    wheel_speeds: float = 0.1
+    engine_speed: float = 1.0
+    engine_torque: float = 2.0
+    brake_pressure: float = 1.5e4
+    loads: float = 30.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0 <= value < math.inf:
+                raise ValueError(f"{field.name} is {value}; expected a number of at least 0")
+
+    def measure(self, motion: Motion, rng: np.random.Generator) -> Motion:
+        """The motion as the sensors show it; each call draws as many numbers from `rng`."""
+        stds = {"x": self.position, "y": self.position}
+        stds |= {field.name: getattr(self, field.name) for field in fields(self)[1:]}
+        shown: dict[str, Any] = {}
+        for name, std in stds.items():
+            value = getattr(motion, name)
+            shown[name] = value + std * rng.standard_normal(np.shape(value) or None)
+        return motion._replace(**shown)

@@ -1,0 +1,126 @@
+"""The closed loop: a plant and its driver, and what is logged of both."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.data.driving_log import DrivingLog
+from miho.driving.driver import Driver, DriverState, place
+from miho.driving.plant import Command, Motion, Plant
+from miho.driving.sensors import Sensors
+
+Array = NDArray[np.float64]
+State = TypeVar("State")
+
+MOTION = (
+    "time", "x", "y", "yaw", "vx", "vy", "yaw_rate", "ax", "ay", "steering", "engine_speed",
+    "engine_torque", "gear", "brake_pressure",
+)  # fmt: skip
+LOGGED = (
+    *MOTION, "load_fl", "load_fr", "load_rl", "load_rr", "distance", "s", "e_y", "e_psi",
+    "curvature", "bank", "v_plan", "v_des", "ay_plan", "ay_limit", "u_steering", "u_throttle",
+    "u_brake", "u_gear", "stopping",
+)  # fmt: skip
+STANDING = 0.3
+"""Speed [m/s] at which a car that stops has stopped."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """What was logged, a row for each command: `columns` by name, SI units, (N,) each.
+
+    time [s], x, y, yaw, vx, vy, yaw_rate, ax, ay, steering, engine_speed, engine_torque, gear,
+    brake_pressure: as in `Motion`; load_fl, load_fr, load_rl, load_rr: of the wheels [N]. distance
+    [m]: along the first line since the start. Of the line that is followed: s [m], e_y [m], e_psi
+    [rad], curvature [1/m], bank [rad]; of its plan there: v_plan [m/s], ay_plan and ay_limit
+    [m/s^2], the lateral demand and its limit. v_des [m/s]: desired. u_steering [rad], u_throttle,
+    u_brake [Pa], u_gear: commands. stopping: 1 during a safe stop. None has noise.
+
+    measured: channels of `DrivingLog` as the driver saw them. stopped: why it stopped, or "".
+    """
+
+    columns: Mapping[str, Array]
+    measured: Mapping[str, Array]
+    stopped: str
+
+    def __getitem__(self, name: str) -> Array:
+        """A column, (N,)."""
+        return self.columns[name]
+
+    def __len__(self) -> int:
+        return self.columns["time"].size
+
+    def log(self, name: str) -> DrivingLog:
+        """What the driver measured, as data to identify from; bank and grade are not in it."""
+        return DrivingLog(name, self.measured)
+
+
+def drive(
+    plant: Plant[State],
+    driver: Driver,
+    start: State,
+    distance: float,
+    *,
+    sensors: Sensors | None = None,
+    rng: np.random.Generator | None = None,
+    longest: float = 1200.0,
+) -> Drive:
+    """Drive from a state until a distance [m] along the line is done, at most `longest` [s].
+
+    It ends before when the car stands after a safe stop. The driver sees the motion itself if
+    `sensors` is None, else with their noise, drawn from `rng`.
+    """
+    if sensors is not None and rng is None:
+        raise ValueError("rng is None; give a numpy Generator for the noise of the sensors")
+    if not 0 < distance < math.inf:
+        raise ValueError(f"distance is {distance}; expected a positive number of metres")
+    state, motion = start, plant.motion(start)
+    memory, line = driver.begin(motion), driver.plan.line
+    rows: list[list[float]] = []
+    seen: list[tuple[Motion, Command]] = []
+    done, before = 0.0, memory.at
+    while done < distance and motion.time < longest:
+        shown = motion if sensors is None or rng is None else sensors.measure(motion, rng)
+        command, memory = driver.step(memory, shown)
+        rows.append(_row(motion, memory, done))
+        seen.append((shown, command))
+        state = plant.advance(state, command, driver.period)
+        motion = plant.motion(state)
+        at = line.project(motion.x, motion.y, before).s
+        done += math.remainder(at - before, line.length)
+        before = at
+        if memory.stopped and math.hypot(motion.vx, motion.vy) < STANDING:
+            break
+    columns = dict(zip(LOGGED, np.array(rows).T, strict=True))
+    return Drive(columns, _measured(seen), memory.stopped)
+
+
+def _row(motion: Motion, memory: DriverState, done: float) -> list[float]:
+    """One row of `LOGGED`."""
+    plan = memory.plan
+    at, error = place(plan.line, motion, memory.at)
+    here = plan.line.at(at.s)
+    i = min(int(at.s / plan.line.step), plan.v.size - 1)
+    seen = [float(getattr(motion, name)) for name in MOTION]
+    planned = [plan.v[i], memory.desired, plan.lateral[i], plan.limit[i]]
+    return [
+        *seen, *motion.loads, done, at.s, error.e_y, error.e_psi, float(here.curvature),
+        float(here.bank), *planned, *memory.command, float(bool(memory.stopped)),
+    ]  # fmt: skip
+
+
+def _measured(seen: Sequence[tuple[Motion, Command]]) -> dict[str, Array]:
+    """Channels of a driving log."""
+    names = ("time", "vx", "vy", "yaw_rate", "ax", "ay", "steering", "gear", "engine_speed")
+    channels = {
+        name: np.array([getattr(motion, name) for motion, _ in seen], dtype=float) for name in names
+    }
+    channels["brake"] = np.array([motion.brake_pressure for motion, _ in seen])
+    channels["throttle"] = np.array([command.throttle for _, command in seen])
+    return channels

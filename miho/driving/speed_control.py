@@ -1,0 +1,140 @@
+"""Throttle, brake and gear from a desired speed (Sec. IV-B, Fig. 3)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import NamedTuple
+
+from miho.driving.inverse_powertrain import PowertrainModel, effort, powertrain_model
+from miho.driving.vehicle import Vehicle
+from miho.models.brake import Brake
+from miho.models.engine import RPM
+from miho.models.engine_map import EngineMap
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpeedSettings:
+    """Gains and rules of the speed controller.
+
+    feedback [1/s]: desired acceleration per speed error; integral [1/s^2]: per its integral, which
+    stays within integral_max [m/s^2]. dead_band [N]: how far the desired force must be beyond what
+    the closed throttle gives before brake and throttle change over; dwell [s]: how long either
+    stays at least. shift_up, shift_down [rad/s]: engine speeds beyond which the gear changes, and
+    shift_dwell [s] how long it stays at least. brake_max [m/s^2]: largest deceleration asked for.
+    """
+
+    feedback: float = 1.0
+    integral: float = 0.2
+    integral_max: float = 1.0
+    dead_band: float = 150.0
+    dwell: float = 0.2
+    shift_up: float = 6400 * RPM
+    shift_down: float = 3900 * RPM
+    shift_dwell: float = 0.5
+    brake_max: float = 20.0
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not 0 <= value < math.inf:
+                raise ValueError(f"{field.name} is {value}; expected a number of at least 0")
+        if self.shift_down >= self.shift_up:
+            raise ValueError(
+                f"shift_down is {self.shift_down:g} rad/s; expected below shift_up, which is "
+                f"{self.shift_up:g} rad/s"
+            )
+
+
+class SpeedState(NamedTuple):
+    """What the controller remembers: which pedal it is on and since when [s], gear likewise."""
+
+    integral: float = 0.0  # of the speed error, as an acceleration [m/s^2]
+    braking: bool = False
+    since: float = math.inf
+    gear: int = 1
+    gear_since: float = math.inf
+
+
+class Pedals(NamedTuple):
+    """throttle 0 to 1; brake: pressure of the front circuit [Pa]; gear from 1."""
+
+    throttle: float
+    brake: float
+    gear: int
+
+
+@dataclass(frozen=True)
+class SpeedController:
+    """Desired acceleration -> force -> engine torque -> throttle, or -> brake pressure.
+
+    `engine` and `brake` are what is known of them: their inverses are the look-ups of Fig. 3. The
+    drag, rolling resistance and rotating mass of the vehicle are fed forward.
+    """
+
+    vehicle: Vehicle
+    engine: EngineMap
+    brake: Brake
+    settings: SpeedSettings = SpeedSettings()
+
+    def start(self, vx: float) -> SpeedState:
+        """The state of a controller that begins at a speed [m/s], in the gear that fits it."""
+        gear = 1
+        while gear < len(self.vehicle.gear_ratios) and (
+            self._engine_speed(vx, gear + 1) > self.settings.shift_down
+        ):
+            gear += 1
+        return SpeedState(gear=gear)
+
+    def command(
+        self, state: SpeedState, desired: float, ax: float, vx: float, period: float
+    ) -> tuple[Pedals, SpeedState]:
+        """Pedals for a desired speed [m/s] and its rate ax [m/s^2], at the measured speed vx.
+
+        period [s]: since the last command.
+        """
+        miss, rules = desired - vx, self.settings
+        integral = state.integral + rules.integral * miss * period
+        integral = min(max(integral, -rules.integral_max), rules.integral_max)
+        a = max(ax + rules.feedback * miss + integral, -rules.brake_max)
+        gear, gear_since = self._gear(state, vx, period)
+        wanted = effort(self._model, a, vx, gear)
+        braking, since = self._pedal(state, wanted.brake, period)
+        throttle, pressure = 0.0, 0.0
+        if braking:
+            u = self.brake.command(max(wanted.brake, 0.0)).u
+            pressure = float(self.brake.pressure(u)[0])
+        else:
+            throttle = wanted.throttle
+            if (throttle >= 1.0 and miss > 0) or (throttle <= 0.0 and miss < 0):
+                integral = state.integral  # more would only wind up
+        return Pedals(throttle, pressure, gear), SpeedState(
+            integral, braking, since, gear, gear_since
+        )
+
+    @cached_property
+    def _model(self) -> PowertrainModel:
+        return powertrain_model(self.vehicle, self.engine)
+
+    def _engine_speed(self, vx: float, gear: int) -> float:
+        return vx * float(self._model.levers[gear - 1])
+
+    def _pedal(self, state: SpeedState, excess: float, period: float) -> tuple[bool, float]:
+        """Whether to brake, and for how long that has been so [s]."""
+        since = state.since + period
+        beyond = -excess if state.braking else excess
+        if beyond > self.settings.dead_band and since >= self.settings.dwell:
+            return not state.braking, 0.0
+        return state.braking, since
+
+    def _gear(self, state: SpeedState, vx: float, period: float) -> tuple[int, float]:
+        """The gear, and for how long it has been in [s]."""
+        since = state.gear_since + period
+        omega = self._engine_speed(vx, state.gear)
+        if since >= self.settings.shift_dwell:
+            if omega > self.settings.shift_up and state.gear < len(self.vehicle.gear_ratios):
+                return state.gear + 1, 0.0
+            if omega < self.settings.shift_down and state.gear > 1:
+                return state.gear - 1, 0.0
+        return state.gear, since

@@ -1,0 +1,161 @@
+"""The steering command: feed-forward of curvature and bank, and the regulator's feedback."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.driving.friction import demand
+from miho.driving.path_tracking import SLOWEST, GainSchedule
+from miho.driving.track import Projection, Track
+from miho.driving.vehicle import Vehicle
+from miho.models.axle import Axle
+
+Array = NDArray[np.float64]
+
+STEEPEST = 0.15
+"""Slip angle [rad] up to which an axle's curve is looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class AxleSlip:
+    """The slip angle [rad] that gives an axle's lateral force, ISO-W, from its curve at a load.
+
+    force (k,) rising [N] and slip (k,) [rad]: the part of the curve between its two peaks. At
+    another load the curve is taken to grow in proportion; beyond the peaks the slip stays there.
+    load [N]: of the axle, both wheels.
+    """
+
+    load: float
+    force: Array
+    slip: Array
+
+    @classmethod
+    def of(cls, axle: Axle, load: float) -> AxleSlip:
+        """The slip of an axle whose tires were identified at this load of both [N]."""
+        slip = np.linspace(-STEEPEST, STEEPEST, 601)
+        force = axle.force(slip)
+        left, right = int(np.argmax(force)), int(np.argmin(force))
+        if not load > 0 or left >= right or not (np.diff(force[left : right + 1]) < 0).all():
+            raise ValueError(
+                f"the axle has a load of {load:g} N and lateral forces of {force[left]:.4g} N at "
+                f"{slip[left]:.3g} rad and {force[right]:.4g} N at {slip[right]:.3g} rad; expected "
+                "a force that falls with the slip angle between its peaks (ISO-W)"
+            )
+        part = slice(left, right + 1)
+        return cls(load, force[part][::-1], slip[part][::-1])
+
+    def at(self, force: float, load: float) -> float:
+        """The slip angle [rad] for a lateral force at a load of the axle [N]."""
+        return float(np.interp(force * self.load / max(load, 1.0), self.force, self.slip))
+
+
+class FeedForward(NamedTuple):
+    """A steady turn: the steering angle delta of the road wheels and the slip angle of the car at
+    its centre of gravity, vy / vx [rad]."""
+
+    steering: float
+    slip: float
+
+
+class SteeringState(NamedTuple):
+    """The feedback parts of the last commands [rad], the newest first, (d,)."""
+
+    past: tuple[float, ...]
+
+
+class TrackingError(NamedTuple):
+    """xi of Eq. 13: how far left of the path [m], its rate [m/s], the heading's [rad], [rad/s]."""
+
+    e_y: float
+    e_y_rate: float
+    e_psi: float
+    e_psi_rate: float
+
+
+@dataclass(frozen=True, eq=False)
+class SteeringController:
+    """u = u_ff - K (z - z_ff) on a line, with the state z of `SampledModel`.
+
+    u_ff is the angle of the steady turn where the car will be once delay and lag have passed; the
+    axles' curves give the slip that it takes, on a bank less the part of the turn that weight
+    does. Below 3 m/s there is no slip to speak of, and the path is followed by geometry alone.
+    """
+
+    vehicle: Vehicle
+    schedule: GainSchedule
+    front: AxleSlip
+    rear: AxleSlip
+
+    @property
+    def initial(self) -> SteeringState:
+        """The state of a controller that has done nothing yet."""
+        return SteeringState((0.0,) * self.schedule.sampled.delayed)
+
+    def feed_forward(self, vx: float, curvature: float, bank: float) -> FeedForward:
+        """What a steady turn asks at a speed [m/s], a curvature in the plan [1/m] and a bank."""
+        car = self.vehicle
+        lateral, gravity = (float(part) for part in demand(vx, curvature, bank))
+        force = car.mass * lateral / car.wheelbase
+        weight, air = car.mass * gravity / car.wheelbase, vx * vx
+        slip_f = self.front.at(force * car.lr, weight * car.lr + car.C_l_front * air)
+        slip_r = self.rear.at(force * car.lf, weight * car.lf + car.C_l_rear * air)
+        bend = curvature * math.cos(bank)  # of the path along the surface
+        return FeedForward(bend * car.wheelbase + slip_r - slip_f, slip_r + bend * car.lr)
+
+    def command(
+        self,
+        state: SteeringState,
+        line: Track,
+        at: Projection,
+        error: TrackingError,
+        vx: float,
+        steering: float,
+    ) -> tuple[float, SteeringState]:
+        """The steering command [rad] and the state after it.
+
+        at: where the car is on the line; vx [m/s]; steering: measured angle of the wheels [rad].
+        """
+        if vx < SLOWEST:
+            return self._by_geometry(line, at, error), _remember(state, 0.0)
+        actuator = self.schedule.sampled.steering
+        here = line.at(at.s)
+        ahead = line.at(at.s + vx * (actuator.delay + actuator.lag))
+        now = self.feed_forward(vx, float(here.curvature), float(here.bank))
+        later = self.feed_forward(vx, float(ahead.curvature), float(ahead.bank))
+        z = np.array([*error, steering - now.steering, *state.past])
+        z[2] += now.slip  # a car that slips outward points into the turn
+        feedback = -float(self.schedule.at(vx) @ z)
+        u = later.steering + feedback
+        most = self.vehicle.steering_max
+        u = min(max(u, -most), most)
+        return u, _remember(state, u - later.steering)
+
+    def _by_geometry(self, line: Track, at: Projection, error: TrackingError) -> float:
+        """The angle of an arc through the path 6 m ahead (pure pursuit)."""
+        reach = 6.0
+        bend = float(line.at(at.s + reach / 2).curvature)
+        arc = bend - 2 * (error.e_y + reach * error.e_psi) / reach**2
+        most = self.vehicle.steering_max
+        return min(max(math.atan(self.vehicle.wheelbase * arc), -most), most)
+
+
+def _remember(state: SteeringState, feedback: float) -> SteeringState:
+    """The state after one more command, of which the feedback part [rad] is remembered."""
+    return SteeringState((feedback, *state.past)[: len(state.past)])
+
+
+def tracking_error(
+    line: Track, at: Projection, yaw: float, vx: float, vy: float, yaw_rate: float
+) -> TrackingError:
+    """The errors of a car at a point of a line; velocities [m/s], [rad/s] about its own axes."""
+    here = line.at(at.s)
+    e_psi = math.remainder(yaw - float(here.heading), math.tau)
+    along = (vx * math.cos(e_psi) - vy * math.sin(e_psi)) / (1 - float(here.curvature) * at.e)
+    sideways = vy * math.cos(e_psi) + vx * math.sin(e_psi)
+    turning = float(here.curvature * np.cos(here.bank)) * along
+    return TrackingError(at.e, sideways, e_psi, yaw_rate - turning)

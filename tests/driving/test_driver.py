@@ -1,0 +1,110 @@
+"""The driver: pace, re-planning, and safe stops."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from miho.driving.driver import Driver, Pace, Sighting
+from miho.driving.embedded import embedded_plant
+from miho.driving.local_plan import LocalPlanner, Obstacle
+from miho.driving.ovals import lvms
+from miho.driving.path_tracking import Weights
+from miho.driving.plant import Motion
+from miho.driving.road import road_of
+from tests.driving.cars import car
+
+LINE = lvms(step=4.0)
+PLANNER = car().planner(0.7, 40.0)
+DRIVER = Driver(
+    PLANNER.plan(LINE), car().speed_controller(), car().steering_controller(Weights(steering=100.0))
+)
+PLANT = embedded_plant(car().vehicle, road_of(LINE))
+GEAR = DRIVER.speed.start(30.0).gear
+
+
+def motion(s: float = 50.0, speed: float = 30.0) -> Motion:
+    return PLANT.motion(PLANT.start(s, 0.0, speed, GEAR))
+
+
+@pytest.mark.parametrize("name", ["x", "yaw", "vx", "yaw_rate", "steering"])
+def test_a_sensor_that_fails_makes_a_safe_stop_for_good(name: str) -> None:
+    here = motion()
+    before, state = DRIVER.step(DRIVER.begin(here), here)
+    command, state = DRIVER.step(state, here._replace(**{name: math.nan}))
+    assert state.stopped == f"{name} is not finite"
+    assert command.steering == pytest.approx(before.steering, abs=0.01), "it goes on turning"
+    assert command.throttle == 0
+    force = float(car().brake.force_of_pressure(command.brake))
+    assert force == pytest.approx(6.0 * car().vehicle.mass, rel=1e-6)
+    command, state = DRIVER.step(state, here)
+    assert state.stopped
+    assert command.brake > 0, "it comes back, but is not trusted"
+
+
+def test_a_car_far_from_its_line_stops() -> None:
+    here = motion()
+    x, y = map(float, LINE.position(50.0, 11.0))
+    command, state = DRIVER.step(DRIVER.begin(here), here._replace(x=x, y=y))
+    assert state.stopped == "11.0 m off the line"
+    assert command.throttle == 0
+    assert command.brake > 0
+
+
+def test_the_pace_moves_by_its_ramp_and_counts_laps() -> None:
+    driver = replace(DRIVER, pace=Pace((32.0, 36.0), ramp=2.0))
+    state = driver.begin(motion())
+    for _ in range(50):
+        _, state = driver.step(state, motion())
+    assert state.desired == pytest.approx(31.0), "half a second of 2 m/s^2 from 30 m/s"
+    for _ in range(100):
+        _, state = driver.step(state, motion())
+    assert (state.desired, state.laps) == (pytest.approx(32.0), 0)
+    for s in (LINE.length - 3.0, 3.0):
+        for _ in range(300):
+            _, state = driver.step(state, motion(s))
+    assert (state.desired, state.laps) == (pytest.approx(36.0), 1)
+
+
+def test_an_obstacle_is_planned_around_once_it_is_seen() -> None:
+    obstacle = Obstacle(s=160.0, e=0.0)
+    driver = replace(DRIVER, sighting=Sighting((obstacle,), 80.0, LocalPlanner(), PLANNER))
+    state = driver.begin(motion(70.0))
+    _, state = driver.step(state, motion(70.0))
+    assert state.plan is driver.plan, "90 m away"
+    state = driver.begin(motion(85.0))
+    _, state = driver.step(state, motion(85.0))
+    assert state.planned
+    x, y = state.plan.line.position(state.at + 75.0)
+    away = abs(LINE.project(float(x), float(y)).e)
+    assert away > (1.93 + 2.0) / 2 + 0.7 - 1e-6
+    again, _ = driver.step(state, motion(86.0))
+    assert np.isfinite(again).all()
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "speed", "reason"),
+    [
+        (Obstacle(s=160.0, e=0.0, width=14.0), 30.0, "no path between"),
+        (Obstacle(s=115.0, e=0.0), 39.0, "too fast for the path around it"),
+    ],
+)
+def test_an_obstacle_with_no_way_around_makes_a_safe_stop(
+    obstacle: Obstacle, speed: float, reason: str
+) -> None:
+    sighting = Sighting((obstacle,), 80.0, LocalPlanner(), PLANNER)
+    driver = replace(DRIVER, sighting=sighting)
+    here = motion(85.0, speed)
+    command, state = driver.step(driver.begin(here), here)
+    assert reason in state.stopped
+    assert command.brake > 0
+
+
+def test_a_bad_pace_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"top_speeds is .* expected speeds above 0 m/s"):
+        Pace(())
+    with pytest.raises(ValueError, match="ramp is 0"):
+        Pace((30.0,), ramp=0)

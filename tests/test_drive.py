@@ -1,0 +1,122 @@
+"""The command that drives: its outputs, and bad input in one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments.build import ConfigError
+from experiments.cli import composed
+from experiments.drive import check, drive
+from experiments.known import PARTS, identified_part, known_car
+from experiments.schema import register
+from miho.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.driving.vehicle import Vehicle
+from miho.models import BrakeTorque
+from miho.models.identified import Identified, Value, parameters_text
+from tests.driving.test_vehicle import av21
+
+register()
+IMS, LVMS = "experiment=ims_obstacle", "experiment=lvms_laps"
+
+
+@pytest.mark.parametrize(("experiment", "figure"), [(IMS, "fig7"), (LVMS, "fig8")])
+def test_a_short_drive_leaves_log_figure_and_results(
+    tmp_path: Path, experiment: str, figure: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    short = ["drive.known=truth", "drive.distance=12", "seed=3", f"root={tmp_path}"]
+    drive(composed([experiment, *short]))
+    log = pd.read_csv(tmp_path / "log.csv")
+    assert log["distance"].iloc[-1] == pytest.approx(12.0, abs=1.0)
+    assert np.isfinite(log.to_numpy()).all()
+    about = json.loads((tmp_path / "drive.json").read_text())
+    assert about["seed"] == 3
+    assert about["results"]["stopped"] == "no"
+    assert about["results"]["largest position error [m]"] == pytest.approx(
+        log["e_y"].abs().max(), rel=1e-3
+    )
+    for suffix in ("png", "pdf"):
+        assert (tmp_path / "figures" / f"{figure}.{suffix}").stat().st_size > 10_000
+    printed = capsys.readouterr().out
+    assert "top speed [km/h]" in printed
+    if experiment == IMS:
+        ratio = about["results"]["printed Eq. 11 over the same without yaw term"]
+        assert ratio == pytest.approx(0.7071, abs=1e-4)
+        assert about["results"]["least speed of the plan, corrected [km/h]"] > 100
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("drive.track.name=nowhere", "drive.track.name: is 'nowhere'; expected ims, lvms or csv"),
+        ("drive.track.offset=-30", "drive: track ims has a negative width"),
+        ("drive.vehicle.lf=0", "drive: vehicle.lf is 0; expected a positive number"),
+        ("~drive.vehicle.mass", "drive: vehicle.mass is missing; give it in SI units"),
+        ("drive.figure=fig9", "drive.figure: is 'fig9'; expected fig7 or fig8"),
+    ],
+)
+def test_bad_input_is_one_line_before_anything_is_identified(override: str, message: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        check(composed([IMS, override]))
+    assert str(caught.value).startswith(message)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("drive.speed=nan", "drive: speed is nan"),
+        ("drive.mu=0", "drive: mu is 0"),
+        ("drive.distance=-1", "drive: distance is -1"),
+        ("drive.known=maybe", "drive.known: is 'maybe'; expected identified or truth"),
+        ("drive.controller.weights.e_y=0", "drive: weights are"),
+        ("+drive.controller.speed.boost=1", "drive: "),
+    ],
+)
+def test_bad_settings_of_a_drive_are_one_line(override: str, message: str, tmp_path: Path) -> None:
+    overrides = [IMS, f"root={tmp_path}", "drive.known=truth", override]
+    with pytest.raises(ConfigError) as caught:
+        drive(composed(overrides))
+    assert str(caught.value).startswith(message)
+    assert "\n" not in str(caught.value)
+
+
+def test_without_an_experiment_there_is_nothing_to_drive() -> None:
+    with pytest.raises(ConfigError, match="choose experiment=ims_obstacle or lvms_laps"):
+        check(composed([]))
+
+
+def test_a_part_comes_from_its_parameters_file(tmp_path: Path) -> None:
+    model = BrakeTorque()
+    values = {"K": Value(4e-4, "Nm/Pa"), "P0": Value(7e4, "Pa")}
+    found = Identified(model, values, np.eye(2), {"p": (0.0, 6e6)}, {}, {})
+    path = tmp_path / "parameters.json"
+    path.write_text(parameters_text(found, {}))
+    cfg = composed([IMS, f"+drive.parameters.brake_torque_front={path}"])
+    _, theta = identified_part(cfg, "brake_torque_front")
+    assert theta.tolist() == [4e-4, 7e4]
+    wrong = composed([IMS, f"+drive.parameters.brakes={path}"])
+    with pytest.raises(ConfigError, match=r"drive\.parameters\.brakes: is unknown; allowed are lf"):
+        known_car(wrong, Vehicle.from_settings(av21()))
+
+
+@pytest.mark.slow
+def test_the_identified_car_is_near_the_true_one() -> None:
+    """By least squares: the brake within 2 %, tires within their spread of 20 % in the load."""
+    vehicle = Vehicle.from_settings(av21())
+    cfg = composed([IMS, "optimizer=least_squares"])
+    known, true = known_car(cfg, vehicle), known_car(composed([IMS, "drive.known=truth"]), vehicle)
+    force = np.linspace(500.0, 9000.0, 20)
+    back = EMBEDDED_BRAKE.force(known.brake.command(force).u)
+    assert back == pytest.approx(force, rel=0.02)
+    true_peaks = true.grip.left * known.loads / true.grip.load
+    assert known.grip.left == pytest.approx(true_peaks, rel=0.2)
+    omega = np.linspace(200.0, 700.0, 20)
+    for throttle in (0.1, 0.4, 0.8):
+        error = known.engine.torque(omega, throttle) - true.engine.torque(omega, throttle)
+        assert np.sqrt(np.mean(error**2)) < 15.0
+    assert len(PARTS) == 11
