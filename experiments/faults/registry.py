@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from experiments.faults.row import Row
@@ -15,13 +16,15 @@ from experiments.faults.row import Row
 class Entry:
     """A row's number, and the module and function that does it.
 
-    `quick`: it takes little time; `timed`: it judges seconds, so nothing else may run beside it.
+    `quick`: it takes little time; `timed`: it judges seconds, so nothing else may run beside it;
+    `times`: how often it does its fault, if not as often as the table asks.
     """
 
     number: str
     name: str
     quick: bool = False
     timed: bool = False
+    times: int | None = None
 
     @property
     def module(self) -> str:
@@ -35,8 +38,8 @@ class Entry:
 
     def load(self) -> Callable[[Path], Row]:
         """The function that does the fault in an empty folder and measures."""
-        function: Callable[[Path], Row] = getattr(importlib.import_module(self.module), self.name)
-        return function
+        function: Callable[..., Row] = getattr(importlib.import_module(self.module), self.name)
+        return function if self.times is None else partial(function, times=self.times)
 
 
 ENTRIES = (

@@ -21,7 +21,7 @@ from experiments.schema import SweepConfig
 from experiments.sweep import Wanted, sweep, wanted
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
-SENT, TRIES, SEEDS, LATEST = 20, 26, 6, 1.3
+SENT, SPARE, SEEDS, LATEST = 20, 6, 6, 1.3
 """Each signal goes to a sweep over some seeds of its own. It comes at a random time after the first
 run has begun, at most so many times what a first run takes, and can find the sweep at its end."""
 ALLOWED, AT_ONCE, SECOND = 5.0, 1.0, 0.3
@@ -37,7 +37,7 @@ class Stopped:
     code: int
 
 
-def signals(folder: Path) -> Row:
+def signals(folder: Path, times: int = SENT) -> Row:
     """Signal sweeps at random times, then go on with all they left; then what ignores a signal.
 
     A run that does not listen is killed with its process, after some seconds or at the second
@@ -45,7 +45,7 @@ def signals(folder: Path) -> Row:
     """
     root = folder / "runs"
     prepare()
-    stopped, wrong, runs = _at_random_times(root)
+    stopped, wrong, runs = _at_random_times(root, times)
     before = {path: path.read_bytes() for path in root.glob("*/*/*/result.json")}
     marked, _, opened = _open_runs(root)
     again = forked(partial(_sweep, runs)).end()
@@ -62,7 +62,7 @@ def signals(folder: Path) -> Row:
     wrong += sum(one.code != 130 for one in (once, twice, whole))
     return Row(
         "R4",
-        f"SIGINT, SIGTERM, SIGUSR1 to a sweep at {SENT} random times; runs that do not listen",
+        f"SIGINT, SIGTERM, SIGUSR1 to a sweep at {times} random times; runs that do not listen",
         "all processes gone in 5 s, open runs marked, curves kept, rerun resumes; a second signal "
         "ends at once",
         f"{len(stopped)} signals: gone in {slowest:.1f} s at most, {left} left, {wrong} wrong exit "
@@ -70,15 +70,15 @@ def signals(folder: Path) -> Row:
         f"exit {again.code}, {done} of {len(runs)} done, {kept} of {len(before)} untouched; "
         f"second: {twice.seconds:.1f} s",
         slowest <= ALLOWED and not left and not wrong and twice.seconds <= AT_ONCE
-        and len(stopped) == SENT <= opened == marked and curves == 2
+        and len(stopped) == times <= opened == marked and curves == 2
         and again.code == 0 and done == len(runs) and kept == len(before),
     )  # fmt: skip
 
 
-def _at_random_times(root: Path) -> tuple[list[Stopped], int, list[Wanted]]:
+def _at_random_times(root: Path, times: int) -> tuple[list[Stopped], int, list[Wanted]]:
     """The sweeps that a signal stopped, how many had a wrong exit code, and all that was wanted."""
     chance = random.Random(4)
-    asked = wanted(composed([*SWEEP, f"root={root}"]), "", range((TRIES + 1) * SEEDS))
+    asked = wanted(composed([*SWEEP, f"root={root}"]), "", range((times + SPARE + 1) * SEEDS))
     process = forked(partial(_sweep, asked[:SEEDS]))
     _wait_for(root, "lock", 1)
     began = time.monotonic()
@@ -87,7 +87,7 @@ def _at_random_times(root: Path) -> tuple[list[Stopped], int, list[Wanted]]:
     process.end()
     stopped: list[Stopped] = []
     wrong, sweeps = 0, 1
-    while len(stopped) < SENT and sweeps <= TRIES:
+    while len(stopped) < times and sweeps <= times + SPARE:
         job = partial(_sweep, asked[SEEDS * sweeps : SEEDS * (sweeps + 1)])
         number = SIGNALS[sweeps % 3]
         one = _stop(job, root, [number], chance.uniform(0, latest))

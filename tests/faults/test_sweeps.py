@@ -1,18 +1,22 @@
 """The rows about sweeps that judge no time: each starts the real command."""
 
+from dataclasses import replace
+
 import pytest
 
 from experiments.faults.outcome import run_rows
 from experiments.faults.registry import ENTRIES
 
-ROWS = (
-    "kills", "isolation", "signals", "sharing", "identical_sweeps", "changes",
-    "determinism",
-)  # fmt: skip
+TIMES = {
+    "kills": 40, "isolation": None, "signals": 5, "sharing": None, "identical_sweeps": None,
+    "changes": None, "determinism": 12,
+}  # fmt: skip
+"""By row, how often its fault is done here, if less often than the table asks."""
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ROWS)
+@pytest.mark.parametrize("name", TIMES)
 def test_row_is_met(name: str) -> None:
-    (outcome,) = run_rows([entry for entry in ENTRIES if entry.name == name])
+    (entry,) = (entry for entry in ENTRIES if entry.name == name)
+    (outcome,) = run_rows([replace(entry, times=TIMES[name])])
     assert outcome.fine, outcome.row.measured
