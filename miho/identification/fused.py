@@ -45,7 +45,8 @@ CAUSES = (
     "No impl",
 )
 FIRST_BLOCK = 64
-"""Rows before the first look whether a candidate is beaten; doubles up to BLOCK."""
+"""Rows before the first look whether a candidate is beaten; doubles up to BLOCK. Where panels come
+before rows, there is nothing to win by an early look."""
 WORTH_PANELS = 1000
 """Rows from which sums over panels tell sooner than the rows that a candidate is beaten."""
 
@@ -152,6 +153,7 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
     columns = COLUMNS[p]
     own = signed(formulas.signature)
     value, derivatives, *bound = map(register_jitable, formulas.copies())
+    first_block = BLOCK if bound else FIRST_BLOCK
 
     @register_jitable(error_model="numpy")
     @own
@@ -159,7 +161,7 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
         X, y = data  # y may be the first part of X's rows
         parameters = as_tuple(theta, d)
         total = 0.0
-        start, size = 0, FIRST_BLOCK
+        start, size = 0, first_block
         while start < y.size:
             end = min(start + size, y.size)
             residuals = value(columns(X, start, end), parameters) - y[start:end]
