@@ -41,6 +41,8 @@ SMOOTH = 3700 * RPM
 """From here on [rad/s], past the turbo's spool, a cubic can follow these openings."""
 MEAN_SPEED = "mean vx"
 """A derived quantity of the axles: the speed [m/s] at whose loads the forces were measured."""
+SETTLE = 1.0
+"""Seconds after which a turbocharged engine gives what the pedal asks for."""
 EVERY = 5
 """Of 100 samples a second, which a low pass of 5 Hz has made dependent, every fifth is kept."""
 
@@ -90,7 +92,7 @@ def _torques(logs: Iterable[DrivingLog], vehicle: Vehicle, opening: float) -> Da
     found = []
     for log in logs:
         try:
-            samples = torque_samples(log, vehicle.longitudinal, throttle=opening)
+            samples = torque_samples(log, vehicle.longitudinal, throttle=opening, settle=SETTLE)
         except ValueError:  # too short, or all of it too slow
             continue
         kept = samples["omega"] >= (SMOOTH if opening >= DYNO_TRUSTED else 0.0)

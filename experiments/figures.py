@@ -97,10 +97,8 @@ def draw_axle(root: Path, output: Path, optimizer: str) -> list[Path]:
         curves["sum of both learned tires"] = _axle_curve(Axle(left, right), data, seen)
         runs += tires
     points = np.degrees(data["alpha"]), data[data.output] / 1000
-    note = (
-        f"points: {len(data)} samples after {config['end']:g} s; learned by {optimizer} before;\n"
-    )
-    note += "dashed: beyond the slip angles learned from; ISO-W signs"
+    note = f"points: {len(data)} samples after {config['end']:g} s; learned by {optimizer}\n"
+    note += "from those before; dashed: beyond the slip angles learned from; ISO-W signs"
     figure = fig4_right(points, curves, note=note)
     return [
         *save(figure, output / "fig4_right"),

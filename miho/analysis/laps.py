@@ -10,6 +10,7 @@ import pandas as pd
 import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from miho.analysis.figures import WIDTH, caption, house_style
 from miho.analysis.statistics import mean_error
@@ -92,13 +93,13 @@ def plot_measure(laps: pd.DataFrame, table: pd.DataFrame, column: str, ax: Axes)
         if seeds.empty:
             ax.text(0.5, line, "-", transform=ax.get_yaxis_transform(), ha="center", va="center")
             continue
-        ax.scatter(
-            factor * seeds[column], np.full(len(seeds), line + 0.22), s=6, color=color, alpha=0.25
-        )
+        below = np.full(len(seeds), line + 0.22)
+        ax.scatter(factor * seeds[column], below, s=6, color=color, alpha=0.25)
         ends = row[f"{column}_low"], row[f"{column}_high"]
         ax.plot(ends, (line, line), color="black", linewidth=2.0, solid_capstyle="butt")
         ax.plot(row[column], line, "o", color="black", markersize=4)
     words, unit = name.split(" [")
-    ax.set_xlabel(f"{textwrap.fill(words, 16)}\n[{unit}", fontsize=8)
+    ax.set_xlabel(f"{textwrap.fill(words, 14)}\n[{unit}", fontsize=8)
+    ax.xaxis.set_major_locator(MaxNLocator(2))
     ax.grid(axis="y", visible=False)
     return ax
