@@ -51,6 +51,9 @@ def known_from(
     sensitivity: of the peaks to the load [-], which curves of an axle do not hold. extended: the
     learned curves replace the dyno above 20 % throttle too. dyno: what it shows over what the
     engine gives in the car [-], from 30 % on; seed: of its noise.
+
+    The loads are those of the axles at the mean speed of the weave, without its load transfer,
+    which has lowered the peaks that were measured: a planner that takes it off again is cautious.
     """
     off = Wrong() if wrong is None else wrong
     front, rear = (

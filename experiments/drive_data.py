@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 
 import numpy as np
@@ -118,8 +119,11 @@ def identify_parts(
         if record.theta is None:
             raise ConfigError(f"optimizer: found no finite error on {part}: {record.error}")
         found = identified(problem, record.theta)
-        settings = {"evaluations": record.evaluations, "seed": seed}
-        told = replace(found, provenance={**found.provenance, **settings})
+        about = {
+            "optimizer": repr(optimizer), "seed": seed, "evaluations": record.evaluations,
+            "packages": {name: version(name) for name in ("numpy", "scipy", "numba")},
+        }  # fmt: skip
+        told = replace(found, provenance={**found.provenance, **about})
         write_text(folder / f"{part}.json", parameters_text(told, {}))
 
 
