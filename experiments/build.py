@@ -177,6 +177,11 @@ def _part(stored: StoredRun, key: str) -> Mapping[str, Any]:
     return part
 
 
+def build_dataset(node: Mapping[str, Any]) -> Dataset:
+    """The dataset that `node` describes."""
+    return instantiate(node, "dataset", Dataset)
+
+
 def build_space(node: Mapping[str, Any]) -> Space:
     """A space from a mapping of parameter names to their settings."""
     try:

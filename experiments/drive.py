@@ -61,11 +61,13 @@ def drive(cfg: DictConfig) -> None:
 
 
 def write(cfg: DictConfig, done: Drive, driver: Driver, road: Track) -> None:
-    """The log as CSV, the figure, the table, and the command."""
+    """The log and what sensors showed of it as CSV, the figure, the table, and the command."""
     root = Path(cfg.root)
     root.mkdir(parents=True, exist_ok=True)
     log = pd.DataFrame(dict(done.columns))
     write_text(root / "log.csv", log.to_csv(index=False, float_format="%.6g"))
+    measured = pd.DataFrame(dict(done.measured))
+    write_text(root / "measured.csv", measured.to_csv(index=False, float_format="%.6g"))
     note = f"mu = {cfg.drive.mu:g}; {cfg.drive.known} models"
     if cfg.drive.known == "identified":
         note += f" by {cfg.optimizer.name}"

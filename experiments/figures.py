@@ -3,6 +3,8 @@
 python -m experiments.figures fig6   # error over time, and the claims table (after `compare`)
 python -m experiments.figures fig4   # the four learned tires (after `identify` on each of them)
 python -m experiments.figures arena  # leaderboard, tests and profiles (after experiment=arena)
+python -m experiments.figures fig4_right # the front axle over laps it was not learned from (after
+                                         # `identify` with dataset=axle_log and dataset.end)
 python -m experiments.figures fig5   # torque curves and engine map (after `identify` on torque_*)
 """
 
@@ -18,15 +20,20 @@ from pathlib import Path
 import numpy as np
 
 from experiments.arena_results import draw_arena
-from experiments.build import ConfigError, rebuild
+from experiments.build import ConfigError, build_dataset, rebuild
 from experiments.cli import guarded
 from experiments.comparison import Comparison
 from experiments.engine import DATASETS, engine_of, fig5_data
 from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save
+from miho.analysis.axle_figure import AxleCurve, fig4_right
+from miho.data import Dataset
+from miho.models import Axle
 from miho.study import StoredRun, load_runs, read_run, write_text
 
 TIRES = ("lf", "rf", "lr", "rr")
 MIHO = "miho"
+HALF = np.array([1.0, 1.0, 0.5, 1.0, 0.5])
+"""From the curve (B, C, D, Sx, Sy) of an axle to that of either of two equal tires."""
 CAPTIONS = {
     "results": "Evaluations and seconds are medians over repetitions; never: half of them or more "
     "did not get there. Success: share of runs within 1 % of the best error.",
@@ -65,6 +72,61 @@ def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:
     note = f"{len(dataset)} samples per tire; curves learned by {optimizer}; ISO-W signs"
     figure = fig4(samples, curves, errors=errors, note=note)
     return [*save(figure, output / "fig4"), _write_provenance(output / "fig4.json", runs)]
+
+
+def draw_axle(root: Path, output: Path, optimizer: str) -> list[Path]:
+    """Fig. 4, right: the best run of `optimizer` on the first part of a driving log, over the rest.
+
+    Beside it stands the sum of both front tires' curves, as in the paper, where runs on them are.
+    """
+    learned = _axle_run(root, optimizer)
+    config = learned.config["dataset"]
+    later = {**config, "start": config["end"], "end": None}
+    data, known = build_dataset(later), rebuild(learned).dataset
+    theta = np.array(learned.result["theta"])
+    axle = Axle(theta * HALF, theta * HALF)
+    curves = {"learned from other laps": _axle_curve(axle, data, known["alpha"])}
+    runs = [learned]
+    try:
+        tires = _best_runs(root, "pacejka", ["tire_lf", "tire_rf"], optimizer)
+    except ConfigError:
+        tires = []
+    if tires and config["axle"] == "front":
+        left, right = (np.array(run.result["theta"]) for run in tires)
+        seen = rebuild(tires[0]).dataset["alpha"]
+        curves["sum of both learned tires"] = _axle_curve(Axle(left, right), data, seen)
+        runs += tires
+    points = np.degrees(data["alpha"]), data[data.output] / 1000
+    note = f"points: {len(data)} samples after {config['end']:g} s; learned by {optimizer}\n"
+    note += "from those before; dashed: beyond the slip angles learned from; ISO-W signs"
+    figure = fig4_right(points, curves, note=note)
+    return [
+        *save(figure, output / "fig4_right"),
+        _write_provenance(output / "fig4_right.json", runs),
+    ]
+
+
+def _axle_run(root: Path, optimizer: str) -> StoredRun:
+    """The best run on an axle in a log of which the end was left out."""
+    found = load_runs(root).runs
+    named = found["problem"].str.fullmatch(r"pacejka-.*_(front|rear)_axle")
+    for folder in found[named & (found["optimizer"] == optimizer)].sort_values("error")["folder"]:
+        stored = read_run(Path(folder))
+        if stored.config["dataset"].get("end") is not None:
+            return stored
+    raise ConfigError(
+        f"{root}: no run of {optimizer} on an axle of a driving log up to some time; run python -m "
+        f"experiments.identify dataset=axle_log dataset.path=LOG.csv dataset.end=SECONDS "
+        f"optimizer={optimizer} root={root}"
+    )
+
+
+def _axle_curve(axle: Axle, data: Dataset, seen: np.ndarray) -> AxleCurve:
+    alpha = np.linspace(-0.2, 0.2, 801)
+    error = float(np.sqrt(np.mean((axle.force(data["alpha"]) - data[data.output]) ** 2)))
+    low, high = np.degrees([seen.min(), seen.max()])
+    points = np.degrees(alpha), axle.force(alpha) / 1000
+    return AxleCurve(points, error / 1000, (float(low), float(high)))
 
 
 def draw_engine(root: Path, output: Path, optimizer: str) -> list[Path]:
@@ -116,14 +178,16 @@ def main() -> None:
         prog="python -m experiments.figures",
         description="Draw a figure of the paper from finished runs, as PNG and PDF.",
     )
-    parser.add_argument("name", choices=("fig4", "fig5", "fig6", "arena"))
+    parser.add_argument("name", choices=("fig4", "fig4_right", "fig5", "fig6", "arena"))
     parser.add_argument(
         "--root",
         type=Path,
         help="folder of runs (fig6: runs/compare; arena: runs/arena; else runs/identify)",
     )
     parser.add_argument("--output", type=Path, help="where to write (default: ROOT/figures)")
-    parser.add_argument("--optimizer", default="miho", help="of fig4 and fig5 (default: miho)")
+    parser.add_argument(
+        "--optimizer", default="miho", help="of fig4, fig4_right, fig5 (default: miho)"
+    )
     arguments = parser.parse_args()
     usual = {"fig6": "compare", "arena": "arena"}.get(arguments.name, "identify")
     root = arguments.root or Path("runs", usual)
@@ -134,6 +198,8 @@ def main() -> None:
             paths = draw_comparison(root, output)
         elif arguments.name == "arena":
             paths = draw_arena(root, output)
+        elif arguments.name == "fig4_right":
+            paths = draw_axle(root, output, arguments.optimizer)
         elif arguments.name == "fig5":
             paths = draw_engine(root, output, arguments.optimizer)
         else:

@@ -1,0 +1,147 @@
+"""From what drives of a car measured to parameters.json: logs, datasets, problems, results."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from omegaconf import OmegaConf
+
+from experiments.build import ConfigError, build_space
+from experiments.cli import composed
+from miho.data import Dataset
+from miho.data.axle_samples import axle_samples
+from miho.data.braking_samples import braking_samples
+from miho.data.driving_log import DrivingLog
+from miho.data.synthetic_engine import DYNO_TRUSTED
+from miho.data.torque_samples import torque_samples
+from miho.driving.vehicle import Vehicle
+from miho.identification import CurveFit
+from miho.identification.refit import refit
+from miho.identification.uncertainty import linearised
+from miho.models import Model, Pacejka, TorqueCubic
+from miho.models.brake_statics import BrakeDeceleration
+from miho.models.engine import RPM
+from miho.models.identified import Identified, Value, parameters_text
+from miho.optim import Budget, Optimizer, Space, minimize
+from miho.study import write_text
+
+Array = NDArray[np.float64]
+Logs = Mapping[str, tuple[DrivingLog, ...]]
+
+LOW_OPENINGS = (0.05, 0.15, 0.2)
+"""What the paper learns from driving; the dyno has nothing to be trusted there."""
+HIGH_OPENINGS = (0.3, 0.4, 0.5, 0.65, 0.8, 0.9, 1.0)
+"""What is learned as well when the learned region is extended, with all rows of the dyno."""
+SMOOTH = 3700 * RPM
+"""From here on [rad/s], past the turbo's spool, a cubic can follow these openings."""
+MEAN_SPEED = "mean vx"
+"""A derived quantity of the axles: the speed [m/s] at whose loads the forces were measured."""
+SETTLE = 1.0
+"""Seconds after which a turbocharged engine gives what the pedal asks for."""
+EVERY = 5
+"""Of 100 samples a second, which a low pass of 5 Hz has made dependent, every fifth is kept."""
+
+
+def problems_of(logs: Logs, vehicle: Vehicle) -> dict[str, CurveFit]:
+    """The identification problems that the logs of a `programme` pose, by part."""
+    weave, car = logs["weave"], vehicle.single_track
+    data: dict[str, tuple[Model, str, Dataset]] = {}
+    for axle in ("front", "rear"):
+        samples = (axle_samples(log, car, axle, max_ax=3.0) for log in weave)
+        data[f"{axle}_axle"] = Pacejka(), "axle_physical", joined(samples, f"{axle}_axle")
+    braked = (braking_samples(log, settle=0.4) for log in logs["braking"])
+    data["brake"] = BrakeDeceleration(), "brake_deceleration", joined(braked, "braking")
+    for part in (name for name in logs if name.startswith("throttle_")):
+        torques = _torques(logs[part], vehicle, opening_of(part))
+        data[part] = TorqueCubic(), "torque_cubic", torques
+    return {
+        part: CurveFit(model, dataset, _space(space), label=part)
+        for part, (model, space, dataset) in data.items()
+    }
+
+
+def part_of(opening: float) -> str:
+    """The name of the part that is an opening from 0 to 1, such as throttle_05."""
+    return f"throttle_{round(100 * opening):02d}"
+
+
+def opening_of(part: str) -> float:
+    """The throttle of a part such as throttle_05."""
+    return int(part.removeprefix("throttle_")) / 100
+
+
+def joined(parts: Iterable[Dataset], name: str) -> Dataset:
+    """Datasets below each other, every `EVERY`-th row; events keep apart."""
+    found = list(parts)
+    columns = {
+        key: np.concatenate([one[key][::EVERY] for one in found]) for key in found[0].columns
+    }
+    if "event" in columns:
+        number = np.repeat(np.arange(len(found)), [len(one[one.output][::EVERY]) for one in found])
+        columns["event"] = number.astype(float)
+    return Dataset(name, columns, found[0].units, found[0].output)
+
+
+def _torques(logs: Iterable[DrivingLog], vehicle: Vehicle, opening: float) -> Dataset:
+    """Torque samples at one opening, of those logs that have any."""
+    found = []
+    for log in logs:
+        try:
+            samples = torque_samples(log, vehicle.longitudinal, throttle=opening, settle=SETTLE)
+        except ValueError:  # too short, or all of it too slow
+            continue
+        kept = samples["omega"] >= (SMOOTH if opening >= DYNO_TRUSTED else 0.0)
+        if kept.any():
+            found.append(samples.select(kept))
+    if not found:
+        raise ConfigError(f"throttle {opening:g}: no log has a sample to learn from")
+    return joined(found, part_of(opening))
+
+
+def _space(name: str) -> Space:
+    node = composed([f"space={name}"]).space
+    return build_space({str(key): OmegaConf.to_container(node[key]) for key in node})
+
+
+def identify_parts(
+    problems: Mapping[str, CurveFit], optimizer: Optimizer, budget: Budget, seed: int, folder: Path
+) -> None:
+    """Identify every part with one method, and write PART.json for each into a folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for part, problem in problems.items():
+        record = minimize(optimizer, problem, budget, seed)
+        if record.theta is None:
+            raise ConfigError(f"optimizer: found no finite error on {part}: {record.error}")
+        found = identified(problem, record.theta)
+        about = {
+            "optimizer": repr(optimizer), "seed": seed, "evaluations": record.evaluations,
+            "packages": {name: version(name) for name in ("numpy", "scipy", "numba")},
+        }  # fmt: skip
+        told = replace(found, provenance={**found.provenance, **about})
+        write_text(folder / f"{part}.json", parameters_text(told, {}))
+
+
+def identified(problem: CurveFit, theta: Array) -> Identified:
+    """A result with the linearised intervals of the optimum nearby, as parameters.json has it."""
+    at = linearised(problem, refit(problem, theta).theta)
+    ends, errors = at.intervals(), at.standard_errors
+    parameters = {
+        p.name: Value(float(theta[i]), p.unit, float(errors[i]), *map(float, ends[i]))
+        for i, p in enumerate(problem.space.parameters)
+    }
+    ranges = {
+        name: (float(problem.dataset[name].min()), float(problem.dataset[name].max()))
+        for name in problem.model.inputs
+    }
+    loss = float(problem.loss(theta[None])[0])
+    derived = {}
+    if "vx" in problem.dataset.columns and "vx" not in problem.model.inputs:
+        derived[MEAN_SPEED] = Value(float(problem.dataset["vx"].mean()), "m/s")
+    about = {"problem": problem.name, "data": problem.dataset.digest, "error": math.sqrt(loss)}
+    return Identified(problem.model, parameters, at.correlation, ranges, derived, about)
