@@ -13,6 +13,7 @@ import json
 import sys
 from collections import deque
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -123,6 +124,7 @@ def _done(jobs: list[Job], processes: int) -> Iterator[dict[str, Any]]:
                     yield from ended.result
 
 
+@cache
 def _code() -> str:
     """Digest of the code that decides what a lap comes to."""
     library, here = Path(miho.__file__).parent, Path(__file__).parent
