@@ -277,6 +277,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_second_process_compiles_nothing_and_an_edited_model_anew(tmp_path: Path) -> None:
     def run(factor: int) -> tuple[int, float]:
@@ -346,6 +347,7 @@ for model in map(Wave, map(float, sys.argv[1:])):
 """
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_models_that_differ_in_a_number_are_told_apart_in_the_cache(tmp_path: Path) -> None:
     """Compiled in two processes and read by a third, they must not be taken for each other."""
