@@ -130,7 +130,7 @@ def _note(cfg: DictConfig, size: list[str]) -> str:
 def summary() -> int:
     """The exit code; without all its runs a comparison is not drawn."""
     if failed:
-        print(f"{len(failed)} runs are missing, so nothing is drawn; run again", file=sys.stderr)
+        print(f"runs missing: {len(failed)}; nothing is drawn, run again", file=sys.stderr)
     return SOME_FAILED if failed else OK
 
 

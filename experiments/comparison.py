@@ -43,7 +43,7 @@ class Comparison:
         if len(runs) < len(planned):
             missing = len(planned) - len(runs)
             raise ConfigError(
-                f"{root}: {missing} runs of the comparison are missing; compare again"
+                f"{root}: runs of the comparison are missing ({missing}); compare again"
             )
         return cls(runs, curves, note, command)
 

@@ -103,7 +103,7 @@ def _told(sweep: Sweep, root: Path) -> Told:
     warnings = []
     if compared is not None and compared.missing:
         warnings.append(
-            f"{compared.missing} runs of the comparison are missing: run the same command again."
+            f"Runs of the comparison are missing ({compared.missing}): run the same command again."
         )
     board = claims = None
     try:

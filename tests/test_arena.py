@@ -83,7 +83,7 @@ def test_runs_that_are_lost_are_named_and_nothing_is_drawn(
     assert comparing.summary() == SOME_FAILED
     told = capsys.readouterr().err.splitlines()
     assert told[0] == "it was lost"
-    assert told[1].startswith("1 runs are missing")
+    assert told[1].startswith("runs missing: 1")
 
 
 def _model(cfg: Any) -> str:

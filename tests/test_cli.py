@@ -241,7 +241,7 @@ def test_a_run_that_is_killed_leaves_the_others_and_the_comparison_undrawn(
     code, out, err = compare(*methods, *small, *own)
     assert code == 3
     assert "random seed 0: lost: killed by SIGKILL" in out
-    assert err.splitlines()[-1].startswith("1 runs are missing")
+    assert err.splitlines()[-1].startswith("runs missing: 1")
     assert load_runs(tmp_path / "runs").runs["optimizer"].tolist() == ["pso_100"]
     assert not (tmp_path / "runs" / "figures").exists()
 

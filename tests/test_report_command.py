@@ -142,7 +142,7 @@ def test_a_comparison_has_its_claims_and_says_what_is_missing(
     (tmp_path / "comparison.json").write_text(json.dumps(about | {"runs": [*ids, "gone"]}))
     called(monkeypatch, tmp_path, "--quick")
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "1 runs of the comparison are missing" in page
+    assert "Runs of the comparison are missing (1)" in page
     assert "Claims of the paper" not in page
 
 
