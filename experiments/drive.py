@@ -7,7 +7,6 @@ python -m experiments.drive experiment=lvms_laps      # Fig. 8: nine laps, three
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,11 +15,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from omegaconf import DictConfig, OmegaConf
+from tqdm import tqdm
 
 from experiments.build import ConfigError
 from experiments.cli import command
-from experiments.drive_results import judged, plans
-from experiments.known import known_car
+from experiments.drive_results import judged, plans, regenerates
+from experiments.known import Parts, known_car
 from miho.analysis import save
 from miho.analysis.driving_figures import fig7, fig8
 from miho.data import CSVError
@@ -47,7 +47,7 @@ OVALS = {"ims": ims, "lvms": lvms}
 def drive(cfg: DictConfig) -> None:
     """One drive: log, figure, table and what regenerates them, in `root`."""
     road, line, vehicle = prepared(cfg)
-    known = known_car(cfg, vehicle)
+    known, parts = known_car(cfg, vehicle)
     with _one_line():
         driver = driver_of(cfg, known, line)
         plant = embedded_plant(vehicle, road_of(road))
@@ -56,12 +56,17 @@ def drive(cfg: DictConfig) -> None:
         start = plant.start(at.s, at.e, cfg.drive.speed, gear)
         sensors = Sensors() if cfg.drive.noise else None
         rng = np.random.default_rng(cfg.seed)
-        done = drive_loop(plant, driver, start, cfg.drive.distance, sensors=sensors, rng=rng)
-    write(cfg, done, driver, road)
+        distance = cfg.drive.distance
+        with tqdm(total=distance, desc="drive", unit="m", leave=False, disable=None) as bar:
+            done = drive_loop(
+                plant, driver, start, distance, sensors=sensors, rng=rng,
+                watch=lambda gone: bar.update(gone - bar.n),
+            )  # fmt: skip
+    write(cfg, done, driver, road, parts)
 
 
-def write(cfg: DictConfig, done: Drive, driver: Driver, road: Track) -> None:
-    """The log and what sensors showed of it as CSV, the figure, the table, and the command."""
+def write(cfg: DictConfig, done: Drive, driver: Driver, road: Track, parts: Parts) -> None:
+    """The log and what sensors showed of it as CSV, the figure, the table, and what made them."""
     root = Path(cfg.root)
     root.mkdir(parents=True, exist_ok=True)
     log = pd.DataFrame(dict(done.columns))
@@ -82,10 +87,10 @@ def write(cfg: DictConfig, done: Drive, driver: Driver, road: Track) -> None:
     table = judged(done, driver, road)
     if driver.sighting is not None:
         table |= plans(driver, cfg.drive.start)
-    about = {
-        "command": ["python", "-m", "experiments.drive", *sys.argv[1:]],
-        "seed": cfg.seed,
-        "results": table,
+    about = regenerates("experiments.drive") | {"seed": cfg.seed, "results": table}
+    about["identified"] = {
+        part: {"data": problem.dataset.digest, **dict(zip(problem.space.names, theta, strict=True))}
+        for part, (problem, theta) in parts.items()
     }
     write_text(root / "drive.json", json.dumps(about, indent=1) + "\n")
     for name, value in table.items():

@@ -13,7 +13,6 @@ import json
 import sys
 from collections import deque
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +21,14 @@ import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
-import baselines
-import miho
 from experiments.build import ConfigError
 from experiments.cli import OK, SOME_FAILED, command
 from experiments.drive import prepared
 from experiments.drive_laps import VARIANTS, Job, laps_before, laps_of
+from experiments.drive_results import driving_code, regenerates
 from miho.analysis import save
 from miho.analysis.laps import lap_figure, lap_table, lap_text
-from miho.study import code_digest, write_text
+from miho.study import write_text
 from miho.study.workers import Workers
 
 NEEDED = ("miho", "least_squares")
@@ -57,11 +55,7 @@ def study(cfg: DictConfig) -> None:
     note = f"one lap of {cfg.drive.track.name.upper()}, mu = {cfg.drive.mu:g}, at most "
     note += f"{3.6 * cfg.drive.top_speed:.0f} km/h; {laps['seed'].nunique()} seeds"
     paths = save(lap_figure(laps, table, note=note), root / "figures" / "identification_buys")
-    about = {
-        "command": ["python", "-m", "experiments.drive_study", *sys.argv[1:]],
-        "code": _code(),
-        "seeds": sorted(set(laps["seed"].tolist())),
-    }
+    about = regenerates("experiments.drive_study") | {"seeds": sorted(set(laps["seed"].tolist()))}
     write_text(root / "drive_study.json", json.dumps(about, indent=1) + "\n")
     print(lap_text(table))
     names = ("laps.csv", "table.csv", "table.txt", "drive_study.json")
@@ -90,7 +84,7 @@ def _jobs(cfg: DictConfig, root: Path) -> list[Job]:
     setting["comparison"] = {"methods": methods}
     text = OmegaConf.to_yaml(OmegaConf.create(setting))
     return [
-        Job(text, _code(), seed, str(root / f"seed_{seed:03d}"))
+        Job(text, driving_code(), seed, str(root / f"seed_{seed:03d}"))
         for seed in range(cfg.seed, cfg.seed + cfg.comparison.repetitions)
     ]
 
@@ -122,14 +116,6 @@ def _done(jobs: list[Job], processes: int) -> Iterator[dict[str, Any]]:
                     failed.append(told)
                 else:
                     yield from ended.result
-
-
-@cache
-def _code() -> str:
-    """Digest of the code that decides what a lap comes to."""
-    library, here = Path(miho.__file__).parent, Path(__file__).parent
-    ours = [library / name for name in ("optim", "models", "data", "identification", "driving")]
-    return code_digest([*ours, Path(baselines.__file__).parent, here])
 
 
 def _after() -> int:

@@ -14,6 +14,7 @@ from omegaconf import DictConfig
 from experiments.build import ConfigError, Experiment, build
 from experiments.cli import composed
 from experiments.engine import engine_of
+from experiments.progress import progress
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.data.tir_sampling import EMBEDDED_RANGES
 from miho.driving.embedded import embedded_engine, embedded_tires
@@ -22,7 +23,7 @@ from miho.driving.known_car import KnownCar
 from miho.driving.vehicle import Vehicle
 from miho.identification import CurveFit
 from miho.models import Axle, Brake, EngineMap, read_parameters
-from miho.optim import Budget, minimize
+from miho.optim import Budget, Outcome, minimize
 
 Array = NDArray[np.float64]
 
@@ -38,13 +39,15 @@ PARTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     }
 )
 """What is identified of a car, and the overrides that describe each problem."""
+Parts = Mapping[str, tuple[CurveFit, Array]]
+"""The problem of each part of `PARTS` with the parameters that were found."""
 
 
-def known_car(cfg: DictConfig, vehicle: Vehicle) -> KnownCar:
-    """What `drive.known` asks for."""
+def known_car(cfg: DictConfig, vehicle: Vehicle) -> tuple[KnownCar, Parts]:
+    """What `drive.known` asks for, and what of it was identified."""
     if cfg.drive.known == "truth":
         tires, engine = embedded_tires(), embedded_engine()
-        return KnownCar.of_tires(vehicle, tires, engine, EMBEDDED_BRAKE)
+        return KnownCar.of_tires(vehicle, tires, engine, EMBEDDED_BRAKE), {}
     if cfg.drive.known != "identified":
         raise ConfigError(f"drive.known: is {cfg.drive.known!r}; expected identified or truth")
     unknown = sorted(set(cfg.drive.parameters) - set(PARTS))
@@ -52,10 +55,10 @@ def known_car(cfg: DictConfig, vehicle: Vehicle) -> KnownCar:
         raise ConfigError(
             f"drive.parameters.{unknown[0]}: is unknown; allowed are {', '.join(PARTS)}"
         )
-    problems, thetas = {}, {}
-    for part in PARTS:
-        problems[part], thetas[part] = identified_part(cfg, part)
-    return assembled(vehicle, problems, thetas, cfg.drive.sensitivity)
+    parts = {part: identified_part(cfg, part) for part in PARTS}
+    problems = {part: problem for part, (problem, _) in parts.items()}
+    thetas = {part: theta for part, (_, theta) in parts.items()}
+    return assembled(vehicle, problems, thetas, cfg.drive.sensitivity), parts
 
 
 def assembled(
@@ -84,7 +87,10 @@ def identified_part(cfg: DictConfig, part: str) -> tuple[CurveFit, Array]:
     if path is not None:
         return chosen.problem, read_parameters(Path(path), chosen.problem.model).theta
     budget = Budget(evaluations=cfg.budget.evaluations, seconds=cfg.budget.seconds)
-    record = minimize(chosen.optimizer, chosen.problem, budget, cfg.seed)
+    with progress(part, budget, chosen.problem.model.output) as observe:
+        record = minimize(chosen.optimizer, chosen.problem, budget, cfg.seed, observer=observe)
+    if record.outcome is Outcome.INTERRUPTED:
+        raise KeyboardInterrupt
     if record.theta is None:
         raise ConfigError(f"optimizer: found no finite error on {part}: {record.error}")
     return chosen.problem, record.theta

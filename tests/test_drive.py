@@ -109,7 +109,10 @@ def test_the_identified_car_is_near_the_true_one() -> None:
     """By least squares: the brake within 2 %, tires within their spread of 20 % in the load."""
     vehicle = Vehicle.from_settings(av21())
     cfg = composed([IMS, "optimizer=least_squares"])
-    known, true = known_car(cfg, vehicle), known_car(composed([IMS, "drive.known=truth"]), vehicle)
+    (known, parts), (true, _) = (
+        known_car(one, vehicle) for one in (cfg, composed([IMS, "drive.known=truth"]))
+    )
+    assert set(parts) == set(PARTS)
     force = np.linspace(500.0, 9000.0, 20)
     back = EMBEDDED_BRAKE.force(known.brake.command(force).u)
     assert back == pytest.approx(force, rel=0.02)

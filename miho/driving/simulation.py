@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -70,11 +70,13 @@ def drive(
     sensors: Sensors | None = None,
     rng: np.random.Generator | None = None,
     longest: float = 1200.0,
+    watch: Callable[[float], None] | None = None,
 ) -> Drive:
     """Drive from a state until a distance [m] along the line is done, at most `longest` [s].
 
     It ends before when the car stands after a safe stop. The driver sees the motion itself if
-    `sensors` is None, else with their noise, drawn from `rng`.
+    `sensors` is None, else with their noise, drawn from `rng`. `watch` is told the distance after
+    every command.
     """
     if sensors is not None and rng is None:
         raise ValueError("rng is None; give a numpy Generator for the noise of the sensors")
@@ -95,6 +97,8 @@ def drive(
         at = line.project(motion.x, motion.y, before).s
         done += math.remainder(at - before, line.length)
         before = at
+        if watch is not None:
+            watch(done)
         if memory.stopped and math.hypot(motion.vx, motion.vy) < STANDING:
             break
     columns = dict(zip(LOGGED, np.array(rows).T, strict=True))

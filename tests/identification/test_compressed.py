@@ -279,7 +279,7 @@ def test_two_models_compiled_apart_are_not_taken_for_each_other(tmp_path: Path) 
 
     def run(*models: str) -> list[int]:
         command = [sys.executable, "-c", TWO_MODELS, *models]
-        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+        environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "0"}
         done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
         return [int(count) for count in done.stdout.split()]
