@@ -7,7 +7,7 @@ have processes of their own, so that one that is killed ends alone.
 python -m experiments.compare                        # reduced size, some three minutes
 python -m experiments.compare experiment=paper_fig6  # full size, some 70 minutes
 python -m experiments.compare experiment=torque_gap  # gaps to a known optimum, half a minute
-python -m experiments.compare experiment=arena       # many methods on many problems, 47 minutes
+python -m experiments.compare experiment=arena       # many methods on many problems, 41 minutes
 python -m experiments.compare experiment=arena_small # the same, small, two minutes
 """
 

@@ -70,7 +70,7 @@ def drive(
     sensors: Sensors | None = None,
     rng: np.random.Generator | None = None,
     longest: float = 1200.0,
-    watch: Callable[[float], None] | None = None,
+    watch: Callable[[float], object] | None = None,
 ) -> Drive:
     """Drive from a state until a distance [m] along the line is done, at most `longest` [s].
 
