@@ -73,9 +73,8 @@ def write(cfg: DictConfig, done: Drive, driver: Driver, road: Track, parts: Part
     write_text(root / "log.csv", log.to_csv(index=False, float_format="%.6g"))
     measured = pd.DataFrame(dict(done.measured))
     write_text(root / "measured.csv", measured.to_csv(index=False, float_format="%.6g"))
-    note = f"mu = {cfg.drive.mu:g}; {cfg.drive.known} models"
-    if cfg.drive.known == "identified":
-        note += f" by {cfg.optimizer.name}"
+    found = "true models" if not parts else f"models identified by {cfg.optimizer.name}"
+    note = f"mu = {cfg.drive.mu:g}; {found}"
     if cfg.drive.figure == "fig7":
         ratio = driver.speed.vehicle.steering_ratio
         figure = fig7(log, steering_ratio=ratio, obstacle=_passing(cfg, log), note=note)
