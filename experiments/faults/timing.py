@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import multiprocessing
 import os
 import subprocess
@@ -23,13 +24,15 @@ from miho.study import single_thread
 NOT_JUDGED = "not judged"
 SIZE, PRODUCTS, ONE_CORE = 400, 20, 1.1
 SLOT_PAIRS = 10
+ASLEEP = 0.5
+WORK, WORK_REPEATS = 2**16, 20
 
 
 def timing(folder: Path) -> Row:
     """Ratios of a method with itself, interleaved and in sequence, with load from half time on."""
     busy = busy_cores()
     cores, evaluations = cores_of_products(), evaluations_in()
-    alternating, in_sequence = (
+    (alternating, _), (in_sequence, work) = (
         loaded_halfway(evaluations, interleaved=interleaved) for interleaved in (True, False)
     )
     alone, crowded = slots(evaluations)
@@ -51,6 +54,9 @@ def timing(folder: Path) -> Row:
     if sound and not quiet:
         other = "an unknown load" if busy is None else f"{busy:.2f} cores busy with other work"
         measured = f"{NOT_JUDGED}: {other}; {measured}"
+    elif sound and wrong and not alternating.outside() and work > CPU_RATIO[1]:
+        told = f"the CPU time of fixed work changed by a factor of {work:.2f}"
+        measured = f"{NOT_JUDGED}: {told}; {measured}"
     return Row(
         "R12",
         "one method by two names, load on all cores in the second half; one slot and all",
@@ -61,14 +67,25 @@ def timing(folder: Path) -> Row:
     )
 
 
-def loaded_halfway(evaluations: int, *, interleaved: bool) -> Pairs:
-    """The A/A test with two busy processes for each core from its middle on."""
+def loaded_halfway(evaluations: int, *, interleaved: bool) -> tuple[Pairs, float]:
+    """The A/A test with two busy processes for each core from its middle on.
+
+    Besides, by how much the CPU time of fixed work changed from one end of its halves to another,
+    as a ratio. It is 1 where cores are a process's own, and more where processors share a core or
+    their host has other work for it: then CPU time does not say what a method costs, and no
+    threshold of it can be judged.
+    """
+    works = [fixed_work()]
     with contextlib.ExitStack() as stack:
-        return same_method_twice(
-            evaluations,
-            interleaved=interleaved,
-            halfway=lambda: stack.enter_context(load()),
-        )
+
+        def halfway() -> None:
+            works.append(fixed_work())
+            stack.enter_context(load())
+            works.append(fixed_work())
+
+        pairs = same_method_twice(evaluations, interleaved=interleaved, halfway=halfway)
+        works.append(fixed_work())
+    return pairs, max(works) / min(works)
 
 
 @contextlib.contextmanager
@@ -88,10 +105,26 @@ def load(settle: float = 0.2) -> Iterator[None]:
             process.wait()
 
 
+def fixed_work() -> float:
+    """The median CPU seconds of some sines."""
+    values = [i / WORK for i in range(WORK)]
+    took = []
+    for _ in range(WORK_REPEATS):
+        started = time.process_time()
+        sum(map(math.sin, values))
+        took.append(time.process_time() - started)
+    return float(np.median(took))
+
+
 def cores_of_products() -> float:
-    """Cores that matrix products keep busy within `single_thread`: what a library really does."""
+    """Cores that matrix products keep busy within `single_thread`: what a library really does.
+
+    Threads that a library starts in a new process spin for a while; they are left to fall asleep.
+    """
     square = np.ones((SIZE, SIZE))
     with single_thread():
+        square @ square
+        time.sleep(ASLEEP)
         threads = [pool["num_threads"] for pool in threadpoolctl.threadpool_info()]
         wall, cpu = time.perf_counter(), time.process_time()
         for _ in range(PRODUCTS):

@@ -9,11 +9,12 @@ import signal
 import threading
 import time
 import traceback
+import weakref
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from types import FrameType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,12 +184,25 @@ def _ctrl_c_between_evaluations(oracle: Oracle) -> Iterator[None]:
         signal.signal(signal.SIGINT, default)
 
 
+class _Warm(NamedTuple):
+    """The method and the problem that were warmed up last, while they live."""
+
+    optimizer: Callable[[], Optimizer | None] = lambda: None
+    problem: Callable[[], Problem | None] = lambda: None
+
+
+_warm = _Warm()
+
+
 def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     """Let problem and method import, compile and allocate before the clock starts.
 
     The problem evaluates one configuration; the method searches a paraboloid over the same
-    space for a few evaluations, so it learns nothing of the problem.
+    space for a few evaluations, so it learns nothing of the problem. What ran last is warm.
     """
+    global _warm
+    if _warm.optimizer() is optimizer and _warm.problem() is problem:
+        return
     theta = problem.space.decode(problem.space.initial(1))
     toy = _Paraboloid(replace(problem.space, seed=()))
     for job in (
@@ -202,6 +216,7 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
             job()
         except Exception:  # noqa: BLE001, S112 -- the run itself will meet and report it
             continue
+    _warm = _Warm(weakref.ref(optimizer), weakref.ref(problem))
 
 
 def _climb_once(problem: Problem, theta: Array) -> None:
