@@ -102,12 +102,14 @@ class _Running:
 def run_rows(
     entries: Iterable[Entry], at_once: int = 1, limit: float = LIMIT_SECONDS
 ) -> Iterator[Outcome]:
-    """Do rows in fresh folders, `at_once` at a time; those that judge seconds last, one by one.
+    """Do rows in fresh folders, `at_once` at a time, those that judge seconds last, one by one.
+
+    What is quick comes late, to fill the gaps.
 
     A row and all it started end with it, at `limit` seconds, or with the iteration. Outcomes come
     as rows end.
     """
-    waiting = deque(sorted(entries, key=lambda entry: entry.timed))
+    waiting = deque(sorted(entries, key=lambda entry: (entry.timed, entry.quick)))
     running: list[_Running] = []
     try:
         while waiting or running:
