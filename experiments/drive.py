@@ -1,7 +1,7 @@
 """Drive the paper's field tests in closed loop, and draw their figures.
 
-python -m experiments.drive experiment=ims_obstacle   # Fig. 7: around an obstacle, two minutes
-python -m experiments.drive experiment=lvms_laps      # Fig. 8: nine laps, three minutes
+python -m experiments.drive experiment=ims_obstacle   # Fig. 7: around an obstacle, a minute
+python -m experiments.drive experiment=lvms_laps      # Fig. 8: nine laps, 90 seconds
 """
 
 from __future__ import annotations

@@ -285,7 +285,7 @@ def test_a_second_process_compiles_nothing_and_an_edited_model_anew(tmp_path: Pa
         path.write_text(MODEL.replace("FACTOR", str(factor)), encoding="utf-8")
         environment = os.environ | {
             "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-            "NUMBA_OPT": "0",  # compiles in half of the time
+            "NUMBA_OPT": "0",  # what is compiled need not be fast
             "PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(__file__).parents[2])]),
             "PYTHONDONTWRITEBYTECODE": "1",
         }
@@ -355,7 +355,7 @@ def test_models_that_differ_in_a_number_are_told_apart_in_the_cache(tmp_path: Pa
     (tmp_path / "two_models.py").write_text(TWO_MODELS, encoding="utf-8")
     environment = os.environ | {
         "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-        "NUMBA_OPT": "0",  # compiles in half of the time
+        "NUMBA_OPT": "0",  # what is compiled need not be fast
         "PYTHONPATH": str(Path(__file__).parents[2]),
     }
     for arguments in (["2"], ["3"], ["2", "3"], ["3", "2"]):

@@ -2,6 +2,7 @@
 
 import pickle
 import signal
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -26,6 +27,31 @@ class Broken(Optimizer):
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         oracle(oracle.space.decode(oracle.space.initial(10)))
         raise RuntimeError("a bug in the method")
+
+
+@dataclass(frozen=True)
+class Counted(Optimizer):
+    """Remembers the problems that it was run on."""
+
+    seen: list[str]
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        oracle(oracle.space.decode(oracle.space.initial(1)))
+        self.seen.append(oracle.space.seed[0] if oracle.space.seed else "toy")
+
+
+def test_only_what_ran_last_is_warm() -> None:
+    problem, optimizer = DecayFit(), Counted([])
+    for seed in (0, 1):
+        minimize(optimizer, problem, seed=seed)
+    assert optimizer.seen.count("toy") == 1
+    minimize(optimizer, DecayFit())
+    assert optimizer.seen.count("toy") == 2, "another problem"
+    minimize(optimizer, problem)
+    assert optimizer.seen.count("toy") == 3, "the first one is not what ran last"
+    other = Counted([])
+    minimize(other, problem)
+    assert other.seen.count("toy") == 1, "another method"
 
 
 def test_ctrl_c_keeps_what_was_found() -> None:
