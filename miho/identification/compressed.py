@@ -1,8 +1,8 @@
 """The loss of a model of one input from a few nodes instead of all points, to a stated accuracy.
 
-The mean square over panels (`panel_sums`) with an error E that is a fixed small part of the scatter
-that no smooth curve explains. A loss below that scatter is summed point by point, as are all losses
-of data without scatter: the accuracy holds in every case.
+The mean square over panels (`panel_sums`) with an error E that is a fixed small part of the root of
+the loss, or of the scatter that no smooth curve explains. A loss below that scatter is summed point
+by point, as are all losses of data without scatter: the accuracy holds in every case.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -19,8 +19,15 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from miho.identification import fused, panel_sums, panels
-from miho.identification.fused import as_tuple, room_for_panels
-from miho.identification.panel_sums import ROUNDING, panel_data
+from miho.identification.fused import as_tuple
+from miho.identification.panel_sums import (
+    ROUNDING,
+    WITHIN,
+    PanelTerms,
+    Scratch,
+    panel_terms,
+    scratch_for,
+)
 from miho.models.expression import Expression
 from miho.models.signature import Signed, signed, signed_formulas
 from miho.optim import climb
@@ -29,7 +36,9 @@ from miho.optim.climb import Climb, climb_on, compiled_climb
 Array = NDArray[np.float64]
 
 TRUNCATION = 0.15
-"""Share of the tolerance that E is of the scatter: 0.6 of it, four times E over the root of L."""
+"""Share of the tolerance that E is of the root of L: 0.7 of it, two times WITHIN."""
+ROUGH = 3
+"""E in units of the scatter for a first sum, which tells how large the loss is."""
 SCATTER = 0.5
 """Part of the leaves' scatter that a loss is expected to have at least."""
 COMPILED_WITH = (climb.__file__, fused.__file__, panels.__file__, panel_sums.__file__, __file__)
@@ -59,19 +68,22 @@ class CompressedLoss:
         return _compile(signed_formulas((model.value, model.bound), (1, d), *COMPILED_WITH), d)
 
     @cached_property
-    def _data(self) -> tuple[Any, ...]:
+    def _data(self) -> _Data:
         found = panels.panels(self.x, self.y)
         N = self.y.size
         size = math.sqrt(float(np.mean(self.y**2)))
         scatter = SCATTER * math.sqrt(found.unexplained / N)
         accurate = 2 * ROUNDING * (scatter + 2 * size) <= 0.2 * self.tolerance * scatter
-        goal = math.log(TRUNCATION * self.tolerance * scatter) if accurate else -math.inf
-        return (), panel_data(found, N, size), (goal, scatter**2)
+        goal = math.log(TRUNCATION * self.tolerance) if accurate else -math.inf
+        return _Data(panel_terms(found, N, size), goal, scatter)
 
     @cached_property
     def climb(self) -> Climb:
         """Compiled mutation steps on this loss."""
-        return climb_on(self._compiled.climb, self._data, self.threads)
+        return climb_on(self._compiled.climb, self._data, self._room, self.threads)
+
+    def _room(self) -> Scratch:
+        return scratch_for(self._data.terms)
 
     def losses(self, thetas: Array) -> Array:
         """Losses (n,) of parameter rows (n, d)."""
@@ -84,13 +96,21 @@ class CompressedLoss:
         """
         losses, counts = np.empty(len(thetas)), np.empty(len(thetas), np.int64)
         thetas = np.ascontiguousarray(thetas, dtype=float)
-        self._compiled.losses(thetas, limits, self._data, losses, counts)
+        self._compiled.losses(thetas, limits, self._data, self._room(), losses, counts)
         return losses, counts
+
+
+class _Data(NamedTuple):
+    """The terms, the logarithm of E relative to the root of a loss, and the expected scatter."""
+
+    terms: PanelTerms
+    goal: float
+    scatter: float
 
 
 @dataclass(frozen=True)
 class _Compiled:
-    losses: Callable[[Array, Array, tuple[Any, ...], Array, NDArray[np.int64]], None]
+    losses: Callable[[Array, Array, _Data, Scratch, Array, NDArray[np.int64]], None]
     climb: Callable[..., tuple[int, int, int, int]]
 
 
@@ -100,36 +120,40 @@ def _compile(formulas: Signed, d: int) -> _Compiled:
     value, bound = map(register_jitable, formulas.copies())
     over_panels, beaten = panel_sums.panel_sums(value, bound, named)
 
-    @register_jitable(error_model="numpy")
+    @register_jitable(error_model="numpy", forceinline=True)
     @named
-    def counted(theta: Array, limit: float, data: Any, scratch: Any) -> tuple[float, int]:
+    def counted(theta: Array, limit: float, data: _Data, scratch: Scratch) -> tuple[float, int]:
         """The loss, or a number not below `limit` once it is known not to be, and model values."""
-        _, terms, (goal, lowest) = data
-        parameters = as_tuple(theta, d)
+        parameters, terms, scatter = as_tuple(theta, d), data.terms, data.scatter
         given_up, count = beaten(parameters, limit, scratch, terms)
         if given_up:
             return limit, count
-        if goal > -np.inf:
+        if data.goal > -np.inf:
+            rough = ROUGH * scatter
+            found, more = over_panels(parameters, math.log(rough), np.inf, scratch, terms)
+            count += more
+            least = max(math.sqrt(found) - WITHIN * rough, scatter)
+            goal = data.goal + math.log(least)
             found, more = over_panels(parameters, goal, limit, scratch, terms)
             count += more
-            if found >= min(limit, lowest):
+            if found >= min(limit, scatter**2):
                 return found, count
         found, more = over_panels(parameters, -np.inf, limit, scratch, terms)
         return found, count + more
 
-    @register_jitable(error_model="numpy")
+    @register_jitable(error_model="numpy", forceinline=True)
     @named
-    def loss(theta: Array, limit: float, data: Any, scratch: Any) -> float:
+    def loss(theta: Array, limit: float, data: _Data, scratch: Scratch) -> float:
         found: float = counted(theta, limit, data, scratch)[0]
         return found
 
-    @njit(cache=True, nogil=True, error_model="numpy")
+    @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
     @named
     def losses(
-        thetas: Array, limits: Array, data: Any, found: Array, counts: NDArray[np.int64]
-    ) -> None:
-        scratch = room_for_panels(data)
+        thetas: Array, limits: Array, data: _Data, scratch: Scratch, found: Array,
+        counts: NDArray[np.int64],
+    ) -> None:  # fmt: skip
         for i in range(len(thetas)):
             found[i], counts[i] = counted(thetas[i], limits[i], data, scratch)
 
-    return _Compiled(losses, compiled_climb(loss, room_for_panels, formulas.signature))
+    return _Compiled(losses, compiled_climb(loss, formulas.signature, allocates=False))

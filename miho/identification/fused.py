@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from itertools import pairwise
 from typing import Any
 
@@ -24,7 +24,7 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from miho.identification import panel_sums, panels
-from miho.identification.panel_sums import panel_data, scratch_for
+from miho.identification.panel_sums import panel_terms, scratch_for
 from miho.models.expression import Expression
 from miho.models.signature import Signed, signed, signed_formulas
 from miho.optim import climb
@@ -92,10 +92,11 @@ class FusedLoss:
     def climb(self) -> Climb:
         """Compiled mutation steps on this loss."""
         if not self._in_panels:
-            return climb_on(self._compiled.climb, (self._data, ()), self.threads)
+            return climb_on(self._compiled.climb, (self._data, ()), tuple, self.threads)
         size = float(np.sqrt(np.mean(self.y**2)))
-        found = panel_data(panels.panels(self.X[0], self.y), self.y.size, size)
-        return climb_on(self._compiled.climb, (self._data, found), self.threads)
+        terms = panel_terms(panels.panels(self.X[0], self.y), self.y.size, size)
+        room = partial(scratch_for, terms)
+        return climb_on(self._compiled.climb, (self._data, terms), room, self.threads)
 
     def losses(self, thetas: Array, rows: int | None = None) -> Array:
         """Losses (n,) of parameter rows (n, d), over the first rows of the order if not all."""
@@ -200,7 +201,7 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
         return found
 
     if not bound:
-        steps = compiled_climb(of_rows, no_room, formulas.signature)
+        steps = compiled_climb(of_rows, formulas.signature)
         return _Compiled(losses, residuals, jacobian, steps)
     _, beaten = panel_sums.panel_sums(value, bound[0], own)
 
@@ -212,20 +213,8 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
         found: float = of_rows(theta, limit, data, scratch)
         return found
 
-    steps = compiled_climb(panels_first, room_for_panels, formulas.signature)
+    steps = compiled_climb(panels_first, formulas.signature)
     return _Compiled(losses, residuals, jacobian, steps)
-
-
-@register_jitable
-def no_room(data: Any) -> tuple[()]:
-    """What the steps work in where the rows alone decide."""
-    return ()
-
-
-@register_jitable
-def room_for_panels(data: Any) -> Any:
-    """What they work in where sums over panels come first."""
-    return scratch_for(data[1])
 
 
 @register_jitable

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
@@ -25,164 +25,251 @@ from miho.models.expression import Formula
 Array = NDArray[np.float64]
 Sign = Callable[[Callable[..., Any]], Callable[..., Any]]
 
-RHOS = np.array([2.8, 4.5])
-WIDTHS, HEIGHTS = (RHOS + 1 / RHOS) / 2, (RHOS - 1 / RHOS) / 2
+RHOS = np.array([2.2, 4.0])
+FLAT = 1.01
+"""An ellipse this thin stands for the panel itself, where a bound may not be defined."""
 DEGREES = np.array(ORDERS) - 1.0
 SIZES, PLACES = np.array(ORDERS), np.array(STARTS)
+LAST = DEGREES[-1]
+CHOSEN = np.append(np.searchsorted(DEGREES, np.arange(LAST + 1)), len(ORDERS))
+"""The least order for a degree up to LAST, and none beyond."""
 
 ROUNDING = 16 * np.finfo(float).eps
-"""Relative error of weights and values, and of the nodes to the largest input of a panel."""
-LOOKS = (0.02, 0.001)
+"""Relative error of weights and values."""
+NODE_ROUNDING = 8 * np.finfo(float).eps
+"""Error of a node, to half the panel's width and to the node itself."""
+TINY = np.finfo(float).tiny
+WITHIN = 2.4
+"""Roots of mean squares over panels and over points differ by less than so many E: two, and a third
+of one for rounding of the nodes."""
+LOOKS = (0.015, 0.0005)
 """Looks at a candidate: E is this part of the root of the loss it has to beat."""
-SCRATCH = 64
+QUAD = 4
+"""What the processor works on side by side."""
+ROOM = 512
 
 
-def panel_data(found: Panels, N: int, size: float) -> tuple[Any, ...]:
-    """What the compiled sums read, for N points of the root mean square `size`.
+class PanelTerms(NamedTuple):
+    """What the compiled sums read.
 
-    `ellipses` (groups, 4, rhos x 4) holds, for each rho and panel, the centre and both half axes of
-    the ellipse and the largest exponent with which rounding of the nodes is below E: a derivative
-    of f on the panel is at most M over the width of the ellipse beyond the panel. `terms` (3, ...)
-    are the points, then each panel's nodes.
+    For each group of panels and each rho, the thin ellipse first, `ellipses` (groups, 3, rhos x 4)
+    holds the centre and both half axes; a rho's degree for v is (v + degrees[0]) degrees[1]. x, w
+    and u are the points, then each panel's nodes from `nodes` on. A panel's `places` are its first
+    and last point and the group that divides it. `rounding` (panels, orders + 1) is the largest
+    v on the panel with which rounding of an order's nodes is below E / 3, -inf without this order.
     """
-    tiny = np.finfo(float).tiny
-    half = np.maximum(found.half, tiny)
-    rounded = np.log(3 * ROUNDING * np.maximum(np.abs(found.centre) + found.half, tiny) / half)
+
+    ellipses: Array
+    degrees: Array
+    places: NDArray[np.int64]
+    x: Array
+    w: Array
+    u: Array
+    nodes: int
+    rests: Array
+    rounding: Array
+    N: float
+    rest: float
+    size: float
+
+
+class Scratch(NamedTuple):
+    """Arrays to work in."""
+
+    exponents: Array
+    least: Array
+    x: Array
+    w: Array
+    u: Array
+    squares: Array
+    groups: NDArray[np.int64]
+
+
+def panel_terms(found: Panels, N: int, size: float) -> PanelTerms:
+    """The terms of N points of the root mean square `size`."""
+    rhos = np.append(FLAT, RHOS)
     each = (
-        np.broadcast_to(found.centre, (RHOS.size, found.half.size)),
-        WIDTHS[:, None] * found.half,
-        HEIGHTS[:, None] * found.half,
-        np.log(WIDTHS - 1)[:, None] - rounded,
+        np.broadcast_to(found.centre, (rhos.size, found.half.size)),
+        ((rhos + 1 / rhos) / 2)[:, None] * np.maximum(found.half, TINY),
+        ((rhos - 1 / rhos) / 2)[:, None] * np.maximum(found.half, TINY),
     )
-    grouped = np.stack(each).reshape(len(each), RHOS.size, -1, SIDE_BY_SIDE)
-    ellipses = grouped.transpose(2, 0, 1, 3).reshape(-1, len(each), RHOS.size * SIDE_BY_SIDE)
-    degrees = np.stack([np.log(2 / (RHOS - 1)), 1 / np.log(RHOS)])
-    places = np.stack([found.first, found.last, found.below, found.orders], axis=1)
-    terms = np.hstack([found.points, *found.nodes])
-    numbers = np.array([N, found.rest, size])
-    return (
-        np.ascontiguousarray(ellipses), degrees, places, terms, found.points.shape[1],
-        found.rests, numbers,
-    )  # fmt: skip
+    grouped = np.stack(each).reshape(len(each), rhos.size, -1, SIDE_BY_SIDE)
+    ellipses = grouped.transpose(2, 0, 1, 3).reshape(-1, len(each), rhos.size * SIDE_BY_SIDE)
+    beyond = np.zeros((3, QUAD))  # read, but not used
+    return PanelTerms(
+        ellipses=np.ascontiguousarray(ellipses),
+        degrees=np.stack([np.log(2 / (RHOS - 1)), 1 / np.log(RHOS)]),
+        places=np.stack([found.first, found.last, found.below], axis=1),
+        **dict(zip("xwu", np.hstack([found.points, *found.nodes, beyond]), strict=True)),
+        nodes=found.points.shape[1],
+        rests=found.rests,
+        rounding=_rounding(found),
+        N=float(N),
+        rest=found.rest,
+        size=size,
+    )
 
 
-@register_jitable
-def scratch_for(data: Any) -> tuple[Array, Array, Array, NDArray[np.int64]]:
-    """Arrays to work in: exponents, degrees, residuals and the groups still to be seen."""
-    ellipses = data[0]
-    n = ellipses.shape[2]
-    room = np.empty(n + SIDE_BY_SIDE + SCRATCH)
-    groups = np.empty(ellipses.shape[0] + 1, np.int64)
-    return room[:n], room[n : n + SIDE_BY_SIDE], room[n + SIDE_BY_SIDE :], groups
+def _rounding(found: Panels) -> Array:
+    """`PanelTerms.rounding`.
+
+    A polynomial q of degree n within [-1, 1] there has a slope of at most n / sqrt(1 - t^2) and of
+    at most n^2 (Bernstein, Markov). What rounding of the nodes does is the root mean square of
+    that, with the rule's weights, times the error of a node.
+    """
+    half = np.maximum(found.half, TINY)
+    error = NODE_ROUNDING * (1 + np.abs(found.centre) / half)
+    largest = np.full((half.size, len(ORDERS) + 1), -np.inf)
+    for o, degree in enumerate(DEGREES):
+        has = found.orders > o
+        x, w, _ = found.nodes[has, :, STARTS[o] : STARTS[o + 1]].transpose(1, 0, 2)
+        t = np.clip((x - found.centre[has, None]) / half[has, None], -1, 1)
+        slopes = np.minimum(degree / np.sqrt(np.maximum(1 - t**2, TINY)), degree**2)
+        slope = np.sqrt(((w * slopes) ** 2).sum(axis=1) / (w**2).sum(axis=1))
+        largest[has, o] = -np.log(3 * (error[has] * slope + ROUNDING))
+    return largest
+
+
+def scratch_for(terms: PanelTerms) -> Scratch:
+    """Arrays for these terms."""
+    sizes = terms.ellipses.shape[2], SIDE_BY_SIDE, *[ROOM] * 4
+    groups = np.empty(len(terms.ellipses) + 1, np.int64)
+    exponents, least, x, w, u, squares = (np.zeros(size) for size in sizes)
+    return Scratch(exponents, least, x, w, u, squares, groups)
 
 
 def panel_sums(value: Formula, bound: Formula, named: Sign) -> tuple[Any, Any]:
     """Compiled functions of a model: its mean square over panels, and whether it is beaten."""
-    needed, some = _needed(bound, named), _some(value, named)
+    needed, squared = _needed(bound, named), _squared(value, named)
 
     @register_jitable(error_model="numpy")
     @named
     def over_panels(
-        parameters: Any, goal: float, enough: float, scratch: Any, data: Any
+        parameters: Any, goal: float, enough: float, scratch: Scratch, terms: PanelTerms
     ) -> tuple[float, int]:
         """The mean square, or a part of it that is `enough`, and the model values it took.
 
-        Its root is within 2 exp(goal) of that over all points, rounding apart.
+        Its root is within WITHIN exp(goal) of that over all points, rounding of values apart.
         """
-        ellipses, degrees, places, terms, points, rests, numbers = data
-        exponents, least, residuals, groups = scratch
-        N, total = numbers[0], numbers[1]
         excess = math.log(bound((0.0, 0.0, 0.0), parameters)[0]) - goal
-        count = group = 0
-        last, groups[0] = 1, 0
-        while group < last and total < enough * N:
-            g = groups[group]
+        total, most = terms.rest, enough * terms.N
+        count = filled = group = 0
+        last, scratch.groups[0] = 1, 0
+        while group < last and total < most:
+            g = scratch.groups[group]
             group += 1
-            needed(parameters, excess, ellipses[g], degrees, exponents, least)
+            needed(parameters, excess, terms.ellipses[g], terms.degrees, scratch)
             for i in range(SIDE_BY_SIDE):
                 k = SIDE_BY_SIDE * g + i
-                orders, chosen = places[k, 3], 0
-                while chosen < orders and not least[i] <= DEGREES[chosen]:
-                    chosen += 1
-                if chosen < orders:
-                    start = points + k * PLACES[-1] + PLACES[chosen]
-                    total += rests[k, chosen]
-                    total += some(parameters, terms, start, SIZES[chosen], residuals)
-                    count += SIZES[chosen]
-                elif places[k, 2] >= 0:
-                    groups[last] = places[k, 2]
+                o = CHOSEN[int(scratch.least[i])]
+                if scratch.exponents[i] <= terms.rounding[k, o]:
+                    start = terms.nodes + k * PLACES[-1] + PLACES[o]
+                    end = start + SIZES[o]
+                    total += terms.rests[k, o]
+                elif terms.places[k, 2] >= 0:
+                    scratch.groups[last] = terms.places[k, 2]
                     last += 1
+                    continue
                 else:
-                    for start in range(places[k, 0], places[k, 1], SCRATCH):
-                        size = min(SCRATCH, places[k, 1] - start)
-                        total += some(parameters, terms, start, size, residuals)
-                        count += size
-        return total / N, count
+                    start, end = terms.places[k, 0], terms.places[k, 1]
+                while start < end:
+                    size = min(end - start, ROOM - QUAD - filled)
+                    _put(terms, start, size, scratch, filled)
+                    start, filled, count = start + size, filled + size, count + size
+                    if filled == ROOM - QUAD:
+                        total += squared(parameters, scratch, filled)
+                        filled = 0
+            total += squared(parameters, scratch, filled)
+            filled = 0
+        return total / terms.N, count
 
-    @register_jitable(error_model="numpy")
+    @register_jitable(error_model="numpy", forceinline=True)
     @named
-    def beaten(parameters: Any, limit: float, scratch: Any, data: Any) -> tuple[bool, int]:
+    def beaten(
+        parameters: Any, limit: float, scratch: Scratch, terms: PanelTerms
+    ) -> tuple[bool, int]:
         """Whether the loss is known not to be below `limit`, and model values.
 
         The margin is far above what rounding does to the loss over panels or over points.
         """
-        root, size, count = math.sqrt(limit), data[-1][2], 0
+        root, count = math.sqrt(limit), 0
         if not 0 < limit < np.inf:
             return False, count
         for look in LOOKS:
-            enough = (root * (1 + 1e-8 + 2.1 * look) + 4 * ROUNDING * size) ** 2
-            found, more = over_panels(parameters, math.log(look * root), enough, scratch, data)
+            enough = (root * (1 + 1e-8 + WITHIN * look) + 4 * ROUNDING * terms.size) ** 2
+            found, more = over_panels(parameters, math.log(look * root), enough, scratch, terms)
             count += more
             if found >= enough:
                 return True, count
-            if found < (root * (1 - 2.1 * look)) ** 2:
+            if found < limit:
                 break
         return False, count
 
     return over_panels, beaten
 
 
-def _needed(bound: Formula, named: Sign) -> Any:
-    """What degree keeps to E on the panels of a group."""
+@register_jitable(forceinline=True)
+def _put(terms: PanelTerms, start: int, size: int, scratch: Scratch, filled: int) -> None:
+    """Copy terms to the scratch arrays in quads; indices without a sign need no test for one."""
+    at, to = np.uint64(start), np.uint64(filled)
+    for j in range(np.uint64(0), np.uint64(size), np.uint64(QUAD)):
+        _put_quad(terms.x, at + j, scratch.x, to + j)
+        _put_quad(terms.w, at + j, scratch.w, to + j)
+        _put_quad(terms.u, at + j, scratch.u, to + j)
 
-    @register_jitable(error_model="numpy")
+
+@register_jitable(forceinline=True)
+def _put_quad(source: Array, at: Any, room: Array, to: Any) -> None:
+    one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
+    a, b, c, d = source[at], source[at + one], source[at + two], source[at + three]
+    room[to], room[to + one], room[to + two], room[to + three] = a, b, c, d
+
+
+def _needed(bound: Formula, named: Sign) -> Any:
+    """What degree keeps to E on the panels of a group, LAST + 1 for none, and v on them."""
+
+    @register_jitable(error_model="numpy", forceinline=True)
     @named
     def needed(
-        parameters: Any, excess: float, ellipses: Array, degrees: Array, exponents: Array,
-        least: Array,
-    ) -> None:  # fmt: skip
-        centres, widths, heights, most = ellipses[0], ellipses[1], ellipses[2], ellipses[3]
+        parameters: Any, excess: float, ellipses: Array, degrees: Array, scratch: Scratch
+    ) -> None:
+        centres, widths, heights = ellipses[0], ellipses[1], ellipses[2]
+        exponents, least = scratch.exponents, scratch.least
         for i in range(centres.size):
-            v = bound((centres[i], widths[i], heights[i]), parameters)[1] + excess
-            exponents[i] = v if v <= most[i] else np.inf
-        least[:] = np.inf
+            exponents[i] = bound((centres[i], widths[i], heights[i]), parameters)[1] + excess
+        for i in range(SIDE_BY_SIDE):
+            least[i] = LAST
         for r in range(degrees.shape[1]):
             for i in range(SIDE_BY_SIDE):
-                degree = (exponents[SIDE_BY_SIDE * r + i] + degrees[0, r]) * degrees[1, r]
-                least[i] = min(least[i], degree)
+                degree = (exponents[SIDE_BY_SIDE * (r + 1) + i] + degrees[0, r]) * degrees[1, r]
+                if degree < least[i]:  # and not if it is no number
+                    least[i] = degree
+        for i in range(SIDE_BY_SIDE):
+            least[i] = max(least[i], -1.0) + 1  # the next whole number when it is cut
 
     return needed
 
 
-def _some(value: Formula, named: Sign) -> Any:
-    """The sum of squares of some neighbouring terms."""
+def _squared(value: Formula, named: Sign) -> Any:
+    """The sum of squares of the terms in the scratch arrays."""
 
-    @register_jitable(error_model="numpy")
+    @register_jitable(error_model="numpy", forceinline=True)
     @named
-    def some(parameters: Any, terms: Array, start: int, size: int, residuals: Array) -> float:
+    def squared(parameters: Any, scratch: Scratch, filled: int) -> float:
+        x, w, u, squares = scratch.x, scratch.w, scratch.u, scratch.squares
+        for i in range(filled, filled + QUAD):
+            x[i], w[i], u[i] = x[0], 0.0, 0.0
+        size = (filled + QUAD - 1) // QUAD * QUAD
         for i in range(size):
-            f = value((terms[0, start + i],), parameters)
-            r = terms[1, start + i] * f - terms[2, start + i]
-            residuals[i] = r * r
-        lanes = size // 4 * 4
-        for i in range(4, lanes, 4):
-            for j in range(4):
-                residuals[j] += residuals[i + j]
-        total = 0.0
-        for i in range(min(4, lanes)):
-            total += residuals[i]
-        for i in range(lanes, size):
-            total += residuals[i]
-        return total
+            f = value((x[i],), parameters)
+            r = w[i] * f - u[i]
+            squares[i] = r * r
+        a = b = c = d = 0.0
+        for i in range(0, size, QUAD):
+            a += squares[i]
+            b += squares[i + 1]
+            c += squares[i + 2]
+            d += squares[i + 3]
+        return (a + b) + (c + d)
 
-    return some
+    return squared

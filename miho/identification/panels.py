@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import numpy as np
 from numba import njit
@@ -25,14 +25,16 @@ from scipy.linalg.lapack import dstev
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-ORDERS = (4, 8, 12, 16, 24, 32)
-"""Numbers of nodes a panel can be replaced by."""
-STARTS = (0, 4, 12, 24, 40, 64, 96)
+ORDERS = (4, 8, 12, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96)
+"""Numbers of nodes a panel can be replaced by, all whole quads."""
+STARTS = (0, *accumulate(ORDERS))
 """Where the nodes of each order start within a panel, and their end."""
 SIDE_BY_SIDE = 4
 """Panels of a group: as many as the processor looks at in one go."""
 LEAF = 64
 """A panel of more points is divided."""
+HIGH, FEW = 32, 10_000
+"""Orders above HIGH are for at most FEW points: they take long to find."""
 LEAVES = 1024
 SMALLEST = 1e-12
 """A vector this much shorter than its parts is rounding."""
@@ -76,6 +78,7 @@ def panels(x: Array, y: Array) -> Panels:
     centre, half = np.zeros(count), np.zeros(count)
     orders = np.zeros(count, np.int64)
     nodes, rests = np.zeros((count, 3, STARTS[-1])), np.zeros((count, len(ORDERS)))
+    highest = ORDERS[-1] if x.size <= FEW else HIGH
     exact: dict[int, tuple[Array, float]] = {}
     for k in reversed(np.flatnonzero(last > first).tolist()):
         low, high = points[0, first[k]], points[0, last[k] - 1]
@@ -86,10 +89,11 @@ def panels(x: Array, y: Array) -> Panels:
             quarters = SIDE_BY_SIDE * below[k] + np.arange(SIDE_BY_SIDE)
             parts = [exact.pop(q) for q in quarters.tolist() if q in exact]
             given, before = np.hstack([part for part, _ in parts]), sum(left for _, left in parts)
-        orders[k] = _rules(given, centre[k], half[k], nodes[k], rests[k])
+        orders[k] = _rules(given, centre[k], half[k], highest, nodes[k], rests[k])
         rests[k] += before
-        if orders[k] == len(ORDERS):
-            exact[k] = nodes[k, :, STARTS[-2] :], float(rests[k, -1])
+        o = int(orders[k]) - 1
+        if o >= 0 and ORDERS[o] == highest:
+            exact[k] = nodes[k, :, STARTS[o] : STARTS[o + 1]], float(rests[k, o])
         else:
             exact[k] = given, before
     return Panels(points, rest, centre, half, first, last, below, orders, nodes, rests)
@@ -125,10 +129,12 @@ def _quarters(x: Array, i: int, j: int) -> list[tuple[int, int]]:
     return list(pairwise([i, *cuts.tolist(), j]))
 
 
-def _rules(given: Array, centre: float, half: float, nodes: Array, rests: Array) -> int:
+def _rules(
+    given: Array, centre: float, half: float, highest: int, nodes: Array, rests: Array
+) -> int:
     """Write the rules of points `given` (3, m) into `nodes` and `rests`; how many there are."""
     x, w, y = (given[0] - centre) / (half or 1.0), given[1], given[2].copy()
-    most = max((p for p in ORDERS if p < x.size), default=0)
+    most = max((p for p in ORDERS if p < x.size and p <= highest), default=0)
     diagonal, beside, coefficients, lefts, made = _lanczos(x, w, y, most)
     size = math.sqrt(w @ w)
     orders = [p for p in ORDERS if p <= made]
