@@ -201,6 +201,7 @@ def measure(quick: bool) -> Measured:
     bars = [
         Bar(STOPPED, speedup[STOPPED], AT_LEAST, 40, "times the plain loop"),
         Bar(SMALL, speedup[SMALL], AT_LEAST, 100, "times the plain loop"),
+        Bar(SMALL_2, speedup[SMALL_2], AT_LEAST, 100, "times the plain loop"),
         Bar("final loss on the full data, largest difference", apart, AT_MOST, 1e-9, "relative"),
     ]
     notes = [

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import NamedTuple
@@ -31,7 +32,7 @@ from miho.identification.panel_sums import (
 from miho.models.expression import Expression
 from miho.models.signature import Signed, signed, signed_formulas
 from miho.optim import climb
-from miho.optim.climb import Climb, climb_on, compiled_climb
+from miho.optim.climb import Climb, climb_on, compiled_climb, equal_parts
 
 Array = NDArray[np.float64]
 
@@ -41,6 +42,8 @@ ROUGH = 3
 """E in units of the scatter for a first sum, which tells how large the loss is."""
 SCATTER = 0.5
 """Part of the leaves' scatter that a loss is expected to have at least."""
+SHARE = 100
+"""Candidates that are worth a thread of their own."""
 COMPILED_WITH = (climb.__file__, fused.__file__, panels.__file__, panel_sums.__file__, __file__)
 
 
@@ -96,8 +99,21 @@ class CompressedLoss:
         """
         losses, counts = np.empty(len(thetas)), np.empty(len(thetas), np.int64)
         thetas = np.ascontiguousarray(thetas, dtype=float)
-        self._compiled.losses(thetas, limits, self._data, self._room(), losses, counts)
+
+        def part(rows: slice) -> None:
+            given, found = (thetas[rows], limits[rows]), (losses[rows], counts[rows])
+            self._compiled.losses(*given, self._data, self._room(), *found)
+
+        parts = min(self.threads, len(thetas) // SHARE)
+        if parts <= 1:
+            part(slice(None))
+        else:
+            list(self._pool.map(part, equal_parts(len(thetas), parts)))
         return losses, counts
+
+    @cached_property
+    def _pool(self) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(self.threads)
 
 
 class _Data(NamedTuple):

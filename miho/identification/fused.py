@@ -13,7 +13,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,7 @@ from miho.identification.panel_sums import panel_terms, scratch_for
 from miho.models.expression import Expression
 from miho.models.signature import Signed, signed, signed_formulas
 from miho.optim import climb
-from miho.optim.climb import Climb, climb_on, compiled_climb
+from miho.optim.climb import Climb, climb_on, compiled_climb, equal_parts
 
 Array = NDArray[np.float64]
 
@@ -111,13 +110,11 @@ class FusedLoss:
             except NumbaError as error:
                 raise ValueError(self._explained(error)) from None
             return losses
-        cuts = np.linspace(0, len(thetas), parts + 1).astype(int)
-        jobs = [
-            self._pool.submit(self._compiled.losses, thetas[i:j], data, losses[i:j])
-            for i, j in pairwise(cuts)
-        ]
-        for job in jobs:
-            job.result()
+
+        def part(rows: slice) -> None:
+            self._compiled.losses(thetas[rows], data, losses[rows])
+
+        list(self._pool.map(part, equal_parts(len(thetas), parts)))
         return losses
 
     def _explained(self, error: NumbaError) -> str:

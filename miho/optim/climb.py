@@ -173,25 +173,29 @@ def climb_on(
         rest = sigma, bounds, best, target, early_stopping
         if pool is None or target > -math.inf or len(P) < threads or len(noise) < WORTH_THREADS:
             return climb_rows(first, P, L, noise, *rest)
-        parts = list(pairwise(np.linspace(0, len(P), threads + 1).astype(int).tolist()))
-        jobs = [
-            pool.submit(
-                climb_rows, first[i:j], P[i:j], L[i:j], np.ascontiguousarray(noise[:, i:j]), *rest
-            )
-            for i, j in parts
-        ]
-        return _together([job.result() for job in jobs], parts, best)
+
+        def part(rows: slice) -> Climbed:
+            mine = np.ascontiguousarray(noise[:, rows])
+            return climb_rows(first[rows], P[rows], L[rows], mine, *rest)
+
+        parts = equal_parts(len(P), threads)
+        return _together(list(pool.map(part, parts)), parts, best)
 
     return climb
 
 
-def _together(parts: list[Climbed], rows: list[tuple[int, int]], best: float) -> Climbed:
+def equal_parts(n: int, count: int) -> list[slice]:
+    """Rows 0 to n in `count` parts, which differ by one row at most."""
+    return [slice(i, j) for i, j in pairwise(np.linspace(0, n, count + 1).astype(int).tolist())]
+
+
+def _together(parts: list[Climbed], rows: list[slice], best: float) -> Climbed:
     """What the rows did, with the improvements in the order of a loop over all of them."""
-    n = rows[-1][1]
+    n = rows[-1].stop
     numbers = []
-    for part, (i, j) in zip(parts, rows, strict=True):
-        step, row = np.divmod(part.at - 1, j - i)
-        numbers.append(step * n + i + row + 1)
+    for part, own in zip(parts, rows, strict=True):
+        step, row = np.divmod(part.at - 1, own.stop - own.start)
+        numbers.append(step * n + own.start + row + 1)
     at = np.concatenate(numbers)
     order = np.argsort(at)
     losses = np.concatenate([part.losses for part in parts])[order]
