@@ -104,12 +104,12 @@ def run_rows(
 ) -> Iterator[Outcome]:
     """Do rows in fresh folders, `at_once` at a time, those that judge seconds last, one by one.
 
-    What is quick comes late, to fill the gaps.
+    What is long comes first and what is quick late, to fill the gaps.
 
     A row and all it started end with it, at `limit` seconds, or with the iteration. Outcomes come
     as rows end.
     """
-    waiting = deque(sorted(entries, key=lambda entry: (entry.timed, entry.quick)))
+    waiting = deque(sorted(entries, key=lambda one: (one.timed, not one.long, one.quick)))
     running: list[_Running] = []
     try:
         while waiting or running:

@@ -16,12 +16,13 @@ from experiments.faults.row import Row
 class Entry:
     """A row's number, and the module and function that does it.
 
-    `quick`: it takes little time; `timed`: it judges seconds, so nothing else may run beside it;
-    `times`: how often it does its fault, if not as often as the table asks.
+    `long`: it takes the most time; `quick`: it takes little; `timed`: it judges seconds, so nothing
+    else may run beside it; `times`: how often it does its fault, if not as often as the table asks.
     """
 
     number: str
     name: str
+    long: bool = False
     quick: bool = False
     timed: bool = False
     times: int | None = None
@@ -46,7 +47,7 @@ ENTRIES = (
     Entry("R1", "kills"),
     Entry("R2", "full_disk"),
     Entry("R3", "isolation"),
-    Entry("R4", "signals"),
+    Entry("R4", "signals", long=True),
     Entry("R5", "sharing"),
     Entry("R6", "identical_sweeps"),
     Entry("R7", "damage"),

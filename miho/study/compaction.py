@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 
+import orjson
 from filelock import FileLock
 
 from miho.study.files import LARGEST
@@ -49,14 +50,16 @@ class Curves:
     def add(self, digest: str, text: bytes) -> None:
         """Append the curve that this JSON holds; raises ValueError if it holds none."""
         try:
-            curve = json.loads(text)
+            curve = orjson.loads(text)
             columns = [array("d", curve[name]) for name in COLUMNS[:-1]]
             columns.append(array("d", map(error_of, curve["loss"])))
-        except (LookupError, TypeError, OverflowError, RecursionError) as error:
+        except (ValueError, LookupError, TypeError, OverflowError) as error:
             raise ValueError(f"holds no curve: {type(error).__name__}: {error}") from None
         (length, *others) = {len(column) for column in columns}
         if others:
             raise ValueError("holds no curve: its columns differ in length")
+        if not all(math.isfinite(sum(column)) for column in columns[:-1]):
+            raise ValueError("holds no curve: what it spent is not finite")
         start = len(self.columns["error"])
         for name, column in zip(COLUMNS, columns, strict=True):
             self.columns[name].extend(column)

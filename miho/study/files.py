@@ -15,6 +15,8 @@ from hashlib import sha256 as digest_of
 from pathlib import Path
 from typing import Any
 
+import orjson
+
 from miho.study.identity import canonical, sha256
 
 CONFIG, ENVIRONMENT, CURVE, RESULT = "config.json", "environment.json", "curve.json", "result.json"
@@ -25,7 +27,6 @@ CHUNK = 32 << 10
 FLAGS = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 MALFORMED = (ValueError, LookupError, TypeError, AttributeError, RecursionError)
 """What is raised by a file that does not hold what it should."""
-_decode = json.JSONDecoder().raw_decode
 
 
 class DamagedRun(Exception):  # noqa: N818 -- a finding about a folder, reported and skipped
@@ -71,7 +72,7 @@ def read_signed(path: str) -> dict[str, Any]:
     """What a file holds that `signed` made; raises DamagedRun if it is not as it was written."""
     data = read_bytes(path)
     try:
-        contents: dict[str, Any] = _decode(str(data, "utf-8"))[0]
+        contents: dict[str, Any] = decoded(data)
         told = contents.pop("sha256")
         unsigned = data.replace(f',"sha256":"{told}"'.encode(), b"", 1)
         if digest_of(unsigned).hexdigest() == told:
@@ -79,6 +80,17 @@ def read_signed(path: str) -> dict[str, Any]:
     except MALFORMED as error:
         raise DamagedRun(f"{path}: {type(error).__name__}: {error}") from None
     raise DamagedRun(f"{path}: checksum does not match")
+
+
+def decoded(data: bytes) -> Any:
+    """What a text of JSON holds; raises ValueError or RecursionError.
+
+    By orjson, eight times as fast as Python's own reader, which knows lone surrogates besides.
+    """
+    try:
+        return orjson.loads(data)
+    except ValueError:
+        return json.loads(data)
 
 
 def read_bytes(path: str) -> bytes:

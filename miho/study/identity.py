@@ -10,7 +10,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from miho.optim.validate import whole
 from miho.study.places import check_name
+
+LARGEST_SEED = 2**63 - 1
+"""Tables of runs hold seeds as integers of 64 bits."""
 
 
 def canonical(value: Any) -> str:
@@ -72,6 +76,7 @@ class Identity:
     def __post_init__(self) -> None:
         for what in ("problem", "optimizer"):
             check_name(what, getattr(self, what))
+        whole("seed", self.seed, 0, LARGEST_SEED)
 
     @property
     def request(self) -> str:

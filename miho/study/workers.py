@@ -18,6 +18,8 @@ from typing import Any, Generic, TypeVar
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
+INTERRUPTED = "interrupted"
+
 
 @dataclass(frozen=True)
 class Ended(Generic[Job, Result]):
@@ -39,6 +41,8 @@ class _Worker(Generic[Job]):
     pipe: connection.Connection
     job: Job | None = None
     deadline: float = float("inf")
+    begun: bool = False
+    stopped: bool = False
 
 
 class Workers(Generic[Job, Result]):
@@ -100,7 +104,7 @@ class Workers(Generic[Job, Result]):
         if worker is None:
             worker = self._hire()
             worker.pipe.send(job)
-        worker.job = job
+        worker.job, worker.begun = job, False
 
     def wait(self, seconds: float) -> list[Ended[Job, Result]]:
         """The jobs that end within some seconds, as soon as there is one."""
@@ -116,10 +120,18 @@ class Workers(Generic[Job, Result]):
         return [one for one in ended if one is not None]
 
     def interrupt(self) -> None:
-        """Ask all to stop: what they raise or return then is heard by `wait`."""
+        """Ask all to stop: what they raise or return then is heard by `wait`.
+
+        A process that has not begun its job has nothing to tell and is killed.
+        """
         for worker in self._workers:
-            if worker.job is not None and worker.process.pid is not None:
+            if worker.job is None or worker.process.pid is None:
+                continue
+            if worker.begun or worker.pipe.poll():
                 os.kill(worker.process.pid, signal.SIGINT)
+            else:
+                worker.stopped = True
+                worker.process.kill()
 
     def kill(self) -> None:
         """End all processes now."""
@@ -150,20 +162,22 @@ class Workers(Generic[Job, Result]):
             while worker.pipe.poll():
                 answer = worker.pipe.recv()
                 if answer is None:  # it has imported everything and begins
-                    worker.deadline = time.monotonic() + self._limit
+                    worker.begun, worker.deadline = True, time.monotonic() + self._limit
                     continue
                 worker.job, worker.deadline = None, float("inf")
                 return Ended(job, *answer)
         except (EOFError, OSError):
             worker.process.join()
-        if worker.process.exitcode is not None:
+        if worker.process.exitcode is not None and worker.stopped:
+            reason = INTERRUPTED
+        elif worker.process.exitcode is not None:
             reason = _death(worker.process.exitcode)
         elif time.monotonic() >= worker.deadline:
             reason = f"no end within {self._limit:g} s, so it was killed"
         else:
             return None
         self._bury(worker)
-        return Ended(job, reason=reason)
+        return Ended(job, reason=reason, interrupted=worker.stopped)
 
 
 def _context(modules: Sequence[str]) -> Any:
@@ -192,13 +206,13 @@ def _serve(work: Callable[[Job], Result], pipe: connection.Connection) -> None:
         answer: tuple[Result | None, str | None, str | None, bool]
         try:
             job = pipe.recv()
-            pipe.send(None)
         except (OSError, EOFError, KeyboardInterrupt):
             return
         try:
+            pipe.send(None)
             answer = work(job), None, None, False
         except KeyboardInterrupt:
-            answer = None, "interrupted", None, True
+            answer = None, INTERRUPTED, None, True
         except SystemExit as error:
             answer = None, f"sys.exit({error.code!r})", traceback.format_exc(), False
         except BaseException as error:  # noqa: BLE001 -- one job's fault must not end the others

@@ -56,3 +56,15 @@ def test_an_interrupt_reaches_the_job_and_a_kill_ends_it() -> None:
         workers.kill()
         assert workers.busy == 0
     assert not [one for one in multiprocessing.active_children() if "Workers" in one.name]
+
+
+def test_a_job_that_has_not_begun_is_interrupted_too() -> None:
+    with Workers(misbehave, 1, modules=MODULES) as workers:
+        workers.start("good")
+        workers.interrupt()
+        ended, until = [], time.monotonic() + WAIT
+        while not ended and time.monotonic() < until:
+            ended = workers.wait(1)
+        assert [one.interrupted or one.result == "good" for one in ended] == [True]
+        workers.start("good")
+        assert all_of([], workers)["good"].result == "good"
