@@ -28,6 +28,7 @@ from experiments.stopped import Stopped
 from miho.identification import CurveFit
 from miho.study import Identity, Status, Store, StoredRun
 from miho.study.changes import refuse_changes
+from miho.study.redaction import redacted
 from miho.study.workers import Ended, Workers
 
 PROBLEM = ("model", "dataset", "space", "loss", "problem")
@@ -211,7 +212,7 @@ def _done(ended: Ended[Wanted, Done]) -> Done:
     """What a worker says, or what is known of a run whose worker says nothing."""
     if ended.result is not None:
         return replace(ended.result, wanted=ended.job)
-    one, reason = ended.job, ended.reason or "no answer"
+    one, reason = ended.job, redacted(ended.reason or "no answer")
     status = Status.INTERRUPTED if ended.interrupted else Status.LOST
     Store(Path(one.root)).keep_reason(one.identity, reason, ended.detail, str(status))
     who = f"{one.identity.problem} {one.identity.optimizer} seed {one.identity.seed}"

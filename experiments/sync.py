@@ -50,6 +50,7 @@ from experiments.mirror import (
 from miho.study import StoredRun, load_runs
 from miho.study.compaction import error_of
 from miho.study.identity import sha256
+from miho.study.places import inside
 
 PLACE = ".mlflow"
 """Folder of a root's own database; readers of runs skip names that begin with a dot."""
@@ -165,8 +166,13 @@ def connect(root: Path, uri: str | None = None, experiment: str | None = None) -
     """MLflow at `uri`, by default SQLite below the root; a new database is initialised, once.
 
     `experiment` is by default the name of the root. Raises MissingLibraryError, ConfigError for
-    another version of MLflow than this was written for, TrackerError if it cannot be reached.
+    another version of MLflow than this was written for, TrackerError if it cannot be reached,
+    PermissionError where a link in the root leads out of it.
     """
+    root = root.absolute()
+    own = inside(root, PLACE)
+    for name in ("mlflow.db", "mlflow.db.lock", "lock", "artifacts"):
+        inside(root, PLACE, name)
     os.environ.update(TELEMETRY_OFF)
     for name, value in IMPATIENCE.items():
         os.environ.setdefault(name, value)
@@ -180,12 +186,11 @@ def connect(root: Path, uri: str | None = None, experiment: str | None = None) -
         raise ConfigError(f"mlflow: is version {version}; expected at least 3.10 and below 4")
     for noisy in ("alembic", "mlflow"):
         logging.getLogger(noisy).setLevel(logging.ERROR)
-    root = root.absolute()
     if uri is None:
-        uri = f"sqlite:///{root / PLACE / 'mlflow.db'}"
+        uri = f"sqlite:///{own / 'mlflow.db'}"
     name = experiment or root.name or "miho"
     database = _database(uri)
-    lock = root / PLACE / "lock"
+    lock = own / "lock"
     artifacts = None
     if database is not None:
         lock = database.with_name(f"{database.name}.lock")

@@ -12,12 +12,13 @@ from experiments import manifest
 from experiments.build import ConfigError
 from experiments.cli import composed
 from experiments.schema import SweepConfig, register
-from experiments.sweep import Done, Wanted, found, sweep, wanted
+from experiments.sweep import Done, Wanted, _done, found, sweep, wanted
 from experiments.sweep_command import groups, sweep_settings
 from miho import load_runs
 from miho.optim import Budget, RandomSearch, minimize
 from miho.study import Status, Store, execute
 from miho.study.changes import ResumeRefused, refuse_changes
+from miho.study.workers import Ended
 from miho.testing import DecayFit
 
 TINY = ("optimizer=random", "optimizer.batch=5", "budget.evaluations=20")
@@ -69,6 +70,16 @@ def test_a_run_that_was_tried_says_why_it_is_not_done(tmp_path: Path) -> None:
     Store(tmp_path).keep_reason(one.identity, "killed by SIGKILL", None)
     assert found(one).reason == "killed by SIGKILL"
     assert found(one).status is Status.TO_DO
+
+
+def test_what_a_lost_run_says_keeps_secrets(tmp_path: Path, monkeypatch: Any) -> None:
+    monkeypatch.setenv("MIHO_TEST_TOKEN", "do-not-tell-this")
+    register()
+    one = wanted(composed(["optimizer=random", f"root={tmp_path}"]), "", [0])[0]
+    done = _done(Ended(one, reason="no login with do-not-tell-this"))
+    assert done.status is Status.LOST
+    assert "no login with <MIHO_TEST_TOKEN>" in done.line
+    assert "do-not-tell-this" not in f"{done.line}{done.reason}"
 
 
 def test_the_words_of_a_sweep_must_mean_the_same(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """Do the faults of the fault table to this checkout, and measure.
 
-Two rows run at a time, and those that judge seconds alone at the end.
+Those that judge seconds run alone and first, the others two at a time.
 
 python -m experiments.faults                   # R1 to R21, at most five minutes
 python -m experiments.faults R7 R18            # some of them

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from experiments.faults.row import Row
+from experiments.sync import connect
 from miho.optim import Budget, RandomSearch, RunRecord, minimize
 from miho.study import Identity, Store, execute
 from miho.testing import DecayFit
@@ -37,11 +38,13 @@ def names(folder: Path) -> Row:
                 untold += not str(refusal).isprintable() or len(str(refusal)) > 400
     before = _contents(folder)
     through = sum(_written_through(folder, where) for where in range(len(LINKS)))
+    through += sum(_mirrored_through(folder / "mirrored" / str(k), k) for k in range(len(MIRRORED)))
     changed = _contents(folder) != before
     met = not accepted and not untold and not through and not changed
     return Row(
         "R15",
-        f"{len(NAMES)} hostile names as problem and method, {len(LINKS)} links out of the root",
+        f"{len(NAMES)} hostile names as problem and method, {len(LINKS) + len(MIRRORED)} links out "
+        "of the root",
         "0 names accepted, 0 bytes outside of the root, each refused in one line",
         f"{len(accepted)} accepted, {through} written through a link, "
         f"{'something' if changed else 'nothing'} changed outside, {untold} not one line",
@@ -49,6 +52,7 @@ def names(folder: Path) -> Row:
     )
 
 
+MIRRORED = (".mlflow", ".mlflow/mlflow.db", ".mlflow/mlflow.db.lock", ".mlflow/artifacts")
 LINKS = ("decay", "decay/random", "decay/random/ID", "decay/random/ID/lock", "decay/random/ID/F")
 
 
@@ -80,3 +84,15 @@ def _files(folder: Path) -> Iterator[Path]:
     for path in folder.rglob("*"):
         if path.is_file() and path.relative_to(folder).parts[0] != "root":
             yield path
+
+
+def _mirrored_through(root: Path, which: int) -> bool:
+    """Whether a tracker is opened through such a link."""
+    link = root / MIRRORED[which]
+    link.parent.mkdir(parents=True)
+    link.symlink_to(root.parent.parent / "outside")
+    try:
+        connect(root)
+    except PermissionError:
+        return False
+    return True

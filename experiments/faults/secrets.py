@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 from pathlib import Path
 
 from experiments.faults.called import Call, called
+from experiments.faults.identifying import CHECKOUT
 from experiments.faults.row import Row
 
 VARIABLE = "MIHO_CANARY_TOKEN"
@@ -49,23 +51,48 @@ def secrets(folder: Path) -> Row:
         ("-m", "seed=1,2", f"dataset.tire=lf,{address}"): 2,
         tuple(own): 2,
     }
-    calls = [Call([*given, *QUICK, f"root={root}"]) for given in expected]
+    at_once = {"AFTER_CALLS": ""}
+    calls = [Call([*given, *QUICK, f"root={root}"], environment=at_once) for given in expected]
+    mirrored = ["tracking=mlflow"] if importlib.util.find_spec("mlflow") else []
     calls += [
         Call([*QUICK, *own, f"root={root}"], environment={"AFTER_CALLS": "x" * 3}),
+        Call(["-m", "seed=1,2", *QUICK, *own, *mirrored, f"root={root}"]),
         Call([str(root), "--no-profile"], "experiments.report"),
         Call([*QUICK, f"root={folder}/{address}"]),
     ]
-    ended = called(calls, {**os.environ, VARIABLE: environment})
+    ended = called(calls, {**os.environ, VARIABLE: environment, "AFTER_CALLS": "x" * 8})
     wrong = sum(end.code != code for end, code in zip(ended, expected.values(), strict=False))
     files = [path for path in root.rglob("*") if path.is_file()]
     stored = b"".join(str(path).encode() + path.read_bytes() for path in files)
-    printed = "".join(end.out + end.err for end in ended)
+    printed = "".join(end.out + end.err for end in ended) + _notebook(root, environment)
     found = [stored.count(canary.encode()) for canary in CANARIES]
     shown = [printed.count(canary) for canary in CANARIES]
     return Row(
         "R16",
-        f"secrets in the environment, settings and URLs of {len(calls)} commands",
-        "0 occurrences in results, reports, output and error text",
+        f"secrets in the environment, settings and URLs of {len(calls)} commands and a notebook",
+        "0 occurrences in results, tracker, reports, notebook, output and error text",
         f"{sum(found)} in {len(files)} files, {sum(shown)} printed, {wrong} exit codes differ",
-        bool(files) and not sum(found) and not sum(shown) and not wrong,
+        len(files) > len(calls)
+        and bool(mirrored) == _tracked(root)
+        and not sum(found)
+        and not sum(shown)
+        and not wrong,
     )
+
+
+def _tracked(root: Path) -> bool:
+    """Whether the mirror holds something to search."""
+    return (root / ".mlflow" / "mlflow.db").is_file()
+
+
+def _notebook(root: Path, secret: str) -> str:
+    """A notebook on these runs and all it shows, executed where the secret is known."""
+    if not importlib.util.find_spec("nbclient"):
+        return ""
+    nbclient, nbformat = map(importlib.import_module, ("nbclient", "nbformat"))
+    notebook = nbformat.read(CHECKOUT / "notebooks" / "read_a_sweep.ipynb", as_version=4)
+    known = {VARIABLE: secret, "MIHO_RUNS": str(root), "PYTHONPATH": str(CHECKOUT)}
+    nbclient.NotebookClient(notebook, timeout=60, allow_errors=True).execute(
+        env={**os.environ, **known}
+    )
+    return str(nbformat.writes(notebook))
