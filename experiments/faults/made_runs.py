@@ -7,11 +7,12 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+import orjson
 
 from miho.optim import Outcome, Parameter, RunRecord, Space, Trace
 from miho.study import Identity, Store, StoredRun, environment_stamp
 from miho.study.files import CONFIG, CURVE, ENVIRONMENT, RESULT
-from miho.study.identity import canonical, sha256
+from miho.study.identity import sha256
 
 POINTS = 50
 NAMES = ("B", "C", "D", "Sx", "Sy")
@@ -52,9 +53,9 @@ def _write(root: Path, number: int, pattern: StoredRun, rng: np.random.Generator
     spent = {"evaluations": np.cumsum(rng.integers(1, 99, POINTS)).tolist(), "seconds": seconds}
     curve = {**pattern.curve, **spent, "cpu_seconds": seconds, "loss": loss, "theta": theta}
     texts = {
-        CONFIG: canonical({**pattern.config, "number": number}),
-        ENVIRONMENT: canonical({**pattern.environment, "number": number}),
-        CURVE: canonical(curve),
+        CONFIG: _text({**pattern.config, "number": number}),
+        ENVIRONMENT: _text({**pattern.environment, "number": number}),
+        CURVE: _text(curve),
     }
     place = {
         "problem": f"problem_{number % PROBLEMS}",
@@ -64,9 +65,14 @@ def _write(root: Path, number: int, pattern: StoredRun, rng: np.random.Generator
     result: dict[str, Any] = {**pattern.result, **place, "seed": number, "loss": loss[-1]}
     result |= {key: curve[key][-1] for key in ("evaluations", "seconds", "cpu_seconds", "theta")}
     result["files"] = {name: sha256(text) for name, text in texts.items()}
-    result["sha256"] = sha256(canonical(result))
+    result["sha256"] = sha256(_text(result))
     folder = root.joinpath(*place.values())
     folder.mkdir(parents=True)
-    for name, text in {**texts, RESULT: canonical(result)}.items():
-        (folder / name).write_text(text, encoding="utf-8")
+    for name, text in {**texts, RESULT: _text(result)}.items():
+        (folder / name).write_bytes(text)
     return folder
+
+
+def _text(value: dict[str, Any]) -> bytes:
+    """As `canonical` writes it, in a tenth of the time; only the digits of floats may differ."""
+    return orjson.dumps(value, option=orjson.OPT_SORT_KEYS)
