@@ -26,7 +26,7 @@ def test_python_blocks_run(block: str, tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_links_and_names_exist() -> None:
-    for target in re.findall(r"\]\(([^)#]+)\)", README):
+    for target in re.findall(r"\]\((?!https:)([^)#]+)\)", README):
         assert (ROOT / target).exists(), target
     for name in re.findall(r"`(?:dataset=|optimizer=|space=)(\w+)", README):
         assert list((ROOT / "conf").glob(f"*/{name}.yaml")), name
