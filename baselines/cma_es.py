@@ -10,8 +10,8 @@ import cmaes
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.loss_scale import LossScale
-from baselines.unit_box import UnitBox
+from miho.methods.loss_scale import LossScale
+from miho.methods.unit_box import UnitBox
 from miho.optim import AskTell, Space
 from miho.optim.validate import one_of, positive, whole
 

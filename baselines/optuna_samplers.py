@@ -11,7 +11,7 @@ import numpy as np
 import optuna
 from numpy.typing import NDArray
 
-from baselines.loss_scale import UNUSABLE
+from miho.methods.loss_scale import UNUSABLE
 from miho.optim import Optimizer, Oracle, Space
 from miho.optim.validate import positive, whole
 

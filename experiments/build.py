@@ -299,5 +299,5 @@ def _our_code() -> str:
     library = Path(miho.__file__).parent
     names = ("curve_fit.py", "loss.py", "fused.py", "compressed.py", "panels.py", "panel_sums.py")
     problem = [library / "identification" / name for name in names]
-    parts = [*(library / name for name in ("optim", "models", "data")), *problem]
+    parts = [*(library / name for name in ("optim", "methods", "models", "data")), *problem]
     return code_digest([*parts, Path(baselines.__file__).parent])

@@ -25,7 +25,7 @@ from miho.driving.velocity_as_printed import PrintedPlanner
 from miho.driving.velocity_planner import front_share
 from miho.study import code_digest, environment_stamp
 
-LIBRARY = ("optim", "models", "data", "identification", "driving")
+LIBRARY = ("optim", "methods", "models", "data", "identification", "driving")
 EXPERIMENTS = (
     "build", "car_from_files", "drive", "drive_data", "drive_laps", "drive_results", "engine",
     "known",

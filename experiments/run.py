@@ -8,11 +8,11 @@ from functools import cache
 
 import numpy as np
 
-from baselines.least_squares import LeastSquares
 from experiments.build import Experiment
 from experiments.progress import progress
 from miho.identification import CurveFit, Square, linear_optimum
 from miho.identification.validation import error_on, root_mean_square
+from miho.methods.least_squares import LeastSquares
 from miho.optim import Budget, RunRecord, minimize
 from miho.study import Execution, Store, StoredRun, execute
 

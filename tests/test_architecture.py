@@ -22,9 +22,10 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "miho.driving": ({"miho.driving", "miho.models", "miho.data"}, NUMERICS),
     "miho.study": ({"miho.study", "miho.optim"}, {"pandas", "filelock", "orjson", "threadpoolctl"}),
     "miho.analysis": ({"miho.analysis", "miho.study"}, NUMERICS | TABLES),
+    "miho.methods": ({"miho.methods", "miho.optim"}, NUMERICS),
     "miho.testing": ({"miho.optim", "miho.models"}, NUMERICS),
     "baselines": (
-        {"baselines", "miho.optim"},
+        {"baselines", "miho.methods", "miho.optim"},
         NUMERICS | {"optuna", "cmaes", "nevergrad", "dehb", "loguru"},
     ),
 }

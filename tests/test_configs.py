@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from baselines.least_squares import LeastSquares
 from experiments.arena import chosen_method
 from experiments.build import build, build_optimizer
 from experiments.cli import composed
 from experiments.schema import register
 from miho.identification import linear_optimum
+from miho.methods.least_squares import LeastSquares
 from miho.optim import Budget, minimize
 
 CONF = Path(__file__).parent.parent / "conf"

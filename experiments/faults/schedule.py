@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.hyperband import Hyperband
 from experiments.faults.row import Row
+from miho.methods.hyperband import Hyperband
 from miho.optim import (
     MIHO,
     Budget,

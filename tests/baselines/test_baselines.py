@@ -5,11 +5,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from baselines.gbo import GBO
-from baselines.least_squares import LeastSquares
 from baselines.optuna_hyperband import OptunaHyperband
-from baselines.pso import PSO, PSOState
 from miho import Budget, Parameter, Space, minimize
+from miho.methods.gbo import GBO
+from miho.methods.least_squares import LeastSquares
+from miho.methods.pso import PSO, PSOState
 from miho.optim import Outcome
 from miho.optim.seeds import stream
 from miho.testing import DecayFit

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from baselines.differential_evolution import DifferentialEvolution
 from miho import Budget, Problem, minimize
+from miho.methods.differential_evolution import DifferentialEvolution
 from miho.testing import DecayFit
 
 

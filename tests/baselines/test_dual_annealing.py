@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scipy.optimize
 
-from baselines.dual_annealing import DualAnnealing
 from miho import Budget, Problem, minimize
+from miho.methods.dual_annealing import DualAnnealing
 from miho.testing import DecayFit
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from baselines.hyperband import Hyperband, SuccessiveHalving
 from miho import Budget, Optimizer, Parameter, Problem, Space, minimize
+from miho.methods.hyperband import Hyperband, SuccessiveHalving
 from miho.optim import Outcome
 
 Array = NDArray[np.float64]

@@ -5,11 +5,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from baselines.descent import METHODS, descend
-from baselines.least_squares import LeastSquares
-from baselines.local_search import LBFGSB
-from baselines.variable_projection import VariableProjection
 from miho import Budget, LeastSquaresProblem, Parameter, Space, minimize
+from miho.methods.descent import METHODS, descend
+from miho.methods.least_squares import LeastSquares
+from miho.methods.local_search import LBFGSB
+from miho.methods.variable_projection import VariableProjection
 from miho.optim import Outcome
 from miho.optim.problem import mean_square
 from miho.testing import DecayFit

@@ -5,9 +5,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from baselines.local_search import LBFGSB, NelderMead, _analytic, _differenced, _Scaled
-from baselines.unit_box import UnitBox
 from miho import Budget, Optimizer, Oracle, Parameter, Problem, Space, minimize
+from miho.methods.local_search import LBFGSB, NelderMead, _analytic, _differenced, _Scaled
+from miho.methods.unit_box import UnitBox
 from miho.optim import Outcome
 from miho.testing import DecayFit
 

@@ -8,15 +8,15 @@ import pytest
 from numpy.typing import NDArray
 
 from baselines.cma_es import CMAES
-from baselines.descent import METHODS as METHODS_OF_DESCENT
-from baselines.differential_evolution import DifferentialEvolution
-from baselines.dual_annealing import DualAnnealing
-from baselines.least_squares import LeastSquares
-from baselines.local_search import LBFGSB, NelderMead
-from baselines.loss_scale import UNUSABLE, LossScale
 from baselines.optuna_samplers import OptunaCMAES, OptunaTPE
-from baselines.variable_projection import VariableProjection
 from miho import Budget, minimize
+from miho.methods.descent import METHODS as METHODS_OF_DESCENT
+from miho.methods.differential_evolution import DifferentialEvolution
+from miho.methods.dual_annealing import DualAnnealing
+from miho.methods.least_squares import LeastSquares
+from miho.methods.local_search import LBFGSB, NelderMead
+from miho.methods.loss_scale import UNUSABLE, LossScale
+from miho.methods.variable_projection import VariableProjection
 from miho.optim import Optimizer
 from miho.testing import DecayFit
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import yaml
 
-from baselines.pso import PSO
 from miho import Budget, minimize
+from miho.methods.pso import PSO
 from miho.testing import DecayFit
 
 CONF = Path(__file__).parents[2] / "conf" / "optimizer" / "pso_constriction.yaml"

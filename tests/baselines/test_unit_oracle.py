@@ -1,7 +1,7 @@
 import numpy as np
 
-from baselines.loss_scale import UNUSABLE
-from baselines.unit_oracle import UnitOracle
+from miho.methods.loss_scale import UNUSABLE
+from miho.methods.unit_oracle import UnitOracle
 from miho.optim import Budget, Oracle
 from miho.testing import DecayFit
 

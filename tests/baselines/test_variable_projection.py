@@ -5,9 +5,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from baselines.least_squares import LeastSquares
-from baselines.variable_projection import VariableProjection, _Reduced
 from miho import Budget, CurveFit, Oracle, Parameter, Space, minimize
+from miho.methods.least_squares import LeastSquares
+from miho.methods.variable_projection import VariableProjection, _Reduced
 from miho.optim import Outcome
 from miho.optim.linear_part import solve_linear_part
 from miho.testing import DecayFit

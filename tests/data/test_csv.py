@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.least_squares import LeastSquares
 from miho import Budget, CurveFit, Dataset, Parameter, Space, minimize
 from miho.data import CSVError, load_csv, sample_tir
 from miho.data.csv import BLOCK, read_numbers
 from miho.data.measurements import PLAUSIBLE
+from miho.methods.least_squares import LeastSquares
 from miho.models import Pacejka
 
 

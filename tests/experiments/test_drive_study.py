@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from baselines.least_squares import LeastSquares
 from experiments.build import ConfigError
 from experiments.car_from_files import Wrong, engine_from, known_from
 from experiments.cli import composed
@@ -29,6 +28,7 @@ from miho.data.synthetic_engine import true_torque
 from miho.driving import Sensors, embedded_plant
 from miho.driving.embedded import embedded_tires
 from miho.driving.proving_ground import driven, programme
+from miho.methods.least_squares import LeastSquares
 from miho.models import Pacejka, read_parameters
 from miho.models.engine import RPM
 from miho.optim import Budget

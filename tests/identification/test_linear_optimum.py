@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from baselines.least_squares import LeastSquares
 from experiments.build import build
 from experiments.cli import composed
 from experiments.schema import register
 from miho import CurveFit, Dataset, Parameter, Space, minimize
 from miho.identification import Huber, linear_optimum
+from miho.methods.least_squares import LeastSquares
 from miho.models import FunctionModel
 from tests.identification.published import line, misra1a
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.descent import METHODS, SMALLEST_TOLERANCE, descend
-from baselines.least_squares import LeastSquares, check_starts, multi_start
+from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, descend
+from miho.methods.least_squares import LeastSquares, check_starts, multi_start
 from miho.optim import Optimizer, Oracle, Space
 from miho.optim.linear_part import LinearPart, solve_linear_part
 from miho.optim.validate import at_least, one_of

@@ -10,8 +10,8 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from baselines.least_squares import check_starts, multi_start
-from baselines.unit_box import UnitBox
+from miho.methods.least_squares import check_starts, multi_start
+from miho.methods.unit_box import UnitBox
 from miho.optim import Optimizer, Oracle
 from miho.optim.problem import mean_square
 from miho.optim.validate import positive, whole

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.loss_scale import LossScale
-from baselines.unit_box import UnitBox
+from miho.methods.loss_scale import LossScale
+from miho.methods.unit_box import UnitBox
 from miho.optim import Oracle
 
 Array = NDArray[np.float64]

@@ -8,7 +8,7 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from baselines.unit_box import UnitBox
+from miho.methods.unit_box import UnitBox
 from miho.optim import Space
 
 Array = NDArray[np.float64]

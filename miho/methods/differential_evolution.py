@@ -9,7 +9,7 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from baselines.unit_oracle import UnitOracle
+from miho.methods.unit_oracle import UnitOracle
 from miho.optim import Optimizer, Oracle
 from miho.optim.validate import at_least, one_of, whole
 

@@ -10,7 +10,7 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.descent import METHODS, SMALLEST_TOLERANCE, descend
+from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, descend
 from miho.optim import Optimizer, Oracle, UnusableValueError
 from miho.optim.space import LARGEST_BATCH
 from miho.optim.validate import at_least, one_of, whole

@@ -1,0 +1,29 @@
+"""The methods that need nothing but NumPy and SciPy, and MIHO itself, under one name.
+
+Those that wrap another library are in `baselines` of the checkout.
+"""
+
+from miho.methods.differential_evolution import DifferentialEvolution
+from miho.methods.dual_annealing import DualAnnealing
+from miho.methods.gbo import GBO
+from miho.methods.hyperband import Hyperband, SuccessiveHalving
+from miho.methods.least_squares import LeastSquares
+from miho.methods.local_search import LBFGSB, NelderMead
+from miho.methods.pso import PSO
+from miho.methods.variable_projection import VariableProjection
+from miho.optim import MIHO, RandomSearch
+
+__all__ = [
+    "GBO",
+    "LBFGSB",
+    "MIHO",
+    "PSO",
+    "DifferentialEvolution",
+    "DualAnnealing",
+    "Hyperband",
+    "LeastSquares",
+    "NelderMead",
+    "RandomSearch",
+    "SuccessiveHalving",
+    "VariableProjection",
+]
