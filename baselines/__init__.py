@@ -1,1 +1,1 @@
-"""The methods MIHO is compared with, each a class behind the interface of `miho.optim`."""
+"""The methods MIHO is compared with: those that wrap a library, and those of `miho.methods`."""

@@ -13,6 +13,7 @@ from typing import Any, TypeVar, cast
 import baselines
 import miho.data
 import miho.identification
+import miho.methods
 import miho.models
 import miho.optim
 from miho.data import Dataset
@@ -22,15 +23,16 @@ from miho.optim import AskTell, Optimizer
 
 T = TypeVar("T")
 
-HOMES: Mapping[type, ModuleType] = {
-    Model: miho.models,
-    Dataset: miho.data,
-    Loss: miho.identification,
-    Optimizer: miho.optim,
+HOMES: Mapping[type, tuple[ModuleType, ...]] = {
+    Model: (miho.models,),
+    Dataset: (miho.data,),
+    Loss: (miho.identification,),
+    Optimizer: (miho.optim, miho.methods),
 }
 """Where targets of each kind come from: what `__all__` of these packages names."""
 
 METHODS = Path(baselines.__file__).parent
+OURS = miho.methods.__name__
 BASES = {Optimizer.__name__, AskTell.__name__}
 SHOWN = 80
 
@@ -42,15 +44,16 @@ class TargetError(ValueError):
 def find_target(path: object, kind: type[T]) -> Callable[..., T]:
     """The class or function at a dotted path that makes a `kind`.
 
-    Allowed are the public names of our packages and the methods in `baselines`, found by reading
-    their source; only what is allowed is imported. Raises TargetError for any other path, and
+    Allowed are the public names of our packages and the methods in `baselines`, those it has from
+    `miho.methods` included, found by reading their source; only what is allowed is imported. Raises TargetError for any other path, and
     ImportError where the library that a method wraps is missing.
     """
     home, _, name = path.rpartition(".") if isinstance(path, str) else ("", "", "")
-    if home == HOMES[kind].__name__ and name in _public(kind):
-        return cast(Callable[..., T], getattr(HOMES[kind], name))
-    package, _, module = home.rpartition(".")
-    if kind is Optimizer and package == baselines.__name__ and name in _methods(module):
+    for package in HOMES[kind]:
+        if home == package.__name__ and name in _public(package, kind):
+            return cast(Callable[..., T], getattr(package, name))
+    parent, _, module = home.rpartition(".")
+    if kind is Optimizer and parent == baselines.__name__ and name in _methods(module):
         return cast(Callable[..., T], getattr(importlib.import_module(home), name))
     raise TargetError(
         f"{_shown(path)} is not a class or function that gives a {kind.__name__}; "
@@ -60,7 +63,7 @@ def find_target(path: object, kind: type[T]) -> Callable[..., T]:
 
 def allowed(kind: type) -> list[str]:
     """Every dotted path that a configuration may name for this kind."""
-    names = [f"{HOMES[kind].__name__}.{name}" for name in _public(kind)]
+    names = [f"{home.__name__}.{name}" for home in HOMES[kind] for name in _public(home, kind)]
     if kind is Optimizer:
         for file in sorted(METHODS.glob("*.py")):
             names += [f"{baselines.__name__}.{file.stem}.{name}" for name in _methods(file.stem)]
@@ -81,8 +84,7 @@ def nested_target(value: Any, place: str) -> str | None:
     return next((key for key in found if key), None)
 
 
-def _public(kind: type) -> list[str]:
-    home = HOMES[kind]
+def _public(home: ModuleType, kind: type) -> list[str]:
     return [name for name in home.__all__ if _gives(getattr(home, name), kind)]
 
 
@@ -99,13 +101,13 @@ def _methods(module: str) -> list[str]:
     file = METHODS / f"{module}.py"
     if not (module.isascii() and module.isidentifier() and file.is_file()):
         return []
-    statements = ast.parse(file.read_bytes()).body
-    classes = (node for node in statements if isinstance(node, ast.ClassDef))
-    return [
-        node.name
-        for node in classes
-        if not node.name.startswith("_") and BASES & {_base(base) for base in node.bases}
-    ]
+    names: list[str] = []
+    for node in ast.parse(file.read_bytes()).body:
+        if isinstance(node, ast.ClassDef) and BASES & {_base(base) for base in node.bases}:
+            names.append(node.name)
+        elif isinstance(node, ast.ImportFrom) and node.module == f"{OURS}.{module}":
+            names += [alias.name for alias in node.names if alias.name in miho.methods.__all__]
+    return [name for name in names if not name.startswith("_")]
 
 
 def _base(node: ast.expr) -> str:

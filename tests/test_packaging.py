@@ -48,9 +48,12 @@ def test_the_wheel_works_alone(wheel: Path, tmp_path: Path) -> None:
         "p = lambda n, u, lo, hi: miho.Parameter(n, u, lo, hi);"
         "s = miho.Space((p('B','1/rad',2,40), p('C','-',1,2.5), p('D','N',1e3,9e3),"
         "p('Sx','rad',-.05,.05), p('Sy','N',-500,500)));"
-        "r = miho.minimize(miho.MIHO(R=200), miho.CurveFit(m.Pacejka(), d.sample_tir('lf'), s));"
+        "f = miho.CurveFit(m.Pacejka(), d.sample_tir('lf'), s);"
+        "r = miho.minimize(miho.MIHO(R=200), f);"
+        "from miho.methods import LeastSquares, VariableProjection;"
+        "q = [miho.minimize(method, f) for method in (LeastSquares(), VariableProjection())];"
         "assert pathlib.Path(miho.__file__).is_relative_to(sys.argv[1]), miho.__file__;"
-        "print(r.loss ** 0.5)"
+        "print(*(run.loss ** 0.5 for run in (r, *q)))"
     )
     done = subprocess.run(
         [sys.executable, "-P", "-c", program, str(tmp_path)],
@@ -60,7 +63,10 @@ def test_the_wheel_works_alone(wheel: Path, tmp_path: Path) -> None:
         text=True,
         check=True,
     )
-    assert float(done.stdout) < 450
+    by_miho, *by_least_squares = map(float, done.stdout.split())
+    assert by_miho < 450
+    # Its noise is 400 N, of which a fit of five parameters takes a little.
+    assert all(390 < error < by_miho for error in by_least_squares)
 
 
 def test_the_package_list_names_only_miho() -> None:

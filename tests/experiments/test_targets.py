@@ -1,5 +1,6 @@
 """What a configuration may name, and that the list is read and not imported."""
 
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
+import miho.methods
 from experiments.build import ConfigError, instantiate
 from experiments.targets import HOMES, TargetError, allowed, find_target, nested_target
 from miho.data import Dataset
@@ -49,6 +51,18 @@ def test_anything_else_is_refused_in_one_line(path: object) -> None:
 def test_only_methods_come_from_the_baselines(name: str) -> None:
     with pytest.raises(TargetError):
         find_target(f"baselines.{name}", Optimizer)
+
+
+def test_a_method_is_one_class_under_all_its_names() -> None:
+    """So that its settings compare and unpickle, whichever name a configuration or script uses."""
+    light = [name for name in miho.methods.__all__ if name not in ("MIHO", "RandomSearch")]
+    paths = [path for path in allowed(Optimizer) if path.startswith("baselines.")]
+    for name in light:
+        method = getattr(miho.methods, name)
+        assert find_target(f"miho.methods.{name}", Optimizer) is method
+        (path,) = (path for path in paths if path.endswith(f".{name}"))
+        assert find_target(path, Optimizer) is method
+        assert pickle.loads(pickle.dumps(method())) == method()
 
 
 def test_the_list_is_read_without_importing_a_method() -> None:
