@@ -51,7 +51,10 @@ class VariableProjection(Optimizer):
         linear = [space.names.index(name) for name in oracle.linear]
         nonlinear = [k for k in range(len(space)) if k not in linear]
         if not nonlinear:
-            _Reduced(oracle, linear, nonlinear, space.decode(space.initial(1))[0]).look()
+            start = space.decode(space.initial(1))[0]
+            part = solve_linear_part(oracle.residuals, start, linear, space)
+            if part is not None:
+                oracle.residuals(part.theta)
             return
         subspace = Space(tuple(space.parameters[k] for k in nonlinear))
 
@@ -88,7 +91,7 @@ class _Reduced:
             return np.full(self._rows, np.inf)
         self._theta = self._part.theta
         self._rows = self._part.basis.shape[0]
-        return oracle.residuals(self._theta)
+        return self._part.residuals
 
     def residuals(self, nonlinear: Array) -> Array:
         """Residuals (m,) of the reduced problem."""

@@ -57,6 +57,21 @@ class Line(Model):
         return np.stack([np.ones_like(inputs[0]), inputs[0]], axis=1)
 
 
+class Plane(Model):
+    """y = b0 + b1 x1 + ... + b6 x6, linear in all."""
+
+    inputs = MappingProxyType({f"x{k}": "-" for k in range(1, 7)})
+    parameters = MappingProxyType({f"b{k}": "-" for k in range(7)})
+    output = "-"
+    linear = tuple(parameters)
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        return np.asarray(thetas[:, :1] + thetas[:, 1:] @ np.stack(inputs))
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        return np.stack([np.ones_like(inputs[0]), *inputs], axis=1)
+
+
 def problem(
     model: Model, x: Array, y: Array, bounds: list[tuple[float, float]], rho: Loss | None = None
 ) -> CurveFit:
@@ -87,3 +102,31 @@ def line(
     y: Array, x: Array, rho: Loss | None = None, b: tuple[float, float] = (-100, 100)
 ) -> CurveFit:
     return problem(Line(), x, y, [(-100, 100), b], rho)
+
+
+LONGLEY = """
+83.0 234289 2356 1590 107608 1947 60323
+88.5 259426 2325 1456 108632 1948 61122
+88.2 258054 3682 1616 109773 1949 60171
+89.5 284599 3351 1650 110929 1950 61187
+96.2 328975 2099 3099 112075 1951 63221
+98.1 346999 1932 3594 113270 1952 63639
+99.0 365385 1870 3547 115094 1953 64989
+100.0 363112 3578 3350 116219 1954 63761
+101.2 397469 2904 3048 117388 1955 66019
+104.6 419180 2822 2857 118734 1956 67857
+108.4 442769 2936 2798 120445 1957 68169
+110.8 444546 4681 2637 121950 1958 66513
+112.6 482704 3813 2552 123366 1959 68655
+114.2 502601 3931 2514 125368 1960 69564
+115.7 518173 4806 2572 127852 1961 69331
+116.9 554894 4007 2827 130081 1962 70551
+"""
+
+
+def longley() -> CurveFit:
+    """NIST StRD, Longley (Longley 1967): employment over six columns that rise together."""
+    *x, y = np.loadtxt(LONGLEY.splitlines()).T
+    columns = dict(zip(Plane.inputs, x, strict=True)) | {"y": y}
+    space = Space(tuple(Parameter(name, "-", -1e7, 1e7) for name in Plane.parameters))
+    return CurveFit(Plane(), Dataset("longley", columns, dict.fromkeys(columns, "-"), "y"), space)

@@ -11,7 +11,7 @@ from miho import CurveFit, Dataset, Parameter, Space, minimize
 from miho.identification import Huber, linear_optimum
 from miho.methods.least_squares import LeastSquares
 from miho.models import FunctionModel
-from tests.identification.published import line, misra1a
+from tests.identification.published import line, longley, misra1a
 
 Array = NDArray[np.float64]
 register()
@@ -36,12 +36,25 @@ def wampler(base: float) -> CurveFit:
 
 @pytest.mark.parametrize("base", [1.0, 0.1])
 def test_certified_polynomials(base: float) -> None:
-    """Scaled columns have a condition number of 2e3 and coefficients down to 1e-5: 1e-9 is left."""
+    """Two roundings of each model value, up to 3.4e6, move b1 = 1 by 3.3e-10 at most.
+
+    That is the pseudo-inverse of the powers, in absolute values, times the roundings.
+    """
     found = linear_optimum(wampler(base))
     assert found is not None
     theta, loss = found
-    assert theta == pytest.approx(base ** np.arange(6), rel=1e-9)
-    assert loss < 1e-12
+    assert theta == pytest.approx(base ** np.arange(6), rel=4e-10)
+    assert loss < 1e-18
+
+
+def test_certified_plane() -> None:
+    """Seven terms of up to 3.6e6: were each rounded for the worst, 1e-9 would be left."""
+    found = linear_optimum(longley())
+    assert found is not None
+    certified = [-3482258.63459582, 15.0618722713733, -0.358191792925910e-1, -2.02022980381683,
+                 -1.03322686717359, -0.511041056535807e-1, 1829.15146461355]  # fmt: skip
+    assert found[0] == pytest.approx(certified, rel=1e-9)
+    assert found[1] * 16 == pytest.approx(836424.055505915, rel=1e-11)
 
 
 def test_a_line_by_hand() -> None:
