@@ -19,9 +19,13 @@ def test_the_sweeps_turn_where_they_should() -> None:
     assert np.abs(np.diff(u)).max() == pytest.approx(np.abs(np.diff(TURNS)).sum() / 1999)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(5))
 def test_parameters_are_recovered(seed: int) -> None:
-    """Within four standard errors of linear theory, none above 5 %."""
+    """Within four standard errors of linear theory, none above 5 %.
+
+    u1 lies among the commands, up to 1: beyond them it cannot be told from P_max, and a rounding
+    decides whether a search without bounds ends there.
+    """
     data = brake_play_test(seed)
 
     def residuals(x: np.ndarray) -> np.ndarray:
@@ -31,7 +35,8 @@ def test_parameters_are_recovered(seed: int) -> None:
         return np.asarray(BrakePlay().jacobian(x * TRUE, data["u"]) * TRUE)
 
     start = np.array([0.8, 1.05, 0.9, 1.1, 1.5])
-    found = least_squares(residuals, start, jac=jacobian).x
+    bounds = np.zeros(5), np.array([0.2, 1.0, 2e7, 4.0, 0.3]) / TRUE
+    found = least_squares(residuals, start, jac=jacobian, bounds=bounds).x
     J = jacobian(found)
     errors = 5.0e4 * np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
     assert (np.abs(found - 1) < 4 * errors).all()
