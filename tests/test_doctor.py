@@ -105,6 +105,7 @@ def test_partial_runs_temporary_files_locks_and_links(tmp_path: Path) -> None:
     (folders[1] / f".config.json.{os.getpid()}").write_text("{")
     (root / "elsewhere").symlink_to(tmp_path)
     (root / "inner").symlink_to(root / "decay")
+    (root / "round").symlink_to(root / "round")
     with FileLock(folders[2] / "lock"):
         checks = found(root)
     assert checks["partial runs"].state is State.WARNING
@@ -114,6 +115,7 @@ def test_partial_runs_temporary_files_locks_and_links(tmp_path: Path) -> None:
     )
     assert checks["links"].state is State.FAILED
     assert str(root / "elsewhere") in checks["links"].told
+    assert str(root / "round") in checks["links"].told
     assert "inner" not in checks["links"].told
     if Path("/proc/locks").exists():
         assert checks["running"].told == f"1 runs: {folders[2]} by process {os.getpid()}"

@@ -14,6 +14,7 @@ from filelock import FileLock, Timeout
 from experiments.doctor.check import Check, State
 from miho.study import load_runs
 from miho.study.files import PARTIAL, RESULT
+from miho.study.places import below
 
 QUARANTINE = ".quarantine"
 TEMPORARY = re.compile(r"\..+\.(\d+)")
@@ -133,12 +134,11 @@ def locks(files: Sequence[Path]) -> Check:
 
 
 def leading_out(root: Path, links: Sequence[Path]) -> Check:
-    """Symbolic links to places outside of the root."""
-    inside = root.resolve()
-    out = [link for link in links if not link.resolve().is_relative_to(inside)]
+    """Symbolic links to places outside of the root, and to nothing."""
+    out = [link for link in links if not below(link, root)]
     if not out:
         return Check("links", State.OK, "none leads out")
-    told = f"{len(out)} lead out of {root}: {_some(out)}; remove them, nothing there is read"
+    told = f"{len(out)} lead out of {root} or nowhere: {_some(out)}; remove them, none is followed"
     return Check("links", State.FAILED, told)
 
 

@@ -37,16 +37,21 @@ def inside(root: Path, *names: str) -> Path:
     place = root
     for name in names:
         place = place / name
-        if len(Path(name).parts) != 1 or name == ".." or not _below(place, root):
+        if len(Path(name).parts) != 1 or name == ".." or not below(place, root):
             problem = "leads out of the folder of results; remove it, or choose another root"
             raise PermissionError(errno.EPERM, problem, str(place))
     return place
 
 
-def _below(place: Path, root: Path) -> bool:
+def below(place: Path, root: Path) -> bool:
+    """Whether what is reached by this name lies below the root; not so a link that leads nowhere.
+
+    Links are followed to their end, which must be there: what a link to itself leads to, or one
+    to nothing yet, nobody can say beforehand.
+    """
     if not place.is_symlink():
         return True
     try:
-        return place.resolve().is_relative_to(root.resolve())
-    except RuntimeError:  # a link to itself, until Python 3.13
+        return place.resolve(strict=True).is_relative_to(root.resolve())
+    except (OSError, RuntimeError):  # a loop is the latter until Python 3.13
         return False

@@ -49,6 +49,7 @@ def test_links(tmp_path: Path) -> None:
     (root / "out").symlink_to(outside)
     (root / "nowhere").symlink_to(tmp_path / "not there")
     (root / "loop").symlink_to(root / "loop")
-    for name in ("out", "nowhere", "loop"):
+    (root / "later").symlink_to(root / "not yet")
+    for name in ("out", "nowhere", "loop", "later"):
         with pytest.raises(PermissionError, match="leads out"):
             inside(root, name, "x")
