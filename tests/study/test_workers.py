@@ -2,16 +2,20 @@
 
 import multiprocessing
 import time
+from pathlib import Path
+from typing import TypeVar
 
 from experiments.faults.misbehaviour import misbehave
-from miho.study.workers import Ended, Workers
+from miho.study.workers import INTERRUPTED, Ended, Workers
 
+Result = TypeVar("Result")
 WAIT = 60.0
 MODULES = ("experiments.faults.misbehaviour",)
 
 
-def all_of(jobs: list[str], workers: Workers[str, str]) -> dict[str, Ended[str, str]]:
-    todo, ended, until = list(jobs), {}, time.monotonic() + WAIT
+def all_of(jobs: list[str], workers: Workers[str, Result]) -> dict[str, Ended[str, Result]]:
+    ended: dict[str, Ended[str, Result]] = {}
+    todo, until = list(jobs), time.monotonic() + WAIT
     while (todo or workers.busy) and time.monotonic() < until:
         while todo and workers.idle:
             workers.start(todo.pop(0))
@@ -19,17 +23,24 @@ def all_of(jobs: list[str], workers: Workers[str, str]) -> dict[str, Ended[str, 
     return ended
 
 
+def wait_for(places: list[Path], workers: Workers[str, None]) -> None:
+    until = time.monotonic() + WAIT
+    while not all(place.exists() for place in places):
+        assert not workers.wait(0.05)
+        assert time.monotonic() < until
+
+
 def test_a_job_that_goes_wrong_is_lost_alone() -> None:
     bad = {
         "exit": "sys.exit(7)",
         "leave": "its process ended with exit code 9",
         "kill": "killed by SIGKILL, perhaps for want of memory",
-        "hang": "no end within 0.5 s, so it was killed",
+        "hang": "no end within 2 s, so it was killed",
         "raise": "ValueError: no good",
         "memory": "MemoryError: ",
     }
     good = [f"good {k}" for k in range(14)]
-    with Workers(misbehave, 2, time_limit=0.5, modules=MODULES) as workers:
+    with Workers(misbehave, 2, time_limit=2, modules=MODULES) as workers:
         ended = all_of([*good[:7], *bad, *good[7:]], workers)
         left = [worker.process for worker in workers._workers]
     assert {job: one.result for job, one in ended.items() if one.reason is None} == {
@@ -40,19 +51,21 @@ def test_a_job_that_goes_wrong_is_lost_alone() -> None:
     assert not any(process.is_alive() for process in left)
 
 
-def test_an_interrupt_reaches_the_job_and_a_kill_ends_it() -> None:
-    with Workers(misbehave, 2, modules=MODULES) as workers:
-        workers.start("hang")
-        workers.start("hang")
+def test_an_interrupt_reaches_the_job_and_a_kill_ends_it(tmp_path: Path) -> None:
+    """Each job leaves a file when it has begun, and then hangs."""
+    hang = "import pathlib, time; pathlib.Path({!r}).touch(); time.sleep(1000)"
+    begun = [tmp_path / name for name in ("first", "second", "third")]
+    with Workers[str, None](exec, 2) as workers:
+        for place in begun[:2]:
+            workers.start(hang.format(str(place)))
         assert workers.idle == 0
-        assert not workers.wait(0.01)
-        time.sleep(0.2)
-        until, ended = time.monotonic() + WAIT, []
-        while workers.busy and time.monotonic() < until:
-            workers.interrupt()
-            ended += workers.wait(0.2)
-        assert [one.interrupted for one in ended] == [True, True]
-        workers.start("hang")
+        wait_for(begun[:2], workers)
+        workers.interrupt()
+        ended = all_of([], workers)
+        assert [one.interrupted for one in ended.values()] == [True, True]
+        assert {one.reason for one in ended.values()} == {INTERRUPTED}
+        workers.start(hang.format(str(begun[2])))
+        wait_for(begun[2:], workers)
         workers.kill()
         assert workers.busy == 0
     assert not [one for one in multiprocessing.active_children() if "Workers" in one.name]
