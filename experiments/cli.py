@@ -31,6 +31,7 @@ from experiments.hydra_settings import HydraSettingError, check_arguments, check
 from experiments.stopped import Stopped
 from miho.data import CSVError, DataUnavailableError
 from miho.models import TirError
+from miho.regular_file import NotAFileError
 from miho.study.changes import ResumeRefused
 from miho.study.redaction import redacted
 
@@ -41,7 +42,7 @@ BY_SIGNAL = 128
 SEED = re.compile(r"seed=\d+")
 BAD_INPUT_ERRORS = (
     HydraException, OmegaConfBaseException, ConfigError, CSVError, TirError, DataUnavailableError,
-    HydraSettingError, YAMLError, FileNotFoundError, IsADirectoryError,
+    HydraSettingError, YAMLError, FileNotFoundError, IsADirectoryError, NotAFileError,
 )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset, file_name
 from miho.data.measurements import Layout
+from miho.regular_file import NotAFileError, read_regular
 
 Array = NDArray[np.float64]
 
@@ -185,14 +186,14 @@ def _header_remedy(name: str, names: Sequence[str]) -> str:
 
 
 def _lines(path: Path) -> list[str]:
-    if path.exists() and not path.is_file():
-        raise CSVError(path, 1, 1, "is not a file; name one")
     try:
-        with path.open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1) if path.stat().st_size <= MAX_BYTES else None
+        large = path.stat().st_size > MAX_BYTES
+        data = b"" if large else read_regular(path, MAX_BYTES + 1)
+    except NotAFileError:
+        raise CSVError(path, 1, 1, "is not a file; name one") from None
     except PermissionError:
         raise CSVError(path, 1, 1, "cannot be read; check its permissions") from None
-    if data is None or len(data) > MAX_BYTES:
+    if large or len(data) > MAX_BYTES:
         raise CSVError(path, 1, 1, f"larger than {MAX_BYTES >> 20} MiB; split the file")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise CSVError(path, 1, 1, "UTF-16 text; save the file as UTF-8")

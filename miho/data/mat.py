@@ -1,39 +1,60 @@
-"""Measurements in MATLAB files: each column a variable of numbers."""
+"""Measurements in MATLAB files: each column a variable of numbers.
+
+The reader is our own, because SciPy's compiled one ends the process on some damaged files. It
+knows what measurements need of the MAT-File Format 5 (The MathWorks, "MAT-File Format", R2023b,
+ch. 1): real arrays of numbers, compressed or not. Every size is checked before it is used.
+"""
 
 from __future__ import annotations
 
-import os
+import math
 import struct
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
-import scipy.io
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset, file_name
 from miho.data.measurements import Fault, Layout
+from miho.regular_file import NotAFileError, read_regular
 
 Array = NDArray[np.float64]
-T = TypeVar("T")
 
 MAX_BYTES = 64 * 2**20
 MAX_INFLATED = 128 * 2**20
 MAX_ROWS = 4_000_000
 CHUNK = 2**20
-COMPRESSED = 15  # miCOMPRESSED, MAT-File Format 5, table 1-1
-NUMBERS = (
-    "double",
-    "single",
-    *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
-)
-DAMAGE = (
-    ValueError, TypeError, LookupError, NotImplementedError, ArithmeticError, EOFError, MemoryError,
-    OSError, zlib.error, scipy.io.matlab.MatReadError,
-)  # fmt: skip
-"""What SciPy raises for files that are not what they say."""
+HEADER = 128
+
+# Types of data elements, table 1-1, and the numbers they hold.
+INT8, UINT8, INT32, UINT32, MATRIX, COMPRESSED, UTF8 = 1, 2, 5, 6, 14, 15, 16
+STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8",
+          13: "u8"}  # fmt: skip
+
+# Classes of arrays, table 1-3: of numbers with their type, and the others.
+NUMBERS = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8",
+           15: "u8"}  # fmt: skip
+OTHERS = {1: "cell", 2: "struct", 3: "object", 4: "char", 5: "sparse", 16: "function",
+          17: "opaque"}  # fmt: skip
+OPAQUE = 17
+COMPLEX, LOGICAL = 0x0800, 0x0200  # flags beside the class
+
+
+class DamagedError(ValueError):
+    """Bytes that no MAT-file holds."""
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable: its class in words, its size, and the bytes of its numbers as they are stored."""
+
+    kind: str
+    shape: tuple[int, ...]
+    stored: np.dtype[np.generic]
+    data: memoryview
 
 
 def load_mat(
@@ -51,27 +72,21 @@ def load_mat(
     """A dataset from a MATLAB file of version 5 to 7.2, in SI units, radians and ISO-W signs.
 
     `headers` are the names of the variables, vectors of numbers, if they differ from `columns`;
-    all other settings are those of `miho.data.measurements.Layout`. Only these variables are read,
-    by SciPy, and nothing in the file is run; objects and functions are refused unread. Raises
-    ValueError naming the file and the variable, FileNotFoundError if there is no file.
+    all other settings are those of `miho.data.measurements.Layout`. Nothing in the file is run;
+    objects and functions are refused unread. Raises ValueError naming the file and the variable,
+    FileNotFoundError if there is no file.
+
+    Compressed variables, which is how MATLAB writes them, carry a checksum: damage is noticed.
+    Uncompressed ones (-v6) have none for their numbers: only damage to their description is.
     """
     layout = Layout(columns, units, output, headers, convention, flip, ranges, held_out)
-    _check(Path(path))
 
     def fault(variable: str, row: int | None, problem: str) -> ValueError:
         element = "" if row is None else f"({row + 1})"
         return ValueError(f"{path}: {variable}{element}: {problem}")
 
-    known = {key: (shape, kind) for key, shape, kind in _told(path, lambda: scipy.io.whosmat(path))}
-    for variable in layout.names:
-        _check_variable(variable, known, fault)
-    wanted = list(layout.names)
-    found = _told(path, lambda: scipy.io.loadmat(path, variable_names=wanted))
-    numbers = {}
-    for variable in wanted:
-        column = np.asarray(found[variable]).ravel()
-        _check_numbers(variable, column, fault)
-        numbers[variable] = column.astype(float)
+    known = read_variables(Path(path))
+    numbers = {variable: _column(variable, known, fault) for variable in layout.names}
     first = layout.names[0]
     for variable, column in numbers.items():
         if column.size != numbers[first].size:
@@ -80,79 +95,150 @@ def load_mat(
     return layout.dataset(name or file_name(path), numbers, fault)
 
 
-def _told(path: str, read: Callable[[], T]) -> T:
-    """What SciPy reads, or one line for whatever it raises."""
+def read_variables(path: Path) -> dict[str, Variable]:
+    """The variables of a file by name; raises ValueError for what is no such file, or damaged."""
     try:
-        return read()
-    except DAMAGE:
-        raise ValueError(f"{path}: is damaged; copy or save it again") from None
-
-
-def _check(file: Path) -> None:
-    """Refuse what is no MATLAB file of these versions, by its size and first bytes."""
-    if file.exists() and not file.is_file():
-        raise ValueError(f"{file}: is not a file; name one")
-    try:
-        with file.open("rb") as stream:
-            head = stream.read(1024)
+        data = read_regular(path, MAX_BYTES + 1)
+    except NotAFileError as error:
+        raise ValueError(str(error)) from None
     except PermissionError:
-        raise ValueError(f"{file}: cannot be read; check its permissions") from None
-    if head.startswith(b"MATLAB 7.3 MAT-file") or b"\x89HDF\r\n\x1a\n" in head:
-        raise ValueError(f"{file}: MATLAB 7.3 file; save it with save(..., '-v7')")
-    if not head.startswith(b"MATLAB 5.0 MAT-file") or head[126:128] not in (b"IM", b"MI"):
-        raise ValueError(f"{file}: not a MATLAB file; save one with save(..., '-v7')")
-    if file.stat().st_size > MAX_BYTES:
-        raise ValueError(f"{file}: larger than {MAX_BYTES >> 20} MiB; save fewer variables or rows")
-    if _inflated(file, "<" if head[126:128] == b"IM" else ">") > MAX_INFLATED:
+        raise ValueError(f"{path}: cannot be read; check its permissions") from None
+    if data.startswith(b"MATLAB 7.3 MAT-file") or b"\x89HDF\r\n\x1a\n" in data[:1024]:
+        raise ValueError(f"{path}: MATLAB 7.3 file; save it with save(..., '-v7')")
+    if not data.startswith(b"MATLAB 5.0 MAT-file") or data[126:HEADER] not in (b"IM", b"MI"):
+        raise ValueError(f"{path}: not a MATLAB file; save one with save(..., '-v7')")
+    if len(data) > MAX_BYTES:
+        raise ValueError(f"{path}: larger than {MAX_BYTES >> 20} MiB; save fewer variables or rows")
+    order = "<" if data[126:HEADER] == b"IM" else ">"
+    variables: dict[str, Variable] = {}
+    try:
+        if struct.unpack(f"{order}H", data[124:126]) != (0x0100,):
+            raise DamagedError
+        for matrix in _matrices(memoryview(data)[HEADER:], order):
+            name, variable = _variable(matrix, order)
+            if name in variables:
+                raise DamagedError
+            variables[name] = variable
+    except MemoryError:
         raise ValueError(
-            f"{file}: holds more than {MAX_INFLATED >> 20} MiB when decompressed; save fewer "
+            f"{path}: holds more than {MAX_INFLATED >> 20} MiB when decompressed; save fewer "
             "variables or rows"
-        )
+        ) from None
+    except (DamagedError, zlib.error):
+        raise ValueError(f"{path}: is damaged; copy or save it again") from None
+    return variables
 
 
-def _inflated(file: Path, order: str) -> int:
-    """Bytes that the compressed variables of a file would take, counted up to MAX_INFLATED.
+def _matrices(data: memoryview, order: str) -> Iterator[memoryview]:
+    """The contents of the matrix elements that a file is made of."""
+    inflated = 0
+    while data:
+        kind, size, _ = _tag(data, order)
+        content, data = data[8 : 8 + size], data[8 + size :]
+        if kind == COMPRESSED:
+            whole = _inflated(content, MAX_INFLATED - inflated)
+            inflated += len(whole)
+            kind, size, _ = _tag(whole, order)
+            content = whole[8:]
+            if size != len(content):
+                raise DamagedError
+        if kind != MATRIX:
+            raise DamagedError
+        yield content
 
-    SciPy makes room for what a variable says of its size, in memory. Nothing is kept here.
+
+def _inflated(packed: memoryview, limit: int) -> memoryview:
+    """What is compressed, whole and with a checksum that is right; MemoryError beyond `limit`."""
+    inflate = zlib.decompressobj()
+    whole = bytearray()
+    while not inflate.eof:
+        chunk = inflate.decompress(packed, CHUNK)
+        packed = memoryview(inflate.unconsumed_tail)
+        whole += chunk
+        if len(whole) > limit:
+            raise MemoryError
+        if not chunk and not packed and not inflate.eof:
+            raise DamagedError
+    if inflate.unused_data:
+        raise DamagedError
+    return memoryview(whole)
+
+
+def _tag(data: memoryview, order: str) -> tuple[int, int, bool]:
+    """Type and size in bytes of the element that begins here, and whether it is a small one.
+
+    A small element has its size in the upper half of its type, and its data in the same 8 bytes.
     """
-    total = 0
-    with file.open("rb") as stream:
-        stream.seek(128)
-        while len(tag := stream.read(8)) == 8:
-            kind, size = struct.unpack(f"{order}II", tag)
-            if kind != COMPRESSED:
-                stream.seek(size, os.SEEK_CUR)
-                continue
-            inflate = zlib.decompressobj()
-            packed = stream.read(size)
-            while packed and not inflate.eof and total <= MAX_INFLATED:
-                try:
-                    total += len(inflate.decompress(packed, CHUNK))
-                except zlib.error:
-                    break  # SciPy says what is wrong with it
-                packed = inflate.unconsumed_tail
-    return total
+    if len(data) < 8:
+        raise DamagedError
+    kind, size = struct.unpack(f"{order}II", data[:8])
+    small = kind >> 16
+    if small:
+        kind, size = kind & 0xFFFF, small
+    if size > (4 if small else len(data) - 8):
+        raise DamagedError
+    return kind, size, bool(small)
 
 
-def _check_variable(
-    name: str, known: Mapping[str, tuple[tuple[int, ...], str]], fault: Fault
-) -> None:
+def _element(data: memoryview, order: str) -> tuple[int, memoryview, memoryview]:
+    """Type and content of the element that begins here, and what follows its padding."""
+    kind, size, small = _tag(data, order)
+    if small:
+        return kind, data[4 : 4 + size], data[8:]
+    return kind, data[8 : 8 + size], data[8 + size + -size % 8 :]
+
+
+def _variable(matrix: memoryview, order: str) -> tuple[str, Variable]:
+    """A matrix element: flags, size, name, numbers; of what is not numbers, nothing is read."""
+    kind, flags, rest = _element(matrix, order)
+    if kind != UINT32 or len(flags) != 8:
+        raise DamagedError
+    word = struct.unpack(f"{order}I", flags[:4])[0]
+    number = word & 0xFF
+    shape: tuple[int, ...] = ()
+    if number != OPAQUE:
+        kind, sizes, rest = _element(rest, order)
+        if kind != INT32 or len(sizes) < 8 or len(sizes) % 4:
+            raise DamagedError
+        shape = struct.unpack(f"{order}{len(sizes) // 4}i", sizes)
+    kind, text, rest = _element(rest, order)
+    if kind not in (INT8, UTF8) or min(shape, default=0) < 0:
+        raise DamagedError
+    name = bytes(text).decode("latin-1" if kind == INT8 else "utf-8", "replace")
+    if number in OTHERS:
+        return name, Variable(OTHERS[number], shape, np.dtype("V0"), rest[:0])
+    if number not in NUMBERS:
+        raise DamagedError
+    own = np.dtype(NUMBERS[number]).newbyteorder(order)
+    kind, content, rest = _element(rest, order)
+    stored = np.dtype(STORED.get(kind, "V0")).newbyteorder(order)
+    # Numbers are stored as what they are, or to save room as smaller integers.
+    smaller = stored.kind in "iu" and stored.itemsize < own.itemsize
+    if not (stored == own or smaller) or len(content) != math.prod(shape) * stored.itemsize:
+        raise DamagedError
+    if word & COMPLEX:
+        return name, Variable("complex", shape, stored, content)
+    if rest:
+        raise DamagedError
+    return name, Variable("logical" if word & LOGICAL else "number", shape, stored, content)
+
+
+def _column(name: str, known: Mapping[str, Variable], fault: Fault) -> Array:
+    """The numbers of a variable (N,), if it is a vector of finite ones."""
     if name not in known:
         names = ", ".join(sorted(repr(other)[1:-1] for other in known if other)[:40])
         raise fault(name, None, f"no such variable; choose headers from {names or 'another file'}")
-    shape, kind = known[name]
-    if kind not in NUMBERS:
-        raise fault(name, None, f"is of class {kind}; save it as a vector of numbers")
+    variable = known[name]
+    if variable.kind != "number":
+        raise fault(name, None, f"is of class {variable.kind}; save it as a vector of numbers")
+    shape = variable.shape
     if len(shape) != 2 or min(shape) != 1 or max(shape) > MAX_ROWS:
         problem = f"has size {'x'.join(map(str, shape))}"
         raise fault(name, None, f"{problem}; save a vector of 1 to {MAX_ROWS} numbers")
-
-
-def _check_numbers(name: str, column: NDArray[np.generic], fault: Fault) -> None:
-    if np.iscomplexobj(column):
-        raise fault(name, None, "is of class complex; save it as a vector of numbers")
-    bad = np.flatnonzero(~np.isfinite(column.astype(float)))
+    column = np.frombuffer(variable.data, dtype=variable.stored).astype(float)
+    bad = np.flatnonzero(~np.isfinite(column))
     if bad.size:
         row = int(bad[0])
         problem = f"is {float(column[row]):g}, not a finite number; remove the row"
         raise fault(name, row, problem)
+    return column

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.models.model import Model, central_differences
+from miho.regular_file import read_regular
 
 Array = NDArray[np.float64]
 
@@ -188,7 +189,7 @@ def load_function(
     module.__file__ = str(source)
     # Read and compiled here: an import would leave its cache beside the file and trust it even
     # after an edit within the same second.
-    text = source.read_bytes()
+    text = read_regular(source)
     try:
         exec(compile(text, str(source), "exec", dont_inherit=True), module.__dict__)  # noqa: S102 -- the user's file
     except SyntaxError as error:

@@ -11,13 +11,13 @@ import os
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from miho.models.model import Model
+from miho.regular_file import read_regular
 
 Array = NDArray[np.float64]
 
@@ -133,7 +133,7 @@ def read_parameters(path: str | os.PathLike[str], model: Model) -> Identified:
     Raises ParametersError for a file that is damaged, of another format or of another model,
     FileNotFoundError if there is none.
     """
-    text = Path(path).read_bytes()
+    text = read_regular(path)
     try:
         document = json.loads(text)
         if document["format"] != FORMAT:

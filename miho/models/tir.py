@@ -29,6 +29,7 @@ from miho.models.tir_format import (
     UNIT_FACTORS,
     Dimension,
 )
+from miho.regular_file import NotAFileError, read_regular
 
 MAX_BYTES = 4 * 2**20
 MAX_LINE = 10_000
@@ -160,11 +161,13 @@ def load_tir(path: str | os.PathLike[str], strict: bool = True) -> MagicFormula:
 
 
 def _lines(path: str) -> list[str]:
-    if not Path(path).is_file():
-        raise TirError.at(path, 1, 1, "there is no such file", "give the path of a .tir file")
+    remedy = "give the path of a .tir file"
     try:
-        with Path(path).open("rb") as stream:
-            data = stream.read(MAX_BYTES + 1)
+        data = read_regular(path, MAX_BYTES + 1)
+    except (FileNotFoundError, NotADirectoryError):
+        raise TirError.at(path, 1, 1, "there is no such file", remedy) from None
+    except NotAFileError:
+        raise TirError.at(path, 1, 1, "is not a file", remedy) from None
     except OSError as error:
         raise TirError.at(
             path, 1, 1, f"cannot be read ({error.strerror})", "check the permissions"

@@ -1,5 +1,6 @@
 """MATLAB files: the consortium's layout, and everything that is not a vector of numbers."""
 
+import struct
 import time
 import tracemalloc
 from pathlib import Path
@@ -7,10 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.io import savemat
+from scipy.io import loadmat, savemat
 
+from experiments.faults.flipped_mat import flip_bits
 from experiments.faults.hostile_files import mat_bomb
 from miho.data import Dataset, load_mat, sample_tir
+from miho.data.mat import read_variables
 
 TIRE = sample_tir("rf", n=300)
 SETTINGS: dict[str, Any] = {
@@ -141,7 +144,7 @@ def test_other_files(tmp_path: Path, case: str) -> None:
 def test_files_that_are_none(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         load(str(tmp_path / "none.mat"))
-    with pytest.raises(ValueError, match="is not a file; name one"):
+    with pytest.raises(ValueError, match="is not a file but a folder; name a file"):
         load(str(tmp_path))
     path = tmp_path / "huge.mat"
     with path.open("wb") as stream:
@@ -169,6 +172,48 @@ def test_damaged_files_give_one_line(tmp_path: Path) -> None:
             assert str(error).isprintable()
             errors += 1
     assert errors > 100
+
+
+def test_flipped_bits_are_refused_or_do_no_harm(tmp_path: Path) -> None:
+    ends, slowest = flip_bits(tmp_path, 1400)
+    assert set(ends) == {"refused", "as it was"}
+    assert ends.total() >= 1000
+    assert ends["refused"] > 500
+    assert slowest < 2.0
+
+
+def element(kind: int, data: bytes, order: str = "<") -> bytes:
+    """A data element; 4 bytes or less stand in its tag, as MATLAB writes them."""
+    if len(data) <= 4:
+        return struct.pack(f"{order}I", len(data) << 16 | kind) + data.ljust(4, b"\0")
+    return struct.pack(f"{order}II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+
+def vector(name: bytes, kind: int, numbers: Any, stored: int, order: str) -> bytes:
+    """A matrix element of a class of numbers, stored as another type."""
+    content = element(6, struct.pack(f"{order}II", kind, 0), order)
+    content += element(5, struct.pack(f"{order}ii", 1, len(numbers)), order)
+    content += element(1, name, order) + element(stored, numbers.tobytes(), order)
+    return struct.pack(f"{order}II", 14, len(content)) + content
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_either_byte_order_and_doubles_stored_as_integers(tmp_path: Path, order: str) -> None:
+    """As MATLAB writes whole numbers (MAT-File Format, "Data Compression"); SciPy reads the same.
+
+    Stored as something that doubles are never stored as, such as 64-bit integers, they are damaged.
+    """
+    whole = np.array([1, -2, 300])
+    head = b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack(f"{order}H", 0x0100)
+    head += b"IM" if order == "<" else b"MI"
+    path = tmp_path / "x.mat"
+    path.write_bytes(head + vector(b"SA", 6, whole.astype(f"{order}i2"), 3, order))
+    read = read_variables(path)["SA"]
+    assert np.frombuffer(read.data, read.stored).tolist() == whole.tolist()
+    assert loadmat(path)["SA"].tolist() == [whole.tolist()]
+    path.write_bytes(head + vector(b"SA", 6, whole.astype(f"{order}i8"), 12, order))
+    with pytest.raises(ValueError, match=r"x\.mat: is damaged; copy or save it again"):
+        read_variables(path)
 
 
 def test_what_takes_too_much_room_is_refused_unread(tmp_path: Path) -> None:
