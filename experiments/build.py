@@ -23,6 +23,8 @@ from omegaconf import DictConfig, OmegaConf
 import baselines
 import miho
 from experiments.confidential import SecretError, check_no_secret, refuse_environment
+from experiments.explain import ConfigError as ConfigError
+from experiments.explain import unknown
 from experiments.schema import Config
 from experiments.targets import TargetError, find_target, nested_target
 from miho.data import Dataset
@@ -40,10 +42,6 @@ WRAPPED = {"optuna", "cmaes", "nevergrad", "dehb"}
 T = TypeVar("T")
 
 refuse_environment()
-
-
-class ConfigError(ValueError):
-    """One line naming the key, what is wrong with it and what is allowed."""
 
 
 class MissingLibraryError(ConfigError):
@@ -96,7 +94,7 @@ def build(cfg: DictConfig, problem: CurveFit | None = None) -> Experiment:
     known = [field.name for field in fields(Config)]
     for key in cfg:
         if key not in known:
-            raise ConfigError(f"{key!s}: is unknown; allowed are {', '.join(known)}")
+            raise ConfigError(unknown(str(key), known))
     root = _root(cfg.root)
     optimizer = build_optimizer(cfg)
     optimizer_node = _plain(cfg, "optimizer")
@@ -184,6 +182,10 @@ def build_dataset(node: Mapping[str, Any]) -> Dataset:
 
 def build_space(node: Mapping[str, Any]) -> Space:
     """A space from a mapping of parameter names to their settings."""
+    for name, settings in node.items():
+        missing = [key for key, value in settings.items() if value == "???"]
+        if missing:
+            raise ConfigError(f"space.{name}.{missing[0]}: is missing; expected unit, low and high")
     try:
         return Space(tuple(Parameter(name, **settings) for name, settings in node.items()))
     except (TypeError, ValueError) as error:
@@ -202,7 +204,7 @@ def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
     settings = {name: value for name, value in node.items() if name != "_target_"}
     for name, value in settings.items():
         if name not in allowed:
-            raise ConfigError(f"{key}.{name}: is unknown; allowed are {', '.join(allowed)}")
+            raise ConfigError(unknown(f"{key}.{name}", allowed))
         inner = nested_target(value, f"{key}.{name}")
         if inner:
             raise ConfigError(f"{inner}: a target cannot stand inside of a setting; remove it")

@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
-import contextlib
+import argparse
 import copy
 import io
 import os
-import re
 import signal
 import sys
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
-from types import FrameType
+from types import FrameType, MappingProxyType
+from typing import NoReturn
 
-import hydra
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra._internal.utils import get_args_parser
+from hydra import version
+from hydra._internal.callbacks import Callbacks
+from hydra._internal.hydra import Hydra
+from hydra._internal.utils import create_config_search_path, get_args_parser
+from hydra.core.config_search_path import ConfigSearchPath, SearchPathQuery
 from hydra.core.global_hydra import GlobalHydra
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException, OverrideParseException
-from omegaconf import DictConfig, OmegaConf, open_dict
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException
+from hydra.types import HydraContext, RunMode
+from omegaconf import DictConfig, open_dict
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from experiments import schema
-from experiments.build import ConfigError
+from experiments.explain import ConfigError, explained, one_line, parsed, unknown, whole_space
+from experiments.help import completion, help_text
 from experiments.hydra_settings import HydraSettingError, check_arguments, check_hydra
 from experiments.stopped import Stopped
 from miho.data import CSVError, DataUnavailableError
@@ -39,121 +45,197 @@ CONF = Path(__file__).parent.parent / "conf"
 
 OK, BUG, BAD_INPUT, SOME_FAILED, STORAGE, REFUSED, PIPE_CLOSED = 0, 1, 2, 3, 4, 5, 141
 BY_SIGNAL = 128
-SEED = re.compile(r"seed=\d+")
 BAD_INPUT_ERRORS = (
     HydraException, OmegaConfBaseException, ConfigError, CSVError, TirError, DataUnavailableError,
     HydraSettingError, YAMLError, FileNotFoundError, IsADirectoryError, NotAFileError,
 )  # fmt: skip
 
+Sweep = Callable[[HydraContext, DictConfig, Sequence[Override]], object]
+
 
 def command(
     task: Callable[[DictConfig], None],
-    check: Callable[[DictConfig], object],
     after: Callable[[], int] = lambda: OK,
+    *,
+    sweep: Sweep | None = None,
+    settings: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
     """Compose the configuration from the command line, run `task` on it and exit.
 
-    Before a sweep starts, `check` sees each of its settings and each of its seeds once, so that
-    a mistake in the last one stops the first. `after` runs once at the end, also of a sweep and of
-    one that is interrupted, and gives the exit code of what is not.
+    With -m, `sweep` gets Hydra's context, the whole configuration, `hydra` included, and the
+    overrides. `after` runs once at the end, also of a sweep and of one that is interrupted, and
+    gives the exit code of what is not. `settings` are the command's own, for its help.
     """
     schema.register()
-    os.environ["HYDRA_FULL_ERROR"] = "1"  # let errors reach us instead of being printed
-    main = hydra.main(version_base="1.3", config_path=str(CONF), config_name="config")
-
-    failures: list[Exception] = []
-
-    def kept(cfg: DictConfig) -> None:
-        try:
-            task(cfg)
-        except Exception as error:  # noqa: BLE001 -- Hydra would print it; we raise it below
-            failures.append(error)
 
     def job() -> None:
-        arguments = get_args_parser().parse_args()
+        parser = get_args_parser()
+        parser.error = _refuse_option  # type: ignore[method-assign]
+        arguments = parser.parse_intermixed_args()
         check_arguments(arguments)
-        jobs = _sweep(arguments.overrides) if arguments.multirun else [arguments.overrides]
+        with _hydra(arguments.config_dir) as hydra:
+            if arguments.help:
+                print(help_text(task, settings, arguments.overrides, hydra.config_loader))
+            elif arguments.shell_completion:
+                print(completion(CONF))
+            elif arguments.hydra_help or arguments.cfg or arguments.info:
+                _show(hydra, parser, arguments)
+            else:
+                _start(hydra, arguments)
+
+    def _start(hydra: Hydra, arguments: argparse.Namespace) -> None:
+        overrides = parsed(arguments.overrides)
+        mode = RunMode.MULTIRUN if arguments.multirun else RunMode.RUN
+        _check_values(overrides, mode)
+        if mode is RunMode.MULTIRUN and sweep is None:
+            raise ConfigError(
+                f"-m: {_name()} goes through its runs by itself; leave it out, or sweep with "
+                "python -m experiments.identify -m"
+            )
+        whole = _whole((*arguments.overrides, f"hydra.mode={mode.name}"), mode)
+        HydraConfig.instance().set_config(whole)
         try:
-            for overrides in jobs:
-                _check_hydra(overrides)
-                if arguments.multirun:
-                    check(composed(overrides))
-        except (HydraException, ValueError) as error:
-            raise ConfigError(_explained(error, arguments.overrides)) from error
-        try:
-            main(kept)()
+            if mode is RunMode.MULTIRUN and sweep is not None:
+                context = HydraContext(hydra.config_loader, Callbacks(whole))
+                sweep(context, whole, overrides)
+            else:
+                task(_without_hydra(whole))
         except KeyboardInterrupt:
             after()
             raise
-        except (HydraException, OmegaConfBaseException, ValueError) as error:
-            raise ConfigError(_explained(error, arguments.overrides)) from error
-        for failure in failures:
-            raise failure
 
     guarded(job, after)
 
 
 def composed(overrides: Sequence[str]) -> DictConfig:
-    """The configuration that these overrides give, outside of a Hydra command or inside one."""
-    return copy.deepcopy(_composed(overrides)[0])
+    """The configuration that these overrides give, outside of a command or inside one.
+
+    Inside, it sees the folder of --config-dir as well. Raises ConfigError, and HydraSettingError
+    for what may not be said to Hydra, which is checked before Hydra acts on it.
+    """
+    if GlobalHydra.instance().is_initialized():
+        return _without_hydra(_whole(tuple(overrides)))
+    with _hydra():
+        return _without_hydra(_whole(tuple(overrides)))
 
 
-def _composed(overrides: Sequence[str]) -> tuple[DictConfig, DictConfig]:
-    """The configuration, and what it says to Hydra itself."""
-    return _once(tuple(overrides), GlobalHydra.instance().is_initialized())
+@contextmanager
+def _hydra(folder: str | None = None) -> Iterator[Hydra]:
+    """Hydra, which composes from conf/ and, behind it, from one folder of further options."""
+    version.setbase("1.3")
+    path = create_config_search_path(str(CONF))
+    if folder is not None:
+        _add_folder(path, Path(folder))
+    there = GlobalHydra.instance()
+    before, there.hydra = there.hydra, None
+    try:
+        yield Hydra.create_main_hydra2(_name(), path)
+    finally:
+        there.hydra = before
+
+
+def _add_folder(path: ConfigSearchPath, folder: Path) -> None:
+    if not folder.is_dir():
+        raise ConfigError(f"--config-dir: {folder} is not a folder; name one that is")
+    if (folder / "schema.yaml").exists():  # Hydra would take it for the types of all settings
+        raise ConfigError(
+            f"--config-dir: {folder} holds a schema.yaml; give that file another name"
+        )
+    query = SearchPathQuery(provider="schema")
+    path.prepend("command-line", f"file://{folder.resolve()}", anchor=query)
+
+
+def _name() -> str:
+    return Path(sys.argv[0]).stem
+
+
+def _whole(overrides: tuple[str, ...], mode: RunMode = RunMode.RUN) -> DictConfig:
+    """The configuration with what it says to Hydra itself, which is checked."""
+    places = tuple(map(str, GlobalHydra.instance().config_loader().get_search_path().get_path()))
+    return _once(overrides, mode, places)
 
 
 @cache
-def _once(overrides: tuple[str, ...], inside: bool) -> tuple[DictConfig, DictConfig]:
-    """Composing takes a fifth of a second; inside of a command it sees more folders."""
-    if inside:
-        return _parts(overrides)
-    with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-        return _parts(overrides)
+def _once(overrides: tuple[str, ...], mode: RunMode, places: tuple[str, ...]) -> DictConfig:
+    """Composing takes a fifth of a second."""
+    typed = parsed(overrides)
+    _check_choices(typed)
+    try:
+        whole = _composed(whole_space(overrides), mode)
+    except (HydraException, OmegaConfBaseException, ValueError) as error:
+        loader = GlobalHydra.instance().config_loader()
+        raise ConfigError(explained(error, typed, loader)) from error
+    check_hydra(whole.hydra, _usual(), overrides)
+    return whole
 
 
-def _parts(overrides: Sequence[str]) -> tuple[DictConfig, DictConfig]:
-    whole = hydra.compose("config", list(overrides), return_hydra_config=True)
-    to_hydra = whole.hydra
-    with open_dict(whole):
-        del whole["hydra"]
-    return whole, to_hydra
+@cache
+def _usual() -> DictConfig:
+    """What is said to Hydra where nobody says anything."""
+    with _hydra():
+        return _composed((), RunMode.RUN).hydra
 
 
-def _explained(error: Exception, overrides: Sequence[str]) -> str:
-    """What Hydra says, with the allowed keys where it names only the wrong one."""
-    unknown = re.match(r"Could not override '([^']+)'", str(error))
-    if unknown:
-        key = unknown[1]
-        others = [o for o in overrides if o.partition("=")[0] != key]
-        with contextlib.suppress(Exception):
-            cfg = composed(others)
-            parent = key.rpartition(".")[0]
-            node = OmegaConf.select(cfg, parent) if parent else cfg
-            return f"{key}: is unknown; allowed are {', '.join(map(str, node))}"
-    message = one_line(error)
-    if isinstance(error, OverrideParseException) or "Lexer" in message:
-        message = message.partition(" See https")[0]
-        message += '; quote the whole override for the shell, and inside brackets "m/s^2"'
-    if isinstance(error.__cause__, OmegaConfBaseException):
-        message += f": {one_line(error.__cause__)}"
-    return message
+def _composed(overrides: Sequence[str], mode: RunMode) -> DictConfig:
+    hydra = GlobalHydra.instance().hydra
+    if hydra is None:
+        raise RuntimeError("Hydra is not initialized")
+    return hydra.compose_config("config", list(overrides), mode, from_shell=False)
 
 
-def _check_hydra(overrides: Sequence[str]) -> None:
-    """Refuse what Hydra itself would run for a configuration, other than a launcher's job."""
-    check_hydra(_composed(overrides)[1], _composed([])[1], overrides)
+def _without_hydra(whole: DictConfig) -> DictConfig:
+    cfg = copy.deepcopy(whole)
+    with open_dict(cfg):
+        del cfg["hydra"]
+    return cfg
 
 
-def _sweep(overrides: Sequence[str]) -> list[tuple[str, ...]]:
-    """The overrides of the jobs of a sweep that show everything but good seeds once."""
-    parsed = OverridesParser.create().parse_overrides(list(overrides))
-    jobs = BasicSweeper.split_arguments(parsed, max_batch_size=None)[0]
-    first: dict[tuple[str, ...], tuple[str, ...]] = {}
-    for job in jobs:
-        rest = tuple(o for o in job if not SEED.fullmatch(o))
-        first.setdefault(rest, tuple(job))
-    return list(dict.fromkeys(first.values()))
+def _check_choices(overrides: Sequence[Override]) -> None:
+    """A group is chosen from by name."""
+    loader = GlobalHydra.instance().config_loader()
+    for override in overrides:
+        key, value = override.key_or_group, override.value()
+        if isinstance(value, int | float) and not override.is_delete():
+            options = loader.get_group_options(key) if key else []
+            if options:
+                raise ConfigError(unknown(f"{key}={value}", options))
+
+
+def _check_values(overrides: Sequence[Override], mode: RunMode) -> None:
+    """Several values are for a sweep, which needs at least one."""
+    for override in overrides:
+        if not override.is_sweep_override():
+            continue
+        text = override.input_line
+        if mode is RunMode.RUN:
+            raise ConfigError(
+                f"{text}: is several values; sweep over them with -m, or write a list in []"
+            )
+        if override.is_discrete_sweep() and not list(override.sweep_string_iterator()):
+            raise ConfigError(
+                f"{text}: has no values, so there is nothing to do; give at least one"
+            )
+
+
+def _show(hydra: Hydra, parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
+    """What Hydra itself tells of a configuration that may be composed."""
+    overrides, mode = arguments.overrides, RunMode.MULTIRUN if arguments.multirun else RunMode.RUN
+    _whole(tuple(overrides), mode)
+    if arguments.hydra_help:
+        hydra.hydra_help("config", parser, arguments)
+    elif arguments.cfg:
+        hydra.show_cfg(
+            "config", whole_space(overrides), arguments.cfg, arguments.package, arguments.resolve
+        )
+    else:
+        hydra.show_info(arguments.info, "config", whole_space(overrides), mode)
+
+
+def _refuse_option(message: str) -> NoReturn:
+    raise ConfigError(
+        f"{message.removeprefix('unrecognized arguments: ')}: is no option; settings have no "
+        "dashes, as in seed=1; see --help"
+    )
 
 
 _ended_by: int = signal.SIGINT
@@ -202,13 +284,3 @@ def guarded(job: Callable[[], object], after: Callable[[], int] = lambda: OK) ->
 def _say(error: BaseException, code: int) -> int:
     print(f"error: {redacted(one_line(error))}", file=sys.stderr)
     return code
-
-
-def one_line(error: BaseException) -> str:
-    """The message of an error in one line, the file first if it is about one."""
-    if isinstance(error, OSError) and error.filename and error.strerror:
-        return f"{error.filename}: {error.strerror}"
-    lines = (line.strip() for line in str(error).splitlines())
-    noise = ("full_key", "object_type", "reference_type", "Config search path", "provider=")
-    told = " ".join(line for line in lines if line and not line.startswith(noise))
-    return "".join(one if one.isprintable() else repr(one)[1:-1] for one in told)

@@ -23,7 +23,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from experiments.arena import chosen_method, plan
-from experiments.build import ConfigError, build, build_optimizer
+from experiments.build import ConfigError, build_optimizer
 from experiments.cli import OK, SOME_FAILED, command, composed
 from experiments.comparison import COMPARISON
 from experiments.sweep import Wanted, mirrors, sweep, wanted
@@ -32,6 +32,14 @@ from miho.optim import MIHO
 from miho.study import Store, write_text
 
 DEFAULT = "experiment=compare"
+SETTINGS = {
+    "experiment": "what is compared; experiment --help lists them",
+    "comparison.repetitions": "runs of each method, with seeds 0, 1, ...",
+    "comparison.methods": "'+comparison.methods.pso_100={}' adds one of optimizer --help",
+    "comparison.processes": "runs at a time, where several problems are compared",
+    "budget.evaluations, budget.seconds": "what a run may spend; it ends at the first of them",
+    "root, fresh": "where results go; fresh=true sets aside what is outdated",
+}
 failed: list[str] = []
 
 
@@ -134,7 +142,12 @@ def summary() -> int:
     return SOME_FAILED if failed else OK
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """The command."""
     if not any(argument.startswith("experiment=") for argument in sys.argv):
         sys.argv.append(DEFAULT)
-    command(compare, build, summary)
+    command(compare, summary, settings=SETTINGS)
+
+
+if __name__ == "__main__":
+    main()

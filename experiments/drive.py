@@ -41,6 +41,14 @@ from miho.driving.track import Track
 from miho.driving.vehicle import Vehicle
 from miho.study import write_text
 
+SETTINGS = {
+    "experiment": "ims_obstacle or lvms_laps, the field tests of the paper",
+    "track, vehicle, controller": "where is driven, with which car, controlled how",
+    "drive.known": "what planner and controllers know of the car: identified or truth",
+    "drive.top_speed, .distance": "[m/s] and [m]; see --cfg job for all of drive",
+    "optimizer, seed": "what identifies the car, and the noise of all measurements",
+    "root": "where log, figure and table go",
+}
 OVALS = {"ims": ims, "lvms": lvms}
 
 
@@ -163,4 +171,4 @@ def _one_line() -> Iterator[None]:
 
 
 if __name__ == "__main__":
-    command(drive, check)
+    command(drive, settings=SETTINGS)

@@ -31,6 +31,13 @@ from miho.analysis.laps import lap_figure, lap_table, lap_text
 from miho.study import write_text
 from miho.study.workers import Workers
 
+SETTINGS = {
+    "experiment": "identification_buys",
+    "comparison.repetitions": "how many seeds",
+    "sweep.processes": "laps at a time",
+    "seed": "the first of the seeds",
+    "root": "where laps, table and figure go",
+}
 NEEDED = ("miho", "least_squares")
 POLL = 0.5
 TIME_LIMIT = 1800.0
@@ -126,4 +133,4 @@ def _after() -> int:
 
 
 if __name__ == "__main__":
-    command(study, check, _after)
+    command(study, _after, settings=SETTINGS)

@@ -12,13 +12,11 @@ from typing import Any
 
 from hydra.core.plugins import Plugins
 from hydra.plugins.launcher import Launcher
-from hydra.plugins.sweeper import Sweeper
 from omegaconf import DictConfig, OmegaConf
 
 from experiments.targets import nested_target
 
-PLUGINS = {"launcher": Launcher, "sweeper": Sweeper}
-FREE = {"launcher", "sweeper", "mode", "verbose", "overrides", "runtime", "job"}
+FREE = {"launcher", "mode", "verbose", "overrides", "runtime", "job"}
 FREE_OF_JOB = {"name", "override_dirname", "id", "num", "config_name"}
 SHELL = ("setup", "teardown", "srun_args", "additional_parameters", "python")
 """Settings of launchers that become shell commands on a cluster."""
@@ -48,7 +46,7 @@ def check_arguments(arguments: argparse.Namespace) -> None:
 
 
 def check_hydra(chosen: DictConfig, usual: DictConfig, overrides: Sequence[str]) -> None:
-    """Refuse settings of Hydra other than a choice of plugins and their plain settings.
+    """Refuse settings of Hydra other than a choice of a launcher and its plain settings.
 
     `chosen` and `usual` are the nodes `hydra` of the composed configuration and of the one
     without overrides. What a launcher passes to a shell must be typed in `overrides`.
@@ -56,30 +54,24 @@ def check_hydra(chosen: DictConfig, usual: DictConfig, overrides: Sequence[str])
     new, old = _plain(chosen), _plain(usual)
     _check_same(new, old, "hydra", FREE)
     _check_same(new["job"], old["job"], "hydra.job", FREE_OF_JOB)
-    for key, kind in PLUGINS.items():
-        node = dict(new[key])
-        target = node.pop("_target_", None)
-        names = sorted(f"{one.__module__}.{one.__name__}" for one in _installed(kind))
-        if target not in names:
-            raise HydraSettingError(
-                f"hydra.{key}._target_: {str(target)[:80]!r} is not a plugin of Hydra that is "
-                f"installed; allowed are {', '.join(names)}"
-            )
-        inner = nested_target(node, f"hydra.{key}")
-        if inner:
-            raise HydraSettingError(f"{inner}: hydra.{key} holds a target of its own; remove it")
-        if "hydra." in str(node.get("params") or ""):
-            raise HydraSettingError(f"hydra.{key}.params: cannot set hydra; remove that")
+    node = dict(new["launcher"])
+    target = node.pop("_target_", None)
+    launchers = Plugins.instance().discover(Launcher)
+    names = sorted(f"{launcher.__module__}.{launcher.__name__}" for launcher in launchers)
+    if target not in names:
+        raise HydraSettingError(
+            f"hydra.launcher._target_: {str(target)[:80]!r} is not a plugin of Hydra that is "
+            f"installed; allowed are {', '.join(names)}"
+        )
+    inner = nested_target(node, "hydra.launcher")
+    if inner:
+        raise HydraSettingError(f"{inner}: hydra.launcher holds a target of its own; remove it")
     for key in SHELL:
         typed = any(text.lstrip("+").startswith(f"hydra.launcher.{key}") for text in overrides)
         if new["launcher"].get(key) and not typed:
             raise HydraSettingError(
                 f"hydra.launcher.{key}: reaches a shell, so it must be typed on the command line"
             )
-
-
-def _installed(kind: type) -> list[type]:
-    return list(Plugins.instance().discover(kind))
 
 
 def _check_same(new: Mapping[str, Any], old: Mapping[str, Any], place: str, free: set[str]) -> None:

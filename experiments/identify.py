@@ -6,7 +6,9 @@ python -m experiments.identify -m optimizer=miho,pso_100 'seed=range(10)' sweep.
 
 from __future__ import annotations
 
+import shlex
 from collections import Counter
+from functools import partial
 
 import pandas as pd
 from omegaconf import DictConfig
@@ -15,10 +17,20 @@ from experiments.build import build
 from experiments.cli import OK, SOME_FAILED, command
 from experiments.run import line, report, run
 from experiments.sweep import Done, mirrors, sweep, wanted
-from experiments.sweep_command import finished, sweep_settings
+from experiments.sweep_command import finished, run_sweep, sweep_settings
 from miho.study import Status, Store
 from miho.study.changes import refuse_changes
 
+SETTINGS = {
+    "model, dataset, space": "what is identified, from which data, and where to search",
+    "optimizer, loss": "with which method, and what it minimises",
+    "budget.evaluations, budget.seconds": "what a run may spend; it ends at the first of them",
+    "seed": "the repetition; with -m several, as in 'seed=range(10)'",
+    "root, fresh": "where results go; fresh=true sets aside what is outdated",
+    "space.NAME.low, .high, .scale": "the box of a parameter; 'space={a: {...}}' is a whole one",
+    "sweep.processes, .dry_run": "with -m: how many runs at a time; list the runs and do none",
+    "tracking": "mlflow: mirror finished runs there",
+}
 failed: list[str] = []
 
 
@@ -60,13 +72,23 @@ def summary() -> int:
     bad = [done for done in finished if done.reason is not None]
     for done in bad:
         print(f"{done.status}: {done.wanted.asked}: {done.reason}")
-    roots = dict.fromkeys(done.wanted.root for done in finished if done.error is not None)
-    for root in roots:
-        print(f"how far to trust the best of them: python -m experiments.report {root}")
+    for root in dict.fromkeys(done.wanted.root for done in finished if done.error is not None):
+        print(_report_of(root))
     counts = Counter(done.status for done in finished)
     told = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
     print(f"{len(finished)} runs: {told}")
     return SOME_FAILED if bad else OK
+
+
+def _report_of(root: str) -> str:
+    """The command that reports on the runs of a root; --trust where their model is a file."""
+    models = (done.wanted.identity.config["model"] for done in finished if done.wanted.root == root)
+    files = sorted({str(model["path"]) for model in models if "path" in model})
+    what = f" (--trust runs {', '.join(files)})" if files else ""
+    trust = " --trust" if files else ""
+    return f"how far to trust the best of them{what}: " + (
+        f"python -m experiments.report {shlex.quote(root)}{trust}"
+    )
 
 
 def _tell_errors(runs: list[Done]) -> None:
@@ -82,5 +104,10 @@ def _tell_errors(runs: list[Done]) -> None:
         print(errors.agg(["count", "min", "median", "max"]).to_string(float_format="%.5g"))
 
 
+def main() -> None:
+    """The command."""
+    command(identify, summary, sweep=partial(run_sweep, identify), settings=SETTINGS)
+
+
 if __name__ == "__main__":
-    command(identify, lambda cfg: wanted(cfg, "", [cfg.seed]), summary)
+    main()

@@ -19,7 +19,8 @@ import numpy as np
 from tqdm import tqdm
 
 from experiments.build import ConfigError, rebuild
-from experiments.cli import OK, SOME_FAILED, guarded, one_line
+from experiments.cli import OK, SOME_FAILED, guarded
+from experiments.explain import one_line
 from experiments.report_page import figures_of, page_of, provenance
 from experiments.report_sweep import best_runs, read_sweep, write_sweep
 from experiments.report_tables import interval_kind, parameter_table, text, values_table

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 
 from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
 from hydra.core.plugins import Plugins
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
-from experiments.build import ConfigError
 from experiments.cli import composed
+from experiments.explain import ConfigError, whole_space
 from experiments.schema import SweepConfig
 from experiments.sweep import Done, Wanted, found, sweep, wanted
 from miho.study import Status
@@ -26,25 +25,28 @@ OURS = ("seed", "fresh", "sweep")
 
 
 def run_sweep(
-    arguments: list[str], context: HydraContext, task: TaskFunction, config: DictConfig
+    task: TaskFunction, context: HydraContext, config: DictConfig, overrides: Sequence[Override]
 ) -> list[Done]:
-    """Do what the arguments of -m ask for, here or by a launcher, and keep it in `finished`.
+    """Do what the overrides of -m ask for, here or by a launcher, and keep it in `finished`.
 
     A launcher gets one job for each setting but for the seed, which does all seeds; what became of
     them is then read from the results.
     """
-    plan = groups(tuple(arguments))
+    plan = groups(overrides)
     runs = [one for group, seeds in plan for one in _wanted(group, seeds)]
     settings = sweep_settings(config)
-    asked = [argument for argument in arguments if not _ours(argument, ("fresh", "sweep"))]
     if config.hydra.launcher._target_ == BASIC or settings.dry_run:
+        asked = [str(o.input_line) for o in overrides if not _ours(o, ("fresh", "sweep"))]
         how = {"fresh": config.fresh, "overrides": asked, "tracking": config.tracking}
         return sweep(runs, settings, ended=finished, **how)
     launcher = Plugins.instance().instantiate_launcher(
         hydra_context=context, task_function=task, config=config
     )
-    typed = [argument for argument in arguments if _ours(argument, ("fresh", "sweep"))]
-    jobs = [[*group, *typed, f"sweep.seeds=[{','.join(map(str, seeds))}]"] for group, seeds in plan]
+    typed = [str(o.input_line) for o in overrides if _ours(o, ("fresh", "sweep"))]
+    jobs = [
+        [*whole_space(group), *typed, f"sweep.seeds=[{','.join(map(str, seeds))}]"]
+        for group, seeds in plan
+    ]
     try:
         launcher.launch(jobs, initial_job_idx=0)
     except Exception as error:  # noqa: BLE001 -- a job of the launcher died; the others are stored
@@ -71,27 +73,28 @@ def sweep_settings(config: DictConfig) -> SweepConfig:
     return settings
 
 
-@cache
-def groups(arguments: tuple[str, ...]) -> list[tuple[tuple[str, ...], list[int]]]:
+def groups(overrides: Sequence[Override]) -> list[tuple[tuple[str, ...], list[int]]]:
     """The settings of a sweep but for the seed, each with its seeds, in the order asked."""
-    parsed = OverridesParser.create().parse_overrides(list(arguments))
-    jobs = BasicSweeper.split_arguments(parsed, max_batch_size=None)[0]
-    found: dict[tuple[str, ...], dict[int, None]] = {}
+    jobs = BasicSweeper.split_arguments(list(overrides), max_batch_size=None)[0]
+    seeds_of: dict[tuple[str, ...], dict[int, None]] = {}
     for job in jobs:
-        rest = tuple(one for one in job if not _ours(one, OURS))
-        seeds = [one.partition("=")[2] for one in job if one.startswith("seed=")]
-        found.setdefault(rest, {})[_whole(seeds[-1]) if seeds else 0] = None
-    return [(rest, list(seeds)) for rest, seeds in found.items()]
+        rest = tuple(text for text in job if not _is_of(text.partition("=")[0].lstrip("+~"), OURS))
+        seeds = [text.partition("=")[2] for text in job if text.startswith("seed=")]
+        seeds_of.setdefault(rest, {})[_whole(seeds[-1]) if seeds else 0] = None
+    return [(rest, list(seeds)) for rest, seeds in seeds_of.items()]
 
 
 def _whole(seed: str) -> int:
     if not seed.isdecimal():
-        raise ConfigError(f"seed: is {seed!r}; expected a whole number of at least 0")
+        raise ConfigError(f"seed: is {seed}; expected a whole number of at least 0")
     return int(seed)
 
 
-def _ours(argument: str, keys: Sequence[str]) -> bool:
-    key = argument.partition("=")[0].lstrip("+~")
+def _ours(override: Override, keys: Sequence[str]) -> bool:
+    return _is_of(override.key_or_group, keys)
+
+
+def _is_of(key: str, keys: Sequence[str]) -> bool:
     return key.partition(".")[0] in keys
 
 

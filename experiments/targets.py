@@ -44,9 +44,10 @@ class TargetError(ValueError):
 def find_target(path: object, kind: type[T]) -> Callable[..., T]:
     """The class or function at a dotted path that makes a `kind`.
 
-    Allowed are the public names of our packages and the methods in `baselines`, those it has from
-    `miho.methods` included, found by reading their source; only what is allowed is imported. Raises TargetError for any other path, and
-    ImportError where the library that a method wraps is missing.
+    Allowed are the public names of our packages and the methods in `baselines`, those that it has
+    from `miho.methods` included, found by reading their source; only what is allowed is imported.
+    Raises TargetError for any other path, and ImportError where the library that a method wraps is
+    missing.
     """
     home, _, name = path.rpartition(".") if isinstance(path, str) else ("", "", "")
     for package in HOMES[kind]:

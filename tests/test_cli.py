@@ -1,7 +1,10 @@
 """The commands, as a user types them: results, one-line errors, exit codes, nothing left behind."""
 
 import json
+import math
 import os
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -9,14 +12,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
-from hydra.core.global_hydra import GlobalHydra
 
 from experiments import compare as comparing
 from experiments import figures
 from experiments import identify as identifying
-from experiments.build import build
-from experiments.cli import command
 from experiments.faults.isolation import MODEL
 from miho import load_runs
 
@@ -32,7 +33,7 @@ def identify(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> Command:
     """Run `experiments.identify` in this process: exit code, standard output and error."""
-    return _command(monkeypatch, capsys, tmp_path, identifying.identify, identifying.summary)
+    return _command(monkeypatch, capsys, tmp_path, identifying.main)
 
 
 @pytest.fixture
@@ -40,23 +41,21 @@ def compare(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> Command:
     """The same for `experiments.compare`."""
-    return _command(monkeypatch, capsys, tmp_path, comparing.compare, comparing.summary)
+    return _command(monkeypatch, capsys, tmp_path, comparing.main)
 
 
 def _command(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
-    task: Callable[..., None],
-    after: Callable[[], int],
+    main: Callable[[], None],
 ) -> Command:
     def run(*arguments: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["command", *arguments, f"root={tmp_path / 'runs'}"])
         identifying.finished.clear()
         identifying.failed.clear()
-        GlobalHydra.instance().clear()
         with pytest.raises(SystemExit) as end:
-            command(task, build, after)
+            main()
         return (int(end.value.code or 0), *capsys.readouterr())
 
     return run
@@ -97,16 +96,19 @@ def missing_coefficient(tmp_path: Path) -> list[str]:
 BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "unknown optimizer": (
         ["optimizer=foo"],
-        "optimizer/foo' Available options in 'optimizer': cma_es",
+        "optimizer=foo: is unknown; allowed are cma_es, dehb",
     ),
     "R = 0": (["optimizer.R=0"], "R is 0; expected a whole number of at least 1"),
     "R is a word": (["optimizer.R=many"], "optimizer.R: is 'many'; expected a value of type int"),
     "low > high": (["space.B.low=300"], "'B': low is 300.0 and high is 200.0"),
     "unknown setting": (["optimizer.alpha=1"], "optimizer.alpha: is unknown; allowed are"),
-    "unknown key": (["sed=1"], "sed: is unknown; allowed are model, dataset, space"),
-    "unknown in space": (["space.B.lo=1"], "space.B.lo: is unknown; allowed are unit, low"),
-    "wrong type": (["space.B.low=wide"], "Value 'wide' of type 'str'"),
-    "half an evaluation": (["budget.evaluations=1.5"], "budget.evaluations=1.5"),
+    "unknown key": (["xyz=1"], "xyz: is unknown; allowed are model, dataset, space"),
+    "unknown in space": (["space.B.lo=1"], "did you mean low? allowed are unit, low"),
+    "wrong type": (["space.B.low=wide"], "space.B.low: is 'wide'; expected a number"),
+    "half an evaluation": (
+        ["budget.evaluations=1.5"],
+        "budget.evaluations: is 1.5; expected a whole number",
+    ),
     "no evaluation": (["budget.evaluations=0"], "budget.evaluations is 0"),
     "negative seed": (["seed=-1"], "seed: is -1"),
     "a foreign target": (["model._target_=os.system"], "model._target_: 'os.system' is not"),
@@ -119,7 +121,7 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "a launcher that is none": (["hydra.launcher._target_=os.system"], "is not a plugin of Hydra"),
     "a launcher with a target": (["+hydra.launcher.x={_target_: os.getcwd}"], "holds a target"),
     "a private target": (["dataset._target_=miho.data.csv._lines"], "that gives a Dataset"),
-    "an unknown key, added": (["+sed=1"], "sed: is unknown; allowed are model"),
+    "an unknown key, added": (["+sed=1"], "sed: is unknown; did you mean seed? allowed are model"),
     "an unknown limit, added": (["+budget.dollars=1"], "unexpected keyword argument 'dollars'"),
     "a range without end": (
         ["space.B.sigma_max=inf"],
@@ -142,8 +144,34 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "no path given": (["dataset=csv"], "dataset.path: is missing; give it on the command line"),
     "no such file": (["dataset=csv", "dataset.path=no/such.csv"], "no/such.csv: No such file"),
     "not a tire": (["dataset.tire=xx"], "xx:1:1: there is no such file"),
-    "no override at all": (["=3"], "Config group override must be a string"),
-    "a bad choice in a sweep": (["-m", "optimizer=random,foo", "dataset.n=10"], "optimizer/foo"),
+    "no key": (["=3"], "=3: has no key; write KEY=VALUE"),
+    "a bad choice in a sweep": (
+        ["-m", "optimizer=random,foo", "dataset.n=10"],
+        "optimizer=foo: is unknown",
+    ),
+    "a word like another": (["sede=1"], "sede: is unknown; did you mean seed?"),
+    "a choice like another": (["optimizer=mhio"], "optimizer=mhio: is unknown; did you mean miho?"),
+    "a group like another": (["optimiser=miho"], "did you mean optimizer?"),
+    "a setting of another choice": (
+        ["dataset.path=my.csv"],
+        "path is a setting of dataset=axle_log, dataset=brake_log, dataset=csv",
+    ),
+    "a trailing comma": (["seed=1,"], "seed=1,: ends with a comma; remove it"),
+    "a seed that is no whole number": (["seed=1.5"], "seed: is 1.5; expected a whole number"),
+    "several values without -m": (["seed=1,2"], "seed=1,2: is several values; sweep over them"),
+    "no values": (["-m", "seed=range(0)"], "seed=range(0): has no values, so there is nothing to"),
+    "no override": (["my.csv"], "my.csv: is no setting; write KEY=VALUE"),
+    "no option": (["--seed", "3"], "--seed: is no option; settings have no dashes"),
+    "a number for a choice": (["budget=5"], "budget=5: is unknown; allowed are default"),
+    "a shell's brackets": (
+        ["dataset.units={a: m/s^2}"],
+        "quote the whole override",
+    ),
+    "a space that is incomplete": (
+        ["space={B: {unit: 1/rad, low: 1}}"],
+        "space.B.high: is missing",
+    ),
+    "no such folder": (["--config-dir", "no/such"], "--config-dir: no/such is not a folder"),
     "a bad value in a sweep": (["-m", "dataset.n=10,0"], "at least one sample"),
     "a .tir without a coefficient": (missing_coefficient, "PKY1"),
     "a CSV with a text cell": (text_cell, "cell.csv:3:5: 'many' in column 'Fy'"),
@@ -164,6 +192,133 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert err.count("\n") == 1
     assert message in err
     assert sorted(tmp_path.rglob("*")) == before
+
+
+MINE = """\
+# @package _global_
+# Mine.
+defaults: [override /model: function, override /dataset: csv, override /space: null]
+model: {{path: {folder}/decay.py}}
+dataset: {{path: {folder}/my.csv, columns: [t, y], units: [s, V], output: y}}
+space: {{a: {{unit: V, low: 0, high: 5}}, b: {{unit: 1/s, low: 0.01, high: 10, scale: log}}}}
+"""
+DECAY = """\
+import numpy as np
+def decay(t: "s", *, a: "V", b: "1/s") -> "V":
+    return a * np.exp(-b * t)
+"""
+
+
+@pytest.fixture
+def own(tmp_path: Path) -> Path:
+    """A folder of options with an experiment of one's own, its model and its data beside it."""
+    folder = tmp_path / "own options"
+    (folder / "experiment").mkdir(parents=True)
+    (folder / "experiment" / "mine.yaml").write_text(MINE.format(folder=folder))
+    (folder / "decay.py").write_text(DECAY)
+    rows = (f"{t},{2 * math.exp(-1.5 * t)}" for t in np.linspace(0, 2, 20))
+    (folder / "my.csv").write_text("\n".join(["t,y", *rows]) + "\n")
+    return folder
+
+
+def test_a_folder_of_further_options(identify: Command, own: Path, tmp_path: Path) -> None:
+    chosen = ["--config-dir", str(own), "experiment=mine", "optimizer=least_squares"]
+    code, out, err = identify(*chosen)
+    assert code == 0, err
+    assert "decay-my" in out
+    code, out, err = identify(*chosen, "-m", "seed=0,1")
+    assert code == 0, err
+    assert out.splitlines()[-1] == "2 runs: 1 ran, 1 done before"
+    # What the hint says can be typed, and reports on the runs of a model that is code in a file.
+    (hint,) = (line for line in out.splitlines() if line.startswith("how far to trust"))
+    words = shlex.split(hint.partition(": ")[2])
+    assert words == ["python", "-m", "experiments.report", str(tmp_path / "runs"), "--trust"]
+    assert f"--trust runs {own / 'decay.py'}" in hint
+    assert "Mine." in identify("--config-dir", str(own), "experiment", "--help")[1]
+
+
+def test_a_space_on_the_command_line_replaces_the_chosen_one(identify: Command, own: Path) -> None:
+    space = "space={a: {unit: V, low: 1, high: 3}, b: {unit: 1/s, low: 1, high: 2}}"
+    for chosen in (
+        ["--config-dir", str(own), "experiment=mine"],
+        ["model=function", f"model.path={own / 'decay.py'}", "dataset=csv",
+         f"dataset.path='{own / 'my.csv'}'", "dataset.columns=[t,y]", "dataset.units=[s,V]",
+         "dataset.output=y"],
+    ):  # fmt: skip
+        code, out, _ = identify(*chosen, space, "--cfg", "job", "--package", "space")
+        assert code == 0
+        assert {line for line in out.splitlines() if line.startswith("  low")} == {"  low: 1.0"}
+        assert identify(*chosen, space, "optimizer=least_squares")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "message"),
+    [
+        (
+            "experiment/mine.yaml",
+            "hydra: {callbacks: {x: {_target_: os.system}}}",
+            "hydra.callbacks",
+        ),
+        ("experiment/mine.yaml", "hydra: {searchpath: ['pkg://antigravity']}", "hydra.searchpath"),
+        ("experiment/mine.yaml", "hydra: {job: {env_set: {PYTHONPATH: x}}}", "hydra.job.env_set"),
+        ("experiment/mine.yaml", "hydra: {launcher: {setup: [touch x]}}", "Key 'setup' not in"),
+        ("experiment/mine.yaml", "model: {_target_: os.system}", "model._target_: 'os.system'"),
+        ("schema.yaml", "hydra: {callbacks: {x: {_target_: os.system}}}", "holds a schema.yaml"),
+    ],
+)
+def test_a_received_folder_cannot_run_code(
+    identify: Command, own: Path, tmp_path: Path, file: str, text: str, message: str
+) -> None:
+    (own / file).write_text(f"# @package _global_\n{text}\n")
+    for sweep in ([], ["-m"]):
+        code, out, err = identify("--config-dir", str(own), "experiment=mine", *sweep)
+        assert (code, out) == (2, "")
+        assert err.startswith("error: ")
+        assert err.count("\n") == 1
+        assert message in err
+    assert not (tmp_path / "runs").exists()
+
+
+def test_only_identify_sweeps(compare: Command) -> None:
+    code, _, err = compare("experiment=compare", "-m", "seed=0,1")
+    assert code == 2
+    assert "python -m experiments.identify -m" in err
+
+
+def test_help_is_short_and_of_each_command(identify: Command, compare: Command) -> None:
+    texts = [run("--help")[1] for run in (identify, compare)]
+    assert texts[0] != texts[1]
+    for text, own_setting in zip(texts, ("sweep.dry_run", "comparison.repetitions"), strict=True):
+        assert len(text.splitlines()) < 40
+        assert max(map(len, text.splitlines())) <= 100
+        assert own_setting.rpartition(".")[2] in text
+    code, out, _ = identify("dataset=csv", "--help")
+    assert code == 0
+    assert out.strip() == (ROOT / "conf" / "dataset" / "csv.yaml").read_text().strip()
+    code, out, _ = identify("loss", "--help")
+    assert [line.split()[0] for line in out.splitlines()[1:]] == ["cauchy", "huber", "square"]
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash")
+@pytest.mark.parametrize(
+    ("typed", "completed"),
+    [
+        ("optimizer=pso_c", ["pso_constriction"]),
+        ("optim", ["optimizer="]),
+        ("-m optimizer=miho,pso_c", ["pso_constriction"]),
+        ("seed=0 loss=", ["cauchy", "huber", "square"]),
+    ],
+)
+def test_completion(identify: Command, typed: str, completed: list[str]) -> None:
+    script = identify("--shell-completion")[1]
+    line = f"python -m experiments.identify {typed}"
+    program = (
+        f"COMP_LINE='{line}' COMP_POINT={len(line)}; _miho; printf '%s\n' \"${{COMPREPLY[@]}}\""
+    )
+    done = subprocess.run(
+        ["bash", "-c", f"{script}\n{program}"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == completed
 
 
 @pytest.mark.parametrize(

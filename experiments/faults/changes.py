@@ -11,7 +11,7 @@ from experiments.faults.identifying import CHECKOUT, TINY
 from experiments.faults.row import Row
 from miho.study import load_runs
 
-PARTS = ("miho", "baselines", "experiments", "conf", "hydra_plugins")
+PARTS = ("miho", "baselines", "experiments", "conf")
 CSV = "alpha,Fy\n" + "".join(f"{x / 100},{-2000 * x / 100 + 3 * (x % 3)}\n" for x in range(-30, 31))
 
 

@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 HOUR = 3600.0
 SIMULATED, REAL = 5.0, 0.2
 TOLERANCE, CHUNK = 1e-3, 0.03
-SOURCES = ("miho", "baselines", "experiments", "hydra_plugins")
+SOURCES = ("miho", "baselines", "experiments")
 SUMMER_TIME_ENDS = "X0Y,0/0,365/23"
 """A time zone in POSIX form, always in summer time; `UTC` after it sets local time back an hour."""
 

@@ -39,7 +39,7 @@ BAD = {
     "hydra.job.chdir=true": "hydra.job.chdir: cannot be changed",
     "hydra.launcher._target_=os.system": "'os.system' is not a plugin of Hydra",
     "hydra.launcher._target_=hydra._internal.core_plugins.basic_launcher.log.error": "is not a",
-    "hydra.sweeper._target_=hydra_plugins.mine.os.system": "is not a plugin of Hydra",
+    "hydra.sweeper._target_=hydra_plugins.mine.os.system": "hydra.sweeper: cannot be changed",
     "+hydra.launcher.x={_target_: os.getcwd}": "hydra.launcher holds a target of its own",
     "+hydra.launcher.x=[{_target_: os.getcwd}]": r"hydra.launcher.x\[0\]._target_: ",
 }

@@ -22,7 +22,7 @@ ALLOWED = {
 
 
 def sources() -> list[Path]:
-    folders = ("miho", "baselines", "experiments", "hydra_plugins")
+    folders = ("miho", "baselines", "experiments")
     return sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
 
 

@@ -1,0 +1,124 @@
+"""What is wrong with a command line or a received configuration, in one line with a remedy."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from hydra.core.config_loader import ConfigLoader
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import Override
+from hydra.errors import HydraException, MissingConfigException
+from omegaconf import DictConfig
+from omegaconf.errors import (
+    ConfigAttributeError,
+    ConfigKeyError,
+    OmegaConfBaseException,
+    ValidationError,
+)
+from omegaconf.nodes import BooleanNode, FloatNode, IntegerNode
+
+EXPECTED = {IntegerNode: "a whole number", FloatNode: "a number", BooleanNode: "true or false"}
+HIDDEN = ("hydra", "_target_")
+LISTED = 40
+
+
+class ConfigError(ValueError):
+    """One line naming the key, what is wrong with it and what is allowed."""
+
+
+def unknown(key: str, allowed: Iterable[object]) -> str:
+    """Of a key or a choice that does not exist: what is like it, and all that is allowed."""
+    names = [str(name) for name in allowed if name not in HIDDEN]
+    last = key.rpartition("=" if "=" in key else ".")[2]
+    close = difflib.get_close_matches(last, names, n=1)
+    guess = f"; did you mean {close[0]}?" if close else ";"
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return f"{key}: is unknown{guess} allowed are {', '.join(names[:LISTED])}{more}"
+
+
+def parsed(texts: Sequence[str]) -> list[Override]:
+    """The overrides of a command line; raises ConfigError for one that cannot be read."""
+    parser = OverridesParser.create()
+    overrides = []
+    for text in texts:
+        try:
+            overrides += parser.parse_overrides([text])
+        except HydraException:
+            raise ConfigError(_unreadable(text)) from None
+        if not overrides[-1].key_or_group:
+            raise ConfigError(f"{text}: has no key; write KEY=VALUE, such as seed=1")
+    return overrides
+
+
+def whole_space(texts: Sequence[str]) -> list[str]:
+    """The overrides with `space={...}` meaning that space and nothing of the chosen one."""
+    whole: list[str] = []
+    for text, override in zip(texts, parsed(texts), strict=True):
+        replaces = override.key_or_group == "space" and isinstance(override.value(), dict)
+        whole += ["~space", f"+{text.lstrip('+')}"] if replaces else [text]
+    return whole
+
+
+def _unreadable(text: str) -> str:
+    if text.endswith(","):
+        return f"{text}: ends with a comma; remove it, or give a further value"
+    if "=" not in text:
+        return f"{text}: is no setting; write KEY=VALUE, such as seed=1 or optimizer=miho"
+    return (
+        f"{text}: cannot be read; quote the whole override for the shell, "
+        'and inside brackets "m/s^2"'
+    )
+
+
+def explained(error: Exception, overrides: Sequence[Override], loader: ConfigLoader) -> str:
+    """What Hydra found wrong with a composition, from what it knows and not from its words."""
+    cause = error.__cause__
+    if isinstance(error, MissingConfigException) and error.options is not None:
+        group, _, name = str(error.missing_cfg_file).rpartition("/")
+        typed = any(override.key_or_group == group for override in overrides)
+        place = "" if typed else f"{str(error).partition(':')[0]}: "  # the file that chooses it
+        return place + unknown(f"{group}={name}", error.options)
+    node = getattr(cause, "parent_node", None)
+    if isinstance(cause, ConfigKeyError | ConfigAttributeError) and isinstance(node, DictConfig):
+        key = str(cause.full_key)
+        return unknown(key, node) + _having(key, loader)
+    if isinstance(cause, ValidationError) and isinstance(node, DictConfig):
+        expected = EXPECTED.get(type(node._get_node(cause.key)))
+        values = [o.value() for o in overrides if o.key_or_group == cause.full_key]
+        if expected and values:
+            return f"{cause.full_key}: is {values[-1]!r}; expected {expected}"
+    message = one_line(error)
+    if isinstance(cause, OmegaConfBaseException):
+        message += f": {one_line(cause)}"
+    return message
+
+
+def _having(key: str, loader: ConfigLoader) -> str:
+    """The options of its group that have a setting which the chosen one lacks."""
+    group, _, setting = key.partition(".")
+    line = re.compile(rf"^\s*{re.escape(setting)}:", re.MULTILINE)
+    names = [name for name in loader.get_group_options(group) if setting]
+    having = [f"{group}={name}" for name in names if line.search(source(loader, group, name))]
+    return f"; {setting} is a setting of {', '.join(having)}" if having else ""
+
+
+def source(loader: ConfigLoader, group: str, option: str) -> str:
+    """The file of an option with its comments; empty for one that a package registers."""
+    for place in loader.get_sources():
+        if place.scheme() == "file" and place.is_config(f"{group}/{option}"):
+            file = Path(place.path) / group / f"{option}.yaml"
+            return file.read_text(encoding="utf-8").strip()
+    return ""
+
+
+def one_line(error: BaseException) -> str:
+    """The message of an error in one line, the file first if it is about one."""
+    if isinstance(error, OSError) and error.filename and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    lines = (line.strip() for line in str(error).splitlines())
+    noise = ("full_key", "object_type", "reference_type", "Config search path", "provider=")
+    message = " ".join(line for line in lines if line and not line.startswith(noise))
+    return "".join(c if c.isprintable() else repr(c)[1:-1] for c in message)
