@@ -180,7 +180,8 @@ def _composed(overrides: Sequence[str], mode: RunMode) -> DictConfig:
     hydra = GlobalHydra.instance().hydra
     if hydra is None:
         raise RuntimeError("Hydra is not initialized")
-    return hydra.compose_config("config", list(overrides), mode, from_shell=False)
+    whole: DictConfig = hydra.compose_config("config", list(overrides), mode, from_shell=False)
+    return whole
 
 
 def _without_hydra(whole: DictConfig) -> DictConfig:

@@ -19,21 +19,35 @@ class Observer(Protocol):
         """Show where the run stands."""
 
 
+def spent(budget: Budget, evaluations: float, seconds: float) -> tuple[float, float]:
+    """The share of the budget that is spent, by the limit that is nearer, and the seconds left.
+
+    The seconds are the most that are left, at the speed so far; math.inf without a limit or before
+    the first evaluation.
+    """
+    share, left = 0.0, math.inf
+    if budget.seconds is not None:
+        share, left = seconds / budget.seconds, budget.seconds - seconds
+    if budget.evaluations is not None and evaluations:
+        share = max(share, evaluations / budget.evaluations)
+        left = min(left, seconds * (budget.evaluations / evaluations - 1))
+    return min(share, 1.0), max(left, 0.0)
+
+
 @contextmanager
 def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
     """A bar that fills with the budget and shows the best error; silent if not on a terminal."""
-    in_seconds = budget.evaluations is None and budget.seconds is not None
-    total = budget.seconds if in_seconds else budget.evaluations
-    layout = "{percentage:3.0f}% |{bar}| {desc}" if total else "{desc}"
-    with tqdm(total=total, desc=title, leave=False, disable=None, bar_format=layout) as bar:
+    limited = budget.evaluations is not None or budget.seconds is not None
+    layout = "{percentage:3.0f}% |{bar}| {desc}" if limited else "{desc}"
+    with tqdm(total=1.0, desc=title, leave=False, disable=None, bar_format=layout) as bar:
 
         def observe(oracle: Oracle) -> None:
-            spent = oracle.meter.seconds if in_seconds else oracle.evaluations
-            bar.n = min(spent, total) if total else spent
+            bar.n, left = spent(budget, oracle.evaluations, oracle.meter.seconds)
             error = math.sqrt(max(0.0, oracle.best))
+            most = f", at most {left:.0f} s left" if math.isfinite(left) else ""
             bar.set_description_str(
                 f"{title}: {error:.5g} {unit}, {oracle.evaluations:,.0f} evaluations, "
-                f"{oracle.meter.seconds:.1f} s"
+                f"{oracle.meter.seconds:.1f} s{most}"
             )
 
         yield observe

@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import datetime
-import importlib
+import importlib.util
 import json
 import logging
 import math
@@ -27,6 +27,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -325,8 +326,15 @@ def main() -> int:
     )
     if arguments.uri is None:
         address = f"sqlite:///{tracker.lock.with_suffix('')}"
-        print(f"look at them: mlflow ui --backend-store-uri {shlex.quote(address)}")
+        print(f"look at them: {pages_need()}mlflow ui --backend-store-uri {shlex.quote(address)}")
     return SOME_FAILED if done.failed else OK
+
+
+def pages_need() -> str:
+    """What to install before the pages can be looked at: the extra only writes, and stays light."""
+    if importlib.util.find_spec("flask") is not None:
+        return ""
+    return f"pip install mlflow=={version('mlflow-skinny')} && "
 
 
 def run() -> None:

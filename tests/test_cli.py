@@ -216,7 +216,9 @@ def own(tmp_path: Path) -> Path:
     (folder / "experiment").mkdir(parents=True)
     (folder / "experiment" / "mine.yaml").write_text(MINE.format(folder=folder))
     (folder / "decay.py").write_text(DECAY)
-    rows = (f"{t},{2 * math.exp(-1.5 * t)}" for t in np.linspace(0, 2, 20))
+    rows = (
+        f"{t},{2 * math.exp(-1.5 * t) + 0.05 * math.cos(40 * t)}" for t in np.linspace(0, 2, 20)
+    )
     (folder / "my.csv").write_text("\n".join(["t,y", *rows]) + "\n")
     return folder
 

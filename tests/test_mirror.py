@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field, replace
+from importlib.metadata import version
 from pathlib import Path
 from urllib.parse import unquote, urlparse
 
@@ -33,7 +34,7 @@ from experiments.mirror import (
     told,
     word,
 )
-from experiments.sync import connect
+from experiments.sync import connect, pages_need
 from miho import Budget, load_runs, minimize
 from miho.optim import RandomSearch
 from miho.study import Identity, Store, StoredRun, execute
@@ -227,6 +228,16 @@ def test_mlflow_is_an_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     for start in (lambda: mlflow_mirror(tmp_path, None, None), lambda: connect(tmp_path)):
         with pytest.raises(MissingLibraryError, match=r"pip install 'miho\[mlflow\]'"):
             start()
+
+
+@pytest.mark.parametrize("flask", [False, True])
+def test_what_the_pages_need_is_said(flask: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The extra writes with mlflow-skinny; its `mlflow ui` ends in "No module named 'flask'"."""
+    pytest.importorskip("mlflow")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: object() if flask else None)
+    install = f"pip install mlflow=={version('mlflow-skinny')} && "
+    assert pages_need().endswith("" if flask else install)
+    assert bool(pages_need()) is not flask
 
 
 def test_a_configuration_chooses(tmp_path: Path) -> None:

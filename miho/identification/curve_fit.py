@@ -15,6 +15,7 @@ from miho.identification.compressed import CompressedLoss
 from miho.identification.fused import FusedLoss
 from miho.identification.loss import Loss, Square, slope
 from miho.models.expression import Expression
+from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.optim.climb import Climb
 from miho.optim.problem import LeastSquaresProblem, mean_square
@@ -42,6 +43,9 @@ class CurveFit(LeastSquaresProblem):
     that is an `Expression` is compiled, and evaluates batches on `threads` threads. `compressed`
     takes it, to 1e-9 of itself, from far fewer values than points, if the model has one input and
     a `bound`; residuals, derivatives and lower fidelities stay those of the points.
+
+    A plain function may stand for the model, with annotations as `miho.models.FunctionModel`
+    describes them; its `linear` parameters are then declared by giving that class itself.
     """
 
     model: Model
@@ -53,6 +57,7 @@ class CurveFit(LeastSquaresProblem):
     compressed: bool = False
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "model", _model(self.model))
         model, dataset = self.model, self.dataset
         called = model.name or type(model).__name__
         if self.space.names != tuple(model.parameters):
@@ -232,6 +237,18 @@ class CurveFit(LeastSquaresProblem):
         if self._square:
             return derivatives
         return np.asarray(slope(self.rho, self.errors(theta))[:, None] * derivatives)
+
+
+def _model(given: object) -> Model:
+    """A model as it is, and a function made into one."""
+    if isinstance(given, Model):
+        return given
+    if callable(given) and not isinstance(given, type):
+        return FunctionModel(given)
+    raise ValueError(
+        f"the model is {given!r}; expected an object of a model class, such as Pacejka(), or a "
+        'function such as: def decay(t: "s", *, a: "V", b: "1/s") -> "V"'
+    )
 
 
 def _difference(called: str, needed: Sequence[str], given: Sequence[str]) -> str:

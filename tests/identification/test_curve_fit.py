@@ -158,3 +158,27 @@ class Product(published.Line):
 
     def predict(self, thetas: np.ndarray, *inputs: np.ndarray) -> np.ndarray:
         return thetas[:, :1] * thetas[:, 1:] * inputs[0]
+
+
+def decay(t: "s", *, a: "V", b: "1/s") -> "V":  # type: ignore[name-defined] # noqa: F821
+    return a * np.exp(-b * t)
+
+
+def test_a_function_is_a_model() -> None:
+    t = np.linspace(0, 2, 50)
+    data = Dataset("d", {"t": t, "y": 2 * np.exp(-1.5 * t)}, {"t": "s", "y": "V"}, "y")
+    space = Space((Parameter("a", "V", 0, 5), Parameter("b", "1/s", 0.01, 10, scale="log")))
+    fit = CurveFit(decay, data, space)  # type: ignore[arg-type]
+    assert fit.name == "decay-d"
+    assert fit.loss(np.array([[2.0, 1.5]]))[0] == 0
+    for wrong, message in (
+        (
+            lambda t, a, b: a,
+            "argument 't' has no unit; annotate it with a string, such as t: \"m\"",
+        ),
+        (Pacejka, "expected an object of a model class"),
+        ("decay", "the model is 'decay'; expected"),
+    ):
+        with pytest.raises(ValueError, match=message) as caught:
+            CurveFit(wrong, data, space)  # type: ignore[arg-type]
+        assert "\n" not in str(caught.value)
