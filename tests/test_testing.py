@@ -1,15 +1,26 @@
 """The conformance suite catches what it is there to catch."""
 
+import re
+import signal
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from miho import AskTell, Optimizer, Oracle, Space
+import miho.testing
+from miho import AskTell, Budget, Optimizer, Oracle, Space, minimize
 from miho.models import Model, Pacejka
-from miho.testing import CHECKS, ConformanceError, check_model, check_optimizer, run_check
+from miho.testing import (
+    CHECKS,
+    ConformanceError,
+    DecayFit,
+    check_model,
+    check_optimizer,
+    run_check,
+)
 
 Array = NDArray[np.float64]
 
@@ -25,6 +36,8 @@ class Sound(AskTell[dict[str, Any]]):
         return {"space": space, "rng": rng, "batch": batch, "told": 0}
 
     def ask(self, state: dict[str, Any]) -> Array:
+        if self.fault == "asks for nothing":
+            return np.empty((0, 2))
         if self.fault == "ask moves":
             state["batch"] = state["batch"] * 0.999
         if self.fault == "leaves the box":
@@ -57,6 +70,28 @@ class Swallows(Optimizer):
                 oracle.meter.evaluations -= 1
 
 
+@dataclass(frozen=True)
+class Silent(Optimizer):
+    """Searches without asking, sooner or later."""
+
+    asks: int = 0
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        for _ in range(self.asks):
+            oracle(oracle.space.decode(oracle.space.initial(1)))
+        while True:
+            rng.random()
+
+
+@dataclass(frozen=True)
+class Raises(Optimizer):
+    """Has a mistake."""
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        oracle(oracle.space.decode(oracle.space.initial(1)))
+        np.linalg.inv(np.zeros((2, 2)))  # the line of the mistake
+
+
 class Plain(Optimizer):
     """Not a dataclass."""
 
@@ -79,6 +114,7 @@ def test_a_sound_method_passes() -> None:
         ("global randomness", "repeats_with_the_same_seed"),
         ("edits its batch", "asks_without_side_effects"),
         ("chokes on infinity", "survives_unusable_values"),
+        ("asks for nothing", "keeps_the_budget_exactly"),
     ],
 )
 def test_a_fault_is_caught(fault: str, check: str) -> None:
@@ -95,6 +131,38 @@ def test_a_declared_failure_must_fail() -> None:
 def test_hiding_the_budget_is_caught() -> None:
     with pytest.raises(ConformanceError, match="keeps_the_budget_exactly"):
         run_check("keeps_the_budget_exactly", Swallows(), {})
+
+
+@pytest.mark.parametrize("asks", [0, 3])
+@pytest.mark.parametrize("check", ["keeps_the_budget_exactly", "repeats_with_the_same_seed"])
+def test_a_method_that_asks_for_nothing_is_ended(
+    monkeypatch: pytest.MonkeyPatch, asks: int, check: str
+) -> None:
+    """Directly, and in a run whose warm-up and whose failures are caught."""
+    monkeypatch.setattr(miho.testing, "PATIENCE", 0.2)
+    with pytest.raises(ConformanceError, match=f"{check}: NoEvaluation: it computed for 0.2 CPU"):
+        run_check(check, Silent(asks), {})
+    assert signal.getitimer(signal.ITIMER_VIRTUAL) == (0.0, 0.0)
+
+
+def test_where_a_method_raises_is_said() -> None:
+    lines = Path(__file__).read_text(encoding="utf-8").splitlines()
+    (line,) = (i for i, text in enumerate(lines, 1) if text.endswith("# the line of the mistake"))
+    said = f"LinAlgError: Singular matrix (test_testing.py:{line})"
+    with pytest.raises(ConformanceError, match=re.escape(f"keeps_the_budget_exactly: {said}")):
+        check_optimizer(Raises())
+    record = minimize(Raises(), DecayFit(), Budget(evaluations=10))
+    assert record.error is not None
+    assert record.error.splitlines()[-1] == f"numpy.linalg.{said}"
+
+
+def test_a_method_outside_of_the_box_is_counted() -> None:
+    record = minimize(Sound("leaves the box"), DecayFit(), Budget(evaluations=700))
+    problem = DecayFit()
+    minimize(Sound("leaves the box"), problem, Budget(evaluations=700))
+    thetas = np.array(problem.thetas)[1:]  # the first is of the warm-up
+    assert record.outside == np.count_nonzero(~problem.space.contains(thetas)) > 100
+    assert minimize(Sound(), DecayFit(), Budget(evaluations=700)).outside == 0
 
 
 def test_a_plain_class_is_caught() -> None:

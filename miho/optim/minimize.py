@@ -6,6 +6,7 @@ import contextlib
 import copy
 import math
 import signal
+import sys
 import threading
 import time
 import traceback
@@ -13,6 +14,7 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
 
@@ -58,7 +60,9 @@ class RunRecord:
 
     `theta` (d,) in units and `loss` are the best seen, None and math.inf if nothing was finite.
     `seconds` is the method's clock; imports, compilation and warm-up are in `setup_seconds`.
-    `rejected` counts unusable values by reason; `error` holds the traceback of a failed run.
+    `rejected` counts unusable values by reason; `error` holds the traceback of a failed run, with
+    the line of the method's file at its end. `outside` counts evaluations outside of the box, but
+    for those of compiled blocks.
     `checkpoint` resumes a method that can be resumed (AskTell), else it is None; so it is after
     an interrupt that struck in the middle of a step.
     """
@@ -74,6 +78,7 @@ class RunRecord:
     rejected: Mapping[str, int]
     error: str | None = None
     checkpoint: Checkpoint | None = None
+    outside: int = 0
 
 
 def minimize(
@@ -116,8 +121,9 @@ def minimize(
         outcome = Outcome.INTERRUPTED
     except KeyboardInterrupt:
         outcome, oracle.state = Outcome.INTERRUPTED, None
-    except (Exception, SystemExit):  # noqa: BLE001 -- a failed run is a result: its curve is kept
-        outcome, error, oracle.state = Outcome.FAILED, traceback.format_exc(), None
+    except (Exception, SystemExit) as raised:  # noqa: BLE001 -- a failed run is a result: its curve is kept
+        outcome, oracle.state = Outcome.FAILED, None
+        error = f"{traceback.format_exc().rstrip()} ({raised_at(raised, optimizer)})\n"
     oracle.stop()
     meter = oracle.meter
     target = oracle.budget.target
@@ -140,7 +146,19 @@ def minimize(
         rejected=dict(meter.rejected),
         error=error,
         checkpoint=resumable,
+        outside=meter.outside,
     )
+
+
+def raised_at(error: BaseException, optimizer: Optimizer) -> str:
+    """File and line of what a method raised: the last line of its own file, else the last of all.
+
+    The last line of all may be deep in a library that the method calls.
+    """
+    lines = traceback.extract_tb(error.__traceback__)
+    own = getattr(sys.modules.get(type(optimizer).__module__), "__file__", None)
+    line = ([line for line in lines if line.filename == own] or lines)[-1]
+    return f"{Path(line.filename).name}:{line.lineno}"
 
 
 def _resumable(

@@ -69,4 +69,8 @@ class AskTell(Optimizer, Generic[State]):
         while not self.done(state):
             if not self.leap(state, oracle):
                 thetas = self.ask(state)
+                if not len(thetas):
+                    raise ValueError(
+                        f"{type(self).__name__}.ask gives no configuration, though done is false"
+                    )
                 self.tell(state, thetas, oracle(thetas))

@@ -63,7 +63,8 @@ class Meter:
     """What a run has spent and seen; with the method's state, all that a resumed run needs.
 
     `unfinished` holds the losses of a batch that was cut: the same batch, asked again, goes on
-    behind them. `rejected` counts the values that could not be used, by reason.
+    behind them. `rejected` counts the values that could not be used, by reason. `outside` counts
+    configurations outside of the space's box: their values are used, but a method is to stay in it.
     """
 
     evaluations: float = 0
@@ -73,6 +74,7 @@ class Meter:
     trace: Trace = field(default_factory=Trace)
     rejected: Counter[str] = field(default_factory=Counter)
     unfinished: list[float] = field(default_factory=list)
+    outside: int = 0
 
     def reject(self, reason: str, count: int = 1) -> None:
         """Count values that cannot be used; beyond some kinds of reason, together."""
@@ -112,6 +114,7 @@ class Oracle:
         self.meter = Meter() if meter is None else meter
         self.state: Any = None
         self.interrupted = False
+        self._box = self.space.rounded
         self._problem = problem
         self._limit = math.inf if budget.evaluations is None else budget.evaluations
         self._deadline = math.inf if budget.seconds is None else budget.seconds
@@ -167,6 +170,7 @@ class Oracle:
                 if not len(rows):
                     raise BudgetExhausted
                 started = self.seconds
+                self._count_outside(rows)
                 chunk = self._losses(rows, fidelity)
                 self._record(rows, chunk, cost, started)
                 losses = np.concatenate((losses, chunk)) if losses.size else chunk
@@ -187,6 +191,7 @@ class Oracle:
         problem = self._least_squares
         self._check_open()
         started = self.seconds
+        self._count_outside(theta[None])
         try:
             residuals = _real(problem.residuals(_read_only(theta)))
             loss = self._usable(mean_square(residuals)[None])
@@ -301,6 +306,12 @@ class Oracle:
         if rows * cost > self.remaining:
             rows = int(self.remaining / cost)
         return rows
+
+    def _count_outside(self, rows: Array) -> None:
+        """Count the rows outside of the box. Those of a compiled block are not looked at."""
+        within = (rows >= self._box[0]) & (rows <= self._box[1])
+        if b"\0" in within.tobytes():  # a quarter of the time of within.all()
+            self.meter.outside += len(rows) - int(np.count_nonzero(within.all(axis=1)))
 
     def _losses(self, rows: Array, fidelity: float) -> Array:
         """The problem's losses; +inf, with its reason counted, for a row that has none."""

@@ -150,10 +150,16 @@ class Space:
         """The nearest points of the box, in units, (..., d)."""
         return np.minimum(np.maximum(thetas, self.low), self.high)
 
+    @cached_property
+    def rounded(self) -> tuple[Array, Array]:
+        """The bounds in units, wider by one rounding of the log scale."""
+        slack = 4 * np.finfo(float).eps * np.maximum(np.abs(self.low), np.abs(self.high))
+        return self.low - slack, self.high + slack
+
     def contains(self, thetas: Array) -> NDArray[np.bool_]:
         """Which rows lie in the box, up to one rounding of the log scale, (n,)."""
-        slack = 4 * np.finfo(float).eps * np.maximum(np.abs(self.low), np.abs(self.high))
-        inside = (thetas >= self.low - slack) & (thetas <= self.high + slack)
+        low, high = self.rounded
+        inside = (thetas >= low) & (thetas <= high)
         return np.asarray(inside.all(axis=-1))
 
     def sample(self, n: int, rng: np.random.Generator, sampling: str = "normal") -> Array:

@@ -225,4 +225,5 @@ def _result(identity: Identity, record: RunRecord, space: Space) -> dict[str, An
         "cpu_seconds": record.cpu_seconds,
         "setup_seconds": record.setup_seconds,
         "rejected": dict(record.rejected),
+        "outside": record.outside,
     }
