@@ -211,6 +211,20 @@ class Report:
             self.at.quantile(self.level) * spread,
         )
 
+    def __repr__(self) -> str:
+        """One line: of which problem, with which error."""
+        error = f"error {self.error:.5g} {self.problem.unit}"
+        return f"<Report of {self.problem.name}: {', '.join(self.problem.space.names)}; {error}>"
+
+    def __str__(self) -> str:
+        """The parameters with their best intervals, the error, and what the numbers mean."""
+        kinds = ("profile", "bootstrap", "linearised")
+        kind = next(kind for kind in kinds if f"{kind} low" in self.parameters)
+        shown = ["parameter", "value", "unit", "standard error", f"{kind} low", f"{kind} high"]
+        table = self.parameters[shown].to_string(index=False, float_format="%.5g")
+        error = f"error: {self.error:.5g} {self.problem.unit}"
+        return "\n\n".join([table, "\n".join([error, *(f"- {note}" for note in self.notes)])])
+
     @property
     def tables(self) -> Mapping[str, pd.DataFrame]:
         """All tables by name, those that have rows."""

@@ -43,6 +43,18 @@ def test_every_table_of_a_tire(tire: Report) -> None:
     assert {"bootstrap low", "linearised low"} <= set(tire.derived.columns)
 
 
+def test_it_prints_in_words(tire: Report) -> None:
+    assert len(repr(tire).splitlines()) == 1
+    assert "pacejka-" in repr(tire)
+    lines = str(tire).splitlines()
+    assert lines[0].split() == [
+        "parameter", "value", "unit", "standard", "error", "profile", "low", "profile", "high"
+    ]  # fmt: skip
+    assert [line.split()[0] for line in lines[1:6]] == ["B", "C", "D", "Sx", "Sy"]
+    assert lines[7].startswith("error: ")
+    assert [line.removeprefix("- ") for line in lines[8:]] == tire.notes
+
+
 def test_it_says_what_is_wrong_in_words(tire: Report) -> None:
     notes = "\n".join(tire.notes)
     assert "B and C are hard to tell apart: their correlation is -0.9" in notes
