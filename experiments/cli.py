@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from types import FrameType, MappingProxyType
-from typing import NoReturn
+from typing import NoReturn, cast
 
 from hydra import version
 from hydra._internal.callbacks import Callbacks
@@ -173,7 +173,7 @@ def _once(overrides: tuple[str, ...], mode: RunMode, places: tuple[str, ...]) ->
 def _usual() -> DictConfig:
     """What is said to Hydra where nobody says anything."""
     with _hydra():
-        return _composed((), RunMode.RUN).hydra
+        return cast(DictConfig, _composed((), RunMode.RUN).hydra)
 
 
 def _composed(overrides: Sequence[str], mode: RunMode) -> DictConfig:
