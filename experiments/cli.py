@@ -196,10 +196,13 @@ def _check_choices(overrides: Sequence[Override]) -> None:
     loader = GlobalHydra.instance().config_loader()
     for override in overrides:
         key, value = override.key_or_group, override.value()
-        if isinstance(value, int | float) and not override.is_delete():
-            options = loader.get_group_options(key) if key else []
-            if options:
-                raise ConfigError(unknown(f"{key}={value}", options))
+        if override.is_delete() or not isinstance(value, int | float | None):
+            continue
+        options = loader.get_group_options(key)
+        if options and value is None:
+            raise ConfigError(f"{key}=null: is no choice; ~{key} leaves it out")
+        if options:
+            raise ConfigError(unknown(f"{key}={value}", options))
 
 
 def _check_values(overrides: Sequence[Override], mode: RunMode) -> None:

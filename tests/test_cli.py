@@ -162,6 +162,7 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "no values": (["-m", "seed=range(0)"], "seed=range(0): has no values, so there is nothing to"),
     "no override": (["my.csv"], "my.csv: is no setting; write KEY=VALUE"),
     "no option": (["--seed", "3"], "--seed: is no option; settings have no dashes"),
+    "nothing for a choice": (["space=null"], "space=null: is no choice; ~space leaves it out"),
     "a number for a choice": (["budget=5"], "budget=5: is unknown; allowed are default"),
     "a shell's brackets": (
         ["dataset.units={a: m/s^2}"],
@@ -392,6 +393,7 @@ def test_a_run_that_is_killed_leaves_the_others_and_the_comparison_undrawn(
     model = tmp_path / "fatal.py"
     model.write_text(MODEL.format(how="kill"), encoding="utf-8")
     monkeypatch.setattr(comparing, "failed", [])
+    monkeypatch.setattr(comparing, "DEFAULT", "seed=0")
     methods = "+comparison.methods.random={batch: 1}", "+comparison.methods.pso_100={}"
     small = ["comparison.repetitions=1", "budget.evaluations=2000", "budget.seconds=null"]
     own = ["model=function", f"model.path={model}", "dataset.n=40"]
@@ -409,6 +411,7 @@ def test_a_method_that_raises_leaves_the_others_and_the_comparison_undrawn(
 ) -> None:
     pytest.importorskip("nevergrad")
     monkeypatch.setattr(comparing, "failed", [])
+    monkeypatch.setattr(comparing, "DEFAULT", "seed=0")
     methods = "+comparison.methods.random={}", "+comparison.methods.ngopt={plan: null}"
     small = ["comparison.repetitions=1", "budget.seconds=0.2", "budget.evaluations=null"]
     code, out, err = compare(*methods, *small, "dataset=tire_lf", "dataset.n=40")

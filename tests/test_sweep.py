@@ -11,6 +11,7 @@ from omegaconf import DictConfig
 from experiments import manifest
 from experiments.build import ConfigError
 from experiments.cli import composed
+from experiments.explain import parsed
 from experiments.schema import SweepConfig, register
 from experiments.sweep import Done, Wanted, _done, found, sweep, wanted
 from experiments.sweep_command import groups, sweep_settings
@@ -38,11 +39,12 @@ def statuses(runs: list[Done]) -> list[Status]:
 
 
 def test_seeds_of_one_setting_are_one_group_in_the_order_asked() -> None:
-    found = groups(("optimizer=random,miho", "seed=3,1,3", "sweep.processes=2", "fresh=true"))
+    typed = ("optimizer=random,miho", "seed=3,1,3", "sweep.processes=2", "fresh=true")
+    found = groups(parsed(typed))
     assert found == [(("optimizer=random",), [3, 1]), (("optimizer=miho",), [3, 1])]
-    assert groups(("optimizer=random",)) == [(("optimizer=random",), [0])]
+    assert groups(parsed(["optimizer=random"])) == [(("optimizer=random",), [0])]
     with pytest.raises(ConfigError, match="seed: is 'x'"):
-        groups(("seed=x",))
+        groups(parsed(["seed=x"]))
 
 
 @pytest.mark.parametrize("setting", ["processes=0", "time_limit=0"])
