@@ -144,7 +144,7 @@ def summary() -> int:
 
 def main() -> None:
     """The command."""
-    if not any(argument.startswith("experiment=") for argument in sys.argv):
+    if not any(argument.startswith(("experiment=", "--help", "-h")) for argument in sys.argv):
         sys.argv.append(DEFAULT)
     command(compare, summary, settings=SETTINGS)
 

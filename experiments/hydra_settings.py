@@ -53,6 +53,9 @@ def check_hydra(chosen: DictConfig, usual: DictConfig, overrides: Sequence[str])
     """
     new, old = _plain(chosen), _plain(usual)
     _check_same(new, old, "hydra", FREE)
+    for key in ("job", "launcher"):
+        if not isinstance(new.get(key), Mapping):
+            raise HydraSettingError(f"hydra.{key}: is not a mapping; leave it as it is")
     _check_same(new["job"], old["job"], "hydra.job", FREE_OF_JOB)
     node = dict(new["launcher"])
     target = node.pop("_target_", None)

@@ -291,10 +291,12 @@ def test_only_identify_sweeps(compare: Command) -> None:
 def test_help_is_short_and_of_each_command(identify: Command, compare: Command) -> None:
     texts = [run("--help")[1] for run in (identify, compare)]
     assert texts[0] != texts[1]
-    for text, own_setting in zip(texts, ("sweep.dry_run", "comparison.repetitions"), strict=True):
+    names = "identify", "compare"
+    for text, name, own_setting in zip(texts, names, ("seed", "repetitions"), strict=True):
+        assert f"python -m experiments.{name}" in text
         assert len(text.splitlines()) < 40
         assert max(map(len, text.splitlines())) <= 100
-        assert own_setting.rpartition(".")[2] in text
+        assert own_setting in text
     code, out, _ = identify("dataset=csv", "--help")
     assert code == 0
     assert out.strip() == (ROOT / "conf" / "dataset" / "csv.yaml").read_text().strip()

@@ -37,6 +37,7 @@ BAD = {
     "hydra.output_subdir=x": "hydra.output_subdir: cannot be changed",
     "+hydra.job.env_set.PYTHONPATH=/tmp": "hydra.job.env_set: cannot be changed",
     "hydra.job.chdir=true": "hydra.job.chdir: cannot be changed",
+    "hydra.launcher=x": "hydra.launcher: is not a mapping",
     "hydra.launcher._target_=os.system": "'os.system' is not a plugin of Hydra",
     "hydra.launcher._target_=hydra._internal.core_plugins.basic_launcher.log.error": "is not a",
     "hydra.sweeper._target_=hydra_plugins.mine.os.system": "hydra.sweeper: cannot be changed",
