@@ -49,7 +49,7 @@ def line(experiment: Experiment, execution: Execution) -> str:
     if result["loss"] is not None:
         found = f"{math.sqrt(result['loss']):.5g} {experiment.problem.unit}"
     outside = result.get("outside", 0)
-    remark = f", {outside:,} of them outside of the box" if outside else ""
+    remark = f", at least {outside:,} of them outside of the box" if outside else ""
     return (
         f"{head}{found}, {result['evaluations']:,.0f} evaluations{remark}, "
         f"{result['seconds']:.2f} s ({execution.status})"
@@ -95,7 +95,7 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     if result["rejected"]:
         rows.append(("rejected", ", ".join(f"{n} x {r}" for r, n in result["rejected"].items())))
     if result.get("outside"):
-        rows.append(("outside", f"{result['outside']:,} evaluations were outside of the box"))
+        rows.append(("outside", f"at least {result['outside']:,} evaluations, beyond the box"))
     rows.append(("run", str(stored.folder)))
     try:
         made = reported(problem, stored)

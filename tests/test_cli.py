@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -68,6 +69,15 @@ def test_identify_prints_parameters_error_and_gap(identify: Command, tmp_path: P
         assert word in out
     assert len(load_runs(tmp_path / "runs").runs) == 1
     assert "(done before)" in identify(*QUICK)[1]
+
+
+def test_a_method_that_leaves_the_box_is_remarked(identify: Command) -> None:
+    """The authors' code clips at lower bounds only, and so does this choice."""
+    small = ["optimizer.R=300", "dataset.n=200", "budget.evaluations=3000"]
+    out = identify("optimizer=miho_reference", *small)[1]
+    assert re.search(r"evaluations, at least \d+ of them outside of the box", out)
+    assert re.search(r"^outside +at least \d+ evaluations", out, re.MULTILINE)
+    assert "outside" not in identify("optimizer=miho", *small)[1]
 
 
 @pytest.mark.slow
@@ -310,7 +320,7 @@ def test_help_is_short_and_of_each_command(identify: Command, compare: Command) 
     [
         ("optimizer=pso_c", ["pso_constriction"]),
         ("optim", ["optimizer="]),
-        ("-m optimizer=miho,pso_c", ["pso_constriction"]),
+        ("-m optimizer=miho,pso_c", ["miho,pso_constriction"]),
         ("seed=0 loss=", ["cauchy", "huber", "square"]),
     ],
 )

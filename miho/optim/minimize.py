@@ -61,8 +61,8 @@ class RunRecord:
     `theta` (d,) in units and `loss` are the best seen, None and math.inf if nothing was finite.
     `seconds` is the method's clock; imports, compilation and warm-up are in `setup_seconds`.
     `rejected` counts unusable values by reason; `error` holds the traceback of a failed run, with
-    the line of the method's file at its end. `outside` counts evaluations outside of the box, but
-    for those of compiled blocks.
+    the line of the method's file at its end. `outside` counts evaluations outside of the box, in
+    compiled blocks only those that improve.
     `checkpoint` resumes a method that can be resumed (AskTell), else it is None; so it is after
     an interrupt that struck in the middle of a step.
     """
