@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
 from tqdm import tqdm
 
 from miho.optim import Budget, Oracle
+
+REFRESH_SECONDS = 1.0
 
 
 class Observer(Protocol):
@@ -51,3 +54,31 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
             )
 
         yield observe
+
+
+@contextmanager
+def at_work(title: str) -> Iterator[Callable[[str], None]]:
+    """Give a function that is told each stage; stage and seconds show once a second.
+
+    A thread shows them, so that a stage that takes long is seen to be alive; silent if not on a
+    terminal.
+    """
+    done = threading.Event()
+    with tqdm(leave=False, disable=None, bar_format=f"{title}: {{desc}}{{elapsed}}") as bar:
+
+        def each(stage: str) -> None:
+            bar.set_description_str(f"{stage} ", refresh=False)
+
+        def refresh() -> None:
+            while not done.wait(REFRESH_SECONDS):
+                bar.refresh()
+
+        thread = threading.Thread(target=refresh, daemon=True)
+        if not bar.disable:
+            thread.start()
+        try:
+            yield each
+        finally:
+            done.set()
+            if thread.is_alive():
+                thread.join()

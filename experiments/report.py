@@ -5,6 +5,7 @@ python -m experiments.report runs/identify                     # ROOT/report.htm
 python -m experiments.report runs/identify --quick             # without intervals
 python -m experiments.report runs/identify/PROBLEM/METHOD/ID   # one run
 python -m experiments.report runs/identify --bootstrap 1000    # with bootstrap intervals
+python -m experiments.report runs/identify/PROBLEM/METHOD/ID --check  # is there a better optimum?
 """
 
 from __future__ import annotations
@@ -16,16 +17,24 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 from experiments.build import ConfigError, rebuild
 from experiments.cli import OK, SOME_FAILED, guarded
 from experiments.explain import one_line
+from experiments.optimum import CHECK_SECONDS, check, descents_of, remedy
+from experiments.progress import at_work
 from experiments.report_page import figures_of, page_of, provenance
 from experiments.report_sweep import best_runs, read_sweep, write_sweep
-from experiments.report_tables import interval_kind, parameter_table, text, values_table
+from experiments.report_tables import (
+    error_table,
+    interval_kind,
+    parameter_table,
+    text,
+    values_table,
+)
 from miho.analysis.sweep_page import Best
 from miho.identification import CurveFit, Report, make_report
+from miho.identification.report import SECONDS
 from miho.models.identified import Identified, Value, parameters_text
 from miho.study import StoredRun, read_run, single_thread, write_bytes, write_text
 from miho.study.places import inside
@@ -38,27 +47,30 @@ def reported(problem: CurveFit, stored: StoredRun, **settings: Any) -> Report:
     """The report on a finished run of a problem; `settings` are those of `make_report`."""
     if not sys.stderr.isatty():
         print(f"report of {problem.name}: running", file=sys.stderr, flush=True)
-    with tqdm(leave=False, disable=None, bar_format="report: {desc}{n_fmt}") as bar:
-
-        def each(stage: str) -> None:
-            bar.set_description_str(f"{stage} ", refresh=False)
-            bar.update()
-
-        with single_thread():
-            return make_report(problem, np.array(stored.result["theta"]), each=each, **settings)
+    result = stored.result
+    known = {
+        "descents": descents_of(stored),
+        "best_known": result.get("facts", {}).get("optimum"),
+        "remedy": remedy(problem, stored),
+    }
+    with at_work("report") as each, single_thread():
+        return make_report(problem, np.array(result["theta"]), each=each, **known | settings)
 
 
 def write(report: Report, stored: StoredRun, folder: Path) -> Path:
     """Write the page, the tables, the figures and parameters.json; the page's path."""
     folder.mkdir(parents=True, exist_ok=True)
-    for name, table in report.tables.items():
-        write_text(folder / f"{name}.csv", table.to_csv(index=False))
-    settings = stored.config["model"]
-    write_text(folder / PARAMETERS, parameters_text(identified(report, stored), settings))
-    figures = figures_of(report)
-    for name, picture in figures.items():
-        write_bytes(folder / f"{name}.png", picture)
-    write_text(folder / PAGE, page_of(report, stored, figures))
+    with at_work("report") as each:
+        each("tables")
+        for name, table in report.tables.items():
+            write_text(folder / f"{name}.csv", table.to_csv(index=False))
+        settings = stored.config["model"]
+        write_text(folder / PARAMETERS, parameters_text(identified(report, stored), settings))
+        each("figures")
+        figures = figures_of(report)
+        for name, picture in figures.items():
+            write_bytes(folder / f"{name}.png", picture)
+        write_text(folder / PAGE, page_of(report, stored, figures))
     return folder / PAGE
 
 
@@ -88,7 +100,15 @@ def identified(report: Report, stored: StoredRun) -> Identified:
             for row in report.derived.to_dict("records")
             if math.isfinite(row["value"])
         },
-        provenance={"error": report.error, **provenance(stored), "interval": chosen},
+        provenance={
+            "error": report.error,
+            "residual_standard_deviation": report.residual_standard_deviation,
+            "degrees_of_freedom": report.freedom,
+            "optimum": (report.standing.doubt and f"in doubt: {report.standing.doubt}")
+            or report.standing.evidence,
+            **provenance(stored),
+            "interval": chosen,
+        },
         level=report.level,
     )  # fmt: skip
 
@@ -105,21 +125,26 @@ def report_folder(stored: StoredRun) -> Path:
 
 def _report(stored: StoredRun, folder: Path, arguments: argparse.Namespace) -> tuple[str, Report]:
     """Write the report of one run; its text, and where the page is."""
-    if stored.result["theta"] is None:
+    result = stored.result
+    if result["theta"] is None:
         raise ConfigError("the run found no finite value, so there is nothing to report")
     problem = rebuild(stored, trusted=arguments.trust)
+    settings: dict[str, Any] = {}
+    if arguments.check is not None:
+        record = check(problem, arguments.check, int(result["seed"]))
+        settings = {"check": record.descents, "better": record.theta}
     made = reported(
         problem,
         stored,
         replicates=arguments.bootstrap,
         profiles=arguments.profile,
         level=arguments.level,
+        seconds=arguments.seconds,
+        **settings,
     )
-    errors = "\n".join(
-        f"error {row['on']}: {row['error']:.5g} {row['unit']} ({row['rows']} rows)"
-        for row in made.errors.to_dict("records")
-    )
-    return f"{text(made)}\n\n{errors}\nreport {write(made, stored, folder)}\n", made
+    errors = error_table(made).to_string(index=False, header=False)
+    page = write(made, stored, folder)
+    return f"{text(made)}\n\n{errors}\noptimum: {made.standing.evidence}\nreport {page}\n", made
 
 
 def _of_run(stored: StoredRun, arguments: argparse.Namespace) -> tuple[Best, bool]:
@@ -156,6 +181,14 @@ def main() -> int:
         "--profile", action=argparse.BooleanOptionalAction, default=None,
         help="profile likelihood; by default for up to 10 parameters",
     )  # fmt: skip
+    parser.add_argument(
+        "--check", type=float, nargs="?", const=CHECK_SECONDS, metavar="SECONDS",
+        help=f"look for a better optimum from independent starts ({CHECK_SECONDS:g} s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--seconds", type=float, default=SECONDS,
+        help=f"for all that was not asked for by name ({SECONDS:g})",
+    )  # fmt: skip
     parser.add_argument("--level", type=float, default=0.95, help="of the intervals (0.95)")
     parser.add_argument("--trust", action="store_true", help="run models in files of your own")
     parser.add_argument(
@@ -165,6 +198,8 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.bootstrap < 0 or not 0 < arguments.level < 1:
         parser.error("--bootstrap must be at least 0 and --level between 0 and 1")
+    if not arguments.seconds > 0 or not (arguments.check is None or arguments.check > 0):
+        parser.error("--seconds and --check must be above 0")
     if (arguments.path / "result.json").is_file():
         if arguments.quick:
             parser.error("--quick is for a root of runs; this is the folder of one run")

@@ -8,7 +8,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.report_tables import correlation_table, derived_table, parameter_table
+from experiments.report_tables import (
+    correlation_table,
+    derived_table,
+    error_table,
+    parameter_table,
+)
 from miho.analysis.page import Section, page, png
 from miho.analysis.quantities import interval
 from miho.analysis.report_figures import Column, fit_figure, profile_figure, residual_figure
@@ -22,7 +27,7 @@ def figures_of(report: Report) -> dict[str, bytes]:
     """The pictures by name."""
     problem = report.problem
     dataset, model = problem.dataset, problem.model
-    errors = Column("error", problem.unit, problem.errors(report.found))
+    errors = Column("error", problem.unit, problem.errors(report.at.theta))
     measured = Column(dataset.output, problem.unit, dataset[dataset.output])
     columns = [
         Column(name, dataset.units[name], values)
@@ -36,9 +41,9 @@ def figures_of(report: Report) -> dict[str, bytes]:
         grid = np.linspace(x.values.min(), x.values.max(), GRID)
         band = (grid, *report.band(grid))
     profiles = {
-        name: (found.values, found.tau)
-        for name, found in zip(problem.space.names, report.profiles, strict=True)
-        if found is not None
+        name: (curve.values, curve.tau)
+        for name, curve in zip(problem.space.names, report.profiles, strict=True)
+        if curve is not None
     }
     figures = {
         "fit": fit_figure(measured, measured.values + errors.values, x, band),
@@ -56,14 +61,22 @@ def page_of(report: Report, stored: StoredRun, figures: Mapping[str, bytes]) -> 
     kinds = [k for k in ("linearised", "profile", "bootstrap") if f"{k} low" in report.parameters]
     sections = [
         Section("Parameters", table=_all_intervals(report, kinds), caption=_explained(report)),
-        Section("What these numbers mean", report.notes or ["Nothing to warn of."]),
+        Section(
+            "What these numbers mean",
+            [*(report.notes or ["nothing to warn of."]), f"optimum: {report.standing.evidence}."],
+        ),
         Section(
             "Fit",
             figure=figures["fit"],
             caption=f"{len(problem.dataset)} rows of {problem.dataset.name}.",
         ),
         Section("Derived quantities", table=derived_table(report)),
-        Section("Errors", table=_rounded(report.errors), caption="Root mean squares."),
+        Section(
+            "Errors",
+            table=error_table(report),
+            caption="Root mean squares; the residual standard deviation is the root of the sum of "
+            "squares by the degrees of freedom.",
+        ),
         Section(
             "Errors by group, left out and seen",
             table=_rounded(report.left_out),
@@ -112,11 +125,15 @@ def _all_intervals(report: Report, kinds: list[str]) -> pd.DataFrame:
 
 def _explained(report: Report) -> str:
     return (
-        f"{100 * report.level:g} % intervals, linearised at the optimum nearby (Student's t with "
+        f"{100 * report.level:g} % intervals{_where(report)}: linearised (Student's t with "
         f"{report.at.freedom} degrees of freedom), by profile likelihood"
         + (f", by {len(report.replicates)} bootstrap replicates." if report.replicates is not None
            else ".")
     )  # fmt: skip
+
+
+def _where(report: Report) -> str:
+    return " of this local optimum, which is in doubt" * bool(report.standing.doubt)
 
 
 def _rounded(frame: pd.DataFrame) -> pd.DataFrame:

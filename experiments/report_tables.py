@@ -62,6 +62,51 @@ def derived_table(report: Report) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
+def error_table(report: Report) -> pd.DataFrame:
+    """The errors as text; of the irreducible one the range, and whether this fit is in it."""
+    rows = []
+    for row in report.errors.to_dict("records"):
+        error, remark = f"{row['error']:.5g}", ""
+        if not math.isnan(row["low"]):
+            error = f"{row['low']:.4g} to {row['high']:.4g}"
+            remark = "estimated from neighbouring points"
+            if report.error <= row["high"]:
+                inside = "within the uncertainty of the estimate"
+                remark += f"; this fit is {inside if report.error >= row['low'] else 'below it'}"
+        rows.append(
+            {
+                "on": row["on"].removesuffix(", about"),
+                "rows": row["rows"],
+                "error": error,
+                "unit": row["unit"],
+                "remark": remark,
+            }
+        )
+    table = pd.DataFrame(rows)
+    return table if table["remark"].any() else table.drop(columns="remark")
+
+
+def error_rows(report: Report) -> list[tuple[str, str]]:
+    """What a terminal says of the errors: the name of each row, and its text."""
+    table = error_table(report).set_index("on")
+    unit = report.problem.unit
+    rows = [
+        ("error", f"{report.error:.5g} {unit} (root mean square)"),
+        (
+            "deviation",
+            f"{report.residual_standard_deviation:.5g} {unit} (residual standard deviation, "
+            f"{report.freedom} degrees of freedom)",
+        ),
+    ]
+    if "held out" in table.index:
+        row = table.loc["held out"]
+        rows.append(("held out", f"{row['error']} {unit} ({row['rows']} rows)"))
+    if "irreducible" in table.index:
+        row = table.loc["irreducible"]
+        rows.append(("irreducible", f"{row['error']} {unit}, {row['remark']}"))
+    return rows
+
+
 def correlation_table(report: Report) -> pd.DataFrame:
     """The correlation matrix as text."""
     text = report.correlation.map(lambda r: "-" if math.isnan(r) else f"{r:+.2f}")

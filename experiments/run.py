@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 import sys
-from functools import cache
 
 import numpy as np
 
 from experiments.build import Experiment
 from experiments.progress import progress
-from miho.identification import CurveFit, Square, linear_optimum
-from miho.identification.validation import error_on, root_mean_square
-from miho.methods.least_squares import LeastSquares
-from miho.optim import Budget, RunRecord, minimize
+from miho.identification import Square, linear_optimum
+from miho.identification.validation import root_mean_square
+from miho.optim import RunRecord, minimize
 from miho.study import Execution, Store, StoredRun, execute
 
 ENDINGS = {"converged": "itself", "budget": "its budget"}
@@ -60,34 +58,39 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     """The identified parameters, how far to trust them and how good they are; writes the page."""
     # Here, because figures take longer to import than a small run takes: only who draws them waits.
     from experiments.report import report_folder, reported, write
-    from experiments.report_tables import text
+    from experiments.report_tables import error_rows, text
 
     problem, result = experiment.problem, stored.result
     if result["theta"] is None:
         reasons = ", ".join(f"{n} x {reason}" for reason, n in result["rejected"].items())
         return f"no finite value was found: {reasons}"
-    error, unit = math.sqrt(result["loss"]), problem.unit
-    known, source = best_known_error(problem)
-    best = min(known, error)
-    gap = f"gap {100 * (error / best - 1) if best else 0:.4f} % ({source})"
-    rows = []
-    measured = root_mean_square(problem.errors(np.array(result["theta"])))
-    rows.append(("error", f"{measured:.5g} {unit} (root mean square)"))
-    held_out = problem.dataset.held_out
-    if held_out is not None:
-        unseen = error_on(problem, np.array(result["theta"]), held_out)
-        rows.append(("held out", f"{unseen:.5g} {unit} ({len(held_out)} rows)"))
-    irreducible = experiment.facts.get("irreducible")
-    if irreducible is not None:
-        reached = "; this fit reaches it" if measured < 1.02 * irreducible else ""
-        rows.append(
-            ("irreducible", f"about {irreducible:.4g} {unit}, from neighbouring points{reached}")
-        )
+    unit = problem.unit
+    rows: list[tuple[str, str]] = []
+    of_run = None
+    try:
+        of_run = reported(problem, stored)
+    except ValueError as reason:
+        theta = np.array(result["theta"])
+        values = zip(problem.space.parameters, result["theta"], strict=True)
+        listed = "\n".join(f"{p.name:<12} {value:.6g} {p.unit}" for p, value in values)
+        findings = f"{listed}\n\n- no standard errors: {reason}"
+        error = root_mean_square(problem.errors(theta))
+        rows.append(("error", f"{error:.5g} {unit} (root mean square)"))
+    else:
+        theta, findings = of_run.at.theta, text(of_run)
+        rows += error_rows(of_run)
+        rows.append(("optimum", of_run.standing.evidence))
+    loss = float(problem.loss(theta[None])[0])
     if not isinstance(problem.rho, Square):
         name = type(problem.rho).__name__
-        rows.append(("loss", f"{error:.5g} {unit} (root of the mean {name} loss)"))
+        rows.append(("loss", f"{math.sqrt(loss):.5g} {unit} (root of the mean {name} loss)"))
+    optimum = experiment.facts.get("optimum")
+    if optimum is not None:
+        best = min(optimum, loss)
+        gap = 100 * (math.sqrt(loss / best) - 1) if best else 0.0
+        source = "closed form" if linear_optimum(problem) else "recorded"
+        rows.append(("best known", f"{math.sqrt(best):.5g} {unit}, gap {gap:.4f} % ({source})"))
     rows += [
-        ("best known", f"{best:.5g} {unit}, {gap}"),
         ("evaluations", f"{result['evaluations']:,.0f}"),
         ("seconds", f"{result['seconds']:.3f} (set-up {result['setup_seconds']:.3f})"),
         ("ended by", ENDINGS.get(result["outcome"], result["outcome"])),
@@ -97,27 +100,6 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     if result.get("outside"):
         rows.append(("outside", f"at least {result['outside']:,} evaluations, beyond the box"))
     rows.append(("run", str(stored.folder)))
-    try:
-        made = reported(problem, stored)
-        findings = text(made)
-        rows.append(("report", str(write(made, stored, report_folder(stored)))))
-    except ValueError as problem_of_report:
-        values = zip(problem.space.parameters, result["theta"], strict=True)
-        found = "\n".join(f"{p.name:<12} {value:.6g} {p.unit}" for p, value in values)
-        findings = f"{found}\n\n- no standard errors: {problem_of_report}"
-    return findings + "\n\n" + "\n".join(f"{name:<12} {told}" for name, told in rows)
-
-
-@cache
-def best_known_error(problem: CurveFit) -> tuple[float, str]:
-    """The smallest error known of a problem, in its unit, and whence it is known.
-
-    The closed-form optimum of a model linear in all its parameters; of other models, that of
-    thorough multi-start least squares.
-    """
-    exact = linear_optimum(problem)
-    if exact is not None:
-        return math.sqrt(exact[1]), "closed form"
-    solver = LeastSquares(screen=3000, starts=10, rounds=1)
-    found = minimize(solver, problem, Budget(evaluations=200_000)).loss
-    return math.sqrt(found), "this run or multi-start least squares"
+    if of_run is not None:
+        rows.append(("report", str(write(of_run, stored, report_folder(stored)))))
+    return findings + "\n\n" + "\n".join(f"{name:<12} {value}" for name, value in rows)

@@ -14,7 +14,7 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Cauchy, Huber
 from miho.identification.profile import Profile
 from miho.identification.uncertainty import EVENT, Linearised
-from miho.optim.space import Space
+from miho.optim.space import Parameter, Space
 
 Array = NDArray[np.float64]
 
@@ -31,16 +31,46 @@ OUTLIERS = 0.7
 """A robust loss that takes this fraction of the rows for outliers has too small a scale."""
 NEAR_OPTIMUM = 0.1
 """A run that stopped within this many standard errors of the optimum has found it."""
+NOTICEABLE = 1e-4
+"""A fraction of the error that a run's result may lack without a remark."""
+ANOTHER = 10.0
+"""So many standard errors away it is hardly the same optimum."""
+
+
+def doubtful(doubt: str, remedy: str, at: Linearised, space: Space) -> list[str]:
+    """What is said of an optimum in doubt: why, what to do, and what the numbers are not."""
+    sentences = [
+        f"the optimum is in doubt: {doubt}. Values, standard errors and intervals are those of "
+        "this local optimum, and tell nothing of data or model.",
+        remedy,
+    ]
+    for p, end, bound in _at_bounds(at, space):
+        sentences.append(
+            f"the search ended at the {end} bound of {p.name}, {bound:g} {p.unit}: {p.name} is "
+            "held there and has no standard error, and the others' are too small."
+        )
+    return sentences
+
+
+def flat(at: Linearised, space: Space, everywhere: NDArray[np.bool_]) -> str:
+    """What speaks against an optimum where nothing depends on a parameter that matters elsewhere.
+
+    Empty if there is none; `everywhere` (d,) marks the parameters that never matter.
+    """
+    names = [space.names[i] for i in np.flatnonzero(at.blind & ~everywhere)]
+    if not names:
+        return ""
+    return (
+        f"the search ended where the predictions do not depend on {_listed(names)}, as they do "
+        "elsewhere in the box"
+    )
 
 
 def identifiability(at: Linearised, space: Space) -> list[str]:
     """Sentences on bounds, directions the data do not see, and entangled parameters."""
     sentences = []
-    names, theta = space.names, at.theta
-    for i in np.flatnonzero(at.at_bound):
-        p = space.parameters[i]
-        low = theta[i] - p.low < p.high - theta[i]
-        end, bound = ("lower", p.low) if low else ("upper", p.high)
+    names = space.names
+    for p, end, bound in _at_bounds(at, space):
         sentences.append(
             f"{p.name} is at its {end} bound {bound:g} {p.unit}: widen the space, or the data do "
             "not determine it. It is held there, so it has no standard error and the others' are "
@@ -194,20 +224,31 @@ def outliers(problem: CurveFit, at: Linearised) -> list[str]:
     ]
 
 
-def convergence(found: Array, at: Linearised, space: Space, gain: float) -> list[str]:
-    """A sentence if the run ended away from the optimum at which the uncertainty is taken.
+def difference(run: Array, at: Linearised, space: Space, gain: float) -> list[str]:
+    """A remark if the run's own result (d,) is not the optimum that the report is of.
 
     `gain` is the fraction by which the error falls from the run to the optimum.
     """
     usable = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
-    away = np.abs(found - at.theta)[usable] / at.standard_errors[usable]
-    if not away.size or away.max() <= NEAR_OPTIMUM:
+    away = np.abs(run - at.theta)[usable] / at.standard_errors[usable]
+    if gain <= NOTICEABLE and (not away.size or away.max() <= NEAR_OPTIMUM):
         return []
-    name = np.array(space.names)[usable][away.argmax()]
+    higher = f"{100 * gain / (1 - gain):.2g}" if gain < 1 else "infinitely many"
+    place = "far from it" if away.size and away.max() > ANOTHER else "near it"
     return [
-        f"the run ended {away.max():.2g} standard errors of {name} away from the optimum nearby "
-        f"(error {100 * gain:.2g} % lower); the intervals are those of the optimum."
+        f"reported is the optimum that was found after the run, which itself ended {place}, at an "
+        f"error that is {higher} % higher."
     ]
+
+
+def _at_bounds(at: Linearised, space: Space) -> list[tuple[Parameter, str, float]]:
+    """The parameters at a bound, with which of the two it is."""
+    found = []
+    for i in np.flatnonzero(at.at_bound):
+        p = space.parameters[i]
+        low = at.theta[i] - p.low < p.high - at.theta[i]
+        found.append((p, "lower", p.low) if low else (p, "upper", p.high))
+    return found
 
 
 def _entangled(correlation: Array) -> list[list[int]]:

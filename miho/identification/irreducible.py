@@ -3,11 +3,21 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import chdtri
 
 Array = NDArray[np.float64]
+
+
+class Irreducible(NamedTuple):
+    """An estimate of the irreducible error and its interval, all in the output's unit."""
+
+    value: float
+    low: float
+    high: float
 
 
 def irreducible_error(x: Array, y: Array) -> float:
@@ -18,11 +28,59 @@ def irreducible_error(x: Array, y: Array) -> float:
     model, and counts measurement noise and the effect of inputs that are not in x alike. Rows of
     equal x are compared with the mean of their neighbours. NaN for fewer than three points.
     """
+    return irreducible_interval(x, y).value
+
+
+def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible:
+    """The estimate of `irreducible_error`, and an interval that holds the truth.
+
+    The mean of the squared pseudo-residuals has, for independent normal errors whose spread may
+    change along x, a variance that their fourth powers and products estimate without bias; a
+    chi-squared distribution of that variance gives the interval (Satterthwaite, Biometrics
+    Bulletin 2, 1946). Where the points lie far apart the curve's own bend counts as error: twice
+    the distance counts it sixteen times, so the lower end is below by what twice the distance
+    adds. All NaN for fewer than three points, an interval from 0 to infinity for fewer than five.
+    """
     if x.size < 3:
-        return math.nan
+        return Irreducible(math.nan, math.nan, math.nan)
     order = np.argsort(x, kind="stable")
     x, y = x[order], y[order]
+    errors, weights = _pseudo_residuals(x, y)
+    square = float(np.mean(errors**2))
+    value = math.sqrt(square)
+    if x.size < 5 or square == 0:
+        return Irreducible(value, 0.0, math.inf if x.size < 5 else value)
+    freedom = 2 * square**2 / _variance(errors, weights)
+    tail = (1 - level) / 2
+    wider = [_pseudo_residuals(x[half::2], y[half::2])[0] for half in (0, 1)]
+    bend = max(0.0, float(np.mean(np.concatenate(wider) ** 2)) - square)
+    lowest = square * freedom / float(chdtri(freedom, tail)) - bend
+    highest = square * freedom / max(float(chdtri(freedom, 1 - tail)), np.finfo(float).tiny)
+    return Irreducible(value, math.sqrt(max(0.0, lowest)), math.sqrt(highest))
+
+
+def _pseudo_residuals(x: Array, y: Array) -> tuple[Array, Array]:
+    """Each point but the ends (N - 2,) minus the line through its neighbours, of the noise's
+    variance; and the weights (N - 2, 3) of the three points in it, whose squares add up to 1."""
     width = x[2:] - x[:-2]
     a = np.divide(x[2:] - x[1:-1], width, out=np.full(width.shape, 0.5), where=width > 0)
-    pseudo_residuals = a * y[:-2] + (1 - a) * y[2:] - y[1:-1]
-    return float(np.sqrt(np.mean(pseudo_residuals**2 / (a**2 + (1 - a) ** 2 + 1))))
+    weights = np.stack([a, np.full(a.shape, -1.0), 1 - a], axis=1)
+    weights /= np.linalg.norm(weights, axis=1)[:, None]
+    return weights[:, 0] * y[:-2] + weights[:, 1] * y[1:-1] + weights[:, 2] * y[2:], weights
+
+
+def _variance(errors: Array, weights: Array) -> float:
+    """Variance of the mean of the squared errors (n,), which share points with two neighbours.
+
+    For normal errors e with correlation r, e^4 / 3 estimates s^4, the variance of e^2 by two, and
+    e_i^2 e_j^2 / (1 + 2 r^2) the product of two variances; the covariance of e_i^2 and e_j^2 is
+    2 r^2 times that.
+    """
+    total = 2 * float(np.sum(errors**4)) / 3
+    for lag, shared in (
+        (1, weights[:-1, 1:] * weights[1:, :-1]),
+        (2, weights[:-2, 2:] * weights[2:, :1]),
+    ):
+        r = shared.sum(axis=1) ** 2
+        total += 2 * float(np.sum(2 * r / (1 + 2 * r) * errors[:-lag] ** 2 * errors[lag:] ** 2))
+    return total / errors.size**2

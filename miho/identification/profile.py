@@ -9,13 +9,15 @@ from numpy.typing import NDArray
 from scipy.optimize.elementwise import find_root
 
 from miho.identification.curve_fit import CurveFit
-from miho.identification.refit import refit
+from miho.identification.refit import Deadline, Refit, refit
 from miho.identification.uncertainty import Linearised
 
 Array = NDArray[np.float64]
 
 EXPANSIONS = 20
 """Steps outwards at most until an interval's end lies behind."""
+WALL = 100.0
+"""Where the residuals are not finite, the signed root is this many times the wanted quantile."""
 CLOSE = 0.005
 """An end is found when the signed root is within this of the wanted quantile."""
 
@@ -26,21 +28,30 @@ class Profile:
 
     tau is the signed root of the likelihood ratio, in the units of Student's t: a straight line
     for a linear model, so its bend shows how far the linearised interval is off. An end is
-    infinite if the box was reached first: the data do not bound the parameter on that side.
+    infinite if the box was reached first: the data do not bound the parameter on that side. `best`
+    is the smallest sum of squares of all refits: below that of the centre it is another optimum.
     """
 
     values: Array
     tau: Array
     low: float
     high: float
+    best: Refit
 
 
-def profile(problem: CurveFit, at: Linearised, index: int, level: float = 0.95) -> Profile:
+def profile(
+    problem: CurveFit,
+    at: Linearised,
+    index: int,
+    level: float = 0.95,
+    deadline: Deadline | None = None,
+) -> Profile:
     """Profile of the parameter at position `index` (Bates and Watts 1988, Ch. 6.1.2).
 
     The interval holds the values v for which the smallest sum of squares with the parameter fixed
     at v exceeds the smallest of all by less than F(1, freedom) allows. Every refit starts where
-    the linearised model expects its optimum.
+    the linearised model expects its optimum; where the residuals are not finite there is a wall.
+    Raises OutOfTimeError after the deadline.
     """
     theta, wanted = at.theta, at.quantile(level)
     cost = float(np.sum(problem.residuals(theta) ** 2))
@@ -49,18 +60,29 @@ def profile(problem: CurveFit, at: Linearised, index: int, level: float = 0.95) 
     direction = _conditional_direction(at, index)
     centre = float(theta[index])
     known = {centre: (0.0, theta)}
+    best = Refit(theta, cost)
 
     def tau(value: float) -> float:
+        nonlocal best
         if value not in known:
             nearest = known[min(known, key=lambda other: abs(other - value))][1]
             guess = nearest + direction * (value - nearest[index])
             guess[index] = value
-            found = refit(problem, guess, fixed=(index,), tolerance=1e-8)
-            root = float(np.sqrt(max(found.cost - cost, 0.0) / unit))
-            known[value] = (root if value > centre else -root, found.theta)
+            end = refit(problem, guess, fixed=(index,), tolerance=1e-8, deadline=deadline)
+            if not np.isfinite(
+                end.cost
+            ):  # the guess is behind a wall, which the known point is not
+                guess = nearest.copy()
+                guess[index] = value
+                end = refit(problem, guess, fixed=(index,), tolerance=1e-8, deadline=deadline)
+            if deadline is not None:
+                deadline.check()
+            best = min(best, end, key=lambda each: each.cost)
+            root = min(float(np.sqrt(max(end.cost - cost, 0.0) / unit)), WALL * wanted)
+            known[value] = (root if value > centre else -root, end.theta)
         return known[value][0]
 
-    def end(sign: int, bound: float) -> float:
+    def limit(sign: int, bound: float) -> float:
         """Where |tau| reaches the quantile; infinite if it does not within the box."""
         inside, step = centre, wanted * float(at.standard_errors[index])
         for _ in range(EXPANSIONS):
@@ -73,6 +95,8 @@ def profile(problem: CurveFit, at: Linearised, index: int, level: float = 0.95) 
             slope = abs(tau(outside)) / abs(outside - centre)
             lacking = 1.05 * (wanted - abs(tau(outside))) / slope if slope > 0 else np.inf
             inside, step = outside, min(lacking, 3 * step)
+        else:
+            return sign * np.inf
         if abs(tau(outside)) <= wanted + CLOSE:
             return outside
         solution = find_root(
@@ -82,9 +106,9 @@ def profile(problem: CurveFit, at: Linearised, index: int, level: float = 0.95) 
         )
         return float(solution.x)
 
-    low, high = (end(-1, problem.space.low[index]), end(1, problem.space.high[index]))
+    low, high = (limit(-1, problem.space.low[index]), limit(1, problem.space.high[index]))
     values = np.array(sorted(known))
-    return Profile(values, np.array([known[value][0] for value in values]), low, high)
+    return Profile(values, np.array([known[value][0] for value in values]), low, high, best)
 
 
 def _conditional_direction(at: Linearised, index: int) -> Array:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Mapping
+import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -15,8 +17,11 @@ from numpy.typing import NDArray
 from miho.identification.bootstrap import bootstrap, percentile_intervals
 from miho.identification.curve_fit import CurveFit
 from miho.identification.derived import delta_method, derived
+from miho.identification.evidence import Standing, standing
 from miho.identification.flags import (
-    convergence,
+    difference,
+    doubtful,
+    flat,
     identifiability,
     independence,
     outliers,
@@ -25,9 +30,10 @@ from miho.identification.flags import (
     too_few,
     zeros,
 )
-from miho.identification.irreducible import irreducible_error
+from miho.identification.irreducible import Irreducible, irreducible_interval
+from miho.identification.linear_optimum import linear_optimum
 from miho.identification.profile import Profile, profile
-from miho.identification.refit import refit
+from miho.identification.refit import Deadline, OutOfTimeError, Refit, refit
 from miho.identification.uncertainty import Linearised, linearised
 from miho.identification.validation import (
     BINS,
@@ -38,6 +44,7 @@ from miho.identification.validation import (
     residual_trends,
     root_mean_square,
 )
+from miho.optim import Descents
 from miho.optim.seeds import stream
 
 Array = NDArray[np.float64]
@@ -46,6 +53,14 @@ MOST_PROFILES = 10
 """Models with more parameters are profiled only if asked: each end costs several refits."""
 SUSPICIOUS = 2.0
 CHANCE = 1e-3
+REFIT = 5000
+"""Evaluations of the descent to the optimum that the report is of."""
+ELSEWHERE = 10
+"""Configurations at which a parameter without effect is tried again."""
+BETTER = 1e-4
+"""A sum of squares that is smaller by this fraction is another, better optimum."""
+SECONDS = 60.0
+REMEDY = "search from more starts, or in a narrower or logarithmic box."
 UNMODELLED = 0.1
 """A column that is no input and explains this fraction of the errors' variance is mentioned."""
 
@@ -54,35 +69,40 @@ UNMODELLED = 0.1
 class Report:
     """What is known of one identification; every table is a function of these fields.
 
-    `found` (d,) are the run's parameters, `at` the uncertainty at the optimum nearby, `profiles`
-    one per parameter (None where there is none), `replicates` (n, d) the bootstrap's estimates,
-    `left_out` the errors on groups that a fit has not seen.
+    All is of one point, the optimum that a descent from the run's result led to: `at` is its
+    uncertainty, `standing` what is known of it. `run` (d,) are the run's own parameters. `profiles`
+    are one per parameter (None where there is none), `replicates` (n, d) the bootstrap's estimates,
+    `left_out` the errors on groups that a fit has not seen. `omitted` says in sentences what there
+    was no time for, `remedy` what to do where the optimum is in doubt.
     """
 
     problem: CurveFit
-    found: Array
+    run: Array
     at: Linearised
+    standing: Standing
     profiles: tuple[Profile | None, ...]
     replicates: Array | None
     left_out: pd.DataFrame
     level: float
+    omitted: tuple[str, ...] = ()
+    remedy: str = REMEDY
 
     @cached_property
     def parameters(self) -> pd.DataFrame:
-        """A row per parameter: value of the run, unit, optimum nearby, its error and intervals."""
+        """A row per parameter: value, unit, standard error and intervals; the run's own value."""
         space = self.problem.space
         frame = pd.DataFrame(
             {
                 "parameter": space.names,
-                "value": self.found,
+                "value": self.at.theta,
                 "unit": [p.unit for p in space.parameters],
-                "optimum nearby": self.at.theta,
                 "standard error": self.at.standard_errors,
                 "sandwich": np.where(
                     np.isfinite(self.at.standard_errors),
                     np.sqrt(np.diag(self.at.sandwich)),
                     self.at.standard_errors,
                 ),
+                "of the run": self.run,
             }
         )
         ends = {"linearised": self.at.intervals(self.level)}
@@ -127,56 +147,89 @@ class Report:
 
     @cached_property
     def errors(self) -> pd.DataFrame:
-        """Root-mean-square errors in the output's unit: training, held out, irreducible."""
+        """Errors in the output's unit, on the training rows, on held-out ones and irreducible.
+
+        Root mean squares; of the irreducible error its interval, `low` to `high`.
+        """
         problem, dataset = self.problem, self.problem.dataset
-        rows = [("training", len(dataset), self.error)]
+        rows: list[tuple[str, int, float, float, float]] = []
+
+        def add(what: str, count: int, error: float) -> None:
+            rows.append((what, count, error, math.nan, math.nan))
+
+        add("training", len(dataset), self.error)
+        add(
+            f"residual standard deviation, {self.freedom} degrees of freedom",
+            len(dataset),
+            self.residual_standard_deviation,
+        )
         if dataset.held_out is not None:
             held_out = dataset.held_out
-            rows.append(("held out", len(held_out), error_on(problem, self.found, held_out)))
+            add("held out", len(held_out), error_on(problem, self.at.theta, held_out))
         for name in dict.fromkeys(self.left_out.get("condition", [])):
             part = self.left_out[self.left_out["condition"] == name]
             mean_square = np.average(part["error when left out"] ** 2, weights=part["rows"])
             what = "a fifth" if len(part) == BINS and not levels(dataset[name]) else "one level"
-            told = f"leave {what} of {name} out"
-            rows.append((told, int(part["rows"].sum()), math.sqrt(mean_square)))
-        if math.isfinite(self.irreducible):
-            rows.append(("irreducible, about", len(dataset), self.irreducible))
-        return pd.DataFrame(rows, columns=["on", "rows", "error"]).assign(unit=problem.unit)
+            add(f"leave {what} of {name} out", int(part["rows"].sum()), math.sqrt(mean_square))
+        if math.isfinite(self.irreducible.value):
+            rows.append(("irreducible, about", len(dataset), *self.irreducible))
+        columns = ["on", "rows", "error", "low", "high"]
+        return pd.DataFrame(rows, columns=columns).assign(unit=problem.unit)
 
     @cached_property
     def error(self) -> float:
-        """Root-mean-square error of the run's parameters on their rows, in the output's unit."""
-        return root_mean_square(self.problem.errors(self.found))
+        """Root-mean-square error of the optimum on its rows, in the output's unit."""
+        return root_mean_square(self.problem.errors(self.at.theta))
+
+    @property
+    def freedom(self) -> int:
+        """Degrees of freedom of the residuals: rows less parameters that are not at a bound."""
+        return len(self.problem.dataset) - int((~self.at.at_bound).sum())
+
+    @property
+    def residual_standard_deviation(self) -> float:
+        """Root of the sum of squared errors by the degrees of freedom, in the output's unit."""
+        return self.error * math.sqrt(len(self.problem.dataset) / self.freedom)
 
     @cached_property
-    def irreducible(self) -> float:
+    def irreducible(self) -> Irreducible:
         """Estimate of the error no curve in the same single input can beat; NaN for more inputs."""
-        if len(self.problem.inputs) != 1:
-            return math.nan
-        dataset = self.problem.dataset
-        return irreducible_error(self.problem.inputs[0], dataset[dataset.output])
+        return _irreducible(self.problem)
 
     @cached_property
     def trends(self) -> pd.DataFrame:
         """What the errors still follow, a row per input and condition."""
-        return residual_trends(self.problem, self.found)
+        return residual_trends(self.problem, self.at.theta)
 
     @cached_property
     def notes(self) -> list[str]:
-        """What the numbers mean, a sentence each; empty if there is nothing to warn of."""
+        """What the numbers mean, a sentence each; empty if there is nothing to warn of.
+
+        Where the optimum is in doubt they are of the search only, not of data or model.
+        """
         space = self.problem.space
-        before, after = (root_mean_square(self.problem.residuals(t)) for t in self._points)
-        sentences = convergence(self.found, self.at, space, 1 - after / before if before else 0.0)
-        sentences += identifiability(self.at, space) + too_few(self.problem)
+        before, after = (
+            root_mean_square(self.problem.residuals(theta)) for theta in (self.run, self.at.theta)
+        )
+        sentences = difference(self.run, self.at, space, 1 - after / before if before else 0.0)
+        if self.standing.doubt:
+            sentences = doubtful(self.standing.doubt, self.remedy, self.at, space) + sentences
+        else:
+            sentences += self._of_data_and_model()
+        return [*sentences, *self.omitted]
+
+    def _of_data_and_model(self) -> list[str]:
+        space = self.problem.space
+        sentences = identifiability(self.at, space) + too_few(self.problem)
         sentences += zeros(self.parameters, self.level)
         sentences += profiled(self.at, space, self.profiles, self.level)
         sentences += spread(self.problem, self.at)
         sentences += independence(self.problem, self.at)
         sentences += outliers(self.problem, self.at)
-        error = self.error
-        if error > SUSPICIOUS * self.irreducible:
+        error, irreducible = self.error, self.irreducible
+        if error > SUSPICIOUS * irreducible.high:
             sentences.append(
-                f"the error is {error / self.irreducible:.1f} times the irreducible error: check "
+                f"the error is {error / irreducible.value:.1f} times the irreducible error: check "
                 "units, signs, ranges and the model."
             )
         for row in self.trends.to_dict("records"):
@@ -194,10 +247,6 @@ class Report:
     def _percentiles(self, replicates: Array) -> Array:
         units = self.at.events or len(self.problem.dataset)
         return percentile_intervals(replicates, units, self.at.freedom, self.level)
-
-    @property
-    def _points(self) -> tuple[Array, Array]:
-        return self.found, self.at.theta
 
     def band(self, *inputs: Array) -> tuple[Array, Array]:
         """Prediction at input columns (N,) and the half width of its interval, (N,) each.
@@ -241,28 +290,58 @@ class Report:
 
 def make_report(
     problem: CurveFit,
-    found: Array,
+    run: Array,
     *,
+    descents: Descents | None = None,
+    check: Descents | None = None,
+    better: Array | None = None,
+    best_known: float | None = None,
     replicates: int = 0,
     profiles: bool | None = None,
     level: float = 0.95,
     seed: int = 0,
+    seconds: float = SECONDS,
+    remedy: str = REMEDY,
     each: Callable[[str], object] = lambda stage: None,
 ) -> Report:
-    """The report on parameters `found` (d,) of a problem.
+    """The report on the optimum near `run` (d,), the parameters that a run of a problem found.
 
-    `replicates` bootstrap estimates (1000 for an interval, 0 for none), drawn from `seed`;
-    `profiles` by default for models of up to MOST_PROFILES parameters, none for data in events.
-    `each` is called before each of many steps with the name of the stage, for progress. Raises
-    ValueError where there is no uncertainty to be had: fewer rows than parameters, or derivatives
-    that are not finite.
+    `descents` says where those of the run ended, `check` those of a check, and the report is of the
+    optimum near its result `better` (d,) if that is better; `best_known` is the loss
+    of a recorded optimum. `replicates` bootstrap estimates (1000 for an interval, 0 for none),
+    drawn from `seed`; `profiles` by default for models of up to MOST_PROFILES parameters, none for
+    data in events. What is computed by default ends after `seconds`: what is missing then is said.
+    What is asked for (replicates, profiles) takes the time it takes. `each` is called before each
+    of many steps with the name of the stage, for progress. Raises ValueError where there is no
+    uncertainty to be had: fewer rows than parameters, or derivatives that are not finite.
     """
     if not 0 < level < 1:
         raise ValueError(f"level is {level!r}; expected between 0 and 1, such as 0.95")
-    at = linearised(problem, refit(problem, found).theta)
+    deadline = Deadline(time.perf_counter() + seconds)
+    each("optimum")
+    optimum = _optimum(problem, run, deadline)
+    if better is not None:
+        optimum = min(optimum, _optimum(problem, better, deadline), key=lambda each: each.cost)
     wanted = len(problem.space) <= MOST_PROFILES if profiles is None else profiles
-    possible = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
-    possible &= not at.events  # a profile takes every row for independent
+    while True:
+        at = linearised(problem, optimum.theta)
+        omitted: list[str] = []
+        curves: list[Profile | None] = [None] * len(problem.space)
+        possible = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
+        possible &= not at.events  # a profile takes every row for independent
+        for i in np.flatnonzero(possible) if wanted else ():
+            each(f"profile of {problem.space.names[i]}")
+            try:
+                curves[i] = profile(problem, at, i, level, None if profiles else deadline)
+            except OutOfTimeError:
+                lacking = ", ".join(problem.space.names[k] for k in np.flatnonzero(possible)[i:])
+                omitted.append(_omission(f"profile intervals of {lacking}", seconds))
+                break
+        better = min((p.best for p in curves if p), key=lambda each: each.cost, default=optimum)
+        if better.cost >= (1 - BETTER) * optimum.cost:
+            break
+        each("better optimum")
+        optimum = _optimum(problem, better.theta, deadline)
     held = np.flatnonzero(at.blind).tolist()  # no refit moves what the data do not see
     drawn = None
     if replicates:
@@ -271,17 +350,86 @@ def make_report(
     left_out = []
     for condition in conditions(problem):
         each(f"leave one {condition} out")
-        left_out.append(leave_one_out(problem, at.theta, condition, held))
-    curves: list[Profile | None] = []
-    for i, name in enumerate(problem.space.names):
-        each(f"profile of {name}")
-        curves.append(profile(problem, at, i, level) if wanted and possible[i] else None)
+        try:
+            left_out.append(leave_one_out(problem, at.theta, condition, held, deadline))
+        except OutOfTimeError:
+            omitted.append(_omission(f"errors with {condition} left out", seconds))
+            break
     return Report(
         problem=problem,
-        found=found,
+        run=run,
         at=at,
+        standing=_standing(problem, at, optimum, (descents, check), best_known),
         profiles=tuple(curves),
         replicates=drawn,
         left_out=pd.concat(left_out, ignore_index=True) if left_out else pd.DataFrame(),
         level=level,
+        omitted=tuple(omitted),
+        remedy=remedy,
+    )
+
+
+def _optimum(problem: CurveFit, start: Array, deadline: Deadline) -> Refit:
+    """The optimum near `start` (d,), or how far the deadline let the descent come.
+
+    What nothing depends on at the start is held, and so the run's value of it is kept.
+    """
+    derivatives = problem.jacobian(problem.space.clip(start))
+    without = np.flatnonzero(~derivatives.any(axis=0)).tolist()
+    return refit(problem, start, fixed=without, evaluations=REFIT, deadline=deadline)
+
+
+def _standing(
+    problem: CurveFit,
+    at: Linearised,
+    optimum: Refit,
+    searches: Sequence[Descents | None],
+    recorded: float | None,
+) -> Standing:
+    """What is known of the optimum that the report is of."""
+    exact = linear_optimum(problem)
+    output = problem.dataset[problem.dataset.output]
+    found = standing(
+        optimum.cost / len(problem.dataset),
+        float(np.mean(output**2)),
+        searches,
+        best_known=recorded if exact is None else exact[1],
+        irreducible=_irreducible(problem),
+        error=root_mean_square(problem.errors(at.theta)),
+    )
+    if not optimum.converged and exact is None:
+        moving = (
+            f"a descent from it was still moving after {optimum.evaluations:,} evaluations, so "
+            "standard errors and intervals are not those of an optimum"
+        )
+        return Standing(found.evidence, "; ".join(filter(None, (found.doubt, moving))))
+    if at.blind.any():
+        local = flat(at, problem.space, _without_effect(problem))
+        return Standing(found.evidence, "; ".join(filter(None, (found.doubt, local))))
+    return found
+
+
+def _without_effect(problem: CurveFit) -> NDArray[np.bool_]:
+    """The parameters (d,) that cannot be told at any of some configurations across the box.
+
+    The rank of the derivatives is the same almost everywhere for a smooth model, so a parameter
+    that is blind at all of them is not identifiable from these inputs.
+    """
+    blind = np.ones(len(problem.space), dtype=bool)
+    for theta in problem.space.decode(problem.space.initial(ELSEWHERE)):
+        with contextlib.suppress(ValueError):
+            blind &= linearised(problem, theta).blind
+    return blind
+
+
+def _irreducible(problem: CurveFit) -> Irreducible:
+    if len(problem.inputs) != 1:
+        return Irreducible(math.nan, math.nan, math.nan)
+    return irreducible_interval(problem.inputs[0], problem.dataset[problem.dataset.output])
+
+
+def _omission(what: str, seconds: float) -> str:
+    return (
+        f"{what} are left out: there were {seconds:g} s for this report "
+        f"(--seconds {10 * seconds:g} gives more)."
     )

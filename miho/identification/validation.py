@@ -12,7 +12,7 @@ from scipy.special import fdtrc
 
 from miho.data.dataset import Dataset
 from miho.identification.curve_fit import CurveFit
-from miho.identification.refit import refit
+from miho.identification.refit import Deadline, refit
 
 Array = NDArray[np.float64]
 
@@ -74,12 +74,17 @@ def groups(values: Array, bins: int = BINS) -> NDArray[np.intp]:
 
 
 def leave_one_out(
-    problem: CurveFit, theta: Array, condition: str, held: Sequence[int] = ()
+    problem: CurveFit,
+    theta: Array,
+    condition: str,
+    held: Sequence[int] = (),
+    deadline: Deadline | None = None,
 ) -> pd.DataFrame:
     """Fit without one group of a condition, and the error on that group; a row per group.
 
     Columns: condition, from, to and unit (of the group), rows, error of all rows
-    on the group, error of the fit that has not seen it (both in the output's unit).
+    on the group, error of the fit that has not seen it (both in the output's unit). Raises
+    OutOfTimeError after the deadline.
     """
     dataset = problem.dataset
     values = dataset[condition]
@@ -89,7 +94,9 @@ def leave_one_out(
         out = index == group
         if out.all() or len(dataset) - out.sum() <= len(problem.space):
             continue
-        found = refit(problem, theta, (~out).astype(float), held).theta
+        found = refit(problem, theta, (~out).astype(float), held, deadline=deadline).theta
+        if deadline is not None:
+            deadline.check()
         rows.append(
             {
                 "condition": condition,

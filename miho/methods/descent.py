@@ -25,15 +25,15 @@ def descend(
     space: Space,
     tolerance: float,
     method: str,
-) -> None:
-    """One of SciPy's solvers from one start (d,), in the box of `space`."""
+) -> bool:
+    """One of SciPy's solvers from one start (d,), in the box of `space`; whether it converged."""
     solve = _trust_region if method == "trf" else _levenberg_marquardt
-    solve(residuals, jacobian, start, space, tolerance)
+    return solve(residuals, jacobian, start, space, tolerance)
 
 
 def _trust_region(
     residuals: Vector, jacobian: Vector, start: Array, space: Space, tolerance: float
-) -> None:
+) -> bool:
     """Moves the parameters that the residuals depend on: those with a derivative that is not zero.
 
     On a Jacobian without full rank SciPy takes only steps as long as its trust region, and spends
@@ -41,12 +41,16 @@ def _trust_region(
     where the first ones end.
     """
     theta, moved = start.copy(), np.zeros(start.size, dtype=bool)
+    converged = True
     while not moved.all():
         known, slopes = residuals(theta), jacobian(theta)
         if not (slopes.any(axis=0) & ~moved).any():
-            return
+            break
         moved |= slopes.any(axis=0)
-        theta = _solve(residuals, jacobian, theta, (known, slopes), moved, space, tolerance)
+        theta, converged = _solve(
+            residuals, jacobian, theta, (known, slopes), moved, space, tolerance
+        )
+    return converged
 
 
 def _solve(
@@ -57,8 +61,11 @@ def _solve(
     moved: NDArray[np.bool_],
     space: Space,
     tolerance: float,
-) -> Array:
-    """The solution from `theta`, whose residuals and Jacobian are `known`: not paid for again."""
+) -> tuple[Array, bool]:
+    """The solution from `theta`, and whether it is one.
+
+    The residuals and the Jacobian of `theta` are `known`, and not paid for again.
+    """
 
     def at(part: Array) -> Array:
         whole = theta.copy()
@@ -75,7 +82,7 @@ def _solve(
         # A selection of all columns would be stored, and so rounded, in another order.
         return columns if moved.all() else columns[:, moved]
 
-    found = scipy.optimize.least_squares(
+    solution = scipy.optimize.least_squares(
         look,
         theta[moved],
         jac=slopes,
@@ -86,12 +93,12 @@ def _solve(
         xtol=tolerance,
         gtol=None,  # it is absolute, and no unit of the residuals is known here
     )
-    return at(found.x)
+    return at(solution.x), solution.status > 0
 
 
 def _levenberg_marquardt(
     residuals: Vector, jacobian: Vector, start: Array, space: Space, tolerance: float
-) -> None:
+) -> bool:
     """Moves angles u with x = (1 + sin u) / 2 in the unit cube, the transformation of MINUIT.
 
     James and Roos (Computer Physics Communications 10, 1975): no look leaves the box, a start on a
@@ -114,7 +121,7 @@ def _levenberg_marquardt(
         theta = at(u)
         return tall(jacobian(theta) * box.slope(theta) * np.cos(u) / 2)
 
-    scipy.optimize.least_squares(
+    solution = scipy.optimize.least_squares(
         look,
         np.arcsin(2 * box.x(start) - 1),
         jac=slopes,
@@ -124,3 +131,4 @@ def _levenberg_marquardt(
         xtol=tolerance,
         gtol=tolerance,  # the cosine between residuals and derivatives: it has no unit
     )
+    return bool(solution.status > 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import count
@@ -17,6 +18,11 @@ from miho.optim.validate import at_least, one_of, whole
 
 Array = NDArray[np.float64]
 
+SCREENING = 0.2
+"""Of what is left of the budget, a round of screening takes this at most."""
+TICK = 1e-6
+"""Seconds: shorter batches are not timed."""
+
 
 @dataclass(frozen=True)
 class LeastSquares(Optimizer):
@@ -25,6 +31,7 @@ class LeastSquares(Optimizer):
     A round screens `screen` configurations and starts the solver from the `starts` best of them.
     The first round screens the common initial configurations. Ends after `rounds` rounds, because
     a method that has converged should say so; goes on until the budget ends if `rounds` is None.
+    Screening takes a fifth of the evaluations and seconds left at most.
     Needs a least-squares problem.
 
     `method` is the solver: `trf`, the trust-region reflective one, which knows bounds, or `lm`,
@@ -47,9 +54,9 @@ class LeastSquares(Optimizer):
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Screen and solve, `rounds` times."""
 
-        def solve(theta: Array) -> None:
+        def solve(theta: Array) -> bool:
             look, slopes = oracle.residuals, oracle.jacobian
-            descend(look, slopes, theta, oracle.space, self.tolerance, self.method)
+            return descend(look, slopes, theta, oracle.space, self.tolerance, self.method)
 
         multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
 
@@ -68,21 +75,45 @@ def multi_start(
     screen: int,
     starts: int,
     rounds: int | None,
-    solve: Callable[[Array], None],
+    solve: Callable[[Array], bool],
 ) -> None:
     """Call `solve` on the `starts` best (d,) of `screen` configurations, `rounds` times.
 
-    Without end if `rounds` is None: the budget is to stop it.
+    Without end if `rounds` is None: the budget is to stop it. `solve` says whether it converged;
+    each call is kept as a descent of the run. Screening a round takes SCREENING of the evaluations
+    and seconds left at most, so that a slow model gets its descents too.
     """
     space = oracle.space
     coordinates = space.initial(screen)
     for _ in count() if rounds is None else range(rounds):
         thetas = space.decode(coordinates)
-        losses = oracle(thetas)
+        losses = _screened(oracle, thetas)
         for i in np.argsort(losses, kind="stable")[:starts]:
             if not np.isfinite(losses[i]):
                 break
             # A start that leads to unusable residuals or derivatives is given up.
-            with contextlib.suppress(UnusableValueError, ValueError, np.linalg.LinAlgError):
-                solve(thetas[i])
+            with (
+                contextlib.suppress(UnusableValueError, ValueError, np.linalg.LinAlgError),
+                oracle.descent() as descent,
+            ):
+                descent.converged = solve(thetas[i])
         coordinates = space.sample(screen, rng)
+
+
+def _screened(oracle: Oracle, thetas: Array) -> Array:
+    """Losses of the first of `thetas` (n, d): of all that SCREENING of the budget pays for.
+
+    With a limit in seconds in batches that grow, because only those before tell how long one takes.
+    """
+    most = len(thetas)
+    if math.isfinite(oracle.remaining):
+        most = min(most, max(1, int(SCREENING * oracle.remaining)))
+    until = oracle.seconds + SCREENING * oracle.remaining_seconds
+    if math.isinf(until):
+        return oracle(thetas[:most])
+    losses, started = oracle(thetas[:1]), oracle.seconds
+    while losses.size < most and oracle.seconds < until:
+        in_time = (until - oracle.seconds) / max(oracle.seconds - started, TICK) * losses.size
+        batch = int(min(losses.size, most - losses.size, max(1.0, in_time)))
+        losses = np.concatenate((losses, oracle(thetas[losses.size : losses.size + batch])))
+    return losses

@@ -55,8 +55,8 @@ class LBFGSB(Optimizer):
         box = UnitBox(oracle.space)
         slope = _analytic(oracle, box) if _has_residuals(oracle) else _differenced(oracle, box)
 
-        def solve(theta: Array) -> None:
-            scipy.optimize.minimize(
+        def solve(theta: Array) -> bool:
+            solution = scipy.optimize.minimize(
                 _Scaled(slope),
                 box.x(theta),
                 jac=True,
@@ -71,6 +71,7 @@ class LBFGSB(Optimizer):
                     "maxls": self.line_search,
                 },
             )
+            return bool(solution.success)
 
         multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
 
@@ -109,10 +110,10 @@ class NelderMead(Optimizer):
         def loss(x: Array) -> float:
             return float(oracle(box.theta(x)[None])[0])
 
-        def solve(theta: Array) -> None:
+        def solve(theta: Array) -> bool:
             x = box.x(theta)
             inwards = np.where(x + self.edge > 1, -self.edge, self.edge)
-            scipy.optimize.minimize(
+            solution = scipy.optimize.minimize(
                 loss,
                 x,
                 method="Nelder-Mead",
@@ -126,6 +127,7 @@ class NelderMead(Optimizer):
                     "maxiter": self.evaluations * d,
                 },
             )
+            return bool(solution.success)
 
         multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
 

@@ -58,11 +58,11 @@ class VariableProjection(Optimizer):
             return
         subspace = Space(tuple(space.parameters[k] for k in nonlinear))
 
-        def solve(theta: Array) -> None:
+        def solve(theta: Array) -> bool:
             reduced = _Reduced(oracle, linear, nonlinear, theta)
             start = theta[nonlinear]
             look, slopes = reduced.residuals, reduced.jacobian
-            descend(look, slopes, start, subspace, self.tolerance, self.method)
+            return descend(look, slopes, start, subspace, self.tolerance, self.method)
 
         multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
 

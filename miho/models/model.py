@@ -51,7 +51,8 @@ def central_differences(model: Model, theta: Array, *inputs: Array) -> Array:
     """Derivatives (N, d) of a model without its own, from 2 d rows of one batch or a few more.
 
     The step is the cube root of the machine epsilon times the parameter, which leaves a relative
-    error near 1e-10 in smooth models. A parameter near 0 does not tell its own size: its step
+    error near 1e-10 in smooth models; beside a value that is not finite the difference is taken on
+    the other side, at an error near 1e-5. A parameter near 0 does not tell its own size: its step
     grows from there until the output changes by more than rounding does.
     """
     root = float(np.cbrt(np.finfo(float).eps))
@@ -67,6 +68,10 @@ def central_differences(model: Model, theta: Array, *inputs: Array) -> Array:
             rows[: todo.size][np.arange(todo.size), todo]
             - rows[todo.size :][np.arange(todo.size), todo]
         )
+        beside = ~(np.isfinite(high) & np.isfinite(low)).all(axis=1)
+        if beside.any():
+            here = model.predict(theta[None], *inputs)[0]
+            high, low, width = _one_sided(here, high, low, width, beside)
         change = high - low
         derivatives[:, todo] = (change / width[:, None]).T
         size = np.abs(high).max(axis=1)
@@ -74,3 +79,19 @@ def central_differences(model: Model, theta: Array, *inputs: Array) -> Array:
         todo = todo[lost]
         step[todo] *= 100
     return derivatives
+
+
+def _one_sided(
+    here: Array, high: Array, low: Array, width: Array, beside: NDArray[np.bool_]
+) -> tuple[Array, Array, Array]:
+    """Differences to the point itself, for the parameters `beside` values that are not finite."""
+    high, low, width = high.copy(), low.copy(), width.copy()
+    for k in np.flatnonzero(beside):
+        if np.isfinite(low[k]).all():
+            high[k] = here
+        elif np.isfinite(high[k]).all():
+            low[k] = here
+        else:
+            continue
+        width[k] /= 2
+    return high, low, width

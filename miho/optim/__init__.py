@@ -16,7 +16,7 @@ from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.random_search import RandomSearch
 from miho.optim.schedule import Rung, hyperband_table
 from miho.optim.space import Parameter, Space
-from miho.optim.trace import Trace
+from miho.optim.trace import Descents, Trace
 
 __all__ = [
     "MIHO",
@@ -25,6 +25,7 @@ __all__ = [
     "BudgetExhausted",
     "Checkpoint",
     "Clock",
+    "Descents",
     "LeastSquaresProblem",
     "Meter",
     "Optimizer",

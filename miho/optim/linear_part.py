@@ -59,7 +59,9 @@ def solve_linear_part(
     offset = offset - basis @ theta[linear]
     if not (np.isfinite(offset).all() and np.isfinite(basis).all()):
         return None
-    norm = np.linalg.norm(basis, axis=0)
+    largest = np.abs(basis).max(axis=0, initial=0.0)
+    largest[largest == 0] = 1.0
+    norm = largest * np.linalg.norm(basis / largest, axis=0)  # of 1e200 too, without overflow
     norm[norm == 0] = 1.0
     low, high = space.low[linear], space.high[linear]
     basis = basis / norm

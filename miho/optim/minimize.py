@@ -26,7 +26,7 @@ from miho.optim.oracle import Budget, BudgetExhausted, Meter, Oracle, RunInterru
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
-from miho.optim.trace import Trace
+from miho.optim.trace import Descents, Trace
 
 Array = NDArray[np.float64]
 
@@ -63,6 +63,7 @@ class RunRecord:
     `rejected` counts unusable values by reason; `error` holds the traceback of a failed run, with
     the line of the method's file at its end. `outside` counts evaluations outside of the box, in
     compiled blocks only those that improve.
+    `descents` says where those of a method that makes several ended, None of any other.
     `checkpoint` resumes a method that can be resumed (AskTell), else it is None; so it is after
     an interrupt that struck in the middle of a step.
     """
@@ -79,6 +80,7 @@ class RunRecord:
     error: str | None = None
     checkpoint: Checkpoint | None = None
     outside: int = 0
+    descents: Descents | None = None
 
 
 def minimize(
@@ -147,6 +149,7 @@ def minimize(
         error=error,
         checkpoint=resumable,
         outside=meter.outside,
+        descents=Descents.of(meter.descents),
     )
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.space import Space
-from miho.optim.trace import Trace
+from miho.optim.trace import Descent, Trace
 from miho.optim.validate import positive, whole
 
 Array = NDArray[np.float64]
@@ -65,6 +66,7 @@ class Meter:
     `unfinished` holds the losses of a batch that was cut: the same batch, asked again, goes on
     behind them. `rejected` counts the values that could not be used, by reason. `outside` counts
     configurations outside of the space's box: their values are used, but a method is to stay in it.
+    `descents` are those of a method that makes several, in their order.
     """
 
     evaluations: float = 0
@@ -75,6 +77,7 @@ class Meter:
     rejected: Counter[str] = field(default_factory=Counter)
     unfinished: list[float] = field(default_factory=list)
     outside: int = 0
+    descents: list[Descent] = field(default_factory=list)
 
     def reject(self, reason: str, count: int = 1) -> None:
         """Count values that cannot be used; beyond some kinds of reason, together."""
@@ -122,6 +125,7 @@ class Oracle:
         self._observer = observer
         self._clock = Clock() if clock is None else clock
         self._observed = -math.inf
+        self._descent: Descent | None = None
         self._wall = self._clock.wall() - self.meter.seconds
         self._cpu = self._clock.cpu() - self.meter.cpu_seconds
 
@@ -139,6 +143,11 @@ class Oracle:
     def remaining(self) -> float:
         """Evaluations left, math.inf without a limit."""
         return self._limit - self.meter.evaluations
+
+    @property
+    def remaining_seconds(self) -> float:
+        """Seconds of the method's clock left, math.inf without a limit."""
+        return self._deadline - self.seconds
 
     @property
     def best(self) -> float:
@@ -227,6 +236,21 @@ class Oracle:
             raise UnusableValueError(reason)
         self._check_end()
         return jacobian
+
+    @contextmanager
+    def descent(self) -> Iterator[Descent]:
+        """Keep what is evaluated inside as one descent of this run, and say how it ended.
+
+        For methods that descend from several starts of their own: how many ends agree is what a
+        run can tell of its optimum. The method sets `converged`.
+        """
+        self._descent = descent = Descent()
+        self.meter.descents.append(descent)
+        try:
+            yield descent
+            descent.finished = True
+        finally:
+            self._descent = None
 
     def climbing_evaluations(self) -> int:
         """How many evaluations `climb` may make next; 0 if batches must be evaluated.
@@ -342,6 +366,8 @@ class Oracle:
 
     def _record(self, rows: Array, losses: Array, cost: float, started: float) -> None:
         """Count the rows and keep their improvements."""
+        if self._descent is not None:
+            self._descent.see(losses)
         if cost == 1.0 and np.minimum.reduce(losses) < self.meter.best:
             lower = losses < np.minimum.accumulate(np.append(self.meter.best, losses[:-1]))
             improving = np.flatnonzero(lower)

@@ -1,13 +1,17 @@
-"""The error-over-time record of one run: a row for every improvement."""
+"""What one run leaves: its error over time, a row per improvement, and where its descents ended."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+
+MOST_ENDS = 1000
 
 
 @dataclass
@@ -37,3 +41,58 @@ class Trace:
         self.cpu_seconds.append(cpu_seconds)
         self.loss.append(loss)
         self.theta.append(np.array(theta, dtype=float))
+
+
+@dataclass
+class Descent:
+    """One descent of a method that makes several: the loss where it started, and its smallest.
+
+    `finished` unless the budget, an interrupt or values that are no numbers cut it off;
+    `converged` if its solver says that nothing more is to be gained.
+    """
+
+    start: float = math.inf
+    end: float = math.inf
+    finished: bool = False
+    converged: bool = False
+
+    @property
+    def moved(self) -> bool:
+        """Whether it found anything better than its start."""
+        return self.end < self.start
+
+    def see(self, losses: Array) -> None:
+        """Take in a batch of losses (n,) of the descent; the first of all is the start's."""
+        if math.isinf(self.start):
+            self.start = float(losses[0])
+        self.end = min(self.end, float(np.minimum.reduce(losses)))
+
+
+@dataclass(frozen=True)
+class Descents:
+    """What is kept of the descents of one run: how many there were, and where they ended.
+
+    `ends` are the losses of those that finished, ascending, the best MOST_ENDS of them;
+    `converged` counts those of the finished whose solver had nothing more to gain, `stayed` those
+    that found nothing better than their start.
+    """
+
+    started: int
+    finished: int
+    converged: int
+    stayed: int
+    ends: tuple[float, ...]
+
+    @classmethod
+    def of(cls, descents: Sequence[Descent]) -> Descents | None:
+        """The summary; None for a method that makes no descents."""
+        if not descents:
+            return None
+        finished = [one for one in descents if one.finished and math.isfinite(one.end)]
+        return cls(
+            started=len(descents),
+            finished=len(finished),
+            converged=sum(one.converged for one in finished),
+            stayed=sum(not one.moved for one in finished),
+            ends=tuple(sorted(one.end for one in finished)[:MOST_ENDS]),
+        )

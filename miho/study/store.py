@@ -13,7 +13,7 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -226,4 +226,5 @@ def _result(identity: Identity, record: RunRecord, space: Space) -> dict[str, An
         "setup_seconds": record.setup_seconds,
         "rejected": dict(record.rejected),
         "outside": record.outside,
+        "descents": None if record.descents is None else asdict(record.descents),
     }

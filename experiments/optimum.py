@@ -1,0 +1,83 @@
+"""What can be done about an optimum in doubt: what to type, and a check by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from baselines.variable_projection import VariableProjection
+from experiments.progress import progress
+from miho.identification import CurveFit
+from miho.optim import Budget, Descents, Outcome, Parameter, RunRecord, minimize
+from miho.study import StoredRun, single_thread
+
+Array = NDArray[np.float64]
+
+CHECK_SECONDS = 60.0
+CHECK = VariableProjection(screen=20, starts=1, rounds=100)
+"""Up to 100 descents, each from the best of 20 configurations of its own: independent starts."""
+OTHER_SEEDS = 2**32
+"""Added to a run's seed, so that the check draws what no run has drawn."""
+MORE_SCREEN, MORE_STARTS = 10, 5
+DECADES = 100.0
+"""A positive range wider than this factor may be better searched on a log scale."""
+MOST_HINTS = 3
+
+
+def descents_of(stored: StoredRun) -> Descents | None:
+    """Where the descents of a stored run ended; None if it made none, or is of an older version."""
+    kept = stored.result.get("descents")
+    if not kept:
+        return None
+    try:
+        return Descents(**{**kept, "ends": tuple(kept["ends"])})
+    except (TypeError, LookupError):
+        return None
+
+
+def check(problem: CurveFit, seconds: float, seed: int) -> RunRecord:
+    """Descents from independent starts within `seconds`, with progress; Ctrl-C ends it."""
+    budget = Budget(seconds=seconds)
+    with single_thread(), progress("check", budget, problem.unit) as observer:
+        record = minimize(CHECK, problem, budget, OTHER_SEEDS + seed, observer=observer)
+    if record.outcome is Outcome.INTERRUPTED:
+        raise KeyboardInterrupt
+    return record
+
+
+def remedy(problem: CurveFit, stored: StoredRun) -> str:
+    """What to type where the optimum of a run is in doubt."""
+    settings = stored.config["optimizer"]
+    if "screen" in settings and "starts" in settings:
+        screen, starts = MORE_SCREEN * settings["screen"], MORE_STARTS * settings["starts"]
+        ways = [f"more starts: optimizer.screen={screen} optimizer.starts={starts}"]
+    else:
+        ways = ["another method: optimizer=least_squares", "another seed: seed=1"]
+    if stored.result["outcome"] == Outcome.BUDGET:
+        ways.append(f"a larger budget: {_more(stored)}")
+    ends = zip(problem.space.parameters, stored.result["theta"], strict=True)
+    lowest = sorted(((theta / p.high, p) for p, theta in ends if _wide(p)), key=lambda one: one[0])
+    log = " ".join(_logarithmic(p) for _, p in lowest[:MOST_HINTS])
+    name = problem.space.names[0]
+    box = f"a narrower box: space.{name}.low=... space.{name}.high=..."
+    ways.append(f"{box} or a logarithmic one: {log}" if log else box)
+    trust = " --trust" if "path" in stored.config["model"] else ""
+    command = f"python -m experiments.report {stored.folder} --check{trust}"
+    return f"search again with {'; '.join(ways)}. Or look for a better optimum: {command}"
+
+
+def _more(stored: StoredRun) -> str:
+    budget: dict[str, Any] = dict(stored.config["budget"])
+    limits = {key: budget.get(key) for key in ("evaluations", "seconds")}
+    return " ".join(f"budget.{key}={10 * n:g}" for key, n in limits.items() if n is not None)
+
+
+def _wide(p: Parameter) -> bool:
+    return p.scale == "linear" and p.low >= 0 and p.high > DECADES * p.low
+
+
+def _logarithmic(p: Parameter) -> str:
+    low = f" space.{p.name}.low={1e-6 * p.high:g}" if p.low == 0 else ""
+    return f"space.{p.name}.scale=log{low}"
