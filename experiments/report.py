@@ -39,6 +39,8 @@ from miho.models.identified import Identified, Value, parameters_text
 from miho.study import StoredRun, read_run, single_thread, write_bytes, write_text
 from miho.study.places import inside
 
+LEAST_SECONDS = 10.0
+"""A report may take as long as the run's budget, but this at least and `SECONDS` at most."""
 PAGE, PARAMETERS = "report.html", "parameters.json"
 NO_INTERVALS = "Intervals were not computed; without --quick they are, and a page of their own."
 
@@ -48,7 +50,9 @@ def reported(problem: CurveFit, stored: StoredRun, **settings: Any) -> Report:
     if not sys.stderr.isatty():
         print(f"report of {problem.name}: running", file=sys.stderr, flush=True)
     result = stored.result
+    budget = stored.config["budget"].get("seconds")
     known = {
+        "seconds": SECONDS if budget is None else min(SECONDS, max(LEAST_SECONDS, budget)),
         "descents": descents_of(stored),
         "best_known": result.get("facts", {}).get("optimum"),
         "remedy": remedy(problem, stored),
@@ -130,16 +134,17 @@ def _report(stored: StoredRun, folder: Path, arguments: argparse.Namespace) -> t
         raise ConfigError("the run found no finite value, so there is nothing to report")
     problem = rebuild(stored, trusted=arguments.trust)
     settings: dict[str, Any] = {}
+    if arguments.seconds is not None:
+        settings["seconds"] = arguments.seconds
     if arguments.check is not None:
         record = check(problem, arguments.check, int(result["seed"]))
-        settings = {"check": record.descents, "better": record.theta}
+        settings |= {"check": record.descents, "better": record.theta}
     made = reported(
         problem,
         stored,
         replicates=arguments.bootstrap,
         profiles=arguments.profile,
         level=arguments.level,
-        seconds=arguments.seconds,
         **settings,
     )
     errors = error_table(made).to_string(index=False, header=False)
@@ -186,8 +191,9 @@ def main() -> int:
         help=f"look for a better optimum from independent starts ({CHECK_SECONDS:g} s)",
     )  # fmt: skip
     parser.add_argument(
-        "--seconds", type=float, default=SECONDS,
-        help=f"for all that was not asked for by name ({SECONDS:g})",
+        "--seconds", type=float,
+        help="for what is not asked for by name (those of the run's budget, "
+        f"{LEAST_SECONDS:g} to {SECONDS:g})",
     )  # fmt: skip
     parser.add_argument("--level", type=float, default=0.95, help="of the intervals (0.95)")
     parser.add_argument("--trust", action="store_true", help="run models in files of your own")
@@ -198,7 +204,7 @@ def main() -> int:
     arguments = parser.parse_args()
     if arguments.bootstrap < 0 or not 0 < arguments.level < 1:
         parser.error("--bootstrap must be at least 0 and --level between 0 and 1")
-    if not arguments.seconds > 0 or not (arguments.check is None or arguments.check > 0):
+    if any(limit is not None and not limit > 0 for limit in (arguments.seconds, arguments.check)):
         parser.error("--seconds and --check must be above 0")
     if (arguments.path / "result.json").is_file():
         if arguments.quick:

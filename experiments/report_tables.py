@@ -29,9 +29,15 @@ def parameter_table(report: Report) -> pd.DataFrame:
         }
         for kind in kinds:
             ends = row[f"{kind} low"], row[f"{kind} high"]
-            told[f"{100 * report.level:g} % interval ({kind})"] = interval(*ends, error)
+            told[_heading(report, kind)] = interval(*ends, error)
         rows.append(told)
     return pd.DataFrame(rows)
+
+
+def _heading(report: Report, kind: str) -> str:
+    """Of the column of intervals of a kind."""
+    local = " of this local optimum" * bool(report.standing.doubt)
+    return f"{100 * report.level:g} % interval ({kind}){local}"
 
 
 def values_table(stored: StoredRun) -> pd.DataFrame:
@@ -56,7 +62,7 @@ def derived_table(report: Report) -> pd.DataFrame:
                 "derived": row["quantity"],
                 "value": with_error(value, error) if error > 0 else "-",
                 "unit": unit,
-                f"{100 * report.level:g} % interval ({chosen})": interval(low, high, error),
+                _heading(report, chosen): interval(low, high, error),
             }
         )
     return pd.DataFrame(rows)
@@ -70,7 +76,9 @@ def error_table(report: Report) -> pd.DataFrame:
         if not math.isnan(row["low"]):
             error = f"{row['low']:.4g} to {row['high']:.4g}"
             remark = "estimated from neighbouring points"
-            if report.error <= row["high"]:
+            if not report.irreducible.resolved:
+                remark += ", which lie too far apart to tell"
+            elif report.error <= row["high"]:
                 inside = "within the uncertainty of the estimate"
                 remark += f"; this fit is {inside if report.error >= row['low'] else 'below it'}"
         rows.append(

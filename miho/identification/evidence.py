@@ -13,14 +13,14 @@ AGREEING = 1e-4
 less (1e-10 is their usual tolerance), and different optima lie further apart."""
 NOTHING = 1e-16
 """A loss below this fraction of the output's mean square is 0: its digits are rounding."""
-ENOUGH = 5
-"""So many descents end in the best optimum where it is relied on. An optimum as easy to reach, but
-better, would have been missed by all n descents with a probability of (1 - 5 / n)^n, at most 1 %;
-with 2 descents it is 14 %."""
+ENOUGH, SHARE = 5, 0.25
+"""So many descents, and this share of all, end in the best optimum where it is relied on. One that
+is as easy to reach, but better, would have been missed by all n with a probability of
+(1 - 5 / n)^n, at most 1 %; and where the best is rare, a better one that is rarer is likely."""
 UNSEEN = 0.1
-"""Of the starts, at most this share may belong to optima that no descent has ended in."""
-RESOLVED = 0.5
-"""An irreducible error whose interval reaches below this fraction of it is not known."""
+"""Of the starts, at most this share may belong to optima that no descent has ended in, as Boender
+and Rinnooy Kan (Mathematical Programming 37, 1987) estimate it: w (w + 1) / (n (n - 1)) for n
+independent descents that ended in w optima."""
 OVERLOOKED = 0.01
 """A recorded optimum is missed by an error that is larger by more than this fraction."""
 
@@ -30,10 +30,12 @@ class Standing:
     """How an optimum stands: `evidence` says in a sentence what is known of it.
 
     `doubt` says why it may not be the best, and is empty where there is enough evidence that it is.
+    `certain` if that does not rest on descents that agree, which may all have missed a better one.
     """
 
     evidence: str
     doubt: str = ""
+    certain: bool = False
 
 
 def standing(
@@ -55,32 +57,32 @@ def standing(
     nothing = NOTHING * size
     if best_known is not None:
         if loss <= best_known * (1 + OVERLOOKED) ** 2 + nothing:
-            return Standing("the best known optimum is reached")
+            return Standing("the best known optimum is reached", certain=True)
         more = (loss / best_known) ** 0.5 - 1 if best_known > 0 else float("inf")
         doubt = f"the error is {100 * more:.3g} % higher than that of the best known optimum"
         return Standing(doubt, doubt)
     descents = [each for each in searches if each is not None]
     finished = sum(each.finished for each in descents)
     here = sum(end <= loss * (1 + AGREEING) + nothing for each in descents for end in each.ends)
-    ended = f"{here} of {finished} descents ended here"
-    reliable = False
+    reliable, ended = False, f"{here or 'none'} of {finished} descents ended here"
     if finished:
         optima = _distinct([end for each in descents for end in each.ends], nothing)
         unseen = optima * (optima + 1) / (finished * (finished - 1)) if finished > 1 else 1.0
-        reliable = here >= ENOUGH and unseen <= UNSEEN
+        reliable = here >= max(ENOUGH, SHARE * finished) and unseen <= UNSEEN
     if reliable:
         return Standing(f"{ended}, each from a start of its own")
-    if irreducible is not None and _within(error, irreducible):
+    if irreducible is not None and irreducible.resolved and error <= irreducible.high:
         reached = "the error is within the interval of the irreducible error, which no curve beats"
-        return Standing(f"{ended}; {reached}" if finished else reached)
+        return Standing(f"{ended}; {reached}" if finished else reached, certain=True)
     if not descents:
         once = "one search, and nothing in it tells whether a better optimum exists"
         return Standing(once, once)
     if not finished:
         return Standing("no descent was finished", "no descent was finished within the budget")
-    others = f", in {optima} different optima" if optima > 1 else ""
-    doubt = f"only {ended}{others}" if here < finished else f"{ended}, which are too few"
-    return Standing(ended + others, doubt)
+    if optima > 1:
+        ended += f", and all of them at {optima} different errors"
+    doubt = f"{ended}, which are too few to rely on" if here == finished else f"only {ended}"
+    return Standing(ended, doubt if here else ended)
 
 
 def _distinct(ends: Sequence[float], nothing: float) -> int:
@@ -91,8 +93,3 @@ def _distinct(ends: Sequence[float], nothing: float) -> int:
             count += 1
             last = end
     return count
-
-
-def _within(error: float, irreducible: Irreducible) -> bool:
-    """Whether no curve is much better, as far as an estimate that is known well tells."""
-    return irreducible.low >= RESOLVED * irreducible.value and error <= irreducible.high

@@ -12,12 +12,21 @@ from scipy.special import chdtri
 Array = NDArray[np.float64]
 
 
+RESOLVED = 0.5
+"""An estimate whose interval reaches below this fraction of it is of no use."""
+
+
 class Irreducible(NamedTuple):
     """An estimate of the irreducible error and its interval, all in the output's unit."""
 
     value: float
     low: float
     high: float
+
+    @property
+    def resolved(self) -> bool:
+        """Whether the points lie close enough for the estimate to be of use."""
+        return self.low >= RESOLVED * self.value
 
 
 def irreducible_error(x: Array, y: Array) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 from scipy.optimize.elementwise import find_root
 
@@ -18,6 +19,8 @@ EXPANSIONS = 20
 """Steps outwards at most until an interval's end lies behind."""
 WALL = 100.0
 """Where the residuals are not finite, the signed root is this many times the wanted quantile."""
+HALVINGS = 30
+"""Steps at most between two ends of which one lies inside: enough for a jump."""
 CLOSE = 0.005
 """An end is found when the signed root is within this of the wanted quantile."""
 
@@ -59,6 +62,8 @@ def profile(
     unit = float(psi @ psi / at.freedom / stiffness.mean())  # cost / freedom for the square
     direction = _conditional_direction(at, index)
     centre = float(theta[index])
+    # What only moves along directions that the data do not see would cost many steps, in vain.
+    fixed = {index, *_superfluous(at)}
     known = {centre: (0.0, theta)}
     best = Refit(theta, cost)
 
@@ -68,13 +73,13 @@ def profile(
             nearest = known[min(known, key=lambda other: abs(other - value))][1]
             guess = nearest + direction * (value - nearest[index])
             guess[index] = value
-            end = refit(problem, guess, fixed=(index,), tolerance=1e-8, deadline=deadline)
+            end = refit(problem, guess, fixed=fixed, tolerance=1e-8, deadline=deadline)
             if not np.isfinite(
                 end.cost
             ):  # the guess is behind a wall, which the known point is not
                 guess = nearest.copy()
                 guess[index] = value
-                end = refit(problem, guess, fixed=(index,), tolerance=1e-8, deadline=deadline)
+                end = refit(problem, guess, fixed=fixed, tolerance=1e-8, deadline=deadline)
             if deadline is not None:
                 deadline.check()
             best = min(best, end, key=lambda each: each.cost)
@@ -103,12 +108,21 @@ def profile(
             np.vectorize(lambda value: abs(tau(float(value))) - wanted),
             (inside, outside),
             tolerances={"fatol": CLOSE},
+            maxiter=HALVINGS,
         )
         return float(solution.x)
 
     low, high = (limit(-1, problem.space.low[index]), limit(1, problem.space.high[index]))
     values = np.array(sorted(known))
     return Profile(values, np.array([known[value][0] for value in values]), low, high, best)
+
+
+def _superfluous(at: Linearised) -> list[int]:
+    """As many parameters as there are unseen directions, without which the others are seen."""
+    if not len(at.unseen):
+        return []
+    pivots = scipy.linalg.qr(at.unseen, mode="r", pivoting=True)[1]
+    return [int(k) for k in pivots[: len(at.unseen)]]
 
 
 def _conditional_direction(at: Linearised, index: int) -> Array:

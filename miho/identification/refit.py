@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -65,7 +65,7 @@ def refit(
     problem: CurveFit,
     start: Array,
     weights: Array | None = None,
-    fixed: Sequence[int] = (),
+    fixed: Collection[int] = (),
     tolerance: float = 1e-10,
     evaluations: int = EVALUATIONS,
     deadline: Deadline | None = None,

@@ -227,20 +227,23 @@ class Report:
         sentences += independence(self.problem, self.at)
         sentences += outliers(self.problem, self.at)
         error, irreducible = self.error, self.irreducible
-        if error > SUSPICIOUS * irreducible.high:
+        unless = "" if self.standing.certain else ", unless all descents missed a better optimum"
+        if irreducible.resolved and error > SUSPICIOUS * irreducible.high:
             sentences.append(
                 f"the error is {error / irreducible.value:.1f} times the irreducible error: check "
-                "units, signs, ranges and the model."
+                f"units, signs, ranges and the model{unless}."
             )
         for row in self.trends.to_dict("records"):
             if row["explained"] > UNMODELLED and row["p"] < CHANCE:
                 share = f"{100 * row['explained']:.0f} % of the errors' variance follows"
                 if row["an input"] == "yes":
-                    sentences.append(f"{share} {row['column']}: the model has the wrong shape.")
+                    sentences.append(
+                        f"{share} {row['column']}: the model has the wrong shape{unless}."
+                    )
                 else:
                     sentences.append(
                         f"{share} {row['column']}, which is no input of the model: it is not "
-                        "noise, and only a model with that input can remove it."
+                        f"noise, and only a model with that input can remove it{unless}."
                     )
         return sentences
 
@@ -402,11 +405,15 @@ def _standing(
             f"a descent from it was still moving after {optimum.evaluations:,} evaluations, so "
             "standard errors and intervals are not those of an optimum"
         )
-        return Standing(found.evidence, "; ".join(filter(None, (found.doubt, moving))))
+        return Standing(found.evidence, _joined(found.doubt, moving))
     if at.blind.any():
         local = flat(at, problem.space, _without_effect(problem))
-        return Standing(found.evidence, "; ".join(filter(None, (found.doubt, local))))
+        return Standing(found.evidence, _joined(found.doubt, local), certain=found.certain)
     return found
+
+
+def _joined(*reasons: str) -> str:
+    return "; ".join(filter(None, reasons))
 
 
 def _without_effect(problem: CurveFit) -> NDArray[np.bool_]:
