@@ -62,11 +62,13 @@ def _command(
     return run
 
 
-def test_identify_prints_parameters_error_and_gap(identify: Command, tmp_path: Path) -> None:
+def test_identify_prints_parameters_errors_and_evidence(identify: Command, tmp_path: Path) -> None:
     code, out, _ = identify(*QUICK)
     assert code == 0
-    for word in ("1/rad", "best known", "irreducible", "evaluations", "gap 0.00", "(ran)"):
+    for word in ("1/rad", "195 degrees of freedom", "irreducible", "evaluations", "(ran)"):
         assert word in out
+    assert re.search(r"optimum +\d+ of 30 descents ended here", out)
+    assert "best known" not in out, "nothing was recorded, and nothing else is run to know it"
     assert len(load_runs(tmp_path / "runs").runs) == 1
     assert "(done before)" in identify(*QUICK)[1]
 

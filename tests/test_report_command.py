@@ -71,7 +71,15 @@ def test_the_best_run_of_a_root(
     (folder,) = (root / "reports" / "pacejka-tire_lf").iterdir()
     assert folder.name == f"least_squares-{best['id'][:12]}"
     found = read_parameters(folder / "parameters.json", Pacejka())
-    assert found.theta.tolist() == [best[f"theta.{name}"] for name in Pacejka.parameters]
+    assert found.theta == pytest.approx(
+        [best[f"theta.{name}"] for name in Pacejka.parameters], rel=1e-5
+    )
+    for value in found.parameters.values():
+        assert value.low < value.value < value.high
+    assert found.provenance["degrees_of_freedom"] == 295
+    deviation = found.provenance["residual_standard_deviation"]
+    assert deviation == pytest.approx(found.provenance["error"] * np.sqrt(300 / 295))
+    assert "irreducible error" in found.provenance["optimum"]
     assert found.provenance["seed"] == best["seed"]
     assert found.provenance["interval"] == "profile"
     page = (folder / "report.html").read_text(encoding="utf-8")

@@ -128,9 +128,13 @@ def refit(
         return Refit(theta, math.inf, converged=False)
     if not free.size or costs[-1] == 0:
         return Refit(theta, costs[-1])
+
+    def known_or_new(part: Array) -> Array:
+        return at_start if np.array_equal(part, first) else residuals(part)
+
     try:
         solution = scipy.optimize.least_squares(
-            lambda part: at_start if np.array_equal(part, first) else residuals(part),
+            known_or_new,
             first,
             jac=jacobian,
             bounds=(0.0, 1.0),

@@ -335,16 +335,16 @@ def make_report(
         for i in np.flatnonzero(possible) if wanted else ():
             each(f"profile of {problem.space.names[i]}")
             try:
-                curves[i] = profile(problem, at, i, level, None if profiles else deadline)
+                curves[i] = profile(problem, at, int(i), level, None if profiles else deadline)
             except OutOfTimeError:
                 lacking = ", ".join(problem.space.names[k] for k in np.flatnonzero(possible)[i:])
                 omitted.append(_omission(f"profile intervals of {lacking}", seconds))
                 break
-        better = min((p.best for p in curves if p), key=lambda each: each.cost, default=optimum)
-        if better.cost >= (1 - BETTER) * optimum.cost:
+        lowest = min((p.best for p in curves if p), key=lambda each: each.cost, default=optimum)
+        if lowest.cost >= (1 - BETTER) * optimum.cost:
             break
         each("better optimum")
-        optimum = _optimum(problem, better.theta, deadline)
+        optimum = _optimum(problem, lowest.theta, deadline)
     held = np.flatnonzero(at.blind).tolist()  # no refit moves what the data do not see
     drawn = None
     if replicates:

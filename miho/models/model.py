@@ -68,8 +68,8 @@ def central_differences(model: Model, theta: Array, *inputs: Array) -> Array:
             rows[: todo.size][np.arange(todo.size), todo]
             - rows[todo.size :][np.arange(todo.size), todo]
         )
-        beside = ~(np.isfinite(high) & np.isfinite(low)).all(axis=1)
-        if beside.any():
+        beside = np.flatnonzero(~(np.isfinite(high) & np.isfinite(low)).all(axis=1))
+        if beside.size:
             here = model.predict(theta[None], *inputs)[0]
             high, low, width = _one_sided(here, high, low, width, beside)
         change = high - low
@@ -82,11 +82,11 @@ def central_differences(model: Model, theta: Array, *inputs: Array) -> Array:
 
 
 def _one_sided(
-    here: Array, high: Array, low: Array, width: Array, beside: NDArray[np.bool_]
+    here: Array, high: Array, low: Array, width: Array, beside: NDArray[np.intp]
 ) -> tuple[Array, Array, Array]:
     """Differences to the point itself, for the parameters `beside` values that are not finite."""
     high, low, width = high.copy(), low.copy(), width.copy()
-    for k in np.flatnonzero(beside):
+    for k in beside:
         if np.isfinite(low[k]).all():
             high[k] = here
         elif np.isfinite(high[k]).all():

@@ -366,9 +366,10 @@ class Oracle:
 
     def _record(self, rows: Array, losses: Array, cost: float, started: float) -> None:
         """Count the rows and keep their improvements."""
+        least = np.minimum.reduce(losses)
         if self._descent is not None:
-            self._descent.see(losses)
-        if cost == 1.0 and np.minimum.reduce(losses) < self.meter.best:
+            self._descent.see(losses[0], least)
+        if cost == 1.0 and least < self.meter.best:
             lower = losses < np.minimum.accumulate(np.append(self.meter.best, losses[:-1]))
             improving = np.flatnonzero(lower)
             found, thetas = losses[improving], rows[improving]

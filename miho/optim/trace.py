@@ -61,11 +61,12 @@ class Descent:
         """Whether it found anything better than its start."""
         return self.end < self.start
 
-    def see(self, losses: Array) -> None:
-        """Take in a batch of losses (n,) of the descent; the first of all is the start's."""
-        if math.isinf(self.start):
-            self.start = float(losses[0])
-        self.end = min(self.end, float(np.minimum.reduce(losses)))
+    def see(self, first: float, least: float) -> None:
+        """Take in the first and the least loss of a batch; the first of all is the start's."""
+        if self.start == math.inf:
+            self.start = first
+        if least < self.end:
+            self.end = least
 
 
 @dataclass(frozen=True)
@@ -94,5 +95,5 @@ class Descents:
             finished=len(finished),
             converged=sum(one.converged for one in finished),
             stayed=sum(not one.moved for one in finished),
-            ends=tuple(sorted(one.end for one in finished)[:MOST_ENDS]),
+            ends=tuple(sorted(float(one.end) for one in finished)[:MOST_ENDS]),
         )

@@ -5,12 +5,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from miho import Budget, LeastSquaresProblem, Parameter, Space, minimize
 from miho.methods.descent import METHODS, descend
 from miho.methods.least_squares import LeastSquares
-from miho.methods.local_search import LBFGSB
+from miho.methods.local_search import LBFGSB, NelderMead
 from miho.methods.variable_projection import VariableProjection
-from miho.optim import Outcome
+from miho import Budget, LeastSquaresProblem, Optimizer, Oracle, Parameter, Space, minimize
+from miho.optim import BudgetExhausted, Clock, Outcome, RandomSearch
 from miho.optim.problem import mean_square
 from miho.testing import DecayFit
 from tests.baselines.test_variable_projection import Narrow, separable
@@ -156,3 +156,55 @@ def test_without_rounds_it_goes_on_until_the_budget_ends() -> None:
     record = minimize(method, misra1a(), Budget(evaluations=2000))
     assert record.outcome is Outcome.BUDGET
     assert record.evaluations > 1900
+
+
+def test_a_run_says_where_its_descents_ended() -> None:
+    method = LeastSquares(screen=50, starts=4, rounds=2)
+    whole = minimize(method, misra1a()).descents
+    assert whole is not None
+    assert (whole.started, whole.finished, whole.converged, whole.stayed) == (8, 8, 8, 0)
+    assert whole.ends == pytest.approx([1.2455138894e-1 / 14] * 8, rel=1e-6)
+    cut = minimize(method, misra1a(), Budget(evaluations=70)).descents
+    assert cut is not None
+    assert cut.started == cut.finished + 1
+    assert minimize(RandomSearch(), misra1a(), Budget(evaluations=70)).descents is None
+
+
+@pytest.mark.parametrize("method", [LeastSquares(), NelderMead(), LBFGSB(), VariableProjection()])
+def test_a_small_budget_is_not_spent_on_screening(method: Optimizer) -> None:
+    descents = minimize(method, misra1a(), Budget(evaluations=200)).descents
+    assert descents is not None
+    assert descents.started >= 1
+    if isinstance(method, LeastSquares | VariableProjection):
+        assert descents.finished >= 1
+
+
+def test_screening_takes_a_fifth_of_the_seconds() -> None:
+    """A model of 0.2 s an evaluation and 10 s: ten configurations are screened, not 500."""
+    now = [0.0]
+
+    class Slow(DecayFit):
+        def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+            now[0] += 0.2 * len(thetas)
+            return super().loss(thetas, fidelity)
+
+        def residuals(self, theta: Array) -> Array:
+            now[0] += 0.2
+            return super().residuals(theta)
+
+    oracle = Oracle(Slow(), Budget(seconds=10.0), clock=Clock(lambda: now[0], lambda: now[0]))
+    with pytest.raises(BudgetExhausted):
+        LeastSquares().run(oracle, np.random.default_rng(0))
+    assert oracle.meter.descents[0].finished
+    thetas = oracle.space.decode(oracle.space.initial(11))
+    screened = oracle.meter.descents[0].start
+    assert screened == DecayFit().loss(thetas).min(), "of the first screened, the best"
+
+
+def test_screening_is_whole_within_an_ample_budget() -> None:
+    """The same numbers in one batch and, with a limit in seconds, in several."""
+    traces = [
+        minimize(LeastSquares(rounds=1), misra1a(), budget, seed=3).trace.loss
+        for budget in (Budget(), Budget(evaluations=40_000, seconds=1e6))
+    ]
+    assert traces[0] == traces[1]

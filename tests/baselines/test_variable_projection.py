@@ -134,3 +134,12 @@ def test_a_column_of_zeros_does_not_matter() -> None:
 def test_residuals_that_are_not_finite_have_no_linear_part() -> None:
     space = DecayFit.space
     assert solve_linear_part(lambda c: c * np.nan, space.low, [0], space) is None
+
+
+def test_a_linear_part_of_any_size_is_solved() -> None:
+    """The squares of a column of 1e160 are no numbers; the best factor is 3e-160."""
+    x = np.linspace(0.5, 1, 9)
+    space = Space((Parameter("a", "-", 0, 1e-140),))
+    found = solve_linear_part(lambda c: c[0] * 1e160 * x - 3 * x, np.array([0.0]), [0], space)
+    assert found is not None
+    assert found.theta[0] == pytest.approx(3e-160, rel=1e-12)

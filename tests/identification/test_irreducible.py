@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from miho.identification import irreducible_error
+from miho.identification.irreducible import irreducible_interval
 
 
 def test_it_finds_the_noise_of_a_smooth_curve() -> None:
@@ -25,3 +26,27 @@ def test_repeated_inputs() -> None:
     y = np.random.default_rng(2).normal(0, 2.0, x.size)
     assert irreducible_error(x, y) == pytest.approx(2.0, rel=0.1)
     assert math.isnan(irreducible_error(np.array([1.0, 2.0]), np.array([1.0, 2.0])))
+
+
+@pytest.mark.parametrize("spread", ["even", "growing"])
+def test_the_interval_holds_the_noise(spread: str) -> None:
+    """Nominally 95 of 100; a binomial of 95 % in 300 is at least 90 % but once in ten thousand."""
+    rng, inside, resolved = np.random.default_rng(1), 0, 0
+    for _ in range(300):
+        x = rng.uniform(-1, 1, 200)
+        size = np.full(200, 0.3) if spread == "even" else 0.6 * np.abs(x)
+        y = np.sin(3 * x) + size * rng.standard_normal(200)
+        found = irreducible_interval(x, y)
+        inside += found.low <= np.sqrt(np.mean(size**2)) <= found.high
+        resolved += found.resolved
+    assert inside >= 270
+    assert resolved >= 290
+
+
+def test_points_too_far_apart_tell_nothing() -> None:
+    """Six points of a wave without noise: what they differ by is the wave."""
+    x = np.linspace(0, 6, 6)
+    found = irreducible_interval(x, np.sin(x))
+    assert found.low == 0
+    assert not found.resolved
+    assert irreducible_interval(x[:4], x[:4] ** 2).high == math.inf

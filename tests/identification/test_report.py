@@ -10,10 +10,17 @@ from miho.data import Dataset, sample_tir
 from miho.identification import CurveFit, Huber, Report, make_report
 from miho.identification.bootstrap import bootstrap
 from miho.identification.refit import refit
-from miho.identification.validation import groups, leave_one_out, levels, residual_trends
+from miho.identification.validation import (
+    groups,
+    leave_one_out,
+    levels,
+    residual_trends,
+    root_mean_square,
+)
 from miho.models import Pacejka
 from miho.optim import Space
-from tests.identification.published import Line, line, puromycin
+from tests.identification.published import Line, Misra1a, line, puromycin
+from tests.identification.published import problem as problem_of
 from tests.identification.test_derived import SPACE
 
 
@@ -35,8 +42,9 @@ def test_every_table_of_a_tire(tire: Report) -> None:
         assert (low < parameters["value"]).all()
         assert (parameters["value"] < high).all()
     assert tire.errors["on"].tolist() == [
-        "training", "leave a fifth of Fz out", "leave a fifth of gamma out",
-        "leave a fifth of kappa out", "irreducible, about",
+        "training", "residual standard deviation, 995 degrees of freedom",
+        "leave a fifth of Fz out", "leave a fifth of gamma out", "leave a fifth of kappa out",
+        "irreducible, about",
     ]  # fmt: skip
     assert (tire.left_out["error when left out"] >= tire.left_out["error when seen"] - 1e-9).all()
     assert tire.left_out.groupby("condition")["rows"].sum().tolist() == [1000] * 3
@@ -75,14 +83,43 @@ def test_the_band_holds_the_curve_of_the_truth() -> None:
     assert inside < 180
 
 
-def test_a_run_that_stopped_early_is_told() -> None:
+def test_a_report_is_of_one_point() -> None:
+    """Of the optimum, whatever the run ended at: values, intervals, errors and figures' curve."""
     problem = puromycin()
     early = make_report(problem, np.array([200.0, 0.08]))
-    assert "the run ended" in early.notes[0]
-    assert "standard errors of" in early.notes[0]
-    assert early.parameters["value"].tolist() == [200.0, 0.08]
+    assert early.parameters["value"].tolist() == early.at.theta.tolist()
+    assert early.parameters["of the run"].tolist() == [200.0, 0.08]
+    for kind in ("linearised", "profile"):
+        assert (early.parameters[f"{kind} low"] < early.parameters["value"]).all()
+        assert (early.parameters["value"] < early.parameters[f"{kind} high"]).all()
+    assert early.error == root_mean_square(problem.errors(early.at.theta))
+    (remark,) = [note for note in early.notes if "reported is the optimum" in note]
+    ratio = root_mean_square(problem.errors(early.run)) / early.error - 1
+    assert f"an error that is {100 * ratio:.2g} % higher" in remark
     optimum = make_report(problem, early.at.theta)
-    assert not any("the run ended" in note for note in optimum.notes)
+    assert not any("reported is the optimum" in note for note in optimum.notes)
+
+
+@pytest.mark.parametrize("start", [6.0, 9.0])
+def test_a_better_optimum_that_the_intervals_meet_is_reported(start: float) -> None:
+    """The profile of a frequency passes from a poor local optimum to the true one."""
+    t = np.linspace(0, 3, 80)
+    y = 0.6 * np.sin(4.0 * t) + 0.5 * np.random.default_rng(4).standard_normal(80)
+    fit = problem_of(Wave(), t, y, [(0.1, 3), (0.1, 12)])
+    local, best = (refit(fit, np.array([0.3, b2])) for b2 in (start, 4.0))
+    assert local.converged
+    assert best.cost < 0.6 * local.cost
+    found = make_report(fit, local.theta)
+    assert found.at.theta == pytest.approx(best.theta, rel=1e-4)
+    assert any("reported is the optimum" in note for note in found.notes)
+
+
+class Wave(Misra1a):
+    """y = b1 sin(b2 x): an optimum in b2 every few periods."""
+
+    def predict(self, thetas: np.ndarray, *inputs: np.ndarray) -> np.ndarray:
+        b1, b2 = thetas.T[:, :, None]
+        return np.asarray(b1 * np.sin(b2 * inputs[0]))
 
 
 def test_held_out_rows_are_reported() -> None:

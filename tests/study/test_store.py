@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from miho import Budget, load_runs, minimize
-from miho.optim import RandomSearch, RunRecord, Trace
+from miho.optim import Descents, RandomSearch, RunRecord, Trace
 from miho.study import DamagedRun, Identity, RunInUse, Status, Store, execute, read_run
 from miho.testing import DecayFit
 
@@ -45,6 +45,16 @@ def test_round_trip(tmp_path: Path) -> None:
     assert curve["error"].tolist()[: len(expected.trace)] == np.sqrt(expected.trace.loss).tolist()
     assert curve["evaluations"].iloc[-1] == 50, "the curve is closed where the run ended"
     assert found.damaged.empty
+
+
+def test_descents_are_kept(tmp_path: Path) -> None:
+    kept = Descents(3, 2, 2, 0, (1.0, 4.0))
+    run = replace(record(), descents=kept)
+    done = execute(Store(tmp_path), identity(), lambda: run, DecayFit.space, FACTS).run
+    assert done is not None
+    assert done.result["descents"] == {
+        "started": 3, "finished": 2, "converged": 2, "stayed": 0, "ends": [1.0, 4.0]
+    }  # fmt: skip
 
 
 def test_a_creeping_curve_is_stored_to_its_resolution(tmp_path: Path) -> None:
