@@ -63,7 +63,9 @@ def page_of(report: Report, stored: StoredRun, figures: Mapping[str, bytes]) -> 
         Section("Parameters", table=_all_intervals(report, kinds), caption=_explained(report)),
         Section(
             "What these numbers mean",
-            [*(report.notes or ["nothing to warn of."]), f"optimum: {report.standing.evidence}."],
+            report.notes
+            if report.standing.doubt
+            else [f"optimum: {report.standing.evidence}.", *report.notes],
         ),
         Section(
             "Fit",

@@ -12,6 +12,7 @@ import pytest
 from experiments import report
 from experiments.build import ConfigError, build, rebuild
 from experiments.cli import composed
+from experiments.run import report as summary
 from experiments.run import run
 from experiments.schema import register
 from miho.models import Pacejka
@@ -160,6 +161,52 @@ def test_quick_is_for_roots(
     with pytest.raises(SystemExit, match="2"):
         called(monkeypatch, load_runs(root).runs["folder"][0], "--quick")
     assert "the folder of one run" in capsys.readouterr().err
+
+
+def test_a_check_by_name_adds_descents_from_other_starts(
+    root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """In two seconds there is time for more descents than the ten of the run."""
+    folder = load_runs(root).runs.set_index("seed").loc[0, "folder"]
+    called(monkeypatch, folder, "--no-profile", "--output", tmp_path)
+    (before,) = re.findall(r"optimum: (\d+) of 10 descents ended here", capsys.readouterr().out)
+    called(monkeypatch, folder, "--check", 2, "--no-profile", "--output", tmp_path)
+    out = capsys.readouterr().out
+    ((here, finished),) = re.findall(r"optimum: (\d+) of (\d+) descents ended here", out)
+    assert int(finished) > 10
+    assert int(before) <= int(here) <= int(finished)
+    with pytest.raises(SystemExit, match="2"):
+        called(monkeypatch, folder, "--check", 0)
+
+
+def test_an_optimum_in_doubt_comes_with_what_to_type(tmp_path: Path) -> None:
+    """A search of one start for a frequency, which ends in one of many local optima."""
+    path = tmp_path / "wave.py"
+    path.write_text(
+        "import numpy as np\n"
+        'def wave(alpha: "rad", *, a: "N", b: "1/rad") -> "N":\n'
+        "    return a * np.sin(b * alpha)\n"
+    )
+    data = tmp_path / "wave.csv"
+    alpha = np.linspace(-0.4, 0.4, 100)
+    pd.DataFrame({"alpha": alpha, "Fy": 3000 * np.sin(20 * alpha)}).to_csv(data, index=False)
+    overrides = ["model=function", f"model.path={path}", "dataset=csv", f"dataset.path={data}"]
+    space = "+space={a: {unit: N, low: 0, high: 9000}, b: {unit: 1/rad, low: 60, high: 900}}"
+    poor = ["optimizer.screen=5", "optimizer.starts=2", f"root={tmp_path / 'runs'}"]
+    experiment = build(composed([*FAST, *overrides, "~space", space, *poor]))
+    stored = run(experiment).run
+    assert stored is not None
+    told = summary(experiment, stored)
+    assert "the optimum is in doubt" in told
+    assert "optimizer.screen=50 optimizer.starts=10" in told
+    assert "space.a.scale=log space.a.low=0.009" in told
+    assert f"python -m experiments.report {stored.folder} --check --trust" in told
+    assert "of this local optimum" in told
+    for blame in ("wrong shape", "check units", "not identifiable", "told from 0"):
+        assert blame not in told
+    page = (report.report_folder(stored) / "report.html").read_text(encoding="utf-8")
+    assert "optimizer.screen=50 optimizer.starts=10" in page
+    assert "wrong shape" not in page
 
 
 @pytest.mark.slow

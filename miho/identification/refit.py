@@ -61,6 +61,10 @@ class _NoDerivatives(Exception):  # noqa: N818 -- ends a descent, no error
     """The derivatives are not all finite numbers."""
 
 
+class _Stationary(Exception):  # noqa: N818 -- ends a descent, no error
+    """Nothing depends on the free parameters here."""
+
+
 def refit(
     problem: CurveFit,
     start: Array,
@@ -121,6 +125,8 @@ def refit(
         derivatives = problem.jacobian(moved)[:, free] * stretch[free]
         if not np.isfinite(derivatives).all():
             raise _NoDerivatives
+        if not derivatives.any():
+            raise _Stationary  # SciPy would divide by them
         return np.asarray(derivatives if root is None else derivatives * root[:, None])
 
     at_start = residuals(first)
@@ -147,6 +153,8 @@ def refit(
         # Along directions that the data do not see SciPy goes on, and gains nothing.
         late = costs[(len(costs) + 1) // 2]
         converged = solution.status > 0 or costs[-1] >= (1 - STANDSTILL) * late
+    except _Stationary:
+        converged = True
     except (_NoDerivatives, OutOfTimeError):
         converged = False
     return Refit(best, costs[-1], bool(converged), len(costs) - 1)
