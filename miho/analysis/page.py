@@ -30,7 +30,10 @@ th { border-bottom: 1.5px solid #888; font-weight: 600; }
 th.text, td.text { text-align: left; }
 img { max-width: 100%; height: auto; }
 @media print { body { max-width: none; } h2 { break-after: avoid; }
-               img, table { break-inside: avoid; } }
+               img, table { break-inside: avoid; } .scroll { overflow: visible; }
+               table { font-size: .8rem; } th, td { white-space: normal; padding: .2rem .4rem; } }
+@media (max-width: 40rem) { th, td { white-space: normal; padding: .2rem .3rem; }
+                            table { font-size: .8rem; } }
 """
 
 

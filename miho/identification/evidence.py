@@ -80,7 +80,7 @@ def standing(
     if not finished:
         return Standing("no descent was finished", "no descent was finished within the budget")
     if optima > 1:
-        ended += f", and all of them at {optima} different errors"
+        ended += f"; they ended at {optima} different errors"
     doubt = f"{ended}, which are too few to rely on" if here == finished else f"only {ended}"
     return Standing(ended, doubt if here else ended)
 

@@ -233,7 +233,8 @@ def difference(run: Array, at: Linearised, space: Space, gain: float) -> list[st
     away = np.abs(run - at.theta)[usable] / at.standard_errors[usable]
     if gain <= NOTICEABLE and (not away.size or away.max() <= NEAR_OPTIMUM):
         return []
-    higher = f"{100 * gain / (1 - gain):.2g}" if gain < 1 else "infinitely many"
+    percent = 100 * gain / (1 - gain) if gain < 1 else np.inf
+    higher = f"{percent:.2g}" if percent < 100 else f"{percent:.0f}"
     place = "far from it" if away.size and away.max() > ANOTHER else "near it"
     return [
         f"reported is the optimum that was found after the run, which itself ended {place}, at an "

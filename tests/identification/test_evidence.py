@@ -41,7 +41,7 @@ def ended(*ends: float, started: int | None = None) -> Descents:
         (ended(1.0, 1.0), "2 of 2 descents ended here, which are too few"),
         (ended(*[1.0] * 5), ""),
         (ended(*[1.0] * 9, 2.0, 2.0, 3.0), ""),
-        (ended(1.0, *[2.0] * 29), "only 1 of 30 descents ended here, and all of them at 2"),
+        (ended(1.0, *[2.0] * 29), "only 1 of 30 descents ended here; they ended at 2"),
         (ended(*[1.0] * 6, *[2.0] * 124), "only 6 of 130"),
         (ended(*[1.0] * 8, *np.linspace(2, 9, 22)), "only 8 of 30"),
         (ended(*[1.1] * 30), "none of 30 descents ended here"),
