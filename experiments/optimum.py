@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.variable_projection import VariableProjection
 from experiments.progress import progress
 from miho.identification import CurveFit
+from miho.methods.variable_projection import VariableProjection
 from miho.optim import Budget, Descents, Outcome, Parameter, RunRecord, minimize
 from miho.study import StoredRun, single_thread
 

@@ -5,11 +5,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from miho import Budget, LeastSquaresProblem, Optimizer, Oracle, Parameter, Space, minimize
 from miho.methods.descent import METHODS, descend
 from miho.methods.least_squares import LeastSquares
 from miho.methods.local_search import LBFGSB, NelderMead
 from miho.methods.variable_projection import VariableProjection
-from miho import Budget, LeastSquaresProblem, Optimizer, Oracle, Parameter, Space, minimize
 from miho.optim import BudgetExhausted, Clock, Outcome, RandomSearch
 from miho.optim.problem import mean_square
 from miho.testing import DecayFit

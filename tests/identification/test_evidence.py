@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from baselines.least_squares import LeastSquares
-from baselines.variable_projection import VariableProjection
 from miho import Budget, CurveFit, Dataset, Parameter, Space, minimize
 from miho.identification import Report, make_report
 from miho.identification.evidence import standing
 from miho.identification.irreducible import Irreducible
 from miho.identification.refit import refit
+from miho.methods.least_squares import LeastSquares
+from miho.methods.variable_projection import VariableProjection
 from miho.models.function_model import FunctionModel
 from miho.optim import Descents, RandomSearch
 from tests.identification.published import misra1a
