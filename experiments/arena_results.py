@@ -13,6 +13,7 @@ from experiments.comparison import Comparison
 from miho.analysis import save
 from miho.analysis.anytime import area_over_curve
 from miho.analysis.arena_figures import ecdf_figure, error_curves, profiles_figure
+from miho.analysis.curves import Axis
 from miho.analysis.ert_figure import ert_table
 from miho.analysis.leaderboard import families, family_scores, leaderboard, problem_scores
 from miho.analysis.pairwise import pairwise, pairwise_speed_up
@@ -24,7 +25,7 @@ from miho.analysis.ranking_figures import (
 )
 from miho.analysis.ranks import FriedmanTest, cliques, critical_difference, friedman, ranks
 from miho.analysis.running_time import at_factor, expected_running_time, hits, references
-from miho.analysis.timing import undisturbed, valid_seconds
+from miho.analysis.timing import Clock, clock_of, undisturbed
 from miho.study import write_text
 
 FACTOR = 1.01
@@ -59,10 +60,10 @@ def draw_arena(root: Path, output: Path) -> list[Path]:
     found = Comparison.read(root)
     runs, curves, rng = as_configured(found.runs), found.curves, np.random.default_rng(0)
     reached = hits(runs, curves)
-    timed, why = _on_the_clock(runs, reached)
-    ert = {"evaluations": expected_running_time(reached, "evaluations", rng)}
-    if len(timed):
-        ert["seconds"] = expected_running_time(timed, "seconds", rng)
+    clock = clock_of(runs)
+    timed = _on_the_clock(clock, reached)
+    on_axes: dict[Axis, pd.DataFrame] = {"evaluations": reached, clock.axis: timed}
+    ert = {axis: expected_running_time(rows, axis, rng) for axis, rows in on_axes.items()}
     areas = area_over_curve(runs, curves)
     solved = problem_scores(ert["evaluations"], areas, FACTOR)
     kinds = families(runs)
@@ -95,13 +96,13 @@ def draw_arena(root: Path, output: Path) -> list[Path]:
         write_text(output / f"{name}.csv", frame.to_csv(index=False))
     note = found.note
     evaluations = ecdf(reached, "evaluations")
-    seconds = ecdf(timed, "seconds") if len(timed) else pd.DataFrame()
+    seconds = ecdf(timed, clock.axis)
     data = data_profile(reached, dimensions, FACTOR)
     performance = performance_profile(ert["evaluations"], FACTOR)
     figures = {
         "error_curves": error_curves(runs, curves, note=note),
         "ert": ert_table(ert["evaluations"], factor=FACTOR, order=order, note=note),
-        "ecdf": ecdf_figure(evaluations, seconds, note=note, seconds_note=why),
+        "ecdf": ecdf_figure(evaluations, seconds, clock, note=note),
         "profiles": profiles_figure(data, performance, note=note),
         "aocc": area_figure(areas, note=note),
         "ranks": critical_difference_diagram(
@@ -116,11 +117,10 @@ def draw_arena(root: Path, output: Path) -> list[Path]:
     return [*paths, *csv, found.write_provenance(output)]
 
 
-def _on_the_clock(runs: pd.DataFrame, reached: pd.DataFrame) -> tuple[pd.DataFrame, str]:
-    """The hits of the seeds whose seconds may be compared, and a sentence on the others."""
-    valid, why = valid_seconds(runs)
-    kept = pd.MultiIndex.from_frame(valid[["problem", "seed"]])
-    return reached[pd.MultiIndex.from_frame(reached[["problem", "seed"]]).isin(kept)], why
+def _on_the_clock(clock: Clock, reached: pd.DataFrame) -> pd.DataFrame:
+    """The hits of the seeds that may be compared on the clock."""
+    kept = pd.MultiIndex.from_frame(clock.runs[["problem", "seed"]])
+    return reached[pd.MultiIndex.from_frame(reached[["problem", "seed"]]).isin(kept)]
 
 
 def _problems(runs: pd.DataFrame, reached: pd.DataFrame) -> pd.DataFrame:

@@ -24,8 +24,10 @@ from experiments.build import ConfigError, build_dataset, rebuild
 from experiments.cli import guarded
 from experiments.comparison import Comparison
 from experiments.engine import DATASETS, engine_of, fig5_data
+from experiments.full_size import differences
 from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save
 from miho.analysis.axle_figure import AxleCurve, fig4_right
+from miho.analysis.timing import clock_of
 from miho.data import Dataset
 from miho.models import Axle
 from miho.study import StoredRun, load_runs, read_run, write_text
@@ -52,8 +54,10 @@ def draw_comparison(root: Path, output: Path) -> list[Path]:
     tables = {"results": results_table(runs, curves)}
     on_a_tire = runs["problem"].str.startswith("pacejka-tire_").all()
     if on_a_tire and MIHO in set(runs["optimizer"]):
-        tables["claims"] = claims_table(runs, curves, MIHO)
+        tables["claims"] = claims_table(runs, curves, MIHO, differences=differences(runs))
     paths += found.write_tables(tables, CAPTIONS, output)
+    if advice := clock_of(runs).advice:
+        print(advice, file=sys.stderr)
     return [*paths, found.write_provenance(output)]
 
 

@@ -17,6 +17,7 @@ from tqdm import tqdm
 from experiments.arena_problems import as_configured
 from experiments.build import ConfigError
 from experiments.comparison import COMPARISON
+from experiments.full_size import differences
 from miho.analysis import claims_table, leaderboard
 from miho.analysis.running_time import references
 from miho.analysis.sweep_origins import environment_table
@@ -147,7 +148,8 @@ def _claims(compared: Compared | None) -> pd.DataFrame | None:
     on_a_tire = compared.runs["problem"].str.startswith("pacejka-tire_").all()
     if not on_a_tire or MIHO not in set(compared.runs["optimizer"]):
         return None
-    return claims_table(compared.runs, compared.curves, MIHO)
+    known = differences(compared.runs)
+    return claims_table(compared.runs, compared.curves, MIHO, differences=known)
 
 
 def _references(runs: pd.DataFrame) -> dict[str, float]:

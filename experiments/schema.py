@@ -138,7 +138,8 @@ class Config:
     """One run, or with `comparison` a set of runs of the same problem.
 
     `fresh` sets aside finished runs of the same request that were made of other code, data,
-    settings or packages, where the program else refuses to mix old and new.
+    settings or packages, where the program else refuses to mix old and new; in a comparison on the
+    clock also those whose seconds other work disturbed.
     """
 
     model: dict[str, Any] = MISSING

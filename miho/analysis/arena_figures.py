@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 
 from miho.analysis.curves import Array, Axis, log_grid, positions, step
 from miho.analysis.end_labels import EndLabel, draw_end_labels
-from miho.analysis.figures import AXIS_LABELS, WIDTH, caption, house_style, say_why_empty
+from miho.analysis.figures import AXIS_LABELS, WIDTH, caption, house_style, time_label
 from miho.analysis.running_time import references
 from miho.analysis.styles import MethodStyle, with_emphasis
 from miho.analysis.tidy import comparison, require_columns
+from miho.analysis.timing import Clock
 
 COLUMNS = 4
 GAP_FLOOR = 1e-6
@@ -113,32 +114,27 @@ def plot_gap(
 
 def ecdf_figure(
     over_evaluations: pd.DataFrame,
-    over_seconds: pd.DataFrame,
+    over_time: pd.DataFrame,
+    clock: Clock,
     *,
     highlight: Collection[str] | None = None,
     note: str = "",
-    seconds_note: str = "",
 ) -> Figure:
-    """Share of all (problem, repetition, target) reached, over evaluations and over seconds.
+    """Share of all (problem, repetition, target) reached, over evaluations and over time.
 
     Frames hold optimizer, the axis and share (runtime distributions as in COCO). The share of
-    each method at the end of its evaluations stands at the right. `seconds_note` says which runs
-    are not in `over_seconds`; where that is empty, it stands in the place of the curves.
+    each method at the end of its evaluations stands at the right. The axis of `over_time` is that
+    of the clock, which says which runs are left out.
     """
     with house_style():
         figure = Figure(figsize=(WIDTH, 4.3), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
         plot_shares(over_evaluations, "evaluations", left, highlight=highlight)
         left.set(xlabel=AXIS_LABELS["evaluations"], ylabel="targets reached")
-        right.set_xlabel(AXIS_LABELS["seconds"])
+        plot_shares(over_time, clock.axis, right, highlight=highlight)
+        right.set_xlabel(time_label(clock))
         said = "a target is one problem, repetition and distance to the optimum"
-        if over_seconds.empty:
-            say_why_empty(right, seconds_note)
-            right.set_xticks([])
-            caption(figure, said, note)
-        else:
-            plot_shares(over_seconds, "seconds", right, highlight=highlight)
-            caption(figure, said, seconds_note, note)
+        caption(figure, said, clock.note if clock.axis == "seconds" else "", note)
         label_shares(over_evaluations, "evaluations", right, highlight=highlight)
     return figure
 

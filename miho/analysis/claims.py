@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import pandas as pd
@@ -21,7 +22,7 @@ from miho.analysis.statistics import (
     speed_up,
 )
 from miho.analysis.tidy import one_problem
-from miho.analysis.timing import valid_seconds
+from miho.analysis.timing import UNITS, Clock, clock_of
 from miho.analysis.verdict import Printed, Verdict
 
 Array = NDArray[np.float64]
@@ -34,7 +35,26 @@ GAINS = (("pso_500", Printed(24, 0.5)), ("gbo_large", Printed(76, 0.5)))
 STUCK = ("pso_100", Printed(0.75, 0.005))
 FLAT = ("gbo_small", 0.1)
 NEAR_BEST = 1.01
-SPEED_AXES: tuple[Axis, Axis] = ("seconds", "evaluations")
+
+
+@dataclass(frozen=True)
+class Differences:
+    """In what a comparison differs from the paper's at full size, in words.
+
+    methods: by method, its settings, such as "miho has R = 2000 instead of 10000". budget: what
+    ends a run sooner, such as "at most 4 s per run instead of 30", "" if nothing does.
+    """
+
+    methods: Mapping[str, str] = field(default_factory=dict)
+    budget: str = ""
+
+    def of(self, *methods: str, ends_sooner: bool = False) -> list[str]:
+        """What differs of these methods; that runs end sooner only where it matters."""
+        budget = [self.budget] if ends_sooner and self.budget else []
+        return [self.methods[method] for method in methods if method in self.methods] + budget
+
+
+NONE = Differences()
 
 
 def claims_table(
@@ -42,14 +62,16 @@ def claims_table(
     curves: pd.DataFrame,
     miho: str = "miho",
     *,
+    differences: Differences = NONE,
     rng: np.random.Generator | None = None,
     resamples: int = RESAMPLES,
 ) -> pd.DataFrame:
     """A row per claim: claim, paper, ours (95 % bootstrap interval), repetitions, verdict, reason.
 
-    `miho` is the method that claims are about. Speed claims have two rows, seconds and
-    evaluations; the second does not depend on the machine. A claim uses the seeds that all its
-    methods have. Errors are those of `runs` in N; the rules are those of `miho.analysis.verdict`:
+    `miho` is the method that claims are about. Speed claims have two rows, seconds, of the clock
+    that `timing.clock_of` chooses, and evaluations, which do not depend on the machine. A claim
+    uses the seeds that all its methods have. Errors are those of `runs` in N; the rules are those
+    of `miho.analysis.verdict`:
 
     - speed-ups and gains: reproduced if the interval holds the paper's figure or lies above it,
       not reproduced if it lies below; depends on the repetitions if it holds no advantage as
@@ -59,6 +81,10 @@ def claims_table(
       reproduced if it does not; depends on the data if MIHO ended on another floor than the
       paper's. PSO-100 is stuck only if no run of it came within 1 % of the best of any method.
     - GBO-small is flat if it gains less than 10 % of its first error.
+    - not tested at this size: `differences` name settings of a method that the claim is about,
+      unless it is about the final error of MIHO and that is within 1 % of the best of any other
+      method, so that no setting ends lower; or runs end sooner than at full size, and in a longer
+      one the error could still fall to the paper's (PSO-100) or beyond (PSO-100, GBO-small).
 
     The last rows compare MIHO with every other method at 0.5 kN, where the paper claims nothing.
     Without `rng` the resamples are those of seed 0, so that a table can be printed again.
@@ -70,13 +96,13 @@ def claims_table(
     if miho not in set(runs["optimizer"]):
         present = ", ".join(sorted(set(runs["optimizer"])))
         raise ValueError(f"there are no runs of {miho!r}; the methods are {present}")
-    study = _Study(runs, curves, miho, rng or np.random.default_rng(0), resamples)
+    study = _Study(runs, curves, miho, rng or np.random.default_rng(0), resamples, differences)
     rows = [row for target, paper in SPEED_CLAIMS for row in study.speed_claim(target, paper)]
     rows.append(study.terminal_claim())
     rows += [study.gain_claim(rival, paper) for rival, paper in GAINS]
     rows += [study.stuck_claim(*STUCK), study.flat_claim(*FLAT)]
     others = [m for m in study.methods if m != miho and m not in PAPER_RIVALS]
-    rows += [study.extra(other, axis) for other in others for axis in SPEED_AXES]
+    rows += [study.extra(other, axis) for other in others for axis in study.speed_axes]
     return pd.DataFrame(rows)
 
 
@@ -87,8 +113,17 @@ class _Study:
     miho: str
     rng: np.random.Generator
     resamples: int
+    differences: Differences
     known: dict[tuple[str, Axis, tuple[int, ...]], MeanCurve] = field(default_factory=dict)
     """Mean curves that several claims are about."""
+
+    @cached_property
+    def clock(self) -> Clock:
+        return clock_of(self.runs)
+
+    @property
+    def speed_axes(self) -> tuple[Axis, Axis]:
+        return self.clock.axis, "evaluations"
 
     @property
     def methods(self) -> list[str]:
@@ -127,8 +162,8 @@ class _Study:
     ) -> tuple[Interval, int] | None:
         """The speed-up against the fastest of the rivals; None without common seeds."""
         seeds = self.seeds([self.miho, *rivals])
-        if axis == "seconds":
-            timed = set(valid_seconds(self.runs)[0]["seed"])
+        if axis == self.clock.axis:
+            timed = set(self.clock.runs["seed"])
             seeds = [seed for seed in seeds if seed in timed]
         if not seeds:
             return None
@@ -140,19 +175,22 @@ class _Study:
         present = [rival for rival in PAPER_RIVALS if rival in self.methods]
         absent = [rival for rival in PAPER_RIVALS if rival not in self.methods]
         claims = [
-            f"MIHO is faster than GBO and PSO to {target / 1e3:.1f} kN, in {a}" for a in SPEED_AXES
+            f"MIHO is faster than GBO and PSO to {target / 1e3:.1f} kN, in {UNITS[a]}"
+            for a in self.speed_axes
         ]
         printed = f"{paper.value:g}×"
-        measured = [self.speed(present, target, a) if present else None for a in SPEED_AXES]
+        measured = [self.speed(present, target, a) if present else None for a in self.speed_axes]
         verdicts = []
-        for axis, found in zip(SPEED_AXES, measured, strict=True):
+        differences = self.differences.of(self.miho, *present)
+        for found in measured:
             if found is None:
-                valid = "valid " * (axis == "seconds")
-                verdicts.append(verdict.missing(absent or [f"common {valid}seeds"]))
+                verdicts.append(verdict.missing(absent or ["common seeds"]))
                 continue
             of_present = verdict.of_advantage(found[0], paper, found[1], no_advantage=1)
-            verdicts.append(verdict.with_missing_rivals(of_present, absent))
-        verdicts = list(verdict.of_both_axes(*verdicts))
+            of_all = verdict.with_missing_rivals(of_present, absent)
+            verdicts.append(verdict.at_this_size(of_all, differences))
+        first, second = verdicts
+        verdicts = list(verdict.of_both_axes(first, second, self.clock.unit))
         return [
             _speed_row(claim, printed, found, result)
             for claim, found, result in zip(claims, measured, verdicts, strict=True)
@@ -169,7 +207,12 @@ class _Study:
             falling=self.falling(self.miho, seeds),
             at_floor=self.at_floor(float(final.mean())),
         )
+        result = verdict.at_this_size(result, self.differences_at_end(final))
         return _row("terminal error of MIHO", "0.39 kN", (ours, len(seeds)), " kN", result)
+
+    def differences_at_end(self, final: Array) -> list[str]:
+        """What differs of MIHO, unless it ended where no setting ends lower."""
+        return [] if self.at_floor(float(final.mean())) else self.differences.of(self.miho)
 
     def gain_claim(self, rival: str, paper: Printed) -> Row:
         claim, printed = f"MIHO ends below {rival} by", f"{paper.value:g} %"
@@ -186,6 +229,8 @@ class _Study:
             miho_falling=self.falling(self.miho, seeds),
             rival_falling=self.falling(rival, seeds),
         )
+        differences = [*self.differences_at_end(mine), *self.differences.of(rival)]
+        result = verdict.at_this_size(result, differences)
         return _row(claim, printed, (ours, len(seeds)), " %", result)
 
     def stuck_claim(self, method: str, paper: Printed) -> Row:
@@ -203,6 +248,8 @@ class _Study:
             result = Verdict(
                 verdict.ON_REPETITIONS, f"{escaped} of {len(seeds)} came within 1 % of the best"
             )
+        differences = self.differences.of(method, ends_sooner=ours.high >= paper.low)
+        result = verdict.at_this_size(result, differences)
         return _row(claim, printed, (ours, len(seeds)), " kN", result)
 
     def flat_claim(self, method: str, limit: float) -> Row:
@@ -216,10 +263,12 @@ class _Study:
         start = first.loc[seeds].to_numpy(dtype=float)
         fall = improvement(self.final(method, seeds), start, self.rng, self.resamples)
         result = verdict.of_flatness(fall, limit, len(seeds))
+        differences = self.differences.of(method, ends_sooner=fall.low < limit)
+        result = verdict.at_this_size(result, differences)
         return _row(claim, printed, (fall.scaled(100), len(seeds)), " %", result)
 
     def extra(self, other: str, axis: Axis) -> Row:
-        claim = f"MIHO is faster than {other} to 0.5 kN, in {axis}"
+        claim = f"MIHO is faster than {other} to 0.5 kN, in {UNITS[axis]}"
         found = self.speed([other], 500.0, axis)
         result = verdict.without_claim(*found) if found else verdict.missing([other])
         return _speed_row(claim, "-", found, result)

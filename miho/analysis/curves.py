@@ -17,6 +17,7 @@ from miho.analysis.tidy import CURVE_COLUMNS, require_columns
 
 Array = NDArray[np.float64]
 Axis = Literal["seconds", "cpu_seconds", "evaluations"]
+AXES: tuple[Axis, ...] = get_args(Axis)
 
 RUN_KEY = ["id", "problem", "optimizer", "seed"]
 
@@ -103,7 +104,7 @@ def to_target(curves: pd.DataFrame, axis: Axis, target: float | Array) -> pd.Dat
 
 def positions(curves: pd.DataFrame, axis: Axis) -> Array:
     """The column of the axis (rows,)."""
-    if axis not in get_args(Axis):
-        raise ValueError(f"axis is {axis!r}; expected one of {', '.join(get_args(Axis))}")
+    if axis not in AXES:
+        raise ValueError(f"axis is {axis!r}; expected one of {', '.join(AXES)}")
     require_columns(curves, [*CURVE_COLUMNS, axis], "curves")
     return curves[axis].to_numpy(dtype=float)

@@ -23,16 +23,17 @@ from miho.analysis.end_labels import EndLabel, draw_end_labels
 from miho.analysis.markdown import number
 from miho.analysis.styles import styles_of
 from miho.analysis.tidy import one_problem, shown_unit
-from miho.analysis.timing import valid_seconds
+from miho.analysis.timing import Clock, clock_of
 from miho.study import write_bytes
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 WIDTH = 180 / 25.4
 CAPTION_WIDTH = 110  # characters of 8 pt text that fit into WIDTH
+TIME_LABEL_WIDTH = 44  # characters of 9 pt text below a panel of half WIDTH
 AXIS_LABELS = {
     "seconds": "time [s]",
-    "cpu_seconds": "processor time [s]",
+    "cpu_seconds": "CPU seconds",
     "evaluations": "evaluations of the full loss",
 }
 TIRE_NAMES = {"LF": "left front", "RF": "right front", "LR": "left rear", "RR": "right rear"}
@@ -103,6 +104,9 @@ def plot_error_over(
 def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
     """Fig. 6: mean error over time, and over evaluations, which no machine changes.
 
+    Time is that of the wall clock, or the processor's where other work disturbed the runs, as
+    `timing.clock_of` decides for the whole figure; the axis says which.
+
     The mean final error of each method stands at the right in its colour; "-" where a run saw
     nothing finite, which leaves the mean undefined. The dashed line is the
     estimate of the irreducible error.
@@ -112,25 +116,23 @@ def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
     unit = str(runs["unit"].iloc[0])
     shown, factor = shown_unit(unit)
     irreducible = float(runs["irreducible"].mean())
-    timed, why = valid_seconds(runs)
+    clock = clock_of(runs)
     with house_style():
         figure = Figure(figsize=(WIDTH, 3.3), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
-        if timed.empty:
-            left.set(xlabel=AXIS_LABELS["seconds"], ylabel=f"error [{shown}]", xticks=[])
-            say_why_empty(left, why)
-        else:
-            shown_curves = curves[curves["id"].isin(timed["id"])]
-            plot_error_over(shown_curves, "seconds", left, unit=unit, irreducible=irreducible)
+        timed = curves[curves["id"].isin(clock.runs["id"])]
+        plot_error_over(timed, clock.axis, left, unit=unit, irreducible=irreducible)
+        left.set_xlabel(time_label(clock))
         plot_error_over(curves, "evaluations", right, unit=unit, irreducible=irreducible)
         right.set_ylabel("")
-        left.set_title("as in the paper: over time", loc="left")
+        wall = clock.axis == "seconds"
+        left.set_title("as in the paper: over time" if wall else "over CPU time", loc="left")
         right.set_title("the same over evaluations", loc="left")
         _plain_log_ticks(left)
         caption(
             figure,
             "lines: mean over repetitions, bands: 10 to 90 %",
-            "" if timed.empty else why,
+            clock.note if wall else "",
             note,
         )
         if np.isfinite(irreducible):
@@ -218,10 +220,12 @@ def save(figure: Figure, path_without_suffix: str | Path) -> list[Path]:
     return paths
 
 
-def say_why_empty(ax: Axes, why: str) -> None:
-    """A sentence in the middle of a panel that has nothing to show."""
-    told = textwrap.fill(why, 34)
-    ax.text(0.5, 0.5, told, transform=ax.transAxes, ha="center", va="center")
+def time_label(clock: Clock) -> str:
+    """The label of an axis over time: a clock other than the wall's says why it is there."""
+    if clock.axis == "seconds":
+        return AXIS_LABELS["seconds"]
+    why = textwrap.fill(f"({clock.disturbed})", TIME_LABEL_WIDTH)
+    return f"{AXIS_LABELS[clock.axis]}\n{why}"
 
 
 def caption(figure: Figure, *parts: str) -> None:

@@ -9,9 +9,8 @@ import pandas as pd
 
 from miho.analysis.curves import Axis, to_target
 from miho.analysis.tidy import one_problem, shown_unit
-from miho.analysis.timing import valid_seconds
+from miho.analysis.timing import UNITS, clock_of
 
-AXES: tuple[Axis, Axis] = ("evaluations", "seconds")
 PAPER_TARGETS = (1000.0, 500.0)
 """Errors [N] of the paper's speed claims."""
 
@@ -27,9 +26,10 @@ def results_table(
 
     `targets` are errors in the unit of the runs; by default the paper's 1 and 0.5 kN where that is
     a force, none elsewhere. The last target is within `near_best` of the best error any method has
-    seen on this problem, and success is the share of runs that reach it. A median is inf ("never")
-    when half of the runs or more did not get there. Errors are over the runs that saw a finite
-    one; `no value` counts the others.
+    seen on this problem, and success is the share of runs that reach it. Seconds are those of
+    `timing.clock_of`, and their columns say which. A median is inf ("never") when half of the runs
+    or more did not get there. Errors are over the runs that saw a finite one; `no value` counts the
+    others.
 
     The gap is that of the mean error to the smallest possible in the space, where the runs know it
     (`optimum`, in closed form), else to the best of all these runs, and its column says which. It
@@ -57,11 +57,13 @@ def results_table(
     nearly = float(runs["error"].min() * (1 + near_best))
     labels = [f"{target * factor:g} {unit}" for target in targets]
     labels.append(f"best + {near_best * 100:g} %")
-    timed = curves[curves["id"].isin(valid_seconds(runs)[0]["id"])]
+    clock = clock_of(runs)
+    timed = curves[curves["id"].isin(clock.runs["id"])]
+    shown: dict[Axis, pd.DataFrame] = {"evaluations": curves, clock.axis: timed}
     for target, label in zip([*targets, nearly], labels, strict=True):
-        for axis in AXES:
-            reached = to_target(timed if axis == "seconds" else curves, axis, target)
-            table[f"{axis} to {label}"] = reached.groupby("optimizer")[axis].median()
+        for axis, rows in shown.items():
+            reached = to_target(rows, axis, target)
+            table[f"{UNITS[axis]} to {label}"] = reached.groupby("optimizer")[axis].median()
     reached = to_target(curves, "evaluations", nearly)
     solved = np.isfinite(reached["evaluations"])
     table["success"] = solved.groupby(reached["optimizer"]).mean()

@@ -15,8 +15,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from miho.analysis.curves import Axis, to_target
-from miho.analysis.results import AXES
+from miho.analysis.curves import AXES, Axis, to_target
 from miho.analysis.statistics import RESAMPLES, interval, resample
 from miho.analysis.tidy import comparison, require_columns
 
@@ -56,8 +55,9 @@ def hits(
     """When each run first has an error of at most each factor times the best known error.
 
     A row per run and factor: problem, optimizer, seed, factor, target (error in the problem's
-    unit), evaluations and seconds until then (inf if never), spent_evaluations and spent_seconds
-    (of the whole run), reached. The best known error is that of `references`.
+    unit), evaluations, seconds and cpu_seconds until then (inf if never), spent_evaluations,
+    spent_seconds and spent_cpu_seconds (of the whole run), reached. The best known error is that
+    of `references`.
     """
     for factor in factors:
         if not 1 <= factor < math.inf:

@@ -12,8 +12,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from miho.analysis.curves import Axis, positions, step
-from miho.analysis.results import AXES
 from miho.analysis.tidy import shown_unit
+from miho.analysis.timing import Clock
 
 Array = NDArray[np.float64]
 
@@ -39,11 +39,11 @@ class Detail:
 
 
 def problem_curves(
-    runs: pd.DataFrame, timed: pd.DataFrame, curves: pd.DataFrame, best: float, detail: Detail
+    runs: pd.DataFrame, clock: Clock, curves: pd.DataFrame, best: float, detail: Detail
 ) -> dict[str, Any]:
     """What is drawn of one problem, ready for JSON; errors in the unit of `shown_unit`.
 
-    `timed` are those of `runs` whose seconds may be shown; without any there is no such axis.
+    The axis "seconds" is that of the clock, and of those of `runs` that may be compared on it.
     `curves` hold finite errors only. `best` is the best known error in the unit of `runs`, NaN if
     there is none.
 
@@ -54,11 +54,11 @@ def problem_curves(
     finite.
     """
     unit, factor = shown_unit(str(runs["unit"].iloc[0]))
-    axes = {}
-    for axis in AXES:
-        shown = timed if axis == "seconds" else runs
-        if len(shown):
-            axes[axis] = _axis(shown, curves, axis, factor, detail)
+    timed = runs[runs["id"].isin(clock.runs["id"])]
+    axes = {
+        "evaluations": _axis(runs, curves, "evaluations", factor, detail),
+        "seconds": _axis(timed, curves, clock.axis, factor, detail),
+    }
     known = float(_text(best * factor)) if math.isfinite(best) else None
     return {"unit": unit, "best": known, "axes": axes}
 

@@ -32,10 +32,9 @@ from miho.analysis.sweep_tables import (
     problems_table,
     warnings,
 )
-from miho.analysis.timing import valid_seconds
+from miho.analysis.timing import Clock, clock_of
 
 CHOICES = (
-    Choice("Over", "axis", (("evaluations", "evaluations"), ("seconds", "seconds")), "evaluations"),
     Choice("Horizontal", "x", (("log", "log"), ("linear", "linear")), "log"),
     Choice("Vertical", "y", (("log", "log"), ("linear", "linear")), "log"),
     Choice("Show", "quantity", (("error", "error"), ("gap", "gap to best known")), "error"),
@@ -148,6 +147,11 @@ def _leaderboard(told: Told) -> str:
     return _section("leaderboard", "Leaderboard", table(frame), _note(told.leaderboard_note))
 
 
+def _over(clock: Clock) -> Choice:
+    axes = (("evaluations", "evaluations"), ("seconds", clock.unit))
+    return Choice("Over", "axis", axes, "evaluations")
+
+
 def _curves(sweep: Sweep, references: Mapping[str, float]) -> str:
     order = overall_order(sweep.runs)
     styles = styles_of(order)
@@ -157,12 +161,11 @@ def _curves(sweep: Sweep, references: Mapping[str, float]) -> str:
     runs = dict(iter(sweep.runs.groupby("problem", sort=False)))
     finite = sweep.curves[sweep.curves["error"].notna()]
     curves = dict(iter(finite.groupby("problem", sort=False)))
-    timed = dict(iter(valid_seconds(sweep.runs)[0].groupby("problem", sort=False)))
+    clock = clock_of(sweep.runs)
     drawn = []
     for name in problems:
-        seconds = timed.get(name, sweep.runs.iloc[:0])
         best, steps = references.get(name, math.nan), curves.get(name, finite.iloc[:0])
-        drawn.append(problem_curves(runs[name], seconds, steps, best, detail))
+        drawn.append(problem_curves(runs[name], clock, steps, best, detail))
     most = int(sweep.runs.groupby(["problem", "optimizer"]).size().max())
     shown = order if len(order) <= MANY_METHODS else order[:FIRST]
     mode = "median" if most == 1 or len(shown) > BANDS else "band"
@@ -170,6 +173,7 @@ def _curves(sweep: Sweep, references: Mapping[str, float]) -> str:
         "methods": {name: _look(style) for name, style in styles.items()},
         "problems": problems,
         "shown": shown,
+        "time": clock.unit,
     }
     options = "".join(f'<option value="{i}">{escape(n)}</option>' for i, n in enumerate(problems))
     choice = Choice(
@@ -179,13 +183,14 @@ def _curves(sweep: Sweep, references: Mapping[str, float]) -> str:
     picker = (
         f'<label class="choice"><span>Problem</span><select id="problem">{options}</select></label>'
     )
+    controls = "".join(map(buttons, (_over(clock), *CHOICES, choice)))
     blocks = [data("about", about)]
     blocks += [data(f"curves-{number}", one) for number, one in enumerate(drawn)]
     return _section(
         "curves",
         "Error over effort",
         "<noscript><p>The curves need JavaScript; the tables do without.</p></noscript>",
-        f'<form class="controls">{picker}{"".join(map(buttons, (*CHOICES, choice)))}</form>',
+        f'<form class="controls">{picker}{controls}</form>',
         FIGURE,
         _note(_explained(len(order), len(shown), most, detail)),
         *blocks,

@@ -19,7 +19,7 @@ from miho.analysis.sweep_curves import final_order
 from miho.analysis.sweep_origins import Origin
 from miho.analysis.sweep_runs import Sweep
 from miho.analysis.tidy import shown_unit
-from miho.analysis.timing import valid_seconds
+from miho.analysis.timing import clock_of
 
 FEW = 5
 """Repetitions below which a bootstrap interval is far too short; see `statistics`."""
@@ -127,7 +127,7 @@ def warnings(sweep: Sweep) -> list[str]:
         *_gaps(runs),
         *_ends(runs),
         *_mixtures(list(sweep.origins.values())),
-        *_seconds(valid_seconds(runs)[1]),
+        *_seconds(clock_of(runs).note),
         *_damaged(len(sweep.damaged)),
     ]
 

@@ -7,7 +7,9 @@ from collections.abc import Collection
 import numpy as np
 import pandas as pd
 
-CURVE_COLUMNS = ("id", "problem", "optimizer", "seed", "evaluations", "seconds", "error")
+CURVE_COLUMNS = (
+    "id", "problem", "optimizer", "seed", "evaluations", "seconds", "cpu_seconds", "error",
+)  # fmt: skip
 RUN_COLUMNS = (*CURVE_COLUMNS, "outcome", "unit", "irreducible")
 
 

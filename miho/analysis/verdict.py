@@ -7,6 +7,7 @@ interval that leaves room for one of them only, from runs that a larger budget w
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from miho.analysis.statistics import Interval
@@ -16,6 +17,7 @@ NOT_REPRODUCED = "not reproduced"
 ON_REPETITIONS = "depends on the repetitions"
 ON_BUDGET = "depends on the budget"
 ON_DATA = "depends on the data"
+NOT_TESTED = "not tested at this size"
 
 LEAST_REPETITIONS = 3
 WIDEST_LEVEL = 0.2
@@ -24,7 +26,10 @@ TAIL = 0.025
 
 @dataclass(frozen=True)
 class Verdict:
-    """`word` is reproduced, not reproduced or depends on ...; `reason` says why in a clause."""
+    """`word` is reproduced, not reproduced, depends on ... or not tested at this size.
+
+    `reason` says why in a clause.
+    """
 
     word: str
     reason: str
@@ -158,14 +163,25 @@ def with_missing_rivals(verdict: Verdict, methods: list[str]) -> Verdict:
     )
 
 
-def of_both_axes(seconds: Verdict, evaluations: Verdict) -> tuple[Verdict, Verdict]:
+def at_this_size(verdict: Verdict, differences: Sequence[str]) -> Verdict:
+    """Of a claim that is about the full size: not tested where something of it differs.
+
+    `differences` say what, each in words. Repetitions are none: intervals and their rules account
+    for them.
+    """
+    return Verdict(NOT_TESTED, "; ".join(differences)) if differences else verdict
+
+
+def of_both_axes(
+    seconds: Verdict, evaluations: Verdict, unit: str = "seconds"
+) -> tuple[Verdict, Verdict]:
     """A speed claim that holds on one axis only depends on the axis, and both rows say so."""
     definite = {REPRODUCED, NOT_REPRODUCED}
     if seconds.word == evaluations.word or not {seconds.word, evaluations.word} <= definite:
         return seconds, evaluations
     both = Verdict(
         "depends on the axis",
-        f"{seconds.word} in seconds, {evaluations.word} in evaluations",
+        f"{seconds.word} in {unit}, {evaluations.word} in evaluations",
     )
     return both, both
 

@@ -14,6 +14,7 @@ import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -154,8 +155,12 @@ class Store:
         return sorted(path.parent for path in alike if path.parent.name != folder.name)
 
     def set_aside(self, folder: Path) -> None:
-        """Move a run out of the sight of readers, below SUPERSEDED."""
-        place = inside(self.root, SUPERSEDED, *folder.relative_to(self.root).parts)
+        """Move a run out of the sight of readers, below SUPERSEDED; its like may be there."""
+        first = place = inside(self.root, SUPERSEDED, *folder.relative_to(self.root).parts)
+        for number in count(2):
+            if not place.exists():
+                break
+            place = first.with_name(f"{first.name}.{number}")
         place.parent.mkdir(parents=True, exist_ok=True)
         folder.replace(place)
 

@@ -19,8 +19,11 @@ from miho.analysis.arena_figures import (
 from miho.analysis.profiles import data_profile, ecdf, performance_profile
 from miho.analysis.running_time import hits, running_times
 from miho.analysis.styles import STYLES, with_emphasis
+from miho.analysis.timing import Clock, clock_of
 from tests.analysis.arena_synthetic import arena, methods
 from tests.analysis.synthetic import Steps, frames
+
+WALL = Clock("seconds", pd.DataFrame(), "", "")
 
 GRID = np.array([1.0, 10.0, 100.0, 1000.0])
 
@@ -93,23 +96,25 @@ def test_shares_without_any_success_still_draw() -> None:
 
 def test_the_distributions_end_at_the_share_of_targets_reached() -> None:
     found = hits(*arena(methods(3), 2, 3, silent=1))
-    figure = ecdf_figure(ecdf(found, "evaluations"), ecdf(found, "seconds"))
+    figure = ecdf_figure(ecdf(found, "evaluations"), ecdf(found, "seconds"), WALL)
     written = texts(figure)
     for method, reached in found.groupby("optimizer")["reached"].mean().items():
         assert f"{100 * reached:3.0f} %  {STYLES[str(method)].name}" in written
 
 
-def test_seconds_that_nobody_may_compare_are_not_drawn() -> None:
-    found = hits(*arena(methods(3), 2, 3))
+def test_the_distribution_over_time_says_whose_seconds_it_shows() -> None:
+    runs, curves = arena(methods(3), 2, 3)
+    found = hits(runs, curves.assign(cpu_seconds=0.5 * curves["seconds"]))
     over = ecdf(found, "evaluations")
-    figure = ecdf_figure(over, pd.DataFrame(), note="2 problems", seconds_note="no seconds at all")
-    left, right = figure.axes
-    assert [line.get_drawstyle() for line in left.lines] == ["steps-post"] * 3
-    assert "steps-post" not in [line.get_drawstyle() for line in right.lines]
-    assert "no seconds at all" in [text.get_text() for text in right.texts]
-    figure = ecdf_figure(over, ecdf(found, "seconds"), seconds_note="2 of 9 runs were disturbed")
-    assert [line.get_drawstyle() for line in figure.axes[1].lines].count("steps-post") == 3
-    assert any("2 of 9 runs were disturbed" in written for written in texts(figure))
+    clock = clock_of(runs.assign(timing_valid=False))
+    figure = ecdf_figure(over, ecdf(found, clock.axis), clock, note="2 problems")
+    for ax in figure.axes:
+        assert [line.get_drawstyle() for line in ax.lines].count("steps-post") == 3
+    assert figure.axes[1].get_xlabel() == "CPU seconds\n(other work disturbed 18 of 18 runs)"
+    clock = clock_of(runs.assign(timing_valid=runs["seed"] != 1))
+    figure = ecdf_figure(over, ecdf(found, clock.axis), clock)
+    assert figure.axes[1].get_xlabel() == "time [s]"
+    assert any("other work disturbed 6 of 18 runs" in written for written in texts(figure))
 
 
 def test_the_profiles_end_at_the_share_of_problems_solved() -> None:
@@ -125,7 +130,7 @@ def test_the_profiles_end_at_the_share_of_problems_solved() -> None:
 @pytest.mark.slow
 def test_the_labels_of_twenty_two_methods_stay_apart_and_on_the_page() -> None:
     found = hits(*arena(methods(22), 2, 2))
-    figure = ecdf_figure(ecdf(found, "evaluations"), ecdf(found, "seconds"))
+    figure = ecdf_figure(ecdf(found, "evaluations"), ecdf(found, "seconds"), WALL)
     figure.draw_without_rendering()
     names = tuple(f"%  {STYLES[method].name}" for method in methods(22))
     boxes = sorted(

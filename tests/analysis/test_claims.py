@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from miho.analysis.claims import claims_table
+from miho.analysis.claims import Differences, claims_table
 from miho.analysis.markdown import number, to_markdown, with_interval
 from miho.analysis.results import results_table
 from miho.analysis.statistics import Interval
@@ -93,6 +93,52 @@ def test_a_speed_claim_that_holds_on_one_axis_only_depends_on_the_axis() -> None
     table = claims_table(runs, curves, resamples=100)
     assert verdicts(table, SPEED_1) == ["depends on the axis"] * 2
     assert row(table, SPEED_1)["reason"] == "not reproduced in seconds, reproduced in evaluations"
+
+
+def test_disturbed_runs_are_compared_in_cpu_seconds() -> None:
+    """CPU seconds here are 0.9 of the wall's for all, so the ratio is that of evaluations."""
+    runs, curves = frames(PAPER)
+    curves["seconds"] *= np.where(curves["optimizer"] == "miho", 10, 1)
+    table = claims_table(runs.assign(timing_valid=False), curves, resamples=100)
+    assert row(table, "to 1.0 kN, in CPU seconds")["ours"] == "13× [13, 13]"
+    assert not table["claim"].str.contains("in seconds").any()
+    assert not table["reason"].str.contains("no runs to compare with").any()
+    results = results_table(runs.assign(timing_valid=False), curves).set_index("method")
+    assert results.loc["miho", "CPU seconds to 1 kN"] == pytest.approx(0.009)
+    assert "seconds to 1 kN" not in results
+
+
+def test_settings_other_than_the_papers_leave_a_claim_untested() -> None:
+    other = Differences({"miho": "miho has R = 2000 instead of 10000"})
+    runs = PAPER | {"pso_100": [[(150.0, 750.0)]] * 5}
+    table = claims_table(*frames(runs), differences=other, resamples=100)
+    for words in (SPEED_1, SPEED_05, "terminal", "below pso_500", "below gbo_large"):
+        assert set(verdicts(table, words)) == {"not tested at this size"}, words
+        assert row(table, words)["reason"] == "miho has R = 2000 instead of 10000"
+    for words in ("pso_100 stays", "gbo_small"):  # these are not about MIHO
+        assert verdicts(table, words) == ["reproduced"], words
+
+
+def test_an_error_at_the_floor_is_tested_at_any_size() -> None:
+    """No setting of MIHO ends below what the best other method ends at."""
+    other = Differences({"miho": "miho has R = 2000 instead of 10000"})
+    runs = PAPER | {"least_squares": spread_of([389.0] * 5), "pso_500": spread_of([391.0] * 5)}
+    table = claims_table(*frames(runs), differences=other, resamples=100)
+    assert verdicts(table, "terminal") == ["reproduced"]
+    assert verdicts(table, "below pso_500") == ["not reproduced"]
+    assert set(verdicts(table, SPEED_1)) == {"not tested at this size"}
+
+
+def test_runs_that_end_sooner_test_only_what_a_longer_one_could_not_change() -> None:
+    sooner = Differences(budget="at most 4 s per run instead of 30")
+    table = claims_table(*frames(PAPER), differences=sooner, resamples=100)
+    for words in ("pso_100 stays", "gbo_small"):  # a longer run may still fall
+        assert verdicts(table, words) == ["not tested at this size"], words
+        assert row(table, words)["reason"] == "at most 4 s per run instead of 30"
+    runs = PAPER | {"pso_100": spread_of([391] * 5), "gbo_small": spread_of([5000.0] * 5)}
+    table = claims_table(*frames(runs), differences=sooner, resamples=100)
+    for words in ("pso_100 stays", "gbo_small"):  # it has fallen already
+        assert verdicts(table, words) == ["not reproduced"], words
 
 
 def test_two_repetitions_are_too_few_for_any_verdict() -> None:

@@ -48,6 +48,22 @@ def test_fig6_names_each_method_once_with_its_final_error_and_colour() -> None:
     assert "irreducible ≈ 0.39 kN" in written
 
 
+def test_fig6_of_disturbed_runs_is_whole_and_says_whose_seconds_it_shows() -> None:
+    runs, curves = like_fig6(3)
+    quiet = fig6(runs.assign(timing_valid=True), curves)
+    assert quiet.axes[0].get_xlabel() == "time [s]"
+    figure = fig6(runs.assign(timing_valid=[False] * 23 + [True]), curves)
+    left = figure.axes[0]
+    label = left.get_xlabel().replace("\n", " ")
+    assert label == "CPU seconds (other work disturbed 23 of 24 runs)"
+    lines = {line.get_label(): line for line in left.get_lines()}
+    names = {style.name for style in styles_of(runs["optimizer"]).values()}
+    assert names <= set(lines)
+    at = np.asarray(lines["MIHO"].get_xdata())
+    mine = curves[curves["optimizer"] == "miho"]
+    assert at.max() <= mine["cpu_seconds"].max() < mine["seconds"].max()
+
+
 @pytest.mark.slow
 def test_fig6_labels_neither_overlap_nor_leave_the_page() -> None:
     figure = fig6(*like_fig6(3))

@@ -33,8 +33,8 @@ def worked() -> tuple[pd.DataFrame, pd.DataFrame]:
 def test_hits_say_when_each_target_is_first_reached_and_what_was_spent() -> None:
     table = hits(*worked(), factors=(1.5, 1.1))
     assert list(table.columns) == [
-        "problem", "optimizer", "seed", "factor", "target", "evaluations", "seconds",
-        "spent_evaluations", "spent_seconds", "reached",
+        "problem", "optimizer", "seed", "factor", "target", "seconds", "cpu_seconds",
+        "evaluations", "spent_seconds", "spent_cpu_seconds", "spent_evaluations", "reached",
     ]  # fmt: skip
     loose, tight = at_factor(table, 1.5), at_factor(table, 1.1)
     assert loose["evaluations"].tolist() == [5, 100, 7]
@@ -157,8 +157,8 @@ def test_what_cannot_be_used_is_named() -> None:
         hits(runs.assign(optimum=0.0), curves)
     with pytest.raises(ValueError, match=r"factor is 1\.2; the frame holds 1\.1, 1\.5"):
         at_factor(hits(runs, curves, factors=(1.5, 1.1)), 1.2)
-    with pytest.raises(ValueError, match="hits lacks the columns cpu_seconds, spent_cpu_seconds"):
-        running_times(hits(runs, curves), "cpu_seconds")
+    with pytest.raises(ValueError, match="hits lacks the columns hours, spent_hours"):
+        running_times(hits(runs, curves), "hours")  # type: ignore[arg-type]
     mixed = runs.assign(unit=["N", "kN", "N"])
     with pytest.raises(ValueError, match="runs of p have 2 different units"):
         hits(mixed, curves)

@@ -18,6 +18,7 @@ from miho.analysis.sweep_curves import (
     quantiles,
     steps,
 )
+from miho.analysis.timing import clock_of
 from tests.analysis.synthetic import frames, like_fig6
 
 DETAIL = Detail(positions=60, seeds=4)
@@ -51,7 +52,7 @@ def test_a_curve_is_kept_where_it_changes() -> None:
 @pytest.mark.parametrize("axis", ["evaluations", "seconds"])
 def test_bands_are_those_of_the_other_figures(axis: Any) -> None:
     runs, curves = like_fig6(seeds=5)
-    drawn = problem_curves(runs, runs, curves, 390.0, DETAIL)
+    drawn = problem_curves(runs, clock_of(runs), curves, 390.0, DETAIL)
     assert (drawn["unit"], drawn["best"]) == ("kN", 0.39)
     found = drawn["axes"][axis]
     grid = np.array(found["grid"])
@@ -76,7 +77,7 @@ def test_the_order_is_that_of_final_medians_and_ties_are_by_name() -> None:
         {"b": [[(1, 2.0)]], "a": [[(1, 2.0 + 1e-12)]], "c": [[(1, 1.0)]], "d": [[]]}
     )
     assert final_order(runs) == ["c", "a", "b", "d"]
-    drawn = problem_curves(runs, runs, curves, 1.0, DETAIL)
+    drawn = problem_curves(runs, clock_of(runs), curves, 1.0, DETAIL)
     found = drawn["axes"]["evaluations"]["curves"]
     assert [curve["method"] for curve in found] == ["c", "a", "b", "d"]
     other = runs[runs["optimizer"].isin(["a", "b"])].assign(problem="p", error=[0.5, 0.6])
@@ -90,23 +91,29 @@ def test_the_order_is_that_of_final_medians_and_ties_are_by_name() -> None:
 
 def test_runs_without_a_value_count_as_infinitely_bad() -> None:
     runs, curves = frames({"m": [[(1, 9.0), (10, 3.0)], [(5, 2.0)], []]})
-    curve = problem_curves(runs, runs, curves, float("nan"), DETAIL)["axes"]["evaluations"][
-        "curves"
-    ][0]
+    curve = problem_curves(runs, clock_of(runs), curves, float("nan"), DETAIL)["axes"][
+        "evaluations"
+    ]["curves"][0]
     assert decoded(curve["median"])[-1] == 0.003
     assert not np.isfinite(decoded(curve["high"])).any()
     silent, nothing = frames({"m": [[], []]})
-    drawn = problem_curves(silent, silent, nothing.reindex(columns=curves.columns), 1.0, DETAIL)
+    drawn = problem_curves(
+        silent, clock_of(silent), nothing.reindex(columns=curves.columns), 1.0, DETAIL
+    )
     assert not np.isfinite(decoded(drawn["axes"]["evaluations"]["curves"][0]["median"])).any()
 
 
-def test_without_valid_seconds_there_is_no_such_axis() -> None:
-    runs, curves = like_fig6(seeds=2)
-    drawn = problem_curves(runs, runs.iloc[:0], curves, float("nan"), DETAIL)
-    assert list(drawn["axes"]) == ["evaluations"]
+def test_seconds_are_those_of_the_clock() -> None:
+    runs, curves = like_fig6(seeds=3)
+    disturbed = runs.assign(timing_valid=False)
+    drawn = problem_curves(runs, clock_of(disturbed), curves, float("nan"), DETAIL)
     assert drawn["best"] is None
-    some = problem_curves(runs, runs[runs["seed"] == 1], curves, float("nan"), DETAIL)
-    assert {curve["runs"] for curve in some["axes"]["seconds"]["curves"]} == {1}
+    assert drawn["axes"]["seconds"]["grid"][-1] == curves["cpu_seconds"].max()
+    once = runs.assign(timing_valid=runs["seed"] != 1)
+    some = problem_curves(runs, clock_of(once), curves, float("nan"), DETAIL)["axes"]
+    assert some["seconds"]["grid"][-1] == curves["seconds"].max()
+    assert {curve["runs"] for curve in some["seconds"]["curves"]} == {2}
+    assert {curve["runs"] for curve in some["evaluations"]["curves"]} == {3}
 
 
 def test_many_curves_are_kept_with_less_detail() -> None:

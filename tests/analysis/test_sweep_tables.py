@@ -90,6 +90,6 @@ def test_every_doubt_is_told() -> None:
         "2 different versions of Python",
         "2 different numbers of threads",
         "1 of 3 runs were made with more processes waiting",
-        "1 of 3 runs were disturbed by other work",
+        "CPU seconds: other work disturbed 1 of 3 runs",
     ):
         assert words in told, words

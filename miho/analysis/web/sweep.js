@@ -29,7 +29,6 @@
   const current = () => {
     if (!problems.has(state.problem)) problems.set(state.problem, read(`curves-${state.problem}`));
     const problem = problems.get(state.problem);
-    if (!problem.axes[state.axis]) choose("axis", "evaluations");
     const axis = problem.axes[state.axis];
     if (!axis.ready) {
       for (const curve of axis.curves) {
@@ -153,7 +152,7 @@
     return upper.length ? `M${upper.join("L")}L${lower.reverse().join("L")}Z` : "";
   };
   const axisLabels = (problem) => [
-    state.axis === "seconds" ? "seconds [s]" : "evaluations of the loss [-]",
+    state.axis === "seconds" ? `${about.time} [s]` : "evaluations of the loss [-]",
     isGap(problem) ? "gap to the best known error [-]" : `error [${problem.unit}]`,
   ];
 
@@ -236,7 +235,7 @@
     const last = axis.grid.length - 1;
     const at = state.at === null ? last : Math.min(Math.max(state.at, 0), last);
     const position = axis.grid[at];
-    const unit = state.axis === "seconds" ? "s" : "evaluations";
+    const unit = state.axis === "seconds" ? about.time : "evaluations";
     const place = state.at === null ? "at the end" : `after ${number(position, 4)} ${unit}`;
     readout.textContent = `${isGap(problem) ? "Gap" : `Median error [${problem.unit}]`} ${place}`;
     plot.setAttribute("aria-valuenow", at);
@@ -285,7 +284,6 @@
     const { problem } = current();
     for (const [to, there, why] of [
       ["gap", problem.best !== null, "no best known error above zero"],
-      ["seconds", Boolean(problem.axes.seconds), "no run with valid seconds"],
     ]) {
       const button = document.querySelector(`button[data-to="${to}"]`);
       button.disabled = !there;

@@ -1,0 +1,61 @@
+"""Which runs of a comparison are done again, and what its size leaves untested."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from experiments.cli import composed
+from experiments.compare import _set_aside_disturbed
+from experiments.full_size import differences
+from experiments.schema import register
+from experiments.sweep import Wanted, wanted
+from miho.optim import Budget, RandomSearch, minimize
+from miho.study import Store, load_runs
+from miho.testing import DecayFit
+
+register()
+
+
+def stored(root: Path, *overrides: str, valid: bool = True, seed: int = 0) -> Wanted:
+    """A run that is finished without having been done: its method and data are others."""
+    (one,) = wanted(composed([*overrides, f"root={root}"]), "", [seed])
+    record = minimize(RandomSearch(), DecayFit(), Budget(evaluations=5), seed)
+    store = Store(root)
+    with store.claim(one.identity):
+        store.commit(one.identity, record, DecayFit.space, {}, {"timing_valid": valid})
+    return one
+
+
+def test_fresh_makes_room_for_what_was_disturbed_as_often_as_asked(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    quiet = stored(tmp_path, "optimizer=random", seed=0)
+    for _ in range(3):
+        disturbed = stored(tmp_path, "optimizer=random", valid=False, seed=1)
+        _set_aside_disturbed([quiet, disturbed], store)
+        assert load_runs(tmp_path).runs["seed"].tolist() == [0]
+    assert len(list((tmp_path / ".superseded").rglob("result.json"))) == 3
+
+
+def test_a_comparison_of_full_size_has_no_differences(tmp_path: Path) -> None:
+    for method in ("miho", "pso_100", "random"):
+        stored(tmp_path, "experiment=paper_fig6", f"optimizer={method}")
+    found = differences(load_runs(tmp_path).runs)
+    assert (found.methods, found.budget) == ({}, "")
+
+
+def test_a_reduced_comparison_says_what_is_smaller(tmp_path: Path) -> None:
+    reduced = "experiment=compare"
+    stored(tmp_path, reduced, "optimizer=miho", "optimizer.R=2000")
+    stored(tmp_path, reduced, "optimizer=pso_100", "optimizer.particles=10")
+    stored(tmp_path, reduced, "optimizer=random")
+    stored(tmp_path, reduced, "optimizer=dual_annealing")  # has no part in the paper's
+    found = differences(load_runs(tmp_path).runs)
+    assert found.methods == {
+        "miho": "miho has R = 2000 instead of 10000",
+        "pso_100": "pso_100 has particles = 10 instead of 100",
+    }
+    assert found.budget == "at most 4 s per run instead of 30"
+    stored(tmp_path / "few", reduced, "optimizer=random", "budget.evaluations=2000")
+    assert differences(load_runs(tmp_path / "few").runs).budget == (
+        "at most 4 s per run instead of 30, at most 2,000 evaluations per run"
+    )
