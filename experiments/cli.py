@@ -43,7 +43,7 @@ from miho.study.redaction import redacted
 
 CONF = Path(__file__).parent.parent / "conf"
 
-OK, BUG, BAD_INPUT, SOME_FAILED, STORAGE, REFUSED, PIPE_CLOSED = 0, 1, 2, 3, 4, 5, 141
+OK, BUG, BAD_INPUT, SOME_FAILED, STORAGE, REFUSED, LEFT_ROAD, PIPE_CLOSED = 0, 1, 2, 3, 4, 5, 6, 141
 BY_SIGNAL = 128
 BAD_INPUT_ERRORS = (
     HydraException, OmegaConfBaseException, ConfigError, CSVError, TirError, DataUnavailableError,

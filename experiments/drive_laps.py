@@ -83,7 +83,7 @@ def laps_of(job: Job) -> list[dict[str, Any]]:
         for variant in VARIANTS:
             done, driver = lap(cfg, known(cfg, variant, folder, job.seed), job.seed)
             told = {"seed": job.seed, "variant": variant.name}
-            rows.append(told | judged_lap(done, driver, cfg.drive.distance))
+            rows.append(told | judged_lap(done, driver, cfg.drive))
     write_text(folder / LAPS, json.dumps({"job": asdict(job), "laps": rows}, indent=1) + "\n")
     return rows
 
@@ -120,7 +120,7 @@ def lap(cfg: DictConfig, car: KnownCar, seed: int) -> tuple[Drive, Driver]:
     """
     road, line, vehicle = prepared(cfg)
     driver = driver_of(cfg, car, line)
-    plant = embedded_plant(vehicle, road_of(road))
+    plant = embedded_plant(vehicle, road_of(road, cfg.drive.road_friction))
     speed, _ = driver.plan.at(cfg.drive.start)
     at = road.project(*map(float, line.position(cfg.drive.start)))
     start = plant.start(at.s, at.e, speed, driver.speed.start(speed).gear)
@@ -128,17 +128,18 @@ def lap(cfg: DictConfig, car: KnownCar, seed: int) -> tuple[Drive, Driver]:
     return drive(plant, driver, start, cfg.drive.distance, sensors=Sensors(), rng=rng), driver
 
 
-def judged_lap(done: Drive, driver: Driver, distance: float) -> dict[str, float | str]:
-    """What a lap came to: lap_time [s], unless the car stopped; largest e_y [m] and e_psi [rad].
+def judged_lap(done: Drive, driver: Driver, settings: DictConfig) -> dict[str, float | str]:
+    """What a lap with the settings of `drive` came to.
 
+    lap_time [s], unless the car stopped; largest e_y [m] and e_psi [rad].
     speed_error [m/s]: root mean square of driven less desired speed; part_throttle: the same where
     the throttle is between 40 % and 95 %, as the engine's inverse map has it. margin [-]: 1 less
     the largest use of the true tires' friction, negative beyond it.
     """
     brake = replace(driver.speed, brake=EMBEDDED_BRAKE)  # the plant's, for the use of its tires
-    error = done["vx"] - done["v_des"]
+    error, friction = done["vx"] - done["v_des"], settings.road_friction
     part = (done["u_throttle"] > PART[0]) & (done["u_throttle"] < PART[1])
-    left = distance - float(done["distance"][-1])
+    left = settings.distance - float(done["distance"][-1])
     finished: dict[str, float | str]
     finished = {} if done.stopped else {"lap_time": _finish(done, left)}
     return finished | {
@@ -147,7 +148,7 @@ def judged_lap(done: Drive, driver: Driver, distance: float) -> dict[str, float 
         "e_psi": float(np.abs(done["e_psi"]).max()),
         "speed_error": float(np.sqrt(np.mean(error**2))),
         "part_throttle": float(np.sqrt(np.mean(error[part] ** 2))) if part.any() else 0.0,
-        "margin": 1 - float(true_use(done, replace(driver, speed=brake)).max()),
+        "margin": 1 - float(true_use(done, replace(driver, speed=brake), friction).max()),
     }
 
 

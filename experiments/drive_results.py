@@ -7,7 +7,7 @@ import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.constants import g
@@ -32,6 +32,8 @@ EXPERIMENTS = (
 )  # fmt: skip
 CAR_LENGTH, CAR_WIDTH = 4.9, 1.93
 """Of the AV-21 [m]."""
+EVERY = 5
+"""Of the rows of a drive every fifth, at 100 Hz some 3 m apart, is looked up on the road."""
 
 
 def regenerates(module: str) -> dict[str, Any]:
@@ -51,13 +53,74 @@ def driving_code() -> str:
     return code_digest([*ours, Path(baselines.__file__).parent])
 
 
-def judged(done: Drive, driver: Driver, road: Track) -> dict[str, float | str]:
-    """Largest errors and uses of a drive; the road is that of the plant."""
+class Room(NamedTuple):
+    """Distances [m] of the car's sides from the left and the right edge of the road, negative
+    beyond it, with the rows of the drive they belong to; (k,) each."""
+
+    rows: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+
+    @classmethod
+    def of(cls, done: Drive, road: Track) -> Room:
+        """The room that a car had; the road is that of the plant."""
+        rows = np.arange(0, len(done), EVERY)
+        both, hint = np.empty((2, rows.size)), None
+        for i, (x, y) in enumerate(zip(done["x"][rows], done["y"][rows], strict=True)):
+            at = road.project(float(x), float(y), hint)
+            hint = at.s
+            here = road.at(at.s)
+            both[:, i] = float(here.width_left) - at.e, float(here.width_right) + at.e
+        left, right = both - CAR_WIDTH / 2
+        return cls(rows, left, right)
+
+    @property
+    def least(self) -> np.ndarray:
+        """To the nearer edge."""
+        return np.minimum(self.left, self.right)
+
+
+class Departure(NamedTuple):
+    """How a car left its road: when [s] and after how many metres a side of it first crossed an
+    edge, on which side of the road, and how far beyond the edge it came [m]."""
+
+    time: float
+    distance: float
+    side: str
+    beyond: float
+
+    def __str__(self) -> str:
+        return (
+            f"on the {self.side}, after {self.distance:.0f} m and {self.time:.1f} s, by up to "
+            f"{self.beyond:.1f} m"
+        )
+
+
+def departure(done: Drive, room: Room) -> Departure | None:
+    """How the car left the road; None if it did not."""
+    outside = np.flatnonzero(room.least < 0)
+    if not outside.size:
+        return None
+    first = outside[0]
+    row = room.rows[first]
+    return Departure(
+        float(done["time"][row] - done["time"][0]),
+        float(done["distance"][row]),
+        "left" if room.left[first] < room.right[first] else "right",
+        -float(room.least.min()),
+    )
+
+
+def judged(
+    done: Drive, driver: Driver, room: Room, road_friction: float = 1.0
+) -> dict[str, float | str]:
+    """Largest errors and uses of a drive on a road of this friction."""
     e_psi = float(np.degrees(np.abs(done["e_psi"]).max()))
     error = done["vx"] - done["v_des"]
     within = np.abs(done["ay"]) / done["ay_limit"]
     table: dict[str, float | str] = {
         "stopped": done.stopped or "no",
+        "left the road": str(departure(done, room) or "no"),
         "time [s]": _round(done["time"][-1]),
         "top speed [km/h]": _round(3.6 * done["vx"].max()),
         "largest position error [m]": _round(np.abs(done["e_y"]).max()),
@@ -66,19 +129,21 @@ def judged(done: Drive, driver: Driver, road: Track) -> dict[str, float | str]:
         "velocity error, largest [m/s]": _round(np.abs(error).max()),
         "largest lateral acceleration [m/s^2]": _round(np.abs(done["ay"]).max()),
         "largest share of the planned lateral limit": _round(within.max()),
-        "largest use of the true tires' friction": _round(true_use(done, driver).max()),
-        "least room to an edge of the road [m]": _round(_room(done, road)),
+        "largest use of the true tires' friction": _round(
+            true_use(done, driver, road_friction).max()
+        ),
+        "least room to an edge of the road [m]": _round(room.least.min()),
     }
     if driver.sighting is not None:
         table["least gap to the obstacle [m]"] = _round(gap(done, driver))
     return table
 
 
-def true_use(done: Drive, driver: Driver) -> np.ndarray:
+def true_use(done: Drive, driver: Driver, road_friction: float = 1.0) -> np.ndarray:
     """Use of the true tires' friction in steady terms, (N,); above 1 an axle would slide."""
     vehicle = driver.speed.vehicle
     grip = Grip.of_tires(embedded_tires(), static_loads(vehicle), inclinations(vehicle))
-    car = friction_car(vehicle, grip, 1.0, front_share(driver.speed.brake))
+    car = friction_car(vehicle, grip, road_friction, front_share(driver.speed.brake))
     turning = done["vx"] ** 2 * done["curvature"]
     gravity = g * np.cos(done["bank"]) + turning * np.sin(done["bank"])
     return np.asarray(uses_of(car, done["vx"], done["ax"], done["ay"], gravity))
@@ -136,17 +201,6 @@ def plans(driver: Driver, now: float) -> dict[str, float | str]:
     table["printed Eq. 11 over the same without yaw term"] = _round(ratio)
     table["effect of load transfer in Eq. 10 [%]"] = _round(100 * cancels)
     return table
-
-
-def _room(done: Drive, road: Track) -> float:
-    """Least distance of the car's sides from an edge of the road [m]."""
-    least, hint = math.inf, None
-    for x, y in zip(done["x"][::5], done["y"][::5], strict=True):
-        at = road.project(float(x), float(y), hint)
-        hint = at.s
-        here = road.at(at.s)
-        least = min(least, float(here.width_left) - at.e, float(here.width_right) + at.e)
-    return least - CAR_WIDTH / 2
 
 
 def _round(value: float) -> float:

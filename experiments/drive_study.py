@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 from experiments.build import ConfigError
 from experiments.cli import OK, SOME_FAILED, command
-from experiments.drive import prepared
+from experiments.drive import factors, prepared
 from experiments.drive_laps import VARIANTS, Job, laps_before, laps_of
 from experiments.drive_results import driving_code, regenerates
 from miho.analysis import save
@@ -59,7 +59,7 @@ def study(cfg: DictConfig) -> None:
     write_text(root / "laps.csv", laps.to_csv(index=False, float_format="%.6g"))
     write_text(root / "table.csv", table.to_csv(index=False, float_format="%.6g"))
     write_text(root / "table.txt", lap_text(table) + "\n")
-    note = f"one lap of {cfg.drive.track.name.upper()}, mu = {cfg.drive.mu:g}, at most "
+    note = f"one lap of {cfg.drive.track.name.upper()}, {factors(cfg)}, at most "
     note += f"{3.6 * cfg.drive.top_speed:.0f} km/h; {laps['seed'].nunique()} seeds"
     paths = save(lap_figure(laps, table, note=note), root / "figures" / "identification_buys")
     about = regenerates("experiments.drive_study") | {"seeds": sorted(set(laps["seed"].tolist()))}

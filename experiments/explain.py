@@ -20,6 +20,8 @@ from omegaconf.errors import (
 )
 from omegaconf.nodes import BooleanNode, FloatNode, IntegerNode
 
+from experiments.schema import RENAMED
+
 EXPECTED: dict[type, str] = {
     IntegerNode: "a whole number",
     FloatNode: "a number",
@@ -88,6 +90,8 @@ def explained(error: Exception, overrides: Sequence[Override], loader: ConfigLoa
     node = getattr(cause, "parent_node", None)
     if isinstance(cause, ConfigKeyError | ConfigAttributeError) and isinstance(node, DictConfig):
         key = str(cause.full_key)
+        if key in RENAMED:
+            return f"{key}: {RENAMED[key]}"
         return unknown(key, node) + _having(key, loader)
     if isinstance(cause, ValidationError) and isinstance(node, DictConfig):
         expected = EXPECTED.get(type(node._get_node(cause.key)))

@@ -24,7 +24,7 @@ more:
   --config-dir FOLDER     further options of your own, such as FOLDER/experiment/mine.yaml
   --shell-completion      how to complete groups and options with the tabulator key
 Exit codes: 0 ok, 1 a bug, 2 bad input, 3 some runs failed, 4 storage, 5 finished runs are of other
-code, data or settings (fresh=true), 130 interrupted."""
+code, data or settings (fresh=true), 6 a simulated car left its road, 130 interrupted."""
 
 
 def completion(conf: Path) -> str:

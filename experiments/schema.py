@@ -110,9 +110,11 @@ class DriveConfig:
 
     known: what planner and controllers know of the car, `identified` from the embedded data by the
     optimizer or the `truth`; `parameters` names parameters.json files of parts of it that
-    were identified before. mu: the performance factor of the plan. The car starts at the arc length
-    `start` [m] of the line with `speed` [m/s] and drives a distance [m]. `top_speeds` [m/s] of the
-    laps in turn; without them only the plan's `top_speed` counts.
+    were identified before. performance_factor: the share of the tires' grip, as it is known, that
+    the plan uses (the paper's mu). road_friction: what the road gives the simulated car, over the
+    road on which its tires were measured; the plan does not know it. The car starts at the arc
+    length `start` [m] of the line with `speed` [m/s] and drives a distance [m]. `top_speeds` [m/s]
+    of the laps in turn; without them only the plan's `top_speed` counts.
     """
 
     vehicle: dict[str, Any] = field(default_factory=dict)
@@ -122,7 +124,8 @@ class DriveConfig:
     parameters: dict[str, str] = field(default_factory=dict)
     sensitivity: float = 0.0
     noise: bool = True
-    mu: float = 1.0
+    performance_factor: float = 1.0
+    road_friction: float = 1.0
     top_speed: float = 90.0
     top_speeds: list[float] = field(default_factory=list)
     ramp: float = 1.5
@@ -156,6 +159,13 @@ class Config:
     tracking: TrackingConfig = field(default_factory=TrackingConfig)
     comparison: ComparisonConfig = field(default_factory=ComparisonConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
+
+
+RENAMED = {
+    "drive.mu": "is now two settings: drive.performance_factor, the share of the tires' grip that "
+    "the plan uses (the paper's mu), and drive.road_friction, what the road gives the car",
+}
+"""What became of settings that were called otherwise."""
 
 
 def register() -> None:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from hydra.core.global_hydra import GlobalHydra
 
+from experiments import drive as driving
 from experiments.build import ConfigError
-from experiments.cli import composed
+from experiments.cli import command, composed
 from experiments.drive import check, drive
 from experiments.known import PARTS, identified_part, known_car
 from experiments.schema import register
@@ -35,7 +38,7 @@ def test_a_short_drive_leaves_log_figure_and_results(
     assert np.isfinite(log.to_numpy()).all()
     about = json.loads((tmp_path / "drive.json").read_text())
     assert about["seed"] == 3
-    assert about["results"]["stopped"] == "no"
+    assert about["results"]["stopped"] == about["results"]["left the road"] == "no"
     assert about["results"]["largest position error [m]"] == pytest.approx(
         log["e_y"].abs().max(), rel=1e-3
     )
@@ -49,6 +52,31 @@ def test_a_short_drive_leaves_log_figure_and_results(
         assert about["results"]["least speed of the plan, corrected [km/h]"] > 100
 
 
+def test_a_car_that_leaves_the_road_says_so_and_has_its_own_exit_code(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Into the first corner of IMS at 216 km/h, on a road that gives 0.3 of what the plan counts
+    on."""
+    fast = ["drive.known=truth", "drive.obstacle.sight=null", "drive.start=470", "drive.speed=60"]
+    fast += ["drive.top_speed=60", "drive.road_friction=0.3", "drive.distance=150"]
+    monkeypatch.setattr(sys, "argv", ["drive", IMS, *fast, f"root={tmp_path}"])
+    monkeypatch.setattr(driving, "departures", [])
+    GlobalHydra.instance().clear()
+    with pytest.raises(SystemExit) as end:
+        command(drive, check, driving.summary)
+    out, err = capsys.readouterr()
+    assert end.value.code == 6
+    assert "left the road" in out
+    assert err.splitlines()[-1].startswith("the car left the road on the right, after 1")
+    results = json.loads((tmp_path / "drive.json").read_text())["results"]
+    log = pd.read_csv(tmp_path / "log.csv")
+    # The line is 4.5 m right of the measured one, which is 0.7 m off the left edge of a road whose
+    # width rises from 15.2 m (50 ft) to 18.3 m (60 ft) in the corner.
+    beyond = results["least room to an edge of the road [m]"] + log["e_y"].abs().max() + 1.93 / 2
+    assert 15.2 - 0.7 - 4.5 < beyond < 18.3 - 0.7 - 4.5
+    assert results["left the road"].startswith("on the right, after")
+
+
 @pytest.mark.parametrize(
     ("override", "message"),
     [
@@ -57,6 +85,14 @@ def test_a_short_drive_leaves_log_figure_and_results(
         ("drive.vehicle.lf=0", "drive: vehicle.lf is 0; expected a positive number"),
         ("~drive.vehicle.mass", "drive: vehicle.mass is missing; give it in SI units"),
         ("drive.figure=fig9", "drive.figure: is 'fig9'; expected fig7 or fig8"),
+        ("+drive.mu=0.7", "drive.mu: is now two settings: drive.performance_factor, the share of"),
+        ("+drive.boost=1", "drive.boost: is unknown; allowed are vehicle, track, controller"),
+        (
+            "drive.performance_factor=1700",
+            "drive.performance_factor: is 1700; expected 0.05 to 1.5",
+        ),
+        ("drive.performance_factor=nan", "drive.performance_factor: is nan; expected 0.05 to 1.5"),
+        ("drive.road_friction=0", "drive.road_friction: is 0; expected 0.05 to 1.5, what the road"),
     ],
 )
 def test_bad_input_is_one_line_before_anything_is_identified(override: str, message: str) -> None:
@@ -70,7 +106,6 @@ def test_bad_input_is_one_line_before_anything_is_identified(override: str, mess
     ("override", "message"),
     [
         ("drive.speed=nan", "drive: speed is nan"),
-        ("drive.mu=0", "drive: mu is 0"),
         ("drive.distance=-1", "drive: distance is -1"),
         ("drive.known=maybe", "drive.known: is 'maybe'; expected identified or truth"),
         ("drive.controller.weights.e_y=0", "drive: weights are"),

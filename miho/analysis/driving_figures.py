@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from miho.analysis.figures import WIDTH, caption, house_style
 
 BLUE, _, GREEN, RED = sns.color_palette("colorblind").as_hex()[:4]
+ALARM = "#b00020"
 DASHED = (0, (4, 2))
 KMH = 3.6
 LEAST_RANGE = 20.0
@@ -19,12 +20,14 @@ LEAST_RANGE = 20.0
 
 
 def fig7(
-    log: pd.DataFrame, *, steering_ratio: float, obstacle: float | None = None, note: str = ""
-) -> Figure:
+    log: pd.DataFrame, *, steering_ratio: float, obstacle: float | None = None,
+    departure: tuple[float, str] | None = None, note: str = "",
+) -> Figure:  # fmt: skip
     """Fig. 7: velocity, lateral acceleration within its limits, and steering, over time.
 
     `log` has the columns of `miho.driving.simulation.Drive`. steering_ratio: steering wheel over
     road wheel [-]. obstacle: the time [s] at which the car is beside it, marked in all panels.
+    departure: the same for when it left the road, and what to write of that above them.
     """
     with house_style():
         figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
@@ -36,16 +39,22 @@ def fig7(
             ax.margins(x=0)
             if obstacle is not None:
                 ax.axvline(obstacle, color="#888888", linewidth=0.9, linestyle=":")
+        if departure is not None:
+            _mark_departure(figure, *departure)
         steering.set_xlabel("time [s]")
         caption(figure, "" if obstacle is None else "dotted: beside the obstacle", note)
         figure.draw_without_rendering()
     return figure
 
 
-def fig8(log: pd.DataFrame, *, laps: list[float] | None = None, note: str = "") -> Figure:
+def fig8(
+    log: pd.DataFrame, *, laps: list[float] | None = None,
+    departure: tuple[float, str] | None = None, note: str = "",
+) -> Figure:  # fmt: skip
     """Fig. 8: errors of position and heading, velocity, throttle and brake, over the distance.
 
-    `laps`: distances [m] at which laps begin, marked in all panels.
+    `laps`: distances [m] at which laps begin, marked in all panels. departure: the same for where
+    the car left the road, and what to write of that above them.
     """
     with house_style():
         figure = Figure(figsize=(WIDTH, 5.8), layout="constrained")
@@ -58,6 +67,8 @@ def fig8(log: pd.DataFrame, *, laps: list[float] | None = None, note: str = "") 
             ax.margins(x=0)
             for start in laps or []:
                 ax.axvline(start / 1000, color="#bbbbbb", linewidth=0.7, linestyle=":", zorder=0)
+        if departure is not None:
+            _mark_departure(figure, departure[0] / 1000, departure[1])
         pedals.set_xlabel("distance [km]")
         caption(figure, "dotted: start of a lap" if laps else "", note)
         figure.draw_without_rendering()
@@ -122,6 +133,13 @@ def plot_pedals(log: pd.DataFrame, ax: Axes) -> Axes:
     ax.set(ylabel="throttle, brake", ylim=(0, 105))
     _legend(ax)
     return ax
+
+
+def _mark_departure(figure: Figure, at: float, text: str) -> None:
+    """A red line in all panels, and above them what it stands for."""
+    for ax in figure.axes:
+        ax.axvline(at, color=ALARM, linewidth=1.4)
+    figure.suptitle(f"red line: {text}", color=ALARM, fontsize=9, x=0.01, ha="left")
 
 
 def _legend(ax: Axes) -> None:

@@ -140,11 +140,13 @@ def wheel_tire(tire: MagicFormula, gamma: float = 0.0, pressure: float | None = 
 
 @register_jitable(error_model="numpy")
 def wheel_forces(
-    p: WheelTire, load: float, kappa: float, alpha: float, Vx: float
+    p: WheelTire, load: float, kappa: float, alpha: float, Vx: float, friction: float = 1.0
 ) -> tuple[float, float]:
     """Fx, Fy [N] at a load [N], slip ratio, slip angle [rad] and speed of the wheel centre [m/s].
 
-    ISO-W signs and limits as in `MagicFormula.forces` with alpha_star False.
+    ISO-W signs and limits as in `MagicFormula.forces` with alpha_star False. friction [-]: of the
+    road, over that on which the tire was measured. It multiplies LMUX and LMUY, the scaling factors
+    of the peaks; the stiffnesses stay, and the vertical shifts fade as in 4.E8.
     """
     load = max(load, 0.0)
     Fz = min(max(load, p.Fz_range[0]), p.Fz_range[1])
@@ -155,8 +157,8 @@ def wheel_forces(
     decay = 1.0
     if p.slip_decay > 0:
         decay += p.slip_decay * abs(Vx) * np.hypot(kappa, np.tan(alpha))  # 4.E7
-    Fx = _longitudinal(p, Fz, dfz, kappa, alpha, Vx, p.LMUX / decay)
-    Fy = _lateral(p, Fz, dfz, kappa, alpha, p.LMUY / decay)
+    Fx = _longitudinal(p, Fz, dfz, kappa, alpha, Vx, friction * p.LMUX / decay)
+    Fy = _lateral(p, Fz, dfz, kappa, alpha, friction * p.LMUY / decay)
     return loaded * Fx, loaded * Fy
 
 

@@ -135,7 +135,7 @@ def _wheels(
         damping = _damping(along)
         kappa = y[KAPPA + i] + damping * sliding
         alpha = math.atan(y[TAN_ALPHA + i] + damping * across)
-        long, lat = wheel_forces(car.tires[i], loads[i], kappa, alpha, along)
+        long, lat = wheel_forces(car.tires[i], loads[i], kappa, alpha, along, road.friction)
         braking = on_front + c.rolling_torque_front if front else on_rear + c.rolling_torque_rear
         torque = against(braking, omega) - radius * long
         if front:

@@ -57,8 +57,9 @@ class MultiBody(Plant[MultiBodyState]):
     The model is driven by a steering rate and an acceleration. Steering has the delay, lag and
     rate of `vehicle`. Throttle, gear and brake act at once with the driveline, brake and drag of
     `vehicle` on the model's own mass; the model limits the acceleration (11.5 m/s^2, and above
-    7.3 m/s less when driving). Controllers know it as `own_vehicle` and `axles`. road: only where
-    it starts; its bank is not felt. step: of the Runge-Kutta integration of fourth order [s].
+    7.3 m/s less when driving). Controllers know it as `own_vehicle` and `axles`. road: where it
+    starts, and its friction, which scales the peaks of the tires; its bank is not felt. step: of
+    the Runge-Kutta integration of fourth order [s].
     """
 
     vehicle: Vehicle
@@ -86,6 +87,13 @@ class MultiBody(Plant[MultiBodyState]):
         """The model's own parameters, in SI units under its own names."""
         module = import_module("vehiclemodels.vehicle_parameters")
         return _plain(module.setup_vehicle_parameters(vehicle_id=self.kind))
+
+    @cached_property
+    def _on_road(self) -> Any:
+        """`parameters` with the friction of the road; the model has no LMUX and LMUY."""
+        p, friction = self.parameters, self.road.friction
+        peaks = {name: friction * getattr(p.tire, name) for name in ("p_dx1", "p_dy1")}
+        return SimpleNamespace(**vars(p) | {"tire": SimpleNamespace(**vars(p.tire) | peaks)})
 
     @property
     def own_vehicle(self) -> Vehicle:
@@ -175,7 +183,7 @@ class MultiBody(Plant[MultiBodyState]):
         v = self.vehicle
         steering = min(max(steering, -v.steering_max), v.steering_max)
         rate = min(max((steering - x[2]) / v.steering_lag, -v.steering_rate), v.steering_rate)
-        return np.array(self._model(x.tolist(), [rate, acceleration], self.parameters))
+        return np.array(self._model(x.tolist(), [rate, acceleration], self._on_road))
 
     @cached_property
     def _model(self) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,8 @@ class Road(NamedTuple):
 
     x, y, heading, bank (n + 1,) at the ends of the cells; curvature (n,) of each cell, so that
     its integral is the heading; turn: change of the heading over a lap [rad]. A line that is not
-    closed goes on straight beyond its ends.
+    closed goes on straight beyond its ends. friction [-]: of the surface, over that on which the
+    tires were measured.
     """
 
     step: float
@@ -29,6 +31,7 @@ class Road(NamedTuple):
     heading: Array
     bank: Array
     curvature: Array
+    friction: float = 1.0
 
 
 PLANE = Road(
@@ -37,12 +40,14 @@ PLANE = Road(
 """Flat ground, whose line is the x axis."""
 
 
-def road_of(track: Track) -> Road:
-    """The road of a track."""
+def road_of(track: Track, friction: float = 1.0) -> Road:
+    """The road of a track; friction as in `Road`."""
+    if not 0 < friction < math.inf:
+        raise ValueError(f"friction of the road is {friction}; expected a positive number")
     x, y, bank = (np.append(column, column[0]) for column in (track.x, track.y, track.bank))
     heading = np.append(track.heading, track.heading[0] + track.turn)
     curvature = np.diff(heading) / track.step
-    return Road(float(track.step), True, track.turn, x, y, heading, bank, curvature)
+    return Road(float(track.step), True, track.turn, x, y, heading, bank, curvature, friction)
 
 
 @register_jitable(error_model="numpy")

@@ -105,7 +105,7 @@ class VelocityPlanner:
             raise ValueError(
                 f"no speed holds the car on {line.name} at s = {line.s[i]:.1f} m, where the "
                 f"curvature is {line.curvature[i]:.4g} 1/m and the bank {line.bank[i]:.4g} rad; "
-                f"expected more grip than mu = {self.mu:g} gives"
+                f"expected more grip than a performance factor of {self.mu:g} gives"
             )
         v = _passes(self.friction, self._powers(), line.curvature, line.bank, limits, line.step)
         return self.judged(line, v)

@@ -44,6 +44,20 @@ def test_fig7_shows_the_log_in_the_units_of_the_paper() -> None:
     no_overlap(figure)
 
 
+@pytest.mark.parametrize(
+    ("figure", "at"),
+    [
+        (fig7(LOG, steering_ratio=15.0, departure=(2.5, "the car left the road")), 2.5),
+        (fig8(LOG, departure=(450.0, "the car left the road")), 0.45),
+    ],
+)
+def test_a_car_that_left_the_road_is_seen_in_every_panel(figure: Figure, at: float) -> None:
+    assert figure.get_suptitle() == "red line: the car left the road"
+    for ax in figure.axes:
+        assert any(np.allclose(np.asarray(line.get_xdata()), at) for line in ax.get_lines())
+    no_overlap(figure)
+
+
 def test_fig8_shows_errors_over_the_distance() -> None:
     figure = fig8(LOG, laps=[0.0, 450.0])
     position, heading, velocity, pedals = figure.axes

@@ -145,7 +145,7 @@ def test_a_lap_on_identified_parameters_finishes_within_the_limit(folder: Path) 
     assert front.derived["mean vx"].value == pytest.approx(35.0, abs=8.0)
     car = known_from(folder, AV21, sensitivity=cfg.drive.sensitivity)
     done, driver = lap(cfg, car, seed=0)
-    result = judged_lap(done, driver, cfg.drive.distance)
+    result = judged_lap(done, driver, cfg.drive)
     assert result["stopped"] == ""
     assert float(result["margin"]) > 0
     assert float(result["lap_time"]) == pytest.approx(driver.plan.lap_time, rel=0.02)
