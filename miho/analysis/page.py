@@ -29,11 +29,25 @@ th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #e4e
 th { border-bottom: 1.5px solid #888; font-weight: 600; }
 th.text, td.text { text-align: left; }
 img { max-width: 100%; height: auto; }
-@media print { body { max-width: none; } h2 { break-after: avoid; }
-               img, table { break-inside: avoid; } .scroll { overflow: visible; }
-               table { font-size: .8rem; } th, td { white-space: normal; padding: .2rem .4rem; } }
-@media (max-width: 40rem) { th, td { white-space: normal; padding: .2rem .3rem; }
-                            table { font-size: .8rem; } }
+/* Where there is no room for a line a cell, or nothing to scroll with, cells wrap, and the columns
+   share the width of the page: 4.2 em each hold a correlation, 5.6 em half an interval. */
+@media (max-width: 40rem) {
+  body { padding: .5rem .75rem 3rem; }
+  th, td { white-space: normal; padding: .25rem .2rem; }
+  table { font-size: clamp(.64rem, calc((100vw - 1.5rem) / var(--columns) / 5.6), .8rem); }
+  th:first-child, td:first-child { position: sticky; left: 0; background: #fff; padding-left: 0; }
+  td.text:nth-child(2):last-child { overflow-wrap: anywhere; }
+}
+@media print {
+  @page { margin: 15mm; }
+  body { max-width: none; margin: 0; padding: 0; font-size: 10.5pt; }
+  h2, thead { break-after: avoid; }
+  img, tr { break-inside: avoid; }
+  .scroll { overflow: visible; }
+  table { font-size: min(8.5pt, calc(170mm / var(--columns) / 4.2)); }
+  th, td { white-space: normal; padding: .25em .5em; }
+  th, td.text:nth-child(2):last-child { overflow-wrap: anywhere; }
+}
 """
 
 
@@ -101,7 +115,8 @@ def _table(frame: pd.DataFrame) -> str:
         )
         rows.append(f"<tr>{''.join(cells)}</tr>")
     return (
-        f'<div class="scroll"><table><thead><tr>{head}</tr></thead>'
+        f'<div class="scroll"><table style="--columns: {len(frame.columns)}">'
+        f"<thead><tr>{head}</tr></thead>"
         f"<tbody>{''.join(rows)}</tbody></table></div>"
     )
 
