@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 from omegaconf import OmegaConf
@@ -13,7 +14,7 @@ from omegaconf import OmegaConf
 from experiments import compare as comparing
 from experiments.arena import plan
 from experiments.arena_problems import as_configured
-from experiments.arena_results import draw_arena
+from experiments.arena_results import FACTOR, PLAIN, draw_arena, separated
 from experiments.build import ConfigError, build
 from experiments.cli import CONF, SOME_FAILED, composed
 from experiments.comparison import COMPARISON, Comparison
@@ -21,6 +22,8 @@ from experiments.run import run
 from experiments.schema import register
 from experiments.sweep import Done
 from miho import load_runs
+from miho.analysis.leaderboard import family_scores, problem_scores
+from miho.analysis.pairwise import pairwise
 from miho.study import Status
 
 ROOT = Path(__file__).parent.parent
@@ -177,6 +180,25 @@ def test_a_wrong_setting_stops_before_the_first_run() -> None:
     overrides = [*ARENA, PROBLEMS, "comparison.methods.miho.R=-1"]
     with pytest.raises(ConfigError, match="R is -1"):
         plan(composed(overrides), overrides)
+
+
+def test_the_tests_of_the_published_arena_follow_from_its_running_times() -> None:
+    """The tables in the repository against each other, by the code as it is."""
+    folder = ROOT / "experiments" / "results" / "arena"
+    ert, tests = pd.read_csv(folder / "ert.csv"), pd.read_csv(folder / "tests.csv")
+    kinds = pd.read_csv(folder / "problems.csv").set_index("problem")["family"]
+    plain = problem_scores(ert[ert["axis"] == "evaluations"], None, FACTOR)
+    again = pairwise(plain, "miho")
+    assert tests["rival"].tolist() == again["rival"].tolist()
+    for column, ours in (("wins", "wins"), ("losses", "losses"), (PLAIN, "p_holm")):
+        np.testing.assert_allclose(tests[column], again[ours])
+    families = pairwise(family_scores(plain, kinds.to_dict()), "miho")
+    np.testing.assert_allclose(tests["p by families"], families["p_holm"])
+    known = separated(tests)
+    assert known == {"rivals": 22, "apart": 14, "apart_aocc": 16}
+    told = (folder / "tests.md").read_text(encoding="utf-8")
+    assert "from 14 of 22 rivals at 5 %" in told
+    assert "it does from 16" in told
 
 
 def compare(*overrides: str) -> subprocess.CompletedProcess[str]:

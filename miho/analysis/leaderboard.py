@@ -72,21 +72,23 @@ def leaderboard(
     return table.rename_axis("method").reset_index()
 
 
-def problem_scores(ert: pd.DataFrame, areas: pd.DataFrame, factor: float) -> pd.DataFrame:
+def problem_scores(ert: pd.DataFrame, areas: pd.DataFrame | None, factor: float) -> pd.DataFrame:
     """Scores (problems, methods) that rank all methods, lower is better; for ranks and tests.
 
     The logarithm (base 10) of the expected running time at `factor` where it is finite. Where a
-    method never got there, its mean area over the curve decides: one more than the largest finite
-    score of the problem (than 0 if there is none), plus 1 - area. So every method that solves a
-    problem is ahead of every one that does not, by at least a factor of ten. A method that was not
-    run on a problem has area 0 there.
+    method never got there: one more than the largest finite score of the problem (than 0 if there
+    is none), so that every method that solves a problem is ahead of every one that does not, by at
+    least a factor of ten. With `areas` 1 - the mean area over the curve is added to that: a
+    tie-break by another measure than the running time, so a test of running times does without. A
+    method that was not run on a problem has area 0 there.
     """
     at = at_factor(ert, factor).pivot(index="problem", columns="optimizer", values="ert")
     logs = at.where(np.isfinite(at)).map(np.log10)
-    area = areas.groupby(["problem", "optimizer"])["aocc"].mean().unstack()
-    area = area.reindex(index=logs.index, columns=logs.columns).fillna(0.0)
-    unsolved = (1 - area).add(logs.max(axis=1).fillna(0.0) + 1, axis=0)
-    return logs.fillna(unsolved)
+    behind = pd.DataFrame(0.0, index=logs.index, columns=logs.columns)
+    if areas is not None:
+        area = areas.groupby(["problem", "optimizer"])["aocc"].mean().unstack()
+        behind = 1 - area.reindex_like(logs).fillna(0.0)
+    return logs.fillna(behind.add(logs.max(axis=1).fillna(0.0) + 1, axis=0))
 
 
 def families(runs: pd.DataFrame) -> dict[str, str]:

@@ -75,6 +75,17 @@ def test_scores_put_every_solver_ahead_and_order_the_others_by_area() -> None:
     assert p.sort_values().index.tolist() == ["fast", "absent", "slow", "bad"]
 
 
+def test_without_areas_methods_that_do_not_solve_a_problem_are_equal_on_it() -> None:
+    runs, curves = worked()
+    ert = running_times(hits(runs, curves, (1.01,)), "evaluations")
+    scores = problem_scores(ert, None, 1.01)
+    q = scores.loc["q"]
+    assert q["fast"] == pytest.approx(np.log10(2010))
+    assert q["slow"] == q["bad"] == q["absent"] == pytest.approx(q["fast"] + 1)
+    with_areas = problem_scores(ert, area_over_curve(runs, curves), 1.01)
+    assert scores.loc["p", "slow"] == with_areas.loc["p", "slow"] == pytest.approx(3)
+
+
 def test_a_problem_that_nobody_solves_is_ordered_by_area() -> None:
     runs, curves = several(
         {"p": {"near": [[(1.0, 11.0)]], "far": [[(1.0, 30.0)]]}}, optimum={"p": 10.0}
