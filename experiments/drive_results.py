@@ -77,7 +77,7 @@ class Room(NamedTuple):
     @property
     def least(self) -> np.ndarray:
         """To the nearer edge."""
-        return np.minimum(self.left, self.right)
+        return np.asarray(np.minimum(self.left, self.right))
 
 
 class Departure(NamedTuple):

@@ -97,6 +97,14 @@ def test_methods_toggle_by_pointer_and_by_keys(opened: Opened) -> None:
     assert page.run(LINES) == 8
 
 
+def test_the_name_of_a_row_leaves_a_phone_room_for_its_values(opened: Opened) -> None:
+    page = opened(375)
+    page.run("document.querySelectorAll('details').forEach(e => { e.open = true })")
+    widths = page.run("[...document.querySelectorAll('tbody th')].map(e => e.offsetWidth)")
+    assert len(widths) > 8
+    assert max(widths) <= 0.45 * 375
+
+
 def test_axes_switch(opened: Opened) -> None:
     page = opened(1280)
     logarithmic = page.run(TICKS)
