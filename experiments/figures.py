@@ -56,7 +56,8 @@ def draw_comparison(root: Path, output: Path) -> list[Path]:
     if on_a_tire and MIHO in set(runs["optimizer"]):
         tables["claims"] = claims_table(runs, curves, MIHO, differences=differences(runs))
     paths += found.write_tables(tables, CAPTIONS, output)
-    if advice := clock_of(runs).advice:
+    command = " ".join(word for word in found.command if not word.startswith("fresh="))
+    if advice := clock_of(runs).advice(command):
         print(advice, file=sys.stderr)
     return [*paths, found.write_provenance(output)]
 

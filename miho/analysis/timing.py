@@ -34,14 +34,13 @@ class Clock:
         """Such as "CPU seconds"."""
         return UNITS[self.axis]
 
-    @property
-    def advice(self) -> str:
-        """How to get wall seconds, "" where these are."""
+    def advice(self, command: str) -> str:
+        """What to run for wall seconds, "" where these are; command: what made the runs."""
         if self.axis == "seconds":
             return ""
         return (
             f"CPU seconds stand for seconds, since {self.disturbed}; for seconds of the wall clock "
-            "give the same command with fresh=true while the machine does nothing else"
+            f"run this while the machine does nothing else: {command} fresh=true"
         )
 
 
