@@ -147,7 +147,9 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
 
     A model in a file of the user's is code: it runs only if `trusted`.
     """
-    config = {key: _part(stored, key) for key in ("model", "dataset", "loss", "space", "problem")}
+    config = {
+        key: stored_part(stored, key) for key in ("model", "dataset", "loss", "space", "problem")
+    }
     own = config["model"].get("path")
     if own is not None and not trusted:
         raise ConfigError(
@@ -166,7 +168,7 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
         raise ConfigError(f"{stored.folder}: {error}") from None
 
 
-def _part(stored: StoredRun, key: str) -> Mapping[str, Any]:
+def stored_part(stored: StoredRun, key: str) -> Mapping[str, Any]:
     """A mapping in the configuration of a stored run, which can say anything."""
     whole = stored.config
     part = whole.get(key) if isinstance(whole, Mapping) else None

@@ -9,6 +9,7 @@ from typing import Any, cast
 import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 
+from experiments.build import stored_part
 from experiments.cli import CONF
 from miho.analysis.claims import Differences
 from miho.study import read_run
@@ -25,13 +26,13 @@ def differences(runs: pd.DataFrame) -> Differences:
     full = cast(DictConfig, OmegaConf.load(CONF / "experiment" / f"{FULL_SIZE}.yaml"))
     methods, budget = {}, ""
     for name, folder in runs.groupby("optimizer")["folder"].first().items():
-        config = read_run(Path(folder)).config
-        budget = _sooner(config["budget"], full.budget)
+        stored = read_run(Path(folder))
+        budget = _sooner(stored_part(stored, "budget"), full.budget)
         if name not in full.comparison.methods:
             continue
         node = OmegaConf.load(CONF / "optimizer" / f"{name}.yaml")
         expected = OmegaConf.merge(node, full.comparison.methods[name])
-        mine = config["optimizer"] | {"name": name}
+        mine = {**stored_part(stored, "optimizer"), "name": name}
         settings = [
             f"{key!s} = {mine.get(str(key))} instead of {value}"
             for key, value in expected.items()
@@ -47,7 +48,7 @@ def _sooner(budget: Mapping[str, Any], full: DictConfig) -> str:
     parts = []
     for key, unit in (("seconds", "s"), ("evaluations", "evaluations")):
         most, expected = budget.get(key), full[key]
-        if most is not None and (expected is None or most < expected):
+        if isinstance(most, int | float) and (expected is None or most < expected):
             instead = "" if expected is None else f" instead of {expected:,g}"
             parts.append(f"at most {most:,g} {unit} per run{instead}")
     return ", ".join(parts)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
+from experiments.build import ConfigError
 from experiments.cli import composed
 from experiments.compare import _set_aside_disturbed
 from experiments.full_size import differences
@@ -41,6 +45,17 @@ def test_a_comparison_of_full_size_has_no_differences(tmp_path: Path) -> None:
         stored(tmp_path, "experiment=paper_fig6", f"optimizer={method}")
     found = differences(load_runs(tmp_path).runs)
     assert (found.methods, found.budget) == ({}, "")
+
+
+def test_a_configuration_that_says_nothing_is_bad_input(tmp_path: Path) -> None:
+    one = stored(tmp_path, "optimizer=random")
+    other = replace(one.identity, config={"budget": 3})
+    record = minimize(RandomSearch(), DecayFit(), Budget(evaluations=5), 0)
+    store = Store(tmp_path / "other")
+    with store.claim(other):
+        store.commit(other, record, DecayFit.space, {}, {})
+    with pytest.raises(ConfigError, match="its configuration has no budget; identify again"):
+        differences(load_runs(tmp_path / "other").runs)
 
 
 def test_a_reduced_comparison_says_what_is_smaller(tmp_path: Path) -> None:
