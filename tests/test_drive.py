@@ -120,6 +120,19 @@ def test_bad_settings_of_a_drive_are_one_line(override: str, message: str, tmp_p
     assert "\n" not in str(caught.value)
 
 
+def test_a_setting_that_was_renamed_names_the_new_ones(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["drive", IMS, "drive.mu=0.7"])
+    GlobalHydra.instance().clear()
+    with pytest.raises(SystemExit) as end:
+        command(drive, check, driving.summary)
+    assert end.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: drive.mu: is now two settings: drive.performance_factor, the")
+    assert "drive.road_friction" in line
+
+
 def test_without_an_experiment_there_is_nothing_to_drive() -> None:
     with pytest.raises(ConfigError, match="choose experiment=ims_obstacle or lvms_laps"):
         check(composed([]))
