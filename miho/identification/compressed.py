@@ -20,7 +20,7 @@ from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from miho.identification import fused, panel_sums, panels
-from miho.identification.fused import as_tuple
+from miho.identification.fused import as_tuple, read_only
 from miho.identification.panel_sums import (
     ROUNDING,
     WITHIN,
@@ -98,7 +98,7 @@ class CompressedLoss:
         Besides, how often each evaluated the model (n,).
         """
         losses, counts = np.empty(len(thetas)), np.empty(len(thetas), np.int64)
-        thetas = np.ascontiguousarray(thetas, dtype=float)
+        thetas, limits = read_only(thetas), read_only(limits)
 
         def part(rows: slice) -> None:
             given, found = (thetas[rows], limits[rows]), (losses[rows], counts[rows])

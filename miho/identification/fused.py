@@ -13,7 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numba import njit
@@ -23,8 +23,8 @@ from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
 from miho.identification import panel_sums, panels
-from miho.identification.panel_sums import panel_terms, scratch_for
-from miho.models.expression import Expression
+from miho.identification.panel_sums import Sign, panel_terms, scratch_for
+from miho.models.expression import Expression, Formula
 from miho.models.signature import Signed, signed, signed_formulas
 from miho.optim import climb
 from miho.optim.climb import Climb, climb_on, compiled_climb, equal_parts
@@ -68,20 +68,32 @@ class FusedLoss:
 
     @cached_property
     def _compiled(self) -> _Compiled:
-        model = self.model
-        p, d = len(self.X), len(model.parameters)
-        formulas = [model.value, model.derivatives]
-        if self._in_panels and model.bound is not None:
-            formulas.append(model.bound)
-        return _compile(signed_formulas(tuple(formulas), (p, d), *COMPILED_WITH), p, d)
+        shape, formulas = self._shape, (self.model.value, self.model.derivatives)
+        return _compile(signed_formulas(formulas, shape, *COMPILED_WITH), *shape)
+
+    @cached_property
+    def _steps(self) -> Callable[..., tuple[int, int, int, int]]:
+        shape, formulas = self._shape, [self.model.value]
+        if self._in_panels and self.model.bound is not None:
+            formulas.append(self.model.bound)
+        return _compile_steps(signed_formulas(tuple(formulas), shape, *COMPILED_WITH), *shape)
+
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return len(self.X), len(self.model.parameters)
 
     @property
     def _in_panels(self) -> bool:
         return len(self.X) == 1 and self.y.size >= WORTH_PANELS and self.model.bound is not None
 
     @cached_property
-    def _data(self) -> tuple[Array, Array]:
-        return np.ascontiguousarray(self.X[:, self.order]), self.y[self.order]
+    def _data(self) -> _Data:
+        first_block = BLOCK if self._in_panels else FIRST_BLOCK
+        return np.ascontiguousarray(self.X[:, self.order]), self.y[self.order], first_block
+
+    @cached_property
+    def _columns(self) -> tuple[Array, Array]:
+        return read_only(self.X), read_only(self.y)
 
     @cached_property
     def _pool(self) -> ThreadPoolExecutor:
@@ -91,18 +103,18 @@ class FusedLoss:
     def climb(self) -> Climb:
         """Compiled mutation steps on this loss."""
         if not self._in_panels:
-            return climb_on(self._compiled.climb, (self._data, ()), tuple, self.threads)
+            return climb_on(self._steps, (self._data, ()), tuple, self.threads)
         size = float(np.sqrt(np.mean(self.y**2)))
         terms = panel_terms(panels.panels(self.X[0], self.y), self.y.size, size)
         room = partial(scratch_for, terms)
-        return climb_on(self._compiled.climb, (self._data, terms), room, self.threads)
+        return climb_on(self._steps, (self._data, terms), room, self.threads)
 
     def losses(self, thetas: Array, rows: int | None = None) -> Array:
         """Losses (n,) of parameter rows (n, d), over the first rows of the order if not all."""
-        thetas = np.ascontiguousarray(thetas, dtype=float)
+        thetas = read_only(thetas)
         losses = np.empty(len(thetas))
-        X, y = self._data
-        data = X, y[:rows]
+        X, y, first_block = self._data
+        data = X, y[:rows], first_block
         parts = min(self.threads, len(thetas), len(thetas) * data[1].size // SHARE)
         if parts <= 1:
             try:
@@ -128,50 +140,37 @@ class FusedLoss:
     def residuals(self, theta: Array) -> Array:
         """Model minus data, (N,)."""
         residuals = np.empty_like(self.y)
-        self._compiled.residuals(np.array(theta, dtype=float), self.X, self.y, residuals)
+        self._compiled.residuals(read_only(theta), *self._columns, residuals)
         return residuals
 
     def jacobian(self, theta: Array) -> Array:
         """Derivatives of the residuals, (N, d)."""
         columns = np.empty((len(self.model.parameters), self.y.size))
-        self._compiled.jacobian(np.array(theta, dtype=float), self.X, columns)
+        self._compiled.jacobian(read_only(theta), self._columns[0], columns)
         return columns.T
+
+
+_Data = tuple[Array, Array, int]
+"""X in the order of the loss, the outputs of its first rows or of all, and the first block."""
 
 
 @dataclass(frozen=True)
 class _Compiled:
-    losses: Callable[[Array, tuple[Array, Array], Array], None]
+    losses: Callable[[Array, _Data, Array], None]
     residuals: Callable[[Array, Array, Array, Array], None]
     jacobian: Callable[[Array, Array, Array], None]
-    climb: Callable[..., tuple[int, int, int, int]]
 
 
 @cache
 def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
     columns = COLUMNS[p]
     own = signed(formulas.signature)
-    value, derivatives, *bound = map(register_jitable, formulas.copies())
-    first_block = BLOCK if bound else FIRST_BLOCK
-
-    @register_jitable(error_model="numpy")
-    @own
-    def loss(theta: Array, limit: float, data: tuple[Array, Array]) -> float:
-        X, y = data  # y may be the first part of X's rows
-        parameters = as_tuple(theta, d)
-        total = 0.0
-        start, size = 0, first_block
-        while start < y.size:
-            end = min(start + size, y.size)
-            residuals = value(columns(X, start, end), parameters) - y[start:end]
-            total += sum_of_squares(residuals)
-            if total / y.size >= limit:
-                break
-            start, size = end, min(2 * size, BLOCK)
-        return total / y.size
+    value, derivatives = map(register_jitable, formulas.copies())
+    loss = _mean_square(value, own, p, d)
 
     @njit(cache=True, nogil=True, error_model="numpy")
     @own
-    def losses(thetas: Array, data: tuple[Array, Array], found: Array) -> None:
+    def losses(thetas: Array, data: _Data, found: Array) -> None:
         for i in range(len(thetas)):
             found[i] = loss(thetas[i], np.inf, data)
 
@@ -191,6 +190,16 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
             end = min(start + BLOCK, X.shape[1])
             _store(derivatives(columns(X, start, end), parameters), found[:, start:end])
 
+    return _Compiled(losses, residuals, jacobian)
+
+
+@cache
+def _compile_steps(formulas: Signed, p: int, d: int) -> Callable[..., tuple[int, int, int, int]]:
+    """Mutation steps on the value of a model, and with its bound on sums over panels first."""
+    own = signed(formulas.signature)
+    value, *bound = map(register_jitable, formulas.copies())
+    loss = _mean_square(value, own, p, d)
+
     @register_jitable(error_model="numpy")
     @own
     def of_rows(theta: Array, limit: float, data: Any, scratch: Any) -> float:
@@ -198,8 +207,7 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
         return found
 
     if not bound:
-        steps = compiled_climb(of_rows, formulas.signature)
-        return _Compiled(losses, residuals, jacobian, steps)
+        return compiled_climb(of_rows, formulas.signature)
     _, beaten = panel_sums.panel_sums(value, bound[0], own)
 
     @register_jitable(error_model="numpy")
@@ -210,8 +218,42 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
         found: float = of_rows(theta, limit, data, scratch)
         return found
 
-    steps = compiled_climb(panels_first, formulas.signature)
-    return _Compiled(losses, residuals, jacobian, steps)
+    return compiled_climb(panels_first, formulas.signature)
+
+
+def _mean_square(
+    value: Formula, own: Sign, p: int, d: int
+) -> Callable[[Array, float, _Data], float]:
+    """The loss, which numba can compile: given up as soon as it is not below the limit."""
+    columns = COLUMNS[p]
+
+    @register_jitable(error_model="numpy")
+    @own
+    def loss(theta: Array, limit: float, data: _Data) -> float:
+        X, y, size = data  # y may be the first part of X's rows
+        parameters = as_tuple(theta, d)
+        total = 0.0
+        start = 0
+        while start < y.size:
+            end = min(start + size, y.size)
+            residuals = value(columns(X, start, end), parameters) - y[start:end]
+            total += sum_of_squares(residuals)
+            if total / y.size >= limit:
+                break
+            start, size = end, min(2 * size, BLOCK)
+        return total / y.size
+
+    return cast(Callable[[Array, float, _Data], float], loss)
+
+
+def read_only(array: Array) -> Array:
+    """The numbers in their order in memory, for compiled code that only reads them.
+
+    Numba compiles anew for arrays that may be written and for those that may not.
+    """
+    view = np.ascontiguousarray(array, dtype=float).view()
+    view.flags.writeable = False
+    return view
 
 
 @register_jitable

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -19,28 +20,32 @@ from tests.driving.cars import car
 
 LINE = lvms(step=4.0)
 PLANNER = car().planner(0.7, 40.0)
-DRIVER = Driver(
-    PLANNER.plan(LINE), car().speed_controller(), car().steering_controller(Weights(steering=100.0))
-)
-PLANT = embedded_plant(car().vehicle, road_of(LINE))
-GEAR = DRIVER.speed.start(30.0).gear
+
+
+@cache
+def planned() -> Driver:
+    """A driver of the whole line; its plan is what is compiled first."""
+    steering = car().steering_controller(Weights(steering=100.0))
+    return Driver(PLANNER.plan(LINE), car().speed_controller(), steering)
 
 
 def motion(s: float = 50.0, speed: float = 30.0) -> Motion:
-    return PLANT.motion(PLANT.start(s, 0.0, speed, GEAR))
+    plant = embedded_plant(car().vehicle, road_of(LINE))
+    return plant.motion(plant.start(s, 0.0, speed, planned().speed.start(30.0).gear))
 
 
 @pytest.mark.parametrize("name", ["x", "yaw", "vx", "yaw_rate", "steering"])
 def test_a_sensor_that_fails_makes_a_safe_stop_for_good(name: str) -> None:
     here = motion()
-    before, state = DRIVER.step(DRIVER.begin(here), here)
-    command, state = DRIVER.step(state, here._replace(**{name: math.nan}))
+    driver = planned()
+    before, state = driver.step(driver.begin(here), here)
+    command, state = driver.step(state, here._replace(**{name: math.nan}))
     assert state.stopped == f"{name} is not finite"
     assert command.steering == pytest.approx(before.steering, abs=0.01), "it goes on turning"
     assert command.throttle == 0
     force = float(car().brake.force_of_pressure(command.brake))
     assert force == pytest.approx(6.0 * car().vehicle.mass, rel=1e-6)
-    command, state = DRIVER.step(state, here)
+    command, state = driver.step(state, here)
     assert state.stopped
     assert command.brake > 0, "it comes back, but is not trusted"
 
@@ -48,14 +53,15 @@ def test_a_sensor_that_fails_makes_a_safe_stop_for_good(name: str) -> None:
 def test_a_car_far_from_its_line_stops() -> None:
     here = motion()
     x, y = map(float, LINE.position(50.0, 11.0))
-    command, state = DRIVER.step(DRIVER.begin(here), here._replace(x=x, y=y))
+    driver = planned()
+    command, state = driver.step(driver.begin(here), here._replace(x=x, y=y))
     assert state.stopped == "11.0 m off the line"
     assert command.throttle == 0
     assert command.brake > 0
 
 
 def test_the_pace_moves_by_its_ramp_and_counts_laps() -> None:
-    driver = replace(DRIVER, pace=Pace((32.0, 36.0), ramp=2.0))
+    driver = replace(planned(), pace=Pace((32.0, 36.0), ramp=2.0))
     state = driver.begin(motion())
     for _ in range(50):
         _, state = driver.step(state, motion())
@@ -71,7 +77,7 @@ def test_the_pace_moves_by_its_ramp_and_counts_laps() -> None:
 
 def test_an_obstacle_is_planned_around_once_it_is_seen() -> None:
     obstacle = Obstacle(s=160.0, e=0.0)
-    driver = replace(DRIVER, sighting=Sighting((obstacle,), 80.0, LocalPlanner(), PLANNER))
+    driver = replace(planned(), sighting=Sighting((obstacle,), 80.0, LocalPlanner(), PLANNER))
     state = driver.begin(motion(70.0))
     _, state = driver.step(state, motion(70.0))
     assert state.plan is driver.plan, "90 m away"
@@ -96,7 +102,7 @@ def test_an_obstacle_with_no_way_around_makes_a_safe_stop(
     obstacle: Obstacle, speed: float, reason: str
 ) -> None:
     sighting = Sighting((obstacle,), 80.0, LocalPlanner(), PLANNER)
-    driver = replace(DRIVER, sighting=sighting)
+    driver = replace(planned(), sighting=sighting)
     here = motion(85.0, speed)
     command, state = driver.step(driver.begin(here), here)
     assert reason in state.stopped

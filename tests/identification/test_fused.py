@@ -271,13 +271,12 @@ if __name__ == "__main__":
     loss.climb(theta[None], theta[None].copy(), best, none, none[:, 0],
                (theta - 1, theta + 1), np.inf, -np.inf, True)
     compiled = loss._compiled
-    each = (compiled.losses, compiled.residuals, compiled.jacobian, compiled.climb)
+    each = (compiled.losses, compiled.residuals, compiled.jacobian, loss._steps)
     misses = sum(sum(one.stats.cache_misses.values()) for one in each)
     print(misses, float(found), float(best[0]))
 """
 
 
-@pytest.mark.long
 @pytest.mark.slow
 def test_a_second_process_compiles_nothing_and_an_edited_model_anew(tmp_path: Path) -> None:
     def run(factor: int) -> tuple[int, float]:
@@ -348,7 +347,6 @@ for model in map(Wave, map(float, sys.argv[1:])):
 """
 
 
-@pytest.mark.long
 @pytest.mark.slow
 def test_models_that_differ_in_a_number_are_told_apart_in_the_cache(tmp_path: Path) -> None:
     """Compiled in two processes and read by a third, they must not be taken for each other."""
