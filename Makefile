@@ -1,31 +1,54 @@
-# make compare   the paper's comparison at reduced size: figure and claims table (3 minutes)
-# make arena     many methods on many problems: leaderboard, tests, profiles (41 minutes)
-# make figures   Fig. 4, 5 and 6 from nothing (6 to 10 minutes)
-# make test      the test suite
-# make lint      formatter, linter, type checker
-# make install   only the environment
-# make lock      pin the versions of this environment
-# make clean     remove the environment
-# Each target makes its own environment in .venv the first time.
+# make compare    the paper's comparison at reduced size: figure and claims table (3 minutes)
+# make arena      many methods on many problems: leaderboard, tests, profiles (41 minutes)
+# make figures    Fig. 4, 5 and 6 from nothing (6 to 10 minutes)
+# make test       the test suite
+# make lint       formatter, linter, type checker
+# make notebooks  run the notebooks, and keep what they show
+# make install    only the environment
+# make lock       pin the versions of this environment
+# make clean      remove the environment
+# Each target makes its own environment the first time, in .venv unless VENV=... names another
+# folder, with python3 unless PYTHON=... names another interpreter.
 
 PYTHON ?= python3
-BIN := .venv/bin
-INSTALLED := .venv/installed
+VENV ?= .venv
+BIN := $(VENV)/bin
+INSTALLED := $(VENV)/installed
+DEVELOPED := $(VENV)/developed
 
-# With it every process, and every compiled loss, is made from the sources again.
+# Without build isolation nothing is downloaded twice; what is imported is compiled then.
+PIP := $(BIN)/python -m pip install -qq --no-compile --no-build-isolation --constraint constraints.txt
+PYTEST := $(BIN)/python -m pytest -q -n auto
+
+# With it every process is made from the sources again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install compare arena figures test lint lock clean
+.PHONY: help install compare arena figures test lint notebooks lock clean
 
 help:
-	@sed -n 's/^# //p' Makefile
+	@sed -n 's/^# make /make /p' Makefile
 
 $(INSTALLED): pyproject.toml constraints.txt
-	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "error: Python 3.11 or newer is needed; name it with make PYTHON=...")'
-	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[experiments,dev]'
-	$(BIN)/python -m compileall -q miho baselines experiments
-	touch $@
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "error: Python 3.11 or newer is needed; name it with make PYTHON=...")'
+	@echo "$(VENV): an environment for $$($(PYTHON) --version)"
+	@$(PYTHON) -m venv $(VENV)
+	@echo "$(VENV): NumPy, SciPy, Numba and pandas, which take most of the room"
+	@$(PIP) numpy scipy numba pandas setuptools
+	@echo "$(VENV): seaborn, Hydra, Optuna and what else MIHO is run with"
+	@$(PIP) --editable '.[experiments]'
+	@$(SIZE)
+	@touch $@
+
+$(DEVELOPED): $(INSTALLED)
+	@echo "$(VENV): pytest, mypy, Jupyter's kernel and what else MIHO is developed with"
+	@$(PIP) --editable '.[experiments,dev]'
+	@$(SIZE)
+	@touch $@
+
+SIZE = du -sk $(VENV)/lib/python*/site-packages/* | sort -rn | awk ' \
+	{ total += $$1; n = split($$2, path, "/") } \
+	NR <= 5 { largest = largest sprintf(", %s %.0f", path[n], $$1 / 1024) } \
+	END { printf "$(VENV): %.0f MB%s ...\n", total / 1024, largest }'
 
 install: $(INSTALLED)
 
@@ -33,7 +56,8 @@ compare: $(INSTALLED)
 	$(BIN)/python -m experiments.compare
 
 arena: $(INSTALLED)
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[experiments,rivals]'
+	@echo "$(VENV): rivals whose libraries are heavy"
+	@$(PIP) --editable '.[experiments,rivals]'
 	$(BIN)/python -m experiments.compare experiment=arena
 
 figures: $(INSTALLED)
@@ -43,16 +67,19 @@ figures: $(INSTALLED)
 	$(BIN)/python -m experiments.figures fig5
 	$(BIN)/python -m experiments.compare
 
-test: $(INSTALLED)
-	$(BIN)/python -m pytest -q -n auto
+test: $(DEVELOPED)
+	$(PYTEST)
 
-lint: $(INSTALLED)
+lint: $(DEVELOPED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-lock: $(INSTALLED)
+notebooks: $(DEVELOPED)
+	$(BIN)/python notebooks/execute.py
+
+lock: $(DEVELOPED)
 	$(BIN)/python -m pip freeze --all --exclude pip --exclude-editable > constraints.txt
 
 clean:
-	rm -rf .venv build *.egg-info
+	rm -rf $(VENV) build *.egg-info

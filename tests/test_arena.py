@@ -206,7 +206,6 @@ def compare(*overrides: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=600)
 
 
-@pytest.mark.long
 @pytest.mark.slow
 def test_an_arena_draws_resumes_and_exports(tmp_path: Path) -> None:
     root = tmp_path / "runs"

@@ -1,8 +1,10 @@
 """What is installed, and what the checkout holds."""
 
+import re
 import subprocess
 import sys
 import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -75,6 +77,30 @@ def test_the_package_list_names_only_miho() -> None:
     found = find_packages(str(ROOT), include=["miho*"])
     assert {name.split(".")[0] for name in found} == {"miho"}
     assert 'include = ["miho*"]' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+
+
+def extras(command: str) -> set[str]:
+    return {name for names in re.findall(r"\.\[([a-z,]+)\]", command) for name in names.split(",")}
+
+
+@pytest.mark.parametrize(
+    ("target", "expected"),
+    [("install", {"experiments"}), ("compare", {"experiments"}), ("test", {"experiments", "dev"})],
+)
+def test_a_new_environment_holds_what_its_target_needs(
+    target: str, expected: set[str], tmp_path: Path
+) -> None:
+    command = ["make", "--dry-run", target, f"VENV={tmp_path / 'new'}"]
+    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert extras(said) == expected
+
+
+def test_ci_installs_every_extra() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    commands = "".join(
+        (ROOT / name).read_text(encoding="utf-8") for name in ("Makefile", ".ci/run")
+    )
+    assert extras(commands) == set(project["optional-dependencies"])
 
 
 def test_the_public_names() -> None:

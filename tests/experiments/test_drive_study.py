@@ -151,7 +151,6 @@ def test_a_lap_on_identified_parameters_finishes_within_the_limit(folder: Path) 
     assert float(result["lap_time"]) == pytest.approx(driver.plan.lap_time, rel=0.02)
 
 
-@pytest.mark.long
 @pytest.mark.slow
 def test_a_seed_gives_the_same_rows_again(tmp_path: Path) -> None:
     """All variants on a short stretch, twice; and what is stored is what was returned."""

@@ -7,7 +7,6 @@ import pytest
 from experiments.faults.places import places
 
 
-@pytest.mark.long
 @pytest.mark.slow
 def test_places(tmp_path: Path) -> None:
     row = places(tmp_path)

@@ -7,7 +7,6 @@ import pytest
 from experiments.faults.secrets import secrets
 
 
-@pytest.mark.long
 @pytest.mark.slow
 def test_secrets(tmp_path: Path) -> None:
     row = secrets(tmp_path)

@@ -14,7 +14,6 @@ TIMES = {
 """By row, how often its fault is done here, if less often than the table asks."""
 
 
-@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TIMES)
 def test_row_is_met(name: str) -> None:

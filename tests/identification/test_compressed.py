@@ -272,7 +272,6 @@ for name in sys.argv[1:]:
 """
 
 
-@pytest.mark.long
 @pytest.mark.slow
 def test_two_models_compiled_apart_are_not_taken_for_each_other(tmp_path: Path) -> None:
     """Each compiled in a process of its own, then both read from the cache in either order."""
