@@ -16,7 +16,8 @@ BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 DEVELOPED := $(VENV)/developed
 
-# Without build isolation nothing is downloaded twice; what is imported is compiled then.
+# Without build isolation nothing is downloaded twice. Libraries are compiled where they are imported;
+# our own modules are compiled first, since numba takes code from sources and from bytecode for two.
 PIP := $(BIN)/python -m pip install -qq --no-compile --no-build-isolation --constraint constraints.txt
 PYTEST := $(BIN)/python -m pytest -q -n auto
 
@@ -36,6 +37,7 @@ $(INSTALLED): pyproject.toml constraints.txt
 	@$(PIP) numpy scipy numba pandas setuptools
 	@echo "$(VENV): seaborn, Hydra, Optuna and what else MIHO is run with"
 	@$(PIP) --editable '.[experiments]'
+	@$(BIN)/python -m compileall -q miho baselines experiments
 	@$(SIZE)
 	@touch $@
 
@@ -76,7 +78,7 @@ lint: $(DEVELOPED)
 	$(BIN)/mypy
 
 notebooks: $(DEVELOPED)
-	$(BIN)/python notebooks/execute.py
+	$(BIN)/python -m experiments.notebooks
 
 lock: $(DEVELOPED)
 	$(BIN)/python -m pip freeze --all --exclude pip --exclude-editable > constraints.txt

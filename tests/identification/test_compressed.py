@@ -84,6 +84,7 @@ def test_a_coarse_tolerance_holds_too_and_takes_fewer_values(tolerance: float) -
     assert counts[-1] < 300
 
 
+@pytest.mark.slow  # it compiles a model of its own
 def test_curvature() -> None:
     x, y = sample(3000)
     rng = np.random.default_rng(3)
@@ -118,6 +119,7 @@ def test_bounds_hold_on_ellipses(model: Expression) -> None:
     assert checked > 500
 
 
+@pytest.mark.slow  # it compiles a model of its own
 def test_a_cubic_takes_four_values_of_each_quarter() -> None:
     rng = np.random.default_rng(2)
     x = rng.uniform(100, 700, 3000)

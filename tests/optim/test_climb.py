@@ -280,6 +280,7 @@ class Root(Expression):
         )
 
 
+@pytest.mark.slow  # it compiles a model of its own
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
 def test_losses_that_are_no_numbers_are_rejected_alike() -> None:
     x = np.linspace(0, 1, 200)
