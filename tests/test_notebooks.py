@@ -1,76 +1,68 @@
-"""The notebooks run from top to bottom, on a small comparison made for them."""
+"""The notebooks hold what they show, and run from top to bottom in a fresh clone."""
 
-import os
+import subprocess
 from pathlib import Path
 
 import nbformat
 import pytest
-from nbclient import NotebookClient
 
-from experiments.build import build
-from experiments.cli import composed
-from experiments.run import run
-from experiments.schema import register
+from experiments import notebooks
+from experiments.notebooks import FOLDER, machine_names, shown
 
-NOTEBOOKS = Path(__file__).parent.parent / "notebooks"
-METHODS = ("miho", "gbo_small", "gbo_large", "pso_100", "pso_500", "random", "least_squares")
+ROOT = FOLDER.parent
+PATHS = sorted(FOLDER.glob("*.ipynb"))
+
+
+def pictures(notebook: nbformat.NotebookNode) -> int:
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    return sum("image/png" in output.get("data", {}) for output in outputs)
+
+
+@pytest.mark.parametrize("path", PATHS, ids=lambda path: path.stem)
+def test_a_reader_sees_what_it_shows(path: Path) -> None:
+    """`make notebooks` has run all cells in their order, and stored nothing of the machine."""
+    notebook = nbformat.read(path, as_version=4)
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    assert [cell.execution_count for cell in cells] == list(range(1, len(cells) + 1))
+    assert pictures(notebook), "the figure is shown"
+    outputs = [output for cell in cells for output in cell.outputs]
+    assert not [output for output in outputs if output.output_type == "error"]
+    assert not [output for output in outputs if output.get("name") == "stderr"]
+    assert not [cell for cell in cells if "execution" in cell.metadata], "no times"
+    assert machine_names(notebook) == []
+    assert path.stat().st_size < 600_000
+
+
+def test_names_of_a_machine_are_noticed() -> None:
+    text = "in /home/me/miho/runs, see https://example.org/home/x and runs/tmp/y, /tmp/tmp1a/b'"
+    output = nbformat.v4.new_output("stream", text=text)
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell("1", outputs=[output])])
+    assert machine_names(notebook) == ["/home/me/miho/runs,", "/tmp/tmp1a/b"]
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A comparison of 3 repetitions, some 2000 evaluations each."""
-    register()
-    root = tmp_path_factory.mktemp("runs")
-    small = ["dataset.n=100", "budget.evaluations=2000", f"root={root}"]
-    for seed in range(3):
-        for method in METHODS:
-            run(build(composed([f"optimizer={method}", f"seed={seed}", *small])))
-    return root
-
-
-@pytest.fixture(scope="module")
-def arena(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three methods on two problems of known optimum."""
-    root = tmp_path_factory.mktemp("arena")
-    for problem in ("torque_15", "brake_static"):
-        for method in ("miho", "pso_100", "least_squares"):
-            asked = [f"problem={problem}", f"optimizer={method}", "budget.evaluations=3000"]
-            for seed in range(3):
-                run(build(composed([*asked, f"seed={seed}", f"root={root}"])), quiet=True)
-    return root
-
-
-@pytest.fixture(scope="module")
-def ablation(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """MIHO with two sizes and two reaches."""
-    root = tmp_path_factory.mktemp("ablation")
-    for setting in ("optimizer.R=9", "optimizer.R=27", "space.B.sigma_max=20"):
-        asked = ["dataset.n=100", "optimizer=miho", "optimizer.R=9", setting, f"root={root}"]
-        for seed in range(3):
-            run(build(composed([*asked, f"seed={seed}"])), quiet=True)
-    return root
+def clone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The files that git tracks, as they are here, and nothing that earlier runs left."""
+    folder = tmp_path_factory.mktemp("clone")
+    listed = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    for name in filter(None, listed.stdout.split("\0")):
+        if (ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes((ROOT / name).read_bytes())
+    return folder
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("path", sorted(NOTEBOOKS.glob("*.ipynb")), ids=lambda path: path.stem)
-@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::ResourceWarning")
-def test_notebook(
-    path: Path, runs: Path, arena: Path, ablation: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("MIHO_RUNS", str(runs))
-    monkeypatch.setenv("MIHO_ARENA", str(arena))
-    monkeypatch.setenv("MIHO_ABLATION", str(ablation))
-    monkeypatch.setenv("PYTHONPATH", str(NOTEBOOKS.parent))
-    monkeypatch.setenv("IPYTHONDIR", str(runs / ".ipython"))
-    notebook = nbformat.read(path, as_version=4)
-    assert all(not cell.get("outputs") for cell in notebook.cells), "commit without outputs"
-    NotebookClient(notebook, timeout=120, resources={"metadata": {"path": str(NOTEBOOKS)}}).execute(
-        env=dict(os.environ)
-    )
-    pictures = [
-        output
-        for cell in notebook.cells
-        for output in cell.get("outputs", [])
-        if "image/png" in output.get("data", {})
-    ]
-    assert pictures, "the figure is shown"
+@pytest.mark.parametrize("name", [path.stem for path in PATHS])
+def test_it_runs_in_a_fresh_clone(name: str, clone: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without the outputs of before, which it makes again."""
+    monkeypatch.setattr(notebooks, "CHECKOUT", clone)
+    for variable in ("MIHO_RUNS", "MIHO_ARENA", "MIHO_ABLATION"):
+        monkeypatch.delenv(variable, raising=False)
+    before = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
+    notebook = notebooks.execute(clone / "notebooks" / f"{name}.ipynb")
+    assert pictures(notebook) == pictures(before)
+    assert shown(notebook)
+    assert "Error" not in shown(notebook)

@@ -1,0 +1,77 @@
+"""Run the notebooks and keep what they show, so that a reader of the repository sees it.
+
+python -m experiments.notebooks            # all of them, some two minutes
+python -m experiments.notebooks read_a_sweep
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import sys
+import tempfile
+from pathlib import Path
+
+import nbformat
+from nbclient import NotebookClient
+
+CHECKOUT = Path(__file__).resolve().parents[1]
+FOLDER = CHECKOUT / "notebooks"
+LIMIT = 300
+"""Seconds for one cell."""
+TOPS = "home|root|tmp|usr|opt|var|work|mnt|srv|Users|private"
+"""Where absolute paths begin."""
+
+
+def execute(path: Path) -> nbformat.NotebookNode:
+    """The notebook with what its cells show, from a kernel of its own with nothing of the user's.
+
+    Raises ValueError where a cell shows a place or a name of this machine, which no reader has.
+    """
+    notebook = nbformat.read(path, as_version=4)
+    with tempfile.TemporaryDirectory() as home:
+        environment = os.environ | {"IPYTHONDIR": home, "PYTHONPATH": str(CHECKOUT)}
+        client = NotebookClient(
+            notebook, timeout=LIMIT, resources={"metadata": {"path": str(path.parent)}},
+            extra_arguments=["--log-level=40"],  # errors only
+        )  # fmt: skip
+        client.execute(env=environment)
+    for cell in notebook.cells:
+        cell.metadata.pop("execution", None)  # when each cell began and ended
+    notebook.metadata["language_info"] = {"name": "python"}
+    named = machine_names(notebook)
+    if named:
+        raise ValueError(f"{path.name} shows {', '.join(named)}; print nothing of this machine")
+    return notebook
+
+
+def shown(notebook: nbformat.NotebookNode) -> str:
+    """All text that the cells show, without pictures."""
+    outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
+    texts = [str(output.get("text", "")) for output in outputs]
+    for output in outputs:
+        texts += [str(v) for k, v in output.get("data", {}).items() if not k.startswith("image/")]
+    return "\n".join(texts)
+
+
+def machine_names(notebook: nbformat.NotebookNode) -> list[str]:
+    """Absolute paths in what the cells show, and this machine's name."""
+    text = shown(notebook)
+    paths = re.findall(
+        r"(?<![\w.<])/(?:home|root|tmp|usr|opt|work|Users|var|private)/[^\s\"'<]*", text
+    )
+    host = socket.gethostname()
+    return sorted({*paths, *([host] if re.search(rf"\b{re.escape(host)}\b", text) else [])})
+
+
+def main(names: list[str]) -> None:
+    """Run the named notebooks, or all, and store each with what it shows."""
+    for path in sorted(FOLDER.glob("*.ipynb")):
+        if not names or path.stem in names:
+            print(path.relative_to(CHECKOUT), flush=True)
+            nbformat.write(execute(path), path)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
