@@ -485,7 +485,7 @@ def test_fig5_of_three_identified_torque_curves(
 def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
     tmp_path: Path, sweep: list[str]
 ) -> None:
-    for patience in (1.0, 5.0, 25.0):  # [s] a busy machine may still be compiling the loss
+    for patience in (1.0, 5.0, 25.0, 50.0):  # [s] a busy machine may still be compiling the loss
         root = tmp_path / str(patience)
         arguments = [sys.executable, "-m", "experiments.identify", *sweep, "optimizer=random"]
         arguments += [f"root={root}", "budget.evaluations=null", "budget.seconds=60"]
@@ -499,14 +499,14 @@ def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=100)
         assert process.returncode == 130, err
-        assert "interrupted" in out
-        assert not sweep or out.splitlines()[-1] == "2 runs: 1 interrupted, 1 to do"
         assert "Traceback" not in err
-        (partial,) = root.rglob("partial.json")
         assert load_runs(root).runs.empty
-        curve = json.loads(partial.read_text())["curve"]
-        if curve:
+        curves = [json.loads(path.read_text())["curve"] for path in root.rglob("partial.json")]
+        if any(curves):
             break
+    (curve,) = curves
+    assert "interrupted" in out
+    assert not sweep or out.splitlines()[-1] == "2 runs: 1 interrupted, 1 to do"
     assert curve["loss"]
 
 
