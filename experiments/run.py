@@ -93,7 +93,7 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     rows += [
         ("evaluations", f"{result['evaluations']:,.0f}"),
         ("seconds", f"{result['seconds']:.3f} (set-up {result['setup_seconds']:.3f})"),
-        ("ended by", ENDINGS.get(result["outcome"], result["outcome"])),
+        ("ended by", _ending(stored)),
     ]
     if result["rejected"]:
         rows.append(("rejected", ", ".join(f"{n} x {r}" for r, n in result["rejected"].items())))
@@ -103,3 +103,14 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     if of_run is not None:
         rows.append(("report", str(write(of_run, stored, report_folder(stored)))))
     return findings + "\n\n" + "\n".join(f"{name:<12} {value}" for name, value in rows)
+
+
+def _ending(stored: StoredRun) -> str:
+    """What ended a run, and how many of its descents ended before their solver was done."""
+    result = stored.result
+    ending = ENDINGS.get(result["outcome"], result["outcome"])
+    descents = result.get("descents")
+    if descents and descents["converged"] < descents["finished"]:
+        moving = descents["finished"] - descents["converged"]
+        ending += f"; {moving} of {descents['finished']} descents were still moving at their end"
+    return ending

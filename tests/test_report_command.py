@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,12 +13,13 @@ import pytest
 from experiments import report
 from experiments.build import ConfigError, build, rebuild
 from experiments.cli import composed
+from experiments.optimum import descents_of
 from experiments.run import report as summary
 from experiments.run import run
 from experiments.schema import register
 from miho.models import Pacejka
 from miho.models.identified import read_parameters
-from miho.study import StoredRun, load_runs
+from miho.study import StoredRun, load_runs, read_run
 
 register()
 TIRE = ("dataset=tire_lf", "dataset.n=300")
@@ -207,6 +209,17 @@ def test_an_optimum_in_doubt_comes_with_what_to_type(tmp_path: Path) -> None:
     page = (report.report_folder(stored) / "report.html").read_text(encoding="utf-8")
     assert "optimizer.screen=50 optimizer.starts=10" in page
     assert "wrong shape" not in page
+
+
+def test_runs_without_a_word_on_descents_are_read(root: Path) -> None:
+    """Those of older versions, and those that somebody edited."""
+    stored = read_run(Path(load_runs(root).runs.set_index("seed").loc[0, "folder"]))
+    descents = descents_of(stored)
+    assert descents is not None
+    assert descents.finished == 10
+    for kept in (None, {}, {"ends": [1.0]}, {"started": 1, "many": 2}):
+        result = {**stored.result, "descents": kept}
+        assert descents_of(replace(stored, result=result)) is None
 
 
 @pytest.mark.slow
