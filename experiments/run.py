@@ -87,9 +87,11 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     optimum = experiment.facts.get("optimum")
     if optimum is not None:
         best = min(optimum, loss)
-        gap = 100 * (math.sqrt(loss / best) - 1) if best else 0.0
         source = "closed form" if linear_optimum(problem) else "recorded"
-        rows.append(("best known", f"{math.sqrt(best):.5g} {unit}, gap {gap:.4f} % ({source})"))
+        gap, of_the_run = (_gap(each, best) for each in (loss, result["loss"]))
+        if gap != of_the_run:
+            gap += f"; of the run itself {of_the_run}"
+        rows.append(("best known", f"{math.sqrt(best):.5g} {unit} ({source}), gap {gap}"))
     rows += [
         ("evaluations", f"{result['evaluations']:,.0f}"),
         ("seconds", f"{result['seconds']:.3f} (set-up {result['setup_seconds']:.3f})"),
@@ -105,10 +107,16 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     return findings + "\n\n" + "\n".join(f"{name:<12} {value}" for name, value in rows)
 
 
+def _gap(loss: float, best: float) -> str:
+    """How much larger an error is than the best one."""
+    return f"{100 * (math.sqrt(loss / best) - 1) if best else 0.0:.4f} %"
+
+
 def _ending(stored: StoredRun) -> str:
     """What ended a run, and how many of its descents ended before their solver was done."""
     result = stored.result
-    ending = ENDINGS.get(result["outcome"], result["outcome"])
+    outcome = str(result["outcome"])
+    ending = ENDINGS.get(outcome, outcome)
     descents = result.get("descents")
     if descents and descents["converged"] < descents["finished"]:
         moving = descents["finished"] - descents["converged"]

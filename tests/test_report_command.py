@@ -211,6 +211,21 @@ def test_an_optimum_in_doubt_comes_with_what_to_type(tmp_path: Path) -> None:
     assert "wrong shape" not in page
 
 
+def test_the_gap_is_of_what_is_reported_and_of_the_run(tmp_path: Path) -> None:
+    """A cubic has a closed form: the report is of it, however poor the run was."""
+    poor = ["dataset=torque_15", "optimizer=random", "budget.evaluations=30"]
+    experiment = build(composed([*poor, f"root={tmp_path / 'runs'}"]))
+    stored = run(experiment).run
+    assert stored is not None
+    told = summary(experiment, stored)
+    best = np.sqrt(experiment.facts["optimum"])
+    ratio = 100 * (np.sqrt(stored.result["loss"]) / best - 1)
+    assert ratio > 1
+    assert f"(closed form), gap 0.0000 %; of the run itself {ratio:.4f} %" in told
+    assert re.search(r"optimum +the best known optimum is reached", told)
+    assert "in doubt" not in told
+
+
 def test_runs_without_a_word_on_descents_are_read(root: Path) -> None:
     """Those of older versions, and those that somebody edited."""
     stored = read_run(Path(load_runs(root).runs.set_index("seed").loc[0, "folder"]))

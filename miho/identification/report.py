@@ -437,6 +437,6 @@ def _irreducible(problem: CurveFit) -> Irreducible:
 
 def _omission(what: str, seconds: float) -> str:
     return (
-        f"{what} are left out: there were {seconds:g} s for this report "
+        f"{what} are left out: there were {seconds:g} s for such refits "
         f"(--seconds {10 * seconds:g} gives more)."
     )
