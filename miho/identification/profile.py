@@ -90,6 +90,8 @@ def profile(
     def limit(sign: int, bound: float) -> float:
         """Where |tau| reaches the quantile; infinite if it does not within the box."""
         inside, step = centre, wanted * float(at.standard_errors[index])
+        if centre + step == centre:  # known better than it can be written
+            return centre
         for _ in range(EXPANSIONS):
             outside = sign * min(sign * (inside + sign * step), sign * bound)
             if abs(tau(outside)) >= wanted - CLOSE:

@@ -59,6 +59,8 @@ ELSEWHERE = 10
 """Configurations at which a parameter without effect is tried again."""
 BETTER = 1e-4
 """A sum of squares that is smaller by this fraction is another, better optimum."""
+ROUNDING = 1e-12
+"""Errors below this fraction of the output are rounding, which follows no law and no profile."""
 SECONDS = 60.0
 REMEDY = "search from more starts, or in a narrower or logarithmic box."
 UNMODELLED = 0.1
@@ -221,6 +223,8 @@ class Report:
     def _of_data_and_model(self) -> list[str]:
         space = self.problem.space
         sentences = identifiability(self.at, space) + too_few(self.problem)
+        if self.at.noise <= _rounding(self.problem):
+            return [*sentences, "every row is reproduced to rounding: the data have no error."]
         sentences += zeros(self.parameters, self.level)
         sentences += profiled(self.at, space, self.profiles, self.level)
         sentences += spread(self.problem, self.at)
@@ -228,7 +232,7 @@ class Report:
         sentences += outliers(self.problem, self.at)
         error, irreducible = self.error, self.irreducible
         unless = "" if self.standing.certain else ", unless all descents missed a better optimum"
-        if irreducible.resolved and error > SUSPICIOUS * irreducible.high:
+        if irreducible.resolved and 0 < SUSPICIOUS * irreducible.high < error:
             sentences.append(
                 f"the error is {error / irreducible.value:.1f} times the irreducible error: check "
                 f"units, signs, ranges and the model{unless}."
@@ -332,6 +336,7 @@ def make_report(
         curves: list[Profile | None] = [None] * len(problem.space)
         possible = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
         possible &= not at.events  # a profile takes every row for independent
+        possible &= at.noise > _rounding(problem)
         for i in np.flatnonzero(possible) if wanted else ():
             each(f"profile of {problem.space.names[i]}")
             try:
@@ -427,6 +432,11 @@ def _without_effect(problem: CurveFit) -> NDArray[np.bool_]:
         with contextlib.suppress(ValueError):
             blind &= linearised(problem, theta).blind
     return blind
+
+
+def _rounding(problem: CurveFit) -> float:
+    """Errors up to here are rounding, in the output's unit."""
+    return ROUNDING * root_mean_square(problem.dataset[problem.dataset.output])
 
 
 def _irreducible(problem: CurveFit) -> Irreducible:

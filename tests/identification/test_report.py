@@ -122,6 +122,17 @@ class Wave(Misra1a):
         return np.asarray(b1 * np.sin(b2 * inputs[0]))
 
 
+@pytest.mark.parametrize("rounding", [0.0, 1e-15])
+def test_data_without_error_are_reported(rounding: float) -> None:
+    x = np.arange(40.0)
+    report = make_report(line(2 * x + 1 + rounding * np.cos(9 * x), x), np.array([1.0, 2.0]))
+    assert report.at.theta == pytest.approx([1.0, 2.0], rel=1e-12)
+    assert report.error < 1e-13
+    assert report.notes[-1] == "every row is reproduced to rounding: the data have no error."
+    assert not any("shape" in note or "alike" in note for note in report.notes)
+    assert len(report.errors) == 3
+
+
 def test_held_out_rows_are_reported() -> None:
     rng = np.random.default_rng(0)
     t = rng.uniform(0, 1, 80)
