@@ -98,7 +98,7 @@ def wheel_tire(tire: MagicFormula, gamma: float = 0.0, pressure: float | None = 
         E_max=1.0 if tire.clamp_curvature else np.inf,
         slip_decay=p.LMUV / p.LONGVL,
         A_mu=tire.A_mu,
-        still=0.0 if old else tire.epsilon,
+        still=tire.epsilon if tire.fade_at_standstill and not old else 0.0,
         LMUX=p.LMUX,
         mu_x=(p.PDX1 * mu_x, p.PDX2 * mu_x),
         C_x=p.PCX1 * p.LCX,

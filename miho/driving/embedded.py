@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -15,6 +16,7 @@ from miho.driving.road import PLANE, Road
 from miho.driving.vehicle import Vehicle
 from miho.models.engine import RPM
 from miho.models.engine_map import EngineMap
+from miho.models.magic_formula import MagicFormula
 from miho.models.tir import load_tir
 
 
@@ -26,8 +28,12 @@ def embedded_plant(vehicle: Vehicle, road: Road = PLANE, step: float = 1e-3) -> 
 @cache
 def embedded_tires() -> Tires:
     """The four oval tires."""
-    lf, rf, lr, rr = (load_tir(embedded_tire(name)) for name in ("lf", "rf", "lr", "rr"))
+    lf, rf, lr, rr = (_tire(name) for name in ("lf", "rf", "lr", "rr"))
     return lf, rf, lr, rr
+
+
+def _tire(name: str) -> MagicFormula:
+    return replace(load_tir(embedded_tire(name)), fade_at_standstill=True)
 
 
 @cache

@@ -67,6 +67,7 @@ def test_every_choice_and_term() -> None:
     )  # fmt: skip
     compare(replace(lf, parameters=scaled, A_mu=10.0), -0.05)
     compare(replace(lf, parameters=scaled, clamp_curvature=False), 0.05)
+    compare(replace(lf, fade_at_standstill=True, epsilon=1.0), 0.05)
     compare(replace(lf, parameters=replace(scaled, FZMIN=0.0), clamp_inputs=False), 0.05)
 
 
