@@ -18,6 +18,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 import baselines
@@ -104,7 +105,8 @@ def build(cfg: DictConfig, problem: CurveFit | None = None) -> Experiment:
     problem = build_problem(cfg) if problem is None else problem
     try:
         budget = Budget(**_plain(cfg, "budget"))
-        config = {key: _plain(cfg, key) for key in ("model", "dataset", "space", "loss", "budget")}
+        config = {key: _plain(cfg, key) for key in ("model", "dataset", "loss", "budget")}
+        config["space"] = scaled_by(problem.dataset, _plain(cfg, "space"))
         config["problem"] = {key: cfg.problem[key] for key in ("name", "compressed")}
         identity = Identity(
             problem=problem.name,
@@ -131,8 +133,8 @@ def build_optimizer(cfg: DictConfig) -> Optimizer:
 def build_problem(cfg: DictConfig) -> CurveFit:
     """The problem alone."""
     model = instantiate(_plain(cfg, "model"), "model", Model)
-    space = build_space(_plain(cfg, "space"))
     dataset = instantiate(_plain(cfg, "dataset"), "dataset", Dataset)
+    space = build_space(scaled_by(dataset, _plain(cfg, "space")))
     rho = instantiate(_plain(cfg, "loss"), "loss", Loss)
     known = _plain(cfg, "problem")
     switches = {key: known[key] for key in ("threads", "compressed")}
@@ -182,14 +184,50 @@ def build_dataset(node: Mapping[str, Any]) -> Dataset:
     return instantiate(node, "dataset", Dataset)
 
 
-def build_space(node: Mapping[str, Any]) -> Space:
-    """A space from a mapping of parameter names to their settings."""
+SCALABLE = ("low", "high", "mean", "std", "sigma_max")
+UNSET = ("???", None)
+
+
+def scaled_by(dataset: Dataset, node: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The settings of a space as numbers, where `scaled` gave them as multiples of the data.
+
+    See `experiments.schema.ParameterConfig`. Raises ConfigError.
+    """
+    space: dict[str, dict[str, Any]] = {}
     for name, settings in node.items():
+        plain = {key: value for key, value in settings.items() if key != "scaled"}
+        scaled = dict(settings.get("scaled") or {})
+        if scaled:
+            where = f"space.{name}.scaled"
+            by = scaled.pop("by", None)
+            column = dataset.output if by == "output" else by
+            if column not in dataset.columns:
+                known = ", ".join(("output", *dataset.columns))
+                raise ConfigError(f"{where}.by: is {by!r}; choose from {known}")
+            unit = float(np.abs(dataset[column]).max())
+            for key, multiple in scaled.items():
+                if key not in SCALABLE or type(multiple) not in (int, float):
+                    allowed = ", ".join(SCALABLE)
+                    raise ConfigError(
+                        f"{where}.{key}: is {multiple!r}; expected numbers for {allowed}"
+                    )
+                if plain.get(key) in UNSET:
+                    plain[key] = multiple * unit
+        space[name] = plain
+    return space
+
+
+def build_space(node: Mapping[str, Any]) -> Space:
+    """A space from a mapping of parameter names to their settings, which `scaled_by` resolved."""
+    plain = {name: dict(settings) for name, settings in node.items()}
+    for name, settings in plain.items():
+        if settings.pop("scaled", None):
+            raise ConfigError(f"space.{name}.scaled: needs data; give low and high")
         missing = [key for key, value in settings.items() if value == "???"]
         if missing:
             raise ConfigError(f"space.{name}.{missing[0]}: is missing; expected unit, low and high")
     try:
-        return Space(tuple(Parameter(name, **settings) for name, settings in node.items()))
+        return Space(tuple(Parameter(name, **settings) for name, settings in plain.items()))
     except (TypeError, ValueError) as error:
         raise ConfigError(f"space: {error}") from None
 

@@ -11,7 +11,12 @@ from omegaconf import MISSING
 
 @dataclass
 class ParameterConfig:
-    """One parameter of the space; the fields of `miho.Parameter` without the name."""
+    """One parameter of the space; the fields of `miho.Parameter` without the name.
+
+    `scaled` gives some of them in multiples of the largest magnitude of a column of the data:
+    {by: alpha, low: -0.5, high: 0.5}, where `by: output` is the column to be explained. A value
+    that stands beside it, such as space.D.high=8000, counts instead.
+    """
 
     unit: str = MISSING
     low: float = MISSING
@@ -21,6 +26,7 @@ class ParameterConfig:
     std: float | None = None
     sigma_max: float | None = None
     sigma_min: float = 0.0
+    scaled: dict[str, Any] | None = None
 
 
 @dataclass

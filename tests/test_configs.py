@@ -8,7 +8,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from experiments.arena import chosen_method
-from experiments.build import build, build_optimizer
+from experiments.build import ConfigError, build, build_optimizer
 from experiments.cli import composed
 from experiments.schema import register
 from miho.identification import linear_optimum
@@ -71,14 +71,64 @@ def test_a_file_of_your_own(tmp_path: Path) -> None:
     assert build(composed(overrides)).problem.dataset["alpha"].min() >= 0
 
 
+def own_data(tmp_path: Path, force: float, unit: str = "N") -> str:
+    """A tire whose largest force is `force` [N], in a file."""
+    alpha = np.linspace(-0.2, 0.15, 60)
+    Fy = -force * np.sin(1.4 * np.arctan(12 * alpha))
+    path = tmp_path / "mine.csv"
+    rows = zip(alpha, Fy / {"N": 1.0, "kN": 1e3}[unit], strict=True)
+    path.write_text("alpha,Fy\n" + "\n".join(f"{a},{F}" for a, F in rows))
+    return str(path)
+
+
+@pytest.mark.parametrize(("force", "unit"), [(300.0, "N"), (5000.0, "kN"), (40e3, "N")])
+def test_the_box_of_own_data_is_scaled_by_them(tmp_path: Path, force: float, unit: str) -> None:
+    path = own_data(tmp_path, force, unit)
+    overrides = ["dataset=csv", f"dataset.path={path}", f"dataset.units=[rad,{unit}]"]
+    experiment = build(composed(overrides))
+    D, Sx, Sy = experiment.problem.space.parameters[2:]
+    np.testing.assert_allclose((D.low, D.high, D.sigma_max), force * np.array([0.2, 3, 0.07]), 1e-3)
+    np.testing.assert_allclose((Sx.low, Sx.high), (-0.1, 0.1))
+    np.testing.assert_allclose((Sy.low, Sy.high), (-force / 2, force / 2), 1e-3)
+    assert experiment.identity.config["space"]["D"] == {
+        "unit": "N", "low": D.low, "high": D.high, "scale": "linear", "mean": None, "std": None,
+        "sigma_max": D.sigma_max, "sigma_min": 0.0,
+    }  # fmt: skip
+    narrower = build(composed([*overrides, "space.D.low=0", f"space.D.high={2 * force}"]))
+    assert narrower.problem.space.parameters[2].low == 0.0
+    assert narrower.problem.space.parameters[2].high == 2 * force
+    for seed in range(3):
+        found = minimize(LeastSquares(), experiment.problem, Budget(evaluations=3000), seed)
+        np.testing.assert_allclose(found.theta, (12, 1.4, force, 0, 0), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("space.D.scaled.by=Fz", r"space\.D\.scaled\.by: is 'Fz'; choose from output, alpha, Fy"),
+        (
+            "space.D.scaled.high=much",
+            r"space\.D\.scaled\.high: is 'much'; expected numbers for low",
+        ),
+        ("+space.D.scaled.unit=5", r"space\.D\.scaled\.unit: is 5; expected numbers for low"),
+        ("space.D.scaled.high=0.1", r"space: parameter 'D': low is .* expected finite bounds"),
+    ],
+)
+def test_a_scale_that_is_none(tmp_path: Path, override: str, message: str) -> None:
+    path = own_data(tmp_path, 3000.0)
+    with pytest.raises(ConfigError, match=message):
+        build(composed(["dataset=csv", f"dataset.path={path}", override]))
+
+
 @pytest.mark.parametrize("space", options("space"))
 def test_spaces(space: str) -> None:
     """Each space belongs to the model of the same name, or to the tire model."""
-    model = space if space in options("model") else "pacejka"
+    model = space.removesuffix("_scaled")
+    model = model if model in options("model") else "pacejka"
     needs = [name for name in options("dataset") if f"/space: {space}\n" in text(name)]
     overrides = [f"model={model}", f"space={space}"]
     ready = [name for name in needs if name not in NEEDS_A_FILE and not name.startswith("seong")]
-    experiment = build(composed([*overrides, *(f"dataset={name}" for name in ready[:1])]))
+    experiment = build(composed([*(f"dataset={name}" for name in ready[:1]), *overrides]))
     assert experiment.problem.space.names == tuple(experiment.problem.model.parameters)
 
 
