@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from miho.data.csv import TextFormat
 from miho.data.dataset import Dataset
 from miho.data.driving_log import DrivingLog, load_driving_log
 from miho.models.single_track import SingleTrack
@@ -80,14 +82,23 @@ def load_axle_samples(
     cutoff: float = 5.0,
     min_speed: float = 10.0,
     max_ax: float | None = None,
+    every: int = 1,
+    delimiter: str | None = None,
+    decimal: str = ".",
+    skip_rows: int = 0,
+    drop_rows: Sequence[int] = (),
+    comment: str | None = None,
 ) -> Dataset:
     """`axle_samples` of a log in a CSV file; `vehicle` names the fields of `SingleTrack`.
 
     The other settings are those of `load_driving_log` and `axle_samples`.
+    every: of the samples, the first of so many. delimiter to comment: `TextFormat`.
     """
     car = from_settings(SingleTrack, vehicle)
     log = load_driving_log(
         path, columns, units, headers, flip=flip, delays=delays, steering_ratio=steering_ratio,
         sensor_x=sensor_x, accelerometer=accelerometer, start=start, end=end,
+        text=TextFormat(delimiter, decimal, skip_rows, drop_rows, comment),
     )  # fmt: skip
-    return axle_samples(log, car, axle, cutoff, min_speed, max_ax)
+    samples = axle_samples(log, car, axle, cutoff, min_speed, max_ax)
+    return replace(samples.thinned(every), reading=log.reading)

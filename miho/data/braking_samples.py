@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.constants import g
 
+from miho.data.csv import TextFormat
 from miho.data.dataset import Dataset
 from miho.data.driving_log import DrivingLog, load_driving_log, low_pass
 
@@ -87,13 +89,24 @@ def load_braking_samples(
     max_throttle: float = 0.01,
     max_lateral: float = 3.0,
     settle: float = 0.0,
+    every: int = 1,
+    delimiter: str | None = None,
+    decimal: str = ".",
+    skip_rows: int = 0,
+    drop_rows: Sequence[int] = (),
+    comment: str | None = None,
 ) -> Dataset:
     """`braking_samples` of a log in a CSV file.
 
     The other settings are those of `load_driving_log` and `braking_samples`.
+    every: of the samples, the first of so many. delimiter to comment: `TextFormat`.
     """
     log = load_driving_log(
         path, columns, units, headers, flip=flip, delays=delays, accelerometer=accelerometer,
         start=start, end=end,
+        text=TextFormat(delimiter, decimal, skip_rows, drop_rows, comment),
     )  # fmt: skip
-    return braking_samples(log, cutoff, min_pressure, min_speed, max_throttle, max_lateral, settle)
+    samples = braking_samples(
+        log, cutoff, min_pressure, min_speed, max_throttle, max_lateral, settle
+    )
+    return replace(samples.thinned(every), reading=log.reading)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
@@ -23,7 +24,7 @@ MAX_ROWS = 4_000_000
 BLOCK = 10_000
 """Lines read at a time: where one has a fault, these are read again cell by cell."""
 
-_CELL = re.compile(r'[ \t]*"((?:[^"]|"")*)"[ \t]*(?=,|$)|([^",]*)(?=,|$)')
+DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t"}
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 
 
@@ -35,7 +36,52 @@ class CSVError(ValueError):
         super().__init__(f"{name}:{line}:{column}: {problem}")
 
 
-def read_numbers(path: Path, columns: Sequence[str], *, header: bool) -> dict[str, Array]:
+@dataclass(frozen=True)
+class TextFormat:
+    """How a table is written.
+
+    delimiter: "," ";" "tab" or their names; None: a comma, or a semicolon or tab if only that one
+    gives the columns that are asked for. decimal: "." or ",". skip_rows: lines before the one that
+    names the columns. drop_rows: numbers of further lines that are none of data, such as a line of
+    units, counted from 1 as editors do. comment: lines that begin with this are none of data.
+    """
+
+    delimiter: str | None = None
+    decimal: str = "."
+    skip_rows: int = 0
+    drop_rows: Sequence[int] = ()
+    comment: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.delimiter is not None:
+            delimiter = DELIMITERS.get(self.delimiter, self.delimiter)
+            if delimiter not in DELIMITERS.values():
+                raise ValueError(
+                    f"delimiter is {self.delimiter!r}; choose from {', '.join(DELIMITERS)}, or "
+                    "null to have it seen from the header"
+                )
+            object.__setattr__(self, "delimiter", delimiter)
+        if self.decimal not in (".", ","):
+            raise ValueError(f"decimal is {self.decimal!r}; choose '.' or ','")
+        if self.decimal == self.delimiter:
+            raise ValueError("decimal and delimiter are both ','; only one of them can be")
+        if type(self.skip_rows) is not int or self.skip_rows < 0:
+            raise ValueError(f"skip_rows is {self.skip_rows!r}; expected a number of lines")
+        listed = isinstance(self.drop_rows, Sequence) and not isinstance(self.drop_rows, str)
+        if not listed or not all(type(line) is int and line > 0 for line in self.drop_rows):
+            raise ValueError(
+                f"drop_rows is {self.drop_rows!r}; list the numbers of lines, counted from 1"
+            )
+        if self.comment is not None and not (isinstance(self.comment, str) and self.comment):
+            raise ValueError(f"comment is {self.comment!r}; give what such lines begin with")
+
+
+PLAIN = TextFormat()
+
+
+def read_numbers(
+    path: Path, columns: Sequence[str], *, header: bool, text: TextFormat = PLAIN
+) -> dict[str, Array]:
     """The columns of a comma-separated file by name, (N,) each, every cell a finite number.
 
     With a `header`, the first line must name the columns asked for, in any order and among
@@ -43,7 +89,7 @@ def read_numbers(path: Path, columns: Sequence[str], *, header: bool) -> dict[st
     Cells may stand in double quotes. Raises CSVError for anything else, FileNotFoundError if
     there is no file.
     """
-    return _Table(path, columns, header).numbers()
+    return Table(path, columns, header, text).numbers()
 
 
 def load_csv(
@@ -56,40 +102,106 @@ def load_csv(
     flip: Sequence[str] = (),
     ranges: Mapping[str, Sequence[float] | None] | None = None,
     held_out: Mapping[str, Sequence[float]] | None = None,
+    where: Mapping[str, Sequence[float]] | None = None,
+    every: int = 1,
+    delimiter: str | None = None,
+    decimal: str = ".",
+    skip_rows: int = 0,
+    drop_rows: Sequence[int] = (),
+    comment: str | None = None,
     name: str | None = None,
 ) -> Dataset:
     """A dataset from a file with a header line, in SI units, radians and ISO-W signs.
 
-    The settings are those of `miho.data.measurements.Layout`; the dataset is called after the file
-    unless `name` is given. Raises CSVError for what the file has, ValueError for the settings.
+    The settings are those of `miho.data.measurements.Layout` and of `TextFormat`; the dataset is
+    called after the file unless `name` is given. Raises CSVError for what the file has, ValueError
+    for the settings.
     """
-    layout = Layout(columns, units, output, headers, convention, flip, ranges, held_out)
-    table = _Table(Path(path), layout.names, header=True)
-    return layout.dataset(name or file_name(path), table.numbers(), table.fault)
+    layout = Layout(
+        columns, units, output, headers, convention, flip, ranges, held_out, where, every
+    )
+    text = TextFormat(delimiter, decimal, skip_rows, drop_rows, comment)
+    table = Table(Path(path), layout.read, header=True, text=text)
+    return layout.dataset(name or file_name(path), path, table.numbers(), table.fault, table.notes)
 
 
-class _Table:
+class Table:
     """The lines of a file, and where the wanted columns stand in them."""
 
-    def __init__(self, path: Path, columns: Sequence[str], header: bool) -> None:
+    def __init__(
+        self, path: Path, columns: Sequence[str], header: bool, text: TextFormat = PLAIN
+    ) -> None:
         self.path = path
         self.columns = tuple(columns)
+        self.decimal = text.decimal
         self.lines = _lines(path)
+        self.line_numbers: Sequence[int] = range(1, len(self.lines) + 1)
+        self._leave_out(text)
+        self.delimiter = text.delimiter or self._seen_delimiter(header)
+        blank, end = r"[ \t]" if self.delimiter != "\t" else " ", re.escape(self.delimiter)
+        self.cell = re.compile(
+            rf'{blank}*"((?:[^"]|"")*)"{blank}*(?={end}|$)|([^"{end}]*)(?={end}|$)'
+        )
         self.first = 0
         self.width = len(columns)
         self.positions = list(range(len(columns)))
         if header:
             self._read_header()
 
+    @property
+    def notes(self) -> list[str]:
+        """What was not plain about the file, in words."""
+        words = {value: key for key, value in DELIMITERS.items()}
+        notes = [] if self.delimiter == "," else [f"separated by {words[self.delimiter]}s"]
+        notes += ["decimal commas"] if self.decimal == "," else []
+        return notes + ([f"{self.left_out} lines left out"] if self.left_out else [])
+
+    def _leave_out(self, text: TextFormat) -> None:
+        """Take out the lines before the header, those that are listed, and comments."""
+        beyond = [line for line in (text.skip_rows, *text.drop_rows) if line > len(self.lines)]
+        if beyond:
+            last = len(self.lines)
+            problem = f"this is the last line, but line {beyond[0]} is to be left out"
+            raise CSVError(self.path, last, 1, f"{problem}; correct drop_rows or skip_rows")
+        dropped = {*range(1, text.skip_rows + 1), *text.drop_rows}
+        kept = [
+            number
+            for number in self.line_numbers
+            if number not in dropped
+            and not (text.comment and self.lines[number - 1].startswith(text.comment))
+        ]
+        self.left_out = len(self.lines) - len(kept)
+        if not self.left_out:
+            return
+        if not kept:
+            raise CSVError(self.path, 1, 1, "all lines are left out; keep some")
+        self.lines = [self.lines[number - 1] for number in kept]
+        self.line_numbers = kept
+
+    def _seen_delimiter(self, header: bool) -> str:
+        """The comma, unless only another delimiter gives the columns; "," is no decimal then."""
+        line = self.lines[0]
+        candidates = [one for one in DELIMITERS.values() if one != self.decimal]
+        for candidate in candidates:
+            cells = [cell.strip().strip('"') for cell in line.split(candidate)]
+            if header and set(self.columns) <= set(cells):
+                return candidate
+        present = [candidate for candidate in candidates if candidate in line]
+        return (present or candidates)[0]
+
+    def _error(self, line: int, column: int, problem: str) -> CSVError:
+        """About a place in `lines`, which counts from 0."""
+        return CSVError(self.path, self.line_numbers[line], column, problem)
+
     def _read_header(self) -> None:
         names = [text.strip() for _, text in self._cells(0)]
         for name in self.columns:
             if name not in names:
                 found = f"no column {name!r} in the header {self.lines[0].strip()[:80]!r}"
-                raise CSVError(self.path, 1, 1, f"{found}; {_header_remedy(name, names)}")
+                raise self._error(0, 1, f"{found}; {_header_remedy(name, names)}")
             if names.count(name) > 1:
                 column = self._cells(0)[names.index(name, names.index(name) + 1)][0]
-                raise CSVError(self.path, 1, column, f"column {name!r} is there twice; keep one")
+                raise self._error(0, column, f"column {name!r} is there twice; keep one")
         self.first = 1
         self.width = len(names)
         self.positions = [names.index(name) for name in self.columns]
@@ -98,7 +210,7 @@ class _Table:
         """The wanted columns, (N,) each."""
         rows = len(self.lines) - self.first
         if not rows:
-            raise CSVError(self.path, 1, 1, "no rows of data; give at least one")
+            raise self._error(0, 1, "no rows of data; give at least one")
         values = np.empty((rows, len(self.columns)))
         for start in range(0, rows, BLOCK):
             stop = min(start + BLOCK, rows)
@@ -113,7 +225,7 @@ class _Table:
         """The error about a column's header, or about its cell in a row counted from 0."""
         line = 0 if row is None else row + self.first
         column = self._cells(line)[self.positions[self.columns.index(name)]][0]
-        return CSVError(self.path, line + 1, column, problem)
+        return self._error(line, column, problem)
 
     def _plain_block(self, start: int, stop: int) -> Array | None:
         """Rows of numbers if each cell is one beyond doubt, else None."""
@@ -121,11 +233,15 @@ class _Table:
         text = "\n".join(lines)
         if not text.isascii() or '"' in text or text.isspace():
             return None
-        if any(line.count(",") != self.width - 1 for line in lines):
+        if any(line.count(self.delimiter) != self.width - 1 for line in lines):
             return None
+        if self.decimal == ",":
+            if "." in text:
+                return None
+            lines = text.replace(",", ".").split("\n")
         try:
             values = np.loadtxt(
-                lines, delimiter=",", comments=None, usecols=self.positions, ndmin=2
+                lines, delimiter=self.delimiter, comments=None, usecols=self.positions, ndmin=2
             )
         except ValueError:
             return None
@@ -137,18 +253,23 @@ class _Table:
         cells = self._cells(line)
         if len(cells) != self.width:
             remedy = "add or remove cells, and write decimals with a point"
+            if self.delimiter != ",":
+                remedy = "add or remove cells"
             if not self.lines[line].strip():
                 remedy = "remove the empty line"
             problem = f"{len(cells)} cells; every row must have {self.width}; {remedy}"
-            raise CSVError(self.path, line + 1, 1, problem)
+            raise self._error(line, 1, problem)
         values = []
         for name, position in zip(self.columns, self.positions, strict=True):
             column, text = cells[position]
-            value = _number(text)
+            value = _number(text, self.decimal)
             if value is None:
                 problem = f"{text.strip()[:40]!r} in column {name!r} is not a finite number"
-                remedy = "correct the cell or remove the row"
-                raise CSVError(self.path, line + 1, column, f"{problem}; {remedy}")
+                remedy = "correct the cell, or remove the row or leave it out with drop_rows"
+                other = "," if self.decimal == "." else "."
+                if self.delimiter != "," and _number(text, other) is not None:
+                    remedy = f"write decimals with '{self.decimal}', or set decimal"
+                raise self._error(line, column, f"{problem}; {remedy}")
             values.append(value)
         return values
 
@@ -158,12 +279,12 @@ class _Table:
         cells = []
         start = 0
         while True:
-            found = _CELL.match(text, start)
+            found = self.cell.match(text, start)
             if found is None:
                 quote = text.index('"', start) + 1
                 problem = "quote inside a cell or never closed"
                 remedy = "quote whole cells on one line, or none"
-                raise CSVError(self.path, line + 1, quote, f"{problem}; {remedy}")
+                raise self._error(line, quote, f"{problem}; {remedy}")
             quoted = found[1]
             cells.append((start + 1, found[2] if quoted is None else quoted.replace('""', '"')))
             start = found.end() + 1
@@ -172,9 +293,7 @@ class _Table:
 
 
 def _header_remedy(name: str, names: Sequence[str]) -> str:
-    if len(names) == 1 and ";" in names[0]:
-        return "separate columns with commas and write decimals with a point"
-    if len(names) == 1 and len(names[0].split()) > 1:
+    if len(names) == 1 and re.search(r"\S[\s|:]+\S", names[0]):
         return "separate columns with commas"
     if all(_number(other) is not None for other in names):
         return "begin the file with a line that names the columns"
@@ -223,10 +342,12 @@ def _lines(path: Path) -> list[str]:
     return lines
 
 
-def _number(cell: str) -> float | None:
+def _number(cell: str, decimal: str = ".") -> float | None:
     """The cell's value if it is a finite number as CSV writes it, else None."""
-    if not cell.isascii() or "_" in cell:
+    if not cell.isascii() or "_" in cell or (decimal == "," and "." in cell):
         return None
+    if decimal == ",":
+        cell = cell.replace(",", ".")
     try:
         value = float(cell)
     except ValueError:

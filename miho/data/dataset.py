@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.data.preview import Reading
+
 Array = NDArray[np.float64]
 
 
@@ -38,6 +40,7 @@ class Dataset:
     `columns` holds the inputs of the model, the conditions under which they were taken and the
     output; `units` names the unit of each. Columns are read-only: nobody edits shared data.
     `held_out` has rows that no fit sees, of the same columns and units, to validate with.
+    `reading` says what the file held that the data are from, and has no part in their identity.
     """
 
     name: str
@@ -45,6 +48,7 @@ class Dataset:
     units: Mapping[str, str]
     output: str
     held_out: Dataset | None = None
+    reading: Reading | None = None
 
     def __post_init__(self) -> None:
         columns = {}
@@ -105,6 +109,12 @@ class Dataset:
                 f"{rows.dtype} of shape {rows.shape}"
             )
         return replace(self, columns={key: column[rows] for key, column in self.columns.items()})
+
+    def thinned(self, every: int) -> Dataset:
+        """The first row of every so many; `held_out` stays."""
+        if type(every) is not int or every < 1:
+            raise ValueError(f"every is {every!r}; expected a whole number of at least 1")
+        return self.select(np.arange(len(self)) % every == 0)
 
     def hold_out(self, ranges: Mapping[str, Sequence[float]]) -> Dataset:
         """The same data with `held_out` set to the rows that lie in all of these ranges.

@@ -13,8 +13,9 @@ import scipy  # which loads its packages where they are used: importing them tak
 from numpy.typing import NDArray
 from scipy.constants import g
 
-from miho.data.csv import CSVError, read_numbers
+from miho.data.csv import PLAIN, CSVError, Table, TextFormat
 from miho.data.dataset import file_name
+from miho.data.preview import Reading
 from miho.data.units import si
 
 Array = NDArray[np.float64]
@@ -45,11 +46,13 @@ class DrivingLog:
 
     `accelerometer` says what ax and ay are: what a sensor fixed to the car shows, which feels the
     support against weight on a grade or bank (True), or the acceleration of the motion (False).
+    `reading` says what the file held that the log is from.
     """
 
     name: str
     channels: Mapping[str, Array]
     accelerometer: bool = True
+    reading: Reading | None = None
 
     def __post_init__(self) -> None:
         channels = {}
@@ -191,6 +194,7 @@ def load_driving_log(
     accelerometer: bool = True,
     start: float = 0.0,
     end: float | None = None,
+    text: TextFormat = PLAIN,
 ) -> DrivingLog:
     """A log from a CSV file with a header line; the time counts from the file's first row.
 
@@ -199,7 +203,7 @@ def load_driving_log(
     `delays` maps channels to how late they are [s] against the others (negative: early).
     `steering_ratio` divides the steering angle, if it is the hand wheel's. `sensor_x` says how far
     ahead of the centre of gravity vy was measured [m]; yaw_rate must be there then. `start` and
-    `end` [s] cut the file.
+    `end` [s] cut the file. `text` says how it is written.
 
     Steps within 1 % of their median stay as they are; otherwise the channels are interpolated to
     steps of the median (the gear takes its nearest value). Steps of more than 2.5 medians are
@@ -228,7 +232,9 @@ def load_driving_log(
     if not 0 < steering_ratio < np.inf:
         raise ValueError(f"steering_ratio is {steering_ratio}; expected a positive number")
 
-    numbers = read_numbers(Path(path), headers, header=True)
+    table = Table(Path(path), headers, header=True, text=text)
+    numbers = table.numbers()
+    reading = Reading.of(os.fspath(path), numbers, units, table.notes)
     channels = {
         channel: numbers[header] * si(unit).factor * (-1.0 if channel in flip else 1.0)
         for channel, unit, header in zip(columns, units, headers, strict=True)
@@ -241,7 +247,8 @@ def load_driving_log(
             f"samples, which last {time[-1]:g} s; expected at least {SHORTEST}"
         )
     channels = {key: values[kept] for key, values in channels.items()}
-    _refuse_gaps(Path(path), channels["time"], first_line=2 + int(np.argmax(kept)))
+    lines = np.array(table.line_numbers[table.first :])[kept]
+    _refuse_gaps(Path(path), channels["time"], lines)
     if "steering" in channels:
         channels["steering"] = channels["steering"] / steering_ratio
     channels = _on_one_clock(channels, delays)
@@ -249,22 +256,22 @@ def load_driving_log(
         if "yaw_rate" not in channels:
             raise ValueError(f"sensor_x is {sensor_x}; to move vy it needs the channel 'yaw_rate'")
         channels["vy"] = channels["vy"] - sensor_x * channels["yaw_rate"]
-    return DrivingLog(file_name(path), channels, accelerometer)
+    return DrivingLog(file_name(path), channels, accelerometer, reading)
 
 
-def _refuse_gaps(path: Path, time: Array, first_line: int) -> None:
+def _refuse_gaps(path: Path, time: Array, lines: NDArray[np.intp]) -> None:
     steps = np.diff(time)
     step = float(np.median(steps))
     back, gaps = np.flatnonzero(steps <= 0), np.flatnonzero(steps > MAX_STEP * step)
     if back.size:
         problem = f"time steps by {steps[back[0]]:g} s; it must increase, remove the row"
-        raise CSVError(path, first_line + int(back[0]) + 1, 1, problem)
+        raise CSVError(path, int(lines[back[0] + 1]), 1, problem)
     if gaps.size:
         problem = (
             f"nothing for {steps[gaps[0]]:.3g} s after {time[gaps[0]]:.6g} s, where others are "
             f"{step:.3g} s apart; choose one side with start or end"
         )
-        raise CSVError(path, first_line + int(gaps[0]) + 1, 1, problem)
+        raise CSVError(path, int(lines[gaps[0] + 1]), 1, problem)
 
 
 def _on_one_clock(channels: Mapping[str, Array], delays: Mapping[str, float]) -> dict[str, Array]:

@@ -67,6 +67,8 @@ def load_mat(
     flip: Sequence[str] = (),
     ranges: Mapping[str, Sequence[float] | None] | None = None,
     held_out: Mapping[str, Sequence[float]] | None = None,
+    where: Mapping[str, Sequence[float]] | None = None,
+    every: int = 1,
     name: str | None = None,
 ) -> Dataset:
     """A dataset from a MATLAB file of version 5 to 7.2, in SI units, radians and ISO-W signs.
@@ -79,20 +81,22 @@ def load_mat(
     Compressed variables, which is how MATLAB writes them, carry a checksum: damage is noticed.
     Uncompressed ones (-v6) have none for their numbers: only damage to their description is.
     """
-    layout = Layout(columns, units, output, headers, convention, flip, ranges, held_out)
+    layout = Layout(
+        columns, units, output, headers, convention, flip, ranges, held_out, where, every
+    )
 
     def fault(variable: str, row: int | None, problem: str) -> ValueError:
         element = "" if row is None else f"({row + 1})"
         return ValueError(f"{path}: {variable}{element}: {problem}")
 
     known = read_variables(Path(path))
-    numbers = {variable: _column(variable, known, fault) for variable in layout.names}
+    numbers = {variable: _column(variable, known, fault) for variable in layout.read}
     first = layout.names[0]
     for variable, column in numbers.items():
         if column.size != numbers[first].size:
             problem = f"{column.size} numbers, but {first} has {numbers[first].size}"
             raise fault(variable, None, f"{problem}; choose variables of one length")
-    return layout.dataset(name or file_name(path), numbers, fault)
+    return layout.dataset(name or file_name(path), path, numbers, fault)
 
 
 def read_variables(path: Path) -> dict[str, Variable]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from miho.data.conventions import FLIPPED, sign_problem, to_iso_w
 from miho.data.dataset import Dataset, number_pair
+from miho.data.preview import Reading
 from miho.data.units import UNITS, Unit, si
 
 Array = NDArray[np.float64]
@@ -50,8 +51,10 @@ class Layout:
     (see `miho.data.units`), and the names in the file if they differ. A column that is neither an
     input of the model nor the `output` is a condition. convention, flip: see
     `miho.data.conventions`. ranges: between what the largest magnitude of a column lies, in SI
-    units, instead of `PLAUSIBLE`; None does not check. held_out: the rows to validate with, as
-    ranges of columns in SI units and ISO-W signs (`Dataset.hold_out`).
+    units, instead of `PLAUSIBLE`; None does not check. where: the rows to use, as ranges of columns
+    of the file, in its own names, units and signs; a row must lie in all of them. every: of these,
+    the first of every so many. held_out: the rows to validate with, as ranges of columns in SI
+    units and ISO-W signs (`Dataset.hold_out`).
     """
 
     columns: Sequence[str]
@@ -62,6 +65,8 @@ class Layout:
     flip: Sequence[str] = ()
     ranges: Mapping[str, Sequence[float] | None] | None = None
     held_out: Mapping[str, Sequence[float]] | None = None
+    where: Mapping[str, Sequence[float]] | None = None
+    every: int = 1
 
     def __post_init__(self) -> None:
         for setting in ("columns", "units", "flip", "headers"):
@@ -79,7 +84,9 @@ class Layout:
             )
         if self.convention not in FLIPPED:
             raise ValueError(f"convention is {self.convention!r}; choose from {', '.join(FLIPPED)}")
-        for setting in ("ranges", "held_out"):
+        if type(self.every) is not int or self.every < 1:
+            raise ValueError(f"every is {self.every!r}; expected a whole number of at least 1")
+        for setting in ("ranges", "held_out", "where"):
             if not isinstance(getattr(self, setting) or {}, Mapping):
                 raise ValueError(
                     f"{setting} is {getattr(self, setting)!r}; map columns to their bounds, such "
@@ -98,6 +105,8 @@ class Layout:
         for name, bounds in (self.ranges or {}).items():
             if bounds is not None:
                 number_pair(bounds, f"the range of {name}")
+        for name, bounds in (self.where or {}).items():
+            number_pair(bounds, f"where {name}")
         for unit in self.units:
             si(unit)
 
@@ -106,11 +115,26 @@ class Layout:
         """The names of the columns in the file."""
         return self.columns if self.headers is None else self.headers
 
-    def dataset(self, name: str, numbers: Mapping[str, Array], fault: Fault) -> Dataset:
-        """The dataset of these `numbers` (N,), given under the names of the file.
+    @property
+    def read(self) -> list[str]:
+        """The names of all columns to read, those of `where` too."""
+        return list(dict.fromkeys([*self.names, *(self.where or {})]))
 
-        Raises what `fault` makes of numbers that cannot be what they are declared to be.
+    def dataset(
+        self, name: str, path: str, everything: Mapping[str, Array], of_file: Fault,
+        notes: Sequence[str] = (),
+    ) -> Dataset:  # fmt: skip
+        """The dataset of the numbers (N,) of a file, given under its names for `read`.
+
+        notes: how it was read, in words. Raises what `of_file` makes of numbers that cannot be
+        what they are declared to be.
         """
+        rows = self._rows(path, everything)
+        numbers = {key: column[rows] for key, column in everything.items()}
+
+        def fault(header: str, row: int | None, problem: str) -> ValueError:
+            return of_file(header, None if row is None else int(rows[row]), problem)
+
         columns, units = {}, {}
         header = dict(zip(self.columns, self.names, strict=True))
         for key, spelling in zip(self.columns, self.units, strict=True):
@@ -131,8 +155,30 @@ class Layout:
             problem = f"column {header[key]!r} has the same value in every row"
             remedy = "choose one that varies: nothing can be identified from this one"
             raise fault(header[key], None, f"{problem}; {remedy}")
-        dataset = Dataset(name, columns, units, self.output)
+        read = {key: everything[key] for key in self.names}
+        where = (self.where or {}).items()
+        chosen = [f"{key} from {low:g} to {high:g}" for key, (low, high) in where]
+        chosen += [f"one of every {self.every} rows"] if self.every > 1 else []
+        reading = Reading.of(path, read, self.units, [*notes, *chosen])
+        dataset = Dataset(name, columns, units, self.output, reading=reading)
         return dataset.hold_out(self.held_out) if self.held_out else dataset
+
+    def _rows(self, path: str, numbers: Mapping[str, Array]) -> NDArray[np.intp]:
+        """The rows that `where` and `every` choose, (n,)."""
+        inside = np.ones(next(iter(numbers.values())).size, dtype=bool)
+        for key, bounds in (self.where or {}).items():
+            low, high = number_pair(bounds, f"where {key}")
+            inside &= (numbers[key] >= low) & (numbers[key] <= high)
+        if not inside.any():
+            spans = ", ".join(
+                f"{key} from {numbers[key].min():g} to {numbers[key].max():g}"
+                for key in self.where or {}
+            )
+            raise ValueError(
+                f"{path}: no row has where={dict(self.where or {})}; in the file's units it has "
+                f"{spans}; widen the ranges"
+            )
+        return np.flatnonzero(inside)[:: self.every]
 
     def _implausible(self, key: str, unit: Unit, raw: float) -> str | None:
         """What is wrong with a column whose largest magnitude is |raw| in the file's unit."""

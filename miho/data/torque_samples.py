@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
 
+from miho.data.csv import TextFormat
 from miho.data.dataset import Dataset
 from miho.data.driving_log import DrivingLog, load_driving_log
 from miho.models.longitudinal import Longitudinal
@@ -167,18 +168,27 @@ def load_torque_samples(
     end: float | None = None,
     throttle: float | None = None,
     rules: Mapping[str, float] | None = None,
+    every: int = 1,
+    delimiter: str | None = None,
+    decimal: str = ".",
+    skip_rows: int = 0,
+    drop_rows: Sequence[int] = (),
+    comment: str | None = None,
 ) -> Dataset:
     """`torque_samples` of a log in a CSV file; `vehicle` names the fields of `Longitudinal`.
 
     `rules` are fields of `TorqueRules`, `throttle` is that of its `apply`; the other settings are
     those of `load_driving_log`.
+    every: of the samples, the first of so many. delimiter to comment: `TextFormat`.
     """
     car, chosen = from_settings(Longitudinal, vehicle), _rules(rules or {})
     log = load_driving_log(
         path, columns, units, headers, flip=flip, delays=delays, accelerometer=accelerometer,
         start=start, end=end,
+        text=TextFormat(delimiter, decimal, skip_rows, drop_rows, comment),
     )  # fmt: skip
-    return chosen.apply(log, car, throttle).dataset
+    samples = chosen.apply(log, car, throttle).dataset
+    return replace(samples.thinned(every), reading=log.reading)
 
 
 def _rules(settings: Mapping[str, float]) -> TorqueRules:

@@ -8,9 +8,10 @@ import pytest
 
 from miho import Budget, CurveFit, Dataset, Parameter, Space, minimize
 from miho.data import CSVError, load_csv, sample_tir
-from miho.data.csv import BLOCK, read_numbers
+from miho.data.csv import BLOCK, TextFormat, read_numbers
 from miho.data.measurements import PLAUSIBLE
 from miho.methods.least_squares import LeastSquares
+from miho.data.preview import preview
 from miho.models import Pacejka
 
 
@@ -44,7 +45,9 @@ BAD = {
     "other digits": ("a,b\n1,٣\n", "2:3", "not a finite number"),
     "not UTF-8": (b"a,b\n1,\xff\n", "2:3", "not UTF-8"),
     "a long line": ("a,b\n" + "1" * 10_001, "2:10000", "longer than"),
-    "semicolons": ("a;b\n1;2\n", "1:1", "separate columns with commas"),
+    "blanks": ("a b\n1 2\n", "1:1", "separate columns with commas"),
+    "two delimiters": ("a;b\n1,2\n", "2:1", "1 cells; every row must have 2; add or remove"),
+    "decimal commas": ("a;b\n1,5;2\n", "2:1", "write decimals with '.', or set decimal"),
 }
 
 
@@ -57,6 +60,57 @@ def test_bad_files_name_line_and_column(tmp_path: Path, case: str) -> None:
     assert str(error.value).startswith(f"{path}:{place}: ")
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t"])
+def test_another_delimiter_is_seen_from_the_header(tmp_path: Path, delimiter: str) -> None:
+    rows = [["a", '"b, c"', "d"], ["1", "2.5", "x"], ["3", "4", '"x"']]
+    path = file(tmp_path, "\n".join(delimiter.join(row) for row in rows))
+    found = read_numbers(path, ["b, c", "a"], header=True)
+    assert [column.tolist() for column in found.values()] == [[2.5, 4.0], [1.0, 3.0]]
+
+
+@pytest.mark.parametrize("quote", ["", '"'])
+@pytest.mark.parametrize("rows", [3, BLOCK + 1])
+def test_a_spreadsheet_of_central_europe(tmp_path: Path, quote: str, rows: int) -> None:
+    """Semicolons, decimal commas, a title, a line of units and remarks; places stay the file's."""
+    values = np.random.default_rng(1).standard_normal((rows, 2))
+    cells = [[f"{quote}{x!r}{quote}".replace(".", ",") for x in row] for row in values.tolist()]
+    head = ["Prüfstand 3", "a;b;Bemerkung", "deg;kN;", "# Lauf 1"]
+    lines = [*head, *(";".join([*row, "gut, soweit"]) for row in cells)]
+    path = file(tmp_path, "\n".join(lines))
+    text = TextFormat(decimal=",", skip_rows=1, drop_rows=[3], comment="#")
+    found = read_numbers(path, ["b", "a"], header=True, text=text)
+    assert np.array_equal(found["a"], values[:, 0])
+    assert np.array_equal(found["b"], values[:, 1])
+    lines[6] = "1,5;1.5;"
+    path = file(tmp_path, "\n".join(lines))
+    with pytest.raises(CSVError, match=r":7:5: '1\.5' in column 'b' .* write decimals with ','"):
+        read_numbers(path, ["b", "a"], header=True, text=text)
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"delimiter": "x"}, "delimiter is 'x'; choose from comma, semicolon, tab"),
+        ({"decimal": "x"}, "decimal is 'x'; choose '.' or ','"),
+        ({"decimal": ",", "delimiter": "comma"}, "decimal and delimiter are both ','"),
+        ({"skip_rows": -1}, "skip_rows is -1; expected a number of lines"),
+        ({"drop_rows": [0]}, r"drop_rows is \[0\]; list the numbers of lines, counted from 1"),
+        ({"drop_rows": "2"}, "drop_rows is '2'; list"),
+        ({"comment": ""}, "comment is ''; give what such lines begin with"),
+        ({"drop_rows": [9]}, "data.csv:2:1: this is the last line, but line 9 is to be left out"),
+        ({"skip_rows": 2}, "data.csv:1:1: all lines are left out"),
+        ({"every": 0}, "every is 0; expected a whole number of at least 1"),
+        ({"where": {"a": 5}}, "where a is 5; give two finite numbers"),
+        ({"where": {"q": [1, 2]}}, "data.csv:1:1: no column 'q' in the header"),
+        ({"where": {"a": [5, 6]}}, r"no row has where=\{'a': \[5, 6\]\}; in .* a from 1 to 1; "),
+    ],
+)
+def test_settings_that_cannot_be(tmp_path: Path, settings: dict[str, Any], message: str) -> None:
+    path = file(tmp_path, "a,b\n1,2\n")
+    with pytest.raises(ValueError, match=message):
+        load_csv(str(path), ["a", "b"], ["-", "-"], "b", **settings)
 
 
 def test_huge_files_are_refused_unread(tmp_path: Path) -> None:
@@ -125,6 +179,51 @@ def test_units_names_and_conditions(tmp_path: Path) -> None:
     for name in COLUMNS:
         np.testing.assert_allclose(read[name], TIRE[name], rtol=1e-15)
     assert load(tmp_path, mine(), name="other").name == "other"
+
+
+def test_rows_are_chosen_by_the_file_s_own_columns(tmp_path: Path) -> None:
+    """In its names, units and signs, whether the column is used or not; faults keep their place."""
+    run = np.repeat([1.0, 2.0], 200)
+    file = {"SA": np.degrees(alpha), "FY": Fy, "FZ": -Fz / 1e3, "run": run}
+    settings: dict[str, Any] = {
+        "columns": ["alpha", "Fy"], "units": ["deg", "N"], "headers": ["SA", "FY"],
+        "where": {"FZ": [-4.0, -3.0], "run": [2, 2]},
+    }  # fmt: skip
+    chosen = np.flatnonzero((Fz >= 3000) & (Fz <= 4000) & (run == 2))
+    assert 20 < chosen.size < 200
+    read = load(tmp_path, file, **settings)
+    np.testing.assert_array_equal(read["Fy"], Fy[chosen])
+    thinner = load(tmp_path, file, **settings, every=7, held_out={"alpha": [0.09, 1]})
+    assert thinner.held_out is not None
+    rows = chosen[::7]
+    np.testing.assert_array_equal(thinner["Fy"], Fy[rows][alpha[rows] < 0.09])
+    np.testing.assert_array_equal(thinner.held_out["Fy"], Fy[rows][alpha[rows] >= 0.09])
+    file["FY"] = np.where(np.arange(400) == chosen[5], 1e7, Fy)
+    with pytest.raises(CSVError, match=rf"mine\.csv:{chosen[5] + 2}:\d+: largest"):
+        load(tmp_path, file, **settings)
+
+
+def test_the_preview_shows_the_file_and_what_is_used(tmp_path: Path) -> None:
+    path = tmp_path / "run_7.csv"
+    numbers = [(2.5, -1834.2), (-3.0, 2100.5), (9.0, -4.0)]
+    rows = [f"{a};{F};x".replace(".", ",") for a, F in numbers]
+    path.write_text("\n".join(["SA;FY;note", "deg;N;", *rows]))
+    read = load_csv(
+        str(path), ["alpha", "Fy"], ["deg", "N"], "Fy", ["SA", "FY"], decimal=",", drop_rows=[2],
+        where={"SA": [-5, 5]},
+    )  # fmt: skip
+    assert preview(read) == "\n".join(
+        [
+            f"{path}: 3 rows (separated by semicolons; decimal commas; 1 lines left out; SA from "
+            "-5 to 5); name, unit, range, first rows:",
+            "  SA     deg        -3  to         9  |       2.5        -3   9",
+            "  FY     N     -1834.2  to    2100.5  |   -1834.2    2100.5  -4",
+            "used, in SI units and ISO signs: 2 rows",
+            "  alpha  rad  -0.05236  to  0.043633  |  0.043633  -0.05236",
+            "  Fy     N     -1834.2  to    2100.5  |   -1834.2    2100.5",
+        ]
+    )
+    assert preview(TIRE) is None
 
 
 SIGNS = {

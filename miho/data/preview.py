@@ -1,0 +1,92 @@
+"""What was read from a user's file, to be looked at before anything is fitted to it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from miho.data.dataset import Dataset
+
+Array = NDArray[np.float64]
+
+SHOWN = 3
+"""So many rows are shown."""
+
+
+@dataclass(frozen=True)
+class ColumnSummary:
+    """A column: its name, its unit, its smallest and largest number, and the first ones."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    first: tuple[float, ...]
+
+    @classmethod
+    def of(cls, name: str, unit: str, values: Array) -> ColumnSummary:
+        """The summary of a column (N,)."""
+        first = tuple(float(value) for value in values[:SHOWN])
+        return cls(name, unit, float(values.min()), float(values.max()), first)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a file held, in its own names, units and signs; and how it was read, in words."""
+
+    path: str
+    rows: int
+    columns: tuple[ColumnSummary, ...]
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls, path: str, numbers: Mapping[str, Array], units: Sequence[str], notes: Sequence[str]
+    ) -> Reading:
+        """Of the columns (N,) that were read, with the unit of each."""
+        columns = tuple(
+            ColumnSummary.of(name, unit, values)
+            for (name, values), unit in zip(numbers.items(), units, strict=True)
+        )
+        return cls(path, next(iter(numbers.values())).size, columns, tuple(notes))
+
+
+def preview(dataset: Dataset) -> str | None:
+    """The columns of the file and what became of them, as aligned text; None without a file."""
+    reading = dataset.reading
+    if reading is None:
+        return None
+    notes = f" ({'; '.join(reading.notes)})" if reading.notes else ""
+    units = dataset.units
+    taken = [ColumnSummary.of(key, units[key], values) for key, values in dataset.columns.items()]
+    held = f", {len(dataset.held_out)} more held out" if dataset.held_out is not None else ""
+    cells = [_cells(column) for column in (*reading.columns, *taken)]
+    widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+    lines = [_aligned(row, widths) for row in cells]
+    count = len(reading.columns)
+    return "\n".join(
+        [
+            f"{reading.path}: {reading.rows} rows{notes}; name, unit, range, first rows:",
+            *lines[:count],
+            f"used, in SI units and ISO signs: {len(dataset)} rows{held}",
+            *lines[count:],
+        ]
+    )
+
+
+def _cells(column: ColumnSummary) -> list[str]:
+    numbers = (column.low, column.high, *column.first)
+    shown = [f"{value:.5g}" for value in numbers] + [""] * (SHOWN - len(column.first))
+    return [column.name, column.unit, shown[0], "to", shown[1], "|", *shown[2:]]
+
+
+def _aligned(row: Sequence[str], widths: Sequence[int]) -> str:
+    """Name and unit to the left, numbers to the right."""
+    name, unit, *numbers = zip(row, widths, strict=True)
+    texts = [text.ljust(width) for text, width in (name, unit)]
+    return "  ".join(["", *texts, *(text.rjust(width) for text, width in numbers)]).rstrip()
