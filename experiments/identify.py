@@ -15,6 +15,7 @@ from omegaconf import DictConfig
 
 from experiments.build import build
 from experiments.cli import OK, SOME_FAILED, command
+from experiments.forecast import announce
 from experiments.run import line, report, run
 from experiments.sweep import Done, mirrors, sweep, wanted
 from experiments.sweep_command import finished, run_sweep, sweep_settings
@@ -47,6 +48,7 @@ def identify(cfg: DictConfig) -> None:
         return
     experiment = build(cfg)
     refuse_changes(Store(experiment.root), [experiment.identity], fresh=cfg.fresh)
+    announce(experiment, cfg.dataset)
     with mirrors([str(experiment.root)], cfg.tracking) as mirrored:
         execution = run(experiment)
         if execution.run is not None and mirrored:

@@ -6,12 +6,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.constants import g
 
+from miho.data.conventions import sign_problem
 from miho.data.csv import TextFormat
 from miho.data.dataset import Dataset
 from miho.data.driving_log import DrivingLog, load_driving_log
 from miho.models.single_track import SingleTrack
 from miho.models.vehicle_settings import from_settings
+
+LARGEST_SLIP_ANGLE = 1.0
+"""Of an axle [rad]; beyond, a car spins or a unit is wrong."""
+RISING = 0.2
+"""Rank correlation of force and slip angle from which on their signs cannot both be right."""
 
 UNITS = {"alpha": "rad", "vx": "m/s", "ax": "m/s^2", "Fy": "N"}
 
@@ -58,11 +65,43 @@ def axle_samples(
             f"log {log.name}: no sample of {len(log)} is left; lower min_speed {min_speed:g} m/s "
             f"or raise max_ax {max_ax} m/s^2"
         )
+    _check_bank(log, cutoff)
     columns = {
         "alpha": getattr(slip_angles, axle), "vx": vx, "ax": ax, "Fy": getattr(forces, axle),
     }  # fmt: skip
     kept_columns = {key: values[kept] for key, values in columns.items()}
+    largest = float(np.abs(kept_columns["alpha"]).max())
+    if largest > LARGEST_SLIP_ANGLE:
+        raise ValueError(
+            f"log {log.name}: the {axle} axle's slip angle reaches {largest:.3g} rad, expected at "
+            f"most {LARGEST_SLIP_ANGLE:g}; check the units of vy, yaw_rate and steering, or leave "
+            "out where the car spins with start and end"
+        )
+    if sign_problem(kept_columns, UNITS, RISING):
+        raise ValueError(
+            f"log {log.name}: the {axle} axle's force rises with its slip angle, but it falls in "
+            "ISO signs; flip the column whose sign is not ISO's (vy and ay positive to the left, "
+            "yaw_rate and steering in a left turn), or correct sensor_x, delays or steering_ratio"
+        )
     return Dataset(f"{log.name}_{axle}_axle", kept_columns, UNITS, "Fy")
+
+
+def _check_bank(log: DrivingLog, cutoff: float) -> None:
+    """Refuse a bank whose opposite explains clearly better what the accelerometer shows."""
+    if not log.accelerometer or "ay" not in log or "bank" not in log:
+        return
+    motion = log.rate("vy", cutoff) + log.filtered("vx", cutoff) * log.filtered("yaw_rate", cutoff)
+    weight = g * np.sin(log.angle("bank", cutoff))
+    felt = log.filtered("ay", cutoff) - motion
+    as_given, reversed_bank = (
+        float(np.sqrt(np.mean((felt + sign * weight) ** 2))) for sign in (1.0, -1.0)
+    )
+    if reversed_bank < 0.5 * as_given:
+        raise ValueError(
+            f"log {log.name}: ay, vy and yaw_rate fit the opposite bank ({reversed_bank:.2g} against "
+            f"{as_given:.2g} m/s^2 left over); it is positive where the left side is lower, which "
+            "a roll angle of ISO 8855 is not: set flip=[bank]"
+        )
 
 
 def load_axle_samples(
@@ -84,7 +123,7 @@ def load_axle_samples(
     max_ax: float | None = None,
     every: int = 1,
     delimiter: str | None = None,
-    decimal: str = ".",
+    decimal: str = "point",
     skip_rows: int = 0,
     drop_rows: Sequence[int] = (),
     comment: str | None = None,

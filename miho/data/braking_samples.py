@@ -91,7 +91,7 @@ def load_braking_samples(
     settle: float = 0.0,
     every: int = 1,
     delimiter: str | None = None,
-    decimal: str = ".",
+    decimal: str = "point",
     skip_rows: int = 0,
     drop_rows: Sequence[int] = (),
     comment: str | None = None,

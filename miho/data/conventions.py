@@ -44,17 +44,20 @@ def to_iso_w(
     return {key: -column if signs[key] else column for key, column in columns.items()}
 
 
-def sign_problem(columns: Mapping[str, Array], units: Mapping[str, str]) -> tuple[str, str] | None:
+def sign_problem(
+    columns: Mapping[str, Array], units: Mapping[str, str], clear: float = CLEAR
+) -> tuple[str, str] | None:
     """The column that cannot be in ISO-W signs and why, with a remedy; None if all can be.
 
-    A tire pushes against its slip: Fy falls as alpha grows. Fz is what the road carries.
+    A tire pushes against its slip: Fy falls as alpha grows. Fz is what the road carries. clear:
+    rank correlation from which on Fy rises with alpha.
     """
     names = f"choose the file's convention ({', '.join(FLIPPED)}) or flip the column"
     if units.get("Fz") == "N" and np.median(columns["Fz"]) < 0:
         return "Fz", f"Fz is mostly negative, but it is positive in ISO-W; {names}"
     if units.get("alpha") == "rad" and units.get("Fy") == "N":
         alpha, Fy = columns["alpha"], columns["Fy"]
-        if _rank_correlation(alpha, Fy) > CLEAR and alpha @ Fy > 0:
+        if _rank_correlation(alpha, Fy) > clear and alpha @ Fy > 0:
             return "Fy", f"Fy rises with alpha, but it falls in ISO-W; {names}"
     return None
 

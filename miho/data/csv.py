@@ -25,6 +25,8 @@ BLOCK = 10_000
 """Lines read at a time: where one has a fault, these are read again cell by cell."""
 
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t"}
+DECIMALS = {"point": ".", "comma": ","}
+"""The characters themselves need quotes within quotes on a command line."""
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 
 
@@ -40,14 +42,15 @@ class CSVError(ValueError):
 class TextFormat:
     """How a table is written.
 
-    delimiter: "," ";" "tab" or their names; None: a comma, or a semicolon or tab if only that one
-    gives the columns that are asked for. decimal: "." or ",". skip_rows: lines before the one that
-    names the columns. drop_rows: numbers of further lines that are none of data, such as a line of
-    units, counted from 1 as editors do. comment: lines that begin with this are none of data.
+    delimiter: a key of `DELIMITERS`, or the character itself; None: a comma, or a semicolon or tab
+    if only that one gives the columns that are asked for. decimal: likewise of `DECIMALS`.
+    skip_rows: lines before the one that names the columns. drop_rows: numbers of further lines that
+    are none of data, such as a line of units, counted from 1 as editors do. comment: lines that
+    begin with this are none of data.
     """
 
     delimiter: str | None = None
-    decimal: str = "."
+    decimal: str = "point"
     skip_rows: int = 0
     drop_rows: Sequence[int] = ()
     comment: str | None = None
@@ -61,8 +64,9 @@ class TextFormat:
                     "null to have it seen from the header"
                 )
             object.__setattr__(self, "delimiter", delimiter)
-        if self.decimal not in (".", ","):
-            raise ValueError(f"decimal is {self.decimal!r}; choose '.' or ','")
+        object.__setattr__(self, "decimal", DECIMALS.get(self.decimal, self.decimal))
+        if self.decimal not in DECIMALS.values():
+            raise ValueError(f"decimal is {self.decimal!r}; choose from {', '.join(DECIMALS)}")
         if self.decimal == self.delimiter:
             raise ValueError("decimal and delimiter are both ','; only one of them can be")
         if type(self.skip_rows) is not int or self.skip_rows < 0:
@@ -105,7 +109,7 @@ def load_csv(
     where: Mapping[str, Sequence[float]] | None = None,
     every: int = 1,
     delimiter: str | None = None,
-    decimal: str = ".",
+    decimal: str = "point",
     skip_rows: int = 0,
     drop_rows: Sequence[int] = (),
     comment: str | None = None,
@@ -266,9 +270,9 @@ class Table:
             if value is None:
                 problem = f"{text.strip()[:40]!r} in column {name!r} is not a finite number"
                 remedy = "correct the cell, or remove the row or leave it out with drop_rows"
-                other = "," if self.decimal == "." else "."
-                if self.delimiter != "," and _number(text, other) is not None:
-                    remedy = f"write decimals with '{self.decimal}', or set decimal"
+                other = "comma" if self.decimal == "." else "point"
+                if self.delimiter != "," and _number(text, DECIMALS[other]) is not None:
+                    remedy = f"write decimals with '{self.decimal}', or set decimal={other}"
                 raise self._error(line, column, f"{problem}; {remedy}")
             values.append(value)
         return values

@@ -42,7 +42,8 @@ class DrivingLog:
     vx, vy [m/s], ax, ay [m/s^2] along the car's axes at its centre of gravity, x forward and y to
     the left; yaw_rate [rad/s] and steering, the mean angle of the front wheels [rad], positive to
     the left; gear from 1, 0 for neutral; engine_speed [rad/s]; throttle from 0 to 1; brake
-    pressure [Pa]; grade [rad], positive uphill; bank [rad], positive when the left side is lower.
+    pressure [Pa]; grade [rad], positive uphill; bank [rad], positive when the left side is lower,
+    as in a left-hand oval's turns: a roll angle of ISO 8855 has the opposite sign.
 
     `accelerometer` says what ax and ay are: what a sensor fixed to the car shows, which feels the
     support against weight on a grade or bank (True), or the acceleration of the motion (False).
@@ -87,6 +88,13 @@ class DrivingLog:
         for key, low, high, hint in (
             ("throttle", -0.05, 1.05, "is its unit %?"),
             ("steering", -1.2, 1.2, "is its unit deg, or is it the hand wheel's?"),
+            ("bank", -0.8, 0.8, "is its unit deg?"),
+            ("grade", -0.5, 0.5, "is its unit deg or %?"),
+            ("yaw_rate", -10.0, 10.0, "is its unit deg/s?"),
+            ("vx", -150.0, 150.0, "is its unit km/h?"),
+            ("vy", -100.0, 100.0, "is its unit km/h?"),
+            ("ax", -100.0, 100.0, "is its unit wrong?"),
+            ("ay", -100.0, 100.0, "is its unit wrong?"),
         ):
             if key in channels and not ((channels[key] >= low) & (channels[key] <= high)).all():
                 worst = int(np.argmax(np.abs(channels[key])))

@@ -170,7 +170,7 @@ def load_torque_samples(
     rules: Mapping[str, float] | None = None,
     every: int = 1,
     delimiter: str | None = None,
-    decimal: str = ".",
+    decimal: str = "point",
     skip_rows: int = 0,
     drop_rows: Sequence[int] = (),
     comment: str | None = None,

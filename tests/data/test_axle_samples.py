@@ -201,3 +201,47 @@ def test_a_real_cars_cornering_stiffness(
     slope, _ = np.polyfit(data["alpha"], data["Fy"], 1)
     assert low < -slope < high
     assert np.corrcoef(data["alpha"], data["Fy"])[0, 1] < -0.8
+
+
+def changed(log: DrivingLog, **channels: Array) -> DrivingLog:
+    return DrivingLog(log.name, {**log.channels, **channels}, log.accelerometer)
+
+
+@pytest.mark.parametrize("axle", ["front", "rear"])
+@pytest.mark.parametrize("channels", [("ay",), ("vy", "yaw_rate", "steering")])
+def test_a_force_that_rises_with_the_slip_angle_is_refused(
+    weave: DrivingLog, axle: str, channels: tuple[str, ...]
+) -> None:
+    """As a log does whose columns have different conventions; `flip` makes it right."""
+    wrong = changed(weave, **{key: -weave[key] for key in channels})
+    with pytest.raises(ValueError, match=rf"the {axle} axle's force rises .*; flip the column"):
+        axle_samples(wrong, CAR, axle)
+    axle_samples(changed(wrong, **{key: -wrong[key] for key in channels}), CAR, axle)
+
+
+def test_a_slip_angle_that_no_car_keeps(weave: DrivingLog) -> None:
+    with pytest.raises(ValueError, match=r"slip angle reaches .* rad, expected at most 1; check"):
+        axle_samples(changed(weave, vy=30 * weave["vy"]), CAR)
+
+
+def test_a_bank_of_the_other_convention_is_refused(quiet: DrivingLog) -> None:
+    """A sensor on a bank of 10 deg shows less by g sin(bank), where the left side is lower."""
+    bank = np.full(len(quiet), np.radians(10.0))
+    tilted = changed(quiet, bank=bank, ay=quiet["ay"] - 9.80665 * np.sin(bank))
+    level, right = axle_samples(quiet, CAR), axle_samples(tilted, CAR)
+    shift = 800.0 * 9.80665 * np.sin(bank[0]) * CAR.lr / (CAR.lf + CAR.lr)
+    np.testing.assert_allclose(right["Fy"], level["Fy"] - shift, rtol=0.01, atol=20.0)
+    with pytest.raises(ValueError, match=r"fit the opposite bank .*: set flip=\[bank\]"):
+        axle_samples(changed(tilted, bank=-bank), CAR)
+
+
+@pytest.mark.parametrize(
+    ("channel", "value", "hint"),
+    [("bank", 2.34, "deg"), ("grade", -3.0, "deg or %"), ("yaw_rate", 12.0, "deg/s"),
+     ("vx", 280.0, "km/h")],
+)  # fmt: skip
+def test_channels_that_cannot_be_in_their_unit(
+    weave: DrivingLog, channel: str, value: float, hint: str
+) -> None:
+    with pytest.raises(ValueError, match=rf"{channel} reaches {value:g}; .* is its unit {hint}\?"):
+        changed(weave, **{channel: np.full(len(weave), value)})

@@ -47,7 +47,7 @@ BAD = {
     "a long line": ("a,b\n" + "1" * 10_001, "2:10000", "longer than"),
     "blanks": ("a b\n1 2\n", "1:1", "separate columns with commas"),
     "two delimiters": ("a;b\n1,2\n", "2:1", "1 cells; every row must have 2; add or remove"),
-    "decimal commas": ("a;b\n1,5;2\n", "2:1", "write decimals with '.', or set decimal"),
+    "decimal commas": ("a;b\n1,5;2\n", "2:1", "write decimals with '.', or set decimal=comma"),
 }
 
 
@@ -79,7 +79,7 @@ def test_a_spreadsheet_of_central_europe(tmp_path: Path, quote: str, rows: int) 
     head = ["Prüfstand 3", "a;b;Bemerkung", "deg;kN;", "# Lauf 1"]
     lines = [*head, *(";".join([*row, "gut, soweit"]) for row in cells)]
     path = file(tmp_path, "\n".join(lines))
-    text = TextFormat(decimal=",", skip_rows=1, drop_rows=[3], comment="#")
+    text = TextFormat(decimal="comma", skip_rows=1, drop_rows=[3], comment="#")
     found = read_numbers(path, ["b", "a"], header=True, text=text)
     assert np.array_equal(found["a"], values[:, 0])
     assert np.array_equal(found["b"], values[:, 1])
@@ -93,7 +93,7 @@ def test_a_spreadsheet_of_central_europe(tmp_path: Path, quote: str, rows: int) 
     ("settings", "message"),
     [
         ({"delimiter": "x"}, "delimiter is 'x'; choose from comma, semicolon, tab"),
-        ({"decimal": "x"}, "decimal is 'x'; choose '.' or ','"),
+        ({"decimal": "x"}, "decimal is 'x'; choose from point, comma"),
         ({"decimal": ",", "delimiter": "comma"}, "decimal and delimiter are both ','"),
         ({"skip_rows": -1}, "skip_rows is -1; expected a number of lines"),
         ({"drop_rows": [0]}, r"drop_rows is \[0\]; list the numbers of lines, counted from 1"),
