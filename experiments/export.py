@@ -28,6 +28,8 @@ from miho.study import load_runs, read_run, write_text
 from miho.study.identity import sha256
 
 COLUMNS = "columns.json"
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""What a formula begins with in a spreadsheet (OWASP, "CSV Injection")."""
 MEANING = {
     "id": ("", "hash of configuration, code, data and seed"),
     "problem": ("", "model and data"),
@@ -54,15 +56,32 @@ def write_csv(runs: pd.DataFrame, curves: pd.DataFrame, folder: Path) -> None:
 
     Python's `float` returns them bit for bit, and so does `pandas.read_csv` from pandas 3.1 on; an
     older one needs `float_precision="round_trip"`. An empty field is a number that is not known.
+    Text that a spreadsheet would run as a formula gets an apostrophe before it, since results can
+    come from others.
     """
 
     def written(table: pd.DataFrame, path: Path) -> str:
-        text = table.to_csv(index=False, lineterminator="\n")
+        text = _without_formulas(table).to_csv(index=False, lineterminator="\n")
         write_text(path, text)
         return sha256(text)
 
     reader = 'pandas.read_csv(path), before pandas 3.1 with float_precision="round_trip"'
     _write({"runs.csv": runs, "curves.csv": curves}, folder, reader, written)
+
+
+def _without_formulas(table: pd.DataFrame) -> pd.DataFrame:
+    """Names and text that begin as a formula does, behind an apostrophe; a lone "-" is a unit."""
+
+    def quoted(cell: object) -> object:
+        formula = isinstance(cell, str) and cell != "-" and cell.startswith(FORMULA)
+        return f"'{cell}" if formula else cell
+
+    plain = table.rename(columns=quoted)
+    for place, kind in enumerate(table.dtypes):
+        if not pd.api.types.is_numeric_dtype(kind):
+            name = plain.columns[place]
+            plain[name] = table.iloc[:, place].map(quoted)
+    return plain
 
 
 def write_parquet(runs: pd.DataFrame, curves: pd.DataFrame, folder: Path) -> None:

@@ -98,9 +98,9 @@ def _check_bank(log: DrivingLog, cutoff: float) -> None:
     )
     if reversed_bank < 0.5 * as_given:
         raise ValueError(
-            f"log {log.name}: ay, vy and yaw_rate fit the opposite bank ({reversed_bank:.2g} against "
-            f"{as_given:.2g} m/s^2 left over); it is positive where the left side is lower, which "
-            "a roll angle of ISO 8855 is not: set flip=[bank]"
+            f"log {log.name}: ay, vy and yaw_rate fit the opposite bank ({reversed_bank:.2g} "
+            f"against {as_given:.2g} m/s^2 left over); it is positive where the left side is "
+            "lower, which a roll angle of ISO 8855 is not: set flip=[bank]"
         )
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Mapping
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import isfinite, isinf, prod
 from pathlib import Path
-from typing import NoReturn
+from typing import NamedTuple, NoReturn
 
 from miho.models.magic_formula import MagicFormula
 from miho.models.magic_formula_parameters import (
@@ -22,6 +23,8 @@ from miho.models.magic_formula_parameters import (
 from miho.models.tir_format import (
     DIMENSIONS,
     KEYS,
+    PRESSURE,
+    PRESSURE_FACTORS,
     SECTION_OF,
     SI_UNITS,
     TABLES,
@@ -33,6 +36,8 @@ from miho.regular_file import NotAFileError, read_regular
 
 MAX_BYTES = 4 * 2**20
 MAX_LINE = 10_000
+MAX_LISTED = 60
+"""So many further faults are named in the message of the first."""
 
 _VERSIONS: dict[float, Version] = {
     5: "5.2", 6: "5.2", 21: "5.2", 52: "5.2", 61: "6.1", 62: "6.2",
@@ -94,11 +99,30 @@ def read_tir(path: str | os.PathLike[str]) -> PropertyFile:
     Numbers are converted to SI by [UNITS], which is required. Unknown sections and keys are kept
     as they are. Raises `TirError` for anything that cannot be read with certainty.
     """
-    name = os.fspath(path)
+    return _read(os.fspath(path), strict=True)[0]
+
+
+def _read(name: str, *, strict: bool) -> tuple[PropertyFile, list[_Fault]]:
+    """The file, and the lines that were left out because they cannot be read; none if strict."""
     reader = _Reader(name)
     for number, raw in enumerate(_lines(name), start=1):
         reader.read_line(number, raw)
-    return reader.finish()
+    if strict:
+        _refuse([fault.error for fault in reader.faults], [_where(f) for f in reader.faults])
+    return reader.finish(), reader.faults
+
+
+def _where(fault: _Fault) -> str:
+    return f"{fault.key or 'a line'} in line {fault.line}"
+
+
+def _refuse(errors: Sequence[TirError], places: Sequence[str]) -> None:
+    """Raise the first of these errors, if any, with the places of the others in the same line."""
+    if len(errors) > 1:
+        more = ", ".join(places[1 : MAX_LISTED + 1]) + ", ..." * (len(places) > MAX_LISTED + 1)
+        raise TirError(f"{errors[0]}; likewise {len(places) - 1} more: {more}")
+    if errors:
+        raise errors[0]
 
 
 def write_tir(file: PropertyFile | MagicFormula, path: str | os.PathLike[str]) -> None:
@@ -128,12 +152,23 @@ def load_tir(path: str | os.PathLike[str], strict: bool = True) -> MagicFormula:
 
     Every coefficient the version's force equations read must be there; scaling factors default
     to 1 (LMUV to 0) and absent ranges do not limit. `strict` refuses sections and keys that the
-    version does not have; without it they are ignored. Raises `TirError`.
+    version does not have, and lines that cannot be read; without it they are ignored if no force
+    needs them, unreadable ones with one warning that lists them. Raises `TirError`.
     """
-    file = read_tir(path)
+    file, faults = _read(os.fspath(path), strict=strict)
     version = _version(file)
+    needed = [f for f in faults if f.key in parameter_names(version) | {*UNIT_FACTORS, "FITTYP"}]
+    _refuse([fault.error for fault in needed], [_where(fault) for fault in needed])
     if strict:
         _check_vocabulary(file, version)
+    elif faults:
+        left_out = ", ".join(_where(fault) for fault in faults)
+        warnings.warn(
+            f"{file.path}: {len(faults)} lines that no force needs cannot be read and are left "
+            f"out: {left_out}",
+            UserWarning,
+            stacklevel=2,
+        )
     values: dict[str, float] = {}
     missing: dict[str, list[str]] = {}
     for name in sorted(parameter_names(version)):
@@ -193,11 +228,23 @@ def _lines(path: str) -> list[str]:
     return lines[:-1] if len(lines) > 1 and not lines[-1] else lines
 
 
+class _Fault(NamedTuple):
+    """A line that cannot be read as KEY = value; the key is "" where there is none."""
+
+    line: int
+    key: str
+    error: TirError
+
+
 class _Reader:
-    """Collects one file line by line; `finish` converts the units."""
+    """Collects one file line by line; `finish` converts the units.
+
+    Lines that spoil no other are kept as `faults`.
+    """
 
     def __init__(self, path: str) -> None:
         self.path = path
+        self.faults: list[_Fault] = []
         self.number = 1
         self.section = ""
         self.sections: dict[str, dict[str, Value]] = {}
@@ -206,7 +253,7 @@ class _Reader:
         self.rows: dict[str, list[tuple[float, ...]]] = {}
 
     def fail(self, column: int, problem: str, remedy: str) -> NoReturn:
-        raise TirError.at(self.path, self.number, column, problem, remedy)
+        raise self.error(column, problem, remedy)
 
     def read_line(self, number: int, raw: str) -> None:
         self.number = number
@@ -226,7 +273,14 @@ class _Reader:
         elif self.section in TABLES:
             self._row(text, column)
         else:
-            self.fail(column, f"{_shown(text)} is not of the form KEY = value", "add the '='")
+            problem = f"{_shown(text)} is not of the form KEY = value"
+            self._keep("", self.error(column, problem, "add the '='"))
+
+    def error(self, column: int, problem: str, remedy: str) -> TirError:
+        return TirError.at(self.path, self.number, column, problem, remedy)
+
+    def _keep(self, key: str, error: TirError) -> None:
+        self.faults.append(_Fault(self.number, key, error))
 
     def _without_comment(self, raw: str) -> str:
         match = _CONTENT.match(raw)
@@ -253,12 +307,17 @@ class _Reader:
         column = len(left) - len(left.lstrip()) + 1
         key = left.strip().upper()
         if not _KEY.fullmatch(key):
-            self.fail(column, f"{_shown(left.strip())} is not a key", "use letters, digits and _")
+            problem = f"{_shown(left.strip())} is not a key"
+            self._keep("", self.error(column, problem, "use letters, digits and _"))
+            return
         if key in self.sections[self.section]:
             line = self.places[self.section, key][0]
             self.fail(column, f"{key} was already given in line {line}", "keep one of the two")
         column = len(left) + 2 + len(right) - len(right.lstrip())
-        self.sections[self.section][key] = self._value(right.strip(), column, key)
+        try:
+            self.sections[self.section][key] = self._value(right.strip(), column, key)
+        except TirError as error:
+            self._keep(key, error)
         self.places[self.section, key] = (self.number, column)
 
     def _value(self, text: str, column: int, key: str) -> Value:
@@ -303,9 +362,13 @@ class _Reader:
     def finish(self) -> PropertyFile:
         file = PropertyFile(self.sections, {}, self.path, self.places, self.number)
         factors = _unit_factors(file)
+        pressure = _pressure_factor(file)
 
         def si(section: str, key: str, value: float, dimension: Dimension) -> float:
-            converted = value * prod(f**n for f, n in zip(factors, dimension, strict=True))
+            factor = prod(f**n for f, n in zip(factors, dimension, strict=True))
+            if dimension == PRESSURE and pressure is not None:
+                factor = pressure
+            converted = value * factor
             if not isfinite(converted):
                 problem = f"{value} is not finite in SI units"
                 raise file.error(section, key, problem, "write a smaller number")
@@ -316,6 +379,8 @@ class _Reader:
             if isinstance(value, float):
                 self.sections[section][key] = si(section, key, value, dimension)
         self.sections["UNITS"].update(SI_UNITS)
+        if pressure is not None:
+            self.sections["UNITS"]["PRESSURE"] = "pascal"
         tables = {
             section: Table(
                 self.columns.get(section, ()),
@@ -350,6 +415,17 @@ def _unit_factors(file: PropertyFile) -> tuple[float, ...]:
     return tuple(factors)
 
 
+def _pressure_factor(file: PropertyFile) -> float | None:
+    """Factor to Pa of a unit of pressure of its own, which newer files have; None without one."""
+    unit = file.sections["UNITS"].get("PRESSURE")
+    if unit is None:
+        return None
+    if not isinstance(unit, str) or unit.lower() not in PRESSURE_FACTORS:
+        problem = f"{_shown(unit)} is not a unit of PRESSURE"
+        raise file.error("UNITS", "PRESSURE", problem, f"use one of {', '.join(PRESSURE_FACTORS)}")
+    return PRESSURE_FACTORS[unit.lower()]
+
+
 def _version(file: PropertyFile) -> Version:
     fittyp = file.sections.get("MODEL", {}).get("FITTYP")
     if fittyp is None:
@@ -362,6 +438,7 @@ def _version(file: PropertyFile) -> Version:
 
 
 def _check_vocabulary(file: PropertyFile, version: Version) -> None:
+    errors, places = [], []
     for section, key in _entries(file):
         coefficient = section.endswith("_COEFFICIENTS") and key
         if section not in KEYS:
@@ -374,7 +451,10 @@ def _check_vocabulary(file: PropertyFile, version: Version) -> None:
             problem = f"{key} is text, not a number"
         else:
             continue
-        raise file.error(section, key, problem, "correct or remove it, or load with strict=False")
+        remedy = "correct or remove it, or load with strict=False"
+        errors.append(file.error(section, key, problem, remedy))
+        places.append(f"[{section}] {key}".strip())
+    _refuse(errors, places)
     present = [name for name in TURNSLIP_NAMES if name in file.sections]
     if len(present) > 1:
         problem = f"[{present[1]}] is the same section as [{present[0]}]"

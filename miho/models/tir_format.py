@@ -34,6 +34,14 @@ UNIT_FACTORS = MappingProxyType(
     }
 )  # fmt: skip
 
+# A unit of pressure of its own may stand there too, else it is that of force over length squared.
+PRESSURE_FACTORS = MappingProxyType(
+    {
+        "pascal": 1.0, "pa": 1.0, "newton/meter^2": 1.0, "kpa": 1000.0, "kilopascal": 1000.0,
+        "mpa": 1e6, "megapascal": 1e6, "bar": 1e5, "psi": 6894.757293168362,
+    }
+)  # fmt: skip
+
 SI_UNITS = MappingProxyType(
     {"LENGTH": "meter", "FORCE": "newton", "ANGLE": "radian", "MASS": "kg", "TIME": "second"}
 )
@@ -41,7 +49,7 @@ SI_UNITS = MappingProxyType(
 # Exponents of (length, force, angle, mass, time). Coefficients have none: the Magic Formula is
 # written for radians, so ANGLE concerns the ranges and the yaw stiffness only.
 _LENGTH, _FORCE, _ANGLE, _MASS = (1, 0, 0, 0, 0), (0, 1, 0, 0, 0), (0, 0, 1, 0, 0), (0, 0, 0, 1, 0)
-_SPEED, _FREQUENCY, _PRESSURE = (1, 0, 0, 0, -1), (0, 0, 0, 0, -1), (-2, 1, 0, 0, 0)
+_SPEED, _FREQUENCY, PRESSURE = (1, 0, 0, 0, -1), (0, 0, 0, 0, -1), (-2, 1, 0, 0, 0)
 _INERTIA, _STIFFNESS, _DAMPING = (2, 0, 0, 1, 0), (-1, 1, 0, 0, 0), (-1, 1, 0, 0, 1)
 
 Dimension = tuple[int, int, int, int, int]
@@ -53,7 +61,7 @@ DIMENSIONS: MappingProxyType[tuple[str, str], Dimension] = MappingProxyType(
             ("MODEL", _SPEED, "LONGVL VXLOW"),
             ("MODEL", _LENGTH, "ROAD_INCREMENT HMAX_LOCAL"),
             ("DIMENSION", _LENGTH, "UNLOADED_RADIUS WIDTH RIM_RADIUS RIM_WIDTH"),
-            ("OPERATING_CONDITIONS", _PRESSURE, "INFLPRES NOMPRES"),
+            ("OPERATING_CONDITIONS", PRESSURE, "INFLPRES NOMPRES"),
             ("INERTIA", _MASS, "MASS BELT_MASS"),
             ("INERTIA", _INERTIA, "IXX IYY BELT_IXX BELT_IYY"),
             ("INERTIA", (1, 0, 0, 0, -2), "GRAVITY"),
@@ -65,7 +73,7 @@ DIMENSIONS: MappingProxyType[tuple[str, str], Dimension] = MappingProxyType(
             ("STRUCTURAL", (1, 1, -1, 0, 0), "YAW_STIFFNESS"),
             ("STRUCTURAL", _FREQUENCY, "FREQ_LONG FREQ_LAT FREQ_YAW FREQ_WINDUP"),
             ("CONTACT_PATCH", _LENGTH, "ELLIPS_MAX_STEP"),
-            ("INFLATION_PRESSURE_RANGE", _PRESSURE, "PRESMIN PRESMAX"),
+            ("INFLATION_PRESSURE_RANGE", PRESSURE, "PRESMIN PRESMAX"),
             ("VERTICAL_FORCE_RANGE", _FORCE, "FZMIN FZMAX"),
             ("SLIP_ANGLE_RANGE", _ANGLE, "ALPMIN ALPMAX"),
             ("INCLINATION_ANGLE_RANGE", _ANGLE, "CAMMIN CAMMAX"),
@@ -103,12 +111,14 @@ KEYS: MappingProxyType[str, frozenset[str]] = MappingProxyType(
         section: frozenset(" ".join(keys).split())
         for section, *keys in (
             ("MDI_HEADER", "FILE_TYPE FILE_VERSION FILE_FORMAT"),
-            ("UNITS", "LENGTH FORCE ANGLE MASS TIME"),
+            ("UNITS", "LENGTH FORCE ANGLE MASS TIME PRESSURE"),
             (
                 "MODEL",
                 "FITTYP TYRESIDE LONGVL VXLOW ROAD_INCREMENT ROAD_DIRECTION TYPE FUNCTION_NAME",
                 "PROPERTY_FILE_FORMAT USER_SUB_ID N_TIRE_STATES USE_MODE HMAX_LOCAL",
-                "SWITCH_INTEG TIME_SWITCH_INTEG CONTACT_MODEL",
+                "SWITCH_INTEG TIME_SWITCH_INTEG",
+                # of Adams
+                "CONTACT_MODEL MESSAGES FE_METHOD MFSAFE1 MFSAFE2 MFSAFE3",
             ),
             ("DIMENSION", "UNLOADED_RADIUS WIDTH ASPECT_RATIO RIM_RADIUS RIM_WIDTH"),
             ("OPERATING_CONDITIONS", "INFLPRES NOMPRES"),
@@ -129,7 +139,7 @@ KEYS: MappingProxyType[str, frozenset[str]] = MappingProxyType(
             (
                 "CONTACT_PATCH",
                 "ELLIPS_SHIFT ELLIPS_LENGTH ELLIPS_HEIGHT ELLIPS_ORDER ELLIPS_MAX_STEP",
-                "ELLIPS_NWIDTH ELLIPS_NLENGTH ELLIPS_INC ENV_C1 ENV_C2",
+                "ELLIPS_NWIDTH ELLIPS_NLENGTH ELLIPS_INC ENV_C1 ENV_C2 CONTACT_MODEL",
                 _numbered("Q_RA1-2 Q_RB1-2 Q_A1-2"),
             ),
             *((table,) for table in TABLES),

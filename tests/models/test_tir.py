@@ -308,6 +308,61 @@ def test_without_strict_unknown_names_are_kept_and_ignored(tmp_path: Path) -> No
     assert read_tir(path).sections["SUPPLIER"]["BATCH"] == 7.0
 
 
+VENDOR = "[SUPPLIER]\n" + "".join(f"BLANK_{i} =\nBARE_{i} = not, quoted\n" for i in range(20))
+VENDOR += "free text\nnot a key = 3\n"
+
+
+def test_without_strict_what_no_force_needs_may_be_malformed(tmp_path: Path) -> None:
+    """All at once: one warning lists them, and in strict mode one error."""
+    path = saved(tmp_path, LF.replace("[VERTICAL]", "[VERTICAL]\nBREFF =") + VENDOR)
+    with pytest.warns(UserWarning, match=r"43 lines that no force needs .*: BREFF in line ") as one:
+        assert load_tir(path, strict=False) == load_tir(embedded_tire("lf"))
+    assert len(one) == 1
+    message = str(one[0].message)
+    assert "BARE_19 in line" in message
+    assert message.count("a line in line") == 2
+    with pytest.raises(TirError, match=r"BREFF has no value; .*; likewise 42 more: BLANK_0 in l"):
+        load_tir(path)
+
+
+def test_what_forces_need_must_be_well_formed_and_is_listed_at_once(tmp_path: Path) -> None:
+    text = LF + VENDOR
+    for key in ("PCY1", "PKY1", "LMUY"):
+        text = re.sub(rf"(?m)^{key}\b.*$", f"{key} = ?", text)
+    path = saved(tmp_path, text)
+    expected = r"'\?' is not a number; .*; likewise 2 more: P[CK]Y1 in line \d+, PKY1 in line \d+$"
+    with pytest.raises(TirError, match=expected):
+        load_tir(path, strict=False)
+
+
+def test_unknown_keys_are_listed_at_once(tmp_path: Path) -> None:
+    path = saved(tmp_path, LF + "[SUPPLIER]\nBATCH = 7\n[ODD]\n")
+    with pytest.raises(TirError, match=r"\[SUPPLIER\] is .*; likewise 2 more: .* BATCH, \[ODD\]$"):
+        load_tir(path)
+
+
+def test_files_of_adams_load_strictly(tmp_path: Path) -> None:
+    """Keys of files that Adams/Tire comes with (PAC2002, MF_05), as public libraries hold them."""
+    keys = "MESSAGES = 'YES'\nCONTACT_MODEL = '3D_ENVELOPING'\nFE_METHOD = 'YES'\nMFSAFE1 = -7128\n"
+    text = LF.replace("[MODEL]\n", f"[MODEL]\n{keys}")
+    assert load_tir(saved(tmp_path, text)) == load_tir(embedded_tire("lf"))
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("pascal", 1.0), ("kPa", 1e3), ("bar", 1e5)])
+def test_pressures_may_have_a_unit_of_their_own(tmp_path: Path, unit: str, factor: float) -> None:
+    """Else they are in that of force over length squared, here kN/m^2."""
+    text = re.sub(r"(?m)^FORCE.*$", f"FORCE = 'kilonewton'\nPRESSURE = '{unit}'", LF)
+    file = read_tir(saved(tmp_path, text))
+    raw = float(re.search(r"(?m)^NOMPRES\s*=\s*([\d.e+]+)", LF)[1])  # type: ignore[index]
+    assert file.sections["OPERATING_CONDITIONS"]["NOMPRES"] == pytest.approx(raw * factor)
+    again = tmp_path / "again.tir"
+    write_tir(file, again)
+    assert read_tir(again) == file
+    wrong = saved(tmp_path, text.replace(f"'{unit}'", "'torr'"))
+    with pytest.raises(TirError, match="'torr' is not a unit of PRESSURE; use one of pascal"):
+        read_tir(wrong)
+
+
 @pytest.mark.parametrize("name", ["TURNSLIP", "TURNSLIP_COEFFICIENTS"])
 def test_both_names_of_the_turn_slip_section_are_known(tmp_path: Path, name: str) -> None:
     assert "PHYP4" in KEYS[name]
