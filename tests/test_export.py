@@ -140,3 +140,22 @@ def test_nothing_to_export(
     assert command(monkeypatch, tmp_path / "absent", "--to", "csv") == 2
     assert command(monkeypatch, tmp_path, tmp_path, "--output", tmp_path) == 2
     assert "no finished runs" in capsys.readouterr().err
+
+
+def test_text_cannot_become_a_formula(tmp_path: Path) -> None:
+    """Names of received results; numbers, negative ones too, stay numbers, and "-" is a unit."""
+    root = root_of(tmp_path, 4)
+    found = load_runs(root)
+    runs = found.runs.assign(theta=-1.5, unit="-")
+    runs["problem"] = ["=1+1", "+cmd|' /C calc'!A0", "-2+3", "@SUM(1)"]
+    runs["optimizer"] = "plain"
+    write_csv(runs.rename(columns={"outcome": "=outcome"}), found.curves, tmp_path / "csv")
+    with (tmp_path / "csv" / "runs.csv").open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["problem"] for row in rows] == ["'=1+1", "'+cmd|' /C calc'!A0", "'-2+3", "'@SUM(1)"]
+    assert {(row["theta"], row["unit"], row["optimizer"]) for row in rows} == {
+        ("-1.5", "-", "plain")
+    }
+    assert "'=outcome" in rows[0]
+    cells = [cell for row in rows for cell in (*row, *row.values())]
+    assert not [cell for cell in cells if cell.startswith(("=", "+", "@"))]

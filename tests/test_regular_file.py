@@ -1,4 +1,4 @@
-"""Paths that a user names by mistake or a stranger on purpose: nothing waits, nothing is endless."""
+"""Paths that a user names by mistake or a stranger on purpose: nothing waits or has no end."""
 
 import os
 import socket

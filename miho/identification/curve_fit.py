@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -27,6 +28,8 @@ Array = NDArray[np.float64]
 TRIALS = 5
 """Configurations at which a new problem is tried out."""
 LINEAR = 1e-9
+FAR = 2.0
+"""A nominal value this factor beyond the data is far from them."""
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
 
@@ -84,12 +87,29 @@ class CurveFit(LeastSquaresProblem):
                 raise ValueError(f"{called}.{method} gives shape {found_shape}; expected {shape}")
 
         self._check_values(called)
+        self._check_nominal(called)
         if self.compressed and self._compressed is None:
             raise ValueError(
                 f"compressed is true for {called} with {len(model.inputs)} inputs and the loss "
                 f"{type(self.rho).__name__}; expected an Expression of one input that has a bound, "
                 "and the loss Square; set compressed to false"
             )
+
+    def _check_nominal(self, called: str) -> None:
+        """Warn where parameters refer to conditions far from those of the data."""
+        for name, (nominal, value) in self.model.nominal.items():
+            column = self.dataset[name]
+            low, high = float(column.min()), float(column.max())
+            if not low / FAR <= value <= FAR * high:
+                unit = self.dataset.units[name]
+                warnings.warn(
+                    f"{called}: {nominal} is {value:g} {unit}, but {name} is {low:g} to {high:g} "
+                    f"{unit} in {self.dataset.name}: the coefficients refer to what was not "
+                    f"measured, and their usual ranges need not hold; choose {nominal} near "
+                    f"{float(np.median(column)):.3g}",
+                    UserWarning,
+                    stacklevel=2,
+                )
 
     def _check_values(self, called: str) -> None:
         """Refuse rows that the model predicts nowhere, and a linearity that is not so."""

@@ -89,6 +89,13 @@ class LateralMagicFormula(Model):
         """Those of the identified coefficients in which the force is linear."""
         return tuple(name for name in self.identified if name in ("PVY1", "PVY2"))
 
+    @property
+    def nominal(self) -> Mapping[str, tuple[str, float]]:  # type: ignore[override]
+        """Load [N] and pressure [Pa] that the coefficients refer to."""
+        p = self.base.parameters
+        known = {"Fz": ("FNOMIN", p.LFZO * p.FNOMIN), "pressure": ("NOMPRES", p.NOMPRES)}
+        return {name: known[name] for name in self.inputs if name in known}
+
     def with_coefficients(self, theta: Array) -> MagicFormula:
         """The base tire with the identified coefficients (d,); `write_tir` makes a file of it."""
         values = dict(zip(self.identified, np.asarray(theta, dtype=float).tolist(), strict=True))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,9 @@ class Model(ABC):
     all others are held; methods that know how solve for them directly. `name` is what its problems
     are called, the class in small letters if empty; `source` is the file of a model that does not
     belong to this package, so that a change of it is noticed; an `ordered` model needs every row
-    of the data in order, as one with a memory does.
+    of the data in order, as one with a memory does. `nominal` gives of some inputs the value that
+    the parameters refer to, as (what it is called, value): far outside of the data, their values
+    are extrapolations.
     """
 
     inputs: Mapping[str, str]
@@ -34,6 +37,7 @@ class Model(ABC):
     name: str = ""
     source: Path | None = None
     ordered: bool = False
+    nominal: Mapping[str, tuple[str, float]] = MappingProxyType({})
 
     @abstractmethod
     def predict(self, thetas: Array, *inputs: Array) -> Array:

@@ -11,6 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from miho import CurveFit, Dataset, Parameter, Space
 from miho.data import embedded_tire, sample_lateral
 from miho.models import LateralMagicFormula, load_tir, mf61_lateral, write_tir
 from miho.models.lateral_magic_formula import UNITS
@@ -189,3 +190,26 @@ def test_a_tire_of_mf_52_is_no_base() -> None:
     old = replace(LF, parameters=replace(LF.parameters, version="5.2"))
     with pytest.raises(ValueError, match=r"MF 5\.2; expected MF 6\.1"):
         LateralMagicFormula(old)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"FNOMIN": 400.0}, r"FNOMIN is 400 N, but Fz is \d+ to \d+ N in .*; choose FNOMIN near"),
+        ({"NOMPRES": 2e6}, r"NOMPRES is 2e\+06 Pa, but pressure is .*; choose NOMPRES near"),
+    ],
+)
+def test_nominal_values_far_from_the_data_are_told(changes: dict[str, float], message: str) -> None:
+    rng = np.random.default_rng(4)
+    base = {"FNOMIN": 3000.0, "NOMPRES": 2e5, "UNLOADED_RADIUS": 0.3, "LONGVL": 16.7}
+    columns = {
+        "alpha": rng.uniform(-0.2, 0.2, 50), "Fz": rng.uniform(2000, 5000, 50),
+        "gamma": np.zeros(50), "pressure": rng.uniform(1.8e5, 2.4e5, 50),
+    }  # fmt: skip
+    units = {"alpha": "rad", "Fz": "N", "gamma": "rad", "pressure": "Pa", "Fy": "N"}
+    data = Dataset("rig", columns | {"Fy": -3e4 * columns["alpha"]}, units, "Fy")
+    names = {"PCY1": (1, 2), "PDY1": (0.5, 2), "PKY1": (-90, -5), "PKY2": (1, 3), "PPY1": (-2, 2)}
+    space = Space(tuple(Parameter(name, UNITS[name], *box) for name, box in names.items()))
+    CurveFit(mf61_lateral(base, tuple(names)), data, space)
+    with pytest.warns(UserWarning, match=message):
+        CurveFit(mf61_lateral(base | changes, tuple(names)), data, space)
