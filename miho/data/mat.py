@@ -213,9 +213,9 @@ def _variable(matrix: memoryview, order: str) -> tuple[str, Variable]:
         return name, Variable(OTHERS[number], shape, np.dtype("V0"), rest[:0])
     if number not in NUMBERS:
         raise DamagedError
-    own = np.dtype(NUMBERS[number]).newbyteorder(order)
+    own = np.dtype(order + NUMBERS[number])
     kind, content, rest = _element(rest, order)
-    stored = np.dtype(STORED.get(kind, "V0")).newbyteorder(order)
+    stored = np.dtype(order + STORED.get(kind, "V0"))
     # Numbers are stored as what they are, or to save room as smaller integers.
     smaller = stored.kind in "iu" and stored.itemsize < own.itemsize
     if not (stored == own or smaller) or len(content) != math.prod(shape) * stored.itemsize:

@@ -106,7 +106,7 @@ class CurveFit(LeastSquaresProblem):
                     f"{called}: {nominal} is {value:g} {unit}, but {name} is {low:g} to {high:g} "
                     f"{unit} in {self.dataset.name}: the coefficients refer to what was not "
                     f"measured, and their usual ranges need not hold; choose {nominal} near "
-                    f"{float(np.median(column)):.3g}",
+                    f"{float(np.median(column)):.4g}",
                     UserWarning,
                     stacklevel=2,
                 )
