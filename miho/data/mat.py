@@ -140,30 +140,33 @@ def _matrices(data: memoryview, order: str) -> Iterator[memoryview]:
         kind, size, _ = _tag(data, order)
         content, data = data[8 : 8 + size], data[8 + size :]
         if kind == COMPRESSED:
-            whole = _inflated(content, MAX_INFLATED - inflated)
+            whole = _inflated(content, MAX_INFLATED - inflated, order)
             inflated += len(whole)
-            kind, size, _ = _tag(whole, order)
-            content = whole[8:]
-            if size != len(content):
-                raise DamagedError
+            kind, content = struct.unpack(f"{order}I", whole[:4])[0], whole[8:]
         if kind != MATRIX:
             raise DamagedError
         yield content
 
 
-def _inflated(packed: memoryview, limit: int) -> memoryview:
-    """What is compressed, whole and with a checksum that is right; MemoryError beyond `limit`."""
+def _inflated(packed: memoryview, limit: int, order: str) -> memoryview:
+    """The element that is compressed, as long as its tag says and with a checksum that is right.
+
+    Raises MemoryError if it is longer than `limit`, before it takes that room.
+    """
     inflate = zlib.decompressobj()
-    whole = bytearray()
+    whole = bytearray(inflate.decompress(packed, 8))
+    if len(whole) < 8:
+        raise DamagedError
+    size = 8 + struct.unpack(f"{order}I", whole[4:])[0]
+    if size > limit:
+        raise MemoryError
     while not inflate.eof:
-        chunk = inflate.decompress(packed, CHUNK)
-        packed = memoryview(inflate.unconsumed_tail)
+        chunk = inflate.decompress(inflate.unconsumed_tail, CHUNK)
         whole += chunk
-        if len(whole) > limit:
-            raise MemoryError
-        if not chunk and not packed and not inflate.eof:
+        stuck = not chunk and not inflate.unconsumed_tail and not inflate.eof
+        if stuck or len(whole) > size:
             raise DamagedError
-    if inflate.unused_data:
+    if inflate.unused_data or len(whole) != size:
         raise DamagedError
     return memoryview(whole)
 

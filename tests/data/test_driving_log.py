@@ -9,6 +9,7 @@ from scipy.constants import g
 from scipy.signal import butter, sosfilt
 
 from miho.data import CSVError, DrivingLog, load_driving_log
+from miho.data.csv import TextFormat
 from miho.data.driving_log import low_pass
 
 TIME = np.arange(200) * 0.02
@@ -236,3 +237,20 @@ def test_bad_settings(
     with pytest.raises(ValueError, match=message) as error:
         load_driving_log(written(time=TIME, vx=TIME), columns, units, **settings)
     assert "\n" not in str(error.value)
+
+
+def test_a_log_of_central_europe(tmp_path: Path) -> None:
+    """Settings of the text hold for logs too, and places are those of the whole file."""
+    rows = [f"{i / 10:.1f};{20 + i};0,5".replace(".", ",") for i in range(20)]
+    path = tmp_path / "log.csv"
+    text = TextFormat(decimal="comma", skip_rows=1, drop_rows=[3], comment="%")
+    head = ["Messung 4", "t;v;x", "s;m/s;-", "% start"]
+    path.write_text("\n".join([*head, *rows]))
+    log = load_driving_log(path, ["time", "vx"], ["s", "m/s"], ["t", "v"], text=text)
+    np.testing.assert_allclose(log["vx"], 20.0 + np.arange(20))
+    assert log.reading is not None
+    assert [column.name for column in log.reading.columns] == ["t", "v"]
+    assert "separated by semicolons" in log.reading.notes
+    path.write_text("\n".join([*head, *rows[:12], *rows[16:], "2,0;40;1"]))
+    with pytest.raises(CSVError, match=r"log\.csv:17:1: nothing for 0\.5 s"):
+        load_driving_log(path, ["time", "vx"], ["s", "m/s"], ["t", "v"], text=text)
