@@ -26,6 +26,7 @@ import miho
 from experiments.confidential import SecretError, check_no_secret, refuse_environment
 from experiments.explain import ConfigError as ConfigError
 from experiments.explain import unknown
+from experiments.own_code import runs_own_code
 from experiments.schema import Config
 from experiments.targets import TargetError, find_target, nested_target
 from miho.data import Dataset
@@ -97,6 +98,8 @@ def build(cfg: DictConfig, problem: CurveFit | None = None) -> Experiment:
         if key not in known:
             raise ConfigError(unknown(str(key), known))
     root = _root(cfg.root)
+    if runs_own_code(cfg):
+        root = root.absolute()  # now, since the user's file may change the working directory
     optimizer = build_optimizer(cfg)
     optimizer_node = _plain(cfg, "optimizer")
     name = optimizer_node.pop("name")
@@ -115,7 +118,7 @@ def build(cfg: DictConfig, problem: CurveFit | None = None) -> Experiment:
             config=config | {"optimizer": optimizer_node},
             code=_code(problem.model),
             data=problem.dataset.digest,
-            packages=_packages(optimizer),
+            packages=packages_of(optimizer),
         )
     except (TypeError, ValueError) as error:
         raise ConfigError(str(error)) from None
@@ -130,10 +133,11 @@ def build_optimizer(cfg: DictConfig) -> Optimizer:
     return instantiate(node, "optimizer", Optimizer)
 
 
-def build_problem(cfg: DictConfig) -> CurveFit:
-    """The problem alone."""
+def build_problem(cfg: DictConfig, dataset: Dataset | None = None) -> CurveFit:
+    """The problem alone; `dataset` is what its configuration gave, if it was built before."""
     model = instantiate(_plain(cfg, "model"), "model", Model)
-    dataset = instantiate(_plain(cfg, "dataset"), "dataset", Dataset)
+    if dataset is None:
+        dataset = build_dataset(_plain(cfg, "dataset"))
     space = build_space(scaled_by(dataset, _plain(cfg, "space")))
     rho = instantiate(_plain(cfg, "loss"), "loss", Loss)
     known = _plain(cfg, "problem")
@@ -317,7 +321,7 @@ def _root(text: str) -> Path:
     return Path(text)
 
 
-def _packages(optimizer: Optimizer) -> dict[str, str]:
+def packages_of(optimizer: Optimizer) -> dict[str, str]:
     """Versions of the packages that decide what a run finds: the numerical ones, the method's."""
     names = vars(sys.modules[type(optimizer).__module__]).values()
     tops = {str(getattr(one, "__module__", None) or getattr(one, "__name__", "")) for one in names}
@@ -331,12 +335,12 @@ _version = cache(version)
 
 def _code(model: Model) -> str:
     """Digest of the code that decides what a run finds, the model's own file included."""
-    ours = _our_code()
+    ours = our_code()
     return ours if model.source is None else sha256(ours.encode() + model.source.read_bytes())
 
 
 @cache
-def _our_code() -> str:
+def our_code() -> str:
     """Digest of our code that decides what a run finds: all of it but studies and figures."""
     library = Path(miho.__file__).parent
     names = ("curve_fit.py", "loss.py", "fused.py", "compressed.py", "panels.py", "panel_sums.py")

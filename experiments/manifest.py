@@ -22,6 +22,7 @@ from miho.study.identity import canonical, sha256
 from miho.study.places import inside
 
 MANIFESTS = ".sweeps"
+SHOWN = 3
 
 
 def write_manifest(root: Path, overrides: Sequence[str], runs: Mapping[str, Identity]) -> None:
@@ -35,6 +36,12 @@ def write_manifest(root: Path, overrides: Sequence[str], runs: Mapping[str, Iden
         found[asked] = {"place": place, "config": configs.number(config)}
     about = {"parts": parts.values, "configs": configs.values, "runs": found}
     write_text(path, canonical({"overrides": list(overrides), **about}) + "\n")
+
+
+def some(names: Sequence[str]) -> str:
+    """The first few, and how many more."""
+    more = f" and {len(names) - SHOWN:,} more" * (len(names) > SHOWN)
+    return ", ".join(names[:SHOWN]) + more
 
 
 def refuse_other_settings(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +14,7 @@ from experiments.progress import progress
 from miho.identification import Square, linear_optimum
 from miho.identification.validation import root_mean_square
 from miho.optim import RunRecord, minimize
-from miho.study import Execution, Store, StoredRun, execute
+from miho.study import Execution, Identity, Status, Store, StoredRun, execute
 
 ENDINGS = {"converged": "itself", "budget": "its budget"}
 
@@ -42,15 +44,19 @@ def line(experiment: Experiment, execution: Execution) -> str:
         last = (execution.error or "").strip().splitlines()[-1:]
         kept = f"; the next call starts it again (best so far in {execution.partial})"
         return head + ": ".join([str(execution.status), *last]) + kept * bool(execution.partial)
-    result = execution.run.result
+    return result_line(identity, execution.run.result, execution.status)
+
+
+def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -> str:
+    """One line: which run, its error and what it spent."""
     found = "no finite value"
     if result["loss"] is not None:
-        found = f"{math.sqrt(result['loss']):.5g} {experiment.problem.unit}"
+        found = f"{math.sqrt(result['loss']):.5g} {result['facts']['unit']}"
     outside = result.get("outside", 0)
     remark = f", at least {outside:,} of them outside of the box" if outside else ""
     return (
-        f"{head}{found}, {result['evaluations']:,.0f} evaluations{remark}, "
-        f"{result['seconds']:.2f} s ({execution.status})"
+        f"{identity.problem} {identity.optimizer} seed {identity.seed}: {found}, "
+        f"{result['evaluations']:,.0f} evaluations{remark}, {result['seconds']:.2f} s ({status})"
     )
 
 

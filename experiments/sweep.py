@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 from types import FrameType, MappingProxyType
 from typing import Any, cast
@@ -20,34 +21,54 @@ from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
 from experiments import schema
-from experiments.build import Experiment, build, build_problem
-from experiments.manifest import refuse_other_settings, write_manifest
+from experiments.build import (
+    ConfigError,
+    Experiment,
+    build,
+    build_dataset,
+    build_optimizer,
+    build_problem,
+    our_code,
+    packages_of,
+)
+from experiments.cli import one_line
+from experiments.manifest import refuse_other_settings, some, write_manifest
 from experiments.mirror import Mirror, open_mirror
-from experiments.run import line, run
-from experiments.stopped import Stopped
+from experiments.own_code import named_only, runs_own_code
+from experiments.run import line, result_line, run
+from experiments.stopped import HANG_UP, Stopped, ignores_hang_up
+from miho.data import Dataset
 from miho.identification import CurveFit
-from miho.study import Identity, Status, Store, StoredRun
+from miho.study import Identity, Status, Store, environment_stamp, single_thread
 from miho.study.changes import refuse_changes
+from miho.study.files import RESULT
 from miho.study.redaction import redacted
-from miho.study.workers import Ended, Workers
+from miho.study.validity import kernel
+from miho.study.workers import NOBODY, Ended, Workers
 
 PROBLEM = ("model", "dataset", "space", "loss", "problem")
 AGAIN, GRACE = 1.5, 3.5
 """Seconds after the first signal until it is repeated, because Python loses one that strikes in a
 callback of a library, and until what still runs is killed, so that all is over in five."""
 POLL = 0.2
-SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR1")
+MODULES = ("experiments.sweep",)
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR1", "SIGHUP")
                 if hasattr(signal, name))  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """One run: what was asked in the user's words, its configuration in YAML, and who it is."""
+    """One run: what was asked in the user's words, its configuration in YAML, and who it is.
+
+    `own`: its model is code of the user's. `lost`: why it cannot even begin.
+    """
 
     asked: str
     setting: str
     identity: Identity
     root: str
+    own: bool = False
+    lost: str | None = None
 
 
 @dataclass(frozen=True)
@@ -75,14 +96,50 @@ class Stop:
 
 
 def wanted(cfg: DictConfig, asked: str, seeds: Sequence[int]) -> list[Wanted]:
-    """The runs of one configuration with several seeds; raises ConfigError for a bad one."""
-    setting = OmegaConf.to_yaml(cfg)
-    experiment = build(cfg, _problem(_of_problem(cfg)))
+    """The runs of one configuration with several seeds; raises ConfigError for a bad one.
+
+    A model of the user's is tried in a process of its own, within the time limit of a run: what
+    ends that process loses these runs alone.
+    """
+    for seed in seeds:
+        if seed < 0:
+            raise ConfigError(f"seed: is {seed}; expected a whole number of at least 0")
+    setting, own, lost = OmegaConf.to_yaml(cfg), runs_own_code(cfg), None
+    if own:
+        identity, lost = _tried(cfg, setting)
+    else:
+        identity = build(cfg, _problem(_of_problem(cfg))).identity
     return [
-        Wanted(f"{asked} seed={seed}".strip(), setting, replace(experiment.identity, seed=seed),
-               str(cfg.root))
+        Wanted(f"{asked} seed={seed}".strip(), setting, replace(identity, seed=seed),
+               str(cfg.root), own, lost)
         for seed in seeds
     ]  # fmt: skip
+
+
+def _tried(cfg: DictConfig, setting: str) -> tuple[Identity, str | None]:
+    """Who a run of the user's model is; or, with the reason, who it would be if it could be tried.
+
+    Raises ConfigError for what the user can correct.
+    """
+    with Workers(_identity, 1, cfg.sweep.time_limit, MODULES, alone=bool) as workers:
+        workers.start(setting)
+        ended: list[Ended[str, Identity | str]] = []
+        while not ended:
+            ended = workers.wait(POLL)
+    found = ended[0].result
+    if isinstance(found, str):
+        raise ConfigError(found)
+    if found is not None:
+        return found, None
+    return named_only(cfg), ended[0].reason
+
+
+def _identity(setting: str) -> Identity | str:
+    """In a worker: who a run of this setting is, or what is wrong with the setting."""
+    try:
+        return build(cast(DictConfig, OmegaConf.create(setting))).identity
+    except Exception as error:  # noqa: BLE001 -- whatever the user's file raises, they can correct
+        return one_line(error)
 
 
 def sweep(
@@ -115,7 +172,7 @@ def sweep(
         write_manifest(Path(root), overrides, mine)
     with mirrors(roots, tracking) as opened, _bar(len(unique), settings.processes) as bar:
         try:
-            for done in _each(unique, settings):
+            for done in chain(_each_known(unique, todo := []), _each(todo, settings)):
                 ended.append(done)
                 bar.tell(done)
                 _push(opened.get(done.wanted.root), done.wanted)
@@ -155,26 +212,56 @@ def mirrors(roots: Iterable[str], tracking: Mapping[str, Any]) -> Iterator[dict[
 def found(one: Wanted) -> Done:
     """What is known of a wanted run: it is done, it was tried and why that failed, or neither."""
     store = Store(Path(one.root))
-    stored = store.find(one.identity)
-    if stored is not None:
-        return Done(one, Status.DONE_BEFORE, f"done before: {one.asked}", _error(stored))
+    result = store.result(one.identity)
+    if result is not None:
+        return Done(one, Status.DONE_BEFORE, f"done before: {one.asked}", _error(result))
     reason = store.reason(one.identity)
     if reason is None:
         return Done(one, Status.TO_DO, f"to do: {one.asked}")
     return Done(one, Status.TO_DO, f"to do again: {one.asked}", reason=reason)
 
 
-def _error(stored: StoredRun | None) -> float | None:
-    loss = None if stored is None else stored.result["loss"]
+def _error(result: Mapping[str, Any] | None) -> float | None:
+    loss = None if result is None else result["loss"]
     return None if loss is None else math.sqrt(loss)
 
 
+def _each_known(runs: Sequence[Wanted], todo: list[Wanted]) -> Iterator[Done]:
+    """The runs that need no worker: done before, or lost before they began; `todo` gets the others.
+
+    Says which of those were stored before and have no result now.
+    """
+    gone = []
+    for one in runs:
+        store = Store(Path(one.root))
+        if one.lost is not None:
+            yield _done(Ended(one, reason=one.lost))
+            continue
+        result = store.result(one.identity)
+        if result is not None:
+            told = result_line(one.identity, result, Status.DONE_BEFORE)
+            yield Done(one, Status.DONE_BEFORE, told, _error(result))
+            continue
+        if store.result_is_gone(one.identity):
+            gone.append(one.asked)
+        todo.append(one)
+    if gone:
+        print(
+            f"{len(gone)} runs were stored before and have no {RESULT} now, because it was deleted "
+            f"or their process was killed while it stored them; they run again: {some(gone)}",
+            file=sys.stderr,
+        )
+
+
 def _each(runs: Sequence[Wanted], settings: schema.SweepConfig) -> Iterator[Done]:
-    """The runs as they end."""
+    """The runs as they end, each in a process of its own."""
+    if not runs:
+        return
     todo, elsewhere = deque(runs), deque[Wanted]()
-    modules = ("experiments.sweep",)
     with (
-        Workers(_execute, settings.processes, settings.time_limit, modules) as workers,
+        Workers(
+            _execute, settings.processes, settings.time_limit, MODULES, prepare=_prepare, alone=_own
+        ) as workers,
         _stopping(workers) as stop,
     ):
         while todo or elsewhere or workers.busy:
@@ -210,25 +297,46 @@ def _each(runs: Sequence[Wanted], settings: schema.SweepConfig) -> Iterator[Done
 
 def _done(ended: Ended[Wanted, Done]) -> Done:
     """What a worker says, or what is known of a run whose worker says nothing."""
+    one, reason, interrupted = ended.job, ended.reason, ended.interrupted
     if ended.result is not None:
-        return replace(ended.result, wanted=ended.job)
-    one, reason = ended.job, redacted(ended.reason or "no answer")
-    status = Status.INTERRUPTED if ended.interrupted else Status.LOST
-    Store(Path(one.root)).keep_reason(one.identity, reason, ended.detail, str(status))
+        if interrupted or ended.result.status is not Status.INTERRUPTED:
+            return replace(ended.result, wanted=one)
+        reason = NOBODY
+    reason = redacted(reason or "no answer")
+    status = Status.INTERRUPTED if interrupted else Status.LOST
+    if ended.result is None:  # else it has kept its curve
+        Store(Path(one.root)).keep_reason(one.identity, reason, ended.detail, str(status))
     who = f"{one.identity.problem} {one.identity.optimizer} seed {one.identity.seed}"
     return Done(one, status, f"{who}: {status}: {reason}", reason=reason)
 
 
+def _own(one: Wanted) -> bool:
+    return one.own
+
+
+def _prepare(one: Wanted) -> None:
+    """In a worker: what runs of a user's model share, so that each is forked with it."""
+    if not one.own:
+        return
+    with single_thread():
+        kernel().recent()
+        environment_stamp()
+        our_code()
+        _dataset(one.setting)
+        packages_of(build_optimizer(_read(one.setting)))
+
+
 def _execute(one: Wanted) -> Done:
-    """Do a run in this process, unless it is done."""
-    experiment = replace(_built(one.setting), identity=one.identity)
+    """In a process of its own: do a run, unless it is done."""
+    root = Path(one.root).absolute()  # before a model of the user's may change the folder
+    experiment = replace(_built(one.setting), identity=one.identity, root=root)
     execution = run(experiment, quiet=True)
     last = (execution.error or "").strip().splitlines()[-1:]
     return Done(
         one,
         execution.status,
         line(experiment, execution),
-        _error(execution.run),
+        _error(execution.run and execution.run.result),
         last[0] if last else None,
     )
 
@@ -236,8 +344,21 @@ def _execute(one: Wanted) -> Done:
 @lru_cache(maxsize=32)
 def _built(setting: str) -> Experiment:
     """What all seeds of a setting share; reading a setting takes longer than a small run."""
-    cfg = cast(DictConfig, OmegaConf.create(setting))
+    cfg = _read(setting)
+    if runs_own_code(cfg):
+        return build(cfg, build_problem(cfg, _dataset(setting)))
     return build(cfg, _problem(_of_problem(cfg)))
+
+
+@lru_cache(maxsize=32)
+def _read(setting: str) -> DictConfig:
+    return cast(DictConfig, OmegaConf.create(setting))
+
+
+@lru_cache(maxsize=2)
+def _dataset(setting: str) -> Dataset:
+    node = OmegaConf.to_container(_read(setting).dataset, resolve=True)
+    return build_dataset(cast(dict[str, Any], node))
 
 
 def _of_problem(cfg: DictConfig) -> str:
@@ -263,7 +384,8 @@ def _stopping(workers: Workers[Any, Any]) -> Iterator[Stop]:
     if threading.current_thread() is not threading.main_thread():
         yield stop
         return
-    before = {number: signal.signal(number, on_signal) for number in SIGNALS}
+    heeded = [number for number in SIGNALS if number != HANG_UP or not ignores_hang_up()]
+    before = {number: signal.signal(number, on_signal) for number in heeded}
     try:
         yield stop
     finally:

@@ -24,7 +24,7 @@ import traceback
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cache, partial
-from multiprocessing import forkserver, get_context, util
+from multiprocessing import forkserver, util
 from pathlib import Path
 from typing import IO
 from unittest import mock
@@ -32,7 +32,8 @@ from unittest import mock
 from experiments.cli import composed
 from experiments.faults.identifying import CHECKOUT
 from experiments.schema import register
-from experiments.sweep import wanted
+from experiments.sweep import MODULES, wanted
+from miho.study.workers import start_server
 
 DEADLINE = 140.0
 
@@ -125,8 +126,7 @@ def prepare() -> None:
 @cache
 def serve_workers() -> None:
     """Start the server of workers, which the forks of this process share."""
-    get_context("forkserver").set_forkserver_preload(["miho.study.workers", "experiments.sweep"])
-    forkserver.ensure_running()
+    start_server(MODULES)
 
 
 def called(

@@ -5,8 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import signal
+import subprocess
 import sys
 import time
+
+import numpy as np
 
 
 def misbehave(how: str) -> str:
@@ -27,3 +30,12 @@ def misbehave(how: str) -> str:
     if how == "memory":
         raise MemoryError
     return how
+
+
+def spoil(job: str) -> tuple[int, float]:
+    """Change this process, if the job says so; its number, and what exp(1) is in it."""
+    if job == "spoil":
+        np.exp = lambda _: 0.5  # type: ignore[assignment]
+        os.chdir("/")
+        subprocess.Popen(["sleep", "600"], start_new_session=True)  # noqa: S607 -- wherever it is
+    return os.getpid(), float(np.exp(1.0))

@@ -22,13 +22,12 @@ def refuse_changes(store: Store, identities: Iterable[Identity], *, fresh: bool)
     aside, and nothing is deleted.
     """
     changed: dict[str, int] = {}
-    for identity in identities:
-        for folder in store.others(identity):
-            if fresh:
-                store.set_aside(folder)
-                continue
-            for change in _changes(identity, folder):
-                changed[change] = changed.get(change, 0) + 1
+    for identity, folder in store.others(identities):
+        if fresh:
+            store.set_aside(folder)
+            continue
+        for change in _changes(identity, folder):
+            changed[change] = changed.get(change, 0) + 1
     if changed:
         told = ", ".join(f"{change} ({count} runs)" for change, count in changed.items())
         raise ResumeRefused(

@@ -58,7 +58,7 @@ def machine_seconds() -> float | None:
     ticks at 10 ms per core.
     """
     try:
-        with Path("/proc/stat").open(encoding="ascii") as file:
+        with Path("/proc/stat").open(encoding="utf-8") as file:
             fields = [int(value) for value in file.readline().split()[1:9]]
     except (OSError, ValueError):
         return None

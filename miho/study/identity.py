@@ -7,12 +7,15 @@ import hashlib
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from miho.optim.validate import whole
 from miho.study.places import check_name
 
+REQUEST = 10
+"""Hexadecimal digits of each half of a run's id."""
 LARGEST_SEED = 2**63 - 1
 """Tables of runs hold seeds as integers of 64 bits."""
 
@@ -78,13 +81,14 @@ class Identity:
             check_name(what, getattr(self, what))
         whole("seed", self.seed, 0, LARGEST_SEED)
 
-    @property
+    @cached_property
     def request(self) -> str:
         """Ten hexadecimal digits of the hash of what was asked."""
         asked = (self.problem, self.optimizer, self.seed, dict(self.config))
-        return sha256(canonical(asked))[:10]
+        return sha256(canonical(asked))[:REQUEST]
 
-    @property
+    @cached_property
     def id(self) -> str:
         """The request, and ten hexadecimal digits of the hash of what it was asked of."""
-        return self.request + sha256(canonical([self.code, self.data, dict(self.packages)]))[:10]
+        asked_of = sha256(canonical([self.code, self.data, dict(self.packages)]))
+        return self.request + asked_of[:REQUEST]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from itertools import count
@@ -33,7 +33,7 @@ from miho.study.files import (
     signed,
     write_text,
 )
-from miho.study.identity import Identity, canonical, sha256
+from miho.study.identity import REQUEST, Identity, canonical, sha256
 from miho.study.places import inside
 from miho.study.redaction import redacted
 
@@ -77,6 +77,21 @@ class Store:
             return read_run(folder)
         except DamagedRun:
             return None
+
+    def result(self, identity: Identity) -> Mapping[str, Any] | None:
+        """What `find` gives as the result, without the rest, which is only checked."""
+        try:
+            return read_checked(str(self.folder(identity)))[0]
+        except DamagedRun:
+            return None
+
+    def result_is_gone(self, identity: Identity) -> bool:
+        """Whether what is written before a result is there, and the result is not.
+
+        So it is after somebody deleted it, and after a kill in the last millisecond of a run.
+        """
+        folder = self.folder(identity)
+        return (folder / CURVE).is_file() and not (folder / RESULT).exists()
 
     def has_result(self, identity: Identity) -> bool:
         """Whether there is a result, unread."""
@@ -146,13 +161,20 @@ class Store:
         write_text(folder / PARTIAL, signed(partial))
         return folder / PARTIAL
 
-    def others(self, identity: Identity) -> list[Path]:
-        """Folders of finished runs of the same request, but of other code, data or packages."""
-        folder = self.folder(identity)
-        if not folder.parent.is_dir():
-            return []
-        alike = folder.parent.glob(f"{identity.request}*/{RESULT}")
-        return sorted(path.parent for path in alike if path.parent.name != folder.name)
+    def others(self, identities: Iterable[Identity]) -> Iterator[tuple[Identity, Path]]:
+        """Finished runs of the same requests, but of other code, data or packages: their folders.
+
+        Folders are listed once, so that thousands of runs are looked up in a second.
+        """
+        listed: dict[tuple[str, str], dict[str, list[str]]] = {}
+        for identity in identities:
+            place = identity.problem, identity.optimizer
+            if place not in listed:
+                listed[place] = _by_request(inside(self.root, *place))
+            for name in listed[place].get(identity.request, ()):
+                folder = self.root.joinpath(*place, name)
+                if name != identity.id and (folder / RESULT).is_file():
+                    yield identity, folder
 
     def set_aside(self, folder: Path) -> None:
         """Move a run out of the sight of readers, below SUPERSEDED; its like may be there."""
@@ -163,6 +185,14 @@ class Store:
             place = first.with_name(f"{first.name}.{number}")
         place.parent.mkdir(parents=True, exist_ok=True)
         folder.replace(place)
+
+
+def _by_request(folder: Path) -> dict[str, list[str]]:
+    """The runs in a folder, in their order, by the request that their names begin with."""
+    found: dict[str, list[str]] = {}
+    for name in sorted(path.name for path in folder.iterdir()) if folder.is_dir() else ():
+        found.setdefault(name[:REQUEST], []).append(name)
+    return found
 
 
 def read_run(folder: Path) -> StoredRun:

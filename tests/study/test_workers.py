@@ -1,11 +1,13 @@
 """Whatever a job does to its process, the others are done and the reason is told."""
 
+import math
 import multiprocessing
 import time
 from pathlib import Path
 from typing import TypeVar
 
-from experiments.faults.misbehaviour import misbehave
+from experiments.faults.misbehaviour import misbehave, spoil
+from miho.study.processes import descendants
 from miho.study.workers import INTERRUPTED, Ended, Workers
 
 Result = TypeVar("Result")
@@ -81,3 +83,19 @@ def test_a_job_that_has_not_begun_is_interrupted_too() -> None:
         assert [one.interrupted or one.result == "good" for one in ended] == [True]
         workers.start("good")
         assert all_of([], workers)["good"].result == "good"
+
+
+def test_jobs_that_are_alone_leave_nothing_behind() -> None:
+    with Workers(spoil, 1, modules=MODULES, alone=bool) as workers:
+        jobs = ["spoil", "first", "second"]
+        ended = {}
+        for job in jobs:
+            ended |= all_of([job], workers)
+        (worker,) = workers._workers
+        assert worker.process.pid is not None
+        assert descendants(worker.process.pid) == [], "what a job started has ended with it"
+    values = {job: one.result for job, one in ended.items() if one.result is not None}
+    assert {job: value[1] for job, value in values.items()} == {
+        "spoil": 0.5, "first": math.e, "second": math.e
+    }  # fmt: skip
+    assert len({value[0] for value in values.values()}) == 3

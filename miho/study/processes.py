@@ -1,0 +1,99 @@
+"""Processes and all that stems from them: to see them end, and to end them."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+SET_CHILD_SUBREAPER = 36
+"""PR_SET_CHILD_SUBREAPER of Linux, see prctl(2)."""
+ROUNDS = 10
+"""How often the family of a process is looked for again: it may fork while it is ended."""
+
+
+def adopt_orphans() -> None:
+    """From now on what stems from this process stays below it, whoever in between ends.
+
+    Linux alone can. Elsewhere what a child starts in a session of its own outlives the child.
+    """
+    if sys.platform == "linux":
+        with contextlib.suppress(OSError, AttributeError):
+            ctypes.CDLL(None).prctl(SET_CHILD_SUBREAPER, 1, 0, 0, 0)
+
+
+def end_child(child: int) -> int:
+    """Kill a child of this process, its group and what it left behind; its wait status."""
+    _kill(child)
+    _, status = os.waitpid(child, 0)
+    with contextlib.suppress(ChildProcessError):  # no orphans are left
+        while True:
+            if os.waitpid(-1, os.WNOHANG)[0] == 0:
+                for orphan in descendants(os.getpid()):
+                    _kill(orphan)
+    return status
+
+
+def end_family(process: int) -> None:
+    """Kill a process and what stems from it, by what /proc says; where that is not, its group."""
+    for _ in range(ROUNDS):
+        family = descendants(process)
+        for one in family:
+            _kill(one)
+        if not family:
+            break
+    _kill(process)
+
+
+def descendants(process: int) -> list[int]:
+    """What stems from a process and has not ended, by what /proc says."""
+    parents: dict[int, int] = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        fields = _fields(stat)
+        if fields and fields[0] not in "ZX":
+            parents[int(stat.parent.name)] = int(fields[1])
+    found, waiting = [], [process]
+    while waiting:
+        children = [child for child, parent in parents.items() if parent == waiting[0]]
+        found += children
+        waiting = [*waiting[1:], *children]
+    return found
+
+
+def child_has_ended(child: int) -> bool:
+    """Whether a child waits to be waited for."""
+    return os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
+
+
+@contextmanager
+def end_of(child: int) -> Iterator[list[int]]:
+    """A descriptor that can be read once a child has ended; none where the system has no such."""
+    try:
+        descriptor = os.pidfd_open(child)
+    except (AttributeError, OSError):
+        yield []
+        return
+    try:
+        yield [descriptor]
+    finally:
+        os.close(descriptor)
+
+
+def _kill(process: int) -> None:
+    """A process, and its group if it leads one."""
+    for kill in (os.killpg, os.kill):
+        with contextlib.suppress(ProcessLookupError, PermissionError):
+            kill(process, signal.SIGKILL)
+
+
+def _fields(stat: Path) -> list[str]:
+    """State, parent and so on of a process; none of one that is gone."""
+    try:
+        return stat.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+    except OSError:
+        return []
