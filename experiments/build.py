@@ -18,6 +18,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numba
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
@@ -32,6 +33,7 @@ from experiments.targets import TargetError, find_target, nested_target
 from miho.data import Dataset
 from miho.identification import CurveFit, Loss, irreducible_error, linear_optimum
 from miho.models import Model
+from miho.models.expression import Expression
 from miho.optim import Budget, Optimizer, Parameter, Space
 from miho.study import Identity, StoredRun, code_digest
 from miho.study.identity import sha256
@@ -138,6 +140,10 @@ def build_problem(cfg: DictConfig, dataset: Dataset | None = None) -> CurveFit:
     model = instantiate(_plain(cfg, "model"), "model", Model)
     if dataset is None:
         dataset = build_dataset(_plain(cfg, "dataset"))
+    if isinstance(model, Expression) and numba.config.DISABLE_JIT:
+        raise ConfigError(
+            "NUMBA_DISABLE_JIT: is set, and the loss of this model is compiled; unset it"
+        )
     space = build_space(scaled_by(dataset, _plain(cfg, "space")))
     rho = instantiate(_plain(cfg, "loss"), "loss", Loss)
     known = _plain(cfg, "problem")

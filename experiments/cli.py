@@ -8,6 +8,7 @@ import io
 import os
 import signal
 import sys
+import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -28,18 +29,23 @@ from hydra.errors import HydraException
 from hydra.types import HydraContext, RunMode
 from omegaconf import DictConfig, open_dict
 from omegaconf.errors import OmegaConfBaseException
+from tqdm import tqdm
 from yaml import YAMLError
 
 from experiments import schema
 from experiments.explain import ConfigError, explained, one_line, parsed, unknown, whole_space
 from experiments.help import completion, help_text
 from experiments.hydra_settings import HydraSettingError, check_arguments, check_hydra
-from experiments.stopped import Stopped
+from experiments.stopped import HANG_UP, Stopped, ignores_hang_up
 from miho.data import CSVError, DataUnavailableError
 from miho.models import TirError
 from miho.regular_file import NotAFileError
 from miho.study.changes import ResumeRefused
 from miho.study.redaction import redacted
+
+tqdm.set_lock(threading.RLock())
+"""Bars of other processes are none of ours: the lock by default is a semaphore of the system, which
+a process that is killed leaves behind."""
 
 CONF = Path(__file__).parent.parent / "conf"
 
@@ -257,9 +263,11 @@ def _as_interrupt(number: int, frame: FrameType | None) -> None:
 def guarded(job: Callable[[], object], after: Callable[[], int] = lambda: OK) -> None:
     """Run `job`, turn what it raises into one line and the exit code that fits, and exit.
 
-    SIGTERM stops it like Ctrl-C: what was found is kept.
+    SIGTERM stops it like Ctrl-C, and so does a terminal that closes: what was found is kept.
     """
     signal.signal(signal.SIGTERM, _as_interrupt)
+    if HANG_UP is not None and not ignores_hang_up():
+        signal.signal(HANG_UP, _as_interrupt)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 gets escapes
             stream.reconfigure(errors="backslashreplace")

@@ -17,11 +17,15 @@ def runs_own_code(cfg: DictConfig) -> bool:
     return OmegaConf.select(cfg, "model.path", throw_on_missing=False) is not None
 
 
-def named_only(cfg: DictConfig) -> Identity:
-    """Who a run is whose model cannot be asked for its name: the file's stands for it."""
+def code_of(cfg: DictConfig) -> str:
+    """SHA-256 of the model's file; of nothing if there is none."""
     path = Path(cfg.model.path)
-    config = OmegaConf.to_container(cfg, resolve=True)
-    code = sha256(path.read_bytes()) if path.is_file() else ""
+    return sha256(path.read_bytes() if path.is_file() else b"")
+
+
+def named_only(cfg: DictConfig, code: str) -> Identity:
+    """Who a run is whose model cannot be asked for its name: the file's stands for it."""
+    path, config = Path(cfg.model.path), OmegaConf.to_container(cfg, resolve=True)
     about = {"optimizer": cfg.optimizer.name, "seed": 0, "config": config, "code": code, "data": ""}
     try:
         return Identity(path.stem, **about)

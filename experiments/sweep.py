@@ -11,7 +11,7 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from itertools import chain
 from pathlib import Path
 from types import FrameType, MappingProxyType
@@ -34,7 +34,7 @@ from experiments.build import (
 from experiments.cli import one_line
 from experiments.manifest import refuse_other_settings, some, write_manifest
 from experiments.mirror import Mirror, open_mirror
-from experiments.own_code import named_only, runs_own_code
+from experiments.own_code import code_of, named_only, runs_own_code
 from experiments.run import line, result_line, run
 from experiments.stopped import HANG_UP, Stopped, ignores_hang_up
 from miho.data import Dataset
@@ -52,6 +52,8 @@ AGAIN, GRACE = 1.5, 3.5
 callback of a library, and until what still runs is killed, so that all is over in five."""
 POLL = 0.2
 MODULES = ("experiments.sweep",)
+HOW = ("fresh", "sweep", "tracking")
+"""What says how to go through runs, but not what they are."""
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR1", "SIGHUP")
                 if hasattr(signal, name))  # fmt: skip
 
@@ -95,18 +97,22 @@ class Stop:
         return self.number is not None and time.monotonic() > self.at + seconds
 
 
-def wanted(cfg: DictConfig, asked: str, seeds: Sequence[int]) -> list[Wanted]:
+def wanted(
+    cfg: DictConfig, asked: str, seeds: Sequence[int], time_limit: float | None = None
+) -> list[Wanted]:
     """The runs of one configuration with several seeds; raises ConfigError for a bad one.
 
-    A model of the user's is tried in a process of its own, within the time limit of a run: what
-    ends that process loses these runs alone.
+    A model of the user's is tried in a process of its own, within the time limit of a run, by
+    default that of the configuration: what ends that process loses these runs alone.
     """
     for seed in seeds:
         if seed < 0:
             raise ConfigError(f"seed: is {seed}; expected a whole number of at least 0")
     setting, own, lost = OmegaConf.to_yaml(cfg), runs_own_code(cfg), None
     if own:
-        identity, lost = _tried(cfg, setting)
+        limit = cfg.sweep.time_limit if time_limit is None else time_limit
+        what = OmegaConf.masked_copy(cfg, [str(key) for key in cfg if key not in HOW])
+        identity, lost = _tried(OmegaConf.to_yaml(what), code_of(cfg), limit)
     else:
         identity = build(cfg, _problem(_of_problem(cfg))).identity
     return [
@@ -116,12 +122,14 @@ def wanted(cfg: DictConfig, asked: str, seeds: Sequence[int]) -> list[Wanted]:
     ]  # fmt: skip
 
 
-def _tried(cfg: DictConfig, setting: str) -> tuple[Identity, str | None]:
+@cache
+def _tried(setting: str, code: str, time_limit: float | None) -> tuple[Identity, str | None]:
     """Who a run of the user's model is; or, with the reason, who it would be if it could be tried.
 
-    Raises ConfigError for what the user can correct.
+    `code` is that of the model, so that what is tried once is tried again after an edit. Raises
+    ConfigError for what the user can correct.
     """
-    with Workers(_identity, 1, cfg.sweep.time_limit, MODULES, alone=bool) as workers:
+    with Workers(_identity, 1, time_limit, MODULES, alone=bool) as workers:
         workers.start(setting)
         ended: list[Ended[str, Identity | str]] = []
         while not ended:
@@ -131,13 +139,13 @@ def _tried(cfg: DictConfig, setting: str) -> tuple[Identity, str | None]:
         raise ConfigError(found)
     if found is not None:
         return found, None
-    return named_only(cfg), ended[0].reason
+    return named_only(_read(setting), code), ended[0].reason
 
 
 def _identity(setting: str) -> Identity | str:
     """In a worker: who a run of this setting is, or what is wrong with the setting."""
     try:
-        return build(cast(DictConfig, OmegaConf.create(setting))).identity
+        return build(_read(setting)).identity
     except Exception as error:  # noqa: BLE001 -- whatever the user's file raises, they can correct
         return one_line(error)
 

@@ -14,7 +14,7 @@ from omegaconf import DictConfig
 from experiments.cli import composed
 from experiments.explain import ConfigError, whole_space
 from experiments.schema import SweepConfig
-from experiments.sweep import Done, Wanted, found, sweep, wanted
+from experiments.sweep import Done, found, sweep, wanted
 from miho.study import Status
 
 finished: list[Done] = []
@@ -32,9 +32,13 @@ def run_sweep(
     A launcher gets one job for each setting but for the seed, which does all seeds; what became of
     them is then read from the results.
     """
-    plan = groups(overrides)
-    runs = [one for group, seeds in plan for one in _wanted(group, seeds)]
-    settings = sweep_settings(config)
+    plan, settings = groups(overrides), sweep_settings(config)
+    limit = settings.time_limit
+    runs = [
+        one
+        for group, seeds in plan
+        for one in wanted(composed(group), " ".join(group), seeds, limit)
+    ]
     if config.hydra.launcher._target_ == BASIC or settings.dry_run:
         asked = [str(o.input_line) for o in overrides if not _ours(o, ("fresh", "sweep"))]
         how = {"fresh": config.fresh, "overrides": asked, "tracking": config.tracking}
@@ -96,7 +100,3 @@ def _ours(override: Override, keys: Sequence[str]) -> bool:
 
 def _is_of(key: str, keys: Sequence[str]) -> bool:
     return key.partition(".")[0] in keys
-
-
-def _wanted(group: tuple[str, ...], seeds: list[int]) -> list[Wanted]:
-    return wanted(composed(group), " ".join(group), seeds)

@@ -5,6 +5,7 @@ It is the one door from identification to what drives on it.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -22,12 +23,18 @@ from miho.regular_file import read_regular
 Array = NDArray[np.float64]
 
 FORMAT = 1
+LARGEST = 16 << 20
+"""No parameters file is larger, in bytes."""
 MARGIN = 0.02
 """An input this fraction of the data's range beyond its end still counts as inside."""
 
 
 class OutsideDataWarning(UserWarning):
     """A model was asked about inputs beyond the data it was identified from."""
+
+
+class UncheckedWarning(UserWarning):
+    """A parameters file has no checksum, so nobody can tell whether it is as it was written."""
 
 
 class ParametersError(ValueError):
@@ -124,18 +131,30 @@ def parameters_text(identified: Identified, settings: Mapping[str, Any]) -> str:
         "derived": {name: _plain(value) for name, value in identified.derived.items()},
         "provenance": dict(identified.provenance),
     }  # fmt: skip
-    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+    signed = {**document, "sha256": _digest(document)}
+    return json.dumps(signed, indent=1, allow_nan=False) + "\n"
 
 
 def read_parameters(path: str | os.PathLike[str], model: Model) -> Identified:
     """The identified model in a parameters file, which must be one of `model`'s.
 
     Raises ParametersError for a file that is damaged, of another format or of another model,
-    FileNotFoundError if there is none.
+    FileNotFoundError if there is none. Warns with UncheckedWarning of a file without a checksum:
+    older ones have none, and who edits a file by hand removes the line.
     """
-    text = read_regular(path)
+    text = read_regular(path, LARGEST + 1)
+    if len(text) > LARGEST:
+        raise ParametersError(f"{path}: is larger than {LARGEST >> 20} MiB; name a parameters file")
     try:
-        document = json.loads(text)
+        document = json.loads(text, parse_constant=_refused)
+        digest = document.pop("sha256", None)
+        if digest is None:
+            warnings.warn(f"{path}: has no checksum, so damage is not seen", UncheckedWarning, 2)
+        elif digest != _digest(document):
+            raise ParametersError(
+                f"{path}: checksum does not match, so it is damaged; identify again, or remove the "
+                "line sha256 if you changed the file yourself"
+            )
         if document["format"] != FORMAT:
             raise ParametersError(f"{path}: has format {document['format']!r}; expected {FORMAT}")
         about = document["model"]
@@ -163,6 +182,16 @@ def read_parameters(path: str | os.PathLike[str], model: Model) -> Identified:
         raise ParametersError(
             f"{path}: is not a parameters file ({type(error).__name__}: {error}); identify again"
         ) from None
+
+
+def _digest(document: Mapping[str, Any]) -> str:
+    """SHA-256 of what a document says, however it is laid out."""
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _refused(constant: str) -> float:
+    raise ValueError(f"holds {constant}")
 
 
 def _number(value: float) -> float | None:

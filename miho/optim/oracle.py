@@ -23,6 +23,8 @@ Array = NDArray[np.float64]
 CHUNK_SECONDS = 0.02
 OBSERVE_SECONDS = 0.1
 REASONS = 20
+NOT_FINITE = "loss is"
+"""So begins the reason why a value was rejected that was computed and is not finite."""
 NONE, NOWHERE = np.empty(0), np.empty(0, np.int64)
 
 
@@ -291,7 +293,7 @@ class Oracle:
         evaluations = block.steps * len(P)
         for value, count in (("nan", block.nans), ("inf", block.infinities)):
             if count:
-                meter.reject(f"loss is {value}", count)
+                meter.reject(f"{NOT_FINITE} {value}", count)
         if block.losses.size:
             self._count_outside(block.thetas)
         self._keep(block.at - 1, block.losses, block.thetas, evaluations, started)
@@ -361,7 +363,7 @@ class Oracle:
         if np.logical_and.reduce(finite):  # a third of the time of finite.all()
             return losses
         for value, count in Counter(losses[~finite].tolist()).items():
-            self.meter.reject(f"loss is {value}", count)
+            self.meter.reject(f"{NOT_FINITE} {value}", count)
         return np.where(finite, losses, math.inf)
 
     def _record(self, rows: Array, losses: Array, cost: float, started: float) -> None:

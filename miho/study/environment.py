@@ -13,6 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import threadpoolctl
 
 PACKAGES = ("numpy", "scipy", "optuna", "hydra-core", "pandas")
@@ -45,10 +46,36 @@ def environment_stamp() -> dict[str, Any]:
         "system": platform.system(),
         "machine": platform.machine(),
         "processor": _processor(),
+        "blas": blas_kernels(),
+        "simd": simd_extensions(),
         "cores": os.cpu_count(),
         "load": list(os.getloadavg()) if hasattr(os, "getloadavg") else None,
         "threads": library_threads(),
     }
+
+
+ARITHMETIC = ("processor", "blas", "simd")
+"""What decides the last bits of a loss, besides the versions of packages: the same seed gives the
+same bits only where these are the same."""
+
+
+def blas_kernels() -> list[str]:
+    """Which code each library of linear algebra of this process runs, such as "openblas Haswell"."""
+    pools = _pools(len(sys.modules)).info()
+    named = {
+        f"{pool['internal_api']} {pool['architecture']}"
+        for pool in pools
+        if pool.get("architecture")
+    }
+    return sorted(named)
+
+
+@cache
+def simd_extensions() -> list[str]:
+    """The vector instructions that NumPy found and uses here."""
+    config = np.show_config(mode="dicts")
+    known = config.get("SIMD Extensions", {}) if isinstance(config, dict) else {}
+    return [*known.get("baseline", []), *known.get("found", [])]
 
 
 def machine_seconds() -> float | None:

@@ -10,8 +10,8 @@ from miho import Budget, CurveFit, Dataset, Parameter, Space, minimize
 from miho.data import CSVError, load_csv, sample_tir
 from miho.data.csv import BLOCK, TextFormat, read_numbers
 from miho.data.measurements import PLAUSIBLE
-from miho.methods.least_squares import LeastSquares
 from miho.data.preview import preview
+from miho.methods.least_squares import LeastSquares
 from miho.models import Pacejka
 
 
