@@ -36,6 +36,7 @@ from experiments import schema
 from experiments.explain import ConfigError, explained, one_line, parsed, unknown, whole_space
 from experiments.help import completion, help_text
 from experiments.hydra_settings import HydraSettingError, check_arguments, check_hydra
+from experiments.received_yaml import ReceivedError
 from experiments.stopped import HANG_UP, Stopped, ignores_hang_up
 from miho.data import CSVError, DataUnavailableError
 from miho.models import TirError
@@ -53,7 +54,8 @@ OK, BUG, BAD_INPUT, SOME_FAILED, STORAGE, REFUSED, LEFT_ROAD, PIPE_CLOSED = 0, 1
 BY_SIGNAL = 128
 BAD_INPUT_ERRORS = (
     HydraException, OmegaConfBaseException, ConfigError, CSVError, TirError, DataUnavailableError,
-    HydraSettingError, YAMLError, FileNotFoundError, IsADirectoryError, NotAFileError,
+    HydraSettingError, NotAFileError, ReceivedError, YAMLError, FileNotFoundError,
+    IsADirectoryError,
 )  # fmt: skip
 
 Sweep = Callable[[HydraContext, DictConfig, Sequence[Override]], object]

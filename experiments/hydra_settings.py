@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from hydra.core.plugins import Plugins
 from hydra.plugins.launcher import Launcher
 from omegaconf import DictConfig, OmegaConf
 
+from experiments.received_yaml import check_folder
 from experiments.targets import nested_target
 
 FREE = {"launcher", "mode", "verbose", "overrides", "runtime", "job"}
@@ -37,6 +39,8 @@ def check_arguments(arguments: argparse.Namespace) -> None:
         if getattr(arguments, option) is not None:
             name = option.replace("_", "-")
             raise HydraSettingError(f"--{name}: cannot be used here; {remedy}")
+    if arguments.config_dir is not None:
+        check_folder(Path(arguments.config_dir))
     for override in arguments.overrides:
         if "searchpath" in override:
             raise HydraSettingError(

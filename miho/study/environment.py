@@ -60,7 +60,7 @@ same bits only where these are the same."""
 
 
 def blas_kernels() -> list[str]:
-    """Which code each library of linear algebra of this process runs, such as "openblas Haswell"."""
+    """The code that each library of linear algebra chose for this CPU: "openblas Haswell"."""
     pools = _pools(len(sys.modules)).info()
     named = {
         f"{pool['internal_api']} {pool['architecture']}"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
@@ -12,10 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from miho.optim.validate import whole
+from miho.study.meaning import meaning
 from miho.study.places import check_name
 
-UNHEEDED = ("kind", "type_comment", "type_ignores")
-"""Of a syntax tree: how a text is spelt, and comments."""
 REQUEST = 10
 """Hexadecimal digits of each half of a run's id."""
 LARGEST_SEED = 2**63 - 1
@@ -43,44 +41,6 @@ def code_digest(places: Iterable[Path]) -> str:
             name = path.relative_to(place.parent).as_posix()
             digest.update(f"\0{name}\0{meaning(path.read_bytes())}".encode())
     return digest.hexdigest()
-
-
-def meaning(source: bytes) -> str:
-    """The syntax tree of a program as text, without docstrings; raises SyntaxError.
-
-    Every Python that can read the program gives the same: fields that hold nothing are left out,
-    since versions differ in which there are, and so is what is not ASCII, since they differ in what
-    can be printed. `ast.dump` heeds neither.
-    """
-    return _normal(ast.parse(source))
-
-
-def _normal(node: Any) -> str:
-    if isinstance(node, ast.AST):
-        fields = {name: value for name, value in ast.iter_fields(node) if name not in UNHEEDED}
-        if isinstance(fields.get("body"), list):
-            fields["body"] = [line for line in fields["body"] if not _is_text(line)]
-        if isinstance(node, ast.JoinedStr):  # 3.12 has empty texts between its parts
-            fields["values"] = [part for part in node.values if not _is_empty_text(part)]
-        named = (f"{name}={_normal(value)}" for name, value in fields.items() if not _empty(value))
-        return f"{type(node).__name__}({','.join(named)})"
-    if isinstance(node, list):
-        return f"[{','.join(map(_normal, node))}]"
-    return ascii(node)
-
-
-def _is_empty_text(part: ast.expr) -> bool:
-    return isinstance(part, ast.Constant) and part.value == ""
-
-
-def _empty(value: Any) -> bool:
-    return value is None or value == []
-
-
-def _is_text(line: ast.AST) -> bool:
-    """Whether a line is a string alone, which does nothing."""
-    alone = isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant)
-    return alone and isinstance(line.value.value, str)  # type: ignore[attr-defined]
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """parameters.json: what is written is read back, and use beyond the data is told."""
 
+import contextlib
 import json
 import math
 from pathlib import Path
@@ -12,7 +13,9 @@ from miho.models.identified import (
     Identified,
     OutsideDataWarning,
     ParametersError,
+    UncheckedWarning,
     Value,
+    _digest,
     parameters_text,
     read_parameters,
 )
@@ -78,12 +81,41 @@ def test_parameters_must_be_the_models() -> None:
 )
 def test_a_damaged_file_is_refused(tmp_path: Path, change: object, message: str) -> None:
     document = json.loads(parameters_text(identified(), {}))
+    del document["sha256"]
     change(document)  # type: ignore[operator]
+    document["sha256"] = _digest(document)
     path = tmp_path / "parameters.json"
     path.write_text(json.dumps(document))
     with pytest.raises(ParametersError, match=message) as caught:
         read_parameters(path, Pacejka())
     assert str(path) in str(caught.value)
+
+
+def test_no_bit_can_change_unseen(tmp_path: Path) -> None:
+    good = parameters_text(identified(), {}).encode()
+    path = tmp_path / "parameters.json"
+    rng = np.random.default_rng(0)
+    for position in rng.integers(len(good), size=300).tolist():
+        flipped = bytearray(good)
+        flipped[position] ^= 1 << int(rng.integers(8))
+        path.write_bytes(flipped)
+        with contextlib.suppress(ParametersError, UncheckedWarning):
+            assert read_parameters(path, Pacejka()).theta.tolist() == identified().theta.tolist()
+
+
+def test_a_file_without_a_checksum_is_read_with_a_warning(tmp_path: Path) -> None:
+    document = json.loads(parameters_text(identified(), {}))
+    del document["sha256"]
+    path = tmp_path / "parameters.json"
+    path.write_text(json.dumps(document))
+    with pytest.warns(UncheckedWarning, match="has no checksum"):
+        found = read_parameters(path, Pacejka())
+    assert found.theta.tolist() == identified().theta.tolist()
+
+
+def test_a_device_is_no_parameters_file() -> None:
+    with pytest.raises(ParametersError, match="not a regular file"):
+        read_parameters("/dev/zero", Pacejka())
 
 
 def test_something_else_is_refused(tmp_path: Path) -> None:

@@ -1,0 +1,50 @@
+"""What a program means, as text that is the same for every Python that can read it.
+
+This file needs nothing but Python, so that other versions of it can be asked.
+"""
+
+from __future__ import annotations
+
+import ast
+from typing import Any
+
+UNHEEDED = ("kind", "type_comment", "type_ignores")
+"""Of a syntax tree: how a text is spelt, and comments."""
+
+
+def meaning(source: bytes) -> str:
+    """The syntax tree of a program as text, without docstrings; raises SyntaxError.
+
+    Every Python that can read the program gives the same: fields that hold nothing are left out,
+    since versions differ in which there are, and so is what is not ASCII, since they differ in what
+    can be printed. `ast.dump` heeds neither.
+    """
+    return _normal(ast.parse(source))
+
+
+def _normal(node: Any) -> str:
+    if isinstance(node, ast.AST):
+        fields = {name: value for name, value in ast.iter_fields(node) if name not in UNHEEDED}
+        if isinstance(fields.get("body"), list):
+            fields["body"] = [line for line in fields["body"] if not _is_text(line)]
+        if isinstance(node, ast.JoinedStr):  # 3.12 has empty texts between its parts
+            fields["values"] = [part for part in node.values if not _is_empty_text(part)]
+        named = (f"{name}={_normal(value)}" for name, value in fields.items() if not _empty(value))
+        return f"{type(node).__name__}({','.join(named)})"
+    if isinstance(node, list):
+        return f"[{','.join(map(_normal, node))}]"
+    return ascii(node)
+
+
+def _is_empty_text(part: ast.expr) -> bool:
+    return isinstance(part, ast.Constant) and part.value == ""
+
+
+def _empty(value: Any) -> bool:
+    return value is None or value == []
+
+
+def _is_text(line: ast.AST) -> bool:
+    """Whether a line is a string alone, which does nothing."""
+    alone = isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant)
+    return alone and isinstance(line.value.value, str)  # type: ignore[attr-defined]
