@@ -20,6 +20,7 @@ from miho.study.changes import ResumeRefused
 from miho.study.files import RESULT
 from miho.study.identity import canonical, sha256
 from miho.study.places import inside
+from miho.study.store import SUPERSEDED
 
 MANIFESTS = ".sweeps"
 SHOWN = 3
@@ -70,6 +71,21 @@ def refuse_other_settings(
             f"{root}: the same sweep was made with other settings of {told}; set its runs aside "
             "and start afresh with fresh=true, or choose another root"
         )
+
+
+def without_result(root: Path) -> tuple[list[Path], int]:
+    """Of the runs that the sweeps of a root consisted of: those without a result, and how many all.
+
+    What was set aside is neither. A run may be missing because its sweep has not come to it yet.
+    """
+    places: dict[Path, None] = {}
+    for path in sorted((root / MANIFESTS).glob("*.json")):
+        for entry in _read(path).values():
+            place = Path(*entry["place"])
+            if not (root / SUPERSEDED / place).exists():
+                places[place] = None
+    missing = [root / place for place in places if not (root / place / RESULT).is_file()]
+    return missing, len(places)
 
 
 def _path(root: Path, overrides: Sequence[str]) -> Path:

@@ -12,8 +12,9 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from experiments.doctor.check import Check, State
+from experiments.manifest import without_result
 from miho.study import load_runs
-from miho.study.files import PARTIAL, RESULT
+from miho.study.files import CURVE, PARTIAL, RESULT
 from miho.study.places import below
 
 QUARANTINE = ".quarantine"
@@ -26,6 +27,7 @@ LOCK, SHOWN = "lock", 3
 def result_checks(root: Path, *, quarantine: bool) -> Iterator[Check]:
     """One check after the other of an existing root; `quarantine` moves damaged runs aside."""
     yield runs(root, quarantine=quarantine)
+    yield missing(root)
     files, links = contents(root)
     yield partial(files)
     yield temporary(files)
@@ -63,6 +65,18 @@ def runs(root: Path, *, quarantine: bool) -> Check:
     if kept:
         return Check("runs", State.FAILED, f"{told}, left {_some(kept)}: in use or outside")
     return Check("runs", State.OK, f"{told}; the next sweep runs them again")
+
+
+def missing(root: Path) -> Check:
+    """Runs that sweeps consisted of and that have no result."""
+    found, count = without_result(root)
+    if not found:
+        return Check("missing runs", State.OK, f"none of {count}")
+    gone = sum((folder / CURVE).is_file() for folder in found)
+    told = f"{len(found)} of {count} runs of the sweeps here have no {RESULT}: {_some(set(found))}"
+    if gone:
+        told += f"; {gone} of them had one, or were killed while they stored it"
+    return Check("missing runs", State.WARNING, f"{told}; the same sweep runs them again")
 
 
 def move_aside(root: Path, folder: Path) -> Path | None:

@@ -167,6 +167,7 @@ def _become(job: Callable[[], object]) -> None:
         sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__
         signal.signal(signal.SIGINT, signal.default_int_handler)
         if serve_workers.cache_info().currsize:  # which our parent alone may wait for
+            mock.patch.object(forkserver, "ensure_running").start()
             mock.patch.object(forkserver._forkserver, "ensure_running").start()
         job()
         code = 0

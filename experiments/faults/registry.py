@@ -65,4 +65,9 @@ ENTRIES = (
     Entry("R19", "determinism"),
     Entry("R20", "tracker", timed=True),
     Entry("R21", "places"),
+    Entry("R22", "neighbours"),
+    Entry("R23", "own_models"),
+    Entry("R24", "received_files"),
+    Entry("R25", "silence"),
+    Entry("R26", "other_machines"),
 )

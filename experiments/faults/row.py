@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Row:
-    """A measured row: its number (R1 to R21), the fault, the goal, the figure, the verdict."""
+    """A measured row: its number (R1 to R26), the fault, the goal, the figure, the verdict."""
 
     number: str
     fault: str

@@ -1,0 +1,125 @@
+"""R25: what went wrong without a word."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from multiprocessing import forkserver
+from pathlib import Path
+from unittest import mock
+
+from experiments.doctor.results import result_checks
+from experiments.faults.called import Call, begun, identified, prepare
+from experiments.faults.identifying import TINY
+from experiments.faults.row import Row
+from miho.study.workers import Workers
+
+NEVER = '''"""A line that cannot be evaluated in a run, though it can be tried."""
+import inspect
+
+def line(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N") -> "N":
+    if not any(frame.function == "__post_init__" for frame in inspect.stack()):
+        raise NameError("gone")
+    return Sy - B * D * (alpha - Sx)
+'''
+EXACT = "alpha,Fy\n" + "".join(f"{x / 100},{-20.0 * x}\n" for x in range(-20, 21))
+LINE = '''"""A line, which the data lie on."""
+
+def line(alpha: "rad", *, D: "N", B: "N") -> "N":
+    return B + D * alpha
+'''
+
+
+def silence(folder: Path) -> Row:
+    """Six faults, each of which must be noticed in words and in the exit code."""
+    prepare()
+    noticed = {
+        "deleted result": _deleted(folder),
+        "JIT off": _jit_off(folder),
+        "all rejected": _rejected(folder),
+        "no error in the data": _exact(folder),
+        "a bad seed": _bad_seed(folder),
+        "hang-up": _hang_up(folder),
+        "server killed": _server_killed(),
+    }
+    unseen = [what for what, seen in noticed.items() if not seen]
+    return Row(
+        "R25",
+        "result deleted, JIT off, all evaluations rejected, data without error, bad seed, hang-up, "
+        "server of workers killed",
+        "each noticed in words and in the exit code; partial results kept",
+        f"{len(noticed) - len(unseen)} of {len(noticed)} noticed"
+        + f"; not: {', '.join(unseen)}" * bool(unseen),
+        not unseen,
+    )
+
+
+def _deleted(folder: Path) -> bool:
+    root = folder / "deleted"
+    sweep = ("-m", *TINY, "seed=0,1", f"root={root}")
+    identified(*sweep)
+    next(root.glob("*/*/*/result.json")).unlink()
+    said = [check.told for check in result_checks(root, quarantine=False)]
+    again = identified(*sweep)
+    seen = any("1 of 2 runs" in line for line in said) and "have no result.json" in again.err
+    return seen and again.code == 0 and len(list(root.glob("*/*/*/result.json"))) == 2
+
+
+def _jit_off(folder: Path) -> bool:
+    with mock.patch("numba.config.DISABLE_JIT", 1):
+        ended = identified(*TINY, f"root={folder / 'jit'}")
+    return ended.code == 2 and "NUMBA_DISABLE_JIT" in ended.complaint
+
+
+def _rejected(folder: Path) -> bool:
+    model, root = folder / "never.py", folder / "rejected"
+    model.write_text(NEVER, encoding="utf-8")
+    ended = identified("-m", *TINY, "model=function", f"model.path={model}", f"root={root}")
+    kept = list(root.glob("*/*/*/partial.json"))
+    seen = "not one evaluation gave a value" in ended.out and "gone" in ended.out
+    return seen and ended.code == 3 and len(kept) == 1 and not list(root.rglob("result.json"))
+
+
+def _exact(folder: Path) -> bool:
+    data, model, root = folder / "exact.csv", folder / "line.py", folder / "exact"
+    data.write_text(EXACT, encoding="utf-8")
+    model.write_text(LINE, encoding="utf-8")
+    space = "{D: {unit: N, low: -5000, high: 5000}, B: {unit: N, low: -100, high: 100}}"
+    ended = identified(
+        "model=function", f"model.path={model}", "dataset=csv", f"dataset.path={data}",
+        f"space={space}", "optimizer=least_squares", f"root={root}",
+    )  # fmt: skip
+    return ended.code == 0 and "Traceback" not in ended.err
+
+
+def _bad_seed(folder: Path) -> bool:
+    ended = identified(*TINY, "sweep.seeds=[1,2,-3]", f"root={folder / 'seeds'}")
+    return ended.code == 2 and "seed: is -3" in ended.complaint
+
+
+def _hang_up(folder: Path) -> bool:
+    root = folder / "hang_up"
+    sweep = begun(Call([
+        "-m", *TINY, "budget.evaluations=null", "budget.seconds=60", "seed=0,1", f"root={root}",
+    ]))  # fmt: skip
+    until = time.monotonic() + 60
+    while not list(root.glob("*/*/*/lock")) and time.monotonic() < until:
+        time.sleep(0.05)
+    time.sleep(1.0)
+    os.kill(sweep.pid, signal.SIGHUP)
+    ended = sweep.end()
+    kept = [json.loads(path.read_bytes()) for path in root.glob("*/*/*/partial.json")]
+    seen = "interrupted" in ended.out and ended.code == 128 + signal.SIGHUP
+    return seen and len(kept) == 1 and len(kept[0]["curve"]["loss"]) > 0
+
+
+def _server_killed() -> bool:
+    """Killed between two jobs, so that the next worker is asked of a server that is gone."""
+    with Workers(abs, 2, 30.0, ("experiments.sweep",)) as workers:
+        server = forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]
+        os.kill(server, signal.SIGKILL)
+        workers.start(-3)
+        ended = workers.wait(30.0) or workers.wait(30.0) or workers.wait(30.0)
+        return [one.result for one in ended] == [3]
