@@ -31,7 +31,7 @@ from experiments.build import (
     our_code,
     packages_of,
 )
-from experiments.cli import one_line
+from experiments.explain import one_line
 from experiments.manifest import refuse_other_settings, some, write_manifest
 from experiments.mirror import Mirror, open_mirror
 from experiments.own_code import code_of, named_only, runs_own_code

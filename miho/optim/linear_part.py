@@ -48,32 +48,32 @@ def solve_linear_part(
     back from the residuals at the solution. None if a residual is not finite.
     """
     theta = theta.copy()
-    linear = np.asarray(linear)
+    at = np.asarray(linear)
     offset = residuals(theta)
-    basis = np.empty((offset.size, linear.size))
-    for column, k in enumerate(linear):
+    basis = np.empty((offset.size, at.size))
+    for column, k in enumerate(at):
         moved = theta.copy()
         above, below = space.high[k] - theta[k], theta[k] - space.low[k]
         moved[k] = space.high[k] if above >= below else space.low[k]
         basis[:, column] = (residuals(moved) - offset) / (moved[k] - theta[k])
-    offset = offset - basis @ theta[linear]
+    offset = offset - basis @ theta[at]
     if not (np.isfinite(offset).all() and np.isfinite(basis).all()):
         return None
     largest = np.abs(basis).max(axis=0, initial=0.0)
     largest[largest == 0] = 1.0
     norm = largest * np.linalg.norm(basis / largest, axis=0)  # of 1e200 too, without overflow
     norm[norm == 0] = 1.0
-    low, high = space.low[linear], space.high[linear]
+    low, high = space.low[at], space.high[at]
     basis = basis / norm
     solution = lsq_linear(basis, -offset, (low * norm, high * norm), method="bvls")
-    theta[linear] = np.clip(solution.x / norm, low, high)
+    theta[at] = np.clip(solution.x / norm, low, high)
 
     free = solution.active_mask == 0
-    basis, linear, norm = basis[:, free], linear[free], norm[free]
+    basis, at, norm = basis[:, free], at[free], norm[free]
     rest = residuals(theta)
     if not np.isfinite(rest).all():
         return None
-    before = theta[linear]
+    before = theta[at]
     correction = np.linalg.lstsq(basis, -rest)[0] / norm
-    theta[linear] = np.clip(before + correction, space.low[linear], space.high[linear])
-    return LinearPart(theta, rest + basis @ ((theta[linear] - before) * norm), basis)
+    theta[at] = np.clip(before + correction, space.low[at], space.high[at])
+    return LinearPart(theta, rest + basis @ ((theta[at] - before) * norm), basis)
