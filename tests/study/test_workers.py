@@ -54,8 +54,10 @@ def test_a_job_that_goes_wrong_is_lost_alone() -> None:
 
 
 def test_an_interrupt_reaches_the_job_and_a_kill_ends_it(tmp_path: Path) -> None:
-    """Each job leaves a file when it has begun, and then hangs."""
-    hang = "import pathlib, time; pathlib.Path({!r}).touch(); time.sleep(1000)"
+    """Each job leaves a file when it has begun, and then hangs, in many short sleeps: a signal that
+    comes just before one, after Python last looked for signals, is heard when it is over.
+    """
+    hang = "import pathlib, time\npathlib.Path({!r}).touch()\nwhile True: time.sleep(0.05)"
     begun = [tmp_path / name for name in ("first", "second", "third")]
     with Workers[str, None](exec, 2) as workers:
         for place in begun[:2]:
