@@ -107,7 +107,7 @@ def _hang_up(folder: Path) -> bool:
     until = time.monotonic() + 60
     while not list(root.glob("*/*/*/lock")) and time.monotonic() < until:
         time.sleep(0.05)
-    time.sleep(1.0)
+    time.sleep(4.0)
     os.kill(sweep.pid, signal.SIGHUP)
     ended = sweep.end()
     kept = [json.loads(path.read_bytes()) for path in root.glob("*/*/*/partial.json")]
