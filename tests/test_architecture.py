@@ -20,7 +20,10 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         NUMERICS | TABLES,
     ),
     "miho.driving": ({"miho.driving", "miho.models", "miho.data"}, NUMERICS),
-    "miho.study": ({"miho.study", "miho.optim"}, {"pandas", "filelock", "orjson", "threadpoolctl"}),
+    "miho.study": (
+        {"miho.study", "miho.optim"},
+        {"pandas", "filelock", "numpy", "orjson", "threadpoolctl"},
+    ),
     "miho.analysis": ({"miho.analysis", "miho.study"}, NUMERICS | TABLES),
     "miho.methods": ({"miho.methods", "miho.optim"}, NUMERICS),
     "miho.testing": ({"miho.optim", "miho.models"}, NUMERICS),

@@ -74,6 +74,48 @@ def test_a_run_that_was_tried_says_why_it_is_not_done(tmp_path: Path) -> None:
     assert found(one).status is Status.TO_DO
 
 
+def test_a_result_that_is_gone_is_missed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    runs = runs_of(tmp_path)
+    sweep(runs, SweepConfig())
+    (Store(tmp_path).folder(runs[0].identity) / "result.json").unlink()
+    assert manifest.without_result(tmp_path) == ([Store(tmp_path).folder(runs[0].identity)], 2)
+    again = sweep(runs, SweepConfig())
+    assert sorted(statuses(again)) == [Status.DONE_BEFORE, Status.RAN]
+    assert "1 runs were stored before and have no result.json now" in capsys.readouterr().err
+    assert manifest.without_result(tmp_path) == ([], 2)
+
+
+def test_runs_that_are_done_need_no_worker(tmp_path: Path, monkeypatch: Any) -> None:
+    runs = runs_of(tmp_path)
+    sweep(runs, SweepConfig())
+    monkeypatch.setattr("experiments.sweep.Workers", None)
+    assert statuses(sweep(runs, SweepConfig())) == [Status.DONE_BEFORE] * 2
+
+
+MODEL = 'def line(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N") -> "N":\n'
+"""The parameters are those of the configuration's own space."""
+
+
+@pytest.mark.parametrize("deed", ["raise KeyboardInterrupt", "raise BaseException('no')"])
+def test_a_model_that_cannot_be_tried_is_lost_alone(tmp_path: Path, deed: str) -> None:
+    own = tmp_path / "model.py"
+    own.write_text(f"{MODEL}    {deed}\n")
+    chosen = ("model=function", f"model.path={own}", "dataset.n=40")
+    (one,) = runs_of(tmp_path / "runs", *chosen, seeds=1)
+    assert one.lost is not None
+    assert statuses(sweep([one], SweepConfig())) == [Status.LOST]
+    own.write_text(f"{MODEL}    return Sy - B * D * (alpha - Sx)\n")
+    (one,) = runs_of(tmp_path / "runs", *chosen, seeds=1)
+    assert statuses(sweep([one], SweepConfig())) == [Status.RAN]
+
+
+def test_a_seed_below_zero_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="seed: is -3"):
+        wanted(config(tmp_path), "", [1, -3])
+
+
 def test_what_a_lost_run_says_keeps_secrets(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setenv("MIHO_TEST_TOKEN", "do-not-tell-this")
     register()

@@ -37,8 +37,8 @@ def received_files(folder: Path) -> Row:
     cells = _formulas(folder)
     return Row(
         "R24",
-        f"{FLIPS} bit flips of a .mat, packed and not, and of parameters.json; pipes and devices as files; YAML of "
-        "9^7 aliases, 3,000 deep, holding itself; CSV export of names that are formulas",
+        f"{FLIPS} bit flips of a .mat, packed and not, and of parameters.json; pipes and devices "
+        "as files; YAML of 9^7 aliases, 3,000 deep, holding itself; CSV export of formulas",
         f"no crash, nothing above {WAIT:g} s, no wrong number, one line, no formula",
         f".mat: {crashed} crashes, {wrong} wrong numbers; parameters.json: {unseen} wrong numbers; "
         f"not refused in time: {', '.join([*slow, *bombs]) or 'none'}; {cells} formulas exported",

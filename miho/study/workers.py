@@ -31,6 +31,7 @@ THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 """What numerical libraries read when they are loaded."""
 STARTS = 3
 """How often a worker is started anew where the server that forks it dies meanwhile."""
+PAUSE = 0.1
 LOST = 255
 """What multiprocessing gives for the exit code of a process whose server died first."""
 
@@ -173,6 +174,7 @@ class Workers(Generic[Job, Result]):
                 ours.close()
                 if not left:
                     raise
+                time.sleep(PAUSE)  # until the system says that it has ended
             finally:
                 theirs.close()
         worker: _Worker[Job] = _Worker(process, ours)

@@ -9,7 +9,8 @@ from experiments.faults.registry import ENTRIES
 
 TIMES = {
     "kills": 40, "isolation": None, "signals": 5, "sharing": None, "identical_sweeps": None,
-    "changes": None, "determinism": 12,
+    "changes": None, "determinism": 12, "neighbours": None, "own_models": None,
+    "silence": None, "received_files": None, "other_machines": None,
 }  # fmt: skip
 """By row, how often its fault is done here, if less often than the table asks."""
 
