@@ -24,7 +24,7 @@ def line(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N") -> "N"
         raise NameError("gone")
     return Sy - B * D * (alpha - Sx)
 '''
-EXACT = "alpha,Fy\n" + "".join(f"{x / 100},{-20.0 * x}\n" for x in range(-20, 21))
+EXACT = "alpha,Fy\n" + "".join(f"{x / 128},{-16 * x}\n" for x in range(-20, 21))
 LINE = '''"""A line, which the data lie on."""
 
 def line(alpha: "rad", *, D: "N", B: "N") -> "N":
@@ -86,10 +86,10 @@ def _exact(folder: Path) -> bool:
     data, model, root = folder / "exact.csv", folder / "line.py", folder / "exact"
     data.write_text(EXACT, encoding="utf-8")
     model.write_text(LINE, encoding="utf-8")
-    space = "{D: {unit: N, low: -5000, high: 5000}, B: {unit: N, low: -100, high: 100}}"
+    space = "+space={D: {unit: N, low: -5000, high: 5000}, B: {unit: N, low: -100, high: 100}}"
     ended = identified(
         "model=function", f"model.path={model}", "dataset=csv", f"dataset.path={data}",
-        f"space={space}", "optimizer=least_squares", f"root={root}",
+        "~space", space, "optimizer=least_squares", f"root={root}",
     )  # fmt: skip
     return ended.code == 0 and "Traceback" not in ended.err
 
