@@ -14,7 +14,7 @@ from hydra.core.global_hydra import GlobalHydra
 from experiments import drive as driving
 from experiments.build import ConfigError
 from experiments.cli import command, composed
-from experiments.drive import check, drive
+from experiments.drive import drive, prepared
 from experiments.known import PARTS, identified_part, known_car
 from experiments.schema import register
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
@@ -63,7 +63,7 @@ def test_a_car_that_leaves_the_road_says_so_and_has_its_own_exit_code(
     monkeypatch.setattr(driving, "departures", [])
     GlobalHydra.instance().clear()
     with pytest.raises(SystemExit) as end:
-        command(drive, check, driving.summary)
+        command(drive, driving.summary)
     out, err = capsys.readouterr()
     assert end.value.code == 6
     assert "left the road" in out
@@ -97,7 +97,7 @@ def test_a_car_that_leaves_the_road_says_so_and_has_its_own_exit_code(
 )
 def test_bad_input_is_one_line_before_anything_is_identified(override: str, message: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        check(composed([IMS, override]))
+        prepared(composed([IMS, override]))
     assert str(caught.value).startswith(message)
     assert "\n" not in str(caught.value)
 
@@ -126,7 +126,7 @@ def test_a_setting_that_was_renamed_names_the_new_ones(
     monkeypatch.setattr(sys, "argv", ["drive", IMS, "drive.mu=0.7"])
     GlobalHydra.instance().clear()
     with pytest.raises(SystemExit) as end:
-        command(drive, check, driving.summary)
+        command(drive, driving.summary)
     assert end.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: drive.mu: is now two settings: drive.performance_factor, the")
@@ -135,7 +135,7 @@ def test_a_setting_that_was_renamed_names_the_new_ones(
 
 def test_without_an_experiment_there_is_nothing_to_drive() -> None:
     with pytest.raises(ConfigError, match="choose experiment=ims_obstacle or lvms_laps"):
-        check(composed([]))
+        prepared(composed([]))
 
 
 def test_a_part_comes_from_its_parameters_file(tmp_path: Path) -> None:

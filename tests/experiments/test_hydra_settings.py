@@ -62,7 +62,8 @@ def test_what_reaches_a_shell_must_be_typed(usual: DictConfig) -> None:
 
 @pytest.mark.parametrize("option", ["config_path", "config_name", "experimental_rerun"])
 def test_options_that_replace_our_configuration(option: str) -> None:
-    given = {"config_path": None, "config_name": None, "experimental_rerun": None, "overrides": []}
+    options = ("config_dir", "config_path", "config_name", "experimental_rerun")
+    given = dict.fromkeys(options) | {"overrides": []}
     check_arguments(argparse.Namespace(**given))
     with pytest.raises(HydraSettingError, match=f"--{option.replace('_', '-')}: cannot be used"):
         check_arguments(argparse.Namespace(**given | {option: "x"}))

@@ -19,6 +19,7 @@ from miho.models.identified import (
     parameters_text,
     read_parameters,
 )
+from miho.regular_file import NotAFileError
 
 UNITS = dict(Pacejka.parameters)
 THETA = dict(zip(UNITS, [12.0, 1.7, 4000.0, -0.005, 150.0], strict=True))
@@ -114,7 +115,7 @@ def test_a_file_without_a_checksum_is_read_with_a_warning(tmp_path: Path) -> Non
 
 
 def test_a_device_is_no_parameters_file() -> None:
-    with pytest.raises(ParametersError, match="not a regular file"):
+    with pytest.raises(NotAFileError, match="is not a file but a pipe, device or socket"):
         read_parameters("/dev/zero", Pacejka())
 
 
