@@ -180,7 +180,8 @@ def sweep(
         write_manifest(Path(root), overrides, mine)
     with mirrors(roots, tracking) as opened, _bar(len(unique), settings.processes) as bar:
         try:
-            for done in chain(_each_known(unique, todo := []), _each(todo, settings)):
+            todo: list[Wanted] = []
+            for done in chain(_each_known(unique, todo), _each(todo, settings)):
                 ended.append(done)
                 bar.tell(done)
                 _push(opened.get(done.wanted.root), done.wanted)
@@ -344,7 +345,7 @@ def _execute(one: Wanted) -> Done:
         one,
         execution.status,
         line(experiment, execution),
-        _error(execution.run and execution.run.result),
+        _error(None if execution.run is None else execution.run.result),
         last[0] if last else None,
     )
 

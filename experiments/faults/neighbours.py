@@ -51,14 +51,16 @@ def neighbours(folder: Path) -> Row:
     beside, root_alone = folder / "beside", folder / "alone"
     ended = _sweep(order, Path(os.path.relpath(beside)), "sweep.time_limit=30")
     _sweep([folder / "innocent_exp.py"], root_alone)
-    expected = load_runs(root_alone).runs.set_index("seed")["error"]
+    expected = load_runs(root_alone).runs.set_index("seed")["error"].to_dict()
     runs = load_runs(beside).runs
     configs = {
         path: path.with_name("config.json").read_text() for path in beside.rglob("result.json")
     }
     clean = {str(path.parent) for path, text in configs.items() if "innocent_" in text}
     ours = runs[[str(one) in clean for one in runs["folder"]]]
-    equal = sum(expected[row.seed] == row.error for row in ours.itertuples())
+    equal = sum(
+        expected[seed] == error for seed, error in zip(ours["seed"], ours["error"], strict=True)
+    )
     wanted = SEEDS * len(innocent)
     cost = 1e3 * (_seconds(alone=True) - _seconds(alone=False))
     busy = (busy_cores() or 0.0) > BUSY_CORES
@@ -84,7 +86,9 @@ def _sweep(models: list[Path], root: Path, *more: str) -> int:
 def _seconds(*, alone: bool) -> float:
     """The shortest time of a job that does nothing."""
     took = []
-    with Workers(abs, 1, modules=("experiments.sweep",), alone=bool if alone else None) as workers:
+    modules = ("experiments.sweep",)
+    workers: Workers[int, int] = Workers(abs, 1, modules=modules, alone=bool if alone else None)
+    with workers:
         for job in range(1, JOBS + 1):
             began = time.perf_counter()
             workers.start(job)

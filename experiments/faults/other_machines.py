@@ -52,11 +52,12 @@ def other_machines(folder: Path) -> Row:
 def _digest(version: str) -> str | None:
     """By the Python of this version, if one is installed, beside those of pyenv as well."""
     beside = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv")) / "versions"
-    places = sorted(beside.glob(f"{version}.*/bin/python")) or [shutil.which(f"python{version}")]
-    if places[0] is None:
+    places = [*map(str, sorted(beside.glob(f"{version}.*/bin/python")))]
+    python = places[0] if places else shutil.which(f"python{version}")
+    if python is None:
         return None
     done = subprocess.run(
-        [places[0], "-I", "-c", DIGEST], cwd=CHECKOUT, capture_output=True, text=True, check=False
+        [python, "-I", "-c", DIGEST], cwd=CHECKOUT, capture_output=True, text=True, check=False
     )
     return done.stdout.strip() or None
 

@@ -6,6 +6,7 @@ import os
 import signal
 import warnings
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -121,11 +122,11 @@ def _devices(folder: Path) -> dict[str, Callable[[], object]]:
     found: dict[str, Callable[[], object]] = {}
     for path in map(str, (pipe, "/dev/zero")):
         found |= {
-            f"csv {path}": lambda path=path: load_csv(path, COLUMNS, UNITS, "Fy"),
-            f"mat {path}": lambda path=path: load_mat(path, COLUMNS, UNITS, "Fy"),
-            f"tir {path}": lambda path=path: load_tir(path),
-            f"parameters {path}": lambda path=path: read_parameters(path, Pacejka()),
-            f"model {path}": lambda path=path: load_function(path),
+            f"csv {path}": partial(load_csv, path, COLUMNS, UNITS, "Fy"),
+            f"mat {path}": partial(load_mat, path, COLUMNS, UNITS, "Fy"),
+            f"tir {path}": partial(load_tir, path),
+            f"parameters {path}": partial(read_parameters, path, Pacejka()),
+            f"model {path}": partial(load_function, path),
         }  # fmt: skip
     return found
 
@@ -139,7 +140,7 @@ def _yaml(folder: Path) -> dict[str, Callable[[], object]]:
     }
     for name, text in texts.items():
         (folder / f"{name}.yaml").write_text(text, encoding="utf-8")
-    return {name: lambda name=name: check_file(folder / f"{name}.yaml") for name in texts}
+    return {name: partial(check_file, folder / f"{name}.yaml") for name in texts}
 
 
 def _refused(read: Callable[[], object]) -> bool:

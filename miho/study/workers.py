@@ -203,7 +203,8 @@ class Workers(Generic[Job, Result]):
                 worker.job, worker.deadline = None, float("inf")
                 if answer[1] == INTERRUPTED and not worker.interrupted:
                     answer = None, NOBODY, answer[2]
-                return Ended(job, *answer, worker.interrupted)
+                result, reason, detail = answer
+                return Ended(job, result, reason, detail, worker.interrupted)
         except (EOFError, OSError):
             worker.process.join()
         if worker.process.exitcode is not None and worker.interrupted:
