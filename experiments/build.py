@@ -31,7 +31,8 @@ from experiments.own_code import runs_own_code
 from experiments.schema import Config
 from experiments.targets import TargetError, find_target, nested_target
 from miho.data import Dataset
-from miho.identification import CurveFit, Loss, irreducible_error, linear_optimum
+from miho.identification import CurveFit, Loss, linear_optimum
+from miho.identification.irreducible import irreducible_interval
 from miho.models import Model
 from miho.models.expression import Expression
 from miho.optim import Budget, Optimizer, Parameter, Space
@@ -81,9 +82,11 @@ def _facts(problem: CurveFit) -> Mapping[str, Any]:
     facts: dict[str, Any] = {"unit": problem.unit}
     if len(model.inputs) == 1:
         (column,) = model.inputs
-        floor = irreducible_error(dataset[column], dataset[dataset.output])
-        if math.isfinite(floor):
-            facts["irreducible"] = floor
+        floor = irreducible_interval(dataset[column], dataset[dataset.output])
+        if math.isfinite(floor.value):
+            facts["irreducible"] = floor.value
+        if floor.resolved:
+            facts |= {"irreducible_low": floor.low, "irreducible_high": floor.high}
     optimum = linear_optimum(problem)
     if optimum is not None:
         facts["optimum"] = optimum[1]

@@ -43,6 +43,8 @@ MEANING = {
     "cpu_seconds": ("s", "processor time of the method alone"),
     "setup_seconds": ("s", "imports, compilation and warm-up, not in seconds"),
     "irreducible": ("see column unit", "estimate of the error no model of the same inputs beats"),
+    "irreducible_low": ("see column unit", "lower end of that estimate's 95 % interval"),
+    "irreducible_high": ("see column unit", "upper end of it"),
     "optimum": ("see column unit", "smallest error in the space, where it is known"),
     "dimension": ("", "number of parameters"),
     "timing_valid": ("", "whether the machine was quiet enough for the seconds to be compared"),

@@ -71,13 +71,14 @@ def plot_error_over(
     ax: Axes,
     *,
     unit: str = "N",
-    irreducible: float = float("nan"),
+    irreducible: tuple[float, float] | None = None,
     grid: Array | None = None,
 ) -> Axes:
     """Mean error of each method over the axis, with a band from the 10 % to the 90 % quantile.
 
     Both scales are logarithmic. Beyond the last row of a method's runs the line goes on thin:
-    the answer is kept, nothing runs. `unit` is that of `curves` and `irreducible`; forces are
+    the answer is kept, nothing runs. `irreducible` is the interval that holds the
+    error no method undercuts, a grey band. `unit` is that of `curves` and `irreducible`; forces are
     drawn in kN. Runs without rows are unknown here: see `tidy.with_silent_runs`.
     """
     grid = log_grid(curves, axis) if grid is None else grid
@@ -95,8 +96,9 @@ def plot_error_over(
         ax.plot(at[~running], mean[~running], color=style.color, linewidth=0.6, zorder=layer)
     ax.set(xscale="log", yscale="log", xlim=(grid[0], grid[-1]))
     ax.set(xlabel=AXIS_LABELS[axis], ylabel=f"error [{shown}]")
-    if np.isfinite(irreducible):
-        ax.axhline(irreducible * factor, color="black", linestyle=(0, (3, 3)), linewidth=0.9)
+    if irreducible is not None:
+        low_end, high_end = (end * factor for end in irreducible)
+        ax.axhspan(low_end, high_end, color="black", alpha=0.1, linewidth=0, zorder=0)
     ax.margins(y=0.06)
     return ax
 
@@ -108,14 +110,15 @@ def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
     `timing.clock_of` decides for the whole figure; the axis says which.
 
     The mean final error of each method stands at the right in its colour; "-" where a run saw
-    nothing finite, which leaves the mean undefined. The dashed line is the
-    estimate of the irreducible error.
+    nothing finite, which leaves the mean undefined. The grey band is the interval
+    of the estimated irreducible error.
     `note` is printed small below: sizes, repetitions, budget.
     """
     runs, curves = one_problem(runs, curves)
     unit = str(runs["unit"].iloc[0])
     shown, factor = shown_unit(unit)
-    irreducible = float(runs["irreducible"].mean())
+    low, high = (float(runs[f"irreducible_{end}"].mean()) for end in ("low", "high"))
+    irreducible = (low, high) if np.isfinite(low) else None
     clock = clock_of(runs)
     with house_style():
         figure = Figure(figsize=(WIDTH, 3.3), layout="constrained")
@@ -135,15 +138,15 @@ def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
             clock.note if wall else "",
             note,
         )
-        if np.isfinite(irreducible):
+        if irreducible is not None:
             left.annotate(
-                f"irreducible ≈ {irreducible * factor:.2f} {shown}",
-                (0.02, irreducible * factor),
+                f"irreducible: {low * factor:.2g} to {high * factor:.2g} {shown}",
+                (0.02, low * factor),
                 xycoords=("axes fraction", "data"),
-                xytext=(0, 2),
+                xytext=(0, -2),
                 textcoords="offset points",
                 fontsize=8,
-                verticalalignment="bottom",
+                verticalalignment="top",
             )
         draw_end_labels(right, _final_labels(runs, factor))
     return figure

@@ -10,7 +10,7 @@ import pandas as pd
 CURVE_COLUMNS = (
     "id", "problem", "optimizer", "seed", "evaluations", "seconds", "cpu_seconds", "error",
 )  # fmt: skip
-RUN_COLUMNS = (*CURVE_COLUMNS, "outcome", "unit", "irreducible")
+RUN_COLUMNS = (*CURVE_COLUMNS, "outcome", "unit", "irreducible_low", "irreducible_high")
 
 
 def require_columns(frame: pd.DataFrame, columns: Collection[str], name: str) -> None:

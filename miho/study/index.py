@@ -16,7 +16,8 @@ from miho.study.scan import CheckedRun, Damage, scan
 
 RUN_COLUMNS = [
     "id", "problem", "optimizer", "seed", "outcome", "error", "unit", "evaluations", "seconds",
-    "cpu_seconds", "setup_seconds", "irreducible", "optimum", "dimension", "timing_valid",
+    "cpu_seconds", "setup_seconds", "irreducible", "irreducible_low", "irreducible_high",
+    "optimum", "dimension", "timing_valid",
     "folder",
 ]  # fmt: skip
 KEYS = ["id", "problem", "optimizer", "seed"]
@@ -123,6 +124,8 @@ def _run_row(run: CheckedRun) -> dict[str, Any]:
         "cpu_seconds": result["cpu_seconds"],
         "setup_seconds": result["setup_seconds"],
         "irreducible": facts.get("irreducible", math.nan),
+        "irreducible_low": facts.get("irreducible_low", math.nan),
+        "irreducible_high": facts.get("irreducible_high", math.nan),
         "optimum": error_of(facts.get("optimum")),
         "dimension": len(names),
         "timing_valid": facts.get("timing_valid"),

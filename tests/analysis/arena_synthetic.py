@@ -49,7 +49,8 @@ def arena(
                 quiet = last and seed < silent
                 runs.append(key | end | {
                     "error": np.nan if quiet else error[-1], "outcome": "budget", "unit": "N",
-                    "irreducible": np.nan, "optimum": np.nan if last else best,
+                    "irreducible_low": np.nan, "irreducible_high": np.nan,
+                    "optimum": np.nan if last else best,
                 })  # fmt: skip
                 if not quiet:
                     rows.append(pd.DataFrame(
