@@ -28,6 +28,7 @@ th, td { padding: .25rem .7rem; text-align: right; border-bottom: 1px solid #e4e
          white-space: nowrap; }
 th { border-bottom: 1.5px solid #888; font-weight: 600; }
 th.text, td.text { text-align: left; }
+td.text:last-child { white-space: normal; }
 img { max-width: 100%; height: auto; }
 /* Where there is no room for a line a cell, or nothing to scroll with, cells wrap, and the columns
    share the width of the page: 4.2 em each hold a correlation, 5.6 em half an interval. */
