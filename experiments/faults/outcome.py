@@ -18,11 +18,10 @@ from typing import Any
 
 from experiments.faults.identifying import descendants
 from experiments.faults.registry import Entry
-from experiments.faults.row import Row
+from experiments.faults.row import NOT_JUDGED, Row
 
 LIMIT_SECONDS = 240.0
 STOP_SECONDS = 5.0
-NOT_JUDGED = "not judged"
 MET, MISSED, MISSING, BROKEN = "met", "MISSED", "missing", "BROKEN"
 PRELOADED = ("experiments.faults.outcome", "experiments.faults.called")
 """What the server of the rows' processes imports once, so that no row has to."""

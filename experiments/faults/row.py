@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+NOT_JUDGED = "not judged"
+"""How a measure begins that this machine, busy with other work, does not let judge."""
+
 
 @dataclass(frozen=True)
 class Row:

@@ -18,10 +18,9 @@ import threadpoolctl
 
 from experiments.doctor.machine import BUSY_CORES, busy_cores
 from experiments.doctor.same_method import CPU_RATIO, Pairs, evaluations_in, same_method_twice
-from experiments.faults.row import Row
+from experiments.faults.row import NOT_JUDGED, Row
 from miho.study import single_thread
 
-NOT_JUDGED = "not judged"
 SIZE, PRODUCTS, ONE_CORE = 400, 20, 1.1
 SLOT_PAIRS = 10
 ASLEEP = 0.5
