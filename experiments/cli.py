@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import copy
 import io
 import os
 import signal
+import socket
 import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 from types import FrameType, MappingProxyType
@@ -40,6 +41,7 @@ from experiments.received_yaml import ReceivedError
 from experiments.stopped import HANG_UP, Stopped, ignores_hang_up
 from miho.data import CSVError, DataUnavailableError
 from miho.models import TirError
+from miho.optim.oracle import UNSENT
 from miho.regular_file import NotAFileError
 from miho.study.changes import ResumeRefused
 from miho.study.redaction import redacted
@@ -111,6 +113,9 @@ def command(
         except KeyboardInterrupt:
             after()
             raise
+        except SystemExit as error:  # of a model: nothing of ours ends a task by it
+            told = f"SystemExit({error.code!r})"
+            raise _Ended(told).with_traceback(error.__traceback__) from None
 
     guarded(job, after)
 
@@ -127,7 +132,7 @@ def composed(overrides: Sequence[str]) -> DictConfig:
         return _without_hydra(_whole(tuple(overrides)))
 
 
-@contextmanager
+@contextlib.contextmanager
 def _hydra(folder: str | None = None) -> Iterator[Hydra]:
     """Hydra, which composes from conf/ and, behind it, from one folder of further options."""
     version.setbase("1.3")
@@ -250,6 +255,10 @@ def _refuse_option(message: str) -> NoReturn:
     )
 
 
+class _Ended(BaseException):
+    """A command ended by what only the user's code can have called."""
+
+
 _ended_by: int = signal.SIGINT
 """The signal that an interrupt of this process stands for."""
 
@@ -265,7 +274,8 @@ def _as_interrupt(number: int, frame: FrameType | None) -> None:
 def guarded(job: Callable[[], object], after: Callable[[], int] = lambda: OK) -> None:
     """Run `job`, turn what it raises into one line and the exit code that fits, and exit.
 
-    SIGTERM stops it like Ctrl-C, and so does a terminal that closes: what was found is kept.
+    SIGTERM stops it like Ctrl-C, and so does a terminal that closes: what was found is kept. An
+    interrupt that no signal sent, or what else only a model of the user's raises, is a failed run.
     """
     signal.signal(signal.SIGTERM, _as_interrupt)
     if HANG_UP is not None and not ignores_hang_up():
@@ -273,26 +283,61 @@ def guarded(job: Callable[[], object], after: Callable[[], int] = lambda: OK) ->
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal without UTF-8 gets escapes
             stream.reconfigure(errors="backslashreplace")
-    try:
-        job()
-        code = after()
-    except BAD_INPUT_ERRORS as error:
-        code = _say(error, BAD_INPUT)
-    except BrokenPipeError:  # whoever read our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        code = PIPE_CLOSED
-    except OSError as error:
-        code = _say(error, STORAGE)
-    except ResumeRefused as error:
-        code = _say(error, REFUSED)
-    except KeyboardInterrupt as error:
-        number = error.number if isinstance(error, Stopped) else _ended_by
-        print(f"interrupted by {signal.Signals(number).name}", file=sys.stderr)
-        code = BY_SIGNAL + number
-    except Exception:  # noqa: BLE001 -- a bug: the traceback is the message
-        print(redacted(traceback.format_exc()), file=sys.stderr, end="")
-        code = BUG
+    with _signals() as arrived:
+        try:
+            job()
+            code = after()
+        except BAD_INPUT_ERRORS as error:
+            code = _say(error, BAD_INPUT)
+        except BrokenPipeError:  # whoever read our output has seen enough
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            code = PIPE_CLOSED
+        except OSError as error:
+            code = _say(error, STORAGE)
+        except ResumeRefused as error:
+            code = _say(error, REFUSED)
+        except KeyboardInterrupt as error:
+            if isinstance(error, Stopped) or arrived():
+                number = error.number if isinstance(error, Stopped) else _ended_by
+                print(f"interrupted by {signal.Signals(number).name}", file=sys.stderr)
+                code = BY_SIGNAL + number
+            else:
+                code = _say(RuntimeError(f"{_place(error)}: raises {UNSENT}"), SOME_FAILED)
+        except SystemExit:
+            raise
+        except Exception:  # noqa: BLE001 -- a bug: the traceback is the message
+            print(redacted(traceback.format_exc()), file=sys.stderr, end="")
+            code = BUG
+        except BaseException as error:  # noqa: BLE001 -- nothing of ours raises it
+            what = f"{type(error).__name__}: {error}" if not isinstance(error, _Ended) else error
+            code = _say(RuntimeError(f"{_place(error)}: raises {what}"), SOME_FAILED)
     sys.exit(code)
+
+
+@contextlib.contextmanager
+def _signals() -> Iterator[Callable[[], bool]]:
+    """Meanwhile signals that this process handles are noted; what is given says if one was."""
+    noted, write = socket.socketpair()
+    with noted, write:
+        for end in (noted, write):
+            end.setblocking(False)
+        before = signal.set_wakeup_fd(write.fileno(), warn_on_full_buffer=False)
+
+        def arrived() -> bool:
+            with contextlib.suppress(BlockingIOError):
+                return bool(noted.recv(1))
+            return False
+
+        try:
+            yield arrived
+        finally:
+            signal.set_wakeup_fd(before)
+
+
+def _place(error: BaseException) -> str:
+    """The file and line that raised an error."""
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{last.filename}:{last.lineno}"
 
 
 def _say(error: BaseException, code: int) -> int:

@@ -39,12 +39,13 @@ from experiments.run import line, result_line, run
 from experiments.stopped import HANG_UP, Stopped, ignores_hang_up
 from miho.data import Dataset
 from miho.identification import CurveFit
+from miho.optim.oracle import UNSENT
 from miho.study import Identity, Status, Store, environment_stamp, single_thread
 from miho.study.changes import refuse_changes
 from miho.study.files import RESULT
 from miho.study.redaction import redacted
 from miho.study.validity import kernel
-from miho.study.workers import NOBODY, Ended, Workers
+from miho.study.workers import Ended, Workers
 
 PROBLEM = ("model", "dataset", "space", "loss", "problem")
 AGAIN, GRACE = 1.5, 3.5
@@ -310,7 +311,7 @@ def _done(ended: Ended[Wanted, Done]) -> Done:
     if ended.result is not None:
         if interrupted or ended.result.status is not Status.INTERRUPTED:
             return replace(ended.result, wanted=one)
-        reason = NOBODY
+        reason = UNSENT
     reason = redacted(reason or "no answer")
     status = Status.INTERRUPTED if interrupted else Status.LOST
     if ended.result is None:  # else it has kept its curve

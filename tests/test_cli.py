@@ -236,6 +236,39 @@ def own(tmp_path: Path) -> Path:
     return folder
 
 
+ENDS = """\
+class Odd(BaseException):
+    pass
+{early}
+calls = 0
+def line(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N") -> "N":
+    global calls
+    calls += 1
+    if calls > {after}:
+        {late}
+    return Sy - B * D * (alpha - Sx)
+"""
+
+
+@pytest.mark.parametrize("deed", ["raise KeyboardInterrupt", "raise Odd('no')", "raise SystemExit"])
+@pytest.mark.parametrize("when", ["import", "first call", "run"])
+def test_what_a_model_raises_by_itself_is_a_failure(
+    identify: Command, tmp_path: Path, deed: str, when: str
+) -> None:
+    """It is no interrupt, and a model that leaves has not succeeded: one line, with the file."""
+    model = tmp_path / "model.py"
+    early, late = (deed, "pass") if when == "import" else ("", deed)
+    after = 100 if when == "run" else 0
+    model.write_text(ENDS.format(early=early, late=late, after=after))
+    chosen = ["model=function", f"model.path={model}", "dataset.n=40", "budget.evaluations=500"]
+    code, out, err = identify(*chosen, "optimizer=random", "optimizer.batch=1")
+    (told,) = out.splitlines() if when == "run" else err.splitlines()
+    assert code == (2 if when == "import" and "Keyboard" not in deed else 3)
+    assert deed.split()[1].partition("(")[0] in told
+    assert "model.py:" in told
+    assert "Traceback" not in err
+
+
 def test_a_folder_of_further_options(identify: Command, own: Path, tmp_path: Path) -> None:
     chosen = ["--config-dir", str(own), "experiment=mine", "optimizer=least_squares"]
     code, out, err = identify(*chosen)

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.optim.optimizer import AskTell, Optimizer
-from miho.optim.oracle import Budget, BudgetExhausted, Meter, Oracle, RunInterrupted
+from miho.optim.oracle import UNSENT, Budget, BudgetExhausted, Meter, Oracle, RunInterrupted
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
@@ -123,7 +123,7 @@ def minimize(
         outcome = Outcome.INTERRUPTED
     except KeyboardInterrupt:
         outcome, oracle.state = Outcome.INTERRUPTED, None
-    except (Exception, SystemExit) as raised:  # noqa: BLE001 -- a failed run is a result: its curve is kept
+    except BaseException as raised:  # noqa: BLE001 -- a failed run is a result: its curve is kept
         outcome, oracle.state = Outcome.FAILED, None
         error = f"{traceback.format_exc().rstrip()} ({raised_at(raised, optimizer)})\n"
     oracle.stop()
@@ -183,7 +183,8 @@ def _resumable(
 def _ctrl_c_between_evaluations(oracle: Oracle) -> Iterator[None]:
     """Let the first Ctrl-C wait for the oracle, where the method's state is whole.
 
-    Only in the main thread and where nobody else handles the signal.
+    Only in the main thread and where nobody else handles the signal. There a KeyboardInterrupt that
+    no Ctrl-C sent is what model or method raise by themselves: a RuntimeError.
     """
     default = signal.default_int_handler
     if (
@@ -201,6 +202,10 @@ def _ctrl_c_between_evaluations(oracle: Oracle) -> Iterator[None]:
     signal.signal(signal.SIGINT, on_interrupt)
     try:
         yield
+    except KeyboardInterrupt as error:
+        if oracle.interrupted:
+            raise
+        raise RuntimeError(UNSENT).with_traceback(error.__traceback__) from None
     finally:
         signal.signal(signal.SIGINT, default)
 
@@ -235,7 +240,9 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     ):
         try:
             job()
-        except Exception:  # noqa: BLE001, S112 -- the run itself will meet and report it
+        except KeyboardInterrupt:
+            raise
+        except BaseException:  # noqa: BLE001, S112 -- the run itself will meet and report it
             continue
     _warm = _Warm(weakref.ref(optimizer), weakref.ref(problem))
 

@@ -32,6 +32,10 @@ class BudgetExhausted(Exception):  # noqa: N818 -- the signal that ends every ru
     """Raised by the oracle when its budget is spent or its target is reached."""
 
 
+UNSENT = "KeyboardInterrupt, though nobody interrupted it"
+"""What ends a run whose model or method raises what only a signal should."""
+
+
 class RunInterrupted(KeyboardInterrupt):
     """Raised by the oracle between two evaluations after Ctrl-C: the state is whole."""
 

@@ -18,6 +18,7 @@ from multiprocessing.process import BaseProcess
 from types import FrameType, TracebackType
 from typing import Any, Generic, NoReturn, TypeVar
 
+from miho.optim.oracle import UNSENT
 from miho.study.processes import adopt_orphans, child_has_ended, end_child, end_family, end_of
 
 Job = TypeVar("Job")
@@ -26,7 +27,6 @@ Answer = tuple[Result | None, str | None, str | None]
 """Of a job: its result, or the reason why there is none, in one line, and its traceback."""
 
 INTERRUPTED = "interrupted"
-NOBODY = "KeyboardInterrupt, though nobody interrupted it"
 THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 """What numerical libraries read when they are loaded."""
 STARTS = 3
@@ -202,7 +202,7 @@ class Workers(Generic[Job, Result]):
                     continue
                 worker.job, worker.deadline = None, float("inf")
                 if answer[1] == INTERRUPTED and not worker.interrupted:
-                    answer = None, NOBODY, answer[2]
+                    answer = None, UNSENT, answer[2]
                 result, reason, detail = answer
                 return Ended(job, result, reason, detail, worker.interrupted)
         except (EOFError, OSError):

@@ -13,12 +13,13 @@ from miho.testing import DecayFit
 
 
 class Interrupted(Optimizer):
-    """Ctrl-C after ten evaluations."""
+    """Two Ctrl-C after ten evaluations."""
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         oracle(oracle.space.decode(oracle.space.initial(10)))
         if oracle.budget.evaluations is None:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGINT)
 
 
 class Broken(Optimizer):
@@ -59,6 +60,16 @@ def test_ctrl_c_keeps_what_was_found() -> None:
     assert record.outcome is Outcome.INTERRUPTED
     assert record.evaluations == 10
     assert record.theta is not None
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, GeneratorExit])
+def test_an_interrupt_that_nobody_sent_is_a_failure(error: type[BaseException]) -> None:
+    def stop(_: Oracle) -> None:
+        raise error
+
+    record = minimize(RandomSearch(), DecayFit(), Budget(seconds=60), observer=stop)
+    assert record.outcome is Outcome.FAILED
+    assert error.__name__ in (record.error or "").splitlines()[-1]
 
 
 def test_a_failing_method_is_an_outcome_with_its_traceback() -> None:
@@ -145,7 +156,8 @@ def test_ctrl_c_at_any_time_resumes_bit_exactly(delay: float) -> None:
 
 def test_an_interrupt_in_the_middle_of_a_step_cannot_be_resumed() -> None:
     def stop(_: Oracle) -> None:
-        raise KeyboardInterrupt
+        for _ in range(2):
+            signal.raise_signal(signal.SIGINT)
 
     record = minimize(RandomSearch(), DecayFit(), observer=stop)
     assert record.outcome is Outcome.INTERRUPTED

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import signal
 import subprocess
 import sys
 from dataclasses import replace
@@ -169,7 +170,7 @@ def test_interrupted_and_failed_runs_keep_their_curve_and_run_again(tmp_path: Pa
 
     def interrupted() -> RunRecord:
         def stop(_: object) -> None:
-            raise KeyboardInterrupt
+            signal.raise_signal(signal.SIGINT)
 
         return minimize(RandomSearch(), DecayFit(), Budget(evaluations=10**6), observer=stop)
 
