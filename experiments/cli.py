@@ -43,6 +43,7 @@ from miho.data import CSVError, DataUnavailableError
 from miho.models import TirError
 from miho.optim.oracle import UNSENT
 from miho.regular_file import NotAFileError
+from miho.study import DamagedRun
 from miho.study.changes import ResumeRefused
 from miho.study.redaction import redacted
 
@@ -288,6 +289,8 @@ def guarded(job: Callable[[], object], after: Callable[[], int] = lambda: OK) ->
             job()
             code = after()
         except BAD_INPUT_ERRORS as error:
+            code = _say(error, BAD_INPUT)
+        except DamagedRun as error:
             code = _say(error, BAD_INPUT)
         except BrokenPipeError:  # whoever read our output has seen enough
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

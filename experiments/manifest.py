@@ -17,7 +17,7 @@ from typing import Any
 
 from miho.study import Identity, Store, write_text
 from miho.study.changes import ResumeRefused
-from miho.study.files import RESULT
+from miho.study.files import CURVE, RESULT
 from miho.study.identity import canonical, sha256
 from miho.study.places import inside
 from miho.study.store import SUPERSEDED
@@ -86,6 +86,19 @@ def without_result(root: Path) -> tuple[list[Path], int]:
                 places[place] = None
     missing = [root / place for place in places if not (root / place / RESULT).is_file()]
     return missing, len(places)
+
+
+def missing_runs(root: Path) -> str | None:
+    """Which runs of the sweeps of a root have no result, in words; None if all have theirs."""
+    missing, count = without_result(root)
+    if not missing:
+        return None
+    gone = sum((folder / CURVE).is_file() for folder in missing)
+    named = some(sorted(map(str, missing)))
+    told = f"{len(missing):,} of {count:,} runs of the sweeps here have no {RESULT}: {named}"
+    if gone:
+        told += f"; {gone:,} of them had one, or were killed while they stored it"
+    return f"{told}; the same sweep runs them again"
 
 
 def _path(root: Path, overrides: Sequence[str]) -> Path:

@@ -18,6 +18,7 @@ from experiments.arena_problems import as_configured
 from experiments.build import ConfigError
 from experiments.comparison import COMPARISON
 from experiments.full_size import differences
+from experiments.manifest import missing_runs
 from miho.analysis import claims_table, leaderboard
 from miho.analysis.running_time import references
 from miho.analysis.sweep_origins import environment_table
@@ -106,6 +107,10 @@ def _told(sweep: Sweep, root: Path) -> Told:
         warnings.append(
             f"Runs of the comparison are missing ({compared.missing}): run the same command again."
         )
+    missing = missing_runs(root)
+    if missing is not None:
+        print(missing, file=sys.stderr)
+        warnings.append(f"{missing}.".replace(f"{root}{os.sep}", ""))
     board = claims = None
     try:
         board = _leaderboard(sweep, compared)

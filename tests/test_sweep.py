@@ -12,6 +12,7 @@ from experiments import manifest
 from experiments.build import ConfigError
 from experiments.cli import composed
 from experiments.explain import parsed
+from experiments.report_sweep import read_sweep, write_sweep
 from experiments.schema import SweepConfig, register
 from experiments.sweep import Done, Wanted, _done, found, sweep, wanted
 from experiments.sweep_command import groups, sweep_settings
@@ -81,6 +82,10 @@ def test_a_result_that_is_gone_is_missed(
     sweep(runs, SweepConfig())
     (Store(tmp_path).folder(runs[0].identity) / "result.json").unlink()
     assert manifest.without_result(tmp_path) == ([Store(tmp_path).folder(runs[0].identity)], 2)
+    page = write_sweep(read_sweep(tmp_path), tmp_path, tmp_path / "report.html", {})
+    told = "1 of 2 runs of the sweeps here have no result.json"
+    assert told in capsys.readouterr().err
+    assert told in page.read_text()
     again = sweep(runs, SweepConfig())
     assert sorted(statuses(again)) == [Status.DONE_BEFORE, Status.RAN]
     assert "1 runs were stored before and have no result.json now" in capsys.readouterr().err

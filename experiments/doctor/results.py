@@ -12,9 +12,9 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from experiments.doctor.check import Check, State
-from experiments.manifest import without_result
+from experiments.manifest import missing_runs
 from miho.study import load_runs
-from miho.study.files import CURVE, PARTIAL, RESULT
+from miho.study.files import PARTIAL, RESULT
 from miho.study.places import below
 
 QUARANTINE = ".quarantine"
@@ -69,14 +69,10 @@ def runs(root: Path, *, quarantine: bool) -> Check:
 
 def missing(root: Path) -> Check:
     """Runs that sweeps consisted of and that have no result."""
-    found, count = without_result(root)
-    if not found:
-        return Check("missing runs", State.OK, f"none of {count}")
-    gone = sum((folder / CURVE).is_file() for folder in found)
-    told = f"{len(found)} of {count} runs of the sweeps here have no {RESULT}: {_some(set(found))}"
-    if gone:
-        told += f"; {gone} of them had one, or were killed while they stored it"
-    return Check("missing runs", State.WARNING, f"{told}; the same sweep runs them again")
+    told = missing_runs(root)
+    if told is None:
+        return Check("missing runs", State.OK, "none")
+    return Check("missing runs", State.WARNING, told)
 
 
 def move_aside(root: Path, folder: Path) -> Path | None:

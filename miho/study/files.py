@@ -10,6 +10,7 @@ import contextlib
 import errno
 import json
 import os
+import re
 from collections.abc import Mapping
 from hashlib import sha256 as digest_of
 from pathlib import Path
@@ -23,6 +24,10 @@ CONFIG, ENVIRONMENT, CURVE, RESULT = "config.json", "environment.json", "curve.j
 PARTIAL = "partial.json"
 LARGEST = 256 << 20
 """No file of a run is larger, in bytes; whatever is, is not read."""
+LARGEST_SETTINGS = 1 << 20
+DEEPEST_SETTINGS = 50
+"""No configuration or environment is larger, in bytes, or nested deeper. Whoever composes, compares
+or shows one goes down into it."""
 CHUNK = 32 << 10
 FLAGS = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 MALFORMED = (ValueError, LookupError, TypeError, AttributeError, RecursionError)
@@ -52,11 +57,17 @@ def read_checked(folder: str) -> tuple[dict[str, Any], dict[str, bytes]]:
     try:
         files, digests = {}, result["files"]
         for name in (CONFIG, ENVIRONMENT, CURVE):
-            data = files[name] = read_bytes(f"{folder}/{name}")
+            limit = LARGEST if name == CURVE else LARGEST_SETTINGS
+            data = files[name] = read_bytes(f"{folder}/{name}", limit)
             if digest_of(data).hexdigest() != digests[name]:
                 raise DamagedRun(f"{folder}/{name}: checksum does not match")
+            if name != CURVE and nesting(data) > DEEPEST_SETTINGS:
+                deepest = f"is nested deeper than {DEEPEST_SETTINGS}, as no settings are"
+                raise DamagedRun(f"{folder}/{name}: {deepest}")
         place = f"{result['problem']}/{result['optimizer']}/{result['id']}"
-    except (OSError, *MALFORMED) as error:
+    except OSError as error:
+        raise DamagedRun(f"{error.filename or folder}: {error.strerror}") from None
+    except MALFORMED as error:
         raise DamagedRun(f"{folder}: {type(error).__name__}: {error}") from None
     if not folder.endswith(f"/{place}"):
         raise DamagedRun(f"{folder}: holds the run {place}")
@@ -70,7 +81,7 @@ def signed(contents: Mapping[str, Any]) -> str:
 
 def read_signed(path: str) -> dict[str, Any]:
     """What a file holds that `signed` made; raises DamagedRun if it is not as it was written."""
-    data = read_bytes(path)
+    data = read_bytes(path, LARGEST)
     try:
         contents: dict[str, Any] = decoded(data)
         told = contents.pop("sha256")
@@ -93,8 +104,25 @@ def decoded(data: bytes) -> Any:
         return json.loads(data)
 
 
-def read_bytes(path: str) -> bytes:
-    """A whole file; raises OSError for a symbolic link and for what is larger than LARGEST.
+TOKENS = re.compile(rb'"(?:[^"\\]|\\.)*"|[\[\]{}]')
+
+
+def nesting(data: bytes) -> int:
+    """How deep a text of JSON is nested, if it may be too deep; it is not read as such."""
+    if data.count(b"{") + data.count(b"[") <= DEEPEST_SETTINGS:
+        return 0
+    depth = deepest = 0
+    for token in TOKENS.findall(data):
+        if token in b"[{":
+            depth += 1
+            deepest = max(deepest, depth)
+        elif token in b"]}":
+            depth -= 1
+    return deepest
+
+
+def read_bytes(path: str, limit: int) -> bytes:
+    """A whole file; raises OSError for a symbolic link and for what is larger than the limit.
 
     A pipe gives nothing or an error, so that no reader waits for it.
     """
@@ -107,8 +135,8 @@ def read_bytes(path: str) -> bytes:
         while chunk := os.read(descriptor, CHUNK):
             chunks.append(chunk)
             size += len(chunk)
-            if size > LARGEST:
-                raise OSError(errno.EFBIG, f"is larger than {LARGEST >> 20} MiB", path)
+            if size > limit:
+                raise OSError(errno.EFBIG, f"is larger than {limit >> 20} MiB", path)
     finally:
         os.close(descriptor)
     return b"".join(chunks)

@@ -13,6 +13,7 @@ import pytest
 
 from experiments.faults.made_runs import POINTS, make_runs
 from miho import load_runs
+from miho.study import DamagedRun, read_run
 from miho.study.identity import canonical, sha256
 
 
@@ -157,10 +158,29 @@ def test_what_is_too_large_is_not_read(
     folders: list[Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with (folders[0] / "config.json").open("ab") as file:
+        file.truncate(2 << 20)
+    with (folders[1] / "curve.json").open("ab") as file:
         file.truncate(1 << 20)
     monkeypatch.setattr("miho.study.files.LARGEST", 1 << 19)
     found = load_runs(folders[0].parents[2])
-    assert "larger than" in found.damaged["reason"].item()
+    assert set(found.damaged["folder"]) == {str(folders[0]), str(folders[1])}
+    assert found.damaged["reason"].str.contains("json: is larger than").all()
+
+
+@pytest.mark.parametrize("depth", [60, 900, 100_000])
+def test_settings_that_are_deep_are_not_read(folders: list[Path], depth: int) -> None:
+    """Whoever composes or shows them would go down into them; brackets in words are none."""
+    harmless, deep = (json.dumps({"a": "[" * depth + '"'}), '{"a":' * depth + "1" + "}" * depth)
+    for folder, text in zip(folders[:2], (harmless, deep), strict=True):
+        (folder / "config.json").write_text(text)
+        result = json.loads((folder / "result.json").read_text())
+        digests = result["files"] | {"config.json": sha256(text)}
+        forge(folder, files=digests)
+    found = load_runs(folders[0].parents[2])
+    assert found.damaged["folder"].tolist() == [str(folders[1])]
+    assert "config.json: is nested deeper than 50" in found.damaged["reason"].item()
+    with pytest.raises(DamagedRun):
+        read_run(folders[1])
 
 
 @pytest.mark.parametrize(
