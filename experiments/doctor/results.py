@@ -4,17 +4,28 @@ from __future__ import annotations
 
 import contextlib
 import datetime
+import json
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 
 from experiments.doctor.check import Check, State
 from experiments.manifest import missing_runs
-from miho.study import load_runs
-from miho.study.files import PARTIAL, RESULT
+from miho.study import Runs, load_runs
+from miho.study.environment import ARITHMETIC
+from miho.study.files import (
+    ENVIRONMENT,
+    LARGEST_SETTINGS,
+    MALFORMED,
+    PARTIAL,
+    RESULT,
+    decoded,
+    read_bytes,
+)
 from miho.study.places import below
 
 QUARANTINE = ".quarantine"
@@ -26,8 +37,10 @@ LOCK, SHOWN = "lock", 3
 
 def result_checks(root: Path, *, quarantine: bool) -> Iterator[Check]:
     """One check after the other of an existing root; `quarantine` moves damaged runs aside."""
-    yield runs(root, quarantine=quarantine)
+    found = load_runs(root)
+    yield runs(root, found, quarantine=quarantine)
     yield missing(root)
+    yield arithmetic(found.runs["folder"])
     files, links = contents(root)
     yield partial(files)
     yield temporary(files)
@@ -49,9 +62,8 @@ def contents(root: Path) -> tuple[list[Path], list[Path]]:
     return files, links
 
 
-def runs(root: Path, *, quarantine: bool) -> Check:
+def runs(root: Path, found: Runs, *, quarantine: bool) -> Check:
     """Finished runs, and those whose files do not match their checksums."""
-    found = load_runs(root)
     told = f"{len(found.runs)} finished, {len(found.curves):,} rows of curves"
     damaged = found.damaged
     if damaged.empty:
@@ -73,6 +85,30 @@ def missing(root: Path) -> Check:
     if told is None:
         return Check("missing runs", State.OK, "none")
     return Check("missing runs", State.WARNING, told)
+
+
+def arithmetic(folders: Iterable[str]) -> Check:
+    """Whether all runs were made by the same arithmetic, as far as they say."""
+    kinds: dict[str, Counter[str]] = {name: Counter() for name in ARITHMETIC}
+    for folder in folders:
+        with contextlib.suppress(OSError, *MALFORMED):
+            environment = decoded(read_bytes(f"{folder}/{ENVIRONMENT}", LARGEST_SETTINGS))
+            for name, counts in kinds.items():
+                if environment.get(name):
+                    counts[json.dumps(environment[name])] += 1
+    told = [
+        f"{len(counts)} {CALLED[name]} ({', '.join(str(n) for n in counts.values())} runs)"
+        for name, counts in kinds.items()
+        if len(counts) > 1
+    ]
+    if not told:
+        return Check("arithmetic", State.OK, "one CPU and one kernel of BLAS, as far as runs say")
+    bits = "the same seed need not give the same bits"
+    return Check("arithmetic", State.WARNING, f"runs of {' and '.join(told)}: {bits}")
+
+
+CALLED = {"processor": "kinds of CPU", "blas": "kernels of BLAS", "simd": "sets of SIMD"}
+"""What `ARITHMETIC` names, in words."""
 
 
 def move_aside(root: Path, folder: Path) -> Path | None:
