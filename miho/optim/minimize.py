@@ -14,6 +14,7 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
@@ -111,7 +112,7 @@ def minimize(
     oracle = Oracle(problem, budget or Budget(), space=space, meter=meter, observer=observer)
     outcome, error = Outcome.CONVERGED, None
     try:
-        with _ctrl_c_between_evaluations(oracle):
+        with _ctrl_c_waits(partial(setattr, oracle, "interrupted", True)):
             if checkpoint is not None and isinstance(optimizer, AskTell):
                 optimizer.resume(oracle, checkpoint.state)
             else:
@@ -180,8 +181,11 @@ def _resumable(
 
 
 @contextlib.contextmanager
-def _ctrl_c_between_evaluations(oracle: Oracle) -> Iterator[None]:
-    """Let the first Ctrl-C wait for the oracle, where the method's state is whole.
+def _ctrl_c_waits(heard: Callable[[], object]) -> Iterator[None]:
+    """Let whoever `heard` of the first Ctrl-C choose its moment; the second one acts at once.
+
+    In a run that is the oracle, where the method's state is whole. In a callback of a library, such
+    as Numba's while it compiles, what an interrupt raises would be lost.
 
     Only in the main thread and where nobody else handles the signal. There a KeyboardInterrupt that
     no Ctrl-C sent is what model or method raise by themselves: a RuntimeError.
@@ -194,16 +198,20 @@ def _ctrl_c_between_evaluations(oracle: Oracle) -> Iterator[None]:
         yield
         return
 
+    sent = False
+
     def on_interrupt(number: int, frame: FrameType | None) -> None:
-        if oracle.interrupted:
+        nonlocal sent
+        if sent:
             raise KeyboardInterrupt
-        oracle.interrupted = True
+        sent = True
+        heard()
 
     signal.signal(signal.SIGINT, on_interrupt)
     try:
         yield
     except KeyboardInterrupt as error:
-        if oracle.interrupted:
+        if sent:
             raise
         raise RuntimeError(UNSENT).with_traceback(error.__traceback__) from None
     finally:
@@ -224,13 +232,15 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     """Let problem and method import, compile and allocate before the clock starts.
 
     The problem evaluates one configuration; the method searches a paraboloid over the same
-    space for a few evaluations, so it learns nothing of the problem. What ran last is warm.
+    space for a few evaluations, so it learns nothing of the problem. What ran last is warm. A
+    Ctrl-C is raised after the evaluation or compilation in progress.
     """
     global _warm
     if _warm.optimizer() is optimizer and _warm.problem() is problem:
         return
     theta = problem.space.decode(problem.space.initial(1))
     toy = _Paraboloid(replace(problem.space, seed=()))
+    interrupts: list[bool] = []
     for job in (
         lambda: Oracle(problem, Budget())(theta),
         lambda: _climb_once(problem, theta),
@@ -239,11 +249,14 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
         lambda: optimizer.run(Oracle(toy, Budget(evaluations=WARM_UP_EVALUATIONS)), stream()),
     ):
         try:
-            job()
+            with _ctrl_c_waits(partial(interrupts.append, True)):
+                job()
         except KeyboardInterrupt:
             raise
-        except BaseException:  # noqa: BLE001, S112 -- the run itself will meet and report it
-            continue
+        except BaseException:  # noqa: BLE001, S110 -- the run itself will meet and report it
+            pass
+        if interrupts:
+            raise KeyboardInterrupt
     _warm = _Warm(weakref.ref(optimizer), weakref.ref(problem))
 
 
