@@ -54,7 +54,10 @@ def remedy(problem: CurveFit, stored: StoredRun) -> str:
         screen, starts = MORE_SCREEN * settings["screen"], MORE_STARTS * settings["starts"]
         ways = [f"more starts: optimizer.screen={screen} optimizer.starts={starts}"]
     else:
-        ways = ["another method: optimizer=least_squares", "another seed: seed=1"]
+        ways = [
+            "another method: optimizer=least_squares",
+            f"another seed: seed={stored.result['seed'] + 1}",
+        ]
     if stored.result["outcome"] == Outcome.BUDGET:
         ways.append(f"a larger budget: {_more(stored)}")
     ends = zip(problem.space.parameters, stored.result["theta"], strict=True)

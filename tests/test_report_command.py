@@ -13,7 +13,7 @@ import pytest
 from experiments import report
 from experiments.build import ConfigError, build, rebuild
 from experiments.cli import composed
-from experiments.optimum import descents_of
+from experiments.optimum import descents_of, remedy
 from experiments.run import report as summary
 from experiments.run import run
 from experiments.schema import register
@@ -22,7 +22,7 @@ from miho.models.identified import read_parameters
 from miho.study import StoredRun, load_runs, read_run
 
 register()
-TIRE = ("dataset=tire_lf", "dataset.n=300")
+TIRE = ("dataset=tire_lf", "dataset.n=300", "space=seong_physical")
 FAST = ("optimizer=least_squares", "optimizer.rounds=1")
 
 
@@ -82,7 +82,7 @@ def test_the_best_run_of_a_root(
     assert found.provenance["degrees_of_freedom"] == 295
     deviation = found.provenance["residual_standard_deviation"]
     assert deviation == pytest.approx(found.provenance["error"] * np.sqrt(300 / 295))
-    assert "irreducible error" in found.provenance["optimum"]
+    assert found.provenance["optimum"].startswith("10 of 10 descents ended here")
     assert found.provenance["seed"] == best["seed"]
     assert found.provenance["interval"] == "profile"
     page = (folder / "report.html").read_text(encoding="utf-8")
@@ -224,6 +224,12 @@ def test_the_gap_is_of_what_is_reported_and_of_the_run(tmp_path: Path) -> None:
     assert f"(closed form), gap 0.0000 %; of the run itself {ratio:.4f} %" in told
     assert re.search(r"optimum +the best known optimum is reached", told)
     assert "in doubt" not in told
+
+
+def test_another_seed_is_not_the_one_of_the_run(root: Path) -> None:
+    stored = read_run(Path(load_runs(root).runs.set_index("seed").loc[1, "folder"]))
+    config = {**stored.config, "optimizer": {"name": "cma_es"}}
+    assert "another seed: seed=2;" in remedy(rebuild(stored), replace(stored, config=config))
 
 
 def test_runs_without_a_word_on_descents_are_read(root: Path) -> None:

@@ -21,6 +21,9 @@ UNSEEN = 0.1
 """Of the starts, at most this share may belong to optima that no descent has ended in, as Boender
 and Rinnooy Kan (Mathematical Programming 37, 1987) estimate it: w (w + 1) / (n (n - 1)) for n
 independent descents that ended in w optima."""
+BEATEN = 0.1
+"""Where no curve can have an error that is lower by this fraction, one search is relied on, unless
+others ended elsewhere: a weak signal is missed by optima whose errors differ by less."""
 OVERLOOKED = 0.01
 """A recorded optimum is missed by an error that is larger by more than this fraction."""
 
@@ -51,8 +54,8 @@ def standing(
 
     `size` is the mean square of the output; `searches` are the descents of the run, and of a check;
     `best_known` is the loss of the optimum where linear algebra or a record knows it. `error` is
-    the root-mean-square error, which no curve undercuts by much if it is within the interval of the
-    `irreducible` one.
+    the root-mean-square error, which no curve undercuts by more than the lower end of the
+    `irreducible` one says.
     """
     nothing = NOTHING * size
     if best_known is not None:
@@ -71,9 +74,14 @@ def standing(
         reliable = here >= max(ENOUGH, SHARE * finished) and unseen <= UNSEEN
     if reliable:
         return Standing(f"{ended}, each from a start of its own")
-    if irreducible is not None and irreducible.resolved and error <= irreducible.high:
-        reached = "the error is within the interval of the irreducible error, which no curve beats"
-        return Standing(f"{ended}; {reached}" if finished else reached, certain=True)
+    if here == finished and irreducible is not None and error <= irreducible.high:
+        below = 1 - irreducible.low / error if error > 0 else 0.0
+        if below <= BEATEN:
+            lowest = (
+                f"one that is more than {100 * below:.2g} % lower" if below > 0 else "a lower one"
+            )
+            reached = f"as neighbouring points scatter, no curve has {lowest}"
+            return Standing(f"{ended}; {reached}" if finished else reached, certain=True)
     if not descents:
         once = "one search, and nothing in it tells whether a better optimum exists"
         return Standing(once, once)

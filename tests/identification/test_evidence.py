@@ -60,10 +60,12 @@ def test_what_is_known_needs_no_descents() -> None:
     missed = standing(4.0, 9.0, [ended(*[4.0] * 30)], best_known=1.0)
     assert "100 % higher than that of the best known optimum" in missed.doubt
     noise = Irreducible(1.0, 0.9, 1.1)
-    assert standing(1.0, 9.0, [alone], irreducible=noise, error=1.0).certain
-    assert standing(1.0, 9.0, [alone], irreducible=noise, error=1.2).doubt
-    coarse = Irreducible(1.0, 0.1, 9.0)
-    assert standing(1.0, 9.0, [alone], irreducible=coarse, error=1.0).doubt
+    assert standing(1.0, 9.0, [None], irreducible=noise, error=1.0).certain
+    assert standing(1.0, 9.0, [ended(1.0)], irreducible=noise, error=1.0).certain
+    assert standing(1.0, 9.0, [None], irreducible=noise, error=1.2).doubt
+    assert standing(1.0, 9.0, [alone], irreducible=noise, error=1.0).doubt, "others ended elsewhere"
+    coarse = Irreducible(1.0, 0.6, 9.0)
+    assert standing(1.0, 9.0, [None], irreducible=coarse, error=1.0).doubt
     zero = ended(*[1e-22, 3e-20, 1e-25, 4e-19, 2e-21])
     assert not standing(1e-25, 1.0, [zero]).doubt, "differences of rounding"
 
@@ -133,6 +135,27 @@ def test_a_failed_search_blames_neither_data_nor_model() -> None:
     good = make_report(problem, record.theta, descents=record.descents, better=truth)
     assert good.at.theta == pytest.approx(truth, rel=0.2)
     assert "none of 30 descents ended here" in good.standing.doubt
+
+
+def test_an_error_close_to_the_noise_does_not_make_a_local_optimum_certain() -> None:
+    """A sine of period 7.3 in noise as large as itself, searched for periods from 2 to 200.
+
+    A wrong period has an error only 12 % above that of the noise, within its uncertainty.
+    """
+
+    def wave(x, *, c, a, b, T):
+        return c + a * np.sin(2 * np.pi * x / T) + b * np.cos(2 * np.pi * x / T)
+
+    x = np.linspace(0, 100, 100)
+    y = 3 + np.sin(2 * np.pi * x / 7.3) + np.random.default_rng(0).normal(0, 1, 100)
+    problem = fit(wave, [(-10, 10), (-5, 5), (-5, 5), (2, 200)], x, y)
+    record = minimize(LeastSquares(), problem, seed=0)
+    assert record.theta is not None
+    report = make_report(problem, record.theta, descents=record.descents, profiles=False)
+    assert report.at.theta[3] > 10, "or this tests nothing"
+    assert report.error < report.irreducible.high, "or this tests nothing"
+    assert report.standing.doubt
+    assert not accused(report)
 
 
 def test_a_parameter_without_effect_anywhere_is_not_identifiable() -> None:
