@@ -73,10 +73,11 @@ def _unreadable(text: str) -> str:
         return f"{text}: ends with a comma; remove it, or give a further value"
     if "=" not in text:
         return f"{text}: is no setting; write KEY=VALUE, such as seed=1 or optimizer=miho"
-    return (
-        f"{text}: cannot be read; quote the whole override for the shell, "
-        'and inside brackets "m/s^2"'
-    )
+    quoted = "quote the whole override for the shell, and inside it what is no plain word, as in "
+    example = """'dataset.headers=["m/s^2", "Schräglauf"]'"""
+    if "{" in text and not text.isascii():
+        example += "; names before a colon cannot be quoted: put those into a file for --config-dir"
+    return f"{text}: cannot be read; {quoted}{example}"
 
 
 def explained(error: Exception, overrides: Sequence[Override], loader: ConfigLoader) -> str:

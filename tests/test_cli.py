@@ -98,6 +98,12 @@ def text_cell(tmp_path: Path) -> list[str]:
     return ["dataset=csv", f"dataset.path={path}"]
 
 
+def other_header(tmp_path: Path) -> list[str]:
+    path = tmp_path / "other.csv"
+    path.write_text("Schräglauf,Querkraft\n0.1,-200\n0.2,-300\n", encoding="utf-8")
+    return ["dataset=csv", f"dataset.path={path}"]
+
+
 def missing_coefficient(tmp_path: Path) -> list[str]:
     path = tmp_path / "tire.tir"
     lines = TIRE.read_text(encoding="latin-1").splitlines(keepends=True)
@@ -179,6 +185,18 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "a shell's brackets": (
         ["dataset.units={a: m/s^2}"],
         "quote the whole override",
+    ),
+    "letters that are to be quoted": (
+        ["dataset.headers=[Schräglauf]"],
+        """inside it what is no plain word, as in 'dataset.headers=["m/s^2", "Schräglauf"]'""",
+    ),
+    "letters that cannot be quoted": (
+        ["dataset.where={Schräglauf: [0, 1]}"],
+        "put those into a file for --config-dir",
+    ),
+    "a column of another name": (
+        other_header,
+        "name the columns as the file does, in the same order: headers=[...]",
     ),
     "a space that is incomplete": (
         ["space={B: {unit: 1/rad, low: 1}}"],

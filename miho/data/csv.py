@@ -305,7 +305,7 @@ def _header_remedy(name: str, names: Sequence[str]) -> str:
     close += get_close_matches(name, names, n=1)
     if close:
         return f"rename it, or say headers=[..., {close[0][:40]!r}, ...]"
-    return "rename it or choose other columns"
+    return "name the columns as the file does, in the same order: headers=[...]"
 
 
 def _lines(path: Path) -> list[str]:
