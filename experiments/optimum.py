@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -58,8 +56,8 @@ def remedy(problem: CurveFit, stored: StoredRun) -> str:
             "another method: optimizer=least_squares",
             f"another seed: seed={stored.result['seed'] + 1}",
         ]
-    if stored.result["outcome"] == Outcome.BUDGET:
-        ways.append(f"a larger budget: {_more(stored)}")
+    if stored.result["outcome"] == Outcome.BUDGET and (more := _more(stored)):
+        ways.append(f"a larger budget: {more}")
     ends = zip(problem.space.parameters, stored.result["theta"], strict=True)
     lowest = sorted(((theta / p.high, p) for p, theta in ends if _wide(p)), key=lambda one: one[0])
     log = " ".join(_logarithmic(p) for _, p in lowest[:MOST_HINTS])
@@ -72,9 +70,11 @@ def remedy(problem: CurveFit, stored: StoredRun) -> str:
 
 
 def _more(stored: StoredRun) -> str:
-    budget: dict[str, Any] = dict(stored.config["budget"])
-    limits = {key: budget.get(key) for key in ("evaluations", "seconds")}
-    return " ".join(f"budget.{key}={10 * n:g}" for key, n in limits.items() if n is not None)
+    """Ten times the limit that ended the run; empty if it had none but a target."""
+    evaluations, seconds = (stored.config["budget"].get(key) for key in ("evaluations", "seconds"))
+    if seconds is not None and (evaluations is None or stored.result["seconds"] >= seconds):
+        return f"budget.seconds={10 * seconds:g}"
+    return "" if evaluations is None else f"budget.evaluations={10 * evaluations}"
 
 
 def _wide(p: Parameter) -> bool:

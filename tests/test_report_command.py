@@ -232,6 +232,15 @@ def test_another_seed_is_not_the_one_of_the_run(root: Path) -> None:
     assert "another seed: seed=2;" in remedy(rebuild(stored), replace(stored, config=config))
 
 
+@pytest.mark.parametrize(("spent", "more"), [(1.0, "evaluations=5000000"), (60.01, "seconds=600")])
+def test_more_of_what_ended_the_run_is_a_setting(root: Path, spent: float, more: str) -> None:
+    stored = read_run(Path(load_runs(root).runs.set_index("seed").loc[1, "folder"]))
+    cut = {**stored.result, "outcome": "budget", "seconds": spent}
+    said = remedy(rebuild(stored), replace(stored, result=cut))
+    assert f"a larger budget: budget.{more};" in said
+    composed([f"budget.{more}"])
+
+
 def test_runs_without_a_word_on_descents_are_read(root: Path) -> None:
     """Those of older versions, and those that somebody edited."""
     stored = read_run(Path(load_runs(root).runs.set_index("seed").loc[0, "folder"]))

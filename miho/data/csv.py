@@ -158,7 +158,8 @@ class Table:
         words = {value: key for key, value in DELIMITERS.items()}
         notes = [] if self.delimiter == "," else [f"separated by {words[self.delimiter]}s"]
         notes += ["decimal commas"] if self.decimal == "," else []
-        return notes + ([f"{self.left_out} lines left out"] if self.left_out else [])
+        lines = f"{self.left_out} line{'s' * (self.left_out != 1)}"
+        return notes + ([f"{lines} left out"] if self.left_out else [])
 
     def _leave_out(self, text: TextFormat) -> None:
         """Take out the lines before the header, those that are listed, and comments."""

@@ -214,7 +214,7 @@ def test_the_preview_shows_the_file_and_what_is_used(tmp_path: Path) -> None:
     )  # fmt: skip
     assert preview(read) == "\n".join(
         [
-            f"{path}: 3 rows (separated by semicolons; decimal commas; 1 lines left out; SA from "
+            f"{path}: 3 rows (separated by semicolons; decimal commas; 1 line left out; SA from "
             "-5 to 5); name, unit, range, first rows:",
             "  SA     deg        -3  to         9  |       2.5        -3   9",
             "  FY     N     -1834.2  to    2100.5  |   -1834.2    2100.5  -4",
