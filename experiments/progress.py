@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,6 +15,8 @@ from tqdm import tqdm
 from miho.optim import Budget, Oracle
 
 REFRESH_SECONDS = 1.0
+COLUMNS, ROWS = 80, 24
+"""Of a terminal that does not tell its own."""
 
 
 class Observer(Protocol):
@@ -42,7 +46,11 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
     """A bar that fills with the budget and shows the best error; silent if not on a terminal."""
     limited = budget.evaluations is not None or budget.seconds is not None
     layout = "{percentage:3.0f}% |{bar}| {desc}" if limited else "{desc}"
-    with tqdm(total=1.0, desc=title, leave=False, disable=None, bar_format=layout) as bar:
+    columns, rows = _size()
+    with tqdm(
+        total=1.0, desc=title, leave=False, disable=None, bar_format=layout,
+        ncols=columns, nrows=rows,
+    ) as bar:  # fmt: skip
 
         def observe(oracle: Oracle) -> None:
             bar.n, left = spent(budget, oracle.evaluations, oracle.meter.seconds)
@@ -64,7 +72,9 @@ def at_work(title: str) -> Iterator[Callable[[str], None]]:
     terminal.
     """
     done = threading.Event()
-    with tqdm(leave=False, disable=None, bar_format=f"{title}: {{desc}}{{elapsed}}") as bar:
+    layout = f"{title}: {{desc}}{{elapsed}}"
+    columns, rows = _size()
+    with tqdm(leave=False, disable=None, bar_format=layout, ncols=columns, nrows=rows) as bar:
 
         def each(stage: str) -> None:
             bar.set_description_str(f"{stage} ", refresh=False)
@@ -82,3 +92,12 @@ def at_work(title: str) -> Iterator[Callable[[str], None]]:
             done.set()
             if thread.is_alive():
                 thread.join()
+
+
+def _size() -> tuple[int | None, int | None]:
+    """Of the terminal; None where tqdm sees it. At a size of 0 it would show nothing."""
+    try:
+        known = os.get_terminal_size(sys.stderr.fileno()).columns > 0
+    except (OSError, ValueError, AttributeError):
+        known = True
+    return (None, None) if known else (COLUMNS, ROWS)

@@ -1,6 +1,7 @@
 """The bar of a run follows the limit that ends it."""
 
 import math
+import os
 
 import pytest
 
@@ -44,3 +45,15 @@ def test_the_bar_shows_it(
     shown = capsys.readouterr().err
     assert " 75% |" in shown
     assert "at most 15 s left" in shown
+
+
+def test_a_terminal_without_a_width_shows_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """That of `docker exec -t` or of `script` in a job: it says that it has 0 columns."""
+    pty = pytest.importorskip("pty")
+    ours, theirs = pty.openpty()
+    os.set_blocking(ours, False)
+    with os.fdopen(ours, "rb", buffering=0) as shown, os.fdopen(theirs, "w") as stream:
+        monkeypatch.setattr("sys.stderr", stream)
+        with progress("run", Budget(evaluations=100), "V"):
+            stream.flush()
+            assert b"run" in (shown.read(1000) or b"")
