@@ -38,7 +38,10 @@ def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _is_same(stored: StoredRun, cfg: DictConfig) -> bool:
-    return all(stored.config[key] == OmegaConf.to_container(cfg[key], resolve=True) for key in SAME)
+    configured = {key: OmegaConf.to_container(cfg[key], resolve=True) for key in SAME}
+    for settings in configured["space"].values():
+        settings.pop("scaled", None)  # a run stores what became of it
+    return all(stored.config[key] == configured[key] for key in SAME)
 
 
 def _cut(runs: pd.DataFrame, stored: StoredRun) -> pd.Series:

@@ -587,5 +587,5 @@ def test_help_names_the_groups() -> None:
         text=True,
         check=True,
     )
-    for group in ("dataset:", "optimizer:", "space:", "least_squares"):
+    for group in ("dataset (", "optimizer (", "space ("):
         assert group in done.stdout
