@@ -75,12 +75,12 @@ def standing(
     if reliable:
         return Standing(f"{ended}, each from a start of its own")
     if here == finished and irreducible is not None and error <= irreducible.high:
-        below = 1 - irreducible.low / error if error > 0 else 0.0
+        below = max(0.0, 1 - irreducible.low / error) if error > 0 else 0.0
         if below <= BEATEN:
-            lowest = (
-                f"one that is more than {100 * below:.2g} % lower" if below > 0 else "a lower one"
+            reached = (
+                "as neighbouring points scatter, no curve has an error that is more than "
+                f"{100 * below:.2g} % lower (95 % interval)"
             )
-            reached = f"as neighbouring points scatter, no curve has {lowest}"
             return Standing(f"{ended}; {reached}" if finished else reached, certain=True)
     if not descents:
         once = "one search, and nothing in it tells whether a better optimum exists"
