@@ -17,6 +17,7 @@ from experiments.build import (
     build_problem,
 )
 from experiments.cli import composed
+from experiments.own_code import runs_own_code
 from experiments.sweep import Wanted, wanted
 from miho.data import DataUnavailableError
 
@@ -62,12 +63,13 @@ def plan(cfg: DictConfig, overrides: Sequence[str], *, methods: int = 3, familie
     settings, kinds = {}, set()
     for name in comparison.problems:
         setting = composed([*overrides, f"problem={name}"])
-        try:
-            problem = build_problem(setting)
-        except DataUnavailableError as error:
-            left_out[name] = str(error)
-            continue
-        build(setting, problem)
+        if not runs_own_code(setting):  # else `wanted` tries it, in a process of its own
+            try:
+                problem = build_problem(setting)
+            except DataUnavailableError as error:
+                left_out[name] = str(error)
+                continue
+            build(setting, problem)
         settings[name] = setting
         kinds.add(setting.problem.family or name)
     if len(optimizers) < methods or len(kinds) < families:

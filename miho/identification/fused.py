@@ -2,9 +2,9 @@
 
 The rows of the data go through the expression in blocks of 512, whose temporaries stay in the
 first-level cache. The mean square is summed in a fixed order, so that a loss is the same bits
-alone or in a batch, early stopping on or off, on every machine. Compilation is cached by numba on
-disk, in `__pycache__` or NUMBA_CACHE_DIR; the first use of a new model takes some seconds, off the
-clock.
+alone or in a batch, early stopping on or off, on every machine of one kind of CPU. Compilation is
+cached by numba on disk, in `__pycache__` or NUMBA_CACHE_DIR; the first use of a new model takes
+some seconds, off the clock.
 """
 
 from __future__ import annotations
