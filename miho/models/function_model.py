@@ -194,9 +194,7 @@ def load_function(
         exec(compile(text, str(source), "exec", dont_inherit=True), module.__dict__)  # noqa: S102 -- the user's file
     except SyntaxError as error:
         raise ValueError(f"{source}:{error.lineno or 1}: {error.msg}; correct it") from None
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
+    except (Exception, SystemExit) as error:
         line = _line(error, str(source))
         place = f"{source}:{line}" if line else str(source)
         raise ValueError(f"{place}: raises {type(error).__name__}: {error}") from error
