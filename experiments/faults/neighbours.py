@@ -71,7 +71,8 @@ def neighbours(folder: Path) -> Row:
         "numbers, handlers), each before an innocent one",
         f"innocent runs equal bit for bit to those alone, none lost; at most {ALLOWED:g} ms a run",
         f"{equal} of {wanted} innocent runs equal, {len(runs)} of {2 * wanted} done, exit "
-        f"{ended}; a process of its own takes {cost:.1f} ms at best{unjudged}",
+        f"{ended}; a process of its own takes {cost:.1f} ms at best, {1e3 * _forking():.1f} ms of "
+        f"them the system's own for a fork and its end{unjudged}",
         equal == len(ours) == wanted and (cost <= ALLOWED or busy),
     )
 
@@ -81,6 +82,19 @@ def _sweep(models: list[Path], root: Path, *more: str) -> int:
     seeds = f"seed=range({SEEDS})"
     given = ("budget.evaluations=300", f"model.path={paths}", f"root={root}", seeds, *more)
     return identified("-m", *SWEEP, *given).code
+
+
+def _forking() -> float:
+    """The shortest time of a fork of a process of this size that ends at once."""
+    took = []
+    for _ in range(JOBS):
+        began = time.perf_counter()
+        child = os.fork()
+        if not child:
+            os._exit(0)
+        os.waitpid(child, 0)
+        took.append(time.perf_counter() - began)
+    return min(took)
 
 
 def _seconds(*, alone: bool) -> float:
