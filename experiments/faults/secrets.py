@@ -93,7 +93,7 @@ def _notebook(root: Path, secret: str) -> str:
     nbclient, nbformat = map(importlib.import_module, ("nbclient", "nbformat"))
     notebook = nbformat.read(CHECKOUT / "notebooks" / "read_a_sweep.ipynb", as_version=4)
     known = {VARIABLE: secret, "MIHO_RUNS": str(root), "PYTHONPATH": str(CHECKOUT)}
-    nbclient.NotebookClient(notebook, timeout=60, allow_errors=True).execute(
-        env={**os.environ, **known}
-    )
+    nbclient.NotebookClient(
+        notebook, timeout=60, allow_errors=True, extra_arguments=["--log-level=ERROR"]
+    ).execute(env={**os.environ, **known})
     return str(nbformat.writes(notebook))
