@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from omegaconf import DictConfig, OmegaConf
@@ -38,10 +40,15 @@ def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _is_same(stored: StoredRun, cfg: DictConfig) -> bool:
-    configured = {key: OmegaConf.to_container(cfg[key], resolve=True) for key in SAME}
-    for settings in configured["space"].values():
-        settings.pop("scaled", None)  # a run stores what became of it
-    return all(stored.config[key] == configured[key] for key in SAME)
+    return all(_resolved(stored.config[key]) == _resolved(cfg[key]) for key in SAME)
+
+
+def _resolved(node: Any) -> Any:
+    """Plain settings; a run stores what became of a box that is `scaled`, and not that it was."""
+    plain = OmegaConf.to_container(node, resolve=True) if isinstance(node, DictConfig) else node
+    if not isinstance(plain, Mapping):
+        return plain
+    return {key: _resolved(value) for key, value in plain.items() if key != "scaled"}
 
 
 def _cut(runs: pd.DataFrame, stored: StoredRun) -> pd.Series:

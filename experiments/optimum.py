@@ -45,8 +45,8 @@ def check(problem: CurveFit, seconds: float, seed: int) -> RunRecord:
     return record
 
 
-def remedy(problem: CurveFit, stored: StoredRun) -> str:
-    """What to type where the optimum of a run is in doubt."""
+def remedy(problem: CurveFit, stored: StoredRun, *, checked: bool = False) -> str:
+    """What to type where the optimum of a run is in doubt, also after it was `checked`."""
     settings = stored.config["optimizer"]
     if "screen" in settings and "starts" in settings:
         screen, starts = MORE_SCREEN * settings["screen"], MORE_STARTS * settings["starts"]
@@ -64,9 +64,12 @@ def remedy(problem: CurveFit, stored: StoredRun) -> str:
     name = problem.space.names[0]
     box = f"a narrower box: space.{name}.low=... space.{name}.high=..."
     ways.append(f"{box} or a logarithmic one: {log}" if log else box)
+    again = f"search again with {'; '.join(ways)}."
+    if checked:
+        return again
     trust = " --trust" if "path" in stored.config["model"] else ""
     command = f"python -m experiments.report {stored.folder} --check{trust}"
-    return f"search again with {'; '.join(ways)}. Or look for a better optimum: {command}"
+    return f"{again} Or look for a better optimum: {command}"
 
 
 def _more(stored: StoredRun) -> str:

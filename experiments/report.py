@@ -55,7 +55,7 @@ def reported(problem: CurveFit, stored: StoredRun, **settings: Any) -> Report:
         "seconds": SECONDS if budget is None else min(SECONDS, max(LEAST_SECONDS, budget)),
         "descents": descents_of(stored),
         "best_known": result.get("facts", {}).get("optimum"),
-        "remedy": remedy(problem, stored),
+        "remedy": remedy(problem, stored, checked="check" in settings),
     }
     with at_work("report") as each, single_thread():
         return make_report(problem, np.array(result["theta"]), each=each, **known | settings)

@@ -8,7 +8,8 @@ declares it with a reason: `expected_failures={"stays_in_the_box": "clips lower 
 A declared failure that passes is an error too, so that declarations stay true. A method that takes
 milliseconds per evaluation may be checked over fewer of them: `evaluations=300`. One that computes
 for `PATIENCE` seconds without an evaluation fails the check that it is in; the seconds are its own
-CPU's, so that a busy machine makes no difference. That needs the main thread and a POSIX system.
+CPU's, so that a busy machine makes no difference. So does one that only waits for as long. That
+needs the main thread and a POSIX system.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import pickle
 import random
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator, Mapping
 from itertools import combinations_with_replacement
 from types import FrameType
@@ -52,7 +54,9 @@ BUDGET = 20_000
 
 
 PATIENCE = 60.0
-"""CPU seconds that a method may compute between two evaluations."""
+"""CPU seconds that a method may compute between two evaluations, and seconds that it may wait."""
+IDLE = 0.01
+"""Who computes less than this fraction of the time waits: a busy machine gives more."""
 
 
 class ConformanceError(AssertionError):
@@ -202,28 +206,53 @@ def run_check(
 
 @contextlib.contextmanager
 def _patience() -> Iterator[None]:
-    """While this lasts, PATIENCE CPU seconds without an evaluation raise NoEvaluation."""
+    """While this lasts, a method that does not come to its next evaluation raises NoEvaluation.
+
+    It may compute for PATIENCE seconds of its own, which a busy machine does not shorten, or wait
+    for as many of the clock without computing.
+    """
     in_main = threading.current_thread() is threading.main_thread()
     if not in_main or not hasattr(signal, "setitimer"):
         yield
         return
 
-    def on_alarm(number: int, frame: FrameType | None) -> None:
-        raise NoEvaluation(f"it computed for {PATIENCE:g} CPU seconds without an evaluation")
+    over: list[str] = []
 
-    before = signal.signal(signal.SIGVTALRM, on_alarm)
+    def give_up(reason: str) -> None:
+        over.append(f"{reason} without an evaluation")
+        raise NoEvaluation(over[0])
+
+    def on_computing(number: int, frame: FrameType | None) -> None:
+        give_up(f"it computed for {PATIENCE:g} CPU seconds")
+
+    computed = time.process_time()
+
+    def on_waiting(number: int, frame: FrameType | None) -> None:
+        nonlocal computed
+        before, computed = computed, time.process_time()
+        if computed - before < IDLE * PATIENCE:
+            give_up(f"it waited for {PATIENCE:g} seconds")
+
+    handlers = {signal.SIGVTALRM: on_computing, signal.SIGALRM: on_waiting}
+    previous = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE, PATIENCE)
+    signal.setitimer(signal.ITIMER_REAL, PATIENCE, PATIENCE)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
-        signal.signal(signal.SIGVTALRM, before)
+        for timer in (signal.ITIMER_VIRTUAL, signal.ITIMER_REAL):
+            signal.setitimer(timer, 0.0)
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+        if over:  # a run that this ended is a failed one, and its failure is caught
+            raise NoEvaluation(over[0])
 
 
 def _be_patient() -> None:
     """Begin to wait anew, if somebody waits."""
     if hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_VIRTUAL)[0]:
         signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE, PATIENCE)
+        signal.setitimer(signal.ITIMER_REAL, PATIENCE, PATIENCE)
 
 
 def _require(condition: bool, message: str) -> None:

@@ -26,7 +26,7 @@ class Irreducible(NamedTuple):
     @property
     def resolved(self) -> bool:
         """Whether the points lie close enough for the estimate to be of use."""
-        return self.low >= RESOLVED * self.value
+        return self.low >= RESOLVED * self.value and math.isfinite(self.high)
 
 
 def irreducible_error(x: Array, y: Array) -> float:

@@ -51,6 +51,11 @@ Array = NDArray[np.float64]
 
 MOST_PROFILES = 10
 """Models with more parameters are profiled only if asked: each end costs several refits."""
+HEDGE = (
+    "what is said of data and model is said of this optimum, and would not hold if all descents "
+    "missed a better one."
+)
+"""Starts are the best of a screen, so a narrow basin can be missed by all of them."""
 SUSPICIOUS = 2.0
 CHANCE = 1e-3
 REFIT = 5000
@@ -217,7 +222,10 @@ class Report:
         if self.standing.doubt:
             sentences = doubtful(self.standing.doubt, self.remedy, self.at, space) + sentences
         else:
-            sentences += self._of_data_and_model()
+            remarks = self._of_data_and_model()
+            if remarks and not self.standing.certain:
+                remarks.append(HEDGE)
+            sentences += remarks
         return [*sentences, *self.omitted]
 
     def _of_data_and_model(self) -> list[str]:
@@ -231,23 +239,20 @@ class Report:
         sentences += independence(self.problem, self.at)
         sentences += outliers(self.problem, self.at)
         error, irreducible = self.error, self.irreducible
-        unless = "" if self.standing.certain else ", unless all descents missed a better optimum"
         if irreducible.resolved and 0 < SUSPICIOUS * irreducible.high < error:
             sentences.append(
                 f"the error is {error / irreducible.value:.1f} times the irreducible error: check "
-                f"units, signs, ranges and the model{unless}."
+                "units, signs, ranges and the model."
             )
         for row in self.trends.to_dict("records"):
             if row["explained"] > UNMODELLED and row["p"] < CHANCE:
                 share = f"{100 * row['explained']:.0f} % of the errors' variance follows"
                 if row["an input"] == "yes":
-                    sentences.append(
-                        f"{share} {row['column']}: the model has the wrong shape{unless}."
-                    )
+                    sentences.append(f"{share} {row['column']}: the model has the wrong shape.")
                 else:
                     sentences.append(
                         f"{share} {row['column']}, which is no input of the model: it is not "
-                        f"noise, and only a model with that input can remove it{unless}."
+                        "noise, and only a model with that input can remove it."
                     )
         return sentences
 
