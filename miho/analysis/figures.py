@@ -140,13 +140,13 @@ def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
         )
         if irreducible is not None:
             left.annotate(
-                f"irreducible: {low * factor:.2g} to {high * factor:.2g} {shown}",
-                (0.02, low * factor),
+                f"irreducible: {low * factor:.2f} to {high * factor:.2f} {shown}",
+                (0.02, high * factor),
                 xycoords=("axes fraction", "data"),
-                xytext=(0, -2),
+                xytext=(0, 2),
                 textcoords="offset points",
                 fontsize=8,
-                verticalalignment="top",
+                verticalalignment="bottom",
             )
         draw_end_labels(right, _final_labels(runs, factor))
     return figure

@@ -45,7 +45,7 @@ def test_fig6_names_each_method_once_with_its_final_error_and_colour() -> None:
         assert len(label) == 1
         assert float(label[0].split()[0]) == pytest.approx(errors.mean() / 1e3, rel=0.01, abs=5e-3)
     assert any("R = 625" in text for text in written)
-    assert "irreducible: 0.38 to 0.4 kN" in written
+    assert "irreducible: 0.38 to 0.40 kN" in written
 
 
 def test_fig6_of_disturbed_runs_is_whole_and_says_whose_seconds_it_shows() -> None:
