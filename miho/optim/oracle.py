@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 CHUNK_SECONDS = 0.02
 OBSERVE_SECONDS = 0.1
+CHECKED_AT_ONCE = 1024
 REASONS = 20
 NOT_FINITE = "loss is"
 """So begins the reason why a value was rejected that was computed and is not finite."""
@@ -130,6 +131,8 @@ class Oracle:
         self._target = -math.inf if budget.target is None else budget.target
         self._observer = observer
         self._clock = Clock() if clock is None else clock
+        self._unchecked: list[Array] = []
+        self._rows_unchecked = 0
         self._observed = -math.inf
         self._descent: Descent | None = None
         self._wall = self._clock.wall() - self.meter.seconds
@@ -304,9 +307,10 @@ class Oracle:
         return block.steps
 
     def stop(self) -> None:
-        """Read the clocks for the last time."""
+        """Read the clocks for the last time, and look at what was not looked at yet."""
         self.meter.seconds = self.seconds
         self.meter.cpu_seconds = self._clock.cpu() - self._cpu
+        self._check_box()
 
     @property
     def _least_squares(self) -> LeastSquaresProblem:
@@ -340,10 +344,25 @@ class Oracle:
         return rows
 
     def _count_outside(self, rows: Array) -> None:
-        """Count the rows outside of the box; of a compiled block only those that improve."""
-        within = (rows >= self._box[0]) & (rows <= self._box[1])
-        if b"\0" in within.tobytes():  # a quarter of the time of within.all()
+        """Count the rows outside of the box; of a compiled block only those that improve.
+
+        Many at once, since looking at ten costs as much as looking at a thousand.
+        """
+        if rows.shape[1:] != self._box[0].shape:
+            raise ValueError(
+                f"configurations have the shape {rows.shape}; expected (n, {len(self.space)})"
+            )
+        self._unchecked.append(rows.copy())
+        self._rows_unchecked += len(rows)
+        if self._rows_unchecked >= CHECKED_AT_ONCE:
+            self._check_box()
+
+    def _check_box(self) -> None:
+        if self._unchecked:
+            rows = np.concatenate(self._unchecked)
+            within = (rows >= self._box[0]) & (rows <= self._box[1])
             self.meter.outside += len(rows) - int(np.count_nonzero(within.all(axis=1)))
+            self._unchecked, self._rows_unchecked = [], 0
 
     def _losses(self, rows: Array, fidelity: float) -> Array:
         """The problem's losses; +inf, with its reason counted, for a row that has none."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from miho import Budget, LeastSquaresProblem, Oracle, Parameter, Problem, Space
 from miho.optim import BudgetExhausted, Clock, Meter, RunInterrupted, Trace, UnusableValueError
+from miho.testing import DecayFit
 
 Array = NDArray[np.float64]
 SPACE = Space((Parameter("x", "m", -10.0, 10.0),))
@@ -314,3 +315,10 @@ def test_a_problem_without_residuals_says_so() -> None:
 def test_bad_budgets(settings: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=f"budget.{next(iter(settings))} is"):
         Budget(**settings)
+
+
+def test_configurations_of_another_dimension_are_refused() -> None:
+    oracle = Oracle(DecayFit(), Budget())
+    with pytest.raises(ValueError, match=r"have the shape \(1, 3\); expected \(n, 2\)"):
+        oracle(np.ones((1, 3)))
+    oracle.stop()
