@@ -64,6 +64,10 @@ def preview(dataset: Dataset) -> str | None:
     notes = f" ({'; '.join(reading.notes)})" if reading.notes else ""
     units = dataset.units
     taken = [ColumnSummary.of(key, units[key], values) for key, values in dataset.columns.items()]
+    if taken == list(reading.columns):
+        taken, used = [], "used as they are"
+    else:
+        used = "used, in SI units and ISO signs"
     held = f", {len(dataset.held_out)} more held out" if dataset.held_out is not None else ""
     cells = [_cells(column) for column in (*reading.columns, *taken)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
@@ -73,7 +77,7 @@ def preview(dataset: Dataset) -> str | None:
         [
             f"{reading.path}: {reading.rows} rows{notes}; name, unit, range, first rows:",
             *lines[:count],
-            f"used, in SI units and ISO signs: {len(dataset)} rows{held}",
+            f"{used}: {len(dataset)} rows{held}",
             *lines[count:],
         ]
     )

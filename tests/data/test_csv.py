@@ -226,6 +226,14 @@ def test_the_preview_shows_the_file_and_what_is_used(tmp_path: Path) -> None:
     assert preview(TIRE) is None
 
 
+def test_the_preview_shows_once_what_is_used_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "decay.csv"
+    path.write_text("t,y\n0,2\n0.5,1.5\n")
+    lines = (preview(load_csv(str(path), ["t", "y"], ["s", "V"], "y")) or "").splitlines()
+    assert lines[-1] == "used as they are: 2 rows"
+    assert len(lines) == 4
+
+
 SIGNS = {
     "iso-w": (1, 1, 1),
     "sae": (-1, -1, -1),  # y and z the other way
