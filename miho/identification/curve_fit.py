@@ -19,7 +19,7 @@ from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.optim.climb import Climb
-from miho.optim.problem import LeastSquaresProblem, mean_square
+from miho.optim.problem import CompiledRows, LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
 
@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 TRIALS = 5
 """Configurations at which a new problem is tried out."""
 LINEAR = 1e-9
+ROUNDING = 1e-12
+"""A fidelity of m / N means m rows, whatever the rounding of the fraction."""
 FAR = 2.0
 """A nominal value this factor beyond the data is far from them."""
 BLOCK = 50_000
@@ -209,9 +211,24 @@ class CurveFit(LeastSquaresProblem):
         """The fraction of rows that a fidelity uses; all of them where their order matters."""
         return self._rows(fidelity) / len(self.dataset)
 
+    @property
+    def rows(self) -> int | None:  # type: ignore[override]
+        """Rows of the data, if a model may be asked for some of them."""
+        return None if self.model.ordered else len(self.dataset)
+
     def _rows(self, fidelity: float) -> int:
         N = len(self.dataset)
-        return N if self.model.ordered else math.ceil(fidelity * N)
+        return N if self.model.ordered else min(N, math.ceil(fidelity * N * (1 - ROUNDING)))
+
+    def _part(self, fidelity: float) -> NDArray[np.intp] | None:
+        """The rows that a fidelity uses, None for all."""
+        rows = self._rows(fidelity)
+        return None if rows == len(self.dataset) else self._order[:rows]
+
+    @property
+    def compiled_rows(self) -> CompiledRows | None:  # type: ignore[override]
+        """Residuals and derivatives of a model that is an expression, compiled."""
+        return None if self._fused is None else self._fused.compiled_rows
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Mean squared error (n,) of parameter rows (n, d), over a fidelity of the data rows."""
@@ -237,26 +254,33 @@ class CurveFit(LeastSquaresProblem):
         residuals -= output
         return mean_square(self.rho.transform(residuals))
 
-    def errors(self, theta: Array) -> Array:
-        """Model minus data, (N,)."""
-        if self._fused is not None:
+    def errors(self, theta: Array, fidelity: float = 1.0) -> Array:
+        """Model minus data, (m,)."""
+        part = self._part(fidelity)
+        if part is None and self._fused is not None:
             return self._fused.residuals(theta)
-        errors = self.model.predict(theta[None], *self.inputs)[0]
-        errors -= self._output
+        errors = self.model.predict(theta[None], *self._inputs_of(part))[0]
+        errors -= self._output if part is None else self._output[part]
         return np.asarray(errors)
 
-    def residuals(self, theta: Array) -> Array:
-        """Model minus data, transformed by rho, (N,)."""
-        return self.rho.transform(self.errors(theta))
+    def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
+        """Model minus data, transformed by rho, (m,)."""
+        return self.rho.transform(self.errors(theta, fidelity))
 
-    def jacobian(self, theta: Array) -> Array:
-        """Derivatives of the residuals, (N, d)."""
-        if self._fused is not None:
+    def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
+        """Derivatives of the residuals, (m, d)."""
+        part = self._part(fidelity)
+        if part is None and self._fused is not None:
             return self._fused.jacobian(theta)
-        derivatives = self.model.jacobian(theta, *self.inputs)
+        derivatives = self.model.jacobian(theta, *self._inputs_of(part))
         if self._square:
             return derivatives
-        return np.asarray(slope(self.rho, self.errors(theta))[:, None] * derivatives)
+        return np.asarray(slope(self.rho, self.errors(theta, fidelity))[:, None] * derivatives)
+
+    def _inputs_of(self, part: NDArray[np.intp] | None) -> tuple[Array, ...]:
+        if part is None:
+            return self.inputs
+        return tuple(column[part] for column in self.inputs)
 
 
 def _model(given: object) -> Model:

@@ -16,7 +16,7 @@ from functools import cache, cached_property, partial
 from typing import Any, cast
 
 import numpy as np
-from numba import njit
+from numba import cfunc, njit, types
 from numba.core.errors import NumbaError
 from numba.extending import register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
@@ -28,6 +28,7 @@ from miho.models.expression import Expression, Formula
 from miho.models.signature import Signed, signed, signed_formulas
 from miho.optim import climb
 from miho.optim.climb import Climb, climb_on, compiled_climb, equal_parts
+from miho.optim.problem import CompiledRows
 
 Array = NDArray[np.float64]
 
@@ -92,6 +93,14 @@ class FusedLoss:
         return np.ascontiguousarray(self.X[:, self.order]), self.y[self.order], first_block
 
     @cached_property
+    def compiled_rows(self) -> CompiledRows:
+        """Residuals and derivatives of some rows, in the order of the loss."""
+        shape, formulas = self._shape, (self.model.value, self.model.derivatives)
+        compiled = _compile_rows(signed_formulas(formulas, shape, *COMPILED_WITH), *shape)
+        X, y, _ = self._data
+        return CompiledRows(*compiled, read_only(X), read_only(y))
+
+    @cached_property
     def _columns(self) -> tuple[Array, Array]:
         return read_only(self.X), read_only(self.y)
 
@@ -150,6 +159,13 @@ class FusedLoss:
         return columns.T
 
 
+VECTOR = types.Array(types.float64, 1, "C")
+COLUMNS_OUT = types.Array(types.float64, 2, "C")
+DATA = types.Array(types.float64, 2, "C", readonly=True)
+OUTPUT = types.Array(types.float64, 1, "C", readonly=True)
+CALLED: dict[str, Any] = {"cache": True, "error_model": "numpy"}
+"""How compiled code calls a model: the types of its arguments, and how it is compiled."""
+
 _Data = tuple[Array, Array, int]
 """X in the order of the loss, the outputs of its first rows or of all, and the first block."""
 
@@ -191,6 +207,26 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
             _store(derivatives(columns(X, start, end), parameters), found[:, start:end])
 
     return _Compiled(losses, residuals, jacobian)
+
+
+@cache
+def _compile_rows(formulas: Signed, p: int, d: int) -> tuple[Any, Any]:
+    """Residuals and derivatives of rows i to j, as compiled code calls them."""
+    columns = COLUMNS[p]
+    own = signed(formulas.signature)
+    value, derivatives = map(register_jitable, formulas.copies())
+
+    @cfunc(types.void(VECTOR, DATA, OUTPUT, types.int64, types.int64, VECTOR), **CALLED)
+    @own
+    def residuals(theta: Array, X: Array, y: Array, i: int, j: int, found: Array) -> None:
+        found[:] = value(columns(X, i, j), as_tuple(theta, d)) - y[i:j]
+
+    @cfunc(types.void(VECTOR, DATA, types.int64, types.int64, COLUMNS_OUT), **CALLED)
+    @own
+    def slopes(theta: Array, X: Array, i: int, j: int, found: Array) -> None:
+        _store(derivatives(columns(X, i, j), as_tuple(theta, d)), found[:, : j - i])
+
+    return residuals, slopes
 
 
 @cache

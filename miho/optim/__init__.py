@@ -2,7 +2,7 @@
 
 from miho.optim.miho import MIHO
 from miho.optim.minimize import Checkpoint, Outcome, RunRecord, minimize
-from miho.optim.optimizer import AskTell, Optimizer
+from miho.optim.optimizer import AskTell, Optimizer, Resumable
 from miho.optim.oracle import (
     Budget,
     BudgetExhausted,
@@ -35,6 +35,7 @@ __all__ = [
     "Problem",
     "RandomSearch",
     "RunInterrupted",
+    "Resumable",
     "RunRecord",
     "Rung",
     "Space",

@@ -122,13 +122,13 @@ class MIHO(AskTell[MIHOState]):
         state.row = 0
         self._count(state, 1)
 
-    def leap(self, state: MIHOState, oracle: Oracle) -> bool:
-        """The next steps of this rung, or the next rows of one step, in one compiled block."""
-        if state.step < 0 or self.proposal != "mutation":
-            return False
-        evaluations, n = oracle.climbing_evaluations(), len(state.P)
+    def step(self, state: MIHOState, oracle: Oracle) -> None:
+        """A batch; or the next steps of this rung, or rows of one, in one compiled block."""
+        climbs = state.step >= 0 and self.proposal == "mutation"
+        evaluations, n = oracle.climbing_evaluations() if climbs else 0, len(state.P)
         if not evaluations:
-            return False
+            super().step(state, oracle)
+            return
         whole = evaluations >= n and state.row == 0
         steps = min(evaluations // n, state.rung.mutations - state.step) if whole else 1
         rows = slice(state.row, min(state.row + evaluations, n))
@@ -150,7 +150,6 @@ class MIHO(AskTell[MIHOState]):
         state.row = rows.stop % n
         if state.row == 0:
             self._count(state, made)
-        return True
 
     def _count(self, state: MIHOState, steps: int) -> None:
         """Count steps as done and prepare the next batch."""

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.optim.optimizer import AskTell, Optimizer
+from miho.optim.optimizer import Optimizer, Resumable
 from miho.optim.oracle import UNSENT, Budget, BudgetExhausted, Meter, Oracle, RunInterrupted
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.seeds import stream
@@ -65,7 +65,7 @@ class RunRecord:
     the line of the method's file at its end. `outside` counts evaluations outside of the box, in
     compiled blocks only those that improve.
     `descents` says where those of a method that makes several ended, None of any other.
-    `checkpoint` resumes a method that can be resumed (AskTell), else it is None; so it is after
+    `checkpoint` resumes a method that can be resumed (Resumable), else it is None; so it is after
     an interrupt that struck in the middle of a step.
     """
 
@@ -113,7 +113,7 @@ def minimize(
     outcome, error = Outcome.CONVERGED, None
     try:
         with _ctrl_c_waits(partial(setattr, oracle, "interrupted", True)):
-            if checkpoint is not None and isinstance(optimizer, AskTell):
+            if checkpoint is not None and isinstance(optimizer, Resumable):
                 optimizer.resume(oracle, checkpoint.state)
             else:
                 rng = stream("own", problem.name, seed, type(optimizer).__name__)
@@ -169,8 +169,8 @@ def _resumable(
     checkpoint: Checkpoint, optimizer: Optimizer, problem: Problem, seed: int
 ) -> Checkpoint:
     """A copy that the resumed run may change, if it is a checkpoint of this very run."""
-    if not isinstance(optimizer, AskTell):
-        raise ValueError(f"{type(optimizer).__name__} cannot be resumed; only AskTell methods can")
+    if not isinstance(optimizer, Resumable):
+        raise ValueError(f"{type(optimizer).__name__} cannot be resumed; only Resumable methods can")
     here, there = (
         (optimizer, problem.name, seed),
         (checkpoint.optimizer, checkpoint.problem, checkpoint.seed),

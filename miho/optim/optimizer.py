@@ -27,11 +27,43 @@ class Optimizer(ABC):
         """
 
 
-class AskTell(Optimizer, Generic[State]):
-    """A method as a state machine, so that a run can be stopped anywhere and resumed bit-exactly.
+class Resumable(Optimizer, Generic[State]):
+    """A method whose state is an object, so that a run can be cut anywhere and goes on bit-exactly.
 
-    The state is a picklable object holding the random generator. `ask` only reads it: asked
-    twice, it gives the same batch. Every change happens in `tell`.
+    The state is picklable and holds the random generator. A step that is cut, because the oracle
+    raises in the middle of it, leaves a state from which it goes on.
+    """
+
+    @abstractmethod
+    def start(self, oracle: Oracle, rng: np.random.Generator) -> State:
+        """The state before the first evaluation; nothing is evaluated here."""
+
+    @abstractmethod
+    def step(self, state: State, oracle: Oracle) -> None:
+        """Evaluate something and move the state on."""
+
+    @abstractmethod
+    def done(self, state: State) -> bool:
+        """Whether the method has nothing left to ask."""
+
+    @final
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        """Search from the beginning."""
+        self.resume(oracle, self.start(oracle, rng))
+
+    @final
+    def resume(self, oracle: Oracle, state: State) -> None:
+        """Go on from a state, with an oracle that holds the meter of the same moment."""
+        oracle.state = state
+        while not self.done(state):
+            self.step(state, oracle)
+
+
+class AskTell(Resumable[State]):
+    """A method that asks for losses of configurations and is told them.
+
+    `ask` only reads the state: asked twice, it gives the same batch. Every change happens in
+    `tell`.
     """
 
     @abstractmethod
@@ -46,31 +78,19 @@ class AskTell(Optimizer, Generic[State]):
     def tell(self, state: State, thetas: Array, losses: Array) -> None:
         """Move the state on, given the losses (n,) of the batch; +inf marks unusable values."""
 
-    @abstractmethod
-    def done(self, state: State) -> bool:
-        """Whether the method has nothing left to ask."""
+    def fidelity(self, state: State) -> float:
+        """The fidelity of the next batch: the share of the data that is looked at."""
+        return 1.0
 
-    def leap(self, state: State, oracle: Oracle) -> bool:
-        """Do at once what many asks and tells would do, if the oracle can; whether it did.
+    def start(self, oracle: Oracle, rng: np.random.Generator) -> State:
+        """The state before the first batch, of a method that needs to know the space only."""
+        return self.init(oracle.space, rng)
 
-        The one method that may be overridden: there is nothing to leap over by default.
-        """
-        return False
-
-    @final
-    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
-        """Search from the beginning."""
-        self.resume(oracle, self.init(oracle.space, rng))
-
-    @final
-    def resume(self, oracle: Oracle, state: State) -> None:
-        """Go on from a state, with an oracle that holds the meter of the same moment."""
-        oracle.state = state
-        while not self.done(state):
-            if not self.leap(state, oracle):
-                thetas = self.ask(state)
-                if not len(thetas):
-                    raise ValueError(
-                        f"{type(self).__name__}.ask gives no configuration, though done is false"
-                    )
-                self.tell(state, thetas, oracle(thetas))
+    def step(self, state: State, oracle: Oracle) -> None:
+        """Ask, evaluate and tell; a method may do at once what many of these would do."""
+        thetas = self.ask(state)
+        if not len(thetas):
+            raise ValueError(
+                f"{type(self).__name__}.ask gives no configuration, though done is false"
+            )
+        self.tell(state, thetas, oracle(thetas, self.fidelity(state)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
+from miho.optim.problem import CompiledRows, LeastSquaresProblem, Problem, mean_square
 from miho.optim.space import Space
 from miho.optim.trace import Descent, Trace
 from miho.optim.validate import positive, whole
@@ -27,6 +27,23 @@ REASONS = 20
 NOT_FINITE = "loss is"
 """So begins the reason why a value was rejected that was computed and is not finite."""
 NONE, NOWHERE = np.empty(0), np.empty(0, np.int64)
+
+
+@dataclass(frozen=True)
+class Block:
+    """What compiled code did: evaluations spent, and its improvements of the best loss.
+
+    `at` (k,) counts the evaluations up to each improvement, `losses` (k,) and `thetas` (k, d) are
+    what was found there. `finished` unless it stopped before an evaluation that was not allowed.
+    `rejected` counts values that could not be used, by reason.
+    """
+
+    evaluations: float
+    at: Array
+    losses: Array
+    thetas: Array
+    rejected: Mapping[str, int]
+    finished: bool
 
 
 class BudgetExhausted(Exception):  # noqa: N818 -- the signal that ends every run, not an error
@@ -200,41 +217,65 @@ class Oracle:
             unfinished.clear()
         return losses
 
-    def residuals(self, theta: Array) -> Array:
-        """Residuals (m,) of one configuration (d,) in units: one evaluation.
+    @property
+    def rows(self) -> int | None:
+        """How many residuals there are, if those of the first rows can be had; else None."""
+        return self._least_squares.rows
+
+    @property
+    def compiled_rows(self) -> CompiledRows | None:
+        """Compiled residuals and derivatives, for blocks of evaluations (`spend`)."""
+        return self._least_squares.compiled_rows
+
+    @property
+    def jacobian_cost(self) -> int:
+        """What the derivatives of the residuals cost, in evaluations of the same rows."""
+        cost = self._least_squares.jacobian_cost
+        return len(self.space) if cost is None else cost
+
+    def cost(self, fidelity: float) -> float:
+        """What one evaluation at a fidelity costs, in full evaluations."""
+        return self._problem.cost(fidelity)
+
+    def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
+        """Residuals (m,) of one configuration (d,) in units: one evaluation of so many rows.
 
         Raises UnusableValueError if the problem raises; residuals that are not finite are
         returned as they are, for solvers that know what to do with them.
         """
         problem = self._least_squares
+        some, cost = self._of_rows(fidelity)
         self._check_open()
+        if cost > self.remaining:
+            raise BudgetExhausted
         started = self.seconds
         self._count_outside(theta[None])
         try:
-            residuals = _real(problem.residuals(_read_only(theta)))
+            residuals = _real(problem.residuals(_read_only(theta), *some))
             loss = self._usable(mean_square(residuals)[None])
         except Exception as error:
             self.meter.reject(f"{type(error).__name__}: {error}")
-            self._record(theta[None], np.array([math.inf]), 1.0, started)
+            self._record(theta[None], np.array([math.inf]), cost, started)
             raise UnusableValueError(str(error)) from error
-        self._record(theta[None], loss, 1.0, started)
+        self._record(theta[None], loss, cost, started)
         self._check_end()
         return residuals
 
-    def jacobian(self, theta: Array) -> Array:
+    def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals (m, d) at one configuration (d,) in units.
 
         Costs `jacobian_cost` evaluations; a budget that cannot pay it is exhausted. Raises
         UnusableValueError if the problem raises or a derivative is not finite.
         """
         problem = self._least_squares
-        cost = len(self.space) if problem.jacobian_cost is None else problem.jacobian_cost
+        some, cost = self._of_rows(fidelity)
+        cost *= self.jacobian_cost
         self._check_open()
         if cost > self.remaining:
             raise BudgetExhausted
         reason = "derivative is not finite"
         try:
-            jacobian = _real(problem.jacobian(_read_only(theta)))
+            jacobian = _real(problem.jacobian(_read_only(theta), *some))
             usable = bool(np.isfinite(jacobian).all())
         except Exception as error:  # noqa: BLE001 -- as for residuals
             reason, usable = f"{type(error).__name__}: {error}", False
@@ -245,6 +286,38 @@ class Oracle:
             raise UnusableValueError(reason)
         self._check_end()
         return jacobian
+
+    def _of_rows(self, fidelity: float) -> tuple[tuple[float, ...], float]:
+        """A fidelity as a problem takes it, which need not know of any, and its cost."""
+        if fidelity == 1.0:
+            return (), 1.0
+        return (fidelity,), self._problem.cost(fidelity)
+
+    def spend(self, block: Callable[[float, float, float], Block], least: float) -> None:
+        """Let compiled code evaluate in blocks of some 20 ms until it is done.
+
+        `block(most, best, target)` spends no more than `most` evaluations and says what it did; it
+        goes on where it was when it is called again. `least` is what it may need for its next step:
+        a budget that cannot pay it is exhausted. Raises, as an evaluation would, where the run is
+        over.
+        """
+        meter = self.meter
+        while True:
+            self._check_open()
+            rate = meter.evaluations / meter.seconds if meter.seconds else 0.0
+            most = min(self.remaining, max(CHUNK_SECONDS * rate, least))
+            started = self.seconds
+            done = block(most, meter.best, self._target)
+            for reason, count in done.rejected.items():
+                meter.reject(reason, count)
+            if done.losses.size:
+                self._count_outside(done.thetas)
+            self._keep(done.at, done.losses, done.thetas, done.evaluations, started)
+            self._check_end()
+            if done.finished:
+                return
+            if not done.evaluations:
+                raise BudgetExhausted
 
     @contextmanager
     def descent(self) -> Iterator[Descent]:
@@ -303,7 +376,7 @@ class Oracle:
                 meter.reject(f"{NOT_FINITE} {value}", count)
         if block.losses.size:
             self._count_outside(block.thetas)
-        self._keep(block.at - 1, block.losses, block.thetas, evaluations, started)
+        self._keep(block.at * 1.0, block.losses, block.thetas, evaluations, started)
         return block.steps
 
     def stop(self) -> None:
@@ -400,31 +473,25 @@ class Oracle:
             found, thetas = losses[improving], rows[improving]
         else:
             improving, found, thetas = NOWHERE, NONE, rows[:0]
-        self._keep(improving, found, thetas, losses.size, started, cost)
+        self._keep(improving + 1.0, found, thetas, losses.size * cost, started)
 
     def _keep(
-        self,
-        improving: NDArray[np.int64],
-        losses: Array,
-        thetas: Array,
-        evaluations: int,
-        started: float,
-        cost: float = 1.0,
+        self, at: Array, losses: Array, thetas: Array, evaluations: float, started: float
     ) -> None:
         """Count evaluations, record the improvements among them and hold the clock meanwhile.
 
-        `improving` (k,) numbers the evaluations that improve, from 0. The clock is taken to run
-        evenly, so each improvement has its own time.
+        `at` (k,) counts the evaluations up to each improvement. The clock is taken to run evenly,
+        so each improvement has its own time.
         """
         meter = self.meter
         meter.seconds = now = self._clock.wall() - self._wall
-        if improving.size:
+        if at.size:
             meter.cpu_seconds = self._clock.cpu() - self._cpu
             per_evaluation = (now - started) / evaluations
-            for i, loss, theta in zip(improving.tolist(), losses.tolist(), thetas, strict=True):
+            for count, loss, theta in zip(at.tolist(), losses.tolist(), thetas, strict=True):
                 meter.trace.add(
-                    meter.evaluations + i + 1,
-                    now - per_evaluation * (evaluations - 1 - i),
+                    meter.evaluations + count,
+                    now - per_evaluation * (evaluations - count),
                     meter.cpu_seconds,
                     loss,
                     theta,
@@ -432,7 +499,7 @@ class Oracle:
             meter.best = meter.trace.loss[-1]
             self._wall = self._clock.wall() - now
             self._cpu = self._clock.cpu() - meter.cpu_seconds
-        meter.evaluations += evaluations * cost
+        meter.evaluations += evaluations
         if self._observer is not None and now - self._observed >= OBSERVE_SECONDS:
             self._observed = now
             cpu = self._clock.cpu()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +42,24 @@ class Problem(ABC):
         return fidelity
 
 
+class CompiledRows(NamedTuple):
+    """Residuals and derivatives of rows i to j of the data, which compiled code can call.
+
+    `residuals(theta, X, y, i, j, r)` fills r (j - i,), `slopes(theta, X, i, j, J)` the first columns
+    of J (d, j - i or more). X (p, N) and y (N,) hold the data in the order of a fidelity.
+    """
+
+    residuals: Any
+    slopes: Any
+    X: Array
+    y: Array
+
+
 class LeastSquaresProblem(Problem):
     """A problem whose loss is the mean of squared residuals, with derivatives of the residuals.
+
+    `rows` is their number, and says that those of the first rows can be had: a fidelity takes so
+    many of them in the problem's own order. A problem without it is asked for all of them only.
 
     `jacobian_cost` is what one Jacobian costs in evaluations; a problem without it pays the
     number of parameters, as finite differences would. `linear` names parameters in which the
@@ -52,13 +69,15 @@ class LeastSquaresProblem(Problem):
 
     jacobian_cost: int | None = None
     linear: tuple[str, ...] = ()
+    rows: int | None = None
+    compiled_rows: CompiledRows | None = None
 
     @abstractmethod
-    def residuals(self, theta: Array) -> Array:
-        """Model minus data, (m,), of one configuration (d,)."""
+    def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
+        """Model minus data, (m,), of one configuration (d,), over a fidelity of the rows."""
 
     @abstractmethod
-    def jacobian(self, theta: Array) -> Array:
+    def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals, (m, d), at one configuration (d,)."""
 
 

@@ -331,14 +331,14 @@ def test_more_steps_than_the_budget_allows_are_refused(fit: FusedLoss) -> None:
     assert oracle.evaluations == 9
 
 
-def test_by_default_a_method_does_not_leap(fit: FusedLoss) -> None:
-    rng = stream("leap")
+def test_by_default_a_step_is_one_batch(fit: FusedLoss) -> None:
     method = Halves()
     oracle = Oracle(Watched(fit), Budget())
-    state = method.init(SPACE, rng)
-    assert not method.leap(state, oracle)
+    state = method.start(oracle, stream("own"))
     assert oracle.evaluations == 0
-    method.run(oracle, rng)
+    method.step(state, oracle)
+    assert oracle.evaluations == 1
+    method.resume(oracle, state)
     assert oracle.evaluations == 3
 
 
