@@ -18,7 +18,7 @@ from typing import Any, cast
 import numpy as np
 from numba import cfunc, njit, types
 from numba.core.errors import NumbaError
-from numba.extending import register_jitable
+from numba.extending import overload, register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
 from numpy.typing import NDArray
 
@@ -163,7 +163,11 @@ VECTOR = types.Array(types.float64, 1, "C")
 COLUMNS_OUT = types.Array(types.float64, 2, "C")
 DATA = types.Array(types.float64, 2, "C", readonly=True)
 OUTPUT = types.Array(types.float64, 1, "C", readonly=True)
-CALLED: dict[str, Any] = {"cache": True, "error_model": "numpy"}
+CALLED: dict[str, Any] = {
+    "cache": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "nsz"},
+}
 """How compiled code calls a model: the types of its arguments, and how it is compiled."""
 
 _Data = tuple[Array, Array, int]
@@ -211,20 +215,28 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
 
 @cache
 def _compile_rows(formulas: Signed, p: int, d: int) -> tuple[Any, Any]:
-    """Residuals and derivatives of rows i to j, as compiled code calls them."""
-    columns = COLUMNS[p]
+    """Residuals and derivatives of rows i to j, as compiled code calls them.
+
+    Row by row, which the compiler turns into several at once: the temporaries of a block would cost
+    more than a few rows do.
+    """
+    inputs, store = INPUTS[p], _store_row
     own = signed(formulas.signature)
     value, derivatives = map(register_jitable, formulas.copies())
 
     @cfunc(types.void(VECTOR, DATA, OUTPUT, types.int64, types.int64, VECTOR), **CALLED)
     @own
     def residuals(theta: Array, X: Array, y: Array, i: int, j: int, found: Array) -> None:
-        found[:] = value(columns(X, i, j), as_tuple(theta, d)) - y[i:j]
+        parameters = as_tuple(theta, d)
+        for row in range(j - i):
+            found[row] = value(inputs(X, i + row), parameters) - y[i + row]
 
     @cfunc(types.void(VECTOR, DATA, types.int64, types.int64, COLUMNS_OUT), **CALLED)
     @own
     def slopes(theta: Array, X: Array, i: int, j: int, found: Array) -> None:
-        _store(derivatives(columns(X, i, j), as_tuple(theta, d)), found[:, : j - i])
+        parameters = as_tuple(theta, d)
+        for row in range(j - i):
+            store(derivatives(inputs(X, i + row), parameters), found, row)
 
     return residuals, slopes
 
@@ -305,6 +317,27 @@ def _store(columns: tuple[Array, ...], found: Array) -> None:
         found[k] = column
 
 
+def _store_row(values: Any, found: Array, row: int) -> None:
+    """Put the values into a row of columns (d, .)."""
+    for k, value in enumerate(values):
+        found[k, row] = value
+
+
+@overload(_store_row)
+def _unrolled(values: Any, found: Array, row: int) -> Callable[..., None]:
+    """One value after the other, known to the compiler, so that it can do many rows at once."""
+    last = len(values) - 1
+
+    def store(values: Any, found: Array, row: int) -> None:
+        found[last, row] = values[last]
+        _store_row(values[:last], found, row)
+
+    def nothing(values: Any, found: Array, row: int) -> None:
+        pass
+
+    return nothing if last < 0 else store
+
+
 @register_jitable
 def _add(to: Array, what: Array) -> None:
     for i in range(what.size):
@@ -345,6 +378,29 @@ def _three(X: Array, i: int, j: int) -> tuple[Array, ...]:
 def _four(X: Array, i: int, j: int) -> tuple[Array, ...]:
     return X[0, i:j], X[1, i:j], X[2, i:j], X[3, i:j]
 
+
+@register_jitable
+def _input(X: Array, row: int) -> tuple[float, ...]:
+    return (X[0, row],)
+
+
+@register_jitable
+def _two_inputs(X: Array, row: int) -> tuple[float, ...]:
+    return X[0, row], X[1, row]
+
+
+@register_jitable
+def _three_inputs(X: Array, row: int) -> tuple[float, ...]:
+    return X[0, row], X[1, row], X[2, row]
+
+
+@register_jitable
+def _four_inputs(X: Array, row: int) -> tuple[float, ...]:
+    return X[0, row], X[1, row], X[2, row], X[3, row]
+
+
+INPUTS = {1: _input, 2: _two_inputs, 3: _three_inputs, 4: _four_inputs}
+"""One row of the inputs as a tuple, likewise."""
 
 COLUMNS = {1: _one, 2: _two, 3: _three, 4: _four}
 """Blocks of the input columns as a tuple, by the number of inputs: numba needs its length."""

@@ -1,0 +1,151 @@
+"""Small least-squares problems by orthogonal transformations, compiled."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+compiled = njit(cache=True, nogil=True, error_model="numpy")
+summing = njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
+"""Compiled; and for sums over rows in any order, so that the processor adds side by side."""
+
+SINGULAR = 1e-14
+"""A pivot below this share of the largest one is 0: its direction is left where it is."""
+
+
+@summing
+def square_sum(r: Array, count: int) -> float:
+    """The sum of the squares of the first residuals."""
+    total = 0.0
+    for i in range(count):
+        total += r[i] * r[i]
+    return total
+
+
+@summing
+def fold(T: Array, columns: Array, count: int, n: int) -> None:
+    """Take `count` rows, given as n columns, into the triangular factor T of all rows before.
+
+    Householder reflections of T stacked on the rows (Golub and Van Loan, Matrix Computations,
+    section 5.2): the factor of any number of rows, chunk by chunk. The columns are used up.
+    """
+    for k in range(n):
+        v = columns[k]
+        square = 0.0
+        for i in range(count):
+            square += v[i] * v[i]
+        if square == 0.0:
+            continue
+        diagonal = T[k, k]
+        norm = -math.copysign(math.sqrt(diagonal * diagonal + square), diagonal)
+        first = diagonal - norm
+        T[k, k] = norm
+        factor = 2.0 / (first * first + square)
+        for j in range(k + 1, n):
+            other = columns[j]
+            product = first * T[k, j]
+            for i in range(count):
+                product += v[i] * other[i]
+            product *= factor
+            T[k, j] -= product * first
+            for i in range(count):
+                other[i] -= product * v[i]
+
+
+@compiled
+def solve_in_box(
+    R: Array, q: Array, scale: Array, low: Array, high: Array, n: int, s: Array
+) -> None:
+    """Minimise |R s + q|^2 + |scale s|^2 within low <= s <= high, into s, by an active set.
+
+    R is triangular in its first n rows and columns; q, scale, low and high are (n,) or longer, low
+    <= 0 <= high. Parameters that a solution would take out of the box are held at its bounds, and
+    let go again, the one with the steepest gradient first, until Karush's, Kuhn's and Tucker's
+    conditions hold (Lawson and Hanson, Solving Least Squares Problems, chapter 23), or after 3 n
+    changes.
+    """
+    free = np.ones(n, np.bool_)
+    for k in range(n):
+        s[k] = 0.0
+    for _ in range(3 * n + 1):
+        if _minimise_free(R, q, scale, n, free, s, low, high):
+            continue
+        steepest, which = 0.0, -1
+        for k in range(n):
+            if free[k]:
+                continue
+            slope = scale[k] * scale[k] * s[k]
+            for row in range(k + 1):
+                slope += R[row, k] * _row(R, q, n, s, row)
+            inward = slope < 0 if s[k] <= low[k] else slope > 0
+            if inward and abs(slope) > steepest:
+                steepest, which = abs(slope), k
+        if which < 0:
+            return
+        free[which] = True
+
+
+@compiled
+def _row(R: Array, q: Array, n: int, s: Array, row: int) -> float:
+    """A row of R s + q."""
+    value = q[row]
+    for k in range(row, n):
+        value += R[row, k] * s[k]
+    return float(value)
+
+
+@compiled
+def _minimise_free(
+    R: Array,
+    q: Array,
+    scale: Array,
+    n: int,
+    free: NDArray[np.bool_],
+    s: Array,
+    low: Array,
+    high: Array,
+) -> bool:
+    """Move the free parameters to their minimum, those that leave the box to its bounds.
+
+    Gives whether there are such, which then are free no longer.
+    """
+    which = np.flatnonzero(free)
+    count = which.size
+    if not count:
+        return False
+    columns = np.zeros((count + 1, 2 * n))
+    for j in range(count):
+        k = which[j]
+        columns[j, : k + 1] = R[: k + 1, k]
+        columns[j, n + k] = scale[k]
+    for row in range(n):
+        right = q[row]
+        for k in range(row, n):
+            if not free[k]:
+                right += R[row, k] * s[k]
+        columns[count, row] = right
+    T = np.zeros((count + 1, count + 1))
+    fold(T, columns, 2 * n, count + 1)
+    largest = 0.0
+    for j in range(count):
+        largest = max(largest, abs(T[j, j]))
+    found = np.zeros(count)
+    for j in range(count - 1, -1, -1):
+        right = -T[j, count]
+        for other in range(j + 1, count):
+            right -= T[j, other] * found[other]
+        if abs(T[j, j]) > SINGULAR * largest:
+            found[j] = right / T[j, j]
+    left = False
+    for j in range(count):
+        k = which[j]
+        s[k] = min(max(found[j], low[k]), high[k])
+        if s[k] != found[j]:
+            free[k] = False
+            left = True
+    return left
