@@ -3,7 +3,7 @@
 import json
 import re
 import sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -246,7 +246,10 @@ def test_runs_without_a_word_on_descents_are_read(root: Path) -> None:
     stored = read_run(Path(load_runs(root).runs.set_index("seed").loc[0, "folder"]))
     descents = descents_of(stored)
     assert descents is not None
-    assert descents.finished == 10
+    assert (descents.finished, descents.agreeing, descents.screened) == (10, 10, 500)
+    before = {k: v for k, v in asdict(descents).items() if k not in ("screened", "agreeing")}
+    old = descents_of(replace(stored, result={**stored.result, "descents": before}))
+    assert old == replace(descents, screened=0, agreeing=None)
     for kept in (None, {}, {"ends": [1.0]}, {"started": 1, "many": 2}):
         result = {**stored.result, "descents": kept}
         assert descents_of(replace(stored, result=result)) is None

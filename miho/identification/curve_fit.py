@@ -32,6 +32,8 @@ ROUNDING = 1e-12
 """A fidelity of m / N means m rows, whatever the rounding of the fraction."""
 FAR = 2.0
 """A nominal value this factor beyond the data is far from them."""
+ROUNDING = 1e-16
+"""Of the output's mean square: a loss below has only digits of rounding."""
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
 
@@ -167,6 +169,11 @@ class CurveFit(LeastSquaresProblem):
     def unit(self) -> str:
         """Unit of the residuals."""
         return self.dataset.units[self.dataset.output]
+
+    @cached_property
+    def rounding(self) -> float:  # type: ignore[override]
+        """The loss, in the output's unit squared, up to which a loss is 0."""
+        return ROUNDING * float(np.mean(self._output**2))
 
     @cached_property
     def inputs(self) -> tuple[Array, ...]:

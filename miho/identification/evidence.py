@@ -6,21 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from miho.identification.irreducible import Irreducible
-from miho.optim import Descents
+from miho.optim import Descents, agreement
 
-AGREEING = 1e-4
-"""Descents whose losses differ by less than this fraction ended in one optimum: solvers leave far
-less (1e-10 is their usual tolerance), and different optima lie further apart."""
-NOTHING = 1e-16
-"""A loss below this fraction of the output's mean square is 0: its digits are rounding."""
-ENOUGH, SHARE = 5, 0.25
-"""So many descents, and this share of all, end in the best optimum where it is relied on. One that
-is as easy to reach, but better, would have been missed by all n with a probability of
-(1 - 5 / n)^n, at most 1 %; and where the best is rare, a better one that is rarer is likely."""
-UNSEEN = 0.1
-"""Of the starts, at most this share may belong to optima that no descent has ended in, as Boender
-and Rinnooy Kan (Mathematical Programming 37, 1987) estimate it: w (w + 1) / (n (n - 1)) for n
-independent descents that ended in w optima."""
 BEATEN = 0.1
 """Where no curve can have an error that is lower by this fraction, one search is relied on, unless
 others ended elsewhere: a weak signal is missed by optima whose errors differ by less."""
@@ -43,7 +30,7 @@ class Standing:
 
 def standing(
     loss: float,
-    size: float,
+    rounding: float,
     searches: Sequence[Descents | None],
     *,
     best_known: float | None = None,
@@ -52,27 +39,24 @@ def standing(
 ) -> Standing:
     """What is known of an optimum of this loss.
 
-    `size` is the mean square of the output; `searches` are the descents of the run, and of a check;
+    Losses up to `rounding` are 0; `searches` are the descents of the run, and of a check;
     `best_known` is the loss of the optimum where linear algebra or a record knows it. `error` is
     the root-mean-square error, which no curve undercuts by more than the lower end of the
     `irreducible` one says.
     """
-    nothing = NOTHING * size
     if best_known is not None:
-        if loss <= best_known * (1 + OVERLOOKED) ** 2 + nothing:
+        if loss <= best_known * (1 + OVERLOOKED) ** 2 + rounding:
             return Standing("the best known optimum is reached", certain=True)
         more = (loss / best_known) ** 0.5 - 1 if best_known > 0 else float("inf")
         doubt = f"the error is {100 * more:.3g} % higher than that of the best known optimum"
         return Standing(doubt, doubt)
     descents = [each for each in searches if each is not None]
     finished = sum(each.finished for each in descents)
-    here = sum(end <= loss * (1 + AGREEING) + nothing for each in descents for end in each.ends)
-    reliable, ended = False, f"{here or 'none'} of {finished} descents ended here"
-    if finished:
-        optima = _distinct([end for each in descents for end in each.ends], nothing)
-        unseen = optima * (optima + 1) / (finished * (finished - 1)) if finished > 1 else 1.0
-        reliable = here >= max(ENOUGH, SHARE * finished) and unseen <= UNSEEN
-    if reliable:
+    ends = [end for each in descents for end in each.ends]
+    agreed = agreement(ends, rounding, best=loss, finished=finished)
+    here = agreed.here
+    ended = f"{here or 'none'} of {finished} descents ended here"
+    if agreed.enough:
         return Standing(f"{ended}, each from a start of its own")
     if here == finished and irreducible is not None and error <= irreducible.high:
         below = max(0.0, 1 - irreducible.low / error) if error > 0 else 0.0
@@ -87,17 +71,7 @@ def standing(
         return Standing(once, once)
     if not finished:
         return Standing("no descent was finished", "no descent was finished within the budget")
-    if optima > 1:
-        ended += f"; they ended at {optima} different errors"
+    if agreed.optima > 1:
+        ended += f"; they ended at {agreed.optima} different errors"
     doubt = f"{ended}, which are too few to rely on" if here == finished else f"only {ended}"
     return Standing(ended, doubt if here else ended)
-
-
-def _distinct(ends: Sequence[float], nothing: float) -> int:
-    """How many different optima these losses are of."""
-    count, last = 0, -1.0
-    for end in sorted(ends):
-        if count == 0 or end > last * (1 + AGREEING) + nothing:
-            count += 1
-            last = end
-    return count

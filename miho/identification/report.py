@@ -401,10 +401,9 @@ def _standing(
 ) -> Standing:
     """What is known of the optimum that the report is of."""
     exact = linear_optimum(problem)
-    output = problem.dataset[problem.dataset.output]
     found = standing(
         optimum.cost / len(problem.dataset),
-        float(np.mean(output**2)),
+        problem.rounding,
         searches,
         best_known=recorded if exact is None else exact[1],
         irreducible=_irreducible(problem),

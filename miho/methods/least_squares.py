@@ -88,6 +88,7 @@ def multi_start(
     for _ in count() if rounds is None else range(rounds):
         thetas = space.decode(coordinates)
         losses = _screened(oracle, thetas)
+        oracle.screened(losses.size)
         for i in np.argsort(losses, kind="stable")[:starts]:
             if not np.isfinite(losses[i]):
                 break

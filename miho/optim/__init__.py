@@ -1,5 +1,6 @@
 """Search: what is searched, who searches, and the metered door between them."""
 
+from miho.optim.evidence import Agreement, agreement
 from miho.optim.miho import MIHO
 from miho.optim.minimize import Checkpoint, Outcome, RunRecord, minimize
 from miho.optim.optimizer import AskTell, Optimizer, Resumable
@@ -16,15 +17,17 @@ from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.random_search import RandomSearch
 from miho.optim.schedule import Rung, hyperband_table
 from miho.optim.space import Parameter, Space
-from miho.optim.trace import Descents, Trace
+from miho.optim.trace import Descent, Descents, Starts, Trace
 
 __all__ = [
     "MIHO",
+    "Agreement",
     "AskTell",
     "Budget",
     "BudgetExhausted",
     "Checkpoint",
     "Clock",
+    "Descent",
     "Descents",
     "LeastSquaresProblem",
     "Meter",
@@ -39,8 +42,10 @@ __all__ = [
     "RunRecord",
     "Rung",
     "Space",
+    "Starts",
     "Trace",
     "UnusableValueError",
+    "agreement",
     "hyperband_table",
     "minimize",
 ]

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.optim.evidence import Agreement
 from miho.optim.problem import CompiledRows, LeastSquaresProblem, Problem, mean_square
 from miho.optim.space import Space
-from miho.optim.trace import Descent, Trace
+from miho.optim.trace import Descent, Starts, Trace
 from miho.optim.validate import positive, whole
 
 Array = NDArray[np.float64]
@@ -90,7 +91,7 @@ class Meter:
     `unfinished` holds the losses of a batch that was cut: the same batch, asked again, goes on
     behind them. `rejected` counts the values that could not be used, by reason. `outside` counts
     configurations outside of the space's box: their values are used, but a method is to stay in it.
-    `descents` are those of a method that makes several, in their order.
+    `starts` are those of a method that descends from several.
     """
 
     evaluations: float = 0
@@ -101,7 +102,7 @@ class Meter:
     rejected: Counter[str] = field(default_factory=Counter)
     unfinished: list[float] = field(default_factory=list)
     outside: int = 0
-    descents: list[Descent] = field(default_factory=list)
+    starts: Starts = field(default_factory=Starts)
 
     def reject(self, reason: str, count: int = 1) -> None:
         """Count values that cannot be used; beyond some kinds of reason, together."""
@@ -327,12 +328,31 @@ class Oracle:
         run can tell of its optimum. The method sets `converged`.
         """
         self._descent = descent = Descent()
-        self.meter.descents.append(descent)
+        self.meter.starts.descents.append(descent)
         try:
             yield descent
             descent.finished = True
         finally:
             self._descent = None
+
+    def ended(
+        self, start: float, end: float, *, converged: bool = True, finished: bool = True
+    ) -> None:
+        """Keep a descent that `descent` cannot enclose, since its steps were made between others'.
+
+        `start` and `end` are losses over all rows, `start` math.inf where it was not looked at on
+        all of them. A descent that came back to an optimum ended at the loss of that one.
+        """
+        self.meter.starts.ended(start, end, converged=converged, finished=finished)
+
+    def screened(self, configurations: int) -> None:
+        """Count configurations that were looked at to choose from which to descend."""
+        self.meter.starts.screened += configurations
+
+    @property
+    def agreement(self) -> Agreement:
+        """How the ends of the descents so far agree: where it is `enough`, a method may stop."""
+        return self.meter.starts.agreement(self._problem.rounding)
 
     def climbing_evaluations(self) -> int:
         """How many evaluations `climb` may make next; 0 if batches must be evaluated.
@@ -465,7 +485,7 @@ class Oracle:
     def _record(self, rows: Array, losses: Array, cost: float, started: float) -> None:
         """Count the rows and keep their improvements."""
         least = np.minimum.reduce(losses)
-        if self._descent is not None:
+        if self._descent is not None and cost == 1.0:
             self._descent.see(losses[0], least)
         if cost == 1.0 and least < self.meter.best:
             lower = losses < np.minimum.accumulate(np.append(self.meter.best, losses[:-1]))

@@ -19,12 +19,14 @@ class Problem(ABC):
 
     `name` identifies the problem in seeds, stores and figures: two problems with one name are
     the same problem. `climb` makes steps of mutation and acceptance on this very loss, compiled,
-    for problems that have a compiled loss and no parameter on a log scale.
+    for problems that have a compiled loss and no parameter on a log scale. A loss up to `rounding`
+    is 0: its digits are rounding.
     """
 
     name: str
     space: Space
     climb: Climb | None = None
+    rounding: float = 0.0
 
     @abstractmethod
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+from miho.optim.evidence import Agreement, agreement
 
 Array = NDArray[np.float64]
 
@@ -48,7 +49,8 @@ class Descent:
     """One descent of a method that makes several: the loss where it started, and its smallest.
 
     `finished` unless the budget, an interrupt or values that are no numbers cut it off;
-    `converged` if its solver says that nothing more is to be gained.
+    `converged` if its solver says that nothing more is to be gained. Losses are those over all
+    rows; `start` is math.inf where its start was looked at on fewer only.
     """
 
     start: float = math.inf
@@ -69,13 +71,47 @@ class Descent:
             self.end = least
 
 
+@dataclass
+class Starts:
+    """The starts of a run so far: how many were `screened`, and the descents from the best of them.
+
+    A configuration is screened if it is looked at, on few rows or on all, to choose whether it is
+    followed; `descents` are in their order.
+    """
+
+    screened: int = 0
+    descents: list[Descent] = field(default_factory=list)
+
+    def ended(
+        self, start: float, end: float, *, converged: bool = True, finished: bool = True
+    ) -> None:
+        """Add a descent from a loss to a loss, as `Descent` describes them."""
+        self.descents.append(Descent(start, end, finished, converged))
+
+    def agreement(self, rounding: float = 0.0) -> Agreement:
+        """How the ends of the finished descents agree; a method may stop if it is `enough`."""
+        return agreement(self.ends, rounding)
+
+    @property
+    def finished(self) -> list[Descent]:
+        """The descents that came to an end, with a finite loss."""
+        return [each for each in self.descents if each.finished and math.isfinite(each.end)]
+
+    @property
+    def ends(self) -> list[float]:
+        """The losses where those ended, in the order of the descents."""
+        return [float(each.end) for each in self.finished]
+
+
 @dataclass(frozen=True)
 class Descents:
     """What is kept of the descents of one run: how many there were, and where they ended.
 
     `ends` are the losses of those that finished, ascending, the best MOST_ENDS of them;
     `converged` counts those of the finished whose solver had nothing more to gain, `stayed` those
-    that found nothing better than their start.
+    that found nothing better than their start. `screened` counts the configurations from which
+    the starts were chosen, `agreeing` the descents that ended in the best of the optima (None:
+    not counted); both are missing in runs of older versions.
     """
 
     started: int
@@ -83,17 +119,21 @@ class Descents:
     converged: int
     stayed: int
     ends: tuple[float, ...]
+    screened: int = 0
+    agreeing: int | None = None
 
     @classmethod
-    def of(cls, descents: Sequence[Descent]) -> Descents | None:
-        """The summary; None for a method that makes no descents."""
-        if not descents:
+    def of(cls, starts: Starts, rounding: float = 0.0) -> Descents | None:
+        """The summary; None for a method that neither screens nor makes descents."""
+        if not (starts.descents or starts.screened):
             return None
-        finished = [one for one in descents if one.finished and math.isfinite(one.end)]
+        finished = starts.finished
         return cls(
-            started=len(descents),
+            started=len(starts.descents),
             finished=len(finished),
-            converged=sum(one.converged for one in finished),
-            stayed=sum(not one.moved for one in finished),
-            ends=tuple(sorted(float(one.end) for one in finished)[:MOST_ENDS]),
+            converged=sum(each.converged for each in finished),
+            stayed=sum(not each.moved for each in finished),
+            ends=tuple(sorted(starts.ends)[:MOST_ENDS]),
+            screened=starts.screened,
+            agreeing=starts.agreement(rounding).here,
         )

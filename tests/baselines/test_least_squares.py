@@ -195,9 +195,9 @@ def test_screening_takes_a_fifth_of_the_seconds() -> None:
     oracle = Oracle(Slow(), Budget(seconds=10.0), clock=Clock(lambda: now[0], lambda: now[0]))
     with pytest.raises(BudgetExhausted):
         LeastSquares().run(oracle, np.random.default_rng(0))
-    assert oracle.meter.descents[0].finished
+    assert oracle.meter.starts.descents[0].finished
     thetas = oracle.space.decode(oracle.space.initial(11))
-    screened = oracle.meter.descents[0].start
+    screened = oracle.meter.starts.descents[0].start
     assert screened == DecayFit().loss(thetas).min(), "of the first screened, the best"
 
 

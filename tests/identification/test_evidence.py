@@ -49,25 +49,25 @@ def ended(*ends: float, started: int | None = None) -> Descents:
     ],
 )
 def test_descents_that_agree_are_evidence(descents: Descents | None, doubt: str) -> None:
-    found = standing(1.0, 100.0, [descents, None])
+    found = standing(1.0, 1e-14, [descents, None])
     assert doubt in found.doubt if doubt else not found.doubt
     assert not found.certain
 
 
 def test_what_is_known_needs_no_descents() -> None:
     alone = ended(1.0, *[2.0] * 29)
-    assert standing(1.0, 9.0, [alone], best_known=1.0).certain
-    missed = standing(4.0, 9.0, [ended(*[4.0] * 30)], best_known=1.0)
+    assert standing(1.0, 9e-16, [alone], best_known=1.0).certain
+    missed = standing(4.0, 9e-16, [ended(*[4.0] * 30)], best_known=1.0)
     assert "100 % higher than that of the best known optimum" in missed.doubt
     noise = Irreducible(1.0, 0.9, 1.1)
-    assert standing(1.0, 9.0, [None], irreducible=noise, error=1.0).certain
-    assert standing(1.0, 9.0, [ended(1.0)], irreducible=noise, error=1.0).certain
-    assert standing(1.0, 9.0, [None], irreducible=noise, error=1.2).doubt
-    assert standing(1.0, 9.0, [alone], irreducible=noise, error=1.0).doubt, "others ended elsewhere"
+    assert standing(1.0, 9e-16, [None], irreducible=noise, error=1.0).certain
+    assert standing(1.0, 9e-16, [ended(1.0)], irreducible=noise, error=1.0).certain
+    assert standing(1.0, 9e-16, [None], irreducible=noise, error=1.2).doubt
+    assert standing(1.0, 9e-16, [alone], irreducible=noise, error=1.0).doubt, "ended elsewhere"
     coarse = Irreducible(1.0, 0.6, 9.0)
-    assert standing(1.0, 9.0, [None], irreducible=coarse, error=1.0).doubt
+    assert standing(1.0, 9e-16, [None], irreducible=coarse, error=1.0).doubt
     zero = ended(*[1e-22, 3e-20, 1e-25, 4e-19, 2e-21])
-    assert not standing(1e-25, 1.0, [zero]).doubt, "differences of rounding"
+    assert not standing(1e-25, 1e-16, [zero]).doubt, "differences of rounding"
 
 
 def two_decays(x, *, b1, b2, b3, b4, b5):

@@ -49,12 +49,13 @@ def test_round_trip(tmp_path: Path) -> None:
 
 
 def test_descents_are_kept(tmp_path: Path) -> None:
-    kept = Descents(3, 2, 2, 0, (1.0, 4.0))
+    kept = Descents(3, 2, 2, 0, (1.0, 4.0), 60, 1)
     run = replace(record(), descents=kept)
     done = execute(Store(tmp_path), identity(), lambda: run, DecayFit.space, FACTS).run
     assert done is not None
     assert done.result["descents"] == {
-        "started": 3, "finished": 2, "converged": 2, "stayed": 0, "ends": [1.0, 4.0]
+        "started": 3, "finished": 2, "converged": 2, "stayed": 0, "ends": [1.0, 4.0],
+        "screened": 60, "agreeing": 1,
     }  # fmt: skip
 
 

@@ -1,0 +1,87 @@
+"""When the ends of independent descents are evidence enough that the best of them is the optimum.
+
+Methods that make several descents stop by this rule, and a report relies on a result by it.
+
+n descents from starts of their own have ended in w different optima. Boender and Rinnooy Kan
+(Mathematical Programming 37, 1987) take this for a sample of unknown cells with unknown shares, no
+number and no share of which is likelier than another beforehand. The share of starts that lead to
+optima in which none of the n has ended is then expected to be w (w + 1) / (n (n - 1)): that has to
+be small, and the best optimum must have been come back to, in number and in share of all.
+
+R's gslnls stops, after Hickernell and Yuan (OR Transactions 1, 1997), by a count: more than
+r + sqrt(r) NSP starts without an improvement, after NSP improvements (r = 4). It does not ask
+where they ended. Eight starts that end in eight places, the first of them in the best, stop it, and
+nothing was come back to; here they say that nothing is known (w = n = 8). Where all agree, 5 starts
+are enough here and 8 there. And a share of starts can be told in a report; a count since the last
+improvement says less, the earlier that was.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+AGREEING = 1e-4
+"""Descents whose losses differ by less than this fraction ended in one optimum: solvers leave far
+less (1e-10 is their usual tolerance), and different optima lie further apart."""
+ENOUGH, SHARE = 5, 0.25
+"""So many descents, and this share of all, end in the best optimum where it is relied on. One that
+is as easy to reach, but better, would have been missed by all n with a probability of about
+(1 - 5 / n)^n, at most 1 % (of five, which all ended in one of two, 2^-5 = 3 %); and where the best
+is rare, a better one that is rarer is likely."""
+UNSEEN = 0.1
+"""The expected share of starts that lead to optima not seen is to be this at most."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How the ends of `finished` independent descents agree.
+
+    `best` is the loss of the optimum in question, math.inf if there is none; `here` of the descents
+    ended in it, and all together in `optima` different ones. `unseen` is the share of starts that
+    is expected to lead to an optimum in which no descent has ended, 1 if nothing is known of it.
+    """
+
+    best: float
+    here: int
+    finished: int
+    optima: int
+    unseen: float
+
+    @property
+    def enough(self) -> bool:
+        """Whether the best optimum may be relied on, and a search for a better one may stop."""
+        return self.here >= max(ENOUGH, SHARE * self.finished) and self.unseen <= UNSEEN
+
+
+def agreement(
+    ends: Sequence[float],
+    rounding: float = 0.0,
+    *,
+    best: float | None = None,
+    finished: int | None = None,
+) -> Agreement:
+    """How the losses at which descents ended agree.
+
+    Losses are one optimum where they differ by less than AGREEING of the smaller one, or by less
+    than `rounding`, below which a loss of the problem is 0 (`Problem.rounding`): without it no two
+    descents on data without noise would agree. `best` is the loss of the optimum in question, that
+    of the best end unless it is known from elsewhere. `finished` is the number of descents where
+    `ends` are only the best of them.
+    """
+    finished = len(ends) if finished is None else finished
+    best = min(ends, default=math.inf) if best is None else best
+    optima, least = 0, -math.inf
+    for end in sorted(ends):
+        if not _one_optimum(least, end, rounding):
+            optima, least = optima + 1, end
+    here = sum(_one_optimum(best, end, rounding) for end in ends)
+    pairs = finished * (finished - 1)
+    unseen = min(1.0, optima * (optima + 1) / pairs) if pairs else 1.0
+    return Agreement(best, here, finished, optima, unseen)
+
+
+def _one_optimum(best: float, end: float, rounding: float) -> bool:
+    """Whether a loss is not above a better one by more than what solvers and rounding leave."""
+    return end <= best * (1 + AGREEING) + rounding

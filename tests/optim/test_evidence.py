@@ -1,0 +1,175 @@
+"""When a search has evidence enough to stop, and what a run keeps of its descents."""
+
+import copy
+import math
+import pickle
+from dataclasses import dataclass, field
+from math import comb
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from miho import AskTell, Budget, Optimizer, Oracle, Space, minimize
+from miho.methods.local_search import LBFGSB
+from miho.optim import Agreement, Descents, Outcome, Starts, agreement
+from miho.testing import DecayFit
+
+Array = NDArray[np.float64]
+
+
+def expected_unseen(optima: int, starts: int) -> float:
+    """The share of cells not seen, from Bayes' theorem, for any number of optima being as likely.
+
+    For k optima all shares are as likely (Dirichlet), so that all ways to spread n starts over k
+    are; the k - w not seen then have a share of (k - w) / (n + k).
+    """
+    weights, shares = 0.0, 0.0
+    for k in range(optima, 20_000):
+        weight = comb(k, optima) / comb(starts + k - 1, starts)
+        weights += weight
+        shares += weight * (k - optima) / (starts + k)
+    return shares / weights
+
+
+@pytest.mark.parametrize(("optima", "starts"), [(1, 5), (2, 9), (3, 12), (4, 30), (7, 12)])
+def test_the_share_not_seen_is_the_one_that_bayes_theorem_gives(optima: int, starts: int) -> None:
+    """To 1e-3: what the sum leaves out above 20,000 optima falls with their square at least."""
+    ends = [float(1 + k % optima) for k in range(starts)]
+    assert agreement(ends).unseen == pytest.approx(expected_unseen(optima, starts), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("ends", "rounding", "expected", "enough"),
+    [
+        ([], 0.0, Agreement(math.inf, 0, 0, 0, 1.0), False),
+        ([2.0], 0.0, Agreement(2.0, 1, 1, 1, 1.0), False),
+        ([1.0] * 4, 0.0, Agreement(1.0, 4, 4, 1, 2 / 12), False),
+        ([1.0, 1.00009, 1.0, 1.0, 1.0], 0.0, Agreement(1.0, 5, 5, 1, 0.1), True),
+        ([1.0, 1.00011, 1.0, 1.0, 1.0], 0.0, Agreement(1.0, 4, 5, 2, 0.3), False),
+        ([1.0] * 5 + [2.0] * 4, 0.0, Agreement(1.0, 5, 9, 2, 6 / 72), True),
+        ([1.0] * 4 + [2.0] * 6, 0.0, Agreement(1.0, 4, 10, 2, 6 / 90), False),
+        ([1.0] * 5 + [2.0] * 16, 0.0, Agreement(1.0, 5, 21, 2, 6 / 420), False),
+        (list(range(1, 9)), 0.0, Agreement(1.0, 1, 8, 8, 1.0), False),
+        ([0.0, 1e-30, 3e-28, 2e-27, 5e-25], 0.0, Agreement(0.0, 1, 5, 5, 1.0), False),
+        ([0.0, 1e-30, 3e-28, 2e-27, 5e-25], 1e-20, Agreement(0.0, 5, 5, 1, 0.1), True),
+    ],
+)  # fmt: skip
+def test_ends_that_agree_are_evidence(
+    ends: list[float], rounding: float, expected: Agreement, enough: bool
+) -> None:
+    agreed = agreement(ends, rounding)
+    assert agreed == expected
+    assert agreed.enough is enough
+    assert agreement(ends[::-1], rounding) == agreed, "whatever their order"
+
+
+def test_an_optimum_from_elsewhere_is_compared_with_the_ends() -> None:
+    assert agreement([1.0, 1.0, 2.0], best=0.5).here == 0
+    assert agreement([1.0] * 1000, finished=5000).enough is False, "the best 1,000 of 5,000"
+
+
+@dataclass(frozen=True)
+class Returning(Optimizer):
+    """Brackets of ten, of which the last is cut by the budget; all end in the first one's best."""
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        best = math.inf
+        while not oracle.agreement.enough:
+            oracle.screened(10)
+            oracle.ended(5.0, 4.0, finished=False)
+            losses = oracle(oracle.space.decode(oracle.space.sample(10, rng)))
+            best = min(best, float(losses.min()))
+            oracle.ended(math.inf, best if best < 1 else 1.0, converged=True)
+
+
+def test_a_method_stops_by_its_evidence_and_the_run_keeps_it() -> None:
+    record = minimize(Returning(), Constant(), Budget(evaluations=1000))
+    assert record.outcome is Outcome.CONVERGED
+    assert record.evaluations == 50
+    assert record.descents == Descents(10, 5, 5, 0, (1.0,) * 5, screened=50, agreeing=5)
+    cut = minimize(Returning(), Constant(), Budget(evaluations=25)).descents
+    assert cut == Descents(5, 2, 2, 0, (1.0,) * 2, screened=30, agreeing=2)
+
+
+class Constant(DecayFit):
+    """Nothing but losses of 1."""
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        return np.ones(len(thetas))
+
+
+class Subsets(DecayFit):
+    """On a half of the rows the loss is 0."""
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        return np.full(len(thetas), float(fidelity == 1.0))
+
+
+def test_a_loss_on_fewer_rows_is_no_end() -> None:
+    oracle = Oracle(Subsets(), Budget())
+    theta = oracle.space.decode(oracle.space.initial(1))
+    with oracle.descent():
+        oracle(theta, 0.5)
+        oracle(theta)
+    assert oracle.meter.starts.ends == [1.0]
+
+
+class Exact(DecayFit):
+    """Data without error."""
+
+    rounding = 1e-20
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.y = 2.0 * np.exp(-1.5 * self.t)
+
+
+def test_data_without_error_agree_to_rounding() -> None:
+    exact = minimize(LBFGSB(screen=20, starts=5, rounds=1), Exact()).descents
+    assert exact is not None
+    assert exact.ends[-1] > 1.1 * exact.ends[0], "or this tests nothing"
+    assert exact.agreeing == exact.finished == 5
+    assert exact.screened == 20
+
+
+@dataclass
+class Brackets:
+    """A state that holds its own starts."""
+
+    rng: np.random.Generator
+    starts: Starts = field(default_factory=Starts)
+
+
+@dataclass(frozen=True)
+class InTurns(AskTell[Brackets]):
+    """Batches of ten, each of which is a descent."""
+
+    def init(self, space: Space, rng: np.random.Generator) -> Brackets:
+        return Brackets(rng)
+
+    def ask(self, state: Brackets) -> Array:
+        return DecayFit.space.decode(DecayFit.space.sample(10, copy.deepcopy(state.rng)))
+
+    def tell(self, state: Brackets, thetas: Array, losses: Array) -> None:
+        DecayFit.space.sample(10, state.rng)
+        state.starts.screened += len(losses)
+        state.starts.ended(float(losses[0]), float(losses.min()), converged=False)
+
+    def done(self, state: Brackets) -> bool:
+        return len(state.starts.descents) == 6
+
+    def starts(self, state: Brackets) -> Starts:
+        return state.starts
+
+
+def test_a_resumed_run_keeps_the_descents_before() -> None:
+    method, problem = InTurns(), DecayFit()
+    whole = minimize(method, problem).descents
+    assert whole is not None
+    assert (whole.started, whole.finished, whole.converged, whole.screened) == (6, 6, 0, 60)
+    cut = minimize(method, problem, Budget(evaluations=35))
+    assert cut.descents is not None
+    assert cut.descents.finished == 3
+    checkpoint = pickle.loads(pickle.dumps(cut.checkpoint))
+    assert minimize(method, problem, checkpoint=checkpoint).descents == whole
