@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -16,7 +17,13 @@ from experiments.report_tables import (
 )
 from miho.analysis.page import Section, page, png
 from miho.analysis.quantities import interval
-from miho.analysis.report_figures import Column, fit_figure, profile_figure, residual_figure
+from miho.analysis.report_figures import (
+    Column,
+    fit_figure,
+    profile_figure,
+    residual_figure,
+    waterfall_figure,
+)
 from miho.identification import Report
 from miho.study import StoredRun
 
@@ -49,6 +56,14 @@ def figures_of(report: Report) -> dict[str, bytes]:
         "fit": fit_figure(measured, measured.values + errors.values, x, band),
         "residuals": residual_figure(errors, columns),
     }
+    if len(report.descents) > 1:
+        figures["descents"] = waterfall_figure(
+            report.descents["error"].to_numpy(),
+            (report.descents["ended here"] == "yes").to_numpy(),
+            problem.unit,
+            None if report.best_known is None else math.sqrt(report.best_known),
+            math.sqrt(problem.rounding),
+        )
     if profiles:
         quantile = report.at.quantile(report.level)
         figures["profiles"] = profile_figure(profiles, model.parameters, quantile)
@@ -66,6 +81,11 @@ def page_of(report: Report, stored: StoredRun, figures: Mapping[str, bytes]) -> 
             report.notes
             if report.standing.doubt
             else [f"optimum: {report.standing.evidence}.", *report.notes],
+        ),
+        Section(
+            "Where the descents ended",
+            figure=figures.get("descents"),
+            caption=_searched(report),
         ),
         Section(
             "Fit",
@@ -132,6 +152,18 @@ def _explained(report: Report) -> str:
         + (f", by {len(report.replicates)} bootstrap replicates." if report.replicates is not None
            else ".")
     )  # fmt: skip
+
+
+def _searched(report: Report) -> str:
+    """What the picture of the descents shows."""
+    finished = sum(each.finished for each in report.searches)
+    screened = sum(each.screened for each in report.searches)
+    which = f"the best {len(report.descents):,} " * (finished > len(report.descents))
+    starts = f", from the best of {screened:,} configurations" * bool(screened)
+    return (
+        f"Errors (roots of the loss) at which {which and which + 'of '}{finished:,} descents "
+        f"ended{starts}, sorted: a level stretch is one optimum."
+    )
 
 
 def _where(report: Report) -> str:

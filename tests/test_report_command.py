@@ -82,12 +82,17 @@ def test_the_best_run_of_a_root(
     assert found.provenance["degrees_of_freedom"] == 295
     deviation = found.provenance["residual_standard_deviation"]
     assert deviation == pytest.approx(found.provenance["error"] * np.sqrt(300 / 295))
-    assert found.provenance["optimum"].startswith("10 of 10 descents ended here")
+    assert found.provenance["optimum"].startswith("500 starts screened for 10 descents; 10 of ")
     assert found.provenance["seed"] == best["seed"]
     assert found.provenance["interval"] == "profile"
     page = (folder / "report.html").read_text(encoding="utf-8")
+    assert (folder / "descents.png").read_bytes().startswith(b"\x89PNG")
+    ends = pd.read_csv(folder / "descents.csv")
+    assert (ends["ended here"] == "yes").all()
+    assert ends["error"].to_numpy() == pytest.approx(found.provenance["error"], rel=1e-4)
     for words in (
         "bootstrap replicates",
+        "10 descents ended, from the best of 500 configurations",
         "leave a fifth of Fz out",
         "Correlation",
         "Profiles",
@@ -171,11 +176,12 @@ def test_a_check_by_name_adds_descents_from_other_starts(
     """In two seconds there is time for more descents than the ten of the run."""
     folder = load_runs(root).runs.set_index("seed").loc[0, "folder"]
     called(monkeypatch, folder, "--no-profile", "--output", tmp_path)
-    (before,) = re.findall(r"optimum: (\d+) of 10 descents ended here", capsys.readouterr().out)
+    ended = r"optimum: [\d,]+ starts screened for (\d+) descents; (\d+) of them ended here"
+    ((first, before),) = re.findall(ended, capsys.readouterr().out)
     called(monkeypatch, folder, "--check", 2, "--no-profile", "--output", tmp_path)
     out = capsys.readouterr().out
-    ((here, finished),) = re.findall(r"optimum: (\d+) of (\d+) descents ended here", out)
-    assert int(finished) > 10
+    ((finished, here),) = re.findall(ended, out)
+    assert int(finished) > int(first) == 10
     assert int(before) <= int(here) <= int(finished)
     with pytest.raises(SystemExit, match="2"):
         called(monkeypatch, folder, "--check", 0)

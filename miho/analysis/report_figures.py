@@ -1,4 +1,4 @@
-"""Figures of one identification: the fit, what its errors follow, and its profiles."""
+"""Figures of one identification: the fit, its descents, what errors follow, and its profiles."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from miho.analysis.figures import WIDTH, house_style
@@ -17,6 +18,8 @@ Array = NDArray[np.float64]
 
 BINS = 10
 PANELS = 3
+LOGARITHMIC = 5.0
+LEAST_RANGE = 0.1
 
 
 def _opacity(points: int) -> float:
@@ -66,6 +69,51 @@ def fit_figure(
         for handle in ax.legend(loc="best", markerscale=2).legend_handles:
             if handle is not None:
                 handle.set_alpha(1)
+    return figure
+
+
+def waterfall_figure(
+    errors: Array, here: NDArray[np.bool_], unit: str, known: float | None, rounding: float
+) -> Figure:
+    """Errors (n,) where the descents of a run ended, ascending: in an optimum each is a step.
+
+    Filled are those that ended `here` (n,), in the optimum in question; `known` is the error of the
+    best known one. Errors up to `rounding` are drawn as that. The axis is logarithmic where errors
+    differ by a factor of LOGARITHMIC; else it spans LEAST_RANGE of them at least, on which those
+    that agree lie level.
+    """
+    shown = np.maximum(errors, rounding)
+    number = np.arange(1, len(errors) + 1)
+    with house_style():
+        figure = Figure(figsize=(WIDTH * 0.75, 2.4), layout="constrained")
+        ax = figure.subplots()
+        ax.plot(number, shown, color="#999999", linewidth=0.8, zorder=1)
+        blue, red = sns.color_palette("colorblind")[0], sns.color_palette("colorblind")[3]
+        size = float(np.clip(900 / len(errors), 6, 24))
+        for part, label, color, filled in ((here, "ended here", blue, True),
+                                           (~here, "elsewhere", red, False)):  # fmt: skip
+            if part.any():
+                ax.scatter(
+                    number[part], shown[part], s=size, edgecolors=[color], linewidths=0.8,
+                    color=[color] if filled else "white", label=f"{label}: {part.sum():,}",
+                )  # fmt: skip
+        low, high = float(shown[0]), float(shown[-1])
+        if known is not None:
+            low = min(low, max(known, rounding))
+            ax.axhline(max(known, rounding), color="#222222", linewidth=0.9, linestyle="--",
+                       zorder=0, label="best known optimum")  # fmt: skip
+        if high > LOGARITHMIC * low > 0:
+            ax.set_yscale("log")
+            ax.yaxis.set_major_locator(LogLocator(subs=(1,) if high > 100 * low else (1, 2, 5)))
+            ax.yaxis.set_major_formatter("{x:g}")
+            ax.yaxis.set_minor_formatter(NullFormatter())
+        else:
+            middle, half = (low + high) / 2, 0.6 * max(high - low, LEAST_RANGE * high)
+            ax.set_ylim(middle - half, middle + half)
+        ax.set(xlabel="descent, the best first", ylabel=f"error [{unit}]")
+        ax.set_xlim(0.5, len(errors) + 0.5)
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1, steps=[1, 2, 5, 10]))
+        figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=3)
     return figure
 
 

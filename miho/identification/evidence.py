@@ -31,7 +31,7 @@ class Standing:
 def standing(
     loss: float,
     rounding: float,
-    searches: Sequence[Descents | None],
+    searches: Sequence[Descents],
     *,
     best_known: float | None = None,
     irreducible: Irreducible | None = None,
@@ -50,14 +50,20 @@ def standing(
         more = (loss / best_known) ** 0.5 - 1 if best_known > 0 else float("inf")
         doubt = f"the error is {100 * more:.3g} % higher than that of the best known optimum"
         return Standing(doubt, doubt)
-    descents = [each for each in searches if each is not None]
-    finished = sum(each.finished for each in descents)
-    ends = [end for each in descents for end in each.ends]
+    finished = sum(each.finished for each in searches)
+    screened = sum(each.screened for each in searches)
+    ends = [end for each in searches for end in each.ends]
     agreed = agreement(ends, rounding, best=loss, finished=finished)
     here = agreed.here
     ended = f"{here or 'none'} of {finished} descents ended here"
+    evidence = f"{screened:,} starts screened for {finished} descents; " if screened else ""
+    evidence += f"{here or 'none'} of them ended here" if screened else ended
+    unseen = (
+        "one more would end in an optimum that none has seen with a probability of about "
+        f"{100 * agreed.unseen:.2g} %"
+    )
     if agreed.enough:
-        return Standing(f"{ended}, each from a start of its own")
+        return Standing(f"{evidence}, and none found a better one; {unseen}")
     if here == finished and irreducible is not None and error <= irreducible.high:
         below = max(0.0, 1 - irreducible.low / error) if error > 0 else 0.0
         if below <= BEATEN:
@@ -65,13 +71,15 @@ def standing(
                 "as neighbouring points scatter, no curve has an error that is more than "
                 f"{100 * below:.2g} % lower (95 % interval)"
             )
-            return Standing(f"{ended}; {reached}" if finished else reached, certain=True)
-    if not descents:
+            return Standing(f"{evidence}; {reached}" if finished else reached, certain=True)
+    if not searches:
         once = "one search, and nothing in it tells whether a better optimum exists"
         return Standing(once, once)
     if not finished:
         return Standing("no descent was finished", "no descent was finished within the budget")
     if agreed.optima > 1:
-        ended += f"; they ended at {agreed.optima} different errors"
+        others = f"; they ended at {agreed.optima} different errors"
+        others += f", so that {unseen}" * agreed.returned
+        evidence, ended = evidence + others, ended + others
     doubt = f"{ended}, which are too few to rely on" if here == finished else f"only {ended}"
-    return Standing(ended, doubt if here else ended)
+    return Standing(evidence, doubt if here else ended)

@@ -44,7 +44,7 @@ from miho.identification.validation import (
     residual_trends,
     root_mean_square,
 )
-from miho.optim import Descents
+from miho.optim import Descents, in_optimum
 from miho.optim.seeds import stream
 
 Array = NDArray[np.float64]
@@ -80,7 +80,8 @@ class Report:
     uncertainty, `standing` what is known of it. `run` (d,) are the run's own parameters. `profiles`
     are one per parameter (None where there is none), `replicates` (n, d) the bootstrap's estimates,
     `left_out` the errors on groups that a fit has not seen. `omitted` says in sentences what there
-    was no time for, `remedy` what to do where the optimum is in doubt.
+    was no time for, `remedy` what to do where the optimum is in doubt. `searches` are the descents
+    of the run, and of a check; `best_known` is the loss of the optimum where it is known.
     """
 
     problem: CurveFit
@@ -93,6 +94,8 @@ class Report:
     level: float
     omitted: tuple[str, ...] = ()
     remedy: str = REMEDY
+    searches: tuple[Descents, ...] = ()
+    best_known: float | None = None
 
     @cached_property
     def parameters(self) -> pd.DataFrame:
@@ -182,6 +185,20 @@ class Report:
             rows.append(("irreducible, about", len(dataset), *self.irreducible))
         columns = ["on", "rows", "error", "low", "high"]
         return pd.DataFrame(rows, columns=columns).assign(unit=problem.unit)
+
+    @cached_property
+    def descents(self) -> pd.DataFrame:
+        """A row per descent that came to an end, the best first: its error, and whether it is here.
+
+        Columns: descent (from 1), error (root of the loss, in the output's unit), ended here. Of
+        very many descents of a run the best only, as `Descents` keeps them.
+        """
+        problem = self.problem
+        ends = sorted(end for each in self.searches for end in each.ends)
+        loss = float(problem.loss(self.at.theta[None])[0])
+        here = ["yes" if in_optimum(loss, end, problem.rounding) else "no" for end in ends]
+        rows = {"descent": np.arange(len(ends)) + 1, "error": np.sqrt(ends), "ended here": here}
+        return pd.DataFrame(rows)
 
     @cached_property
     def error(self) -> float:
@@ -296,6 +313,7 @@ class Report:
             "errors": self.errors,
             "left_out": self.left_out,
             "trends": self.trends,
+            "descents": self.descents,
         }
         return {name: table for name, table in named.items() if len(table)}
 
@@ -368,17 +386,22 @@ def make_report(
         except OutOfTimeError:
             omitted.append(_omission(f"errors with {condition} left out", seconds))
             break
+    searches = tuple(each for each in (descents, check) if each is not None)
+    exact = linear_optimum(problem)
+    best_known = best_known if exact is None else exact[1]
     return Report(
         problem=problem,
         run=run,
         at=at,
-        standing=_standing(problem, at, optimum, (descents, check), best_known),
+        standing=_standing(problem, at, optimum, searches, best_known, exact is not None),
         profiles=tuple(curves),
         replicates=drawn,
         left_out=pd.concat(left_out, ignore_index=True) if left_out else pd.DataFrame(),
         level=level,
         omitted=tuple(omitted),
         remedy=remedy,
+        searches=searches,
+        best_known=best_known,
     )
 
 
@@ -396,20 +419,20 @@ def _standing(
     problem: CurveFit,
     at: Linearised,
     optimum: Refit,
-    searches: Sequence[Descents | None],
-    recorded: float | None,
+    searches: Sequence[Descents],
+    best_known: float | None,
+    linear: bool,
 ) -> Standing:
-    """What is known of the optimum that the report is of."""
-    exact = linear_optimum(problem)
+    """What is known of the optimum that the report is of; `linear`: the best known is exact."""
     found = standing(
         optimum.cost / len(problem.dataset),
         problem.rounding,
         searches,
-        best_known=recorded if exact is None else exact[1],
+        best_known=best_known,
         irreducible=_irreducible(problem),
         error=root_mean_square(problem.errors(at.theta)),
     )
-    if not optimum.converged and exact is None:
+    if not optimum.converged and not linear:
         moving = (
             f"a descent from it was still moving after {optimum.evaluations:,} evaluations, so "
             "standard errors and intervals are not those of an optimum"

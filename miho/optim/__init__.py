@@ -1,6 +1,6 @@
 """Search: what is searched, who searches, and the metered door between them."""
 
-from miho.optim.evidence import Agreement, agreement
+from miho.optim.evidence import Agreement, agreement, in_optimum
 from miho.optim.miho import MIHO
 from miho.optim.minimize import Checkpoint, Outcome, RunRecord, minimize
 from miho.optim.optimizer import AskTell, Optimizer, Resumable
@@ -47,5 +47,6 @@ __all__ = [
     "UnusableValueError",
     "agreement",
     "hyperband_table",
+    "in_optimum",
     "minimize",
 ]

@@ -31,7 +31,7 @@ is as easy to reach, but better, would have been missed by all n with a probabil
 (1 - 5 / n)^n, at most 1 % (of five, which all ended in one of two, 2^-5 = 3 %); and where the best
 is rare, a better one that is rarer is likely."""
 UNSEEN = 0.1
-"""The expected share of starts that lead to optima not seen is to be this at most."""
+"""One more descent is to end in an optimum not seen with this probability at most."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Agreement:
     """How the ends of `finished` independent descents agree.
 
     `best` is the loss of the optimum in question, math.inf if there is none; `here` of the descents
-    ended in it, and all together in `optima` different ones. `unseen` is the share of starts that
-    is expected to lead to an optimum in which no descent has ended, 1 if nothing is known of it.
+    ended in it, and all together in `optima` different ones. `unseen` is the probability that one
+    more ends in an optimum that none has ended in, 1 if nothing is known of it.
     """
 
     best: float
@@ -50,9 +50,14 @@ class Agreement:
     unseen: float
 
     @property
+    def returned(self) -> bool:
+        """Whether descents came back to the optimum often enough."""
+        return self.here >= max(ENOUGH, SHARE * self.finished)
+
+    @property
     def enough(self) -> bool:
-        """Whether the best optimum may be relied on, and a search for a better one may stop."""
-        return self.here >= max(ENOUGH, SHARE * self.finished) and self.unseen <= UNSEEN
+        """Whether the optimum may be relied on, and a search for a better one may stop."""
+        return self.returned and self.unseen <= UNSEEN
 
 
 def agreement(
@@ -74,14 +79,17 @@ def agreement(
     best = min(ends, default=math.inf) if best is None else best
     optima, least = 0, -math.inf
     for end in sorted(ends):
-        if not _one_optimum(least, end, rounding):
+        if not in_optimum(least, end, rounding):
             optima, least = optima + 1, end
-    here = sum(_one_optimum(best, end, rounding) for end in ends)
+    here = sum(in_optimum(best, end, rounding) for end in ends)
     pairs = finished * (finished - 1)
     unseen = min(1.0, optima * (optima + 1) / pairs) if pairs else 1.0
     return Agreement(best, here, finished, optima, unseen)
 
 
-def _one_optimum(best: float, end: float, rounding: float) -> bool:
-    """Whether a loss is not above a better one by more than what solvers and rounding leave."""
-    return end <= best * (1 + AGREEING) + rounding
+def in_optimum(best: float, end: float, rounding: float = 0.0) -> bool:
+    """Whether a descent that ended at a loss is in the optimum of a loss that is not larger.
+
+    It is unless its loss is above that by more than solvers leave (AGREEING) and rounding does.
+    """
+    return bool(end <= best * (1 + AGREEING) + rounding)

@@ -3,6 +3,7 @@
 # mypy: disable-error-code="no-untyped-def,no-untyped-call,type-arg"
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,15 +44,35 @@ def ended(*ends: float, started: int | None = None) -> Descents:
         (ended(*[1.0] * 9, 2.0, 2.0, 3.0), ""),
         (ended(1.0, *[2.0] * 29), "only 1 of 30 descents ended here; they ended at 2"),
         (ended(*[1.0] * 6, *[2.0] * 124), "only 6 of 130"),
+        (
+            ended(*[1.0] * 5, 2.0, 3.0),
+            "only 5 of 7 descents ended here; they ended at 3 different errors, so that one more "
+            "would end in an optimum that none has seen with a probability of about 29 %",
+        ),
         (ended(*[1.0] * 8, *np.linspace(2, 9, 22)), "only 8 of 30"),
         (ended(*[1.1] * 30), "none of 30 descents ended here"),
         (ended(*1 + np.linspace(0, 9e-5, 10)), ""),
     ],
 )
 def test_descents_that_agree_are_evidence(descents: Descents | None, doubt: str) -> None:
-    found = standing(1.0, 1e-14, [descents, None])
+    found = standing(1.0, 1e-14, [descents] if descents else [])
     assert doubt in found.doubt if doubt else not found.doubt
     assert not found.certain
+
+
+def test_the_evidence_counts_starts_descents_and_what_they_may_have_missed() -> None:
+    """3 (3 + 1) / (20 * 19) is the share of Boender and Rinnooy Kan."""
+    found = ended(*[1.0] * 17, 2.0, 3.0, 3.0)
+    known = standing(1.0, 0.0, [replace(found, screened=1234)])
+    assert known.evidence == (
+        "1,234 starts screened for 20 descents; 17 of them ended here, and none found a better "
+        "one; one more would end in an optimum that none has seen with a probability of about "
+        "3.2 %"
+    )
+    assert standing(1.0, 0.0, [found]).evidence.startswith("17 of 20 descents ended here, and none")
+    check = replace(ended(*[1.0] * 5), screened=100)
+    both = standing(1.0, 0.0, [found, check]).evidence
+    assert both.startswith("100 starts screened for 25 descents; 22 of them ended here"), both
 
 
 def test_what_is_known_needs_no_descents() -> None:
@@ -60,12 +81,12 @@ def test_what_is_known_needs_no_descents() -> None:
     missed = standing(4.0, 9e-16, [ended(*[4.0] * 30)], best_known=1.0)
     assert "100 % higher than that of the best known optimum" in missed.doubt
     noise = Irreducible(1.0, 0.9, 1.1)
-    assert standing(1.0, 9e-16, [None], irreducible=noise, error=1.0).certain
+    assert standing(1.0, 9e-16, [], irreducible=noise, error=1.0).certain
     assert standing(1.0, 9e-16, [ended(1.0)], irreducible=noise, error=1.0).certain
-    assert standing(1.0, 9e-16, [None], irreducible=noise, error=1.2).doubt
+    assert standing(1.0, 9e-16, [], irreducible=noise, error=1.2).doubt
     assert standing(1.0, 9e-16, [alone], irreducible=noise, error=1.0).doubt, "ended elsewhere"
     coarse = Irreducible(1.0, 0.6, 9.0)
-    assert standing(1.0, 9e-16, [None], irreducible=coarse, error=1.0).doubt
+    assert standing(1.0, 9e-16, [], irreducible=coarse, error=1.0).doubt
     zero = ended(*[1e-22, 3e-20, 1e-25, 4e-19, 2e-21])
     assert not standing(1e-25, 1e-16, [zero]).doubt, "differences of rounding"
 
