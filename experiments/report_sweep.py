@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import json
 import math
@@ -118,6 +119,7 @@ def _told(sweep: Sweep, root: Path) -> Told:
     except ValueError as error:
         warnings.append(f"A table is left out: {error}.")
     name = root.resolve().name
+    known, unrecorded = _references(sweep.runs)
     return Told(
         title=f"Runs of {name}",
         facts=_facts(sweep, compared, name),
@@ -126,7 +128,8 @@ def _told(sweep: Sweep, root: Path) -> Told:
         leaderboard_note=LEADERBOARD.format(timed=_timed(sweep, compared)),
         claims=claims,
         claims_note=CLAIMS,
-        references=_references(sweep.runs),
+        references=known,
+        unrecorded=unrecorded,
     )
 
 
@@ -157,15 +160,20 @@ def _claims(compared: Compared | None) -> pd.DataFrame | None:
     return claims_table(compared.runs, compared.curves, MIHO, differences=known)
 
 
-def _references(runs: pd.DataFrame) -> dict[str, float]:
-    """The best known error of each problem, NaN where it is not above zero."""
-    known = {}
+def _references(runs: pd.DataFrame) -> tuple[dict[str, float], set[str]]:
+    """The best known error of each problem, NaN where it is not above zero.
+
+    Then the problems of which it is that of the best run, since none better is recorded.
+    """
+    known, unrecorded = {}, set()
     for problem, mine in runs.groupby("problem", sort=False):
-        try:
-            known[str(problem)] = float(references(mine)["error"].iloc[0])
-        except ValueError:
-            known[str(problem)] = math.nan
-    return known
+        known[str(problem)] = math.nan
+        with contextlib.suppress(ValueError):
+            row = references(mine).iloc[0]
+            known[str(problem)] = float(row["error"])
+            if row["source"] != "known":
+                unrecorded.add(str(problem))
+    return known, unrecorded
 
 
 def _facts(sweep: Sweep, compared: Compared | None, name: str) -> list[tuple[str, str]]:

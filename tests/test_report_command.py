@@ -20,6 +20,7 @@ from experiments.schema import register
 from miho.models import Pacejka
 from miho.models.identified import read_parameters
 from miho.study import StoredRun, load_runs, read_run
+from tests.analysis.sweep_synthetic import embedded
 
 register()
 TIRE = ("dataset=tire_lf", "dataset.n=300", "space=seong_physical")
@@ -127,6 +128,7 @@ def test_the_page_of_all_runs(
         "least squares",
     ):
         assert words in page, words
+    assert embedded(page, "curves-0")["recorded"] is False, "the best of these runs, if anything"
     assert str(root) not in page, "the page may be shown to others"
     assert "reports/" not in page
     called(monkeypatch, root)

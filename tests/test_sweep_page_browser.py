@@ -31,7 +31,7 @@ Opened = Callable[[int], Page]
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eight methods with five seeds each on two problems; on the second no best error is known."""
+    """Eight methods with five seeds each on two problems; the second has no recorded optimum."""
     runs, curves = like_fig6(seeds=5)
     second = [frame.assign(problem="other", id="o" + frame["id"]) for frame in (runs, curves)]
     second[0]["error"] *= 2
@@ -43,7 +43,8 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     values = pd.DataFrame({"parameter": ["B"], "value": ["17.4"], "unit": ["1/rad"]})
     wide = pd.DataFrame([["x" * 30] * 12], columns=[f"column {n}" for n in range(12)])
     told = Told("Runs of a test", [("Command", "python -m " + "x" * 80)], claims=wide,
-                references={"pacejka-tire_lf": 391.4})  # fmt: skip
+                references={"pacejka-tire_lf": 391.4, "other": 782.8},
+                unrecorded={"other"})  # fmt: skip
     page = tmp_path_factory.mktemp("page") / "report.html"
     best = {"pacejka-tire_lf": Best("miho", 0, values, ["a note"])}
     page.write_text(sweep_page(sweep_of(runs, curves), told, best), encoding="utf-8")
@@ -118,6 +119,10 @@ def test_axes_switch(opened: Opened) -> None:
     assert linear != logarithmic
     page.click("[data-set=quantity][data-to=gap]")
     assert page.run(LABELS)[1] == "gap to the best known error [-]"
+    page.run("((picker) => { picker.value = 1;"
+             "  picker.dispatchEvent(new Event('change', { bubbles: true })); })"
+             "(document.querySelector('#problem'))")  # fmt: skip
+    assert page.run(LABELS)[1] == "gap to the best of these runs [-]"
     assert page.run("document.querySelectorAll('[data-set=x][aria-pressed=true]').length") == 1
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from html import escape
 from importlib.resources import files
 from typing import Any
@@ -37,7 +37,7 @@ from miho.analysis.timing import Clock, clock_of
 CHOICES = (
     Choice("Horizontal", "x", (("log", "log"), ("linear", "linear")), "log"),
     Choice("Vertical", "y", (("log", "log"), ("linear", "linear")), "log"),
-    Choice("Show", "quantity", (("error", "error"), ("gap", "gap to best known")), "error"),
+    Choice("Show", "quantity", (("error", "error"), ("gap", "gap to the best")), "error"),
 )
 MANY_METHODS = 12
 """With more methods than this the page opens with the first ten only."""
@@ -68,7 +68,8 @@ class Best:
 class Told:
     """What the page says beside the runs: title, facts of its head, further warnings and tables.
 
-    `references` holds the best known error of each problem, in the unit of its runs.
+    `references` holds the best known error of each problem, in the unit of its runs; of those in
+    `unrecorded` no optimum is recorded, so that it is the best of these runs.
     """
 
     title: str
@@ -78,13 +79,14 @@ class Told:
     leaderboard_note: str = ""
     claims: pd.DataFrame | None = None
     claims_note: str = ""
-    references: Mapping[str, float] | None = None
+    references: Mapping[str, float] = field(default_factory=dict)
+    unrecorded: Collection[str] = ()
 
 
 def sweep_page(sweep: Sweep, told: Told, best: Mapping[str, Best]) -> str:
     """The page's HTML; `best` by the names of the problems, which may be fewer than all."""
     script, style = _web("sweep.js"), _web("sweep.css")
-    parts = [_head(sweep, told), _leaderboard(told), _curves(sweep, told.references or {})]
+    parts = [_head(sweep, told), _leaderboard(told), _curves(sweep, told)]
     parts += [_problems(sweep, best), _claims(told), _origin(sweep), _skipped(sweep)]
     title = escape(told.title)
     return (
@@ -152,7 +154,7 @@ def _over(clock: Clock) -> Choice:
     return Choice("Over", "axis", axes, "evaluations")
 
 
-def _curves(sweep: Sweep, references: Mapping[str, float]) -> str:
+def _curves(sweep: Sweep, told: Told) -> str:
     order = overall_order(sweep.runs)
     styles = styles_of(order)
     pairs = sweep.runs.groupby(["problem", "optimizer"]).ngroups
@@ -164,8 +166,9 @@ def _curves(sweep: Sweep, references: Mapping[str, float]) -> str:
     clock = clock_of(sweep.runs)
     drawn = []
     for name in problems:
-        best, steps = references.get(name, math.nan), curves.get(name, finite.iloc[:0])
-        drawn.append(problem_curves(runs[name], clock, steps, best, detail))
+        best, steps = told.references.get(name, math.nan), curves.get(name, finite.iloc[:0])
+        one = problem_curves(runs[name], clock, steps, best, detail)
+        drawn.append(one | {"recorded": name not in told.unrecorded})
     most = int(sweep.runs.groupby(["problem", "optimizer"]).size().max())
     shown = order if len(order) <= MANY_METHODS else order[:FIRST]
     mode = "median" if most == 1 or len(shown) > BANDS else "band"

@@ -5,11 +5,13 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
+from collections.abc import Collection
 from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
 
 import pandas as pd
+import pytest
 
 from miho.analysis.sweep_markup import table
 from miho.analysis.sweep_page import Best, Told, sweep_page
@@ -134,3 +136,13 @@ def test_numbers_are_read_from_the_right() -> None:
     assert "<td>1.23</td><td>1,234</td><td>[1, 2]</td>" in html
     assert '<td class="text">b</td>' in html
     assert '<th scope="row" class="text">a</th>' in html
+
+
+@pytest.mark.parametrize(("unrecorded", "recorded"), [((), True), ({"pacejka-tire_lf"}, False)])
+def test_the_best_of_the_runs_is_not_called_the_best_known(
+    unrecorded: Collection[str], recorded: bool
+) -> None:
+    told = Told("Runs", references={"pacejka-tire_lf": 391.4}, unrecorded=unrecorded)
+    html = sweep_page(sweep_of(*like_fig6(3)), told, {})
+    assert embedded(html, "curves-0")["recorded"] is recorded
+    assert "gap to best known" not in html

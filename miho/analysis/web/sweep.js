@@ -153,7 +153,8 @@
   };
   const axisLabels = (problem) => [
     state.axis === "seconds" ? `${about.time} [s]` : "evaluations of the loss [-]",
-    isGap(problem) ? "gap to the best known error [-]" : `error [${problem.unit}]`,
+    !isGap(problem) ? `error [${problem.unit}]`
+      : `gap to the best ${problem.recorded ? "known error" : "of these runs"} [-]`,
   ];
 
   const draw = () => {
@@ -283,7 +284,7 @@
   const show = () => {
     const { problem } = current();
     for (const [to, there, why] of [
-      ["gap", problem.best !== null, "no best known error above zero"],
+      ["gap", problem.best !== null, "no error above zero"],
     ]) {
       const button = document.querySelector(`button[data-to="${to}"]`);
       button.disabled = !there;
