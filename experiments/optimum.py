@@ -18,6 +18,8 @@ CHECK = VariableProjection(screen=20, starts=1, rounds=100)
 """Up to 100 descents, each from the best of 20 configurations of its own: independent starts."""
 OTHER_SEEDS = 2**32
 """Added to a run's seed, so that the check draws what no run has drawn."""
+OTHER_METHODS = "least_squares", "variable_projection"
+"""The first that a run was not made by may find a better optimum than it did."""
 MORE_SCREEN, MORE_STARTS = 10, 5
 DECADES = 100.0
 """A positive range wider than this factor may be better searched on a log scale."""
@@ -46,18 +48,22 @@ def check(problem: CurveFit, seconds: float, seed: int) -> RunRecord:
 
 
 def remedy(problem: CurveFit, stored: StoredRun, *, checked: bool = False) -> str:
-    """What to type where the optimum of a run is in doubt, also after it was `checked`."""
+    """What to type where the optimum of a run is in doubt, also after it was `checked`.
+
+    What the budget cut may only have to go on. What ended by itself would end there again: it
+    needs other starts, another method or another box.
+    """
     settings = stored.config["optimizer"]
-    if "screen" in settings and "starts" in settings:
-        screen, starts = MORE_SCREEN * settings["screen"], MORE_STARTS * settings["starts"]
-        ways = [f"more starts: optimizer.screen={screen} optimizer.starts={starts}"]
-    else:
-        ways = [
-            "another method: optimizer=least_squares",
-            f"another seed: seed={stored.result['seed'] + 1}",
-        ]
+    ways = []
     if stored.result["outcome"] == Outcome.BUDGET and (more := _more(stored)):
         ways.append(f"a larger budget: {more}")
+    if "screen" in settings and "starts" in settings:
+        screen, starts = MORE_SCREEN * settings["screen"], MORE_STARTS * settings["starts"]
+        ways.append(f"more starts: optimizer.screen={screen} optimizer.starts={starts}")
+    else:
+        other = next(name for name in OTHER_METHODS if name != settings.get("name"))
+        ways.append(f"another method: optimizer={other}")
+        ways.append(f"another seed: seed={stored.result['seed'] + 1}")
     ends = zip(problem.space.parameters, stored.result["theta"], strict=True)
     lowest = sorted(((theta / p.high, p) for p, theta in ends if _wide(p)), key=lambda one: one[0])
     log = " ".join(_logarithmic(p) for _, p in lowest[:MOST_HINTS])

@@ -13,7 +13,7 @@ from experiments.build import Experiment
 from experiments.progress import progress
 from miho.identification import Square, linear_optimum
 from miho.identification.validation import root_mean_square
-from miho.optim import RunRecord, minimize
+from miho.optim import Descents, RunRecord, agreement, minimize
 from miho.study import Execution, Identity, Status, Store, StoredRun, execute
 
 ENDINGS = {"converged": "itself", "budget": "its budget"}
@@ -63,6 +63,7 @@ def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -
 def report(experiment: Experiment, stored: StoredRun) -> str:
     """The identified parameters, how far to trust them and how good they are; writes the page."""
     # Here, because figures take longer to import than a small run takes: only who draws them waits.
+    from experiments.optimum import descents_of
     from experiments.report import report_folder, reported, write
     from experiments.report_tables import error_rows, text
 
@@ -101,7 +102,7 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     rows += [
         ("evaluations", f"{result['evaluations']:,.0f}"),
         ("seconds", f"{result['seconds']:.3f} (set-up {result['setup_seconds']:.3f})"),
-        ("ended by", _ending(stored)),
+        ("ended by", _ending(str(result["outcome"]), descents_of(stored), problem.rounding)),
     ]
     if result["rejected"]:
         rows.append(("rejected", ", ".join(f"{n} x {r}" for r, n in result["rejected"].items())))
@@ -118,13 +119,14 @@ def _gap(loss: float, best: float) -> str:
     return f"{100 * (math.sqrt(loss / best) - 1) if best else 0.0:.4f} %"
 
 
-def _ending(stored: StoredRun) -> str:
-    """What ended a run, and how many of its descents ended before their solver was done."""
-    result = stored.result
-    outcome = str(result["outcome"])
+def _ending(outcome: str, descents: Descents | None, rounding: float) -> str:
+    """What ended a run, and how far its descents were; losses up to `rounding` are 0."""
     ending = ENDINGS.get(outcome, outcome)
-    descents = result.get("descents")
-    if descents and descents["converged"] < descents["finished"]:
-        moving = descents["finished"] - descents["converged"]
-        ending += f"; {moving} of {descents['finished']} descents were still moving at their end"
+    if descents is None:
+        return ending
+    enough = agreement(descents.ends, rounding, finished=descents.finished).enough
+    ending += f", {'after' if enough else 'before'} enough of its descents agreed"
+    if descents.converged < descents.finished:
+        moving = descents.finished - descents.converged
+        ending += f"; {moving} of {descents.finished} descents were still moving at their end"
     return ending

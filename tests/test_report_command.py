@@ -13,12 +13,13 @@ import pytest
 from experiments import report
 from experiments.build import ConfigError, build, rebuild
 from experiments.cli import composed
-from experiments.optimum import descents_of, remedy
+from experiments.optimum import OTHER_METHODS, descents_of, remedy
+from experiments.run import _ending, run
 from experiments.run import report as summary
-from experiments.run import run
 from experiments.schema import register
 from miho.models import Pacejka
 from miho.models.identified import read_parameters
+from miho.optim import Descents
 from miho.study import StoredRun, load_runs, read_run
 from tests.analysis.sweep_synthetic import embedded
 
@@ -240,12 +241,41 @@ def test_another_seed_is_not_the_one_of_the_run(root: Path) -> None:
     assert "another seed: seed=2;" in remedy(rebuild(stored), replace(stored, config=config))
 
 
+def test_another_method_is_not_the_one_of_the_run(root: Path) -> None:
+    """A run that ended by itself would end there again, whatever its budget."""
+    stored = read_run(Path(load_runs(root).runs.set_index("seed").loc[1, "folder"]))
+    for own in ("random", *OTHER_METHODS):
+        config = {**stored.config, "optimizer": {"name": own}}
+        said = remedy(rebuild(stored), replace(stored, config=config))
+        (other,) = re.findall(r"search again with another method: optimizer=(\w+); ", said)
+        assert other != own
+        composed([f"optimizer={other}"])
+
+
+@pytest.mark.parametrize(
+    ("outcome", "descents", "ending"),
+    [
+        ("converged", None, "itself"),
+        ("converged", Descents(5, 5, 5, 0, (1.0,) * 5), "itself, after enough of its"),
+        ("budget", Descents(6, 5, 5, 0, (1.0,) * 5), "its budget, after enough of its"),
+        ("budget", Descents(6, 5, 5, 0, (1.0, 1.0, 1.0, 1.0, 2.0)), "its budget, before enough"),
+        ("budget", Descents(6, 5, 5, 0, (1e-30, 1e-29, 1e-28, 1e-27, 1e-26)), "its budget, after"),
+        ("budget", Descents(1, 0, 0, 0, (), 20), "its budget, before enough of"),
+        ("converged", Descents(3, 3, 2, 0, (1.0, 2.0, 3.0)), "agreed; 1 of 3 descents were still"),
+    ],
+)  # fmt: skip
+def test_the_ending_says_whether_the_evidence_was_enough(
+    outcome: str, descents: Descents | None, ending: str
+) -> None:
+    assert ending in _ending(outcome, descents, 1e-20)
+
+
 @pytest.mark.parametrize(("spent", "more"), [(1.0, "evaluations=5000000"), (60.01, "seconds=600")])
 def test_more_of_what_ended_the_run_is_a_setting(root: Path, spent: float, more: str) -> None:
     stored = read_run(Path(load_runs(root).runs.set_index("seed").loc[1, "folder"]))
     cut = {**stored.result, "outcome": "budget", "seconds": spent}
     said = remedy(rebuild(stored), replace(stored, result=cut))
-    assert f"a larger budget: budget.{more};" in said
+    assert said.startswith(f"search again with a larger budget: budget.{more}; more starts: ")
     composed([f"budget.{more}"])
 
 
