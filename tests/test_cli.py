@@ -116,8 +116,11 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
         ["optimizer=foo"],
         "optimizer=foo: is unknown; allowed are cma_es, dehb",
     ),
-    "R = 0": (["optimizer.R=0"], "R is 0; expected a whole number of at least 1"),
-    "R is a word": (["optimizer.R=many"], "optimizer.R: is 'many'; expected a value of type int"),
+    "R = 0": (["optimizer=miho", "optimizer.R=0"], "R is 0; expected a whole number of at least 1"),
+    "R is a word": (
+        ["optimizer=miho", "optimizer.R=many"],
+        "optimizer.R: is 'many'; expected a value of type int",
+    ),
     "low > high": (["space.B.low=300"], "'B': low is 300.0 and high is 200.0"),
     "unknown setting": (["optimizer.alpha=1"], "optimizer.alpha: is unknown; allowed are"),
     "unknown key": (["xyz=1"], "xyz: is unknown; allowed are model, dataset, space"),
@@ -148,7 +151,7 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "a range too wide": (["space.B.low=-1e308", "space.B.high=1e308"], "finite bounds"),
     "no ranges": (["dataset=tir", f"dataset.tire={TIRE}", "dataset.ranges=5"], "ranges is 5"),
     "too many rows": (["dataset.n=10000000000000"], "dataset: is too large for the memory"),
-    "too large a bracket": (["optimizer.R=1000000000000"], "at most 10,000,000"),
+    "too large a bracket": (["optimizer=miho", "optimizer.R=1000000000000"], "at most 10,000,000"),
     "too large a swarm": (
         ["optimizer=pso_100", "optimizer.particles=1000000000"],
         "at most 10,000",

@@ -215,7 +215,7 @@ def test_targets_lie_in_our_packages() -> None:
 
 def test_the_seed_and_the_settings_key_the_run() -> None:
     def key(*overrides: str) -> str:
-        return build(composed(overrides)).identity.id
+        return build(composed(["optimizer=miho", *overrides])).identity.id
 
     assert key() == key("seed=0", "root=elsewhere")
     others = [key("seed=1"), key("optimizer.R=7"), key("space.B.high=100"), key("dataset.n=10")]
