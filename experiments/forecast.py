@@ -53,7 +53,8 @@ def seconds_of_evaluation(problem: CurveFit) -> float:
 def forecast(seconds: float, budget: Budget, rows: int, dataset: Mapping[str, Any]) -> str:
     """How long the budget lasts at so many seconds an evaluation, and what shortens a long search.
 
-    A method that ends by itself takes less, and its own computations are not counted.
+    That is the most a run takes, besides its method's own computations: one that ends by itself may
+    take far less.
     """
     cost = f"{rows:,} rows, {_short(seconds)} an evaluation"
     if budget.evaluations is None:
@@ -63,7 +64,7 @@ def forecast(seconds: float, budget: Budget, rows: int, dataset: Mapping[str, An
             f"{cost}: at most {budget.seconds / seconds:,.0f} in the {budget.seconds:g} s allowed"
         )
     whole = budget.evaluations * seconds
-    text = f"{cost}: {_short(whole)} for the {budget.evaluations:,} allowed"
+    text = f"{cost}: at most {_short(whole)} for the {budget.evaluations:,} allowed"
     limit = budget.seconds
     if limit is not None and whole > limit:
         text += f", but budget.seconds={limit:g} ends it after some {limit / seconds:,.0f}"

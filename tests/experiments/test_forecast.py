@@ -19,18 +19,18 @@ ROWS = {"every": 1, "where": None}
     [
         (
             Budget(500_000, 60.0), 1e-5, ROWS,
-            "60,000 rows, 10 µs an evaluation: 5 s for the 500,000 allowed",
+            "60,000 rows, 10 µs an evaluation: at most 5 s for the 500,000 allowed",
         ),
         (
             Budget(500_000, 60.0), 4e-3, ROWS,
-            "60,000 rows, 4 ms an evaluation: 2e+03 s for the 500,000 allowed, but "
+            "60,000 rows, 4 ms an evaluation: at most 2e+03 s for the 500,000 allowed, but "
             "budget.seconds=60 ends it after some 15,000; fewer rows are faster: "
             "dataset.every=10 or 'dataset.where={COLUMN: [FROM, TO]}'",
         ),
         (
             Budget(500_000), 4e-3, {"every": 1},
-            "60,000 rows, 4 ms an evaluation: 2e+03 s for the 500,000 allowed; fewer rows are "
-            "faster: dataset.every=10",
+            "60,000 rows, 4 ms an evaluation: at most 2e+03 s for the 500,000 allowed; fewer rows "
+            "are faster: dataset.every=10",
         ),
         (
             Budget(seconds=5.0), 0.2, {},
