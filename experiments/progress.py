@@ -43,7 +43,10 @@ def spent(budget: Budget, evaluations: float, seconds: float) -> tuple[float, fl
 
 @contextmanager
 def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
-    """A bar that fills with the budget and shows the best error; silent if not on a terminal."""
+    """A bar that fills with the budget and shows the best error; silent if not on a terminal.
+
+    Of a method that makes descents also how many agree: with enough of them some end by themselves.
+    """
     limited = budget.evaluations is not None or budget.seconds is not None
     layout = "{percentage:3.0f}% |{bar}| {desc}" if limited else "{desc}"
     columns, rows = _size()
@@ -56,8 +59,12 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
             bar.n, left = spent(budget, oracle.evaluations, oracle.meter.seconds)
             error = math.sqrt(max(0.0, oracle.best))
             most = f", at most {left:.0f} s left" if math.isfinite(left) else ""
+            agreed = oracle.agreement
+            agreeing = f", {agreed.here} of {agreed.finished} descents agree" * bool(
+                agreed.finished
+            )
             bar.set_description_str(
-                f"{title}: {error:.5g} {unit}, {oracle.evaluations:,.0f} evaluations, "
+                f"{title}: {error:.5g} {unit}{agreeing}, {oracle.evaluations:,.0f} evaluations, "
                 f"{oracle.meter.seconds:.1f} s{most}"
             )
 

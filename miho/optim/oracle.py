@@ -410,7 +410,7 @@ class Oracle:
         if not isinstance(self._problem, LeastSquaresProblem):
             raise TypeError(
                 f"problem {self._problem.name} gives no residuals; choose a method that needs "
-                "only losses, or make it a LeastSquaresProblem"
+                "only losses (optimizer=miho_qn), or make it a LeastSquaresProblem"
             )
         return self._problem
 

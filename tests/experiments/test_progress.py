@@ -40,10 +40,14 @@ def test_the_bar_shows_it(
     with progress("run", budget, "V") as observer:
         problem = DecayFit()
         oracle = Oracle(problem, budget, observer=observer, clock=clock)
+        oracle.ended(2.0, 1.0)
+        oracle.ended(3.0, 1.0)
+        oracle.ended(3.0, 1.5)
         now[0] = 45.0
         oracle(problem.space.decode(problem.space.initial(1)))
     shown = capsys.readouterr().err
     assert " 75% |" in shown
+    assert ", 2 of 3 descents agree, " in shown
     assert "at most 15 s left" in shown
 
 
