@@ -150,7 +150,7 @@ def minimize(
         error=error,
         checkpoint=resumable,
         outside=meter.outside,
-        descents=Descents.of(meter.starts, problem.rounding),
+        descents=Descents.of(meter.starts),
     )
 
 

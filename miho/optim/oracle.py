@@ -140,6 +140,7 @@ class Oracle:
         self.budget = budget
         self.space = problem.space if space is None else space
         self.meter = Meter() if meter is None else meter
+        self.meter.starts.rounding = problem.rounding
         self.state: Any = None
         self.interrupted = False
         self._box = self.space.rounded
@@ -352,7 +353,7 @@ class Oracle:
     @property
     def agreement(self) -> Agreement:
         """How the ends of the descents so far agree: where it is `enough`, a method may stop."""
-        return self.meter.starts.agreement(self._problem.rounding)
+        return self.meter.starts.agreement()
 
     def climbing_evaluations(self) -> int:
         """How many evaluations `climb` may make next; 0 if batches must be evaluated.

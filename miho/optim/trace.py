@@ -76,11 +76,12 @@ class Starts:
     """The starts of a run so far: how many were `screened`, and the descents from the best of them.
 
     A configuration is screened if it is looked at, on few rows or on all, to choose whether it is
-    followed; `descents` are in their order.
+    followed; `descents` are in their order. Losses up to `rounding` are 0, as the problem says.
     """
 
     screened: int = 0
     descents: list[Descent] = field(default_factory=list)
+    rounding: float = 0.0
 
     def ended(
         self, start: float, end: float, *, converged: bool = True, finished: bool = True
@@ -88,9 +89,9 @@ class Starts:
         """Add a descent from a loss to a loss, as `Descent` describes them."""
         self.descents.append(Descent(start, end, finished, converged))
 
-    def agreement(self, rounding: float = 0.0) -> Agreement:
+    def agreement(self) -> Agreement:
         """How the ends of the finished descents agree; a method may stop if it is `enough`."""
-        return agreement(self.ends, rounding)
+        return agreement(self.ends, self.rounding)
 
     @property
     def finished(self) -> list[Descent]:
@@ -123,7 +124,7 @@ class Descents:
     agreeing: int | None = None
 
     @classmethod
-    def of(cls, starts: Starts, rounding: float = 0.0) -> Descents | None:
+    def of(cls, starts: Starts) -> Descents | None:
         """The summary; None for a method that neither screens nor makes descents."""
         if not (starts.descents or starts.screened):
             return None
@@ -135,5 +136,5 @@ class Descents:
             stayed=sum(not each.moved for each in finished),
             ends=tuple(sorted(starts.ends)[:MOST_ENDS]),
             screened=starts.screened,
-            agreeing=starts.agreement(rounding).here,
+            agreeing=starts.agreement().here,
         )

@@ -165,8 +165,10 @@ class InTurns(AskTell[Brackets]):
 
 def test_a_resumed_run_keeps_the_descents_before() -> None:
     method, problem = InTurns(), DecayFit()
+    problem.rounding = 1e9
     whole = minimize(method, problem).descents
     assert whole is not None
+    assert whole.agreeing == 6, "the state knows what is rounding to the problem"
     assert (whole.started, whole.finished, whole.converged, whole.screened) == (6, 6, 0, 60)
     cut = minimize(method, problem, Budget(evaluations=35))
     assert cut.descents is not None
