@@ -6,6 +6,12 @@ from miho.data.csv import CSVError, load_csv
 from miho.data.dataset import Dataset
 from miho.data.driving_log import CHANNELS, DrivingLog, load_driving_log
 from miho.data.mat import load_mat
+from miho.data.published_fits import (
+    PublishedFit,
+    load_published,
+    published_fit,
+    published_names,
+)
 from miho.data.seong import DataUnavailableError, load_seong_sample
 from miho.data.synthetic_brake import (
     brake_deceleration_test,
@@ -29,11 +35,12 @@ from miho.data.tir_sampling import (
 from miho.data.torque_samples import TorqueRules, TorqueSamples, load_torque_samples
 
 __all__ = [
-    "CHANNELS", "CSVError", "DataUnavailableError", "Dataset", "DrivingLog", "SamplingRanges",
-    "TorqueRules", "TorqueSamples", "brake_deceleration_test", "brake_play_test",
+    "CHANNELS", "CSVError", "DataUnavailableError", "Dataset", "DrivingLog", "PublishedFit",
+    "SamplingRanges", "TorqueRules", "TorqueSamples", "brake_deceleration_test", "brake_play_test",
     "brake_pressure_test", "brake_step_test", "brake_torque_test", "dyno_test", "embedded_tire",
     "engine_driving_log", "load_axle_samples", "load_braking_samples", "load_csv",
-    "load_driving_log", "load_engine_drive", "load_mat", "load_seong_sample", "load_torque_samples",
-    "sample_axle", "sample_lateral", "sample_tir", "simulated_axle_drive", "simulated_weave",
-    "steering_test", "tire_outlier_test", "unmodelled_spread",
+    "load_driving_log", "load_engine_drive", "load_mat", "load_published", "load_seong_sample",
+    "load_torque_samples", "published_fit", "published_names", "sample_axle", "sample_lateral",
+    "sample_tir", "simulated_axle_drive", "simulated_weave", "steering_test", "tire_outlier_test",
+    "unmodelled_spread",
 ]  # fmt: skip

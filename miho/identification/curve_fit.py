@@ -141,8 +141,12 @@ class CurveFit(LeastSquaresProblem):
         one, two, middle = model.predict(
             np.stack([thetas[0], other, (thetas[0] + other) / 2]), *self.inputs
         )
-        size = np.abs(one) + np.abs(two)
-        if (np.abs(one + two - 2 * middle) > LINEAR * (size + size.max())).any():
+        valued = np.isfinite(one) & np.isfinite(two) & np.isfinite(middle)
+        one, two, middle = one[valued], two[valued], middle[valued]
+        with np.errstate(over="ignore", invalid="ignore"):
+            size = np.abs(one) + np.abs(two)
+            bent = np.abs(one + two - 2 * middle) > LINEAR * (size + size.max(initial=0.0))
+        if bent.any():
             raise ValueError(
                 f"{called} is not linear in {', '.join(model.linear)} as it declares; correct "
                 "`linear`"

@@ -12,6 +12,7 @@ from miho.models.identified import Identified, OutsideDataWarning, read_paramete
 from miho.models.lateral_magic_formula import LateralMagicFormula, mf61_lateral
 from miho.models.longitudinal import Longitudinal
 from miho.models.model import Model
+from miho.models.published import PublishedModel
 from miho.models.simplified_tire import SimplifiedTire, from_simplified, simplify
 from miho.models.single_track import Axles, SingleTrack
 from miho.models.single_track_response import SingleTrackResponse
@@ -23,8 +24,8 @@ __all__ = [
     "Axle", "Axles", "Brake", "BrakeCommand", "BrakeDeceleration", "BrakePlay", "BrakePressure",
     "BrakeResponse", "BrakeTorque", "EngineMap", "FunctionModel", "Identified",
     "LateralMagicFormula", "Longitudinal", "Model", "OutsideDataWarning", "Pacejka",
-    "PacejkaCurvature", "PacejkaLandmarks", "SimplifiedTire", "SingleTrack", "SingleTrackResponse",
-    "TirError", "TorqueCubic", "TorqueCurve", "central_stiffness", "cornering_stiffness",
-    "from_simplified", "load_function", "load_tir", "mf61_lateral", "play", "read_parameters",
-    "simplify", "write_tir",
+    "PacejkaCurvature", "PacejkaLandmarks", "PublishedModel", "SimplifiedTire", "SingleTrack",
+    "SingleTrackResponse", "TirError", "TorqueCubic", "TorqueCurve", "central_stiffness",
+    "cornering_stiffness", "from_simplified", "load_function", "load_tir", "mf61_lateral", "play",
+    "read_parameters", "simplify", "write_tir",
 ]  # fmt: skip

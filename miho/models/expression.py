@@ -47,7 +47,8 @@ class Expression(Model):
     @final
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
-        rows = np.asarray(self.value(inputs, tuple(thetas.T[:, :, None])))
+        with np.errstate(all="ignore"):  # without a value it is NaN or infinite, as compiled
+            rows = np.asarray(self.value(inputs, tuple(thetas.T[:, :, None])))
         shape = len(thetas), inputs[0].size
         own = rows.shape == shape and rows.base is None
         return rows if own else np.broadcast_to(rows, shape).copy()
@@ -55,6 +56,7 @@ class Expression(Model):
     @final
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives of the outputs, (N, d), at one configuration (d,); rows (n, d): (n, N, d)."""
-        columns = self.derivatives(inputs, tuple(np.moveaxis(theta, -1, 0)[..., None]))
+        with np.errstate(all="ignore"):
+            columns = self.derivatives(inputs, tuple(np.moveaxis(theta, -1, 0)[..., None]))
         shape = *theta.shape[:-1], inputs[0].size
         return np.stack([np.broadcast_to(column, shape) for column in columns], axis=-1)

@@ -1,0 +1,64 @@
+"""Models of published regression problems, by the name of their formula."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from miho.models.expression import Expression, Formula
+from miho.models.published import nist
+from miho.models.published.form import Form
+
+FORMS: Mapping[str, Form] = nist.FORMS
+
+
+@dataclass(frozen=True)
+class PublishedModel(Expression):
+    """The formula `name` of the literature, in the numbers of its publication, without units.
+
+    Parameters are b1, b2, ...; the input is x, and x1, x2, ... where there are several. Where a
+    formula has no value, such as a power of a negative base, it is NaN or infinite.
+    """
+
+    name: str
+
+    output = "-"
+
+    def __post_init__(self) -> None:
+        if self.name not in FORMS:
+            raise ValueError(f"name is {self.name!r}; choose from {', '.join(FORMS)}")
+
+    @property
+    def form(self) -> Form:
+        """The formula and what is known of it."""
+        return FORMS[self.name]
+
+    @property
+    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+        """The input columns."""
+        count = self.form.inputs
+        return dict.fromkeys(("x",) if count == 1 else _numbered("x", count), "-")
+
+    @property
+    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+        """b1, b2, ..."""
+        return dict.fromkeys(_numbered("b", self.form.parameters), "-")
+
+    @property
+    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The parameters in which the output is jointly linear."""
+        return tuple(f"b{number}" for number in self.form.linear)
+
+    @property
+    def value(self) -> Formula:
+        """The output."""
+        return self.form.value
+
+    @property
+    def derivatives(self) -> Formula:
+        """Derivatives of the output with respect to the parameters."""
+        return self.form.derivatives
+
+
+def _numbered(letter: str, count: int) -> tuple[str, ...]:
+    return tuple(f"{letter}{number}" for number in range(1, count + 1))
