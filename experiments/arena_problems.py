@@ -22,8 +22,9 @@ def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
 
     An optimum is no part of a run's identity, so the store may hold one that was corrected since.
     What was run with another model, dataset, space or loss than conf/problem has, or has no file
-    there, keeps what is stored. `cut` is true where a run had spent its seconds before its
-    evaluations and had not ended by itself.
+    there, keeps what is stored. Where a problem has a resolution, smaller errors are equal to it,
+    and so is the optimum. `cut` is true where a run had spent its seconds before its evaluations
+    and had not ended by itself.
     """
     schema.register()
     pieces = []
@@ -34,7 +35,11 @@ def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
             cfg = composed([f"problem={name}"])
             family = cfg.problem.family or family
             if cfg.problem.optimum is not None and _is_same(stored, cfg):
-                mine = mine.assign(optimum=cfg.problem.optimum)
+                resolution = cfg.problem.resolution or 0.0
+                mine = mine.assign(
+                    optimum=max(cfg.problem.optimum, resolution),
+                    error=mine["error"].clip(lower=resolution),
+                )
         pieces.append(mine.assign(family=family, cut=_cut(mine, stored)))
     return pd.concat(pieces).loc[runs.index]
 

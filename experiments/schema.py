@@ -42,15 +42,18 @@ class BudgetConfig:
 class ProblemConfig:
     """What is known of a problem: its name, if not that of model and data, and its best error.
 
-    Problems of one `family` (default: each is its own) are one model in one kind of box: their
-    outcomes are not independent, so ranks and tests are shown over families as well.
-    `optimum` is the smallest known root of the loss in the space, in the output's unit, and
-    `evidence` says how it is known. `compressed` and `threads` are those of `miho.CurveFit`.
+    Problems of one `family` (default: each is its own) are one model in one kind of box, or one
+    published formula in any box: their outcomes are not independent, so ranks and tests are shown
+    over families as well. `optimum` is the smallest known root of the loss in the space, in the
+    output's unit, and `evidence` says how it is known. Of data without errors, an error below
+    `resolution` is rounding, and counts as equal to it in an arena. `compressed` and `threads` are
+    those of `miho.CurveFit`.
     """
 
     name: str | None = None
     family: str | None = None
     optimum: float | None = None
+    resolution: float | None = None
     evidence: str = ""
     compressed: bool = False
     threads: int = 1

@@ -1,5 +1,6 @@
 """Every YAML composes, and what it describes can be built and run."""
 
+from collections import Counter
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -8,15 +9,17 @@ import pytest
 from omegaconf import OmegaConf
 
 from experiments.arena import chosen_method
+from experiments.benchmarks.published_problems import BOXES, files, problems
 from experiments.build import ConfigError, build, build_optimizer
 from experiments.cli import composed
 from experiments.schema import register
+from miho.data import published_names
 from miho.identification import linear_optimum
 from miho.methods.least_squares import LeastSquares
 from miho.optim import Budget, minimize
 
 CONF = Path(__file__).parent.parent / "conf"
-NEEDS_A_FILE = {"axle_log", "brake_log", "csv", "mat", "tir", "torque_log"}
+NEEDS_A_SETTING = {"axle_log", "brake_log", "csv", "mat", "published", "tir", "torque_log"}
 NEEDS_A_LIBRARY = {"ngopt": "nevergrad", "dehb": "dehb"}
 register()
 
@@ -46,7 +49,7 @@ def test_optimizers(optimizer: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "dataset", [name for name in options("dataset") if name not in NEEDS_A_FILE]
+    "dataset", [name for name in options("dataset") if name not in NEEDS_A_SETTING]
 )
 def test_datasets(
     dataset: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
@@ -127,12 +130,38 @@ def test_spaces(space: str) -> None:
     model = model if model in options("model") else "pacejka"
     needs = [name for name in options("dataset") if f"/space: {space}\n" in text(name)]
     overrides = [f"model={model}", f"space={space}"]
-    ready = [name for name in needs if name not in NEEDS_A_FILE and not name.startswith("seong")]
+    ready = [name for name in needs if name not in NEEDS_A_SETTING and not name.startswith("seong")]
     experiment = build(composed([*(f"dataset={name}" for name in ready[:1]), *overrides]))
     assert experiment.problem.space.names == tuple(experiment.problem.model.parameters)
 
 
-@pytest.mark.parametrize("problem", options("problem"))
+PUBLISHED = problems()
+QUICK = {"nist_nelson_log"}
+"""Published problems that stand for all, whose models take seconds to compile."""
+
+
+def test_published_problems_are_as_their_rule_says() -> None:
+    """Their files are written by it: `python -m experiments.benchmarks.published_problems`."""
+    for file, text in files().items():
+        assert file.read_text(encoding="utf-8") == text, file.name
+
+
+def test_every_published_problem_is_posed_in_two_boxes() -> None:
+    boxes = Counter(fit.name for fit, _ in PUBLISHED.values())
+    assert boxes == dict.fromkeys(published_names(), 2)
+    for name, (fit, rule) in PUBLISHED.items():
+        ranges = [BOXES[rule][0](fit, k) for k in range(len(fit.optimum))]
+        inside = [r.low < v < r.high for r, v in zip(ranges, fit.optimum, strict=True)]
+        assert all(inside), name
+
+
+@pytest.mark.parametrize(
+    "problem",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in PUBLISHED.keys() - QUICK))
+        for name in options("problem")
+    ],
+)
 def test_problems(
     problem: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -143,9 +172,10 @@ def test_problems(
     experiment = build(cfg)
     assert experiment.problem.name == experiment.identity.problem == problem
     assert cfg.problem.evidence
-    optimum = experiment.facts["optimum"]
+    resolution = (cfg.problem.resolution or 0.0) ** 2
+    optimum = max(experiment.facts["optimum"], resolution)
     found = minimize(LeastSquares(screen=200, starts=1, rounds=1), experiment.problem)
-    assert found.loss > optimum * (1 - 2e-9)
+    assert max(found.loss, resolution) > optimum * (1 - 2e-9)
 
 
 @pytest.mark.parametrize("loss", options("loss"))

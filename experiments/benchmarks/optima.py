@@ -24,7 +24,6 @@ from pathlib import Path
 import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
-from omegaconf import OmegaConf
 from tqdm import tqdm
 
 from experiments.build import build
@@ -207,10 +206,15 @@ def optimum_of(name: str, starts: int, pool: ProcessPoolExecutor) -> Optimum:
     )
 
 
-def verdict(found: Optimum, recorded: float | None) -> str:
-    """How what was found compares with the record: empty if it confirms it."""
+def verdict(found: Optimum, recorded: float | None, resolution: float = 0.0) -> str:
+    """How what was found compares with the record: empty if it confirms it.
+
+    Two errors below the resolution are the same.
+    """
     if recorded is None:
         return "not recorded"
+    if max(found.error, recorded) <= resolution:
+        return ""
     if found.error < recorded * (1 - SAME):
         return f"beats the recorded {recorded:.12g}"
     if found.error > recorded * (1 + MISSED):
@@ -239,8 +243,9 @@ def main() -> None:
     with ProcessPoolExecutor(WORKERS, multiprocessing.get_context("spawn")) as pool:
         for name in arguments.problems or names:
             found = optimum_of(name, arguments.starts, pool)
-            recorded = OmegaConf.select(composed([f"problem={name}"]), "problem.optimum")
-            said = verdict(found, recorded)
+            known = composed([f"problem={name}"]).problem
+            recorded = known.optimum
+            said = verdict(found, recorded, known.resolution or 0.0)
             failed = failed or (recorded is not None and bool(said))
             agree = f"{found.agreeing}/{found.starts}" if found.starts else "closed form"
             print(

@@ -1,0 +1,193 @@
+"""Writes conf/problem of the published problems: each of miho/data/published in two boxes, by rule.
+
+python -m experiments.benchmarks.published_problems
+
+What stands in a file as its evidence stays; `experiments.benchmarks.optima` finds it.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from omegaconf import OmegaConf
+
+from miho.data import PublishedFit, published_fit, published_names
+from miho.models import PublishedModel
+
+PROBLEMS = Path(__file__).parents[2] / "conf" / "problem"
+WIDTH = 100
+AROUND = 100.0
+"""Factor from a certified value to either end of its logarithmic box."""
+SPREADS = 10.0
+LEAST_SPREAD = 0.1
+"""Of the published value itself, where the starts hardly differ from it."""
+DIGITS = 1e-6
+"""Relative error of a parameter that is known to six digits."""
+
+
+@dataclass(frozen=True)
+class Box:
+    """The range of one parameter."""
+
+    low: float
+    high: float
+    scale: str = "linear"
+
+    @property
+    def yaml(self) -> str:
+        """The settings of a parameter of `conf/space`."""
+        scale = "" if self.scale == "linear" else f", scale: {self.scale}"
+        return f'{{unit: "-", low: {_number(self.low)}, high: {_number(self.high)}{scale}}}'
+
+
+def around(fit: PublishedFit, k: int) -> Box:
+    """Two powers of ten on either side of a positive value; ten times a negative one either way."""
+    value = fit.optimum[k]
+    if value > 0:
+        return Box(value / AROUND, value * AROUND, "log")
+    return Box(-math.sqrt(AROUND) * -value, math.sqrt(AROUND) * -value)
+
+
+def decades(fit: PublishedFit, k: int) -> Box:
+    """Whole powers of ten, at least one beyond the value, which a negative one has either way."""
+    value = fit.optimum[k]
+    exponent = math.floor(math.log10(abs(value)))
+    if value > 0:
+        return Box(10.0 ** (exponent - 1), 10.0 ** (exponent + 2), "log")
+    return Box(-(10.0 ** (exponent + 2)), 10.0 ** (exponent + 2))
+
+
+def starts(fit: PublishedFit, k: int) -> Box:
+    """Ten times as wide as the spread of the published starts and the value, around its middle."""
+    values = [fit.optimum[k], *(start[k] for start in fit.starts)]
+    low, high = min(values), max(values)
+    half = SPREADS / 2 * max(high - low, LEAST_SPREAD * abs(fit.optimum[k]))
+    return Box((low + high) / 2 - half, (low + high) / 2 + half)
+
+
+BOXES: Mapping[str, tuple[Callable[[PublishedFit, int], Box], str]] = {
+    "log": (
+        around,
+        "a hundredth of a positive value to a hundred times it, logarithmic; ten times a negative "
+        "one either way, linear",
+    ),
+    "decades": (
+        decades,
+        "powers of ten, at least one beyond a positive value on both sides, logarithmic; either "
+        "way for a negative one, linear",
+    ),
+    "starts": (
+        starts,
+        "linear, ten times as wide as the spread of the published starts and the optimum, around "
+        "the middle of these",
+    ),
+}
+"""Rules for a range, with what they do."""
+CHOSEN = {"nist": ("log", "starts")}
+OTHERS = ("decades", "starts")
+
+
+def problems() -> dict[str, tuple[PublishedFit, str]]:
+    """Every published problem with the box that it is posed in, by its name in conf/problem."""
+    posed = {}
+    for fit in map(published_fit, published_names()):
+        for box in CHOSEN.get(fit.collection, OTHERS):
+            posed[f"{fit.collection}_{fit.name}_{box}"] = fit, box
+    return posed
+
+
+def optimum_of(fit: PublishedFit) -> float:
+    """The root of the mean square that belongs to the published sum of squares."""
+    return math.sqrt(fit.squares / len(fit.dataset))
+
+
+def resolution_of(fit: PublishedFit) -> float:
+    """The error at which the least certain parameter still has six digits, rounded down to one.
+
+    At an error s of exact data, parameter k is off by at most s ((J'J / N)^-1_kk)^(1/2).
+    """
+    model = PublishedModel(fit.model)
+    theta = np.array(fit.optimum)
+    J = model.jacobian(theta, *(fit.dataset[name] for name in model.inputs))
+    _, sizes, directions = np.linalg.svd(J * theta / math.sqrt(len(J)), full_matrices=False)
+    worst = float(np.sqrt(((directions.T / sizes) ** 2).sum(axis=1)).max())
+    unit = 10.0 ** math.floor(math.log10(DIGITS / worst))
+    return float(f"{math.floor(DIGITS / worst / unit) * unit:.0e}")
+
+
+def yaml_of(name: str, fit: PublishedFit, box: str, evidence: str) -> str:
+    """The file of a problem in conf/problem."""
+    rule, meaning = BOXES[box]
+    model = PublishedModel(fit.model)
+    size = f"{len(fit.optimum)} parameters, {len(fit.dataset)} rows. Box: {meaning}."
+    about = [*_comment(f"{fit.title}."), *_comment(size)]
+    optimum, resolution = optimum_of(fit), resolution_of(fit)
+    exact = [f"  resolution: {_number(resolution)}"] if optimum < resolution else []
+    lines = [
+        "# @package _global_",
+        *about,
+        "# Written by experiments.benchmarks.published_problems: change the rule, not this file.",
+        "defaults:",
+        "  - override /dataset: published",
+        "  - override /model: published",
+        "  - override /space: null",
+        "",
+        f"dataset: {{name: {fit.name}}}",
+        f"model: {{name: {fit.model}}}",
+        "",
+        "problem:",
+        f"  name: {name}",
+        f"  family: {fit.model}",
+        f"  optimum: {_number(optimum)}",
+        *exact,
+        "  evidence: >-",
+        *(f"    {line}" for line in textwrap.wrap(evidence, WIDTH - 4)),
+        "",
+        "space:",
+        *(f"  {parameter}: {rule(fit, k).yaml}" for k, parameter in enumerate(model.parameters)),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def evidence_in(file: Path, fit: PublishedFit) -> str:
+    """What a problem's file says of its optimum, or what its publication does."""
+    if file.exists():
+        return str(OmegaConf.load(file).problem.evidence)
+    return "certified by NIST" if fit.collection == "nist" else "as published"
+
+
+def files() -> dict[Path, str]:
+    """All files with what they hold by the rule."""
+    texts = {}
+    for name, (fit, box) in problems().items():
+        file = PROBLEMS / f"{name}.yaml"
+        texts[file] = yaml_of(name, fit, box, evidence_in(file, fit))
+    return texts
+
+
+def _comment(text: str) -> list[str]:
+    return textwrap.wrap(text, WIDTH, initial_indent="# ", subsequent_indent="# ")
+
+
+def _number(value: float) -> str:
+    """Fourteen digits, so that neither a box nor an error shows rounding; a float for YAML."""
+    text = f"{value:.14g}"
+    mantissa, e, exponent = text.partition("e")
+    return f"{mantissa if '.' in mantissa else mantissa + '.0'}{e}{exponent}"
+
+
+def main() -> None:
+    """Write all files."""
+    texts = files()
+    for file, text in texts.items():
+        file.write_text(text, encoding="utf-8")
+    print(f"{len(texts)} files in {PROBLEMS}")
+
+
+if __name__ == "__main__":
+    main()
