@@ -10,6 +10,7 @@ import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 
 from experiments import schema
+from experiments.build import recorded_optimum
 from experiments.cli import CONF, composed
 from miho.study import StoredRun, read_run
 
@@ -34,12 +35,10 @@ def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
         if (CONF / "problem" / f"{name}.yaml").exists():
             cfg = composed([f"problem={name}"])
             family = cfg.problem.family or family
-            if cfg.problem.optimum is not None and _is_same(stored, cfg):
-                resolution = cfg.problem.resolution or 0.0
-                mine = mine.assign(
-                    optimum=max(cfg.problem.optimum, resolution),
-                    error=mine["error"].clip(lower=resolution),
-                )
+            optimum = recorded_optimum(cfg)
+            if optimum is not None and _is_same(stored, cfg):
+                error = mine["error"].clip(lower=cfg.problem.resolution)
+                mine = mine.assign(optimum=optimum, error=error)
         pieces.append(mine.assign(family=family, cut=_cut(mine, stored)))
     return pd.concat(pieces).loc[runs.index]
 

@@ -127,7 +127,13 @@ def build(cfg: DictConfig, problem: CurveFit | None = None) -> Experiment:
         )
     except (TypeError, ValueError) as error:
         raise ConfigError(str(error)) from None
-    return Experiment(problem, optimizer, budget, identity, root, cfg.problem.optimum)
+    return Experiment(problem, optimizer, budget, identity, root, recorded_optimum(cfg))
+
+
+def recorded_optimum(cfg: DictConfig) -> float | None:
+    """The smallest error that is known of a problem, at least its resolution."""
+    optimum, resolution = cfg.problem.optimum, cfg.problem.resolution
+    return optimum if optimum is None or resolution is None else max(optimum, resolution)
 
 
 def build_optimizer(cfg: DictConfig) -> Optimizer:

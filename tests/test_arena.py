@@ -100,7 +100,7 @@ def test_problems_that_are_one_model_in_one_kind_of_box_are_one_family() -> None
     alike = {name: cfg.problem.family for name, cfg in own.items() if "family" in cfg.problem}
     families = {alike.get(name, name) for name in names}
     assert len(names) >= 45
-    assert len(families) >= 29
+    assert len(families) == 43
     published = {name for name, cfg in own.items() if "model" in cfg}
     for name in published:
         assert alike[name] == own[name].model.name

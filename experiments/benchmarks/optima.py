@@ -192,15 +192,16 @@ def optimum_of(name: str, starts: int, pool: ProcessPoolExecutor) -> Optimum:
     finer, finest = (np.concatenate(part) for part in zip(*done, strict=True))
     points, found = np.vstack([finer, ends[best]]), np.concatenate([finest, errors[best]])
     error = float(found.min())
-    others = errors[errors > error * (1 + APART)]
+    least = max(error, composed([f"problem={name}"]).problem.resolution or 0.0)
+    others = errors[errors > least * (1 + APART)]
     return Optimum(
         *shape,
         error=error,
         theta=thetas_of(problem, points[found.argmin()]),
         starts=starts,
-        agreeing=int(np.count_nonzero(errors <= error * (1 + SAME))),
+        agreeing=int(np.count_nonzero(errors <= least * (1 + SAME))),
         failed=int(np.count_nonzero(np.isnan(errors))),
-        polished=int(np.count_nonzero(finest <= error * (1 + SAME))),
+        polished=int(np.count_nonzero(finest <= least * (1 + SAME))),
         second=float(others.min()) if others.size else math.nan,
         seconds=time.perf_counter() - began,
     )

@@ -26,6 +26,8 @@ AROUND = 100.0
 SPREADS = 10.0
 LEAST_SPREAD = 0.1
 """Of the published value itself, where the starts hardly differ from it."""
+ROUNDING = 1e-12
+"""Of the data: a smaller error comes from arithmetic, or from the digits of the data."""
 DIGITS = 1e-6
 """Relative error of a parameter that is known to six digits."""
 
@@ -126,8 +128,9 @@ def yaml_of(name: str, fit: PublishedFit, box: str, evidence: str) -> str:
     model = PublishedModel(fit.model)
     size = f"{len(fit.optimum)} parameters, {len(fit.dataset)} rows. Box: {meaning}."
     about = [*_comment(f"{fit.title}."), *_comment(size)]
-    optimum, resolution = optimum_of(fit), resolution_of(fit)
-    exact = [f"  resolution: {_number(resolution)}"] if optimum < resolution else []
+    optimum = optimum_of(fit)
+    exact = optimum < ROUNDING * float(np.sqrt(np.mean(fit.dataset["y"] ** 2)))
+    resolution = [f"  resolution: {_number(resolution_of(fit))}"] if exact else []
     lines = [
         "# @package _global_",
         *about,
@@ -144,7 +147,7 @@ def yaml_of(name: str, fit: PublishedFit, box: str, evidence: str) -> str:
         f"  name: {name}",
         f"  family: {fit.model}",
         f"  optimum: {_number(optimum)}",
-        *exact,
+        *resolution,
         "  evidence: >-",
         *(f"    {line}" for line in textwrap.wrap(evidence, WIDTH - 4)),
         "",

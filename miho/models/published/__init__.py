@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from miho.models.expression import Expression, Formula
-from miho.models.published import nist
+from miho.models.published import kinetics, mgh, nist
 from miho.models.published.form import Form
 
-FORMS: Mapping[str, Form] = nist.FORMS
+FORMS: Mapping[str, Form] = {**nist.FORMS, **mgh.FORMS, **kinetics.FORMS}
 
 
 @dataclass(frozen=True)
