@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib.figure import Figure
 
 from experiments.arena_problems import as_configured
 from experiments.build import ConfigError
@@ -34,6 +35,8 @@ MIHO = "miho"
 LEVEL = 0.05
 PLAIN, WITH_AREAS = "p (Holm)", "p with AOCC"
 WITHIN = (1.0, 2.0, 10.0, 100.0)
+PAGE = 18
+"""Problems on a page: as many columns of running times as can be read beside each other."""
 CAPTIONS = {
     "leaderboard": "Methods by mean rank over {problems} problems, by the expected number of "
     "evaluations to within 1 % of the best known error; a gradient is charged as many evaluations "
@@ -110,8 +113,8 @@ def draw_arena(root: Path, output: Path) -> list[Path]:
     data = data_profile(reached, dimensions, FACTOR)
     performance = performance_profile(ert["evaluations"], FACTOR)
     figures = {
-        "error_curves": error_curves(runs, curves, note=note),
-        "ert": ert_table(ert["evaluations"], factor=FACTOR, order=order, note=note),
+        **_error_curves(runs, curves, note),
+        **_ert_tables(ert["evaluations"], order, note),
         "ecdf": ecdf_figure(evaluations, seconds, clock, note=note),
         "profiles": profiles_figure(data, performance, note=note),
         "aocc": area_figure(areas, note=note),
@@ -125,6 +128,39 @@ def draw_arena(root: Path, output: Path) -> list[Path]:
         paths += save(figure, output / name)
     csv = [output / f"{name}.csv" for name in ("ert", "speed_up", "aocc")]
     return [*paths, *csv, found.write_provenance(output)]
+
+
+def _error_curves(runs: pd.DataFrame, curves: pd.DataFrame, note: str) -> dict[str, Figure]:
+    """Curves of all problems, on as many pages as they need."""
+    return {
+        f"error_curves{page}": error_curves(
+            runs[runs["problem"].isin(problems)],
+            curves[curves["problem"].isin(problems)],
+            note=note,
+        )
+        for page, problems in pages(runs["problem"]).items()
+    }
+
+
+def _ert_tables(ert: pd.DataFrame, order: pd.DataFrame, note: str) -> dict[str, Figure]:
+    """Running times on all problems, on as many pages as they need; methods by their order."""
+    return {
+        f"ert{page}": ert_table(
+            ert[ert["problem"].isin(problems)], factor=FACTOR, order=order, note=note
+        )
+        for page, problems in pages(ert["problem"]).items()
+    }
+
+
+def pages(problems: pd.Series) -> dict[str, list[str]]:
+    """The problems in their order, at most a page full each, by what to append to a file's name.
+
+    The first page has the name of the figure itself, then come _2, _3, ...
+    """
+    names = list(dict.fromkeys(problems))
+    number = -(-len(names) // PAGE)
+    parts = np.array_split(np.array(names, dtype=object), number)
+    return {"" if k == 0 else f"_{k + 1}": part.tolist() for k, part in enumerate(parts)}
 
 
 def _on_the_clock(clock: Clock, reached: pd.DataFrame) -> pd.DataFrame:

@@ -14,7 +14,7 @@ from omegaconf import OmegaConf
 from experiments import compare as comparing
 from experiments.arena import plan
 from experiments.arena_problems import as_configured
-from experiments.arena_results import FACTOR, PLAIN, draw_arena, separated
+from experiments.arena_results import FACTOR, PLAIN, draw_arena, pages, separated
 from experiments.build import ConfigError, build
 from experiments.cli import CONF, SOME_FAILED, composed
 from experiments.comparison import COMPARISON, Comparison
@@ -217,6 +217,17 @@ def test_the_tests_of_the_published_arena_follow_from_its_running_times() -> Non
     told = (folder / "tests.md").read_text(encoding="utf-8")
     assert "from 14 of 22 rivals at 5 %" in told
     assert "it does from 16" in told
+
+
+@pytest.mark.parametrize(
+    ("problems", "sizes"), [(1, [1]), (18, [18]), (19, [10, 9]), (108, [18] * 6)]
+)
+def test_many_problems_are_drawn_on_several_pages(problems: int, sizes: list[int]) -> None:
+    names = [f"problem_{number}" for number in range(problems)]
+    found = pages(pd.Series(names).repeat(3))
+    assert list(found) == ["", *(f"_{number}" for number in range(2, len(sizes) + 1))]
+    assert [len(page) for page in found.values()] == sizes
+    assert [name for page in found.values() for name in page] == names
 
 
 def compare(*overrides: str) -> subprocess.CompletedProcess[str]:
