@@ -132,8 +132,8 @@ def build(cfg: DictConfig, problem: CurveFit | None = None) -> Experiment:
 
 def recorded_optimum(cfg: DictConfig) -> float | None:
     """The smallest error that is known of a problem, at least its resolution."""
-    optimum, resolution = cfg.problem.optimum, cfg.problem.resolution
-    return optimum if optimum is None or resolution is None else max(optimum, resolution)
+    known = (cfg.problem.optimum, cfg.problem.resolution)
+    return None if known[0] is None else max(float(value or 0.0) for value in known)
 
 
 def build_optimizer(cfg: DictConfig) -> Optimizer:

@@ -60,7 +60,7 @@ class Optimum:
     """What was found of one problem: errors in the output's unit.
 
     `agreeing` is the number of descents from `starts` starts that end in the optimum, `failed`
-    that of starts where the model gives no number, and `polished` that of the ten simplices that
+    that of starts where the model or its derivatives give no number, and `polished` that of the ten simplices that
     end in the optimum. `second` is the next local minimum, NaN if none was met.
     """
 
@@ -110,7 +110,7 @@ def thetas_of(problem: CurveFit, points: Array) -> Array:
 def descended(name: str, points: Array, tolerance: float) -> tuple[Array, Array]:
     """Where least squares ends from points (n, d): points (n, d), and errors (n,).
 
-    The error is NaN where the model fails at the start.
+    The error is NaN where the model fails at the start, or its derivatives on the way.
     """
     problem = problem_of(name)
     low, high = problem.space.bounds
@@ -128,10 +128,13 @@ def descended(name: str, points: Array, tolerance: float) -> tuple[Array, Array]
         for i, point in enumerate(points):
             if not np.isfinite(residuals(point)).all():
                 continue
-            found = scipy.optimize.least_squares(
-                residuals, point, jac=jacobian, bounds=(0.0, 1.0), method="trf", x_scale="jac",
-                ftol=tolerance, xtol=tolerance, gtol=None, max_nfev=STEPS,
-            )  # fmt: skip
+            try:
+                found = scipy.optimize.least_squares(
+                    residuals, point, jac=jacobian, bounds=(0.0, 1.0), method="trf", x_scale="jac",
+                    ftol=tolerance, xtol=tolerance, gtol=None, max_nfev=STEPS,
+                )  # fmt: skip
+            except (ValueError, np.linalg.LinAlgError):  # derivatives that are not finite
+                continue
             ends[i], errors[i] = found.x, error_of(problem, found.x)
     return ends, errors
 
