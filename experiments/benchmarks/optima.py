@@ -60,8 +60,9 @@ class Optimum:
     """What was found of one problem: errors in the output's unit.
 
     `agreeing` is the number of descents from `starts` starts that end in the optimum, `failed`
-    that of starts where the model or its derivatives give no number, and `polished` that of the ten simplices that
-    end in the optimum. `second` is the next local minimum, NaN if none was met.
+    that of starts from where the model or its derivatives give no number, and `polished` that of
+    the ten simplices that end in the optimum. `second` is the next local minimum, NaN if none was
+    met.
     """
 
     name: str
