@@ -1,0 +1,461 @@
+"""What a method needs to reach the optimum of many problems, or to know that it is there.
+
+python -m experiments.benchmarks.reach optimizer=least_squares --seeds 20 --processes 2
+python -m experiments.benchmarks.reach optimizer=least_squares --vary starts=1,10,50 \
+    --with optimizer.screen=10 --problems 'sample_*,tire_lf'
+python -m experiments.benchmarks.reach optimizer=least_squares --stopping
+
+Composes the method with its overrides, and each problem of conf/problem by its name. A run ends at
+1.001 times the recorded optimum, after 40,000 evaluations (`budget.evaluations`), or by itself.
+The expected running time (ERT) of a target is what all runs spent until then or until their end,
+divided by the number of runs that got there. Each variant of the method gets a line of geometric
+means over the problems next to the method as it is; `--vary` changes one setting at a time.
+
+With `--stopping` only the method ends a run, or the budget. A run is at the optimum if its loss is
+at most SAME above that of the recorded optimum (relative), and it arrived where its loss first was
+at most SAME above its last one: what it spent over what it had spent then is the price of knowing.
+Milliseconds are of the method's clock; those of two processes at once disturb each other.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import math
+import multiprocessing
+import re
+import shlex
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from functools import cache, lru_cache
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from experiments.benchmarks.bars import machine
+from experiments.build import ConfigError, build_optimizer, build_problem, our_code
+from experiments.cli import CONF, OK, SOME_FAILED, composed, guarded
+from experiments.explain import parsed, unknown
+from experiments.schema import register
+from miho.analysis.running_time import FACTORS, running_times
+from miho.data import DataUnavailableError
+from miho.identification import CurveFit
+from miho.optim import Budget, Optimizer, minimize
+from miho.optim.minimize import Outcome
+from miho.study import environment_stamp, single_thread, write_text
+
+Array = NDArray[np.float64]
+
+DEFAULT = "as it is"
+BUDGET = ("budget.evaluations=40000", "budget.seconds=null")
+"""An arena's evaluations; seconds would make the result depend on the machine."""
+CLOCKED = 1.01
+"""The factor whose milliseconds are shown."""
+SAME = 1e-4
+"""Relative difference of two losses that are one optimum: no error bar is as narrow, and a solver
+that stops at its tolerance is far below."""
+ROUNDING = 4 * np.finfo(float).eps
+"""A loss is compared as its square root, which may be this much above the target's."""
+SEEDS_AT_ONCE = 5
+
+
+@dataclass(frozen=True)
+class Job:
+    """Runs of one variant of a method on one problem: overrides of the method, of the problem."""
+
+    problem: str
+    variant: str
+    method: tuple[str, ...]
+    others: tuple[str, ...]
+    seeds: tuple[int, ...]
+    stopping: bool = False
+
+
+@dataclass(frozen=True)
+class Run:
+    """What one run spent, and its improvements: evaluations, seconds and losses (k,) each."""
+
+    problem: str
+    variant: str
+    seed: int
+    optimum: float
+    outcome: Outcome
+    evaluations: float
+    seconds: float
+    at_evaluations: Array
+    at_seconds: Array
+    losses: Array
+    data: str = ""
+    error: str | None = None
+
+    def first(self, loss: float) -> tuple[float, float]:
+        """Evaluations and seconds until a loss of at most `loss`; inf if never."""
+        k = np.flatnonzero(self.losses <= loss)
+        return (self.at_evaluations[k[0]], self.at_seconds[k[0]]) if k.size else (math.inf,) * 2
+
+    @property
+    def ended(self) -> bool:
+        """Whether the method ended the run by itself."""
+        return self.outcome is Outcome.CONVERGED
+
+    @property
+    def excess(self) -> float:
+        """The last error relative to the optimum, minus 1; inf without any."""
+        return math.sqrt(self.losses[-1]) / self.optimum - 1 if self.losses.size else math.inf
+
+    @property
+    def at_optimum(self) -> bool:
+        """Whether the loss of the end is that of the recorded optimum."""
+        return bool(self.losses.size and self.losses[-1] <= self.optimum**2 * (1 + SAME))
+
+    @property
+    def overrun(self) -> float:
+        """Evaluations at the end over those at arrival; NaN for a run that never had a loss."""
+        if not self.losses.size:
+            return math.nan
+        return self.evaluations / self.first(self.losses[-1] * (1 + SAME))[0]
+
+
+@lru_cache(maxsize=1)
+def _problem(name: str, others: tuple[str, ...]) -> tuple[CurveFit, Budget, float] | str:
+    """A problem, what a run on it may spend, and its optimum; or why it cannot be had here."""
+    cfg = composed([*BUDGET, *others, f"problem={name}"])
+    if not cfg.problem.optimum:
+        raise ConfigError(
+            f"problem {name}: has no recorded optimum above zero; leave it out of --problems"
+        )
+    try:
+        problem = build_problem(cfg)
+    except DataUnavailableError as error:
+        return str(error)
+    budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
+    return problem, budget, float(cfg.problem.optimum)
+
+
+@cache
+def _optimizer(method: tuple[str, ...]) -> Optimizer:
+    return build_optimizer(composed(method))
+
+
+def runs_of(job: Job) -> list[Run] | str:
+    """The runs of a job, or the reason why its problem cannot be had here."""
+    register()
+    known = _problem(job.problem, job.others)
+    if isinstance(known, str):
+        return known
+    problem, budget, optimum = known
+    if not job.stopping:
+        target = (min(FACTORS) * optimum) ** 2 * (1 - ROUNDING)
+        budget = Budget(budget.evaluations, budget.seconds, target)
+    optimizer = _optimizer(job.method)
+    runs = []
+    with single_thread():
+        for seed in job.seeds:
+            record = minimize(optimizer, problem, budget, seed)
+            if record.outcome is Outcome.INTERRUPTED:
+                raise KeyboardInterrupt
+            trace = record.trace
+            runs.append(
+                Run(
+                    problem=job.problem,
+                    variant=job.variant,
+                    seed=seed,
+                    optimum=optimum,
+                    outcome=record.outcome,
+                    evaluations=record.evaluations,
+                    seconds=record.seconds,
+                    at_evaluations=np.array(trace.evaluations),
+                    at_seconds=np.array(trace.seconds),
+                    losses=np.array(trace.loss),
+                    data=problem.dataset.digest,
+                    error=record.error,
+                )
+            )
+    return runs
+
+
+def hits(runs: Sequence[Run]) -> pd.DataFrame:
+    """A row per run and factor, as `miho.analysis.running_time.hits` gives them."""
+    rows = []
+    for run, factor in itertools.product(runs, FACTORS):
+        evaluations, seconds = run.first((factor * run.optimum) ** 2)
+        rows.append(
+            {"problem": run.problem, "optimizer": run.variant, "seed": run.seed, "factor": factor,
+             "evaluations": evaluations, "seconds": seconds, "outcome": run.outcome.value,
+             "spent_evaluations": run.evaluations, "spent_seconds": run.seconds,
+             "reached": math.isfinite(evaluations)}
+        )  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def reach_table(hits: pd.DataFrame) -> pd.DataFrame:
+    """A row per problem and variant: ERT to each factor, and the runs to the smallest of them.
+
+    `median`, `90 %` and `largest` are evaluations to the smallest factor, inf for a run that does
+    not get there, `ms` the median of the milliseconds to CLOCKED.
+    """
+    group = ["problem", "optimizer"]
+    times = running_times(hits, "evaluations").pivot(index=group, columns="factor", values="ert")
+    last = hits[hits["factor"] == min(FACTORS)].groupby(group)
+    clocked = hits[hits["factor"] == CLOCKED].groupby(group)
+    table = times[list(FACTORS)].rename(columns="{:g}".format)
+    table["success"] = last["reached"].mean()
+    for name, share in (("median", 0.5), ("90 %", 0.9), ("largest", 1.0)):
+        table[name] = last["evaluations"].agg(_quantile, share)
+    table["ms"] = 1e3 * clocked["seconds"].agg(_quantile, 0.5)
+    return _in_order(table, hits).rename_axis(columns=None)
+
+
+def stopping_table(runs: Sequence[Run]) -> pd.DataFrame:
+    """A row per problem and variant on how runs end.
+
+    `ended` is the share of runs that the method ended by itself, `at optimum` that of all runs that
+    it ended there; `spent` the median of evaluations, the others are of `Run.overrun`, over the
+    runs that the method ended.
+    """
+    return _in_order(_stopping(runs, ["problem", "optimizer"]), _endings(runs))
+
+
+def _stopping(runs: Sequence[Run], by: list[str]) -> pd.DataFrame:
+    frame = _endings(runs)
+    groups, ended = frame.groupby(by), frame[frame["ended"]].groupby(by)
+    table = pd.DataFrame({"runs": groups.size(), "ended": groups["ended"].mean()})
+    table["at optimum"] = groups["stopped_there"].mean()
+    table["spent"] = groups["evaluations"].median()
+    for name, share in (("median", 0.5), ("90 %", 0.9), ("largest", 1.0)):
+        table[name] = ended["overrun"].agg(_quantile, share)
+    return table
+
+
+def _endings(runs: Sequence[Run]) -> pd.DataFrame:
+    rows = [
+        {"problem": run.problem, "optimizer": run.variant, "seed": run.seed, "ended": run.ended,
+         "stopped_there": run.ended and run.at_optimum, "evaluations": run.evaluations,
+         "overrun": run.overrun, "excess": run.excess, "outcome": run.outcome.value}
+        for run in runs
+    ]  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def _quantile(values: pd.Series, share: float) -> float:
+    """A value of those that are there: between a number and inf there is none."""
+    return float(np.quantile(values, share, method="inverted_cdf"))
+
+
+def _in_order(table: pd.DataFrame, rows: pd.DataFrame) -> pd.DataFrame:
+    """In the order in which problems and variants were given."""
+    return table.reindex(pd.MultiIndex.from_frame(rows[table.index.names].drop_duplicates()))
+
+
+def geometric_means(table: pd.DataFrame) -> pd.DataFrame:
+    """A row per variant over the problems of `reach_table`, in its order.
+
+    Geometric means of each ERT and of milliseconds: inf if there is one problem that no run solved,
+    which `unsolved` counts. `success` is the least.
+    """
+    columns = [f"{factor:g}" for factor in FACTORS]
+    logs = table[[*columns, "ms"]].apply(np.log)
+    means = logs.groupby("optimizer", sort=False).mean().apply(np.exp)
+    success = table["success"].groupby("optimizer", sort=False)
+    means.insert(len(columns), "least success", success.min())
+    means["unsolved"] = success.agg(lambda shares: int((shares == 0).sum()))
+    return means
+
+
+@dataclass
+class Report:
+    """What is printed as runs come in, problem by problem."""
+
+    stopping: bool
+    variants: Sequence[str]
+    runs: list[Run] = field(default_factory=list)
+
+    def take(self, runs: Sequence[Run]) -> None:
+        """Print the lines of one problem."""
+        table = stopping_table(runs) if self.stopping else reach_table(hits(runs))
+        self._print(table.reset_index(), header=not self.runs)
+        self.runs += runs
+
+    def close(self) -> None:
+        """Print the lines over all problems, and what went wrong."""
+        if self.stopping:
+            print("\nover all runs")
+            table = _stopping(self.runs, ["optimizer"]).reindex(list(self.variants))
+            self._print(table.reset_index().assign(problem="all"))
+            for run in self.runs:
+                if run.ended and not run.at_optimum:
+                    where = f"{run.problem}, {run.variant}, seed {run.seed}"
+                    print(f"ended elsewhere: {where}: error {run.excess:.1e} above the optimum's")
+        else:
+            print("\ngeometric means over the problems")
+            table = geometric_means(reach_table(hits(self.runs)))
+            print(table.rename_axis("method").reset_index().to_string(index=False, float_format=_3))
+        for run in self.failed:
+            cause = (run.error or "").strip().splitlines()[-1]
+            print(f"failed: {run.problem}, {run.variant}, seed {run.seed}: {cause}")
+
+    @property
+    def failed(self) -> list[Run]:
+        """The runs that an error ended."""
+        return [run for run in self.runs if run.outcome is Outcome.FAILED]
+
+    def _print(self, table: pd.DataFrame, header: bool = True) -> None:
+        names = {"problem": 19}
+        if len(self.variants) > 1:
+            names["method"] = max(map(len, (*self.variants, "method")))
+        table = table.rename(columns={"optimizer": "method"})
+        values = [name for name in table if name not in ("problem", "method")]
+        rows = [row.to_dict() for _, row in table.iterrows()]
+        for row in [{name: name for name in table}] * header + rows:
+            cells = [f"{row[name]:<{width}}" for name, width in names.items()]
+            print(*cells, *(f"{_3(row[name]):>10}" for name in values), flush=True)
+
+
+def _3(value: float | str) -> str:
+    if isinstance(value, str):
+        return value
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+
+
+def variants(
+    base: Sequence[str], vary: Sequence[str], others: Sequence[str]
+) -> dict[str, tuple[str, ...]]:
+    """Overrides of the method by the variant's name, the method as it is first.
+
+    `vary` are settings with several values, each a variant of its own; `others` are lists of
+    overrides, each list one variant. One that chooses another method drops what `base` says.
+    """
+    variants = {DEFAULT: tuple(base)}
+    texts = [text if text.startswith("optimizer.") else f"optimizer.{text}" for text in vary]
+    added: list[list[str]] = []
+    for override in parsed(texts):
+        values = (
+            override.sweep_string_iterator() if override.is_sweep_override()
+            else [override.get_value_element_as_str()]
+        )  # fmt: skip
+        added += [[f"{override.get_key_element()}={value}"] for value in values]
+    added += [shlex.split(text) for text in others]
+    for overrides in added:
+        keys = [override.key_or_group for override in parsed(overrides)]
+        for key in keys:
+            if key.partition(".")[0] != "optimizer":
+                raise ConfigError(f"{key}: is no setting of the method; vary those of optimizer")
+        own = () if "optimizer" in keys else tuple(base)
+        name = " ".join(re.sub(r"^optimizer[.=]", "", text) for text in overrides)
+        variants[name] = (*own, *overrides)
+    return variants
+
+
+def problems(patterns: str | None) -> list[str]:
+    """Names of conf/problem that match, in the order given; those of the arena by default."""
+    if patterns is None:
+        return list(composed(["experiment=arena"]).comparison.problems)
+    known = sorted(path.stem for path in (CONF / "problem").glob("*.yaml"))
+    names: dict[str, None] = {}
+    for pattern in patterns.split(","):
+        matching = [name for name in known if fnmatchcase(name, pattern.strip())]
+        if not matching:
+            raise ConfigError(unknown(f"--problems={pattern}", known))
+        names |= dict.fromkeys(matching)
+    return list(names)
+
+
+def _done(jobs: Sequence[Job], processes: int) -> Iterator[list[Run] | str]:
+    """The results of the jobs in their order."""
+    if processes == 1:
+        yield from map(runs_of, jobs)
+        return
+    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn")) as pool:
+        yield from pool.map(runs_of, jobs)
+
+
+def _write(path: Path, report: Report, jobs: Sequence[Job]) -> None:
+    """A row per run (`stopping`) or per run and factor, and beside it what regenerates it."""
+    frame = _endings(report.runs) if report.stopping else hits(report.runs)
+    write_text(path, frame.rename(columns={"optimizer": "variant"}).to_csv(index=False))
+    about = {
+        "command": ["python", "-m", "experiments.benchmarks.reach", *sys.argv[1:]],
+        "variants": {job.variant: job.method for job in jobs},
+        "optima": {run.problem: run.optimum for run in report.runs},
+        "data": {run.problem: run.data for run in report.runs},
+        "code": our_code(),
+        "environment": environment_stamp(),
+    }
+    write_text(path.with_suffix(".provenance.json"), json.dumps(about, indent=1) + "\n")
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.benchmarks.reach",
+        description=(__doc__ or "").partition("\n\n")[0],
+    )
+    add = parser.add_argument
+    add("overrides", nargs="*", help="such as optimizer=least_squares optimizer.screen=50")
+    add("--problems", help="names of conf/problem or patterns, with commas (default: the arena's)")
+    add("--seeds", type=int, default=10, help="runs of each variant on each problem")
+    add("--first", type=int, default=0, help="the first seed")
+    add("--processes", type=int, default=1, help="runs at a time")
+    add("--vary", action="append", default=[], metavar="SETTING=VALUES", help="starts=1,10,50")
+    add("--with", action="append", default=[], metavar="OVERRIDES", dest="others",
+        help="a variant with these overrides of the method")  # fmt: skip
+    add("--stopping", action="store_true", help="let the method end its runs by itself")
+    add("--out", type=Path, metavar="FILE.csv", help="where to write the runs, with provenance")
+    arguments = parser.parse_intermixed_args()
+    for name, least in (("seeds", 1), ("first", 0), ("processes", 1)):
+        if getattr(arguments, name) < least:
+            parser.error(f"--{name}: is {getattr(arguments, name)}; expected at least {least}")
+    return arguments
+
+
+def main() -> None:
+    """Read the command line, run, print."""
+    arguments = _arguments()
+    failed: list[Run] = []
+
+    def job() -> None:
+        register()
+        own: dict[bool, list[str]] = {True: [], False: []}
+        for text, override in zip(arguments.overrides, parsed(arguments.overrides), strict=True):
+            key = override.key_or_group
+            if key in ("problem", "seed"):
+                raise ConfigError(f"{key}: cannot be chosen here; see --{key}s")
+            own[key.partition(".")[0] == "optimizer"].append(text)
+        methods = variants(own[True], arguments.vary, arguments.others)
+        for method in methods.values():
+            _optimizer(method)
+        seeds = range(arguments.first, arguments.first + arguments.seeds)
+        parts = [tuple(seeds[i : i + SEEDS_AT_ONCE]) for i in range(0, len(seeds), SEEDS_AT_ONCE)]
+        jobs = [
+            Job(name, variant, method, tuple(own[False]), part, arguments.stopping)
+            for name in problems(arguments.problems)
+            for variant, method in methods.items()
+            for part in parts
+        ]
+        print(machine())
+        report = Report(arguments.stopping, list(methods))
+        done = zip(jobs, _done(jobs, arguments.processes), strict=True)
+        for name, of_problem in itertools.groupby(done, key=lambda pair: pair[0].problem):
+            results = [result for _, result in of_problem]
+            reasons = [result for result in results if isinstance(result, str)]
+            if reasons:
+                print(f"{name}: left out: {reasons[0]}", file=sys.stderr)
+            else:
+                report.take([run for runs in results for run in runs if isinstance(run, Run)])
+        if not report.runs:
+            raise ConfigError("--problems: the data of none of them can be had here")
+        report.close()
+        failed.extend(report.failed)
+        if arguments.out is not None:
+            _write(arguments.out, report, jobs)
+
+    guarded(job, lambda: SOME_FAILED if failed else OK)
+
+
+if __name__ == "__main__":
+    main()
