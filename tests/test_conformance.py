@@ -16,6 +16,7 @@ SLOW = {
     "miho_no_mutation", "hyperband", "successive_halving", "nelder_mead", "lbfgsb",
     "least_squares_lm", "variable_projection_lm", "cma_es", "differential_evolution",
     "dual_annealing", "optuna_tpe", "optuna_cmaes", "ngopt", "dehb",
+    "least_squares_10", "least_squares_50", "variable_projection_10", "variable_projection_50",
 }  # fmt: skip
 """Methods that take seconds a check, or differ from another in a setting alone."""
 

@@ -24,6 +24,8 @@ DOTTED: Dashes = (0, (1, 1.2))
 DASH_DOT: Dashes = (0, (6, 1.5, 1, 1.5))
 DASH_DOT_DOT: Dashes = (0, (6, 1.5, 1, 1.5, 1, 1.5))
 SHORT_DASHES: Dashes = (0, (2.5, 1.2))
+LONG_DASHES: Dashes = (0, (9, 1.5))
+LOOSE_DOTS: Dashes = (0, (1, 3))
 
 
 @dataclass(frozen=True)
@@ -72,6 +74,10 @@ STYLES = {
     "least_squares_lm": MethodStyle("least squares LM", _BLACK, DASHED, 1.0),
     "variable_projection": MethodStyle("variable projection", _BLACK, DOTTED, 1.6),
     "variable_projection_lm": MethodStyle("variable projection LM", _BLACK, DASH_DOT, 1.0),
+    "least_squares_10": MethodStyle("least squares, screen 10", _BLACK, SHORT_DASHES, 1.0),
+    "least_squares_50": MethodStyle("least squares, screen 50", _BLACK, LONG_DASHES, 1.0),
+    "variable_projection_10": MethodStyle("variable projection, screen 10", _BLACK, LOOSE_DOTS),
+    "variable_projection_50": MethodStyle("variable projection, screen 50", _BLACK, DASH_DOT_DOT),
 }
 _SPARE = [
     (color, dashes)
