@@ -1,7 +1,8 @@
 """The fixed look of each method: a colour-blind-safe colour, a line style, a printed name.
 
 Families share a hue: MIHO and Hyperband's kin are red and pink, evolution and annealing blue,
-swarms sky blue, methods that model the loss green, local descent tan, least squares black.
+swarms sky blue, methods that model the loss green, local descent tan, least squares black, other
+global searches that use residuals brown.
 Members differ by dashes, which also tell them apart in black and white.
 """
 
@@ -15,6 +16,7 @@ import seaborn as sns
 
 _BLUE, _ORANGE, _GREEN, _RED, _PINK, _TAN, _, _, _, _SKY = sns.color_palette("colorblind").as_hex()
 _BLACK, _GREY, _MUTED, _PURPLE = "#222222", "#6e6e6e", "#8a8a8a", "#6a3d9a"
+_BROWN = "#6b3e12"
 
 Dashes = tuple[float, tuple[float, ...] | None]
 
@@ -78,6 +80,11 @@ STYLES = {
     "least_squares_50": MethodStyle("least squares, screen 50", _BLACK, LONG_DASHES, 1.0),
     "variable_projection_10": MethodStyle("variable projection, screen 10", _BLACK, LOOSE_DOTS),
     "variable_projection_50": MethodStyle("variable projection, screen 50", _BLACK, DASH_DOT_DOT),
+    "hickernell_yuan": MethodStyle("Hickernell-Yuan (gslnls)", _BROWN, SOLID),
+    "tiktak": MethodStyle("TikTak", _BROWN, DASHED),
+    "cluster_gauss_newton": MethodStyle("cluster Gauss-Newton", _BROWN, DOTTED, 1.6),
+    "scatter_search": MethodStyle("scatter search", _BROWN, DASH_DOT),
+    "dfo_ls": MethodStyle("DFO-LS", _BROWN, SHORT_DASHES),
 }
 _SPARE = [
     (color, dashes)

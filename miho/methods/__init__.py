@@ -6,10 +6,12 @@ Those that wrap another library are in `baselines` of the checkout.
 from miho.methods.differential_evolution import DifferentialEvolution
 from miho.methods.dual_annealing import DualAnnealing
 from miho.methods.gbo import GBO
+from miho.methods.hickernell_yuan import HickernellYuan
 from miho.methods.hyperband import Hyperband, SuccessiveHalving
 from miho.methods.least_squares import LeastSquares
 from miho.methods.local_search import LBFGSB, NelderMead
 from miho.methods.pso import PSO
+from miho.methods.tiktak import TikTak
 from miho.methods.variable_projection import VariableProjection
 from miho.optim import MIHO, RandomSearch
 
@@ -20,10 +22,12 @@ __all__ = [
     "PSO",
     "DifferentialEvolution",
     "DualAnnealing",
+    "HickernellYuan",
     "Hyperband",
     "LeastSquares",
     "NelderMead",
     "RandomSearch",
     "SuccessiveHalving",
+    "TikTak",
     "VariableProjection",
 ]

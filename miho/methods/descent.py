@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import contextlib
+import math
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
 from miho.methods.unit_box import UnitBox
-from miho.optim import Space
+from miho.optim import Oracle, Space, UnusableValueError
+from miho.optim.problem import mean_square
 
 Array = NDArray[np.float64]
 Vector = Callable[[Array], Array]
@@ -25,14 +28,60 @@ def descend(
     space: Space,
     tolerance: float,
     method: str,
+    looks: int | None = None,
 ) -> bool:
-    """One of SciPy's solvers from one start (d,), in the box of `space`; whether it converged."""
+    """One of SciPy's solvers from one start (d,), in the box of `space`; whether it converged.
+
+    It looks at `looks` configurations at most, the start among them; by default SciPy's 100 a
+    parameter.
+    """
     solve = _trust_region if method == "trf" else _levenberg_marquardt
-    return solve(residuals, jacobian, start, space, tolerance)
+    return solve(residuals, jacobian, start, space, tolerance, looks)
+
+
+class Lowest:
+    """Residuals that remember where their mean square, `loss`, was smallest: `theta` (d,)."""
+
+    def __init__(self, residuals: Vector, start: Array) -> None:
+        self._residuals = residuals
+        self.theta = start
+        self.loss = math.inf
+
+    def __call__(self, theta: Array) -> Array:
+        """The residuals (m,) at `theta` (d,)."""
+        residuals = self._residuals(theta)
+        loss = float(mean_square(residuals))
+        if loss < self.loss:
+            self.theta, self.loss = theta.copy(), loss
+        return residuals
+
+
+@contextlib.contextmanager
+def given_up() -> Iterator[None]:
+    """A descent that comes to unusable residuals or derivatives ends there."""
+    with contextlib.suppress(UnusableValueError, ValueError, np.linalg.LinAlgError):
+        yield
+
+
+def local_search(
+    oracle: Oracle, start: Array, tolerance: float, method: str, looks: int | None = None
+) -> Lowest:
+    """One descent of the run from `start` (d,): where it was lowest, +inf where nowhere."""
+    lowest = Lowest(oracle.residuals, start)
+    with given_up(), oracle.descent() as descent:
+        descent.converged = descend(
+            lowest, oracle.jacobian, start, oracle.space, tolerance, method, looks
+        )
+    return lowest
 
 
 def _trust_region(
-    residuals: Vector, jacobian: Vector, start: Array, space: Space, tolerance: float
+    residuals: Vector,
+    jacobian: Vector,
+    start: Array,
+    space: Space,
+    tolerance: float,
+    looks: int | None,
 ) -> bool:
     """Moves the parameters that the residuals depend on: those with a derivative that is not zero.
 
@@ -48,7 +97,7 @@ def _trust_region(
             break
         moved |= slopes.any(axis=0)
         theta, converged = _solve(
-            residuals, jacobian, theta, (known, slopes), moved, space, tolerance
+            residuals, jacobian, theta, (known, slopes), moved, space, tolerance, looks
         )
     return converged
 
@@ -61,6 +110,7 @@ def _solve(
     moved: NDArray[np.bool_],
     space: Space,
     tolerance: float,
+    looks: int | None,
 ) -> tuple[Array, bool]:
     """The solution from `theta`, and whether it is one.
 
@@ -92,12 +142,18 @@ def _solve(
         ftol=tolerance,
         xtol=tolerance,
         gtol=None,  # it is absolute, and no unit of the residuals is known here
+        max_nfev=looks,
     )
     return at(solution.x), solution.status > 0
 
 
 def _levenberg_marquardt(
-    residuals: Vector, jacobian: Vector, start: Array, space: Space, tolerance: float
+    residuals: Vector,
+    jacobian: Vector,
+    start: Array,
+    space: Space,
+    tolerance: float,
+    looks: int | None,
 ) -> bool:
     """Moves angles u with x = (1 + sin u) / 2 in the unit cube, the transformation of MINUIT.
 
@@ -130,5 +186,6 @@ def _levenberg_marquardt(
         ftol=tolerance,
         xtol=tolerance,
         gtol=tolerance,  # the cosine between residuals and derivatives: it has no unit
+        max_nfev=looks,
     )
     return bool(solution.status > 0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,8 +10,8 @@ from itertools import count
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, descend
-from miho.optim import Optimizer, Oracle, UnusableValueError
+from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, descend, given_up
+from miho.optim import Optimizer, Oracle
 from miho.optim.space import LARGEST_BATCH
 from miho.optim.validate import at_least, one_of, whole
 
@@ -87,21 +86,17 @@ def multi_start(
     coordinates = space.initial(screen)
     for _ in count() if rounds is None else range(rounds):
         thetas = space.decode(coordinates)
-        losses = _screened(oracle, thetas)
+        losses = screened(oracle, thetas)
         oracle.screened(losses.size)
         for i in np.argsort(losses, kind="stable")[:starts]:
             if not np.isfinite(losses[i]):
                 break
-            # A start that leads to unusable residuals or derivatives is given up.
-            with (
-                contextlib.suppress(UnusableValueError, ValueError, np.linalg.LinAlgError),
-                oracle.descent() as descent,
-            ):
+            with given_up(), oracle.descent() as descent:
                 descent.converged = solve(thetas[i])
         coordinates = space.sample(screen, rng)
 
 
-def _screened(oracle: Oracle, thetas: Array) -> Array:
+def screened(oracle: Oracle, thetas: Array) -> Array:
     """Losses of the first of `thetas` (n, d): of all that SCREENING of the budget pays for.
 
     With a limit in seconds in batches that grow, because only those before tell how long one takes.

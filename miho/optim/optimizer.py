@@ -64,6 +64,7 @@ class Resumable(Optimizer, Generic[State]):
         """Go on from a state, with an oracle that holds the meter of the same moment."""
         oracle.state = state
         if (starts := self.starts(state)) is not None:
+            starts.rounding = oracle.meter.starts.rounding
             oracle.meter.starts = starts
         while not self.done(state):
             self.step(state, oracle)

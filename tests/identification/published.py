@@ -26,6 +26,22 @@ class Misra1a(Model):
         return central_differences(self, theta, *inputs)
 
 
+class MGH09(Model):
+    """y = b1 (x^2 + b2 x) / (x^2 + b3 x + b4)."""
+
+    inputs = MappingProxyType({"x": "-"})
+    parameters = MappingProxyType({"b1": "-", "b2": "-", "b3": "-", "b4": "-"})
+    output = "-"
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        b1, b2, b3, b4 = thetas.T[:, :, None]
+        x = inputs[0]
+        return np.asarray(b1 * (x**2 + b2 * x) / (x**2 + b3 * x + b4))
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        return central_differences(self, theta, *inputs)
+
+
 class MichaelisMenten(Model):
     """rate = Vm conc / (K + conc)."""
 
@@ -89,6 +105,13 @@ def misra1a() -> CurveFit:
     x = [77.6, 114.9, 141.1, 190.8, 239.9, 289.0, 332.8, 378.4, 434.8, 477.3, 536.8, 593.1,
          689.1, 760.0]  # fmt: skip
     return problem(Misra1a(), np.array(x), np.array(y), [(10, 1000), (1e-5, 1e-2)])
+
+
+def mgh09() -> CurveFit:
+    """NIST StRD, MGH09 (Kowalik and Osborne 1978), in a box from zero to NIST's far start."""
+    y = [0.1957, 0.1947, 0.1735, 0.1600, 0.0844, 0.0627, 0.0456, 0.0342, 0.0323, 0.0235, 0.0246]
+    x = [4.0, 2.0, 1.0, 0.5, 0.25, 0.167, 0.125, 0.1, 0.0833, 0.0714, 0.0625]
+    return problem(MGH09(), np.array(x), np.array(y), [(0, 42)] * 4)
 
 
 def puromycin() -> CurveFit:

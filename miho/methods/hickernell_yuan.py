@@ -1,0 +1,225 @@
+"""The multi-start of Hickernell and Yuan, as R's gslnls has it."""
+
+from __future__ import annotations
+
+import math
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.methods.descent import (
+    SMALLEST_TOLERANCE,
+    Lowest,
+    descend,
+    given_up,
+    local_search,
+)
+from miho.methods.sobol import Sobol
+from miho.methods.unit_box import UnitBox
+from miho.optim import Optimizer, Oracle
+from miho.optim.space import LARGEST_BATCH
+from miho.optim.trace import Descent
+from miho.optim.validate import at_least, positive, whole
+
+Array = NDArray[np.float64]
+
+LOWER = 0.99
+"""A stationary point is a new one below this share of the best sum of squares (gslnls)."""
+CENTRED = 0.75
+"""The power by which starts are drawn to the ranges' smallest values at first (gslnls)."""
+
+
+@dataclass(frozen=True)
+class HickernellYuan(Optimizer):
+    """ "A simple multistart algorithm for global optimization" (OR Transactions 1, 1997).
+
+    With the changes of `gsl_nls` in R's gslnls 1.4, whose documentation names the settings after
+    the publication: `mstart_n` is N, and so on. A major iteration fills the sample up to N
+    quasi-random points and concentrates it, with p iterations of the local solver from each. The q
+    best are retained; one that has been retained s times is searched from, with up to `search`
+    iterations, if it is within a share epsilon of the best. An end that is lower than that by 1 %
+    is a new stationary point; all else that was retained counts as worse. The run has converged
+    with NSP stationary points, `least` at least, and more than r + sqrt(r) NSP worse ones since
+    the last; then, or after `major` iterations, a search of up to `final` iterations goes on from
+    the best. Points whose Jacobian has not full rank are dropped.
+
+    Starts are drawn towards the smallest values of a range: a distance a from there becomes
+    ((1 + a)^k - 1) / k, with k from the scales of the parameters at the last stationary point.
+
+    Of gslnls this differs in that ranges are in search coordinates; that the Sobol sequence is
+    scrambled; that its first point is the first common initial
+    configuration; that the local solver is SciPy's trust-region reflective one, where an
+    iteration is a look; and that full rank is judged with columns of norm 1, where gslnls has a
+    determinant that depends on the units. Begins again `rounds` times, or until the budget ends if
+    that is None. Needs a least-squares problem.
+    """
+
+    N: int = 30
+    p: int = 5
+    q: int = 3
+    r: float = 4.0
+    s: int = 2
+    epsilon: float = 0.25
+    search: int = 10
+    major: int = 250
+    least: int = 1
+    final: int = 100
+    tolerance: float = math.sqrt(SMALLEST_TOLERANCE)
+    rounds: int | None = 1
+
+    def __post_init__(self) -> None:
+        for name in ("N", "p", "q", "s", "search", "major", "final"):
+            whole(name, getattr(self, name), 1, LARGEST_BATCH)
+        if self.q > self.N:
+            raise ValueError(f"q is {self.q!r}; expected at most N, {self.N}")
+        positive("r", self.r)
+        at_least("epsilon", self.epsilon, 0)
+        whole("least", self.least, 0)
+        at_least("tolerance", self.tolerance, SMALLEST_TOLERANCE)
+        if self.rounds is not None:
+            whole("rounds", self.rounds, 1, LARGEST_BATCH)
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        """Sample, concentrate and search until enough was no better; `rounds` times."""
+        common: Array | None = oracle.space.decode(oracle.space.initial(1))[0]
+        for _ in count() if self.rounds is None else range(self.rounds):
+            sample = _Sample(oracle, rng, self.N, common)
+            common = None
+            for _ in range(self.major):
+                self._iterate(oracle, sample)
+                if self.ended(sample.stationary, sample.worse):
+                    break
+            if math.isfinite(sample.best_loss):
+                local_search(oracle, sample.best, self.tolerance, "trf", 1 + self.final)
+
+    def ended(self, stationary: int, worse: int) -> bool:
+        """Whether NSP `stationary` points and NWSP `worse` ones since the last are enough."""
+        return stationary >= self.least and worse > self.r + math.sqrt(self.r) * stationary
+
+    def _iterate(self, oracle: Oracle, sample: _Sample) -> None:
+        """One major iteration (Algorithm 2.1)."""
+        sample.fill()
+        for i in range(self.N):
+            sample.losses[i] = math.inf
+            lowest, slopes = self._search(oracle, sample.thetas[i], self.p, nullcontext(Descent()))
+            if slopes.full_rank:
+                sample.thetas[i], sample.losses[i] = lowest.theta, lowest.loss
+                if lowest.loss < LOWER * sample.best_loss:
+                    sample.best, sample.best_loss = lowest.theta, lowest.loss
+        for i in sample.retain(self.q, self.s):
+            sample.worse += 1
+            near = sample.losses[i] < (1 + self.epsilon) * sample.best_loss
+            if sample.stationary and not near:
+                continue
+            lowest, slopes = self._search(oracle, sample.thetas[i], self.search, oracle.descent())
+            lower = not sample.stationary or lowest.loss < LOWER * sample.best_loss
+            if lower and slopes.full_rank and math.isfinite(lowest.loss):
+                sample.best, sample.best_loss = lowest.theta, lowest.loss
+                sample.stationary, sample.worse = sample.stationary + 1, 0
+                sample.power = (slopes.scale.min() / slopes.scale) ** 0.25
+
+    def _search(
+        self,
+        oracle: Oracle,
+        start: Array,
+        iterations: int,
+        record: AbstractContextManager[Descent],
+    ) -> tuple[Lowest, _Slopes]:
+        lowest, slopes = Lowest(oracle.residuals, start), _Slopes(oracle)
+        with given_up(), record as descent:
+            descent.converged = descend(
+                lowest, slopes, start, oracle.space, self.tolerance, "trf", 1 + iterations
+            )
+        return lowest, slopes
+
+
+class _Slopes:
+    """Jacobians (m, d) that remember their scale and rank; ValueError if the first lacks rank.
+
+    `scale` (d,) are the largest norms of the columns, in search coordinates (Moré's); `full_rank`
+    is of the last Jacobian.
+    """
+
+    def __init__(self, oracle: Oracle) -> None:
+        self._oracle = oracle
+        self._box = UnitBox(oracle.space)
+        low, high = oracle.space.bounds
+        self._range = high - low
+        self.scale = np.zeros(len(oracle.space))
+        self.full_rank = False
+
+    def __call__(self, theta: Array) -> Array:
+        jacobian = self._oracle.jacobian(theta)
+        columns = jacobian * (self._box.slope(theta) / self._range)
+        norms = np.linalg.norm(columns, axis=0)
+        first, self.scale = not self.scale.any(), np.maximum(self.scale, norms)
+        self.full_rank = bool((norms > 0).all()) and _independent(columns / norms)
+        if first and not self.full_rank:
+            raise ValueError("the Jacobian has not full rank")
+        return jacobian
+
+
+def _independent(columns: Array) -> bool:
+    """Whether columns (m, d) of norm 1 are independent, as far as their Gram matrix can tell."""
+    smallest = np.linalg.eigvalsh(columns.T @ columns)[0]
+    return bool(smallest > columns.shape[1] * SMALLEST_TOLERANCE)
+
+
+@dataclass
+class _Sample:
+    """N points `thetas` (N, d) and their `losses`, with the best and the counts so far.
+
+    `retained` (N,) counts the major iterations that a point has been among the q best.
+    """
+
+    oracle: Oracle
+    rng: np.random.Generator
+    N: int
+    common: Array | None
+    stationary: int = 0
+    worse: int = 0
+    best_loss: float = math.inf
+    best: Array = field(init=False)
+    power: Array = field(init=False)
+    thetas: Array = field(init=False)
+    losses: Array = field(init=False)
+    retained: NDArray[np.int64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        d = len(self.oracle.space)
+        self._sobol = Sobol(d, self.rng)
+        self.thetas = np.empty((self.N, d))
+        self.losses = np.full(self.N, math.inf)
+        self.retained = np.zeros(self.N, np.int64)
+        self.power = np.full(d, CENTRED)
+        self.best = np.empty(d)
+
+    def fill(self) -> None:
+        """Draw a new point for each that is not retained."""
+        space = self.oracle.space
+        low, high = space.bounds
+        new = np.flatnonzero(self.retained == 0)
+        coordinates = low + (high - low) * self._sobol.points(len(new))
+        drawn = towards_zero(coordinates, low, high, self.power)
+        self.thetas[new] = space.clip(space.decode(drawn))
+        if self.common is not None:
+            self.thetas[0], self.common = self.common, None
+
+    def retain(self, q: int, s: int) -> list[int]:
+        """Count the q best as retained once more; those that now are for the s-th time leave."""
+        best = np.argsort(self.losses, kind="stable")[:q]
+        best = best[np.isfinite(self.losses[best])]
+        counts = self.retained[best] + 1
+        self.retained[:] = 0
+        self.retained[best] = np.where(counts < s, counts, 0)
+        return best[counts >= s].tolist()
+
+
+def towards_zero(coordinates: Array, low: Array, high: Array, power: Array) -> Array:
+    """Coordinates (n, d) drawn to the value of their range that is nearest to zero (gslnls 1.4)."""
+    nearest = np.clip(0.0, low, high)
+    away = coordinates - nearest
+    return np.asarray(nearest + np.sign(away) * ((1 + np.abs(away)) ** power - 1) / power)

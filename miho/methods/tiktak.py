@@ -1,0 +1,91 @@
+"""TikTak: local searches that start ever closer to the best one so far."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, local_search
+from miho.methods.least_squares import screened
+from miho.methods.sobol import Sobol
+from miho.methods.unit_box import UnitBox
+from miho.optim import Optimizer, Oracle
+from miho.optim.space import LARGEST_BATCH
+from miho.optim.validate import at_least, one_of, positive, whole
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TikTak(Optimizer):
+    """Arnoud, Guvenen and Kleineberg (NBER working paper 26340, 2019), with least squares.
+
+    A round looks at `points` Sobol points a parameter and keeps the best, a `share` of them. From
+    the best it descends; from each other, it descends from a convex combination of it and the
+    lowest point of the round: the i-th of K kept has the `weight` sqrt(i / K) of that, within
+    `lowest_weight` and `highest_weight` (Sec. 2.1). So the search turns from exploring to refining.
+
+    The Sobol points are scrambled anew in each round; the first of the run is the first common
+    initial configuration. Convex combinations are in search coordinates. The local solver is that
+    of `LeastSquares`, where the authors have Nelder-Mead or DFNLS, so that no last search with a
+    finer tolerance is needed. Looking takes a fifth of the evaluations and seconds left at most.
+    Ends after `rounds` rounds, or with the budget if that is None. Needs a least-squares problem.
+    """
+
+    points: int = 100
+    share: float = 0.1
+    lowest_weight: float = 0.1
+    highest_weight: float = 0.995
+    rounds: int | None = 1
+    tolerance: float = 1e-10
+    method: str = "trf"
+
+    def __post_init__(self) -> None:
+        whole("points", self.points, 1, LARGEST_BATCH)
+        positive("share", self.share)
+        at_least("lowest_weight", self.lowest_weight, 0)
+        at_least("highest_weight", self.highest_weight, self.lowest_weight)
+        for field in ("share", "highest_weight"):
+            if getattr(self, field) > 1:
+                raise ValueError(f"{field} is {getattr(self, field)!r}; expected at most 1")
+        if self.rounds is not None:
+            whole("rounds", self.rounds, 1, LARGEST_BATCH)
+        at_least("tolerance", self.tolerance, SMALLEST_TOLERANCE)
+        one_of("method", self.method, METHODS)
+
+    def weight(self, i: int, kept: int) -> float:
+        """Of the lowest point so far in the start of the i-th local search, from 1."""
+        if i == 1:
+            return 0.0
+        return min(max(self.lowest_weight, math.sqrt(i / kept)), self.highest_weight)
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        """Look, keep and descend, `rounds` times."""
+        space = oracle.space
+        box = UnitBox(space)
+        n = self.points * len(space)
+        common: Array | None = space.decode(space.initial(1))[0]
+        for _ in count() if self.rounds is None else range(self.rounds):
+            thetas = box.theta(Sobol(len(space), rng).points(n))
+            if common is not None:
+                thetas[0], common = common, None
+            losses = screened(oracle, thetas)
+            order = np.argsort(losses, kind="stable")[: max(1, int(self.share * len(losses)))]
+            kept = thetas[order[np.isfinite(losses[order])]]
+            self._descend(oracle, box, kept)
+
+    def _descend(self, oracle: Oracle, box: UnitBox, kept: Array) -> None:
+        """The local searches of a round from its `kept` points (K, d), the best first."""
+        best, least = kept[:1].ravel(), math.inf
+        for i, theta in enumerate(kept, start=1):
+            start = theta
+            if math.isfinite(least):
+                weight = self.weight(i, len(kept))
+                start = box.theta((1 - weight) * box.x(theta) + weight * box.x(best))
+            lowest = local_search(oracle, start, self.tolerance, self.method)
+            if lowest.loss < least:
+                best, least = lowest.theta, lowest.loss
