@@ -17,7 +17,7 @@ SLOW = {
     "least_squares_lm", "variable_projection_lm", "cma_es", "differential_evolution",
     "dual_annealing", "optuna_tpe", "optuna_cmaes", "ngopt", "dehb",
     "least_squares_10", "least_squares_50", "variable_projection_10", "variable_projection_50",
-    "hickernell_yuan",
+    "hickernell_yuan", "cluster_gauss_newton", "scatter_search",
 }  # fmt: skip
 """Methods that take seconds a check, or differ from another in a setting alone."""
 

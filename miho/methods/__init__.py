@@ -3,6 +3,7 @@
 Those that wrap another library are in `baselines` of the checkout.
 """
 
+from miho.methods.cluster_gauss_newton import ClusterGaussNewton
 from miho.methods.differential_evolution import DifferentialEvolution
 from miho.methods.dual_annealing import DualAnnealing
 from miho.methods.gbo import GBO
@@ -11,6 +12,7 @@ from miho.methods.hyperband import Hyperband, SuccessiveHalving
 from miho.methods.least_squares import LeastSquares
 from miho.methods.local_search import LBFGSB, NelderMead
 from miho.methods.pso import PSO
+from miho.methods.scatter_search import ScatterSearch
 from miho.methods.tiktak import TikTak
 from miho.methods.variable_projection import VariableProjection
 from miho.optim import MIHO, RandomSearch
@@ -20,6 +22,7 @@ __all__ = [
     "LBFGSB",
     "MIHO",
     "PSO",
+    "ClusterGaussNewton",
     "DifferentialEvolution",
     "DualAnnealing",
     "HickernellYuan",
@@ -27,6 +30,7 @@ __all__ = [
     "LeastSquares",
     "NelderMead",
     "RandomSearch",
+    "ScatterSearch",
     "SuccessiveHalving",
     "TikTak",
     "VariableProjection",

@@ -215,7 +215,7 @@ class _Sample:
         counts = self.retained[best] + 1
         self.retained[:] = 0
         self.retained[best] = np.where(counts < s, counts, 0)
-        return best[counts >= s].tolist()
+        return [int(i) for i in best[counts >= s]]
 
 
 def towards_zero(coordinates: Array, low: Array, high: Array, power: Array) -> Array:

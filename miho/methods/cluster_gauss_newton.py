@@ -1,0 +1,151 @@
+"""The cluster Gauss-Newton method: many points that share their linear models."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.methods.unit_box import UnitBox
+from miho.optim import Optimizer, Oracle, UnusableValueError
+from miho.optim.space import LARGEST_BATCH
+from miho.optim.validate import positive, whole
+
+Array = NDArray[np.float64]
+
+STOPPED = 1e10
+"""A point whose damping has grown by this factor moves no more (CGNM)."""
+
+
+@dataclass(frozen=True)
+class ClusterGaussNewton(Optimizer):
+    """Aoki, Hayami, Toshimoto and Sugiyama (Optimization and Engineering 23, 2022; online 2020).
+
+    A cluster of N points, uniform over the box, moves for up to `iterations`. Each point has a
+    linear model of the residuals, fitted to all points' residuals by least squares with the weights
+    1 / distance^(2 gamma) (Sec. 2.2, step 2-1), and takes the step that minimises the model's sum
+    of squares with Tikhonov's damping lambda (2-2). Where that lowers the sum of squares it is
+    taken and lambda divided by 10, else the point stays and lambda is multiplied by 10 (2-3). No
+    derivatives are needed: an iteration costs one evaluation a point.
+
+    Distances are in search coordinates scaled to the unit box, which the publication scales by the
+    initial ranges too. Lambda has the unit of the squared residuals and is counted in the median
+    sum of squares of the first cluster, so that it does the same whatever that unit is. A step
+    across a bound goes half of the way to it, and a point whose lambda has grown to 1e10 of the
+    first rests: both are as in the authors' R package CGNM. The first point is the first common
+    initial configuration. A new cluster follows, `rounds` in all, or until the budget ends if that
+    is None. N residual vectors are in memory. Needs a least-squares problem.
+    """
+
+    N: int = 250
+    iterations: int = 25
+    damping: float = 1.0
+    gamma: float = 2.0
+    rounds: int | None = 1
+
+    def __post_init__(self) -> None:
+        whole("N", self.N, 2, LARGEST_BATCH)
+        whole("iterations", self.iterations, 1, LARGEST_BATCH)
+        positive("damping", self.damping)
+        positive("gamma", self.gamma)
+        if self.rounds is not None:
+            whole("rounds", self.rounds, 1, LARGEST_BATCH)
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        """Move one cluster after the other."""
+        look = _Look(oracle)
+        common: Array | None = oracle.space.decode(oracle.space.initial(1))[0]
+        for _ in count() if self.rounds is None else range(self.rounds):
+            X, Y = self._first(look, rng, common)
+            common = None
+            if len(X):
+                self._move(look, X, Y)
+
+    def _first(
+        self, look: _Look, rng: np.random.Generator, common: Array | None
+    ) -> tuple[Array, Array]:
+        """Points (N, d) drawn until all have usable residuals (N, m); none if no draw of N has."""
+        X: list[Array] = []
+        Y: list[Array] = []
+        while len(X) < self.N:
+            before = len(X)
+            for x in rng.random((self.N - before, len(look.space))):
+                theta = look.box.theta(x)
+                if common is not None:
+                    theta, common = common, None
+                residuals = look(theta)
+                if residuals is not None:
+                    X.append(look.box.x(theta))
+                    Y.append(residuals)
+            if not X:
+                break
+        return np.array(X), np.array(Y)
+
+    def _move(self, look: _Look, X: Array, Y: Array) -> None:
+        """The main iteration from the cluster X (N, d) with residuals Y (N, m)."""
+        squares = np.einsum("nm,nm->n", Y, Y)
+        first = self.damping * float(np.median(squares))
+        damping = np.full(self.N, first)
+        for _ in range(self.iterations):
+            moving = np.flatnonzero(damping < STOPPED * first)
+            if not moving.size:
+                break
+            steps = cluster_steps(X, Y, damping, self.gamma, moving)
+            for i, step in zip(moving, steps, strict=True):
+                x = X[i] + within(X[i], step)
+                residuals = look(look.box.theta(x))
+                if residuals is not None and residuals @ residuals < squares[i]:
+                    X[i], Y[i], squares[i] = x, residuals, residuals @ residuals
+                    damping[i] /= 10
+                else:
+                    damping[i] *= 10
+
+
+class _Look:
+    """Residuals (m,) at parameters (d,), None where they are not usable."""
+
+    def __init__(self, oracle: Oracle) -> None:
+        self.space = oracle.space
+        self.box = UnitBox(oracle.space)
+        self._oracle = oracle
+
+    def __call__(self, theta: Array) -> Array | None:
+        try:
+            residuals = self._oracle.residuals(theta)
+        except UnusableValueError:
+            return None
+        return residuals if np.isfinite(residuals @ residuals) else None
+
+
+def cluster_steps(
+    X: Array, Y: Array, damping: Array, gamma: float, moving: NDArray[np.intp]
+) -> Array:
+    """Steps (k, d) of the k points `moving` of a cluster X (N, d) with residuals Y (N, m)."""
+    if Y.shape[1] > len(Y):
+        # Differences of N residual vectors lie in N - 1 dimensions: their coordinates there do.
+        Q, R = np.linalg.qr((Y[1:] - Y[0]).T)
+        Y = Y[0] @ Q + np.vstack([np.zeros(R.shape[1]), R.T])
+    between = X - X[moving, None]
+    squared = np.einsum("kjd,kjd->kj", between, between)
+    apart = squared > 0
+    nearest = np.min(squared, axis=1, initial=np.inf, where=apart)
+    # Of the nearest point's weight, which changes no fit, so that none is infinite.
+    relative = np.divide(nearest[:, None], squared, out=np.zeros_like(squared), where=apart)
+    weights = relative**gamma
+    # (k, d, N) @ (N, m): the fit is linear in the differences of residuals.
+    fit = np.linalg.pinv(weights[:, :, None] * between) * weights[:, None, :]
+    slopes = (fit @ Y - fit.sum(axis=2)[:, :, None] * Y[moving, None]).transpose(0, 2, 1)
+    U, s, Vt = np.linalg.svd(slopes, full_matrices=False)
+    along = np.einsum("kmd,km->kd", U, Y[moving])
+    bottom = s**2 + damping[moving, None]
+    shrunk = np.divide(s * along, bottom, out=np.zeros_like(s), where=bottom > 0)
+    return np.asarray(-np.einsum("kde,kd->ke", Vt, shrunk))
+
+
+def within(x: Array, step: Array) -> Array:
+    """The step (d,) from x in the unit cube, with components that cross a bound half way to it."""
+    bound = np.where(step > 0, 1.0, 0.0)
+    crosses = np.abs(step) > np.abs(bound - x)
+    return np.where(crosses, (bound - x) / 2, step)
