@@ -29,7 +29,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "miho.testing": ({"miho.optim", "miho.models"}, NUMERICS),
     "baselines": (
         {"baselines", "miho.methods", "miho.optim"},
-        NUMERICS | {"optuna", "cmaes", "nevergrad", "dehb", "loguru"},
+        NUMERICS | {"optuna", "cmaes", "nevergrad", "dehb", "dfols", "loguru"},
     ),
 }
 SHARED = {"miho.regular_file"}

@@ -20,7 +20,7 @@ from miho.optim import Budget, minimize
 
 CONF = Path(__file__).parent.parent / "conf"
 NEEDS_A_SETTING = {"axle_log", "brake_log", "csv", "mat", "published", "tir", "torque_log"}
-NEEDS_A_LIBRARY = {"ngopt": "nevergrad", "dehb": "dehb"}
+NEEDS_A_LIBRARY = {"ngopt": "nevergrad", "dehb": "dehb", "dfo_ls": "dfols"}
 register()
 
 

@@ -17,17 +17,18 @@ SLOW = {
     "least_squares_lm", "variable_projection_lm", "cma_es", "differential_evolution",
     "dual_annealing", "optuna_tpe", "optuna_cmaes", "ngopt", "dehb",
     "least_squares_10", "least_squares_50", "variable_projection_10", "variable_projection_50",
-    "hickernell_yuan", "cluster_gauss_newton", "scatter_search",
+    "hickernell_yuan", "cluster_gauss_newton", "scatter_search", "dfo_ls",
 }  # fmt: skip
 """Methods that take seconds a check, or differ from another in a setting alone."""
 
 EVALUATIONS = {
     "optuna_tpe": 150, "optuna_cmaes": 300, "ngopt": 100, "dehb": 100,
     "cma_es": 3000, "differential_evolution": 3000, "dual_annealing": 3000,
+    "dfo_ls": 1000,
 }  # fmt: skip
 """Of methods that take a tenth of a millisecond and more for each; the others have 20,000."""
 
-NEEDS = {"ngopt": "nevergrad", "dehb": "dehb"}
+NEEDS = {"ngopt": "nevergrad", "dehb": "dehb", "dfo_ls": "dfols"}
 
 EXPECTED_FAILURES = {
     "miho_reference": {
