@@ -30,7 +30,7 @@ ENOUGH, SHARE = 5, 0.25
 is as easy to reach, but better, would have been missed by all n with a probability of about
 (1 - 5 / n)^n, at most 1 % (of five, which all ended in one of two, 2^-5 = 3 %); and where the best
 is rare, a better one that is rarer is likely."""
-UNSEEN = 0.1
+UNSEEN = 0.05
 """One more descent is to end in an optimum not seen with this probability at most."""
 
 

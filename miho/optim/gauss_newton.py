@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from miho.optim.oracle import Block, BudgetExhausted, Oracle, UnusableValueError
 from miho.optim.space import Space
-from miho.optim.triangular import compiled, fold, solve_in_box, square_sum
+from miho.optim.triangular import Room, allocating, compiled, fold, row_of, solve_in_box, square_sum
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -125,7 +125,7 @@ def _of(numbers: Array, counts: Whole, R: Array, rows: Array) -> Candidates:
     return cast(Candidates, views.py_func(numbers, counts, R, rows))
 
 
-@compiled
+@allocating
 def views(numbers: Array, counts: Whole, R: Array, rows: Array) -> Candidates:
     """Configurations whose numbers stand beside each other."""
     d = R.shape[1]
@@ -221,16 +221,15 @@ class Work(NamedTuple):
     low: Array
     high: Array
     scale: Array
-    found: Array
     sums: Array
     T: Array
-    small: Array
     chunk: Array
     slopes: Array
     residuals: Array
+    room: Room
 
 
-@compiled
+@allocating
 def work(d: int, m: int, levels: int) -> Work:
     """Room for d parameters, m residuals and levels of rows."""
     return Work(
@@ -239,13 +238,12 @@ def work(d: int, m: int, levels: int) -> Work:
         np.empty(d),
         np.empty(d),
         np.empty(d),
-        np.empty(d),
         np.zeros(levels),
-        np.zeros((d + 1, d + 1)),
         np.zeros((d + 1, d + 1)),
         np.empty((d + 1, CHUNK)),
         np.empty((d, CHUNK)),
         np.empty(m),
+        Room(np.empty(d), np.empty(d), np.empty((d + 1, 2 * d)), np.empty((d + 1, d + 1))),
     )
 
 
@@ -291,6 +289,21 @@ def factored(c: Candidates, i: int, box: Box, w: Work) -> None:
 
 
 @compiled
+def clear(T: Array) -> None:
+    """Make all numbers 0."""
+    for j in range(T.shape[0]):
+        for k in range(T.shape[1]):
+            T[j, k] = 0.0
+
+
+@compiled
+def copy(these: Array, to: Array) -> None:
+    """Copy numbers."""
+    for k in range(these.size):
+        to[k] = these[k]
+
+
+@compiled
 def is_free(x: float) -> bool:
     """Whether a coordinate is off the bounds."""
     return 1e-12 < x < 1 - 1e-12
@@ -303,7 +316,7 @@ def looked(
     """What follows from the loss of a configuration's trial, whose residuals are in w."""
     d = c.x.shape[1]
     if c.stage[i] == ENTER:
-        c.x[i] = c.trial[i]
+        copy(c.trial[i], c.x[i])
         c.loss[i] = loss
         c.stage[i] = SLOPES if math.isfinite(loss) else UNUSABLE
         c.marked[i], c.mark[i] = loss, c.spent[i]
@@ -320,8 +333,7 @@ def looked(
             broyden(c, i, m, w)
         else:
             keep_residuals(c, i, m, w)
-        relative = actual / max(loss * m, 1e-300)
-        c.x[i] = c.trial[i]
+        copy(c.trial[i], c.x[i])
         c.loss[i] = loss
         if rho > GOOD:
             c.damping[i] = max(LESS * c.damping[i], SMALLEST_DAMPING)
@@ -335,7 +347,7 @@ def looked(
             factored(c, i, box, w)
             if c.stage[i] == UNUSABLE:
                 c.stage[i], c.secants[i] = SLOPES, 0
-        if (rules.last and relative <= rules.tolerance) or loss <= rules.nothing:
+        if loss <= rules.nothing:
             c.stage[i] = DONE
     elif c.secants[i]:
         c.stage[i], c.secants[i] = SLOPES, 0
@@ -376,7 +388,7 @@ def broyden(c: Candidates, i: int, m: int, w: Work) -> None:
 @compiled
 def refold(rows: Array, count: int, last: int, m: int, w: Work) -> None:
     """The factor of the first columns of rows (., m) and of the last one, into w.T."""
-    w.T[:] = 0.0
+    clear(w.T)
     for start in range(0, m, CHUNK):
         size = min(CHUNK, m - start)
         for k in range(count + 1):
@@ -407,7 +419,7 @@ def step(c: Candidates, i: int, box: Box, m: int, rules: Rules, w: Work) -> None
         root = math.sqrt(c.damping[i])
         for k in range(n):
             scale[k] = root * c.D[i, k]
-        solve_in_box(c.R[i], c.q[i], scale, low, high, n, w.step)
+        solve_in_box(c.R[i], c.q[i], scale, low, high, n, w.step, w.room)
         after = 0.0
         for row in range(n):
             value = c.q[i, row]
@@ -493,7 +505,7 @@ def solve_linear(c: Candidates, i: int, box: Box, m: int, w: Work) -> float:
         for k in range(j, p + 1):
             if not math.isfinite(w.T[j, k]):
                 return math.inf
-    q = w.T[:p, p].copy()
+    q = w.T[:, p]
     for j in range(p):
         k = box.linear[j]
         width = box.high[k] - box.low[k]
@@ -501,7 +513,7 @@ def solve_linear(c: Candidates, i: int, box: Box, m: int, w: Work) -> float:
         w.low[j] = (box.low[k] - w.theta[k]) / width
         w.high[j] = (box.high[k] - w.theta[k]) / width
     rest = w.T[p, p] * w.T[p, p]
-    solve_in_box(w.T, q, w.scale, w.low, w.high, p, w.step)
+    solve_in_box(w.T, q, w.scale, w.low, w.high, p, w.step, w.room)
     for row in range(p):
         value = q[row]
         for k in range(row, p):
@@ -528,7 +540,7 @@ def evaluated(
     """
     if c.stage[i] == RECORD:
         c.stage[i] = c.after[i]
-        c.sums[i] = w.sums
+        copy(w.sums, c.sums[i])
         return
     before = c.loss[i]
     looked(c, i, loss, box, m, rules, w)
@@ -537,7 +549,7 @@ def evaluated(
             c.after[i] = c.stage[i]
             c.stage[i] = RECORD
     elif c.loss[i] < before:
-        c.sums[i] = w.sums
+        copy(w.sums, c.sums[i])
 
 
 @compiled
@@ -579,7 +591,7 @@ def fill(
     d = w.theta.size
     keep = c.rows.shape[2] > 0 and not c.projects[i]
     J, chunk = w.slopes, w.chunk
-    w.T[:] = 0.0
+    clear(w.T)
     for start in range(0, m, CHUNK):
         count = min(CHUNK, m - start)
         slopes(w.theta, X, start, start + count, J)
@@ -623,7 +635,7 @@ def is_linear(k: int, box: Box) -> bool:
     return False
 
 
-@compiled
+@allocating
 def advance(
     residuals: Any,
     slopes: Any,
@@ -651,9 +663,36 @@ def advance(
     rows i to j. No more than `most` rows are spent; improvements of `best` are listed with the rows
     up to and with them, and end the block where they reach `target`.
     """
-    m, n, d = ends[rules.level], rows.shape[0], rows.shape[1] - 1
     c = views(numbers, counts, R, rows)
-    w = work(d, m if rows.shape[2] else CHUNK, ends.size)
+    w = work(R.shape[1], ends[rules.level] if rows.shape[2] else CHUNK, ends.size)
+    return _advance(
+        residuals, slopes, X, y, c, box, ends, minima, rules, slope_cost, most, best, target, w,
+        at, losses, thetas,
+    )  # fmt: skip
+
+
+@compiled
+def _advance(
+    residuals: Any,
+    slopes: Any,
+    X: Array,
+    y: Array,
+    c: Candidates,
+    box: Box,
+    ends: Whole,
+    minima: Known,
+    rules: Rules,
+    slope_cost: int,
+    most: int,
+    best: float,
+    target: float,
+    w: Work,
+    at: Whole,
+    losses: Array,
+    thetas: Array,
+) -> tuple[int, int, int, int, int, int]:
+    """As `advance`, with the arrays that it needs."""
+    m = ends[rules.level]
     spent = found = nans = infinities = unusable = 0
     for i in range(c.x.shape[0]):
         while prepare(c, i, box, m, minima, rules, w):
@@ -679,7 +718,8 @@ def advance(
             if m == y.size and loss < best:
                 best = loss
                 at[found], losses[found] = spent - cost + m, loss
-                thetas[found] = w.theta
+                for k in range(w.theta.size):
+                    thetas[found, k] = w.theta[k]
                 found += 1
             if project and math.isfinite(loss):
                 fill(residuals, slopes, X, y, c, i, box, m, True, w)
@@ -820,7 +860,7 @@ def same(c: Candidates, i: int, j: int, box: Box, m: int) -> bool:
     return bool(distance <= 0.5 * c.x.shape[1] * c.loss[i])
 
 
-@compiled
+@allocating
 def distinct(c: Candidates, box: Box, m: int) -> NDArray[np.intp]:
     """Those of configurations in ascending order of their loss that are no copies of better ones."""
     kept = np.empty(c.loss.size, np.intp)

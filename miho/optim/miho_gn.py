@@ -13,15 +13,17 @@ from miho.optim.gauss_newton import (
     DONE, ENTER, KNOWN, READY, SLOPES, UNUSABLE, Box, Candidates, Known, Rules,
     descend, distinct,
 )  # fmt: skip
+from miho.optim.evidence import in_optimum
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle, UnusableValueError
-from miho.optim.space import Space
-from miho.optim.trace import Descent
+from miho.optim.space import Parameter, Space
 from miho.optim.validate import positive, whole
 
 Array = NDArray[np.float64]
 
 SCREEN, CLIMB, LEAD, FINISH, SHARE, OVER = "screen", "climb", "lead", "finish", "share", "over"
+DECADES = 3
+APART = 1.1
 ROOM = 1 << 22
 """Numbers that the derivatives of a rung may take; beyond, Broyden's update is left out."""
 
@@ -45,9 +47,9 @@ class MIHOGNState:
     rest: Candidates | None = None
     minima: Known = field(default_factory=lambda: Known(np.empty((0, 0)), np.empty(0)))
     sums: Array = field(default_factory=lambda: np.empty((0, 0)))
+    sound: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
+    rounding: float = 0.0
     aside: list[Candidates] = field(default_factory=list)
-    outcomes: list[float] = field(default_factory=list)
-    screened: int = 0
     least: float = math.inf
     over: bool = False
     asked: int = 0
@@ -72,13 +74,14 @@ class MIHOGN(Resumable[MIHOGNState]):
     patience: int = 4
     progress: float = 0.05
     brackets: int = 200
-    starts: str = "space"
+    doubtful: int = 20
+    draws: str = "space"
     project: str = "even"
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOGNState:
         space, d = oracle.space, len(oracle.space)
         box = Box.of(space, oracle.linear)
-        return MIHOGNState(space, rng, box, self._levels(oracle, d, box), 1.0, oracle.jacobian_cost, oracle.compiled_rows is not None,
+        return MIHOGNState(space, rng, box, self._levels(oracle, d, box), 1.0, oracle.jacobian_cost, oracle.compiled_rows is not None, rounding=oracle.meter.starts.rounding,
                            minima=Known(np.empty((0, d)), np.empty(0)))
 
     def _levels(self, oracle: Oracle, d: int, box: Box) -> NDArray[np.int64]:
@@ -108,7 +111,7 @@ class MIHOGN(Resumable[MIHOGNState]):
             self._draw(state, oracle)
         c = state.alive
         assert c is not None
-        descend(oracle, c, state.box, state.ends, self._minima(state), self._rules(state, oracle),
+        descend(oracle, c, state.box, state.ends, self._sound_minima(state), self._rules(state, oracle),
                 state.slope_cost)
         getattr(self, "_after_" + state.phase)(state, oracle)
 
@@ -136,7 +139,7 @@ class MIHOGN(Resumable[MIHOGNState]):
             n = 1
         x = self._starts(state, n)
         state.begun = oracle.evaluations
-        state.screened += n
+        oracle.screened(n)
         state.alive = Candidates.at(x, state.ends.size, self.damping, state.projects)
         state.phase, state.level = SCREEN, 0
         self._room(state)
@@ -162,7 +165,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         d, p = len(state.space), len(state.box.linear)
         if not c.loss.size:
             state.phase = OVER
-            self._close(state)
+            self._close(state, oracle)
             return
         step = self._share(state, state.level) * ((p + 1 if state.projects else 1) + state.slope_cost)
         n = int(np.clip(state.size / (self.steps * step), 1, max(1, before // self.eta)))
@@ -199,7 +202,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         before = c.loss.size
         if not before:
             state.phase = OVER
-            self._close(state)
+            self._close(state, oracle)
             return
         minima = self._minima(state)
         gone = c.stage == KNOWN
@@ -208,7 +211,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         if gone.all():
             self._returned(state, oracle, c)
             state.phase = OVER
-            self._close(state)
+            self._close(state, oracle)
             return
         c = c.take(np.flatnonzero(~gone))
         c = c.take(distinct(c, state.box, int(state.ends[state.level])))
@@ -240,63 +243,77 @@ class MIHOGN(Resumable[MIHOGNState]):
 
     def _after_finish(self, state: MIHOGNState, oracle: Oracle) -> None:
         self._settle(state, oracle, state.alive)
-        self._close(state)
+        self._close(state, oracle)
         if not state.aside or state.over:
             state.phase = OVER
             return
         best = min(range(len(state.aside)), key=lambda k: state.aside[k].loss[0])
         state.alive = state.aside.pop(best)
-        self._room(state)
         self._begin(state, SHARE)
 
     def _after_share(self, state: MIHOGNState, oracle: Oracle) -> None:
         self._settle(state, oracle, state.alive)
         state.phase = OVER
-        self._close(state, False)
+        self._close(state, oracle)
 
     def _settle(self, state: MIHOGNState, oracle: Oracle, c: Candidates) -> None:
         """What became of the last one of a bracket, on all rows."""
         stage = int(c.stage[0])
-        if stage == UNUSABLE:
-            return
-        if stage == KNOWN or (stage == DONE and state.minima.loss.size
-                              and c.loss[0] >= state.minima.loss.min() * (1 - 1e-12)
-                              and False):
+        if stage == KNOWN:
             self._returned(state, oracle, c)
         elif stage == DONE:
-            self._ended(state, oracle, float(c.loss[0]), True)
-            sums = c.sums[0] if c.sums[0, -1] > 0 else c.loss[0] * state.ends
-            state.minima = Known(np.vstack([state.minima.x, c.x]),
-                                 np.append(state.minima.loss, c.loss[0]))
-            state.sums = np.vstack([state.sums.reshape(-1, state.ends.size), sums])
-        else:
-            c.rows.resize((1, len(state.space) + 1, 0), refcheck=False) if False else None
+            loss = float(c.loss[0])
+            self._ended(state, oracle, loss, True)
+            best = state.minima.loss.min(initial=math.inf)
+            if loss < best or not in_optimum(float(best), loss, state.rounding):
+                sums = c.sums[0] if c.sums[0, -1] > 0 else loss * state.ends
+                state.minima = Known(np.vstack([state.minima.x, c.x]),
+                                     np.append(state.minima.loss, loss))
+                state.sums = np.vstack([state.sums.reshape(-1, state.ends.size), sums])
+                state.sound = np.append(state.sound, self._sound(state, c))
+        elif stage != UNUSABLE:
             state.aside.append(c)
 
+    def _sound(self, state: MIHOGNState, c: Candidates) -> bool:
+        """Whether the data determine each parameter within its range, off its bounds."""
+        n = state.box.nonlinear.size if c.projects[0] else len(state.space)
+        if (c.x <= 1e-9).any() or (c.x >= 1 - 1e-9).any():
+            return False
+        m = int(state.ends[-1])
+        R = c.R[0, :n, :n]
+        if not n:
+            return True
+        if not np.abs(np.diag(R)).all():
+            return False
+        variance = c.loss[0] * m / max(m - n, 1)
+        inverse = np.linalg.inv(R)
+        return bool((np.einsum("ij,ij->i", inverse, inverse) * variance <= 1).all())
+
     def _returned(self, state: MIHOGNState, oracle: Oracle, c: Candidates) -> None:
-        """A bracket came back to what is known, or ended at something worse."""
+        """A bracket came back to what is known, or ended at something that is not better."""
         minima = self._minima(state)
-        if c.stage[0] == KNOWN:
-            near = int(np.argmin(np.abs(np.log(minima.loss / c.loss[0] + 1e-300))))
-            near = int(np.argmin([np.sum((x - c.x[0]) ** 2) for x in minima.x]))
-            self._ended(state, oracle, float(state.minima.loss[near]), True)
-        else:
+        nearest = int(np.argmin(((minima.x - c.x[0]) ** 2).sum(axis=1)))
+        loss = float(state.minima.loss[nearest])
+        if c.stage[0] != KNOWN:
+            # of a few rows only: as far as they tell two optima apart
             best = int(np.argmin(minima.loss))
-            self._ended(state, oracle,
-                        float(state.minima.loss[best] * c.loss[0] / minima.loss[best]), True)
+            worse = math.log(max(1.0, c.loss[0] / minima.loss[best])) / math.log(APART)
+            loss = float(state.minima.loss[best] * APART ** math.floor(1 + worse))
+        self._ended(state, oracle, loss, True)
 
     def _ended(self, state: MIHOGNState, oracle: Oracle, loss: float, converged: bool) -> None:
-        state.outcomes.append(loss)
-        oracle.meter.descents.append(Descent(math.inf, loss, True, converged))
+        oracle.ended(math.inf, loss, converged=converged)
 
-    def _close(self, state: MIHOGNState, whole: bool = True) -> None:
+    def _close(self, state: MIHOGNState, oracle: Oracle) -> None:
         """The end of a bracket: whether that is enough."""
-        from miho.optim.gn_evidence import enough
-
-        best = state.minima.loss.min() if state.minima.loss.size else math.inf
-        crawling = any(c.loss[0] < best for c in state.aside)
-        if state.bracket >= self.brackets or (not crawling and enough(state.outcomes, 1e-20 * state.least)):
+        if state.bracket >= self.brackets:
             state.over = True
+        elif state.minima.loss.size:
+            best = int(np.argmin(state.minima.loss))
+            crawling = any(c.loss[0] < state.minima.loss[best] for c in state.aside)
+            agreement = oracle.agreement
+            enough = agreement.enough and (state.sound[best] or agreement.here >= self.doubtful)
+            state.over = enough and not crawling
 
     # -- what the phases need
 
@@ -308,6 +325,10 @@ class MIHOGN(Resumable[MIHOGNState]):
         if not state.minima.loss.size or state.level == state.ends.size - 1:
             return state.minima
         return Known(state.minima.x, state.sums[:, state.level] / state.ends[state.level])
+
+    def _sound_minima(self, state: MIHOGNState) -> Known:
+        minima = self._minima(state)
+        return Known(minima.x[state.sound], minima.loss[state.sound])
 
     def _room(self, state: MIHOGNState) -> None:
         c, m = state.alive, int(state.ends[state.level])
@@ -328,8 +349,8 @@ class MIHOGN(Resumable[MIHOGNState]):
             tolerance=self.tolerance if last else self.level_tolerance * d / m,
             patience=0 if phase in (SCREEN, CLIMB) else self.patience * (d + 1) * m,
             share=share, progress=self.progress,
-            near=9e-4 if last else 9 * d / m, better=0.0 if last else 4 * d / m,
-            nothing=1e-30 * state.least if math.isfinite(state.least) else 0.0,
+            near=min(9 * d / m, 0.1) if last else 9 * d / m, better=0.0 if last else 4 * d / m,
+            nothing=0.0,
         )
 
     def _starts(self, state: MIHOGNState, n: int) -> Array:
@@ -341,7 +362,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         first = state.bracket == 1
         own = space.initial(n) if first else space.sample(n, rng)
         own = (space.encode(space.clip(space.decode(own))) - low) / (high - low)
-        kinds = {"space": [0, 2, 2], "thirds": [0, 2, 1], "uniform": [1], "own": [0], "scale": [2], "halves": [0, 2]}[self.starts]
+        kinds = {"space": [0, 2, 2], "thirds": [0, 2, 1], "uniform": [1], "own": [0], "scale": [2], "halves": [0, 2]}[self.draws]
         kind = np.array(kinds)[np.arange(n) % len(kinds)]
         if first:
             kind[0] = 0
@@ -351,14 +372,31 @@ class MIHOGN(Resumable[MIHOGNState]):
         return np.clip(x, 0, 1)
 
 
-def by_scale(u, p):
-    if p.scale == "linear" and p.low >= 0 and p.high > 10 * p.low:
-        low = max(p.low, 1e-3 * p.high)
-        return (low * (p.high / low) ** u - p.low) / (p.high - p.low)
-    if p.scale == "linear" and p.high <= 0 and p.low < 10 * p.high:
-        high = min(p.high, 1e-3 * p.low)
-        return (high * (p.low / high) ** u - p.low) / (p.high - p.low)
-    return u
+def by_scale(u: Array, parameter: Parameter) -> Array:
+    """Unit coordinates of values that are small or large alike, from uniform numbers.
+
+    On a linear scale the magnitude is log-uniform over the DECADES below the largest one that the
+    range allows on its side of zero; the two sides have equal parts of u. A range that is not
+    wide against its distance from zero, and a log scale, are drawn from uniformly.
+    """
+    low, high = parameter.low, parameter.high
+    if parameter.scale == "log" or min(abs(low), abs(high)) * 10 > max(abs(low), abs(high)) and low * high > 0:
+        return u
+    if low < 0 < high:
+        left = u < 0.5
+        u = np.where(left, 1 - 2 * u, 2 * u - 1)
+        value = np.where(left, -magnitude(u, 0.0, -low), magnitude(u, 0.0, high))
+    elif low >= 0:
+        value = magnitude(u, low, high)
+    else:
+        value = -magnitude(1 - u, -high, -low)
+    return np.clip((value - low) / (high - low), 0.0, 1.0)
+
+
+def magnitude(u: Array, low: float, high: float) -> Array:
+    """Log-uniform from low, or the last of the DECADES below high, to high."""
+    low = max(low, high * 10.0**-DECADES)
+    return np.asarray(low * (high / low) ** u)
 
 
 def usable(c: Candidates) -> Candidates:

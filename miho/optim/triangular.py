@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -10,9 +11,13 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-compiled = njit(cache=True, nogil=True, error_model="numpy")
-summing = njit(cache=True, nogil=True, error_model="numpy", fastmath={"reassoc", "contract", "nsz"})
-"""Compiled; and for sums over rows in any order, so that the processor adds side by side."""
+OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
+compiled = njit(**OPTIONS, _nrt=False)
+summing = njit(**OPTIONS, _nrt=False, fastmath={"reassoc", "contract", "nsz"})
+allocating = njit(**OPTIONS)
+"""Compiled; for sums over rows in any order, so that the processor adds side by side; and where
+arrays are made: the others do without the counting of references to them, which costs more than a
+step of a few rows does."""
 
 SINGULAR = 1e-14
 """A pivot below this share of the largest one is 0: its direction is left where it is."""
@@ -57,9 +62,18 @@ def fold(T: Array, columns: Array, count: int, n: int) -> None:
                 other[i] -= product * v[i]
 
 
+class Room(NamedTuple):
+    """Where a solution of at most d parameters is made: what it holds is of no account after."""
+
+    free: Array
+    found: Array
+    columns: Array
+    T: Array
+
+
 @compiled
 def solve_in_box(
-    R: Array, q: Array, scale: Array, low: Array, high: Array, n: int, s: Array
+    R: Array, q: Array, scale: Array, low: Array, high: Array, n: int, s: Array, room: Room
 ) -> None:
     """Minimise |R s + q|^2 + |scale s|^2 within low <= s <= high, into s, by an active set.
 
@@ -69,11 +83,11 @@ def solve_in_box(
     conditions hold (Lawson and Hanson, Solving Least Squares Problems, chapter 23), or after 3 n
     changes.
     """
-    free = np.ones(n, np.bool_)
+    free = room.free
     for k in range(n):
-        s[k] = 0.0
+        s[k], free[k] = 0.0, 1.0
     for _ in range(3 * n + 1):
-        if _minimise_free(R, q, scale, n, free, s, low, high):
+        if _minimise_free(R, q, scale, low, high, n, s, room):
             continue
         steepest, which = 0.0, -1
         for k in range(n):
@@ -81,71 +95,65 @@ def solve_in_box(
                 continue
             slope = scale[k] * scale[k] * s[k]
             for row in range(k + 1):
-                slope += R[row, k] * _row(R, q, n, s, row)
+                slope += R[row, k] * row_of(R, q, n, s, row)
             inward = slope < 0 if s[k] <= low[k] else slope > 0
             if inward and abs(slope) > steepest:
                 steepest, which = abs(slope), k
         if which < 0:
             return
-        free[which] = True
+        free[which] = 1.0
 
 
 @compiled
-def _row(R: Array, q: Array, n: int, s: Array, row: int) -> float:
+def row_of(R: Array, q: Array, n: int, s: Array, row: int) -> float:
     """A row of R s + q."""
     value = q[row]
     for k in range(row, n):
         value += R[row, k] * s[k]
-    return float(value)
+    return value
 
 
 @compiled
 def _minimise_free(
-    R: Array,
-    q: Array,
-    scale: Array,
-    n: int,
-    free: NDArray[np.bool_],
-    s: Array,
-    low: Array,
-    high: Array,
+    R: Array, q: Array, scale: Array, low: Array, high: Array, n: int, s: Array, room: Room
 ) -> bool:
     """Move the free parameters to their minimum, those that leave the box to its bounds.
 
     Gives whether there are such, which then are free no longer.
     """
-    which = np.flatnonzero(free)
-    count = which.size
-    if not count:
+    free, found, columns, T = room.free, room.found, room.columns, room.T
+    count = 0
+    for k in range(n):
+        if free[k]:
+            for row in range(n):
+                columns[count, row] = R[row, k] if row <= k else 0.0
+                columns[count, n + row] = scale[k] if row == k else 0.0
+            count += 1
+    if count == 0:
         return False
-    columns = np.zeros((count + 1, 2 * n))
-    for j in range(count):
-        k = which[j]
-        columns[j, : k + 1] = R[: k + 1, k]
-        columns[j, n + k] = scale[k]
     for row in range(n):
         right = q[row]
         for k in range(row, n):
             if not free[k]:
                 right += R[row, k] * s[k]
-        columns[count, row] = right
-    T = np.zeros((count + 1, count + 1))
+        columns[count, row], columns[count, n + row] = right, 0.0
+    for j in range(count + 1):
+        for k in range(count + 1):
+            T[j, k] = 0.0
     fold(T, columns, 2 * n, count + 1)
     largest = 0.0
     for j in range(count):
         largest = max(largest, abs(T[j, j]))
-    found = np.zeros(count)
     for j in range(count - 1, -1, -1):
         right = -T[j, count]
         for other in range(j + 1, count):
             right -= T[j, other] * found[other]
-        if abs(T[j, j]) > SINGULAR * largest:
-            found[j] = right / T[j, j]
-    left = False
-    for j in range(count):
-        k = which[j]
-        s[k] = min(max(found[j], low[k]), high[k])
-        if s[k] != found[j]:
-            free[k] = False
-            left = True
+        found[j] = right / T[j, j] if abs(T[j, j]) > SINGULAR * largest else 0.0
+    left, j = False, 0
+    for k in range(n):
+        if free[k]:
+            s[k] = min(max(found[j], low[k]), high[k])
+            if s[k] != found[j]:
+                free[k], left = 0.0, True
+            j += 1
     return left
