@@ -556,7 +556,7 @@ def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
         assert "Traceback" not in err
         assert load_runs(root).runs.empty
         curves = [json.loads(path.read_text())["curve"] for path in root.rglob("partial.json")]
-        if any(curve["loss"] for curve in curves):
+        if any(curve and curve["loss"] for curve in curves):
             break
     (curve,) = curves
     assert "interrupted" in out
