@@ -235,6 +235,12 @@ def test_paper_fig6_is_full_size() -> None:
     assert (optimizer.R, optimizer.eta) == (10_000, 5)
 
 
+@pytest.mark.parametrize("name", ["ims_obstacle", "lvms_laps"])
+def test_the_drives_of_the_paper_are_those_of_its_method(name: str) -> None:
+    """Whatever the default: their published figures are."""
+    assert composed([f"experiment={name}"]).optimizer.name == "miho"
+
+
 def test_targets_lie_in_our_packages() -> None:
     for path in CONF.rglob("*.yaml"):
         for line in path.read_text(encoding="utf-8").splitlines():
