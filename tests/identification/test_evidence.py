@@ -47,7 +47,8 @@ def ended(*ends: float, started: int | None = None) -> Descents:
         (
             ended(*[1.0] * 5, 2.0, 3.0),
             "only 5 of 7 descents ended here; they ended at 3 different errors, so that one more "
-            "would end in an optimum that none has seen with a probability of about 29 %",
+            "would end in an optimum that none has seen, better or worse, with a probability of "
+            "about 29 %",
         ),
         (ended(*[1.0] * 8, *np.linspace(2, 9, 22)), "only 8 of 30"),
         (ended(*[1.1] * 30), "none of 30 descents ended here"),
@@ -66,8 +67,8 @@ def test_the_evidence_counts_starts_descents_and_what_they_may_have_missed() -> 
     known = standing(1.0, 0.0, [replace(found, screened=1234)])
     assert known.evidence == (
         "1,234 starts screened for 20 descents; 17 of them ended here, and none found a better "
-        "one; one more would end in an optimum that none has seen with a probability of about "
-        "3.2 %"
+        "one; one more would end in an optimum that none has seen, better or worse, with a "
+        "probability of about 3.2 %"
     )
     assert standing(1.0, 0.0, [found]).evidence.startswith("17 of 20 descents ended here, and none")
     check = replace(ended(*[1.0] * 5), screened=100)
