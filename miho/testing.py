@@ -55,6 +55,8 @@ BUDGET = 20_000
 
 PATIENCE = 60.0
 """CPU seconds that a method may compute between two evaluations, and seconds that it may wait."""
+RELATIVE = 1e-9
+"""By which a loss that is summed in another order may differ."""
 IDLE = 0.01
 """Who computes less than this fraction of the time waits: a busy machine gives more."""
 
@@ -306,6 +308,16 @@ def records_every_improvement(optimizer: Optimizer, evaluations: int = BUDGET) -
         _require(bool((np.diff(column) >= 0).all()), "a column of the trace decreases")
 
 
+def ends_descents_at_losses_it_has_seen(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
+    """No descent ended below the best loss that was evaluated: by their ends a search may stop."""
+    oracle, _ = _watched(optimizer, evaluations)
+    least = min(oracle.meter.starts.ends, default=math.inf)
+    _require(
+        least >= oracle.best * (1 - RELATIVE),
+        f"a descent ended at a loss of {least}; the best of the run is {oracle.best}",
+    )
+
+
 def starts_at_the_common_start(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
     """The first configuration evaluated is the first common initial configuration."""
     oracle, problem = _watched(optimizer, 1)
@@ -417,6 +429,7 @@ CHECKS: dict[str, Callable[[Optimizer, int], None]] = {
         is_a_frozen_dataclass,
         keeps_the_budget_exactly,
         records_every_improvement,
+        ends_descents_at_losses_it_has_seen,
         starts_at_the_common_start,
         stays_in_the_box,
         repeats_with_the_same_seed,

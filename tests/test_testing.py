@@ -72,6 +72,15 @@ class Swallows(Optimizer):
 
 
 @dataclass(frozen=True)
+class Boasts(Optimizer):
+    """Ends its descents where it has never been."""
+
+    def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
+        losses = oracle(oracle.space.decode(oracle.space.initial(10)))
+        oracle.ended(float(losses[0]), 0.9 * float(losses.min()))
+
+
+@dataclass(frozen=True)
 class Waits(Optimizer):
     """Waits for what never comes."""
 
@@ -140,6 +149,11 @@ def test_a_declared_failure_must_fail() -> None:
 def test_hiding_the_budget_is_caught() -> None:
     with pytest.raises(ConformanceError, match="keeps_the_budget_exactly"):
         run_check("keeps_the_budget_exactly", Swallows(), {})
+
+
+def test_an_end_that_was_not_seen_is_caught() -> None:
+    with pytest.raises(ConformanceError, match="ends_descents_at_losses_it_has_seen: a descent"):
+        run_check("ends_descents_at_losses_it_has_seen", Boasts(), {})
 
 
 @pytest.mark.parametrize("asks", [0, 3])
