@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from miho.data.dataset import Dataset
 from miho.identification.compressed import CompressedLoss
 from miho.identification.fused import FusedLoss
+from miho.identification.irreducible import irreducible_interval
 from miho.identification.loss import Loss, Square, slope
 from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
@@ -28,12 +29,14 @@ Array = NDArray[np.float64]
 TRIALS = 5
 """Configurations at which a new problem is tried out."""
 LINEAR = 1e-9
-ROUNDING = 1e-12
+FRACTION = 1e-12
 """A fidelity of m / N means m rows, whatever the rounding of the fraction."""
 FAR = 2.0
 """A nominal value this factor beyond the data is far from them."""
 ROUNDING = 1e-16
 """Of the output's mean square: a loss below has only digits of rounding."""
+SCATTER = 100_000
+"""Rows that tell how far points scatter."""
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
 
@@ -175,6 +178,19 @@ class CurveFit(LeastSquaresProblem):
         return self.dataset.units[self.dataset.output]
 
     @cached_property
+    def noise(self) -> float:  # type: ignore[override]
+        """The mean square that is not the model's: how far neighbouring points scatter at most.
+
+        The upper end of an interval for it (see `irreducible_interval`), for models of one input;
+        of long data some rows tell it.
+        """
+        if not self._square or len(self.inputs) != 1 or self.model.ordered:
+            return math.inf
+        every = slice(None, None, -(-len(self.dataset) // SCATTER))
+        high = irreducible_interval(self.inputs[0][every], self._output[every]).high
+        return math.inf if math.isnan(high) else float(high) ** 2
+
+    @cached_property
     def rounding(self) -> float:  # type: ignore[override]
         """The loss, in the output's unit squared, up to which a loss is 0."""
         return ROUNDING * float(np.mean(self._output**2))
@@ -229,7 +245,7 @@ class CurveFit(LeastSquaresProblem):
 
     def _rows(self, fidelity: float) -> int:
         N = len(self.dataset)
-        return N if self.model.ordered else min(N, math.ceil(fidelity * N * (1 - ROUNDING)))
+        return N if self.model.ordered else min(N, math.ceil(fidelity * N * (1 - FRACTION)))
 
     def _part(self, fidelity: float) -> NDArray[np.intp] | None:
         """The rows that a fidelity uses, None for all."""

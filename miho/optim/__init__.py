@@ -2,6 +2,7 @@
 
 from miho.optim.evidence import Agreement, agreement, in_optimum
 from miho.optim.miho import MIHO
+from miho.optim.miho_gn import MIHOGN
 from miho.optim.minimize import Checkpoint, Outcome, RunRecord, minimize
 from miho.optim.optimizer import AskTell, Optimizer, Resumable
 from miho.optim.oracle import (
@@ -21,6 +22,7 @@ from miho.optim.trace import Descent, Descents, Starts, Trace
 
 __all__ = [
     "MIHO",
+    "MIHOGN",
     "Agreement",
     "AskTell",
     "Budget",
@@ -37,8 +39,8 @@ __all__ = [
     "Parameter",
     "Problem",
     "RandomSearch",
-    "RunInterrupted",
     "Resumable",
+    "RunInterrupted",
     "RunRecord",
     "Rung",
     "Space",

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from miho.optim.oracle import Block, BudgetExhausted, Oracle, UnusableValueError
 from miho.optim.space import Space
-from miho.optim.triangular import Room, allocating, compiled, fold, row_of, solve_in_box, square_sum
+from miho.optim.triangular import Room, allocating, compiled, fold, solve_in_box, square_sum
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -181,7 +181,7 @@ class Box(NamedTuple):
         )
 
 
-class Known(NamedTuple):
+class Minima(NamedTuple):
     """The minima found so far: where (k, d), and their losses over the rows of the level (k,)."""
 
     x: Array
@@ -310,9 +310,7 @@ def is_free(x: float) -> bool:
 
 
 @compiled
-def looked(
-    c: Candidates, i: int, loss: float, box: Box, m: int, rules: Rules, w: Work
-) -> None:
+def looked(c: Candidates, i: int, loss: float, box: Box, m: int, rules: Rules, w: Work) -> None:
     """What follows from the loss of a configuration's trial, whose residuals are in w."""
     d = c.x.shape[1]
     if c.stage[i] == ENTER:
@@ -448,7 +446,7 @@ def step(c: Candidates, i: int, box: Box, m: int, rules: Rules, w: Work) -> None
 
 
 @compiled
-def known(c: Candidates, i: int, box: Box, m: int, minima: Known, rules: Rules) -> bool:
+def known(c: Candidates, i: int, box: Box, m: int, minima: Minima, rules: Rules) -> bool:
     """Whether a configuration is on its way to a minimum that is known, in the metric of R'R."""
     n = box.nonlinear.size if c.projects[i] else c.x.shape[1]
     for a in range(minima.x.shape[0]):
@@ -467,9 +465,7 @@ def known(c: Candidates, i: int, box: Box, m: int, minima: Known, rules: Rules) 
 
 
 @compiled
-def prepare(
-    c: Candidates, i: int, box: Box, m: int, minima: Known, rules: Rules, w: Work
-) -> bool:
+def prepare(c: Candidates, i: int, box: Box, m: int, minima: Minima, rules: Rules, w: Work) -> bool:
     """Bring a configuration to its next evaluation; false where it needs none in this block."""
     while c.stage[i] == SLOPES or c.stage[i] == READY:
         if c.stage[i] == READY and known(c, i, box, m, minima, rules):
@@ -553,9 +549,7 @@ def evaluated(
 
 
 @compiled
-def look(
-    residuals: Any, X: Array, y: Array, ends: Whole, m: int, keep: bool, w: Work
-) -> float:
+def look(residuals: Any, X: Array, y: Array, ends: Whole, m: int, keep: bool, w: Work) -> float:
     """The sum of squares at w.theta over m rows, and in w.sums over those of each level."""
     total, start = 0.0, 0
     for level in range(ends.size):
@@ -647,7 +641,7 @@ def advance(
     rows: Array,
     box: Box,
     ends: Whole,
-    minima: Known,
+    minima: Minima,
     rules: Rules,
     slope_cost: int,
     most: int,
@@ -680,7 +674,7 @@ def _advance(
     c: Candidates,
     box: Box,
     ends: Whole,
-    minima: Known,
+    minima: Minima,
     rules: Rules,
     slope_cost: int,
     most: int,
@@ -730,14 +724,13 @@ def _advance(
     return FINISHED, spent, found, nans, infinities, unusable
 
 
-def descend(
+def give_steps(
     oracle: Oracle,
     c: Candidates,
     box: Box,
     ends: Whole,
-    minima: Known,
+    minima: Minima,
     rules: Rules,
-    slope_cost: int,
 ) -> None:
     """Give each configuration its steps, compiled where the problem is.
 
@@ -749,10 +742,10 @@ def descend(
         w = work.py_func(c.x.shape[1], m, ends.size)
         _from_outside(oracle, c, box, ends, minima, rules, w)
         return
-    N, d = rows.y.size, c.x.shape[1]
+    N, d, slope_cost = rows.y.size, c.x.shape[1], oracle.jacobian_cost
     least = float(max(box.linear.size + 1, slope_cost))
-    events = min(EVENTS, 1 + (rules.last and EVENTS))
-    at, losses, thetas = np.empty(events, np.int64), np.empty(events), np.empty((events, d))
+    room = EVENTS if rules.last else 0
+    at, losses, thetas = np.empty(room, np.int64), np.empty(room), np.empty((room, d))
 
     def block(most: float, best: float, target: float) -> Block:
         limit = int(min(most * N + 1e-6, EVENTS * N, 2**62))
@@ -760,18 +753,22 @@ def descend(
             rows.residuals, rows.slopes, rows.X, rows.y, *c[:4], box, ends, minima, rules, slope_cost, limit, best, target, at, losses, thetas,
         )  # fmt: skip
         rejected = {}
-        for reason, count in (("loss is nan", nans), ("loss is inf", infinities),
-                              ("derivative is not finite", unusable)):
+        for reason, count in (
+            ("loss is nan", nans),
+            ("loss is inf", infinities),
+            ("derivative is not finite", unusable),
+        ):
             if count:
                 rejected[reason] = count
-        return Block(spent / N, at[:found] / N, losses[:found], thetas[:found], rejected,
-                     state == FINISHED)
+        return Block(
+            spent / N, at[:found] / N, losses[:found], thetas[:found], rejected, state == FINISHED
+        )
 
     oracle.spend(block, least)
 
 
 def _from_outside(
-    oracle: Oracle, c: Candidates, box: Box, ends: Whole, minima: Known, rules: Rules, w: Work
+    oracle: Oracle, c: Candidates, box: Box, ends: Whole, minima: Minima, rules: Rules, w: Work
 ) -> None:
     """The same steps on residuals and derivatives that a problem gives one at a time."""
     d, p = c.x.shape[1], box.linear.size
@@ -845,9 +842,11 @@ def _look_outside(
 
 
 @compiled
-def same(c: Candidates, i: int, j: int, box: Box, m: int) -> bool:
+def same(c: Candidates, i: int, j: int, box: Box) -> bool:
     """Whether two configurations are one, as far as the rows can tell; j is the worse one."""
-    if c.stage[i] != READY and c.stage[i] != DONE or abs(c.loss[i] - c.loss[j]) > 0.05 * c.loss[i]:
+    if (c.stage[i] != READY and c.stage[i] != DONE) or abs(c.loss[i] - c.loss[j]) > 0.05 * c.loss[
+        i
+    ]:
         return False
     n = box.nonlinear.size if c.projects[i] else c.x.shape[1]
     distance = 0.0
@@ -861,14 +860,14 @@ def same(c: Candidates, i: int, j: int, box: Box, m: int) -> bool:
 
 
 @allocating
-def distinct(c: Candidates, box: Box, m: int) -> NDArray[np.intp]:
+def distinct(c: Candidates, box: Box) -> NDArray[np.intp]:
     """Those of configurations in ascending order of their loss that are no copies of better ones."""
     kept = np.empty(c.loss.size, np.intp)
     count = 0
     for j in range(c.loss.size):
         new = True
         for i in kept[:count]:
-            if same(c, i, j, box, m):
+            if same(c, i, j, box):
                 new = False
                 break
         if new:

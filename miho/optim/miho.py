@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,7 +10,8 @@ from numpy.typing import NDArray
 
 from miho.optim.mutation import ANNEALINGS, CLIPS, annealed_sigma, mutate
 from miho.optim.optimizer import AskTell
-from miho.optim.oracle import Oracle
+from miho.optim.oracle import Budget, Oracle
+from miho.optim.problem import Problem
 from miho.optim.schedule import ROUNDINGS, Rung, hyperband_table
 from miho.optim.space import LARGEST_BATCH, SAMPLINGS, Space
 from miho.optim.validate import one_of, whole
@@ -122,6 +124,10 @@ class MIHO(AskTell[MIHOState]):
         state.row = 0
         self._count(state, 1)
 
+    def rehearsals(self, problem: Problem, theta: Array) -> Sequence[Callable[[], object]]:
+        """Losses, and compiled steps where the problem has them."""
+        return [lambda: Oracle(problem, Budget())(theta[None]), lambda: _climb_once(problem, theta)]
+
     def step(self, state: MIHOState, oracle: Oracle) -> None:
         """A batch; or the next steps of this rung, or rows of one, in one compiled block."""
         climbs = state.step >= 0 and self.proposal == "mutation"
@@ -193,3 +199,12 @@ class MIHO(AskTell[MIHOState]):
         low, high = space.bounds
         P = np.maximum(P, low)
         return np.minimum(P, high) if self.clip == "box" else P
+
+
+def _climb_once(problem: Problem, theta: Array) -> None:
+    """Compile the problem's climb."""
+    if problem.climb is not None:
+        P, none = theta[None].copy(), np.empty((0, 1, theta.size))
+        bounds = problem.space.bounds
+        L = np.array([np.inf])
+        problem.climb(P, P.copy(), L, none, none[:, 0], bounds, np.inf, -np.inf, True)

@@ -4,409 +4,450 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.optim.gauss_newton import (
-    DONE, ENTER, KNOWN, READY, SLOPES, UNUSABLE, Box, Candidates, Known, Rules,
-    descend, distinct,
-)  # fmt: skip
+from miho.optim.brackets import draw_starts, levels, luby
 from miho.optim.evidence import in_optimum
+from miho.optim.gauss_newton import (
+    DONE,
+    ENTER,
+    KNOWN,
+    UNUSABLE,
+    Box,
+    Candidates,
+    Minima,
+    Rules,
+    distinct,
+    give_steps,
+)
 from miho.optim.optimizer import Resumable
-from miho.optim.oracle import Oracle, UnusableValueError
-from miho.optim.space import Parameter, Space
+from miho.optim.oracle import Budget, Oracle, UnusableValueError
+from miho.optim.problem import LeastSquaresProblem, Problem
+from miho.optim.seeds import stream
+from miho.optim.space import Space
 from miho.optim.validate import positive, whole
 
 Array = NDArray[np.float64]
 
-SCREEN, CLIMB, LEAD, FINISH, SHARE, OVER = "screen", "climb", "lead", "finish", "share", "over"
-DECADES = 3
+SCREEN, CLIMB, LEAD, FINISH, SHARE, OVER = range(6)
+"""Phases of a bracket: first looks, steps of a rung and more of its best, the last one on all rows,
+one that was set aside before, and the end."""
+ALONE = 1 << 40
+"""Steps of a configuration that goes on as long as it makes progress."""
+NEAR, NEAR_LAST = 9.0, 0.1
+"""At a known minimum within 3 standard deviations: squared, in units of d / rows of the loss; on
+all rows the second, if it is less."""
+BETTER = 4.0
+"""But not if its loss is lower than there by so many d / rows: more than a few rows may tell."""
+ENTERING = 1e-3
+"""The damping with which one begins a level that was done with the one before."""
 APART = 1.1
+"""Losses of a few rows tell two worse optima apart where they differ by this factor."""
+BOUND = 1e-9
+"""A share of a width: nearer, a parameter is at its bound."""
+SOLVED_FIRST = 9
+"""A problem that is linear in all parameters is solved on one row in so many, then on all."""
 ROOM = 1 << 22
-"""Numbers that the derivatives of a rung may take; beyond, Broyden's update is left out."""
+"""Numbers that the derivatives of a rung may hold; beyond, each step pays for its own."""
+TRIALS = 1000
+"""Looks for one usable configuration of a problem that does not say how many rows it has."""
 
 
 @dataclass
 class MIHOGNState:
+    """Where the search stands: a bracket's phase and level, and its `live` configurations.
+
+    `ends` are the rows of the levels, all of them last (0 as long as nobody said how many).
+    `minima` (k, d) in unit coordinates are those known, with their sums of squares over the rows
+    of each level, `sums` (k, levels); `sound` (k,) where the data determine all parameters there.
+    `found` is what was spent when the best of them was.
+    `rest` waits for the best of its rung, `aside` are configurations that crawl, one each. `size`
+    is what a rung of the bracket may cost, `begun` what was spent before it.
+    """
+
     space: Space
-    rng: np.random.Generator
     box: Box
+    rng: np.random.Generator
     ends: NDArray[np.int64]
-    cost: float
-    slope_cost: int
     compiled: bool
-    bracket: int = 0
-    size: float = 0.0
-    projects: bool = False
-    phase: str = OVER
-    level: int = 0
-    begun: float = 0.0
-    alive: Candidates | None = None
+    slope_cost: int
+    live: Candidates
+    minima: Array
+    losses: Array
+    sums: Array
+    sound: NDArray[np.bool_]
     rest: Candidates | None = None
-    minima: Known = field(default_factory=lambda: Known(np.empty((0, 0)), np.empty(0)))
-    sums: Array = field(default_factory=lambda: np.empty((0, 0)))
-    sound: NDArray[np.bool_] = field(default_factory=lambda: np.empty(0, bool))
-    rounding: float = 0.0
     aside: list[Candidates] = field(default_factory=list)
-    least: float = math.inf
+    bracket: int = 0
+    projects: bool = False
+    phase: int = OVER
+    level: int = 0
+    size: float = 0.0
+    begun: float = 0.0
+    found: float = 0.0
+    tried: int = 0
     over: bool = False
-    asked: int = 0
+
+    @property
+    def d(self) -> int:
+        """The number of parameters."""
+        return len(self.space)
+
+    @property
+    def rows(self) -> int:
+        """How many rows this level looks at."""
+        return int(self.ends[self.level])
+
+    @property
+    def last(self) -> bool:
+        """Whether that is all rows."""
+        return self.level == self.ends.size - 1
+
+    @property
+    def linear(self) -> bool:
+        """Whether the problem is linear in all parameters."""
+        return not self.box.nonlinear.size
+
+    @property
+    def look_cost(self) -> float:
+        """What one look on this level costs, in evaluations."""
+        return self.rows / int(self.ends[-1]) * (1 + self.projects * self.box.linear.size)
+
+    @property
+    def step_cost(self) -> float:
+        """What a step costs: derivatives and a look."""
+        return self.look_cost + self.slope_cost * self.rows / int(self.ends[-1])
+
+    @property
+    def level_losses(self) -> Array:
+        """The losses of the known minima over the rows of this level, (k,)."""
+        return np.asarray(self.sums[:, self.level] / self.rows)
 
 
 @dataclass(frozen=True)
 class MIHOGN(Resumable[MIHOGNState]):
+    """Brackets of successive halving in which what survives has descended, on ever more rows.
+
+    A bracket looks at configurations on the first rows of the data, `rows` for each parameter, and
+    keeps the best. Each rung gives the survivors `steps` Levenberg-Marquardt steps, its best one up
+    to `lead`, and `eta` times as many rows, until the last one goes to its end on all rows. A level
+    with more than the share `jump` of all rows, or after `enough` rows for each parameter, is all
+    of them; so are all levels of a problem that gives no fewer. Brackets have rungs of `base`
+    (d + 1) evaluations times Luby's sequence, at most `largest`; `least` to `most` configurations.
+
+    Steps are damped by `damping` at first, no longer than `reach` of the widths, and over where
+    they promise less than `tolerance` of the loss; on fewer rows, m of them, `level_tolerance`
+    d / m, which m rows cannot tell. Every second bracket solves for the linear parameters at each
+    look (variable projection). A descent that gains less than the share `progress` of its loss in
+    `patience` (d + 1) evaluations is set aside; the best of those gets as much as the next bracket
+    has spent. What comes to a known minimum ends.
+
+    The search ends when the ends of its brackets are evidence enough (`miho.optim.evidence`). Where
+    the best one is at a bound, the data leave a parameter open in all of its range, or the loss is
+    more than their noise explains, `doubtful` brackets must have come back to it, in a search that
+    has become `longer` times as long as it was when that was found: there searches get stuck. `brackets` are the most. A problem
+    that is linear in all parameters is solved.
+
+    Needs a least-squares problem; of its residuals and derivatives those of the first rows, if it
+    gives them, and compiled, if it has them.
+    """
+
     eta: int = 3
     rows: float = 4.0
-    base: float = 0.5
-    largest: float = 32.0
-    steps: int = 3
-    lead: int = 20
-    least: int = 3
-    most: int = 243
-    damping: float = 0.1
-    reach: float = 0.25
     jump: float = 0.5
     enough: float = 200.0
-    level_tolerance: float = 0.1
+    base: float = 0.5
+    largest: float = 32.0
+    least: int = 3
+    most: int = 243
+    steps: int = 3
+    lead: int = 20
+    damping: float = 0.1
+    reach: float = 0.25
     tolerance: float = 1e-8
-    patience: int = 4
+    level_tolerance: float = 0.1
+    patience: float = 4.0
     progress: float = 0.05
-    brackets: int = 200
     doubtful: int = 20
-    draws: str = "space"
-    project: str = "even"
+    longer: float = 10.0
+    brackets: int = 200
+
+    def __post_init__(self) -> None:
+        whole("eta", self.eta, 2)
+        for name in ("least", "most", "steps", "lead", "doubtful", "brackets"):
+            whole(name, getattr(self, name), 1)
+        for name in (
+            "rows", "jump", "enough", "base", "largest", "damping", "reach", "tolerance",
+            "level_tolerance", "patience", "progress", "longer",
+        ):  # fmt: skip
+            positive(name, getattr(self, name))
+        if self.most < self.least:
+            raise ValueError(f"most is {self.most}; expected at least {self.least}, which is least")
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOGNState:
-        space, d = oracle.space, len(oracle.space)
+        """The state before the first look."""
+        space, N = oracle.space, oracle.rows
         box = Box.of(space, oracle.linear)
-        return MIHOGNState(space, rng, box, self._levels(oracle, d, box), 1.0, oracle.jacobian_cost, oracle.compiled_rows is not None, rounding=oracle.meter.starts.rounding,
-                           minima=Known(np.empty((0, d)), np.empty(0)))
+        ends = (0,)
+        if N is not None:
+            ends = self._levels(N, box)
+            if oracle.cost(ends[0] / N) >= 1:  # fewer rows are not cheaper
+                ends = ends[-1:]
+        none = np.empty((0, len(space)))
+        return MIHOGNState(
+            space,
+            box,
+            rng,
+            np.array(ends),
+            oracle.compiled_rows is not None,
+            oracle.jacobian_cost,
+            live=Candidates.at(none, len(ends), self.damping, False),
+            minima=none,
+            losses=np.empty(0),
+            sums=np.empty((0, len(ends))),
+            sound=np.empty(0, bool),
+        )
 
-    def _levels(self, oracle: Oracle, d: int, box: Box) -> NDArray[np.int64]:
-        """Rows of each level, the last one all."""
-        N = oracle.rows
-        if N is None:
-            return np.array([0])
+    def _levels(self, N: int, box: Box) -> tuple[int, ...]:
+        d = box.low.size
         if not box.nonlinear.size:
-            return np.unique([max(math.ceil(N / 9), min(N, d + 1)), N])
-        m = min(N, max(1, math.ceil(self.rows * d)))
-        if oracle.cost(m / N) >= 1:
-            return np.array([N])
-        ends = [m]
-        while ends[-1] < N:
-            further = self.eta * ends[-1]
-            ends.append(N if further > self.jump * N or ends[-1] > self.enough * d else further)
-        return np.array(ends)
+            first = max(math.ceil(N / SOLVED_FIRST), d + 1)
+            return (first, N) if first < N else (N,)
+        return levels(
+            N, d, per_parameter=self.rows, eta=self.eta, jump=self.jump, enough=self.enough
+        )
 
     def done(self, state: MIHOGNState) -> bool:
+        """After brackets whose ends are evidence enough, or after the last."""
         return state.over
 
     def step(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """The evaluations of one phase, and what follows from them."""
         if not state.ends[-1]:
             self._count_rows(state, oracle)
             return
         if state.phase == OVER:
             self._draw(state, oracle)
-        c = state.alive
-        assert c is not None
-        descend(oracle, c, state.box, state.ends, self._sound_minima(state), self._rules(state, oracle),
-                state.slope_cost)
-        getattr(self, "_after_" + state.phase)(state, oracle)
+        if (state.live.stage < DONE).any():
+            minima = Minima(state.minima[state.sound], state.level_losses[state.sound])
+            rules = self._rules(state, oracle)
+            give_steps(oracle, state.live, state.box, state.ends, minima, rules)
+        phases = {
+            SCREEN: self._screened,
+            CLIMB: self._climbed,
+            LEAD: self._led,
+            FINISH: self._finished,
+            SHARE: self._shared,
+        }
+        phases[state.phase](state, oracle)
+
+    def rehearsals(self, problem: Problem, theta: Array) -> Sequence[Callable[[], object]]:
+        """A first bracket, where it is compiled; else what residuals and derivatives need."""
+        if isinstance(problem, LeastSquaresProblem) and problem.compiled_rows is not None:
+            oracle = Oracle(problem, Budget(evaluations=len(theta) + 2))
+            return [lambda: problem.noise, lambda: self.run(oracle, stream())]
+        return super().rehearsals(problem, theta)
 
     def _count_rows(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Look once at all residuals of a problem that does not say how many there are."""
-        theta = state.space.decode(state.space.initial(state.asked + 1))[state.asked]
-        state.asked += 1
-        state.over = state.asked == 1000
+        theta = state.space.decode(state.space.initial(state.tried + 1))[-1]
         with contextlib.suppress(UnusableValueError):
             state.ends[:] = oracle.residuals(theta).size
-            state.asked, state.over = 0, False
-
-    # -- the phases of a bracket
-
-    def _draw(self, state: MIHOGNState, oracle: Oracle) -> None:
-        state.bracket += 1
-        d, p = len(state.space), len(state.box.linear)
-        state.projects = bool(p) and (
-            {"even": state.bracket % 2 == 0, "always": True, "never": False, "odd": state.bracket % 2 == 1}[self.project]
-            or not state.box.nonlinear.size)
-        state.size = (d + 1) * min(self.base * luby(state.bracket), self.largest)
-        look = self._share(state, 0) * (p + 1 if state.projects else 1)
-        n = int(np.clip(round(state.size / look), self.least, self.most))
-        if not state.box.nonlinear.size:
-            n = 1
-        x = self._starts(state, n)
-        state.begun = oracle.evaluations
-        oracle.screened(n)
-        state.alive = Candidates.at(x, state.ends.size, self.damping, state.projects)
-        state.phase, state.level = SCREEN, 0
-        self._room(state)
-
-    def _after_screen(self, state: MIHOGNState, oracle: Oracle) -> None:
-        c = usable(state.alive)
-        if c.loss.size:
-            state.least = min(state.least, float(c.loss[0]))
-        if not state.box.nonlinear.size:
-            if state.level + 1 < state.ends.size:
-                state.alive = c
-                state.level += 1
-                self._enter(state)
-                return
-            state.phase, state.over = OVER, True
-            if c.loss.size:
-                self._ended(state, oracle, float(oracle.best), True)
-            return
-        self._rung(state, oracle, c, c.loss.size)
-
-    def _rung(self, state: MIHOGNState, oracle: Oracle, c: Candidates, before: int) -> None:
-        """Keep the best, and give them their steps at this level."""
-        d, p = len(state.space), len(state.box.linear)
-        if not c.loss.size:
-            state.phase = OVER
-            self._close(state, oracle)
-            return
-        step = self._share(state, state.level) * ((p + 1 if state.projects else 1) + state.slope_cost)
-        n = int(np.clip(state.size / (self.steps * step), 1, max(1, before // self.eta)))
-        state.alive = c.take(np.arange(min(n, c.loss.size)))
-        last = state.level == state.ends.size - 1
-        m = state.ends[state.level]
-        if c.rows.shape[2] != m or (state.alive.stage == ENTER).any():
-            pass
-        self._begin(state, FINISH if last and state.alive.loss.size == 1 else CLIMB)
-
-    def _begin(self, state: MIHOGNState, phase: str) -> None:
-        c = state.alive
-        c.steps[:], c.spent[:], c.mark[:], c.marked[:] = 0, 0, 0, c.loss
-        state.phase = phase
-
-    def _after_climb(self, state: MIHOGNState, oracle: Oracle) -> None:
-        c = usable(state.alive)
-        last = state.level == state.ends.size - 1
-        if last or not c.loss.size:
-            state.alive, state.rest = c, None
-            self._pruned(state, oracle)
-            return
-        state.rest = c.take(np.arange(1, c.loss.size))
-        state.alive = c.take(np.arange(1))
-        self._begin(state, LEAD)
-
-    def _after_lead(self, state: MIHOGNState, oracle: Oracle) -> None:
-        state.alive = state.alive.beside(state.rest)
-        state.rest = None
-        self._pruned(state, oracle)
-
-    def _pruned(self, state: MIHOGNState, oracle: Oracle) -> None:
-        c = usable(state.alive)
-        before = c.loss.size
-        if not before:
-            state.phase = OVER
-            self._close(state, oracle)
-            return
-        minima = self._minima(state)
-        gone = c.stage == KNOWN
-        if minima.loss.size:
-            gone |= (c.stage == DONE) & (c.loss >= minima.loss.min() * (1 - 1e-12))
-        if gone.all():
-            self._returned(state, oracle, c)
-            state.phase = OVER
-            self._close(state, oracle)
-            return
-        c = c.take(np.flatnonzero(~gone))
-        c = c.take(distinct(c, state.box, int(state.ends[state.level])))
-        last = state.level == state.ends.size - 1
-        state.alive = c
-        if last:
-            self._rung(state, oracle, c, c.loss.size)
-            return
-        state.level += 1
-        d, p = len(state.space), len(state.box.linear)
-        step = self._share(state, state.level) * ((p + 1 if state.projects else 1) + state.slope_cost)
-        n = int(np.clip(state.size / (self.steps * step), 1, max(1, c.loss.size // self.eta)))
-        state.alive = c.take(np.arange(min(n, c.loss.size)))
-        self._enter(state)
-        last = state.level == state.ends.size - 1
-        self._begin(state, FINISH if last and state.alive.loss.size == 1 else CLIMB)
-
-    def _enter(self, state: MIHOGNState) -> None:
-        c = state.alive
-        last = state.level == state.ends.size - 1
-        finished = c.stage == DONE
-        c.projects[:] = state.projects & (~finished | (not last))
-        if not state.box.nonlinear.size:
-            c.projects[:] = True
-        c.damping[finished] = np.minimum(c.damping[finished], 1e-3)
-        c.stage[:], c.loss[:], c.gain[:], c.growth[:], c.secants[:] = ENTER, np.inf, np.inf, 2.0, 0
-        c.trial[:] = c.x
-        self._room(state)
-
-    def _after_finish(self, state: MIHOGNState, oracle: Oracle) -> None:
-        self._settle(state, oracle, state.alive)
-        self._close(state, oracle)
-        if not state.aside or state.over:
-            state.phase = OVER
-            return
-        best = min(range(len(state.aside)), key=lambda k: state.aside[k].loss[0])
-        state.alive = state.aside.pop(best)
-        self._begin(state, SHARE)
-
-    def _after_share(self, state: MIHOGNState, oracle: Oracle) -> None:
-        self._settle(state, oracle, state.alive)
-        state.phase = OVER
-        self._close(state, oracle)
-
-    def _settle(self, state: MIHOGNState, oracle: Oracle, c: Candidates) -> None:
-        """What became of the last one of a bracket, on all rows."""
-        stage = int(c.stage[0])
-        if stage == KNOWN:
-            self._returned(state, oracle, c)
-        elif stage == DONE:
-            loss = float(c.loss[0])
-            self._ended(state, oracle, loss, True)
-            best = state.minima.loss.min(initial=math.inf)
-            if loss < best or not in_optimum(float(best), loss, state.rounding):
-                sums = c.sums[0] if c.sums[0, -1] > 0 else loss * state.ends
-                state.minima = Known(np.vstack([state.minima.x, c.x]),
-                                     np.append(state.minima.loss, loss))
-                state.sums = np.vstack([state.sums.reshape(-1, state.ends.size), sums])
-                state.sound = np.append(state.sound, self._sound(state, c))
-        elif stage != UNUSABLE:
-            state.aside.append(c)
-
-    def _sound(self, state: MIHOGNState, c: Candidates) -> bool:
-        """Whether the data determine each parameter within its range, off its bounds."""
-        n = state.box.nonlinear.size if c.projects[0] else len(state.space)
-        if (c.x <= 1e-9).any() or (c.x >= 1 - 1e-9).any():
-            return False
-        m = int(state.ends[-1])
-        R = c.R[0, :n, :n]
-        if not n:
-            return True
-        if not np.abs(np.diag(R)).all():
-            return False
-        variance = c.loss[0] * m / max(m - n, 1)
-        inverse = np.linalg.inv(R)
-        return bool((np.einsum("ij,ij->i", inverse, inverse) * variance <= 1).all())
-
-    def _returned(self, state: MIHOGNState, oracle: Oracle, c: Candidates) -> None:
-        """A bracket came back to what is known, or ended at something that is not better."""
-        minima = self._minima(state)
-        nearest = int(np.argmin(((minima.x - c.x[0]) ** 2).sum(axis=1)))
-        loss = float(state.minima.loss[nearest])
-        if c.stage[0] != KNOWN:
-            # of a few rows only: as far as they tell two optima apart
-            best = int(np.argmin(minima.loss))
-            worse = math.log(max(1.0, c.loss[0] / minima.loss[best])) / math.log(APART)
-            loss = float(state.minima.loss[best] * APART ** math.floor(1 + worse))
-        self._ended(state, oracle, loss, True)
-
-    def _ended(self, state: MIHOGNState, oracle: Oracle, loss: float, converged: bool) -> None:
-        oracle.ended(math.inf, loss, converged=converged)
-
-    def _close(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """The end of a bracket: whether that is enough."""
-        if state.bracket >= self.brackets:
-            state.over = True
-        elif state.minima.loss.size:
-            best = int(np.argmin(state.minima.loss))
-            crawling = any(c.loss[0] < state.minima.loss[best] for c in state.aside)
-            agreement = oracle.agreement
-            enough = agreement.enough and (state.sound[best] or agreement.here >= self.doubtful)
-            state.over = enough and not crawling
-
-    # -- what the phases need
-
-    def _share(self, state: MIHOGNState, level: int) -> float:
-        return float(state.ends[level] / state.ends[-1]) if state.ends[-1] else 1.0
-
-    def _minima(self, state: MIHOGNState) -> Known:
-        """The known minima with their losses over the rows of this level."""
-        if not state.minima.loss.size or state.level == state.ends.size - 1:
-            return state.minima
-        return Known(state.minima.x, state.sums[:, state.level] / state.ends[state.level])
-
-    def _sound_minima(self, state: MIHOGNState) -> Known:
-        minima = self._minima(state)
-        return Known(minima.x[state.sound], minima.loss[state.sound])
-
-    def _room(self, state: MIHOGNState) -> None:
-        c, m = state.alive, int(state.ends[state.level])
-        n, d = c.x.shape
-        few = not state.compiled or (n * (d + 1) * m <= ROOM and not c.projects.all())
-        state.alive = c.with_rows(m if few else 0)
+        state.tried += 1
+        state.over = not state.ends[-1] and state.tried == TRIALS
 
     def _rules(self, state: MIHOGNState, oracle: Oracle) -> Rules:
-        d, m, last = len(state.space), max(1, int(state.ends[state.level])), state.level == state.ends.size - 1
-        N = max(1, int(state.ends[-1]))
-        phase = state.phase
-        steps = {SCREEN: 0, CLIMB: self.steps, LEAD: self.lead - self.steps}.get(phase, 1 << 40)
-        share = 0
-        if phase == SHARE:
-            share = int((oracle.evaluations - state.begun) * N)
+        """What the configurations of this phase may do."""
+        share, alone = state.d / state.rows, state.phase in (LEAD, FINISH, SHARE)
+        steps = {SCREEN: 0, CLIMB: self.steps, LEAD: self.lead - self.steps}
+        spent = (oracle.evaluations - state.begun) * int(state.ends[-1])
         return Rules(
-            level=state.level, last=last, steps=steps, reach=self.reach,
-            tolerance=self.tolerance if last else self.level_tolerance * d / m,
-            patience=0 if phase in (SCREEN, CLIMB) else self.patience * (d + 1) * m,
-            share=share, progress=self.progress,
-            near=min(9 * d / m, 0.1) if last else 9 * d / m, better=0.0 if last else 4 * d / m,
-            nothing=0.0,
+            level=state.level,
+            last=state.last,
+            steps=steps.get(state.phase, ALONE),
+            reach=self.reach,
+            tolerance=self.tolerance if state.last else self.level_tolerance * share,
+            patience=int(self.patience * (state.d + 1) * state.rows) if alone else 0,
+            share=int(spent) if state.phase == SHARE else 0,
+            progress=self.progress,
+            near=min(NEAR * share, NEAR_LAST) if state.last else NEAR * share,
+            better=0.0 if state.last else BETTER * share,
+            nothing=oracle.rounding,
         )
 
-    def _starts(self, state: MIHOGNState, n: int) -> Array:
-        """Unit coordinates (n, d): by scale, from the space's own distribution, uniform."""
-        space, rng, d = state.space, state.rng, len(state.space)
-        low, high = space.bounds
-        u = rng.random((n, d))
-        x = u.copy()
-        first = state.bracket == 1
-        own = space.initial(n) if first else space.sample(n, rng)
-        own = (space.encode(space.clip(space.decode(own))) - low) / (high - low)
-        kinds = {"space": [0, 2, 2], "thirds": [0, 2, 1], "uniform": [1], "own": [0], "scale": [2], "halves": [0, 2]}[self.draws]
-        kind = np.array(kinds)[np.arange(n) % len(kinds)]
-        if first:
-            kind[0] = 0
-        x[kind == 0] = own[kind == 0]
-        for k, parameter in enumerate(space.parameters):
-            x[kind == 2, k] = by_scale(u[kind == 2, k], parameter)
-        return np.clip(x, 0, 1)
+    # The phases of a bracket.
+
+    def _draw(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Begin a bracket."""
+        state.bracket += 1
+        state.projects = state.linear or (state.bracket % 2 == 0 and state.box.linear.size > 0)
+        state.size = (state.d + 1) * min(self.base * luby(state.bracket), self.largest)
+        state.level, state.phase, state.begun = 0, SCREEN, oracle.evaluations
+        n = min(max(round(state.size / state.look_cost), self.least), self.most)
+        n = 1 if state.linear else n
+        starts = draw_starts(state.space, n, state.rng, state.bracket == 1)
+        oracle.screened(n)
+        x = (starts - state.box.origin) / state.box.width
+        state.live = Candidates.at(x, state.ends.size, self.damping, state.projects)
+        self._make_room(state)
+
+    def _screened(self, state: MIHOGNState, oracle: Oracle) -> None:
+        state.live = _usable(state.live)
+        if not state.linear:
+            self._rung(state, oracle, entering=False)
+        elif not state.live.loss.size:
+            self._close(state, oracle)
+        elif state.last:
+            oracle.ended(math.inf, oracle.best)
+            state.over = True
+        else:
+            state.level += 1
+            self._enter(state)
+
+    def _rung(self, state: MIHOGNState, oracle: Oracle, entering: bool) -> None:
+        """Give the best of the live ones their steps on this level; the last one, all it needs."""
+        before = state.live.loss.size
+        if not before:
+            self._close(state, oracle)
+            return
+        n = min(max(state.size / (self.steps * state.step_cost), 1), max(1, before // self.eta))
+        state.live = state.live.take(slice(int(n)))
+        if entering:
+            self._enter(state)
+        self._begin(state, FINISH if state.last and int(n) == 1 else CLIMB)
+
+    def _enter(self, state: MIHOGNState) -> None:
+        """Look at the live ones anew, on the rows of another level."""
+        c = state.live
+        done = c.stage == DONE
+        c.projects[:] = state.projects & (state.linear | ~done | (not state.last))
+        c.damping[done] = np.minimum(c.damping[done], ENTERING)
+        c.loss[:] = c.gain[:] = np.inf
+        c.stage[:], c.growth[:], c.secants[:], c.trial[:] = ENTER, 2.0, 0, c.x
+        self._make_room(state)
+
+    def _begin(self, state: MIHOGNState, phase: int) -> None:
+        c = state.live
+        c.steps[:] = c.spent[:] = c.mark[:] = 0
+        c.marked[:] = c.loss
+        state.phase = phase
+
+    def _climbed(self, state: MIHOGNState, oracle: Oracle) -> None:
+        state.live = _usable(state.live)
+        if state.last or not state.live.loss.size:
+            self._prune(state, oracle)
+            return
+        state.rest = state.live.take(slice(1, None))
+        state.live = state.live.take(slice(1))
+        self._begin(state, LEAD)
+
+    def _led(self, state: MIHOGNState, oracle: Oracle) -> None:
+        if state.rest is not None:
+            state.live, state.rest = _usable(state.live.beside(state.rest)), None
+        self._prune(state, oracle)
+
+    def _prune(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Go on with what may lead to something new, on more rows."""
+        c = state.live
+        known = (c.stage == KNOWN) | ((c.stage == DONE) & (c.loss >= self._best(state)))
+        if known.all():
+            if c.loss.size:
+                self._returned(state, oracle, c)
+            self._close(state, oracle)
+            return
+        c = c.take(~known)
+        state.live = c.take(distinct(c, state.box))
+        entering = not state.last
+        state.level += entering
+        self._rung(state, oracle, entering)
+
+    def _finished(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Give what crawls as much as this bracket has spent, if there is any from before."""
+        earlier = state.aside.copy()
+        self._settle(state, oracle)
+        self._close(state, oracle)
+        if earlier and not state.over:
+            best = min(range(len(earlier)), key=lambda k: float(earlier[k].loss[0]))
+            state.live = state.aside.pop(best)
+            self._begin(state, SHARE)
+
+    def _shared(self, state: MIHOGNState, oracle: Oracle) -> None:
+        self._settle(state, oracle)
+        self._close(state, oracle)
+
+    def _settle(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Keep what became of the last one of a bracket."""
+        c = state.live
+        loss = float(c.loss[0])
+        if c.stage[0] == KNOWN:
+            self._returned(state, oracle, c)
+        elif c.stage[0] == DONE:
+            oracle.ended(math.inf, loss)
+            best = float(state.losses.min(initial=math.inf))
+            if loss < best or not in_optimum(best, loss, oracle.rounding):
+                sums = c.sums if c.sums[0, -1] > 0 else loss * state.ends[None]
+                if loss < best:
+                    state.found = oracle.evaluations
+                state.minima = np.vstack([state.minima, c.x])
+                state.losses = np.append(state.losses, loss)
+                state.sums = np.vstack([state.sums, sums])
+                state.sound = np.append(state.sound, _sound(c, state.box, state.rows))
+        elif c.stage[0] != UNUSABLE:
+            state.aside.append(c)
+
+    def _returned(self, state: MIHOGNState, oracle: Oracle, c: Candidates) -> None:
+        """The best of a bracket has come to a known minimum, or is done and no better."""
+        nearest = np.argmin(((state.minima - c.x[0]) ** 2).sum(axis=1))
+        loss = float(state.losses[nearest])
+        if c.stage[0] != KNOWN:
+            more = math.log(max(1.0, c.loss[0] / self._best(state)), APART)
+            loss = float(state.losses.min()) * APART ** (1 + math.floor(more))
+        oracle.ended(math.inf, loss)
+
+    def _close(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """End the bracket, and the search if the ends of its brackets are evidence enough."""
+        state.phase = OVER
+        state.over = state.bracket >= self.brackets
+        if state.losses.size:
+            best = int(np.argmin(state.losses))
+            crawling = any(c.loss[0] < state.losses[best] for c in state.aside)
+            agreement = oracle.agreement
+            likely = state.sound[best] and state.losses[best] <= oracle.noise
+            searched = oracle.evaluations >= self.longer * state.found
+            returned = likely or (searched and agreement.here >= self.doubtful)
+            state.over |= bool(agreement.enough and returned and not crawling)
+
+    def _best(self, state: MIHOGNState) -> float:
+        """The least loss of a known minimum over the rows of this level."""
+        return float(state.level_losses.min(initial=math.inf))
+
+    def _make_room(self, state: MIHOGNState) -> None:
+        """Room for the derivatives of the live ones on this level, where they are kept."""
+        c = state.live
+        kept = c.loss.size * (state.d + 1) * state.rows <= ROOM and not c.projects.all()
+        state.live = c.with_rows(state.rows if kept or not state.compiled else 0)
 
 
-def by_scale(u: Array, parameter: Parameter) -> Array:
-    """Unit coordinates of values that are small or large alike, from uniform numbers.
-
-    On a linear scale the magnitude is log-uniform over the DECADES below the largest one that the
-    range allows on its side of zero; the two sides have equal parts of u. A range that is not
-    wide against its distance from zero, and a log scale, are drawn from uniformly.
-    """
-    low, high = parameter.low, parameter.high
-    if parameter.scale == "log" or min(abs(low), abs(high)) * 10 > max(abs(low), abs(high)) and low * high > 0:
-        return u
-    if low < 0 < high:
-        left = u < 0.5
-        u = np.where(left, 1 - 2 * u, 2 * u - 1)
-        value = np.where(left, -magnitude(u, 0.0, -low), magnitude(u, 0.0, high))
-    elif low >= 0:
-        value = magnitude(u, low, high)
-    else:
-        value = -magnitude(1 - u, -high, -low)
-    return np.clip((value - low) / (high - low), 0.0, 1.0)
-
-
-def magnitude(u: Array, low: float, high: float) -> Array:
-    """Log-uniform from low, or the last of the DECADES below high, to high."""
-    low = max(low, high * 10.0**-DECADES)
-    return np.asarray(low * (high / low) ** u)
-
-
-def usable(c: Candidates) -> Candidates:
+def _usable(c: Candidates) -> Candidates:
+    """Those with finite losses, the best first."""
     order = np.argsort(c.loss, kind="stable")
     return c.take(order[(c.stage[order] != UNUSABLE) & np.isfinite(c.loss[order])])
 
 
-def luby(k: int) -> int:
-    while True:
-        n = k.bit_length()
-        if k == 2**n - 1:
-            return 2 ** (n - 1)
-        k -= 2 ** (n - 1) - 1
+def _sound(c: Candidates, box: Box, m: int) -> bool:
+    """Whether the data determine each parameter within its range, off the bounds.
+
+    Its standard deviation, by the factor of the derivatives there, is less than the range.
+    """
+    if (c.x < BOUND).any() or (c.x > 1 - BOUND).any():
+        return False
+    n = box.nonlinear.size if c.projects[0] else box.low.size
+    R = c.R[0, :n, :n]
+    if not np.diag(R).all():
+        return False
+    variance = c.loss[0] * m / max(m - n, 1)
+    return bool(((np.linalg.inv(R) ** 2).sum(axis=1) * variance <= 1).all())

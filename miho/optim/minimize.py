@@ -170,7 +170,9 @@ def _resumable(
 ) -> Checkpoint:
     """A copy that the resumed run may change, if it is a checkpoint of this very run."""
     if not isinstance(optimizer, Resumable):
-        raise ValueError(f"{type(optimizer).__name__} cannot be resumed; only Resumable methods can")
+        raise ValueError(
+            f"{type(optimizer).__name__} cannot be resumed; only Resumable methods can"
+        )
     here, there = (
         (optimizer, problem.name, seed),
         (checkpoint.optimizer, checkpoint.problem, checkpoint.seed),
@@ -231,7 +233,7 @@ _warm = _Warm()
 def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     """Let problem and method import, compile and allocate before the clock starts.
 
-    The problem evaluates one configuration; the method searches a paraboloid over the same
+    The problem evaluates one configuration, as the method will (`rehearsals`); the method searches a paraboloid over the same
     space for a few evaluations, so it learns nothing of the problem. What ran last is warm. A
     Ctrl-C is raised after the evaluation or compilation in progress.
     """
@@ -242,10 +244,7 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     toy = _Paraboloid(replace(problem.space, seed=()))
     interrupts: list[bool] = []
     for job in (
-        lambda: Oracle(problem, Budget())(theta),
-        lambda: _climb_once(problem, theta),
-        lambda: isinstance(problem, LeastSquaresProblem) and problem.residuals(theta[0]),
-        lambda: isinstance(problem, LeastSquaresProblem) and problem.jacobian(theta[0]),
+        *optimizer.rehearsals(problem, theta[0]),
         lambda: optimizer.run(Oracle(toy, Budget(evaluations=WARM_UP_EVALUATIONS)), stream()),
     ):
         try:
@@ -258,15 +257,6 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
         if interrupts:
             raise KeyboardInterrupt
     _warm = _Warm(weakref.ref(optimizer), weakref.ref(problem))
-
-
-def _climb_once(problem: Problem, theta: Array) -> None:
-    """Compile the problem's climb."""
-    if problem.climb is not None:
-        P, none = theta.copy(), np.empty((0, *theta.shape))
-        bounds = problem.space.bounds
-        L = np.array([math.inf])
-        problem.climb(P, P.copy(), L, none, none[:, 0], bounds, math.inf, -math.inf, True)
 
 
 class _Paraboloid(LeastSquaresProblem):

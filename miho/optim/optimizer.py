@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar, final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.optim.oracle import Oracle
+from miho.optim.oracle import Budget, Oracle
+from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.space import Space
 from miho.optim.trace import Starts
 
@@ -26,6 +28,15 @@ class Optimizer(ABC):
         Everything a method learns of the problem comes through `oracle`; all its randomness
         comes from `rng`, except the common start, `oracle.space.initial(n)`.
         """
+
+    def rehearsals(self, problem: Problem, theta: Array) -> Sequence[Callable[[], object]]:
+        """What makes a problem compile and allocate, before the clock starts, all that is asked of
+        it: by default losses, residuals and derivatives at one configuration (d,).
+        """
+        jobs: list[Callable[[], object]] = [lambda: Oracle(problem, Budget())(theta[None])]
+        if isinstance(problem, LeastSquaresProblem):
+            jobs += [lambda: problem.residuals(theta), lambda: problem.jacobian(theta)]
+        return jobs
 
 
 class Resumable(Optimizer, Generic[State]):

@@ -235,6 +235,16 @@ class Oracle:
         cost = self._least_squares.jacobian_cost
         return len(self.space) if cost is None else cost
 
+    @property
+    def rounding(self) -> float:
+        """A loss up to this is 0: its digits are rounding."""
+        return self._problem.rounding
+
+    @property
+    def noise(self) -> float:
+        """A loss above this is more than the noise of the data explains, as far as is known."""
+        return self._problem.noise
+
     def cost(self, fidelity: float) -> float:
         """What one evaluation at a fidelity costs, in full evaluations."""
         return self._problem.cost(fidelity)

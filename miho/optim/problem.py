@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import Any, NamedTuple
 
@@ -20,13 +21,15 @@ class Problem(ABC):
     `name` identifies the problem in seeds, stores and figures: two problems with one name are
     the same problem. `climb` makes steps of mutation and acceptance on this very loss, compiled,
     for problems that have a compiled loss and no parameter on a log scale. A loss up to `rounding`
-    is 0: its digits are rounding.
+    is 0: its digits are rounding. One above `noise` is more than the noise of the data explains, as
+    far as a problem can tell: either the model is not that of the data, or there is a better optimum.
     """
 
     name: str
     space: Space
     climb: Climb | None = None
     rounding: float = 0.0
+    noise: float = math.inf
 
     @abstractmethod
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
