@@ -358,7 +358,10 @@ def _code(model: Model) -> str:
 def our_code() -> str:
     """Digest of our code that decides what a run finds: all of it but studies and figures."""
     library = Path(miho.__file__).parent
-    names = ("curve_fit.py", "loss.py", "fused.py", "compressed.py", "panels.py", "panel_sums.py")
+    names = (
+        "curve_fit.py", "loss.py", "row_order.py", "fused.py", "compressed.py", "panels.py",
+        "panel_sums.py",
+    )  # fmt: skip
     problem = [library / "identification" / name for name in names]
     parts = [*(library / name for name in ("optim", "methods", "models", "data")), *problem]
     return code_digest([*parts, Path(baselines.__file__).parent])

@@ -16,6 +16,7 @@ from miho.identification.compressed import CompressedLoss
 from miho.identification.fused import FusedLoss
 from miho.identification.irreducible import irreducible_interval
 from miho.identification.loss import Loss, Square, slope
+from miho.identification.row_order import row_order
 from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
@@ -231,8 +232,8 @@ class CurveFit(LeastSquaresProblem):
 
     @cached_property
     def _order(self) -> NDArray[np.intp]:
-        """A fixed random order of the rows: a fidelity takes the first of them."""
-        return stream("fidelity", self.dataset.digest).permutation(len(self.dataset))
+        """The fixed order of the rows of which a fidelity takes the first ones."""
+        return row_order(self.inputs, stream("fidelity", self.dataset.digest))
 
     def cost(self, fidelity: float) -> float:
         """The fraction of rows that a fidelity uses; all of them where their order matters."""

@@ -56,7 +56,7 @@ class FusedLoss:
     """Mean square of model minus data, its residuals and their derivatives.
 
     X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which the loss
-    goes through them: a random one, so that the first part tells what the rest is like. `losses`
+    goes through them: one whose first part tells what the rest is like (`row_order`). `losses`
     and `climb` use `threads` threads, and give the same however many. `climb` gives a mutant up as
     soon as it is beaten by sums over panels, if the model has a bound, or by a part of the rows.
     """

@@ -1,0 +1,99 @@
+"""The order in which a fidelity takes the rows of the data: at random, but no corner comes late.
+
+In a random order a parameter that only one row in a hundred determines is unseen by the first rows:
+its derivatives are all but zero there. In this one, of the first m rows some sqrt(m) cover the
+inputs' range in value, and the others are random: the mean over the first rows is off by what the
+covering rows weigh, 1 / sqrt(m), which is no more than the chance in m random rows.
+
+The covering rows are those of the inputs' bounding box: of its two halves in turn, each of which is
+shrunk to its rows and halved in the same way. A box is split at the middle of an input, not at its
+median, so that a few rows far out are a half; of the inputs along which it is long, at the one
+whose halves hold the most different numbers of rows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Rows = NDArray[np.intp]
+
+POOL = 300_000
+"""Random rows among which covering ones are chosen: of rows one in 10,000 there are 30 in it."""
+COVERING = 256
+"""Covering rows at most: the first 65,536 rows hold all of them."""
+RARE = 1 / 4
+"""A half with less of the rows of its box comes first; of other halves chance decides."""
+FEW = 8
+"""A box with so many rows is not split."""
+LONG = 1 / 8
+"""A box is split along an input along which it has at least this much of its largest length."""
+
+
+def row_order(inputs: Sequence[Array], rng: np.random.Generator) -> Rows:
+    """A permutation (N,) of the rows of the input columns (N,), N at least 1, as described above.
+
+    The k-th covering row, counted from 0, has place k^2.
+    """
+    order = rng.permutation(inputs[0].size).astype(np.intp, copy=False)
+    pool = order[:POOL]
+    columns = [column for column in (_unit(column[pool]) for column in inputs) if column.any()]
+    most = min(COVERING, math.isqrt(order.size - 1) + 1)
+    covering = np.fromiter(islice(_covering(columns, pool, rng), most), np.intp)
+    places = np.arange(covering.size) ** 2
+    others = np.ones(order.size, dtype=bool)
+    others[covering] = False
+    rest = order[others[order]]
+    others[:] = True
+    others[places] = False
+    order[places], order[others] = covering, rest
+    return order
+
+
+def _unit(column: Array) -> Array:
+    """The column moved and scaled to [0, 1]; zeros if it is constant."""
+    low, high = column.min() / 2, column.max() / 2  # halves, whose difference is a number
+    return (column / 2 - low) / (high - low) if high > low else np.zeros_like(column)
+
+
+def _covering(columns: list[Array], rows: Rows, rng: np.random.Generator) -> Iterator[int]:
+    """All rows (n,) of a box with these columns (n,) each, its two halves in turn."""
+    split = _split(columns) if rows.size > FEW else None
+    if split is None:
+        yield from rows.tolist()
+        return
+    upper = np.count_nonzero(split) / rows.size
+    sides = [split, ~split]
+    if upper > 1 - RARE or (upper >= RARE and rng.random() < 0.5):
+        sides.reverse()
+    halves = []
+    for side in map(np.flatnonzero, sides):
+        halves.append(_covering([column[side] for column in columns], rows[side], rng))
+    del columns, rows, split, sides, side  # each row of a large pool is then held but once
+    while halves:
+        for half in tuple(halves):
+            row = next(half, None)
+            if row is None:
+                halves.remove(half)
+            else:
+                yield row
+
+
+def _split(columns: list[Array]) -> NDArray[np.bool_] | None:
+    """Which rows of a box are in its upper half; None for a box without any length."""
+    lows, highs = [column.min() for column in columns], [column.max() for column in columns]
+    longest = max((high - low for low, high in zip(lows, highs, strict=True)), default=0.0)
+    if not longest > 0:
+        return None
+    splits: list[NDArray[np.bool_]] = []
+    for column, low, high in zip(columns, lows, highs, strict=True):
+        if high - low >= LONG * longest:
+            middle = low + (high - low) / 2
+            splits.append(column > (middle if middle < high else low))  # neighbours have none
+    imbalances = [abs(2 * np.count_nonzero(split) - split.size) for split in splits]
+    return splits[int(np.argmax(imbalances))]
