@@ -40,19 +40,31 @@ def row_order(inputs: Sequence[Array], rng: np.random.Generator) -> Rows:
 
     The k-th covering row, counted from 0, has place k^2.
     """
-    order = rng.permutation(inputs[0].size).astype(np.intp, copy=False)
+    order = rng.permutation(inputs[0].size)
+    most = min(COVERING, math.isqrt(order.size - 1) + 1)
+    covering = covering_rows(inputs, order, most, rng)
+    return merged(order, covering, np.arange(covering.size) ** 2)
+
+
+def covering_rows(
+    inputs: Sequence[Array], order: Rows, most: int, rng: np.random.Generator
+) -> Rows:
+    """The `most` rows that come first in covering the inputs' range; `order` (N,) is random."""
     pool = order[:POOL]
     columns = [column for column in (_unit(column[pool]) for column in inputs) if column.any()]
-    most = min(COVERING, math.isqrt(order.size - 1) + 1)
-    covering = np.fromiter(islice(_covering(columns, pool, rng), most), np.intp)
-    places = np.arange(covering.size) ** 2
+    return np.fromiter(islice(_covering(columns, pool, rng), most), order.dtype)
+
+
+def merged(order: Rows, covering: Rows, places: Rows) -> Rows:
+    """`order` (N,) with the rows of `covering` (k,) at `places` (k,), which differ and are < N."""
     others = np.ones(order.size, dtype=bool)
     others[covering] = False
     rest = order[others[order]]
     others[:] = True
     others[places] = False
-    order[places], order[others] = covering, rest
-    return order
+    merged = np.empty_like(order)
+    merged[places], merged[others] = covering, rest
+    return merged
 
 
 def _unit(column: Array) -> Array:

@@ -39,10 +39,10 @@ INPUTS: dict[str, Callable[[int], list[Array]]] = {
     "duplicates": lambda n: [rng().choice([0.0, 1.0, 5.0], n)],
     "sorted": lambda n: [np.linspace(0.0, 10.0, n)],
     "clustered": lambda n: [rng().choice([0.0, 1e-3, 1.0], n) + 1e-6 * rng(1).random(n)],
-    "each half of what is left": lambda n: [np.asarray(0.5 ** np.arange(n, dtype=float))],
+    "each half of what is left": lambda n: [np.exp2(-np.arange(n, dtype=float))],
     "neighbouring numbers": lambda n: [np.where(np.arange(n) % 2, 1.0, np.nextafter(1.0, 2.0))],
     "as far apart as numbers are": lambda n: [rng().choice([-1.7e308, 0.0, 1.7e308], n)],
-    "next to nothing": lambda n: [5e-324 * (np.arange(n) % 3)],
+    "next to nothing": lambda n: [rng().choice([0.0, 5e-324, 1e-323], n)],
 }
 
 
