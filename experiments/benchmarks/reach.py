@@ -12,8 +12,8 @@ divided by the number of runs that got there. Each variant of the method gets a 
 means over the problems next to the method as it is; `--vary` changes one setting at a time.
 
 With `--stopping` only the method ends a run, or the budget. A run is at the optimum if its loss is
-at most SAME above that of the recorded optimum (relative), and it arrived where its loss first was
-at most SAME above its last one: what it spent over what it had spent then is the price of knowing.
+at most 1e-4 of it above that of the recorded optimum, and it arrived where its loss first was at
+most 1e-4 above its last one: what it spent over what it had spent then is the price of knowing.
 Milliseconds are of the method's clock; those of two processes at once disturb each other.
 """
 
@@ -22,46 +22,44 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
-import math
 import multiprocessing
 import re
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from experiments.benchmarks.bars import machine
+from experiments.benchmarks.reach_tables import (
+    Run,
+    endings,
+    geometric_means,
+    hits,
+    reach_table,
+    stopping_shares,
+    stopping_table,
+)
 from experiments.build import ConfigError, build_optimizer, build_problem, our_code
 from experiments.cli import CONF, OK, SOME_FAILED, composed, guarded
 from experiments.explain import parsed, unknown
 from experiments.schema import register
-from miho.analysis.running_time import FACTORS, running_times
+from miho.analysis.running_time import FACTORS
 from miho.data import DataUnavailableError
 from miho.identification import CurveFit
 from miho.optim import Budget, Optimizer, minimize
 from miho.optim.minimize import Outcome
 from miho.study import environment_stamp, single_thread, write_text
 
-Array = NDArray[np.float64]
-
 DEFAULT = "as it is"
 BUDGET = ("budget.evaluations=40000", "budget.seconds=null")
 """An arena's evaluations; seconds would make the result depend on the machine."""
-CLOCKED = 1.01
-"""The factor whose milliseconds are shown."""
-SAME = 1e-4
-"""Relative difference of two losses that are one optimum: no error bar is as narrow, and a solver
-that stops at its tolerance is far below."""
-ROUNDING = 4 * np.finfo(float).eps
-"""A loss is compared as its square root, which may be this much above the target's."""
 SEEDS_AT_ONCE = 5
 
 
@@ -75,51 +73,6 @@ class Job:
     others: tuple[str, ...]
     seeds: tuple[int, ...]
     stopping: bool = False
-
-
-@dataclass(frozen=True)
-class Run:
-    """What one run spent, and its improvements: evaluations, seconds and losses (k,) each."""
-
-    problem: str
-    variant: str
-    seed: int
-    optimum: float
-    outcome: Outcome
-    evaluations: float
-    seconds: float
-    at_evaluations: Array
-    at_seconds: Array
-    losses: Array
-    data: str = ""
-    error: str | None = None
-
-    def first(self, loss: float) -> tuple[float, float]:
-        """Evaluations and seconds until a loss of at most `loss`; inf if never."""
-        k = np.flatnonzero(self.losses <= loss)
-        return (self.at_evaluations[k[0]], self.at_seconds[k[0]]) if k.size else (math.inf,) * 2
-
-    @property
-    def ended(self) -> bool:
-        """Whether the method ended the run by itself."""
-        return self.outcome is Outcome.CONVERGED
-
-    @property
-    def excess(self) -> float:
-        """The last error relative to the optimum, minus 1; inf without any."""
-        return math.sqrt(self.losses[-1]) / self.optimum - 1 if self.losses.size else math.inf
-
-    @property
-    def at_optimum(self) -> bool:
-        """Whether the loss of the end is that of the recorded optimum."""
-        return bool(self.losses.size and self.losses[-1] <= self.optimum**2 * (1 + SAME))
-
-    @property
-    def overrun(self) -> float:
-        """Evaluations at the end over those at arrival; NaN for a run that never had a loss."""
-        if not self.losses.size:
-            return math.nan
-        return self.evaluations / self.first(self.losses[-1] * (1 + SAME))[0]
 
 
 @lru_cache(maxsize=1)
@@ -151,8 +104,7 @@ def runs_of(job: Job) -> list[Run] | str:
         return known
     problem, budget, optimum = known
     if not job.stopping:
-        target = (min(FACTORS) * optimum) ** 2 * (1 - ROUNDING)
-        budget = Budget(budget.evaluations, budget.seconds, target)
+        budget = replace(budget, target=(min(FACTORS) * optimum) ** 2)
     optimizer = _optimizer(job.method)
     runs = []
     with single_thread():
@@ -180,94 +132,6 @@ def runs_of(job: Job) -> list[Run] | str:
     return runs
 
 
-def hits(runs: Sequence[Run]) -> pd.DataFrame:
-    """A row per run and factor, as `miho.analysis.running_time.hits` gives them."""
-    rows = []
-    for run, factor in itertools.product(runs, FACTORS):
-        evaluations, seconds = run.first((factor * run.optimum) ** 2)
-        rows.append(
-            {"problem": run.problem, "optimizer": run.variant, "seed": run.seed, "factor": factor,
-             "evaluations": evaluations, "seconds": seconds, "outcome": run.outcome.value,
-             "spent_evaluations": run.evaluations, "spent_seconds": run.seconds,
-             "reached": math.isfinite(evaluations)}
-        )  # fmt: skip
-    return pd.DataFrame(rows)
-
-
-def reach_table(hits: pd.DataFrame) -> pd.DataFrame:
-    """A row per problem and variant: ERT to each factor, and the runs to the smallest of them.
-
-    `median`, `90 %` and `largest` are evaluations to the smallest factor, inf for a run that does
-    not get there, `ms` the median of the milliseconds to CLOCKED.
-    """
-    group = ["problem", "optimizer"]
-    times = running_times(hits, "evaluations").pivot(index=group, columns="factor", values="ert")
-    last = hits[hits["factor"] == min(FACTORS)].groupby(group)
-    clocked = hits[hits["factor"] == CLOCKED].groupby(group)
-    table = times[list(FACTORS)].rename(columns="{:g}".format)
-    table["success"] = last["reached"].mean()
-    for name, share in (("median", 0.5), ("90 %", 0.9), ("largest", 1.0)):
-        table[name] = last["evaluations"].agg(_quantile, share)
-    table["ms"] = 1e3 * clocked["seconds"].agg(_quantile, 0.5)
-    return _in_order(table, hits).rename_axis(columns=None)
-
-
-def stopping_table(runs: Sequence[Run]) -> pd.DataFrame:
-    """A row per problem and variant on how runs end.
-
-    `ended` is the share of runs that the method ended by itself, `at optimum` that of all runs that
-    it ended there; `spent` the median of evaluations, the others are of `Run.overrun`, over the
-    runs that the method ended.
-    """
-    return _in_order(_stopping(runs, ["problem", "optimizer"]), _endings(runs))
-
-
-def _stopping(runs: Sequence[Run], by: list[str]) -> pd.DataFrame:
-    frame = _endings(runs)
-    groups, ended = frame.groupby(by), frame[frame["ended"]].groupby(by)
-    table = pd.DataFrame({"runs": groups.size(), "ended": groups["ended"].mean()})
-    table["at optimum"] = groups["stopped_there"].mean()
-    table["spent"] = groups["evaluations"].median()
-    for name, share in (("median", 0.5), ("90 %", 0.9), ("largest", 1.0)):
-        table[name] = ended["overrun"].agg(_quantile, share)
-    return table
-
-
-def _endings(runs: Sequence[Run]) -> pd.DataFrame:
-    rows = [
-        {"problem": run.problem, "optimizer": run.variant, "seed": run.seed, "ended": run.ended,
-         "stopped_there": run.ended and run.at_optimum, "evaluations": run.evaluations,
-         "overrun": run.overrun, "excess": run.excess, "outcome": run.outcome.value}
-        for run in runs
-    ]  # fmt: skip
-    return pd.DataFrame(rows)
-
-
-def _quantile(values: pd.Series, share: float) -> float:
-    """A value of those that are there: between a number and inf there is none."""
-    return float(np.quantile(values, share, method="inverted_cdf"))
-
-
-def _in_order(table: pd.DataFrame, rows: pd.DataFrame) -> pd.DataFrame:
-    """In the order in which problems and variants were given."""
-    return table.reindex(pd.MultiIndex.from_frame(rows[table.index.names].drop_duplicates()))
-
-
-def geometric_means(table: pd.DataFrame) -> pd.DataFrame:
-    """A row per variant over the problems of `reach_table`, in its order.
-
-    Geometric means of each ERT and of milliseconds: inf if there is one problem that no run solved,
-    which `unsolved` counts. `success` is the least.
-    """
-    columns = [f"{factor:g}" for factor in FACTORS]
-    logs = table[[*columns, "ms"]].apply(np.log)
-    means = logs.groupby("optimizer", sort=False).mean().apply(np.exp)
-    success = table["success"].groupby("optimizer", sort=False)
-    means.insert(len(columns), "least success", success.min())
-    means["unsolved"] = success.agg(lambda shares: int((shares == 0).sum()))
-    return means
-
-
 @dataclass
 class Report:
     """What is printed as runs come in, problem by problem."""
@@ -286,7 +150,7 @@ class Report:
         """Print the lines over all problems, and what went wrong."""
         if self.stopping:
             print("\nover all runs")
-            table = _stopping(self.runs, ["optimizer"]).reindex(list(self.variants))
+            table = stopping_shares(self.runs, ["optimizer"]).reindex(list(self.variants))
             self._print(table.reset_index().assign(problem="all"))
             for run in self.runs:
                 if run.ended and not run.at_optimum:
@@ -377,7 +241,7 @@ def _done(jobs: Sequence[Job], processes: int) -> Iterator[list[Run] | str]:
 
 def _write(path: Path, report: Report, jobs: Sequence[Job]) -> None:
     """A row per run (`stopping`) or per run and factor, and beside it what regenerates it."""
-    frame = _endings(report.runs) if report.stopping else hits(report.runs)
+    frame = endings(report.runs) if report.stopping else hits(report.runs)
     write_text(path, frame.rename(columns={"optimizer": "variant"}).to_csv(index=False))
     about = {
         "command": ["python", "-m", "experiments.benchmarks.reach", *sys.argv[1:]],

@@ -9,15 +9,13 @@ import pandas as pd
 import pytest
 
 from experiments.benchmarks import reach
-from experiments.benchmarks.reach import (
-    DEFAULT,
+from experiments.benchmarks.reach import DEFAULT, problems, variants
+from experiments.benchmarks.reach_tables import (
     Run,
     geometric_means,
     hits,
-    problems,
     reach_table,
     stopping_table,
-    variants,
 )
 from experiments.build import ConfigError
 from experiments.schema import register
