@@ -9,7 +9,17 @@ of full rank. The orders: at random; by rank, a low-discrepancy sequence over th
 input; by value, covering rows only; alternating, every second row a covering one; and the one in
 use, with sqrt(m) covering rows among m. In the made-up problems one row in a hundred alone
 determines a parameter (rare), inputs are clustered, skewed over six decades, constant or repeat a
-few values, and the model is wrong where rows are rare (wrong).
+few values, and the model is wrong where rows are rare (wrong). Of what it prints (20 orders):
+
+                            seen at 4 d rows        median percent more loss at 36 d rows
+                         rare        rare_load      rare_load   skewed    wrong    tire_lf
+    random               0.10           0.10           2.3        1.5       3.6       1.4
+    by rank              0.10           0.15           3.4        1.6       2.0       2.0
+    by value             1.00           1.00           1.0        559      63.4       1.9
+    alternating          1.00           1.00           1.3        6.7      59.6       1.9
+    in use               1.00           1.00           1.8        1.5       8.6       1.4
+
+Covering rows alone, or half of the rows, pull a model that is wrong to where there are few rows.
 """
 
 # ruff: noqa: F722

@@ -166,6 +166,23 @@ def test_it_runs_and_writes_what_regenerates_it(
     assert last[:5] == ["variable_projection", "6", "6", "6", "6"]
 
 
+@pytest.mark.slow
+def test_two_processes_tell_what_one_tells(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    frames = []
+    for processes in ("1", "2"):
+        path = tmp_path / f"{processes}.csv"
+        code = call(
+            monkeypatch, "optimizer=least_squares", "--problems", "torque_05,torque_15",
+            "--seeds", "7", "--processes", processes, "--vary", "starts=1,2", "--out", str(path),
+        )  # fmt: skip
+        assert code == 0, capsys.readouterr().err
+        frames.append(pd.read_csv(path).drop(columns=["seconds", "spent_seconds"]))
+    pd.testing.assert_frame_equal(*frames)
+    assert len(frames[0]) == 2 * 3 * 7 * 4
+
+
 def test_a_method_that_ends_is_found_where_it_ended(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
