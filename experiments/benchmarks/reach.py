@@ -43,6 +43,7 @@ from experiments.benchmarks.reach_tables import (
     geometric_means,
     hits,
     reach_table,
+    solved_by_all,
     stopping_shares,
     stopping_table,
 )
@@ -157,9 +158,12 @@ class Report:
                     where = f"{run.problem}, {run.variant}, seed {run.seed}"
                     print(f"ended elsewhere: {where}: error {run.excess:.1e} above the optimum's")
         else:
-            print("\ngeometric means over the problems")
-            table = geometric_means(reach_table(hits(self.runs)))
-            print(table.rename_axis("method").reset_index().to_string(index=False, float_format=_3))
+            table = reach_table(hits(self.runs))
+            self._means("the problems", table)
+            common = solved_by_all(table)
+            if 0 < len(common) < len(table):
+                count = len(common) // len(self.variants)
+                self._means(f"the {count} problems that every method solved", common)
         for run in self.failed:
             cause = (run.error or "").strip().splitlines()[-1]
             print(f"failed: {run.problem}, {run.variant}, seed {run.seed}: {cause}")
@@ -168,6 +172,11 @@ class Report:
     def failed(self) -> list[Run]:
         """The runs that an error ended."""
         return [run for run in self.runs if run.outcome is Outcome.FAILED]
+
+    def _means(self, over: str, table: pd.DataFrame) -> None:
+        print(f"\ngeometric means over {over}")
+        means = geometric_means(table).rename_axis("method").reset_index()
+        print(means.to_string(index=False, float_format=_3))
 
     def _print(self, table: pd.DataFrame, header: bool = True) -> None:
         names = {"problem": 19}

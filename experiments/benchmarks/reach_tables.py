@@ -156,3 +156,8 @@ def geometric_means(table: pd.DataFrame) -> pd.DataFrame:
     means.insert(len(columns), "least success", success.min())
     means["unsolved"] = success.agg(lambda shares: int((shares == 0).sum()))
     return means
+
+
+def solved_by_all(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows of `reach_table` on problems that some run of every variant solved."""
+    return table[table["success"].groupby("problem").transform("min") > 0]

@@ -15,6 +15,7 @@ from experiments.benchmarks.reach_tables import (
     geometric_means,
     hits,
     reach_table,
+    solved_by_all,
     stopping_table,
 )
 from experiments.build import ConfigError
@@ -78,6 +79,7 @@ def test_geometric_means_are_over_problems_and_say_what_is_unsolved() -> None:
     ]
     table = reach_table(hits(runs))
     assert table.index.tolist() == [("z", DEFAULT), ("z", "x=2"), ("a", DEFAULT), ("a", "x=2")]
+    assert set(solved_by_all(table).index.get_level_values("problem")) == {"z"}
     means = geometric_means(table)
     assert means.index.tolist() == [DEFAULT, "x=2"]
     whole, changed = means.to_dict("records")
