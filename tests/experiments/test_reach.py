@@ -181,7 +181,7 @@ def test_two_processes_tell_what_one_tells(
         )  # fmt: skip
         assert code == 0, capsys.readouterr().err
         frames.append(pd.read_csv(path).drop(columns=["seconds", "spent_seconds"]))
-    pd.testing.assert_frame_equal(*frames)
+    pd.testing.assert_frame_equal(frames[0], frames[1])
     assert len(frames[0]) == 2 * 3 * 7 * 4
 
 
