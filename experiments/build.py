@@ -42,7 +42,8 @@ from miho.study.identity import sha256
 PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
 
 NUMERICAL = {"numpy", "scipy", "numba"}
-WRAPPED = {"optuna", "cmaes", "nevergrad", "dehb"}
+WRAPPED = {name: name for name in ("optuna", "cmaes", "nevergrad", "dehb")} | {"dfols": "DFO-LS"}
+"""Distributions of the libraries that methods wrap, by the name that they are imported by."""
 
 T = TypeVar("T")
 
@@ -340,7 +341,7 @@ def packages_of(optimizer: Optimizer) -> dict[str, str]:
     """Versions of the packages that decide what a run finds: the numerical ones, the method's."""
     names = vars(sys.modules[type(optimizer).__module__]).values()
     tops = {str(getattr(one, "__module__", None) or getattr(one, "__name__", "")) for one in names}
-    wrapped = WRAPPED & {top.partition(".")[0] for top in tops}
+    wrapped = {WRAPPED[name] for top in tops if (name := top.partition(".")[0]) in WRAPPED}
     return {name: _version(name) for name in sorted(NUMERICAL | wrapped)}
 
 

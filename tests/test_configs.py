@@ -49,6 +49,19 @@ def test_optimizers(optimizer: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("optimizer", "distribution"),
+    [("cma_es", "cmaes"), ("dehb", "dehb"), ("dfo_ls", "DFO-LS"), ("tiktak", None)],
+)
+def test_a_run_records_the_version_of_its_library(optimizer: str, distribution: str | None) -> None:
+    if optimizer in NEEDS_A_LIBRARY:
+        pytest.importorskip(NEEDS_A_LIBRARY[optimizer])
+    packages = build(composed([f"optimizer={optimizer}"])).identity.packages
+    assert set(packages) - {"numpy", "scipy", "numba"} == (
+        {distribution} if distribution else set()
+    )
+
+
+@pytest.mark.parametrize(
     "dataset", [name for name in options("dataset") if name not in NEEDS_A_SETTING]
 )
 def test_datasets(

@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 
 class Derivativeless(DecayFit):
-    """Twice as long as it is wide, in no unit; raises where derivatives are asked for."""
+    """Residuals in another unit, which raise where derivatives are asked for."""
 
     def __init__(self, unit: float = 1.0) -> None:
         super().__init__()
@@ -56,10 +56,10 @@ def test_derivatives_are_not_asked_for_and_units_change_nothing() -> None:
 
 def test_it_takes_fewer_residuals_than_parameters() -> None:
     """There the library draws directions, from NumPy's global generator, which is left alone."""
-    before = str(np.random.get_state())
+    before = str(np.random.get_state())  # noqa: NPY002
     first, again = (path(OnePoint(), 60) for _ in range(2))
     np.testing.assert_array_equal(first, again)
-    assert str(np.random.get_state()) == before
+    assert str(np.random.get_state()) == before  # noqa: NPY002
 
 
 def test_it_says_nothing(
