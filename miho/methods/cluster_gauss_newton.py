@@ -123,6 +123,9 @@ def cluster_steps(
     X: Array, Y: Array, damping: Array, gamma: float, moving: NDArray[np.intp]
 ) -> Array:
     """Steps (k, d) of the k points `moving` of a cluster X (N, d) with residuals Y (N, m)."""
+    # Without the unit of the residuals, whose square may not be a number.
+    scale = float(np.abs(Y).max()) or 1.0
+    Y, damping = Y / scale, damping[moving, None] / scale / scale
     if Y.shape[1] > len(Y):
         # Differences of N residual vectors lie in N - 1 dimensions: their coordinates there do.
         Q, R = np.linalg.qr((Y[1:] - Y[0]).T)
@@ -139,7 +142,7 @@ def cluster_steps(
     slopes = (fit @ Y - fit.sum(axis=2)[:, :, None] * Y[moving, None]).transpose(0, 2, 1)
     U, s, Vt = np.linalg.svd(slopes, full_matrices=False)
     along = np.einsum("kmd,km->kd", U, Y[moving])
-    bottom = s**2 + damping[moving, None]
+    bottom = s**2 + damping
     shrunk = np.divide(s * along, bottom, out=np.zeros_like(s), where=bottom > 0)
     return np.asarray(-np.einsum("kde,kd->ke", Vt, shrunk))
 

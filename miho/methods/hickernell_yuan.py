@@ -34,27 +34,27 @@ CENTRED = 0.75
 
 @dataclass(frozen=True)
 class HickernellYuan(Optimizer):
-    """ "A simple multistart algorithm for global optimization" (OR Transactions 1, 1997).
+    """A simple multistart algorithm (Hickernell and Yuan, OR Transactions 1, 1997), as in gslnls.
 
-    With the changes of `gsl_nls` in R's gslnls 1.4, whose documentation names the settings after
-    the publication: `mstart_n` is N, and so on. A major iteration fills the sample up to N
-    quasi-random points and concentrates it, with p iterations of the local solver from each. The q
-    best are retained; one that has been retained s times is searched from, with up to `search`
-    iterations, if it is within a share epsilon of the best. An end that is lower than that by 1 %
-    is a new stationary point; all else that was retained counts as worse. The run has converged
-    with NSP stationary points, `least` at least, and more than r + sqrt(r) NSP worse ones since
-    the last; then, or after `major` iterations, a search of up to `final` iterations goes on from
-    the best. Points whose Jacobian has not full rank are dropped.
+    With the changes of R's gslnls 1.4, which documents its settings by the publication's symbols
+    (`mstart_n` is N, and so on). A major iteration fills the sample up to N quasi-random points and
+    concentrates it, with p iterations of the local solver from each. The q best are retained; one
+    that has been retained s times is searched from, with up to `search` iterations, if it is within
+    a share epsilon of the best. An end that is lower than the best by 1 % is a new stationary
+    point; all else that was retained counts as worse. The run has converged with NSP stationary
+    points, `least` at least, and more than r + sqrt(r) NSP worse ones since the last; then, or
+    after `major` iterations, a search of up to `final` iterations goes on from the best. Points
+    whose Jacobian has not full rank are dropped.
 
     Starts are drawn towards the smallest values of a range: a distance a from there becomes
     ((1 + a)^k - 1) / k, with k from the scales of the parameters at the last stationary point.
 
     Of gslnls this differs in that ranges are in search coordinates; that the Sobol sequence is
-    scrambled; that its first point is the first common initial
-    configuration; that the local solver is SciPy's trust-region reflective one, where an
-    iteration is a look; and that full rank is judged with columns of norm 1, where gslnls has a
-    determinant that depends on the units. Begins again `rounds` times, or until the budget ends if
-    that is None. Needs a least-squares problem.
+    scrambled; that its first point is the first common initial configuration; that the local solver
+    is SciPy's trust-region reflective one, where an iteration is a look; and that full rank is
+    judged with columns of norm 1, where gslnls has a determinant that depends on the units. Begins
+    anew for `rounds` in all, or until the budget ends if that is None. Needs a least-squares
+    problem.
     """
 
     N: int = 30

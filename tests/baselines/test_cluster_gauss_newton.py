@@ -100,6 +100,15 @@ def test_models_are_weighted_by_distance(rows: int) -> None:
         np.testing.assert_allclose(steps[i], expected, rtol=1e-8)
 
 
+@pytest.mark.parametrize("unit", [1e-150, 1e150])
+def test_the_unit_of_the_residuals_changes_no_step(unit: float) -> None:
+    rng = np.random.default_rng(3)
+    X, Y, damping = rng.random((8, 2)), rng.normal(size=(8, 20)), rng.random(8)
+    steps = cluster_steps(X, Y, damping, 2.0, np.arange(8))
+    other = cluster_steps(X, Y * unit, damping * unit * unit, 2.0, np.arange(8))
+    np.testing.assert_allclose(other, steps, rtol=1e-9)
+
+
 def test_points_on_one_another_have_no_weight() -> None:
     X = np.array([[0.1, 0.2], [0.1, 0.2], [0.5, 0.3], [0.2, 0.8]])
     Y = np.hstack([X, X.sum(axis=1, keepdims=True)])
