@@ -127,9 +127,9 @@ def cluster_steps(
     scale = float(np.abs(Y).max()) or 1.0
     Y, damping = Y / scale, damping[moving, None] / scale / scale
     if Y.shape[1] > len(Y):
-        # Differences of N residual vectors lie in N - 1 dimensions: their coordinates there do.
-        Q, R = np.linalg.qr((Y[1:] - Y[0]).T)
-        Y = Y[0] @ Q + np.vstack([np.zeros(R.shape[1]), R.T])
+        # Coordinates in the space that the residuals span, which has N dimensions at most.
+        R = np.linalg.qr(np.vstack([Y[1:] - Y[0], Y[:1]]).T, mode="r")
+        Y = R[:, -1] + np.vstack([np.zeros(len(R)), R[:, :-1].T])
     between = X - X[moving, None]
     squared = np.einsum("kjd,kjd->kj", between, between)
     apart = squared > 0
