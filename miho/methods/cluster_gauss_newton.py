@@ -37,6 +37,10 @@ class ClusterGaussNewton(Optimizer):
     first rests: both are as in the authors' R package CGNM. The first point is the first common
     initial configuration. A new cluster follows, `rounds` in all, or until the budget ends if that
     is None. N residual vectors are in memory. Needs a least-squares problem.
+
+    It is made to find many solutions where data determine few parameters. Of tire forces in wide
+    boxes its points come to rest above the optimum, whether distances are scaled by the box or by
+    the cluster, and whether steps stop half way to a bound or at it.
     """
 
     N: int = 250
