@@ -132,7 +132,7 @@ def cluster_steps(
     Y, damping = Y / scale, damping[moving, None] / scale / scale
     if Y.shape[1] > len(Y):
         # Coordinates in the space that the residuals span, which has N dimensions at most.
-        R = np.linalg.qr(np.vstack([Y[1:] - Y[0], Y[:1]]).T, mode="r")
+        R = np.asarray(np.linalg.qr(np.vstack([Y[1:] - Y[0], Y[:1]]).T, mode="r"))
         Y = R[:, -1] + np.vstack([np.zeros(len(R)), R[:, :-1].T])
     between = X - X[moving, None]
     squared = np.einsum("kjd,kjd->kj", between, between)
