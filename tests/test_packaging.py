@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from miho.data import published_names
+
 ROOT = Path(__file__).parent.parent
 
 
@@ -35,6 +37,7 @@ def test_the_wheel_contains_only_miho(wheel: Path) -> None:
     assert {top for top in tops if not top.endswith(".dist-info")} == {"miho"}
     assert "miho/py.typed" in names
     assert {f"miho/data/tires/{tire}.tir" for tire in ("lf", "rf", "lr", "rr")} <= set(names)
+    assert {f"miho/data/published/{name}.txt" for name in published_names()} <= set(names)
     pages = {path.relative_to(ROOT).as_posix() for path in (ROOT / "miho/analysis/web").iterdir()}
     assert pages
     assert pages <= set(names)

@@ -92,6 +92,14 @@ BOXES: Mapping[str, tuple[Callable[[PublishedFit, int], Box], str]] = {
 """Rules for a range, with what they do."""
 CHOSEN = {"nist": ("log", "starts")}
 OTHERS = ("decades", "starts")
+SOURCES = {
+    "nist": "certified by NIST",
+    "mgh": "printed by More, Garbow and Hillstrom",
+    "bw": "printed by Bates and Watts, or in gslnls",
+    "r": "printed by R",
+}
+"""Whence an optimum is, by collection, but for that of data without errors."""
+EXACT = "the data have no errors"
 
 
 def problems() -> dict[str, tuple[PublishedFit, str]]:
@@ -161,7 +169,7 @@ def evidence_in(file: Path, fit: PublishedFit) -> str:
     """What a problem's file says of its optimum, or what its publication does."""
     if file.exists():
         return str(OmegaConf.load(file).problem.evidence)
-    return "certified by NIST" if fit.collection == "nist" else "as published"
+    return SOURCES[fit.collection] if fit.squares else EXACT
 
 
 def files() -> dict[Path, str]:
