@@ -42,12 +42,14 @@ CAPTIONS = {
     "evaluations to within 1 % of the best known error; a gradient is charged as many evaluations "
     "as there are parameters. On a problem where it never gets there, a method is behind all that "
     "do, and its area over the convergence curve decides how far. By families: the rank over "
-    "{families} families of problems that are one model in one kind of box, by the mean logarithm "
-    "of the same numbers. Success: share of runs; cut by seconds: share of runs that the cap in "
-    "seconds ended before their evaluations were spent and before they ended by themselves. "
+    "{families} families of problems that are one model in one kind of box, or one published "
+    "formula, by the mean logarithm of the same numbers. Success: share of runs; cut by seconds: "
+    "share of runs that the cap in seconds ended before their evaluations were spent and before "
+    "they ended by themselves. "
     "Microseconds: of the {timed} of {runs} runs that no other work disturbed.",
-    "problems": "The problems: family (one model in one kind of box), parameters, best known "
-    "error, and how many of the methods came within 1 % of it at least once.",
+    "problems": "The problems: family (one model in one kind of box, or one published formula), "
+    "parameters, best known error, and how many of the methods came within 1 % of it at least "
+    "once.",
     "profiles": "Performance profile: share of problems on which a method's expected number of "
     "evaluations to within 1 % is at most so many times that of the best method.",
     "tests": "MIHO against each rival by the expected number of evaluations: problems won and "
