@@ -8,6 +8,9 @@ import pandas as pd
 
 from miho.analysis.statistics import Interval
 
+SMALL = 1e-4
+"""Numbers that are printed with a power of ten."""
+
 
 def to_markdown(frame: pd.DataFrame) -> str:
     """A pipe table without the index, numbers aligned to the right; ends with a newline.
@@ -21,15 +24,19 @@ def to_markdown(frame: pd.DataFrame) -> str:
 
 
 def number(value: float) -> str:
-    """Three significant digits, whole numbers with thousands separated, "never" for inf."""
+    """Three significant digits, whole numbers with thousands separated, "never" for inf.
+
+    Below 0.0001 with a power of ten, such as 3.00e-11.
+    """
     if math.isnan(value):
         return "-"
     if math.isinf(value):
         return "never" if value > 0 else "-∞"
     if abs(value) >= 1000 or float(value).is_integer():
         return f"{value:,.0f}"
-    digits = 3 if value == 0 else max(0, 2 - math.floor(math.log10(abs(value))))
-    return f"{value:.{digits}f}"
+    if abs(value) < SMALL:
+        return f"{value:.2e}"
+    return f"{value:.{max(0, 2 - math.floor(math.log10(abs(value))))}f}"
 
 
 def with_interval(ours: Interval, unit: str) -> str:

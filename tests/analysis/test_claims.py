@@ -305,8 +305,11 @@ def test_markdown_aligns_numbers_escapes_pipes_and_says_never() -> None:
 
 @pytest.mark.parametrize(
     ("value", "text"),
-    [(0.0, "0"), (0.0123456, "0.0123"), (13.04, "13.0"), (217_000.4, "217,000"), (-2.5, "-2.50")],
-)
+    [
+        (0.0, "0"), (0.0123456, "0.0123"), (13.04, "13.0"), (217_000.4, "217,000"), (-2.5, "-2.50"),
+        (0.00012345, "0.000123"), (3e-11, "3.00e-11"), (-3e-11, "-3.00e-11"),
+    ],
+)  # fmt: skip
 def test_numbers(value: float, text: str) -> None:
     assert number(value) == text
 
