@@ -190,6 +190,13 @@ def test_problems(
     assert max(found.loss, (cfg.problem.resolution or 0.0) ** 2) > optimum * (1 - 2e-9)
 
 
+def test_the_known_optimum_of_exact_data_is_their_resolution() -> None:
+    """A loss of zero is none that a method could come near by a factor."""
+    cfg = composed(["problem=mgh_gulf_starts"])
+    assert cfg.problem.optimum == 0
+    assert build(cfg).facts["optimum"] == cfg.problem.resolution**2 > 0
+
+
 @pytest.mark.parametrize("loss", options("loss"))
 def test_losses(loss: str) -> None:
     scale = [] if loss == "square" else ["loss.scale=500"]
