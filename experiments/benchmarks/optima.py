@@ -43,6 +43,8 @@ ROUGH, FINE = 1e-6, 1e-12
 """Tolerances of the solver; the fine one is far below what counts as agreement."""
 NEAR = 1e-2
 """Relative difference to the best rough end up to which a descent is taken to its end."""
+NEAR_EXACT = 1e6
+"""The same for data without errors, as a multiple of their resolution: rough ends differ widely."""
 STEPS = 100
 """Evaluations of one descent: beyond, it creeps over a plateau."""
 POLISHED = 10
@@ -62,7 +64,7 @@ class Optimum:
     `agreeing` is the number of descents from `starts` starts that end in the optimum, `failed`
     that of starts from where the model or its derivatives give no number, and `polished` that of
     the ten simplices that end in the optimum. `second` is the next local minimum, NaN if none was
-    met.
+    met. Errors below the `resolution` of exact data are one optimum.
     """
 
     name: str
@@ -76,16 +78,18 @@ class Optimum:
     polished: int
     second: float
     seconds: float
+    resolution: float = 0.0
 
     @property
     def evidence(self) -> str:
         """One sentence for the problem's YAML."""
         if not self.starts:
             return "closed form (linear least squares)"
-        told = f"{self.agreeing} of {self.starts:,} uniform least-squares starts agree to 1e-9"
+        alike = "end below the resolution" if self.error < self.resolution else "agree to 1e-9"
+        told = f"{self.agreeing} of {self.starts:,} uniform least-squares starts {alike}"
         if self.failed:
             told += f" (the model fails at {self.failed} of them)"
-        if self.polished == POLISHED:
+        if self.polished == POLISHED and self.agreeing:
             return f"{told}, and so do simplices from the ten best; none better"
         return f"{told}, and {self.polished} of ten simplices from the best; none better"
 
@@ -188,7 +192,9 @@ def optimum_of(name: str, starts: int, pool: ProcessPoolExecutor) -> Optimum:
         seconds = time.perf_counter() - began
         return Optimum(*shape, math.sqrt(loss), theta, 0, 0, 0, 0, math.nan, seconds)
     ends, errors = all_descended(name, starts_of(name, starts), ROUGH, pool)
-    near = np.flatnonzero(errors <= np.nanmin(errors) * (1 + NEAR))
+    resolution = composed([f"problem={name}"]).problem.resolution or 0.0
+    limit = max(np.nanmin(errors) * (1 + NEAR), NEAR_EXACT * resolution)
+    near = np.flatnonzero(errors <= limit)
     ends[near], errors[near] = all_descended(name, ends[near], FINE, pool)
     best = np.argsort(errors, kind="stable")[:POLISHED]
     tasks = [pool.submit(polished, name, ends[i : i + 1]) for i in best]
@@ -196,7 +202,7 @@ def optimum_of(name: str, starts: int, pool: ProcessPoolExecutor) -> Optimum:
     finer, finest = (np.concatenate(part) for part in zip(*done, strict=True))
     points, found = np.vstack([finer, ends[best]]), np.concatenate([finest, errors[best]])
     error = float(found.min())
-    least = max(error, composed([f"problem={name}"]).problem.resolution or 0.0)
+    least = max(error, resolution)
     others = errors[errors > least * (1 + APART)]
     return Optimum(
         *shape,
@@ -208,17 +214,18 @@ def optimum_of(name: str, starts: int, pool: ProcessPoolExecutor) -> Optimum:
         polished=int(np.count_nonzero(finest <= least * (1 + SAME))),
         second=float(others.min()) if others.size else math.nan,
         seconds=time.perf_counter() - began,
+        resolution=resolution,
     )
 
 
-def verdict(found: Optimum, recorded: float | None, resolution: float = 0.0) -> str:
+def verdict(found: Optimum, recorded: float | None) -> str:
     """How what was found compares with the record: empty if it confirms it.
 
-    Two errors below the resolution are the same.
+    Errors below the resolution are the same.
     """
     if recorded is None:
         return "not recorded"
-    if max(found.error, recorded) <= resolution:
+    if max(found.error, recorded) <= found.resolution:
         return ""
     if found.error < recorded * (1 - SAME):
         return f"beats the recorded {recorded:.12g}"
@@ -248,9 +255,8 @@ def main() -> None:
     with ProcessPoolExecutor(WORKERS, multiprocessing.get_context("spawn")) as pool:
         for name in arguments.problems or names:
             found = optimum_of(name, arguments.starts, pool)
-            known = composed([f"problem={name}"]).problem
-            recorded = known.optimum
-            said = verdict(found, recorded, known.resolution or 0.0)
+            recorded = composed([f"problem={name}"]).problem.optimum
+            said = verdict(found, recorded)
             failed = failed or (recorded is not None and bool(said))
             agree = f"{found.agreeing}/{found.starts}" if found.starts else "closed form"
             print(
