@@ -1,7 +1,7 @@
 """Identify the parameters of one model from one dataset; with -m, sweep.
 
-python -m experiments.identify model=pacejka dataset=tire_lf optimizer=miho seed=0
-python -m experiments.identify -m optimizer=miho,pso_100 'seed=range(10)' sweep.processes=2
+python -m experiments.identify model=pacejka dataset=tire_lf optimizer=miho_gn seed=0
+python -m experiments.identify -m optimizer=miho_gn,least_squares 'seed=range(10)' sweep.processes=2
 """
 
 from __future__ import annotations

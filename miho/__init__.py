@@ -5,6 +5,8 @@ from miho.identification import CurveFit
 from miho.models import load_tir
 from miho.optim import (
     MIHO,
+    MIHOGN,
+    MIHOQN,
     AskTell,
     Budget,
     LeastSquaresProblem,
@@ -18,7 +20,7 @@ from miho.optim import (
 from miho.study import load_runs
 
 __all__ = [
-    "MIHO", "AskTell", "Budget", "CurveFit", "Dataset", "LeastSquaresProblem", "Optimizer",
-    "Oracle", "Parameter", "Problem", "Space", "load_runs", "load_tir",
-    "minimize",
+    "MIHO", "MIHOGN", "MIHOQN", "AskTell", "Budget", "CurveFit", "Dataset",
+    "LeastSquaresProblem", "Optimizer", "Oracle", "Parameter", "Problem", "Space", "load_runs",
+    "load_tir", "minimize",
 ]  # fmt: skip

@@ -51,6 +51,8 @@ class MethodStyle:
 
 
 STYLES = {
+    "miho_gn": MethodStyle("MIHO-GN", _RED, SHORT_DASHES, 2.2),
+    "miho_qn": MethodStyle("MIHO-QN", _PINK, SHORT_DASHES, 1.8),
     "miho": MethodStyle("MIHO", _RED, SOLID, 2.2),
     "miho_reference": MethodStyle("MIHO, public code", _PINK, DASHED, 1.6),
     "miho_no_mutation": MethodStyle("MIHO, no mutation", _RED, DOTTED, 1.6),
@@ -107,7 +109,7 @@ def styles_of(methods: Iterable[str]) -> dict[str, MethodStyle]:
     return styles
 
 
-MAIN = ("miho", "miho_reference", "cma_es", "differential_evolution", "optuna_tpe", "pso_500",
+MAIN = ("miho_gn", "miho_qn", "miho", "cma_es", "differential_evolution", "optuna_tpe", "pso_500",
         "least_squares", "random")  # fmt: skip
 """The methods in the foreground where all would be too many: the paper's and one of each family."""
 

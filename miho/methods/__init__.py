@@ -1,4 +1,4 @@
-"""The methods that need nothing but NumPy and SciPy, and MIHO itself, under one name.
+"""The methods that need nothing but NumPy and SciPy, and MIHO in its forms, under one name.
 
 Those that wrap another library are in `baselines` of the checkout.
 """
@@ -15,12 +15,14 @@ from miho.methods.pso import PSO
 from miho.methods.scatter_search import ScatterSearch
 from miho.methods.tiktak import TikTak
 from miho.methods.variable_projection import VariableProjection
-from miho.optim import MIHO, RandomSearch
+from miho.optim import MIHO, MIHOGN, MIHOQN, RandomSearch
 
 __all__ = [
     "GBO",
     "LBFGSB",
     "MIHO",
+    "MIHOGN",
+    "MIHOQN",
     "PSO",
     "ClusterGaussNewton",
     "DifferentialEvolution",

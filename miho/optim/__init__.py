@@ -3,6 +3,7 @@
 from miho.optim.evidence import Agreement, agreement, in_optimum
 from miho.optim.miho import MIHO
 from miho.optim.miho_gn import MIHOGN
+from miho.optim.miho_qn import MIHOQN
 from miho.optim.minimize import Checkpoint, Outcome, RunRecord, minimize
 from miho.optim.optimizer import AskTell, Optimizer, Resumable
 from miho.optim.oracle import (
@@ -23,6 +24,7 @@ from miho.optim.trace import Descent, Descents, Starts, Trace
 __all__ = [
     "MIHO",
     "MIHOGN",
+    "MIHOQN",
     "Agreement",
     "AskTell",
     "Budget",

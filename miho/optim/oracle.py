@@ -221,8 +221,8 @@ class Oracle:
 
     @property
     def rows(self) -> int | None:
-        """How many residuals there are, if those of the first rows can be had; else None."""
-        return self._least_squares.rows
+        """How many rows of data there are, if a fidelity takes the first of them; else None."""
+        return self._problem.rows
 
     @property
     def compiled_rows(self) -> CompiledRows | None:

@@ -22,7 +22,10 @@ class Problem(ABC):
     the same problem. `climb` makes steps of mutation and acceptance on this very loss, compiled,
     for problems that have a compiled loss and no parameter on a log scale. A loss up to `rounding`
     is 0: its digits are rounding. One above `noise` is more than the noise of the data explains, as
-    far as a problem can tell: either the model is not that of the data, or there is a better optimum.
+    far as a problem can tell: its model is another one than that of the data, or a better optimum
+    exists. `rows` is the number of rows of data, and says that a fidelity of m / rows takes the
+    first m of them, in the problem's own order; a problem without it has no cheaper versions of
+    itself.
     """
 
     name: str
@@ -30,6 +33,7 @@ class Problem(ABC):
     climb: Climb | None = None
     rounding: float = 0.0
     noise: float = math.inf
+    rows: int | None = None
 
     @abstractmethod
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
@@ -63,8 +67,8 @@ class CompiledRows(NamedTuple):
 class LeastSquaresProblem(Problem):
     """A problem whose loss is the mean of squared residuals, with derivatives of the residuals.
 
-    `rows` is their number, and says that those of the first rows can be had: a fidelity takes so
-    many of them in the problem's own order. A problem without it is asked for all of them only.
+    Their number is `rows`, if those of the first rows can be had: a fidelity takes so many of them
+    in the problem's own order. A problem without it is asked for all of them only.
 
     `jacobian_cost` is what one Jacobian costs in evaluations; a problem without it pays the
     number of parameters, as finite differences would. `linear` names parameters in which the
@@ -74,7 +78,6 @@ class LeastSquaresProblem(Problem):
 
     jacobian_cost: int | None = None
     linear: tuple[str, ...] = ()
-    rows: int | None = None
     compiled_rows: CompiledRows | None = None
 
     @abstractmethod

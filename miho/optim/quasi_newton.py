@@ -1,0 +1,159 @@
+"""Quasi-Newton steps of many configurations side by side, from differences of losses.
+
+All arrays lead with the configurations, (n, ...). Coordinates are shares of the box's widths, so
+that derivatives of a loss have its unit.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+DAMPING = 0.1
+"""Powell's: an update keeps at least this share of the curvature that was there."""
+FLAT = 1e-8
+"""The least curvature of a convex model, of its largest, in coordinates of unit curvature."""
+
+
+def newton_steps(B: Array, g: Array, low: Array, high: Array) -> tuple[Array, Array]:
+    """Minimise g s + s B s / 2 within low <= s <= high; steps (n, d) and what they gain (n,).
+
+    An active set: what leaves the box is held at its bound, and let go where the model would
+    gain from it (Nocedal and Wright, Numerical Optimization, 2006, Alg. 16.3 for a box). Solved
+    where the diagonal of B is one: what ranges do to its condition is no reason to lose digits.
+    """
+    n, d = g.shape
+    scale = np.sqrt(np.maximum(np.abs(diagonal(B)), np.finfo(float).tiny))
+    B, g, low, high = B / _outer(scale, scale), g / scale, low * scale, high * scale
+    steps, free = np.zeros((n, d)), np.ones((n, d), bool)
+    todo, eye = np.arange(n), np.eye(d)
+    for _ in range(3 * d):
+        F, s, b, slope = free[todo], steps[todo], B[todo], g[todo]
+        lo, hi = low[todo], high[todo]
+        held = np.where(F, 0.0, s)
+        rhs = np.where(F, -slope - _times(b, held), s)
+        s = _solve(np.where(F[:, :, None] & F[:, None, :], b, eye), rhs)
+        outside = F & ((s < lo) | (s > hi))
+        s = np.minimum(np.maximum(s, lo), hi)
+        F &= ~outside
+        push = slope + _times(b, s)
+        wrong = np.asarray(~F & (((s <= lo) & (push < 0)) | ((s >= hi) & (push > 0))))
+        hit = outside.any(axis=1)
+        wrong[hit] = False
+        let_go = np.flatnonzero(wrong.any(axis=1))
+        if let_go.size:
+            F[let_go, np.argmax(np.where(wrong, np.abs(push), -1.0), axis=1)[let_go]] = True
+        steps[todo], free[todo] = s, F
+        again = hit.copy()
+        again[let_go] = True
+        todo = todo[again]
+        if not todo.size:
+            break
+    gains = -np.einsum("ni,ni->n", steps, g + 0.5 * _times(B, steps))
+    return steps / scale, np.asarray(gains)
+
+
+def bfgs(B: Array, s: Array, y: Array) -> Array:
+    """B (n, d, d) after steps s (n, d) that changed the gradients by y (n, d).
+
+    With Powell's damping, which keeps B positive definite where the loss curves down (Nocedal and
+    Wright, Procedure 18.2, with a share of 0.1 in place of 0.2).
+    """
+    Bs = _times(B, s)
+    sBs, sy = np.einsum("ni,ni->n", s, Bs), np.einsum("ni,ni->n", s, y)
+    with np.errstate(all="ignore"):
+        share = np.where(sy >= DAMPING * sBs, 1.0, (1 - DAMPING) * sBs / (sBs - sy))[:, None]
+        r = share * y + (1 - share) * Bs
+        sr = np.einsum("ni,ni->n", s, r)
+        updated = B - _outer(Bs, Bs) / sBs[:, None, None] + _outer(r, r) / sr[:, None, None]
+    usable = (sBs > 0) & (sr > 0) & np.isfinite(updated).all(axis=(1, 2))
+    return np.where(usable[:, None, None], updated, B)
+
+
+def curve_along(B: Array, s: Array, curvature: Array) -> Array:
+    """B changed so that s B s is the curvature (n,) that losses show along steps s (n, d)."""
+    Bs = _times(B, s)
+    sBs = np.einsum("ni,ni->n", s, Bs)
+    with np.errstate(all="ignore"):
+        updated = B + ((curvature - sBs) / sBs**2)[:, None, None] * _outer(Bs, Bs)
+    usable = (sBs > 0) & np.isfinite(updated).all(axis=(1, 2))
+    return np.where(usable[:, None, None], updated, B)
+
+
+def convex(H: Array, g: Array) -> Array:
+    """Hessians with their curvatures made positive: a step then goes down along each of them.
+
+    Eigenvalues are taken by their size, in coordinates where the diagonal is one: a valley is
+    narrow by what parameters do to each other, not by their ranges. Where there is no curvature,
+    slopes g (n, d) give a size to the little that is put there, so that steps have an end.
+    """
+    curvature = np.abs(diagonal(H))
+    largest = np.maximum(curvature, np.abs(g)).max(axis=1, keepdims=True)
+    largest[largest == 0] = 1.0
+    scale = np.sqrt(np.maximum(curvature, FLAT * largest))
+    values, vectors = np.linalg.eigh(H / _outer(scale, scale))
+    values = np.abs(values)
+    values = np.maximum(values, FLAT * np.maximum(values.max(axis=1, keepdims=True), 1.0))
+    H = np.einsum("nik,nk,njk->nij", vectors, values, vectors)
+    return np.asarray(H * _outer(scale, scale))
+
+
+class Parabola(NamedTuple):
+    """Slopes and curvatures (n, d) along each coordinate."""
+
+    slope: Array
+    curvature: Array
+
+
+def parabolas(loss: Array, a: Array, at_a: Array, b: Array, at_b: Array) -> Parabola:
+    """Through the losses (n,), and those (n, d) at offsets a and b (n, d) along each coordinate.
+
+    Where one of them is not finite, the straight line through the other; where both, zero.
+    """
+    with np.errstate(all="ignore"):
+        to_a, to_b = (at_a - loss[:, None]) / a, (at_b - loss[:, None]) / b
+        curvature = 2 * (to_a - to_b) / (a - b)
+        slope = to_a - curvature * a / 2
+    known = np.isfinite(curvature) & np.isfinite(slope)
+    line = np.where(np.isfinite(to_a), to_a, np.where(np.isfinite(to_b), to_b, 0.0))
+    return Parabola(np.where(known, slope, line), np.where(known, curvature, 0.0))
+
+
+def mixed(loss: Array, a: Array, at_a: Array, at_both: Array, curvature: Array) -> Array:
+    """Hessians (n, d, d) from the curvatures (n, d) and the losses at offsets a (n, d).
+
+    `at_a` (n, d) are those at each of the offsets alone, `at_both` (n, d (d - 1) / 2) at two of
+    them together, in the order of the upper triangle. What is not finite is taken for zero.
+    """
+    n, d = a.shape
+    i, j = np.triu_indices(d, 1)
+    H = np.zeros((n, d, d))
+    with np.errstate(all="ignore"):
+        twist = (at_both - at_a[:, i] - at_a[:, j] + loss[:, None]) / (a[:, i] * a[:, j])
+    H[:, i, j] = H[:, j, i] = np.where(np.isfinite(twist), twist, 0.0)
+    H[:, np.arange(d), np.arange(d)] = curvature
+    return H
+
+
+def diagonal(B: Array) -> Array:
+    """The diagonals of matrices, (n, d)."""
+    return np.asarray(np.einsum("nkk->nk", B))
+
+
+def _times(B: Array, s: Array) -> Array:
+    return np.asarray((B @ s[:, :, None])[:, :, 0])
+
+
+def _outer(a: Array, b: Array) -> Array:
+    return a[:, :, None] * b[:, None, :]
+
+
+def _solve(A: Array, b: Array) -> Array:
+    try:
+        return np.asarray(np.linalg.solve(A, b[:, :, None])[:, :, 0])
+    except np.linalg.LinAlgError:
+        return _times(np.asarray(np.linalg.pinv(A, hermitian=True), float), b)

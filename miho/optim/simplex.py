@@ -1,0 +1,121 @@
+"""Nelder and Mead's simplex, one batch at a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+FLAT, SMALL = 1e-9, 1e-8
+"""It ends where its losses differ by less than this fraction, or its corners by less than this."""
+WAIT = 10
+"""Or where its best corner is the same after so many (d + 1) evaluations."""
+
+
+@dataclass
+class Simplex:
+    """A simplex in the unit box: corners (d + 1, d) with losses (d + 1,), and what it needs next.
+
+    `batch` holds points whose losses are needed: all corners, those of a shrunken simplex, or one
+    trial; `reflected` (d,) is the worst corner's reflection, with its `loss`. Of its `evaluations`
+    those until `improved` led to the best corner. The coefficients depend on d as Gao and Han
+    propose (Computational Optimization and Applications 51, 2012), without which it fails to
+    descend beyond a few parameters.
+    """
+
+    corners: Array
+    losses: Array
+    batch: Array
+    trial: str = "corners"
+    reflected: Array = field(default_factory=lambda: np.empty(0))
+    loss: float = np.inf
+    evaluations: int = 0
+    improved: int = 0
+
+    @classmethod
+    def around(cls, point: Array, loss: float, edge: float) -> Simplex:
+        """Edges along the coordinates, into the box."""
+        d = point.size
+        steps = np.where(point + edge <= 1.0, edge, -edge)
+        corners = np.vstack([point, point + np.diag(steps)])
+        return cls(corners, np.append(loss, np.full(d, np.inf)), corners[1:])
+
+    @property
+    def best(self) -> tuple[Array, float]:
+        """The best corner and its loss."""
+        k = int(np.argmin(self.losses))
+        return self.corners[k], float(self.losses[k])
+
+    @property
+    def done(self) -> bool:
+        """Whether it has become flat or small, or gets no further."""
+        least, spread = self.losses.min(), np.ptp(self.losses)
+        waits = self.evaluations - self.improved >= WAIT * len(self.corners)
+        small = np.ptp(self.corners, axis=0).max() < SMALL
+        return bool(waits or small or spread <= FLAT * abs(least))
+
+    def tell(self, losses: Array) -> None:
+        """Move on, given the losses of the batch."""
+        self.evaluations += losses.size
+        if losses.min() < self.losses.min():
+            self.improved = self.evaluations
+        if self.trial in ("corners", "shrink"):
+            self.losses[1:] = losses
+            self._reflect()
+            return
+        loss, point = float(losses[0]), self.batch[0]
+        if self.trial == "reflect":
+            self._judge(point, loss)
+        elif self.trial == "expand":
+            better = loss < self.loss
+            self._replace(point if better else self.reflected, min(loss, self.loss))
+        elif loss < min(self.loss, self.losses[-1]):
+            self._replace(point, loss)
+        else:
+            first = self.corners[0]
+            self.corners[1:] = first + self._shrink * (self.corners[1:] - first)
+            self.trial, self.batch = "shrink", self.corners[1:].copy()
+
+    def _judge(self, point: Array, loss: float) -> None:
+        """After the reflection of the worst corner."""
+        self.reflected, self.loss = point, loss
+        if loss < self.losses[0]:
+            self._ask("expand", self._middle + self._expand * (self._middle - self.corners[-1]))
+        elif loss < self.losses[-2]:
+            self._replace(point, loss)
+        else:
+            outer = point if loss < self.losses[-1] else self.corners[-1]
+            self._ask("contract", self._middle + self._contract * (outer - self._middle))
+
+    def _reflect(self) -> None:
+        order = np.argsort(self.losses, kind="stable")
+        self.corners, self.losses = self.corners[order], self.losses[order]
+        self._ask("reflect", 2 * self._middle - self.corners[-1])
+
+    def _replace(self, point: Array, loss: float) -> None:
+        self.corners[-1], self.losses[-1] = point, loss
+        self._reflect()
+
+    def _ask(self, trial: str, point: Array) -> None:
+        self.trial, self.batch = trial, np.minimum(np.maximum(point, 0.0), 1.0)[None]
+
+    @property
+    def _middle(self) -> Array:
+        return np.asarray(self.corners[:-1].mean(axis=0))
+
+    @property
+    def _expand(self) -> float:
+        return 1 + 2 / len(self.corners[0])
+
+    @property
+    def _contract(self) -> float:
+        d = len(self.corners[0])
+        return 0.5 if d == 1 else 0.75 - 1 / (2 * d)
+
+    @property
+    def _shrink(self) -> float:
+        d = len(self.corners[0])
+        return 0.5 if d == 1 else 1 - 1 / d

@@ -1,0 +1,80 @@
+"""Levels of rows, sizes and starts of brackets."""
+
+import numpy as np
+import pytest
+
+from miho.optim import Parameter, Space
+from miho.optim.brackets import by_scale, draw_starts, levels, luby
+
+
+def test_luby_is_the_published_sequence() -> None:
+    """Luby, Sinclair and Zuckerman 1993, Eq. 1."""
+    assert [luby(k) for k in range(1, 16)] == [1, 1, 2, 1, 1, 2, 4, 1, 1, 2, 1, 1, 2, 4, 8]
+
+
+@pytest.mark.parametrize(
+    ("rows", "d", "expected"),
+    [
+        (3000, 5, (20, 60, 180, 540, 3000)),
+        (300, 5, (20, 60, 300)),
+        (30, 5, (20, 30)),
+        (20, 5, (20,)),
+        (7, 5, (7,)),
+        (3_000_000, 5, (20, 60, 180, 540, 1620, 3_000_000)),
+    ],
+)
+def test_levels_grow_to_all_rows(rows: int, d: int, expected: tuple[int, ...]) -> None:
+    assert levels(rows, d, per_parameter=4, eta=3, jump=0.5, enough=200) == expected
+
+
+def test_the_common_start_leads_and_all_are_in_the_box() -> None:
+    space = Space(
+        (
+            Parameter("a", "V", 0.0, 100.0),
+            Parameter("b", "1/s", 0.01, 10.0, scale="log"),
+            Parameter("c", "V", -1.0, 4.0),
+        ),
+        seed=("some problem", 3),
+    )
+    starts = draw_starts(space, 30, np.random.default_rng(0), first=True)
+    np.testing.assert_array_equal(starts[0], space.initial(1)[0])
+    low, high = space.bounds
+    assert ((starts >= low) & (starts <= high)).all()
+    other = draw_starts(space, 30, np.random.default_rng(0), first=False)
+    assert not (starts[0] == other[0]).any()
+
+
+@pytest.mark.parametrize(
+    ("parameter", "near"),
+    [
+        (Parameter("p", "-", 0.0, 100.0), 0.1),
+        (Parameter("p", "-", 2.0, 100.0), 2.0),
+        (Parameter("p", "-", -100.0, 0.0), -0.1),
+        (Parameter("p", "-", -100.0, -2.0), -2.0),
+    ],
+)
+def test_a_size_is_even_in_logarithm(parameter: Parameter, near: float) -> None:
+    u = np.linspace(0, 1, 5)
+    values = parameter.low + (parameter.high - parameter.low) * by_scale(u, parameter)
+    far = parameter.high if near > 0 else parameter.low
+    np.testing.assert_allclose(np.sort(values / near), (far / near) ** u, rtol=1e-9)
+
+
+def test_both_sides_of_zero_are_as_likely() -> None:
+    """The last three decades of each."""
+    parameter = Parameter("p", "-", -1.0, 100.0)
+    values = -1 + 101 * by_scale(np.array([0.0, 0.25, 0.499999, 0.500001, 0.75, 1.0]), parameter)
+    expected = [-1, -(10**-1.5), -1e-3, 0.1, 10**0.5, 100]
+    np.testing.assert_allclose(values, expected, rtol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "parameter",
+    [
+        Parameter("p", "-", 50.0, 100.0),
+        Parameter("p", "-", 0.01, 100.0, scale="log"),
+    ],
+)
+def test_other_ranges_stay_uniform(parameter: Parameter) -> None:
+    u = np.linspace(0, 1, 5)
+    np.testing.assert_array_equal(by_scale(u, parameter), u)
