@@ -5,14 +5,17 @@ Methods that make several descents stop by this rule, and a report relies on a r
 n descents from starts of their own have ended in w different optima. Boender and Rinnooy Kan
 (Mathematical Programming 37, 1987) take this for a sample of unknown cells with unknown shares, no
 number and no share of which is likelier than another beforehand. The share of starts that lead to
-optima in which none of the n has ended is then expected to be w (w + 1) / (n (n - 1)): that has to
-be small, and the best optimum must have been come back to, in number and in share of all.
+optima in which none of the n has ended is then expected to be w (w + 1) / (n (n - 1)). Where the
+order in which optima are met says nothing of their loss, a new one is the best of w + 1 with the
+probability 1 / (w + 1); where better ones are met sooner, as is to be hoped, with less. So one more
+descent ends in a better optimum with a probability of about w / (n (n - 1)), which has to be small;
+and the best optimum must have been come back to, in number and in share of all.
 
 R's gslnls stops, after Hickernell and Yuan (OR Transactions 1, 1997), by a count: more than
 r + sqrt(r) NSP starts without an improvement, after NSP improvements (r = 4). It does not ask
 where they ended. Eight starts that end in eight places, the first of them in the best, stop it, and
-nothing was come back to; here they say that nothing is known (w = n = 8). Where all agree, 5 starts
-are enough here and 8 there. And a share of starts can be told in a report; a count since the last
+nothing was come back to; here they are not enough. Where all agree, 7 starts are enough here and 8
+there. And a share of starts can be told in a report; a count since the last
 improvement says less, the earlier that was.
 """
 
@@ -30,8 +33,8 @@ ENOUGH, SHARE = 5, 0.25
 is as easy to reach, but better, would have been missed by all n with a probability of about
 (1 - 5 / n)^n, at most 1 % (of five, which all ended in one of two, 2^-5 = 3 %); and where the best
 is rare, a better one that is rarer is likely."""
-UNSEEN = 0.05
-"""One more descent is to end in an optimum not seen with this probability at most."""
+BETTER = 0.025
+"""One more descent is to end in a better optimum with this probability at most."""
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,12 @@ class Agreement:
     @property
     def enough(self) -> bool:
         """Whether the optimum may be relied on, and a search for a better one may stop."""
-        return self.returned and self.unseen <= UNSEEN
+        return self.returned and self.better <= BETTER
+
+    @property
+    def better(self) -> float:
+        """The probability that one more descent ends in an optimum that is better, not seen yet."""
+        return self.unseen / (self.optima + 1)
 
 
 def agreement(
