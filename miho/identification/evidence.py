@@ -59,8 +59,7 @@ def standing(
     evidence = f"{screened:,} starts screened for {finished} descents; " if screened else ""
     evidence += f"{here or 'none'} of them ended here" if screened else ended
     unseen = (
-        "one more would find a better one with a probability of about "
-        f"{100 * agreed.better:.2g} %"
+        f"one more would find a better one with a probability of about {100 * agreed.better:.2g} %"
     )
     if agreed.enough:
         return Standing(f"{evidence}, and none found a better one; {unseen}")

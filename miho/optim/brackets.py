@@ -11,6 +11,8 @@ from miho.optim.space import Parameter, Space
 
 Array = NDArray[np.float64]
 
+KINDS = "own", "scale", "uniform"
+DRAWS = "thirds", *KINDS
 DECADES = 3
 """A range that reaches to zero is drawn over so many decades below its end."""
 
@@ -45,18 +47,28 @@ def levels(
     return tuple(ends)
 
 
-def draw_starts(space: Space, n: int, rng: np.random.Generator, first: bool) -> Array:
+def draw_starts(
+    space: Space, n: int, rng: np.random.Generator, first: bool, draws: str = "thirds"
+) -> Array:
     """Starts of a bracket in search coordinates, (n, d); of the `first` one the common start leads.
 
-    In turn by the space's own distribution, which says where an answer is expected; by scale (see
-    `by_scale`), for ranges that say no more than an order of magnitude; and uniformly.
+    By the space's `own` distribution, which says where an answer is expected; by `scale` (see
+    `by_scale`), for ranges that say no more than an order of magnitude; `uniform`ly; or in `thirds`
+    of each.
     """
     low, high = space.bounds
+    kinds = KINDS if draws == "thirds" else (draws,)
     starts, u = np.empty((n, len(space))), rng.random((n, len(space)))
-    starts[::3] = space.sample(len(starts[::3]), rng)
-    scaled = np.stack([by_scale(u[1::3, k], p) for k, p in enumerate(space.parameters)], axis=1)
-    starts[1::3] = low + (high - low) * scaled
-    starts[2::3] = low + (high - low) * u[2::3]
+    for k, kind in enumerate(kinds):
+        of = slice(k, None, len(kinds))
+        shares = u[of]
+        if kind == "own":
+            starts[of] = space.sample(len(shares), rng)
+            continue
+        if kind == "scale":
+            columns = [by_scale(shares[:, i], p) for i, p in enumerate(space.parameters)]
+            shares = np.stack(columns, axis=1)
+        starts[of] = low + (high - low) * shares
     if first:
         starts[0] = space.initial(1)[0]
     return np.minimum(np.maximum(starts, low), high)

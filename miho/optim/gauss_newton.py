@@ -45,9 +45,9 @@ double each time."""
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
 FADING = 0.3
 """A scale D_j falls by no more than this factor from one step to the next."""
-SECANT, SECANTS = 0.8, 3
+SECANT = 0.7
 """Where the gain is more than this share of the predicted one the next derivatives are Broyden's,
-so many times running: they cost nothing."""
+a few times running: they cost nothing."""
 TRIES = 12
 
 
@@ -204,6 +204,7 @@ class Rules(NamedTuple):
     last: bool
     steps: int
     reach: float
+    secants: int
     tolerance: float
     patience: int
     share: int
@@ -325,7 +326,10 @@ def looked(c: Candidates, i: int, loss: float, box: Box, m: int, rules: Rules, w
     rho = actual / c.gain[i] if c.gain[i] > 0 and math.isfinite(loss) else -1.0
     if rho > ACCEPTED:
         secant = (
-            rho > SECANT and c.secants[i] < SECANTS and c.rows.shape[2] > 0 and not c.projects[i]
+            rho > SECANT
+            and c.secants[i] < rules.secants
+            and c.rows.shape[2] > 0
+            and not c.projects[i]
         )
         if secant:
             broyden(c, i, m, w)

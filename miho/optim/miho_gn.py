@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.optim.brackets import draw_starts, levels, luby
+from miho.optim.brackets import DRAWS, draw_starts, levels, luby
 from miho.optim.evidence import in_optimum
 from miho.optim.gauss_newton import (
     DONE,
@@ -29,7 +29,7 @@ from miho.optim.oracle import Budget, Oracle, UnusableValueError
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.seeds import stream
 from miho.optim.space import Space
-from miho.optim.validate import positive, whole
+from miho.optim.validate import one_of, positive, whole
 
 Array = NDArray[np.float64]
 
@@ -141,8 +141,9 @@ class MIHOGN(Resumable[MIHOGNState]):
 
     Steps are damped by `damping` at first, no longer than `reach` of the widths, and over where
     they promise less than `tolerance` of the loss; on fewer rows, m of them, `level_tolerance`
-    d / m, which m rows cannot tell. Every second bracket solves for the linear parameters at each
-    look (variable projection). A descent that gains less than the share `progress` of its loss in
+    d / m, which m rows cannot tell. Up to `secants` steps running take Broyden's derivatives. One
+    bracket in `projecting` (0: none) solves for the linear parameters at each look (variable
+    projection). `draws` are the starts, see `draw_starts`. A descent that gains less than the share `progress` of its loss in
     `patience` (d + 1) evaluations is set aside; the best of those gets as much as the next bracket
     has spent. What comes to a known minimum ends.
 
@@ -168,6 +169,9 @@ class MIHOGN(Resumable[MIHOGNState]):
     lead: int = 20
     damping: float = 0.1
     reach: float = 0.25
+    secants: int = 4
+    projecting: int = 2
+    draws: str = "thirds"
     tolerance: float = 1e-8
     level_tolerance: float = 0.1
     patience: float = 4.0
@@ -180,6 +184,9 @@ class MIHOGN(Resumable[MIHOGNState]):
         whole("eta", self.eta, 2)
         for name in ("least", "most", "steps", "lead", "doubtful", "brackets"):
             whole(name, getattr(self, name), 1)
+        for name in ("secants", "projecting"):
+            whole(name, getattr(self, name), 0)
+        one_of("draws", self.draws, DRAWS)
         for name in (
             "rows", "jump", "enough", "base", "largest", "damping", "reach", "tolerance",
             "level_tolerance", "patience", "progress", "longer",
@@ -270,6 +277,7 @@ class MIHOGN(Resumable[MIHOGNState]):
             last=state.last,
             steps=steps.get(state.phase, ALONE),
             reach=self.reach,
+            secants=self.secants,
             tolerance=self.tolerance if state.last else self.level_tolerance * share,
             patience=int(self.patience * (state.d + 1) * state.rows) if alone else 0,
             share=int(spent) if state.phase == SHARE else 0,
@@ -284,16 +292,20 @@ class MIHOGN(Resumable[MIHOGNState]):
     def _draw(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Begin a bracket."""
         state.bracket += 1
-        state.projects = state.linear or (state.bracket % 2 == 0 and state.box.linear.size > 0)
+        state.projects = state.linear or self._projects(state)
         state.size = (state.d + 1) * min(self.base * luby(state.bracket), self.largest)
         state.level, state.phase, state.begun = 0, SCREEN, oracle.evaluations
         n = min(max(round(state.size / state.look_cost), self.least), self.most)
         n = 1 if state.linear else n
-        starts = draw_starts(state.space, n, state.rng, state.bracket == 1)
+        starts = draw_starts(state.space, n, state.rng, state.bracket == 1, self.draws)
         oracle.screened(n)
         x = (starts - state.box.origin) / state.box.width
         state.live = Candidates.at(x, state.ends.size, self.damping, state.projects)
         self._make_room(state)
+
+    def _projects(self, state: MIHOGNState) -> bool:
+        every = self.projecting and state.bracket % self.projecting == 0
+        return bool(every and state.box.linear.size)
 
     def _screened(self, state: MIHOGNState, oracle: Oracle) -> None:
         state.live = _usable(state.live)
