@@ -104,7 +104,7 @@ class DecayFit(LeastSquaresProblem):
         self.spent += len(thetas) * fidelity
         return losses
 
-    def residuals(self, theta: Array) -> Array:
+    def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Model minus data, (17,)."""
         residuals = theta[0] * np.exp(-theta[1] * self.t) - self.y
         if self._spoil is not None and not np.isfinite(
@@ -115,7 +115,7 @@ class DecayFit(LeastSquaresProblem):
         self.spent += 1
         return np.asarray(residuals)
 
-    def jacobian(self, theta: Array) -> Array:
+    def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals, (17, 2)."""
         decay = np.exp(-theta[1] * self.t)
         self.spent += 2

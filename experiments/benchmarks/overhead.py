@@ -57,14 +57,14 @@ class Bowl(LeastSquaresProblem):
         self.seconds += time.perf_counter() - started
         return losses
 
-    def residuals(self, theta: Array) -> Array:
+    def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Distance to the middle, relative to the box."""
         started = time.perf_counter()
         residuals = np.asarray((theta - self._middle) / self._width)
         self.seconds += time.perf_counter() - started
         return residuals
 
-    def jacobian(self, theta: Array) -> Array:
+    def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Its derivatives."""
         started = time.perf_counter()
         derivatives = np.diag(1 / self._width)

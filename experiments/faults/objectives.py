@@ -115,11 +115,11 @@ class Spoilt(LeastSquaresProblem):
         values = mean_square(self.scale * self._errors(thetas))
         return self._answer(thetas, values, fidelity)
 
-    def residuals(self, theta: Array) -> Array:
+    def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Residuals (17,), or what the fault makes of them."""
         return self._answer(theta[None], self.scale * self._errors(theta[None])[0], 1.0)
 
-    def jacobian(self, theta: Array) -> Array:
+    def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives (17, 2), or what the fault makes of them."""
         derivatives = self.scale * self.decay.jacobian(theta)
         self.spent += 2

@@ -18,9 +18,8 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.optim.oracle import Block, BudgetExhausted, Oracle, UnusableValueError
 from miho.optim.space import Space
-from miho.optim.triangular import Room, allocating, compiled, fold, solve_in_box, square_sum
+from miho.optim.triangular import Room, allocating, compiled, fold, norm, solve_in_box
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -29,10 +28,6 @@ ENTER, SLOPES, READY, TRIED, RECORD, DONE, KNOWN, UNUSABLE = range(8)
 """What a configuration needs next: the residuals where it is, its derivatives, a step, the
 residuals of its trial, those of a solution that is known by algebra so far; or how it ended: at a
 minimum, on the way to a known one, without usable values."""
-EVENTS = 4096
-"""Looks at all rows in one block, each of which may improve."""
-FINISHED, PAUSED = range(2)
-"""Whether a block of steps was done to its end, or the next evaluation is beyond its allowance."""
 
 CHUNK = 512
 """Rows at a time: their derivatives stay in the first-level cache."""
@@ -48,7 +43,20 @@ FADING = 0.3
 SECANT = 0.7
 """Where the gain is more than this share of the predicted one the next derivatives are Broyden's,
 a few times running: they cost nothing."""
+DONE_DAMPING, DONE_LESS = 1e-3, 1e-3
+"""A step that promises too little is the last one if it is hardly damped, or promises so little of
+the tolerance; else the damping may be why, and falls."""
 TRIES = 12
+"""Steps with less and less damping before one is tried that promises too little."""
+RESTART_DAMPING = 1e-6
+"""What a failed step grows from, at least."""
+SMALLEST_SCALE = 1e-10
+"""Of the largest scale: a parameter that derivatives do not see is held by so much."""
+INSIDE = 1e-12
+"""A share of a width: nearer, a linear parameter is at its bound."""
+COPY, COPY_LOSS = 0.5, 0.05
+"""A near copy of a better one: squared distance in units of d / rows of the loss, and by how much
+the losses differ."""
 
 
 class Candidates(NamedTuple):
@@ -193,11 +201,11 @@ class Rules(NamedTuple):
 
     On the rows of `level` (`last`: all) at most `steps` trials for each configuration, none longer
     than `reach` box widths; done where the predicted relative gain is below `tolerance`, or a loss
-    is `nothing`. A configuration that gains
-    less than the share `progress` over `patience` rows is crawling, and is left once it has had
-    `share` rows (`patience` 0: never). `near` is the squared distance, in shares of the sum of squares, within
-    which a configuration is on its way to a known minimum, unless it is better by the share
-    `better`.
+    is `nothing`. Up to `secants` steps running take Broyden's derivatives. A configuration that
+    gains less than the share `progress` over `patience` rows is crawling, and is left once it has
+    had `share` rows (`patience` 0: never). `near` is the squared distance, in shares of the sum of
+    squares, within which a configuration is on its way to a known minimum, unless it is better by
+    the share `better`.
     """
 
     level: int
@@ -283,9 +291,9 @@ def factored(c: Candidates, i: int, box: Box, w: Work) -> None:
         largest = max(largest, D[k])
         fine = fine and math.isfinite(D[k]) and math.isfinite(q[k])
     for k in range(n):
-        D[k] = max(D[k], 1e-10 * largest)
-    c.stage[i] = READY if fine and (largest > 0 or n == 0) else UNUSABLE
-    if n and largest == 0:
+        D[k] = max(D[k], SMALLEST_SCALE * largest)
+    c.stage[i] = READY if fine else UNUSABLE
+    if fine and n and largest == 0:
         c.stage[i] = DONE
 
 
@@ -307,7 +315,7 @@ def copy(these: Array, to: Array) -> None:
 @compiled
 def is_free(x: float) -> bool:
     """Whether a coordinate is off the bounds."""
-    return 1e-12 < x < 1 - 1e-12
+    return INSIDE < x < 1 - INSIDE
 
 
 @compiled
@@ -354,7 +362,7 @@ def looked(c: Candidates, i: int, loss: float, box: Box, m: int, rules: Rules, w
     elif c.secants[i]:
         c.stage[i], c.secants[i] = SLOPES, 0
     else:
-        c.damping[i] = max(c.damping[i] * c.growth[i], 1e-6)
+        c.damping[i] = max(c.damping[i] * c.growth[i], RESTART_DAMPING)
         c.growth[i] *= 2.0
         c.stage[i] = DONE if c.damping[i] > LARGEST_DAMPING else READY
 
@@ -422,23 +430,16 @@ def step(c: Candidates, i: int, box: Box, m: int, rules: Rules, w: Work) -> None
         for k in range(n):
             scale[k] = root * c.D[i, k]
         solve_in_box(c.R[i], c.q[i], scale, low, high, n, w.step, w.room)
-        after = 0.0
-        for row in range(n):
-            value = c.q[i, row]
-            for k in range(row, n):
-                value += c.R[i, row, k] * w.step[k]
-            after += value * value
-        gain = before - after
-        c.gain[i] = gain
-        predicted = gain / total if total > 0 else 0.0
+        c.gain[i] = before - norm(c.R[i], c.q[i], n, w.step)
+        predicted = c.gain[i] / total if total > 0 else 0.0
         if predicted > rules.tolerance:
             break
-        if c.damping[i] <= 1e-3 or predicted <= 1e-3 * rules.tolerance:
+        if c.damping[i] <= DONE_DAMPING or predicted <= DONE_LESS * rules.tolerance:
             c.stage[i] = DONE
-            if c.secants[i] and rules.last:
+            if c.secants[i] and rules.last:  # true derivatives have the last word
                 c.stage[i], c.secants[i] = SLOPES, 0
             return
-        c.damping[i] *= 0.1
+        c.damping[i] *= LESS
     for k in range(d):
         trial[k] = x[k]
     moved = False
@@ -450,20 +451,25 @@ def step(c: Candidates, i: int, box: Box, m: int, rules: Rules, w: Work) -> None
 
 
 @compiled
+def square_distance(c: Candidates, i: int, x: Array, box: Box) -> float:
+    """|R (x_i - x)|^2: what the linear model at a configuration says of the way to x (d,)."""
+    n, total = box.nonlinear.size if c.projects[i] else x.size, 0.0
+    for row in range(n):
+        value = 0.0
+        for k in range(row, n):
+            at = box.nonlinear[k] if c.projects[i] else k
+            value += c.R[i, row, k] * (c.x[i, at] - x[at])
+        total += value * value
+    return total
+
+
+@compiled
 def known(c: Candidates, i: int, box: Box, m: int, minima: Minima, rules: Rules) -> bool:
-    """Whether a configuration is on its way to a minimum that is known, in the metric of R'R."""
-    n = box.nonlinear.size if c.projects[i] else c.x.shape[1]
-    for a in range(minima.x.shape[0]):
-        if c.loss[i] < minima.loss[a] * (1 - rules.better):
-            continue
-        distance = 0.0
-        for row in range(n):
-            value = 0.0
-            for k in range(row, n):
-                at = box.nonlinear[k] if c.projects[i] else k
-                value += c.R[i, row, k] * (c.x[i, at] - minima.x[a, at])
-            distance += value * value
-        if distance <= rules.near * c.loss[i] * m:
+    """Whether a configuration is on its way to a minimum that is known, and no better."""
+    near = rules.near * c.loss[i] * m
+    for k in range(minima.loss.size):
+        worse = c.loss[i] >= minima.loss[k] * (1 - rules.better)
+        if worse and square_distance(c, i, minima.x[k], box) <= near:
             return True
     return False
 
@@ -512,13 +518,8 @@ def solve_linear(c: Candidates, i: int, box: Box, m: int, w: Work) -> float:
         w.scale[j] = 0.0
         w.low[j] = (box.low[k] - w.theta[k]) / width
         w.high[j] = (box.high[k] - w.theta[k]) / width
-    rest = w.T[p, p] * w.T[p, p]
     solve_in_box(w.T, q, w.scale, w.low, w.high, p, w.step, w.room)
-    for row in range(p):
-        value = q[row]
-        for k in range(row, p):
-            value += w.T[row, k] * w.step[k]
-        rest += value * value
+    rest = w.T[p, p] * w.T[p, p] + norm(w.T, q, p, w.step)
     for j in range(p):
         k = box.linear[j]
         value = w.theta[k] + (box.high[k] - box.low[k]) * w.step[j]
@@ -526,7 +527,7 @@ def solve_linear(c: Candidates, i: int, box: Box, m: int, w: Work) -> float:
         if box.log[k]:
             value = math.log(value)
         c.trial[i, k] = min(max((value - box.origin[k]) / box.width[k], 0.0), 1.0)
-    return rest / m
+    return float(rest / m)
 
 
 @compiled
@@ -545,7 +546,7 @@ def evaluated(
     before = c.loss[i]
     looked(c, i, loss, box, m, rules, w)
     if c.projects[i]:
-        if rules.last and c.loss[i] < before and c.loss[i] < best * (1 - 1e-9):
+        if rules.last and c.loss[i] < before and c.loss[i] < best:
             c.after[i] = c.stage[i]
             c.stage[i] = RECORD
     elif c.loss[i] < before:
@@ -553,327 +554,23 @@ def evaluated(
 
 
 @compiled
-def look(residuals: Any, X: Array, y: Array, ends: Whole, m: int, keep: bool, w: Work) -> float:
-    """The sum of squares at w.theta over m rows, and in w.sums over those of each level."""
-    total, start = 0.0, 0
-    for level in range(ends.size):
-        end = min(ends[level], m)
-        while start < end:
-            count = min(CHUNK, end - start)
-            r = w.residuals[start : start + count] if keep else w.residuals[:count]
-            residuals(w.theta, X, y, start, start + count, r)
-            total += square_sum(r, count)
-            start += count
-        w.sums[level] = total
-    return total
-
-
-@compiled
-def fill(
-    residuals: Any,
-    slopes: Any,
-    X: Array,
-    y: Array,
-    c: Candidates,
-    i: int,
-    box: Box,
-    m: int,
-    only_linear: bool,
-    w: Work,
-) -> None:
-    """The factor of derivatives and residuals at w.theta, into w.T, one chunk after the other.
-
-    Of the linear parameters alone, in box widths; or of all in unit coordinates, as `factored`
-    takes them.
-    """
-    d = w.theta.size
-    keep = c.rows.shape[2] > 0 and not c.projects[i]
-    J, chunk = w.slopes, w.chunk
-    clear(w.T)
-    for start in range(0, m, CHUNK):
-        count = min(CHUNK, m - start)
-        slopes(w.theta, X, start, start + count, J)
-        n = 0
-        if only_linear or c.projects[i]:
-            for k in box.linear:
-                if only_linear or is_free(c.x[i, k]):
-                    column(J[k], box.high[k] - box.low[k], count, chunk[n])
-                    n += 1
-        if not only_linear:
-            for k in range(d):
-                if c.projects[i] and is_linear(k, box):
-                    continue
-                width = box.width[k] * (w.theta[k] if box.log[k] else 1.0)
-                column(J[k], width, count, chunk[n])
-                if keep:
-                    for row in range(count):
-                        c.rows[i, k, start + row] = chunk[n, row]
-                n += 1
-        if keep:
-            for row in range(count):
-                chunk[n, row] = c.rows[i, d, start + row]
-        else:
-            residuals(w.theta, X, y, start, start + count, chunk[n, :count])
-        fold(w.T, chunk, count, n + 1)
-
-
-@compiled
-def column(slopes: Array, width: float, count: int, into: Array) -> None:
-    """Derivatives in coordinates of this width."""
-    for row in range(count):
-        into[row] = slopes[row] * width
-
-
-@compiled
-def is_linear(k: int, box: Box) -> bool:
-    """Whether a parameter is one of the linear ones."""
-    for j in box.linear:  # noqa: SIM110 -- as numba compiles it
-        if j == k:
-            return True
-    return False
-
-
-@allocating
-def advance(
-    residuals: Any,
-    slopes: Any,
-    X: Array,
-    y: Array,
-    numbers: Array,
-    counts: Whole,
-    R: Array,
-    rows: Array,
-    box: Box,
-    ends: Whole,
-    minima: Minima,
-    rules: Rules,
-    slope_cost: int,
-    most: int,
-    best: float,
-    target: float,
-    at: Whole,
-    losses: Array,
-    thetas: Array,
-) -> tuple[int, int, int, int, int, int]:
-    """Give each configuration its steps: (state, rows spent, improvements, NaN, inf, unusable).
-
-    `residuals(theta, X, y, i, j, r)` and `slopes(theta, X, i, j, J)` are compiled and give those of
-    rows i to j. No more than `most` rows are spent; improvements of `best` are listed with the rows
-    up to and with them, and end the block where they reach `target`.
-    """
-    c = views(numbers, counts, R, rows)
-    w = work(R.shape[1], ends[rules.level] if rows.shape[2] else CHUNK, ends.size)
-    return _advance(
-        residuals, slopes, X, y, c, box, ends, minima, rules, slope_cost, most, best, target, w,
-        at, losses, thetas,
-    )  # fmt: skip
-
-
-@compiled
-def _advance(
-    residuals: Any,
-    slopes: Any,
-    X: Array,
-    y: Array,
-    c: Candidates,
-    box: Box,
-    ends: Whole,
-    minima: Minima,
-    rules: Rules,
-    slope_cost: int,
-    most: int,
-    best: float,
-    target: float,
-    w: Work,
-    at: Whole,
-    losses: Array,
-    thetas: Array,
-) -> tuple[int, int, int, int, int, int]:
-    """As `advance`, with the arrays that it needs."""
-    m = ends[rules.level]
-    spent = found = nans = infinities = unusable = 0
-    for i in range(c.x.shape[0]):
-        while prepare(c, i, box, m, minima, rules, w):
-            stage = c.stage[i]
-            project = c.projects[i] and stage != RECORD
-            cost = m * (box.linear.size + 1 if project else 1)
-            if stage == SLOPES:
-                cost = m * slope_cost
-            if spent + cost > most:
-                return PAUSED, spent, found, nans, infinities, unusable
-            spent += cost
-            c.spent[i] += cost
-            if stage == SLOPES:
-                to_units(c.x[i], box, w.theta)
-                fill(residuals, slopes, X, y, c, i, box, m, False, w)
-                factored(c, i, box, w)
-                unusable += c.stage[i] == UNUSABLE
-                continue
-            to_units(c.x[i] if stage == RECORD else c.trial[i], box, w.theta)
-            loss = look(residuals, X, y, ends, m, c.rows.shape[2] > 0 and not project, w) / m
-            nans += math.isnan(loss)
-            infinities += math.isinf(loss)
-            if m == y.size and loss < best:
-                best = loss
-                at[found], losses[found] = spent - cost + m, loss
-                for k in range(w.theta.size):
-                    thetas[found, k] = w.theta[k]
-                found += 1
-            if project and math.isfinite(loss):
-                fill(residuals, slopes, X, y, c, i, box, m, True, w)
-                loss = solve_linear(c, i, box, m, w)
-            evaluated(c, i, loss, box, m, rules, best, w)
-            if best <= target:
-                return FINISHED, spent, found, nans, infinities, unusable
-    return FINISHED, spent, found, nans, infinities, unusable
-
-
-def give_steps(
-    oracle: Oracle,
-    c: Candidates,
-    box: Box,
-    ends: Whole,
-    minima: Minima,
-    rules: Rules,
-) -> None:
-    """Give each configuration its steps, compiled where the problem is.
-
-    Goes on where it was cut off. Raises as the oracle does at the end of the budget.
-    """
-    rows = oracle.compiled_rows
-    m = int(ends[rules.level])
-    if rows is None:
-        w = work.py_func(c.x.shape[1], m, ends.size)
-        _from_outside(oracle, c, box, ends, minima, rules, w)
-        return
-    N, d, slope_cost = rows.y.size, c.x.shape[1], oracle.jacobian_cost
-    least = float(max(box.linear.size + 1, slope_cost))
-    room = EVENTS if rules.last else 0
-    at, losses, thetas = np.empty(room, np.int64), np.empty(room), np.empty((room, d))
-
-    def block(most: float, best: float, target: float) -> Block:
-        limit = int(min(most * N + 1e-6, EVENTS * N, 2**62))
-        state, spent, found, nans, infinities, unusable = advance(
-            rows.residuals, rows.slopes, rows.X, rows.y, *c[:4], box, ends, minima, rules, slope_cost, limit, best, target, at, losses, thetas,
-        )  # fmt: skip
-        rejected = {}
-        for reason, count in (
-            ("loss is nan", nans),
-            ("loss is inf", infinities),
-            ("derivative is not finite", unusable),
-        ):
-            if count:
-                rejected[reason] = count
-        return Block(
-            spent / N, at[:found] / N, losses[:found], thetas[:found], rejected, state == FINISHED
-        )
-
-    oracle.spend(block, least)
-
-
-def _from_outside(
-    oracle: Oracle, c: Candidates, box: Box, ends: Whole, minima: Minima, rules: Rules, w: Work
-) -> None:
-    """The same steps on residuals and derivatives that a problem gives one at a time."""
-    d, p = c.x.shape[1], box.linear.size
-    m = int(ends[rules.level])
-    fidelity = 1.0 if rules.last else m / int(ends[-1])
-    share = 1.0 if rules.last else oracle.cost(fidelity)
-    for i in range(c.x.shape[0]):
-        while prepare(c, i, box, m, minima, rules, w):
-            stage = c.stage[i]
-            project = bool(c.projects[i]) and stage != RECORD
-            to_units(c.trial[i] if stage in (ENTER, TRIED) else c.x[i], box, w.theta)
-            try:
-                if stage == SLOPES:
-                    cost = oracle.jacobian_cost
-                    columns = oracle.jacobian(w.theta.copy(), fidelity).T
-                    columns = columns * (box.width * np.where(box.log, w.theta, 1.0))[:, None]
-                    order = np.arange(d)
-                    if project:
-                        free = [k for k in box.linear if is_free(c.x[i, k])]
-                        order = np.array([*free, *box.nonlinear])
-                    c.rows[i, : order.size] = columns[order]
-                    refold(c.rows[i], order.size, d, m, w)
-                    factored(c, i, box, w)
-                else:
-                    cost = p + 1 if project else 1
-                    if cost * share > oracle.remaining:
-                        raise BudgetExhausted
-                    loss = _look_outside(oracle, fidelity, c, i, box, ends, project, w)
-                    evaluated(c, i, loss, box, m, rules, oracle.best, w)
-            except UnusableValueError:
-                if stage == SLOPES:
-                    c.stage[i] = UNUSABLE
-                else:
-                    evaluated(c, i, math.inf, box, m, rules, oracle.best, w)
-            c.spent[i] += m * cost
-
-
-def _look_outside(
-    oracle: Oracle,
-    fidelity: float,
-    c: Candidates,
-    i: int,
-    box: Box,
-    ends: Whole,
-    project: bool,
-    w: Work,
-) -> float:
-    """The loss at w.theta, or at the best linear parameters there; infinite if unusable.
-
-    The residuals there are left in w.residuals.
-    """
-    theta = w.theta.copy()
-    r = w.residuals
-    r[:] = oracle.residuals(theta, fidelity)
-    w.sums[:] = [r[:end] @ r[:end] for end in ends]
-    loss = float(r @ r) / r.size
-    if not (project and math.isfinite(loss)):
-        return loss
-    rows, p = np.empty((box.linear.size + 1, r.size)), box.linear.size
-    for column, k in enumerate(box.linear):
-        # as far away as the box allows: the wider a difference, the more exact
-        moved, up = theta.copy(), box.high[k] - theta[k] >= theta[k] - box.low[k]
-        moved[k] = box.high[k] if up else box.low[k]
-        scale = (box.high[k] - box.low[k]) / (moved[k] - theta[k])
-        rows[column] = (oracle.residuals(moved, fidelity) - r) * scale
-    rows[p] = r
-    refold(rows, p, p, r.size, w)
-    loss = solve_linear(c, i, box, r.size, w)
-    r += w.step[:p] @ rows[:p]
-    return loss
-
-
-@compiled
 def same(c: Candidates, i: int, j: int, box: Box) -> bool:
     """Whether two configurations are one, as far as the rows can tell; j is the worse one."""
-    if (c.stage[i] != READY and c.stage[i] != DONE) or abs(c.loss[i] - c.loss[j]) > 0.05 * c.loss[
-        i
-    ]:
+    modelled = c.stage[i] == READY or c.stage[i] == DONE
+    close = c.loss[j] - c.loss[i] <= COPY_LOSS * c.loss[i]
+    if not (modelled and close):
         return False
-    n = box.nonlinear.size if c.projects[i] else c.x.shape[1]
-    distance = 0.0
-    for row in range(n):
-        value = 0.0
-        for k in range(row, n):
-            at = box.nonlinear[k] if c.projects[i] else k
-            value += c.R[i, row, k] * (c.x[i, at] - c.x[j, at])
-        distance += value * value
-    return bool(distance <= 0.5 * c.x.shape[1] * c.loss[i])
+    return bool(square_distance(c, i, c.x[j], box) <= COPY * c.x.shape[1] * c.loss[i])
 
 
 @allocating
 def distinct(c: Candidates, box: Box) -> NDArray[np.intp]:
-    """Those of configurations in ascending order of their loss that are no copies of better ones."""
-    kept = np.empty(c.loss.size, np.intp)
-    count = 0
+    """Which of configurations, in ascending order of their losses, are no copies of better ones."""
+    kept, count = np.empty(c.loss.size, np.intp), 0
     for j in range(c.loss.size):
         new = True
         for i in kept[:count]:
-            if same(c, i, j, box):
-                new = False
-                break
+            new = new and not same(c, i, j, box)
         if new:
             kept[count] = j
             count += 1

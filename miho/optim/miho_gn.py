@@ -22,13 +22,13 @@ from miho.optim.gauss_newton import (
     Minima,
     Rules,
     distinct,
-    give_steps,
 )
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Budget, Oracle, UnusableValueError
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.seeds import stream
 from miho.optim.space import Space
+from miho.optim.steps import give_steps
 from miho.optim.validate import one_of, positive, whole
 
 Array = NDArray[np.float64]
@@ -143,15 +143,15 @@ class MIHOGN(Resumable[MIHOGNState]):
     they promise less than `tolerance` of the loss; on fewer rows, m of them, `level_tolerance`
     d / m, which m rows cannot tell. Up to `secants` steps running take Broyden's derivatives. One
     bracket in `projecting` (0: none) solves for the linear parameters at each look (variable
-    projection). `draws` are the starts, see `draw_starts`. A descent that gains less than the share `progress` of its loss in
-    `patience` (d + 1) evaluations is set aside; the best of those gets as much as the next bracket
-    has spent. What comes to a known minimum ends.
+    projection). `draws` says how starts are drawn, see `draw_starts`. A descent that gains less
+    than the share `progress` of its loss in `patience` (d + 1) evaluations is set aside; the best
+    of those gets as much as the next bracket has spent. What comes to a known minimum ends.
 
-    The search ends when the ends of its brackets are evidence enough (`miho.optim.evidence`). Where
-    the best one is at a bound, the data leave a parameter open in all of its range, or the loss is
-    more than their noise explains, `doubtful` brackets must have come back to it, in a search that
-    has become `longer` times as long as it was when that was found: there searches get stuck. `brackets` are the most. A problem
-    that is linear in all parameters is solved.
+    The search ends when the ends of its brackets are evidence enough (`miho.optim.evidence`).
+    Searches get stuck at bounds, where the data leave a parameter open in all of its range, and
+    where the loss is more than their noise explains: at such an optimum `doubtful` brackets must
+    have ended, in a search that has become `longer` times as long as when it was found. `brackets`
+    are the most. A problem that is linear in all parameters is solved.
 
     Needs a least-squares problem; of its residuals and derivatives those of the first rows, if it
     gives them, and compiled, if it has them.
@@ -199,7 +199,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         """The state before the first look."""
         space, N = oracle.space, oracle.rows
         box = Box.of(space, oracle.linear)
-        ends = (0,)
+        ends: tuple[int, ...] = (0,)
         if N is not None:
             ends = self._levels(N, box)
             if oracle.cost(ends[0] / N) >= 1:  # fewer rows are not cheaper
@@ -461,5 +461,5 @@ def _sound(c: Candidates, box: Box, m: int) -> bool:
     R = c.R[0, :n, :n]
     if not np.diag(R).all():
         return False
-    variance = c.loss[0] * m / max(m - n, 1)
-    return bool(((np.linalg.inv(R) ** 2).sum(axis=1) * variance <= 1).all())
+    deviation = math.sqrt(c.loss[0] * m / max(m - n, 1))
+    return bool((np.linalg.norm(np.linalg.inv(R), axis=1) * deviation <= 1).all())

@@ -233,9 +233,9 @@ _warm = _Warm()
 def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     """Let problem and method import, compile and allocate before the clock starts.
 
-    The problem evaluates one configuration, as the method will (`rehearsals`); the method searches a paraboloid over the same
-    space for a few evaluations, so it learns nothing of the problem. What ran last is warm. A
-    Ctrl-C is raised after the evaluation or compilation in progress.
+    The problem evaluates one configuration, as the method will (`rehearsals`); the method searches
+    a paraboloid over the same space for a few evaluations, so it learns nothing of the problem.
+    What ran last is warm. A Ctrl-C is raised after the evaluation or compilation in progress.
     """
     global _warm
     if _warm.optimizer() is optimizer and _warm.problem() is problem:
@@ -243,10 +243,11 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     theta = problem.space.decode(problem.space.initial(1))
     toy = _Paraboloid(replace(problem.space, seed=()))
     interrupts: list[bool] = []
-    for job in (
+    jobs: list[Callable[[], object]] = [
         *optimizer.rehearsals(problem, theta[0]),
         lambda: optimizer.run(Oracle(toy, Budget(evaluations=WARM_UP_EVALUATIONS)), stream()),
-    ):
+    ]
+    for job in jobs:
         try:
             with _ctrl_c_waits(partial(interrupts.append, True)):
                 job()
@@ -270,10 +271,10 @@ class _Paraboloid(LeastSquaresProblem):
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         return mean_square(np.atleast_2d(self.residuals(thetas)))
 
-    def residuals(self, theta: Array) -> Array:
+    def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
         return np.asarray((2 * theta - self.space.low - self.space.high) / self._width)
 
-    def jacobian(self, theta: Array) -> Array:
+    def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         return np.diag(2 / self._width)
 
     @property

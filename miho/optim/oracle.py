@@ -407,7 +407,7 @@ class Oracle:
                 meter.reject(f"{NOT_FINITE} {value}", count)
         if block.losses.size:
             self._count_outside(block.thetas)
-        self._keep(block.at * 1.0, block.losses, block.thetas, evaluations, started)
+        self._keep(block.at.astype(float), block.losses, block.thetas, evaluations, started)
         return block.steps
 
     def stop(self) -> None:
@@ -504,7 +504,7 @@ class Oracle:
             found, thetas = losses[improving], rows[improving]
         else:
             improving, found, thetas = NOWHERE, NONE, rows[:0]
-        self._keep(improving + 1.0, found, thetas, losses.size * cost, started)
+        self._keep((improving + 1).astype(float), found, thetas, losses.size * cost, started)
 
     def _keep(
         self, at: Array, losses: Array, thetas: Array, evaluations: float, started: float

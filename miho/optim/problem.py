@@ -54,8 +54,8 @@ class Problem(ABC):
 class CompiledRows(NamedTuple):
     """Residuals and derivatives of rows i to j of the data, which compiled code can call.
 
-    `residuals(theta, X, y, i, j, r)` fills r (j - i,), `slopes(theta, X, i, j, J)` the first columns
-    of J (d, j - i or more). X (p, N) and y (N,) hold the data in the order of a fidelity.
+    `residuals(theta, X, y, i, j, r)` fills r (j - i,), `slopes(theta, X, i, j, J)` the first
+    columns of J (d, j - i or more). X (p, N) and y (N,) hold the data in the order of a fidelity.
     """
 
     residuals: Any

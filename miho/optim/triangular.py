@@ -107,10 +107,19 @@ def solve_in_box(
 @compiled
 def row_of(R: Array, q: Array, n: int, s: Array, row: int) -> float:
     """A row of R s + q."""
-    value = q[row]
+    value = 0.0
     for k in range(row, n):
         value += R[row, k] * s[k]
-    return value
+    return value + float(q[row])
+
+
+@compiled
+def norm(R: Array, q: Array, n: int, s: Array) -> float:
+    """|R s + q|^2."""
+    total = 0.0
+    for row in range(n):
+        total += row_of(R, q, n, s, row) ** 2
+    return total
 
 
 @compiled
