@@ -92,7 +92,7 @@ class Rules:
     `screens`: a first look is all. `measures`: Hessians are measured, first where a descent seems
     to be done, and again where a model has served for `refresh` times the evaluations of a new one.
     `guesses` steps in a row may rely on slopes that the model predicts. A step is no longer than
-    `radius` along each coordinate.
+    `radius` along each coordinate. A loss up to `rounding` is 0.
     """
 
     cost: float
@@ -103,6 +103,7 @@ class Rules:
     refresh: float
     guesses: int
     radius: float
+    rounding: float
 
 
 @dataclass
@@ -311,10 +312,11 @@ def _propose(c: Candidates, box: Box, rules: Rules, some: Indices) -> None:
     done = (gain <= least) & ((radius[:, 0] > LARGE) | (gain <= 1e-3 * least))
     lost = ~(gain >= 0)  # a model so narrow that its minimum is rounding
     over = done | lost
+    nothing = np.abs(c.loss[some]) <= rules.rounding
     unmeasured = rules.measures & (np.isinf(c.age[some]) | (lost & (c.age[some] > 0)))
     c.stage[some] = np.select(
-        [over & unmeasured, over & (c.guesses[some] > 0), lost, done],
-        [HESSIAN, SLOPE, STUCK, DONE],
+        [nothing, over & unmeasured, over & (c.guesses[some] > 0), lost, done],
+        [DONE, HESSIAN, SLOPE, STUCK, DONE],
         TRIAL,
     )
 

@@ -124,13 +124,15 @@ class MIHOQN(AskTell[MIHOQNState]):
     evaluations times Luby's sequence, at most `largest`; `least` to `most` configurations.
 
     Slopes and curvatures are differences of losses on the rung's rows, and go up with the
-    configuration: the first curvatures are those along the coordinates, later ones BFGS updates,
-    and a descent that goes on alone has its Hessian measured, anew after `refresh` times as many
-    evaluations as that takes. Up to `guesses` steps in a row rely on slopes that the model
-    predicts. Steps stay within `radius` of the widths along each coordinate, and are over where
-    they promise less than `tolerance` of the loss; on m rows, fewer than all, `level_tolerance`
-    d / m, which they cannot tell. Kinks stop such steps: where none helps, a simplex with edges of
-    `edge` of the widths has up to `polish` d evaluations, and if it makes progress, steps go on.
+    configuration: the first curvatures are those along the coordinates, later ones BFGS updates.
+    A descent that goes on alone has its Hessian measured, the best one of a rung at once, others
+    before they are believed to be done; and anew where a step did not go as predicted, after
+    `refresh` times as many evaluations as that takes. Up to `guesses` steps in a row rely on slopes
+    that the model predicts. Steps stay within `radius` of the widths along each coordinate, and are
+    over where they promise less than `tolerance` of the loss; on m rows, fewer than all,
+    `level_tolerance` d / m, which they cannot tell. Kinks stop such steps: where none helps, a
+    simplex with edges of `edge` of the widths has up to `polish` d evaluations, and if it makes
+    progress, steps go on.
 
     A descent that gains less than the share `progress` of its loss in `patience` (d + 1)
     evaluations is set aside; the best of those gets as much as the next bracket spends. What comes
@@ -247,6 +249,7 @@ class MIHOQN(AskTell[MIHOQNState]):
             refresh=self.refresh,
             guesses=self.guesses,
             radius=self.radius,
+            rounding=state.starts.rounding,
         )
 
     def _watch(self, state: MIHOQNState) -> None:
@@ -368,8 +371,10 @@ class MIHOQN(AskTell[MIHOQNState]):
         """Keep what became of the last one of a bracket; False if a simplex has the last word."""
         c = state.live
         stage = int(c.stage[0])
-        sharp = (diagonal(c.B[:1]) * SHARP**2 > abs(c.loss[0])).any()
-        if (stage == STUCK or (stage == DONE and sharp)) and not state.polished:
+        size = max(abs(c.loss[0]), state.starts.rounding)
+        sharp = (diagonal(c.B[:1]) * SHARP**2 > size).any()
+        again = (np.abs(state.losses - c.loss[0]) <= NEAR_LAST * size).any()
+        if (stage == STUCK or (stage == DONE and sharp)) and not (again or state.polished):
             around = state.box.shares(c.z[0])
             state.simplex = Simplex.around(around, float(c.loss[0]), self.edge)
             return False
