@@ -135,8 +135,8 @@ class MIHOQN(AskTell[MIHOQNState]):
     progress, steps go on.
 
     A descent that gains less than the share `progress` of its loss in `patience` (d + 1)
-    evaluations is set aside; the best of those gets as much as the next bracket spends. What comes
-    to a known minimum ends. The search ends when the ends of its brackets are evidence enough
+    evaluations is set aside; the best of those gets as much as the next bracket spends. A bracket
+    whose best one comes to a known minimum ends. The search ends when the ends of its brackets are evidence enough
     (`miho.optim.evidence`), at the latest after `brackets` of them.
     """
 
@@ -338,10 +338,14 @@ class MIHOQN(AskTell[MIHOQNState]):
             self._rung(state)
 
     def _pruned(self, state: MIHOQNState) -> bool:
-        """Keep what may lead to something new; whether there is any."""
+        """Keep what may lead to something new; whether there is any.
+
+        A bracket whose best one has come back to a known minimum has come back to it: to follow
+        those that are worse on the same rows costs more than the next bracket.
+        """
         state.live = c = state.live.usable
         known = _known(state, c)
-        if known.all():
+        if not len(c) or known[0]:
             if len(c):
                 self._returned(state)
             self._close(state)
