@@ -136,8 +136,8 @@ class MIHOQN(AskTell[MIHOQNState]):
 
     A descent that gains less than the share `progress` of its loss in `patience` (d + 1)
     evaluations is set aside; the best of those gets as much as the next bracket spends. A bracket
-    whose best one comes to a known minimum ends. The search ends when the ends of its brackets are evidence enough
-    (`miho.optim.evidence`), at the latest after `brackets` of them.
+    whose best one comes to a known minimum ends. The search ends when the ends of its brackets are
+    evidence enough (`miho.optim.evidence`), at the latest after `brackets` of them.
     """
 
     eta: int = 3

@@ -32,7 +32,8 @@ def newton_steps(B: Array, g: Array, low: Array, high: Array) -> tuple[Array, Ar
     steps, free = np.zeros((n, d)), np.ones((n, d), bool)
     todo, eye = np.arange(n), np.eye(d)
     for _ in range(3 * d):
-        F, s, b, slope = free[todo], steps[todo], B[todo], g[todo]
+        F = free[todo]
+        s, b, slope = steps[todo], B[todo], g[todo]
         lo, hi = low[todo], high[todo]
         held = np.where(F, 0.0, s)
         rhs = np.where(F, -slope - _times(b, held), s)
@@ -41,9 +42,9 @@ def newton_steps(B: Array, g: Array, low: Array, high: Array) -> tuple[Array, Ar
         s = np.minimum(np.maximum(s, lo), hi)
         F &= ~outside
         push = slope + _times(b, s)
-        wrong = np.asarray(~F & (((s <= lo) & (push < 0)) | ((s >= hi) & (push > 0))))
-        hit = outside.any(axis=1)
-        wrong[hit] = False
+        wrong = ~F & (((s <= lo) & (push < 0)) | ((s >= hi) & (push > 0)))
+        hit: NDArray[np.bool_] = np.asarray(outside.any(axis=1), bool)
+        wrong &= ~hit[:, None]
         let_go = np.flatnonzero(wrong.any(axis=1))
         if let_go.size:
             F[let_go, np.argmax(np.where(wrong, np.abs(push), -1.0), axis=1)[let_go]] = True
