@@ -167,6 +167,7 @@ CALLED: dict[str, Any] = {
     "cache": True,
     "error_model": "numpy",
     "fastmath": {"contract", "nsz"},
+    "_nrt": False,
 }
 """How compiled code calls a model: the types of its arguments, and how it is compiled."""
 
@@ -220,23 +221,23 @@ def _compile_rows(formulas: Signed, p: int, d: int) -> tuple[Any, Any]:
     Row by row, which the compiler turns into several at once: the temporaries of a block would cost
     more than a few rows do.
     """
-    inputs, store = INPUTS[p], _store_row
+    columns, inputs, store = COLUMNS[p], INPUTS[p], _store_row
     own = signed(formulas.signature)
     value, derivatives = map(register_jitable, formulas.copies())
 
     @cfunc(types.void(VECTOR, DATA, OUTPUT, types.int64, types.int64, VECTOR), **CALLED)
     @own
     def residuals(theta: Array, X: Array, y: Array, i: int, j: int, found: Array) -> None:
-        parameters = as_tuple(theta, d)
-        for row in range(j - i):
-            found[row] = value(inputs(X, i + row), parameters) - y[i + row]
+        parameters, parts, output = as_tuple(theta, d), columns(X, i, j), y[i:j]
+        for row in range(found.size):
+            found[row] = value(inputs(parts, row), parameters) - output[row]
 
     @cfunc(types.void(VECTOR, DATA, types.int64, types.int64, COLUMNS_OUT), **CALLED)
     @own
     def slopes(theta: Array, X: Array, i: int, j: int, found: Array) -> None:
-        parameters = as_tuple(theta, d)
-        for row in range(j - i):
-            store(derivatives(inputs(X, i + row), parameters), found, row)
+        parameters, parts = as_tuple(theta, d), columns(X, i, j)
+        for row in range(parts[0].size):
+            store(derivatives(inputs(parts, row), parameters), found, row)
 
     return residuals, slopes
 
@@ -380,27 +381,27 @@ def _four(X: Array, i: int, j: int) -> tuple[Array, ...]:
 
 
 @register_jitable
-def _input(X: Array, row: int) -> tuple[float, ...]:
-    return (X[0, row],)
+def _input(columns: tuple[Array, ...], row: int) -> tuple[float, ...]:
+    return (columns[0][row],)
 
 
 @register_jitable
-def _two_inputs(X: Array, row: int) -> tuple[float, ...]:
-    return X[0, row], X[1, row]
+def _two_inputs(columns: tuple[Array, ...], row: int) -> tuple[float, ...]:
+    return columns[0][row], columns[1][row]
 
 
 @register_jitable
-def _three_inputs(X: Array, row: int) -> tuple[float, ...]:
-    return X[0, row], X[1, row], X[2, row]
+def _three_inputs(columns: tuple[Array, ...], row: int) -> tuple[float, ...]:
+    return columns[0][row], columns[1][row], columns[2][row]
 
 
 @register_jitable
-def _four_inputs(X: Array, row: int) -> tuple[float, ...]:
-    return X[0, row], X[1, row], X[2, row], X[3, row]
+def _four_inputs(columns: tuple[Array, ...], row: int) -> tuple[float, ...]:
+    return columns[0][row], columns[1][row], columns[2][row], columns[3][row]
 
 
 INPUTS = {1: _input, 2: _two_inputs, 3: _three_inputs, 4: _four_inputs}
-"""One row of the inputs as a tuple, likewise."""
+"""One row of the columns as a tuple, likewise."""
 
 COLUMNS = {1: _one, 2: _two, 3: _three, 4: _four}
 """Blocks of the input columns as a tuple, by the number of inputs: numba needs its length."""
