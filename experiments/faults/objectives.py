@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 
 from experiments.build import MissingLibraryError, instantiate
 from experiments.faults.row import Row
-from miho.optim import Budget, LeastSquaresProblem, Optimizer, Outcome, RandomSearch, minimize
+from miho.optim import Budget, LeastSquaresProblem, Optimizer, Outcome, minimize
 from miho.optim.minimize import warm_up
 from miho.optim.problem import mean_square
 from miho.testing import DecayFit
@@ -151,7 +151,7 @@ def complaint(optimizer: Optimizer, name: str, evaluations: int = EVALUATIONS) -
     """What is wrong with a run of this method under this fault, "" if nothing is."""
     scale = SCALES.get(name, 1.0)
     before = Spoilt(FAULTS[name], scale)
-    warm_up(RandomSearch(), before)
+    warm_up(optimizer, before)
     problem = Spoilt(FAULTS[name], scale)
     try:
         with warnings.catch_warnings(action="ignore"):  # solvers square what is huge
