@@ -114,7 +114,7 @@ def missing_coefficient(tmp_path: Path) -> list[str]:
 BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "unknown optimizer": (
         ["optimizer=foo"],
-        "optimizer=foo: is unknown; allowed are cma_es, dehb",
+        "optimizer=foo: is unknown; allowed are cluster_gauss_newton, cma_es",
     ),
     "R = 0": (["optimizer=miho", "optimizer.R=0"], "R is 0; expected a whole number of at least 1"),
     "R is a word": (

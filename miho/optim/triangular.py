@@ -78,17 +78,18 @@ def solve_in_box(
     """Minimise |R s + q|^2 + |scale s|^2 within low <= s <= high, into s, by an active set.
 
     R is triangular in its first n rows and columns; q, scale, low and high are (n,) or longer, low
-    <= 0 <= high. Parameters that a solution would take out of the box are held at its bounds, and
-    let go again, the one with the steepest gradient first, until Karush's, Kuhn's and Tucker's
-    conditions hold (Lawson and Hanson, Solving Least Squares Problems, chapter 23), or after 3 n
-    changes.
+    <= 0 <= high. Parameters that a solution would take out of the box are held at its bounds, all
+    at once as long as none was let go again. Then the one with the steepest gradient inwards is let
+    go, and the way to the solution ends at the first bound, so that each makes the sum of squares
+    less, until Karush's, Kuhn's and Tucker's conditions hold (Stark and Parker, Computational
+    Statistics 10, 1995), or n have been let go three times.
     """
     free = room.free
     for k in range(n):
         s[k], free[k] = 0.0, 1.0
-    for _ in range(3 * n + 1):
-        if _minimise_free(R, q, scale, low, high, n, s, room):
-            continue
+    while _minimise_free(R, q, scale, low, high, n, s, False, room):
+        pass
+    for _ in range(3 * n):
         steepest, which = 0.0, -1
         for k in range(n):
             if free[k]:
@@ -102,6 +103,8 @@ def solve_in_box(
         if which < 0:
             return
         free[which] = 1.0
+        while _minimise_free(R, q, scale, low, high, n, s, True, room):
+            pass
 
 
 @compiled
@@ -124,11 +127,20 @@ def norm(R: Array, q: Array, n: int, s: Array) -> float:
 
 @compiled
 def _minimise_free(
-    R: Array, q: Array, scale: Array, low: Array, high: Array, n: int, s: Array, room: Room
+    R: Array,
+    q: Array,
+    scale: Array,
+    low: Array,
+    high: Array,
+    n: int,
+    s: Array,
+    stop: bool,
+    room: Room,
 ) -> bool:
     """Move the free parameters to their minimum, those that leave the box to its bounds.
 
-    Gives whether there are such, which then are free no longer.
+    Or, where they are to `stop`, on the straight way to it as far as the first bound. Gives whether
+    any came to a bound, and is free no longer.
     """
     free, found, columns, T = room.free, room.found, room.columns, room.T
     count = 0
@@ -158,11 +170,22 @@ def _minimise_free(
         for other in range(j + 1, count):
             right -= T[j, other] * found[other]
         found[j] = right / T[j, j] if abs(T[j, j]) > SINGULAR * largest else 0.0
+    share, j = 1.0, 0
+    for k in range(n):
+        if free[k]:
+            bound = min(max(found[j], low[k]), high[k])
+            if stop and bound != found[j]:
+                share = min(share, (bound - s[k]) / (found[j] - s[k]))
+            j += 1
     left, j = False, 0
     for k in range(n):
         if free[k]:
-            s[k] = min(max(found[j], low[k]), high[k])
-            if s[k] != found[j]:
-                free[k], left = 0.0, True
+            bound = min(max(found[j], low[k]), high[k])
+            if bound != found[j] and (not stop or (bound - s[k]) / (found[j] - s[k]) <= share):
+                s[k], free[k], left = bound, 0.0, True
+            elif share < 1.0:
+                s[k] = min(max(s[k] + share * (found[j] - s[k]), low[k]), high[k])
+            else:
+                s[k] = found[j]
             j += 1
     return left

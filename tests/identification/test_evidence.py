@@ -40,15 +40,15 @@ def ended(*ends: float, started: int | None = None) -> Descents:
         (None, "one search, and nothing in it tells"),
         (ended(started=1), "no descent was finished"),
         (ended(1.0, 1.0), "2 of 2 descents ended here, which are too few"),
-        (ended(*[1.0] * 5), ""),
+        (ended(*[1.0] * 6), "6 of 6 descents ended here, which are too few"),
+        (ended(*[1.0] * 7), ""),
         (ended(*[1.0] * 9, 2.0, 2.0, 3.0), ""),
         (ended(1.0, *[2.0] * 29), "only 1 of 30 descents ended here; they ended at 2"),
         (ended(*[1.0] * 6, *[2.0] * 124), "only 6 of 130"),
         (
             ended(*[1.0] * 5, 2.0, 3.0),
             "only 5 of 7 descents ended here; they ended at 3 different errors, so that one more "
-            "would end in an optimum that none has seen, better or worse, with a probability of "
-            "about 29 %",
+            "would find a better one with a probability of about 7.1 %",
         ),
         (ended(*[1.0] * 8, *np.linspace(2, 9, 22)), "only 8 of 30"),
         (ended(*[1.1] * 30), "none of 30 descents ended here"),
@@ -62,13 +62,12 @@ def test_descents_that_agree_are_evidence(descents: Descents | None, doubt: str)
 
 
 def test_the_evidence_counts_starts_descents_and_what_they_may_have_missed() -> None:
-    """3 (3 + 1) / (20 * 19) is the share of Boender and Rinnooy Kan."""
+    """3 (3 + 1) / (20 * 19) is the share of Boender and Rinnooy Kan, of which 1 / 4 is better."""
     found = ended(*[1.0] * 17, 2.0, 3.0, 3.0)
     known = standing(1.0, 0.0, [replace(found, screened=1234)])
     assert known.evidence == (
         "1,234 starts screened for 20 descents; 17 of them ended here, and none found a better "
-        "one; one more would end in an optimum that none has seen, better or worse, with a "
-        "probability of about 3.2 %"
+        "one; one more would find a better one with a probability of about 0.79 %"
     )
     assert standing(1.0, 0.0, [found]).evidence.startswith("17 of 20 descents ended here, and none")
     check = replace(ended(*[1.0] * 5), screened=100)
@@ -88,7 +87,7 @@ def test_what_is_known_needs_no_descents() -> None:
     assert standing(1.0, 9e-16, [alone], irreducible=noise, error=1.0).doubt, "ended elsewhere"
     coarse = Irreducible(1.0, 0.6, 9.0)
     assert standing(1.0, 9e-16, [], irreducible=coarse, error=1.0).doubt
-    zero = ended(*[1e-22, 3e-20, 1e-25, 4e-19, 2e-21])
+    zero = ended(*[1e-22, 3e-20, 1e-25, 4e-19, 2e-21, 6e-23, 5e-20])
     assert not standing(1e-25, 1e-16, [zero]).doubt, "differences of rounding"
 
 

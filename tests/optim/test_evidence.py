@@ -39,20 +39,26 @@ def test_the_share_not_seen_is_the_one_that_bayes_theorem_gives(optima: int, sta
     assert agreement(ends).unseen == pytest.approx(expected_unseen(optima, starts), rel=1e-3)
 
 
+ROUNDED = [0.0, 1e-30, 3e-28, 2e-27, 5e-25, 1e-24, 7e-22]
+"""Ends on data without error."""
+
+
 @pytest.mark.parametrize(
     ("ends", "rounding", "expected", "enough"),
     [
         ([], 0.0, Agreement(math.inf, 0, 0, 0, 1.0), False),
         ([2.0], 0.0, Agreement(2.0, 1, 1, 1, 1.0), False),
         ([1.0] * 4, 0.0, Agreement(1.0, 4, 4, 1, 2 / 12), False),
-        ([1.0, 1.00009, 1.0, 1.0, 1.0], 0.0, Agreement(1.0, 5, 5, 1, 0.1), True),
-        ([1.0, 1.00011, 1.0, 1.0, 1.0], 0.0, Agreement(1.0, 4, 5, 2, 0.3), False),
-        ([1.0] * 5 + [2.0] * 4, 0.0, Agreement(1.0, 5, 9, 2, 6 / 72), True),
+        ([1.0] * 6, 0.0, Agreement(1.0, 6, 6, 1, 2 / 30), False),
+        ([1.0, 1.00009] + [1.0] * 5, 0.0, Agreement(1.0, 7, 7, 1, 2 / 42), True),
+        ([1.0, 1.00011] + [1.0] * 5, 0.0, Agreement(1.0, 6, 7, 2, 6 / 42), False),
+        ([1.0] * 5 + [2.0] * 4, 0.0, Agreement(1.0, 5, 9, 2, 6 / 72), False),
+        ([1.0] * 5 + [2.0] * 5, 0.0, Agreement(1.0, 5, 10, 2, 6 / 90), True),
         ([1.0] * 4 + [2.0] * 6, 0.0, Agreement(1.0, 4, 10, 2, 6 / 90), False),
         ([1.0] * 5 + [2.0] * 16, 0.0, Agreement(1.0, 5, 21, 2, 6 / 420), False),
         (list(range(1, 9)), 0.0, Agreement(1.0, 1, 8, 8, 1.0), False),
-        ([0.0, 1e-30, 3e-28, 2e-27, 5e-25], 0.0, Agreement(0.0, 1, 5, 5, 1.0), False),
-        ([0.0, 1e-30, 3e-28, 2e-27, 5e-25], 1e-20, Agreement(0.0, 5, 5, 1, 0.1), True),
+        (ROUNDED, 0.0, Agreement(0.0, 1, 7, 7, 1.0), False),
+        (ROUNDED, 1e-20, Agreement(0.0, 7, 7, 1, 2 / 42), True),
     ],
 )  # fmt: skip
 def test_ends_that_agree_are_evidence(
@@ -86,8 +92,8 @@ class Returning(Optimizer):
 def test_a_method_stops_by_its_evidence_and_the_run_keeps_it() -> None:
     record = minimize(Returning(), Constant(), Budget(evaluations=1000))
     assert record.outcome is Outcome.CONVERGED
-    assert record.evaluations == 50
-    assert record.descents == Descents(10, 5, 5, 0, (1.0,) * 5, screened=50, agreeing=5)
+    assert record.evaluations == 70
+    assert record.descents == Descents(14, 7, 7, 0, (1.0,) * 7, screened=70, agreeing=7)
     cut = minimize(Returning(), Constant(), Budget(evaluations=25)).descents
     assert cut == Descents(5, 2, 2, 0, (1.0,) * 2, screened=30, agreeing=2)
 
