@@ -20,7 +20,10 @@ arrays are made: the others do without the counting of references to them, which
 step of a few rows does."""
 
 SINGULAR = 1e-14
-"""A pivot below this share of the largest one is 0: its direction is left where it is."""
+"""A pivot below this share of the largest one, or of its column, is 0: its parameter is left where
+it is, as long as the same others are free."""
+LEFT = 0.5
+"""Marks such a parameter, among those that are free (1) and those at a bound (0)."""
 
 
 @summing
@@ -126,6 +129,52 @@ def norm(R: Array, q: Array, n: int, s: Array) -> float:
 
 
 @compiled
+def factor_of_free(R: Array, q: Array, scale: Array, n: int, s: Array, room: Room) -> int:
+    """The factor of the free parameters with the others held, into room.T; how many are free."""
+    free, columns, T = room.free, room.columns, room.T
+    count = 0
+    for k in range(n):
+        if free[k] == 1.0:
+            for row in range(n):
+                columns[count, row] = R[row, k] if row <= k else 0.0
+                columns[count, n + row] = scale[k] if row == k else 0.0
+            count += 1
+    for row in range(n):
+        right = q[row]
+        for k in range(row, n):
+            if free[k] != 1.0:
+                right += R[row, k] * s[k]
+        columns[count, row], columns[count, n + row] = right, 0.0
+    for j in range(count + 1):
+        for k in range(count + 1):
+            T[j, k] = 0.0
+    fold(T, columns, 2 * n, count + 1)
+    return count
+
+
+@compiled
+def independent(n: int, count: int, room: Room) -> bool:
+    """Whether no free parameter depends on those before it; the first that does is free no more.
+
+    Its column cannot just be skipped: what is left of it is rounding, but takes a row of the
+    factor.
+    """
+    T, largest, j = room.T, 0.0, 0
+    for k in range(count):
+        largest = max(largest, abs(T[k, k]))
+    for k in range(n):
+        if room.free[k] == 1.0:
+            norm = 0.0
+            for row in range(j + 1):
+                norm = max(norm, abs(T[row, j]))
+            if abs(T[j, j]) <= SINGULAR * max(largest, norm):
+                room.free[k] = LEFT
+                return False
+            j += 1
+    return True
+
+
+@compiled
 def _minimise_free(
     R: Array,
     q: Array,
@@ -142,44 +191,28 @@ def _minimise_free(
     Or, where they are to `stop`, on the straight way to it as far as the first bound. Gives whether
     any came to a bound, and is free no longer.
     """
-    free, found, columns, T = room.free, room.found, room.columns, room.T
-    count = 0
+    free, found, T = room.free, room.found, room.T
     for k in range(n):
-        if free[k]:
-            for row in range(n):
-                columns[count, row] = R[row, k] if row <= k else 0.0
-                columns[count, n + row] = scale[k] if row == k else 0.0
-            count += 1
-    if count == 0:
-        return False
-    for row in range(n):
-        right = q[row]
-        for k in range(row, n):
-            if not free[k]:
-                right += R[row, k] * s[k]
-        columns[count, row], columns[count, n + row] = right, 0.0
-    for j in range(count + 1):
-        for k in range(count + 1):
-            T[j, k] = 0.0
-    fold(T, columns, 2 * n, count + 1)
-    largest = 0.0
-    for j in range(count):
-        largest = max(largest, abs(T[j, j]))
+        if free[k] == LEFT:
+            free[k] = 1.0
+    count = factor_of_free(R, q, scale, n, s, room)
+    while not independent(n, count, room):
+        count = factor_of_free(R, q, scale, n, s, room)
     for j in range(count - 1, -1, -1):
         right = -T[j, count]
         for other in range(j + 1, count):
             right -= T[j, other] * found[other]
-        found[j] = right / T[j, j] if abs(T[j, j]) > SINGULAR * largest else 0.0
+        found[j] = right / T[j, j]
     share, j = 1.0, 0
     for k in range(n):
-        if free[k]:
+        if free[k] == 1.0:
             bound = min(max(found[j], low[k]), high[k])
             if stop and bound != found[j]:
                 share = min(share, (bound - s[k]) / (found[j] - s[k]))
             j += 1
     left, j = False, 0
     for k in range(n):
-        if free[k]:
+        if free[k] == 1.0:
             bound = min(max(found[j], low[k]), high[k])
             if bound != found[j] and (not stop or (bound - s[k]) / (found[j] - s[k]) <= share):
                 s[k], free[k], left = bound, 0.0, True
