@@ -130,7 +130,7 @@ class Candidates(NamedTuple):
 
 
 def _of(numbers: Array, counts: Whole, R: Array, rows: Array) -> Candidates:
-    return cast(Candidates, views.py_func(numbers, counts, R, rows))
+    return cast(Candidates, cast(Any, views).py_func(numbers, counts, R, rows))
 
 
 @allocating

@@ -7,7 +7,7 @@ are folded into triangular factors as they come, so that any number of rows take
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +64,7 @@ def give_steps(
     rows = oracle.compiled_rows
     m = int(ends[rules.level])
     if rows is None:
-        w = work.py_func(c.x.shape[1], m, ends.size)
+        w = cast(Any, work).py_func(c.x.shape[1], m, ends.size)
         _from_outside(oracle, c, box, ends, minima, rules, w)
         return
     N, d, slope_cost = rows.y.size, c.x.shape[1], oracle.jacobian_cost

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numba import njit
@@ -11,10 +14,26 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-OPTIONS: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy"}
-compiled = njit(**OPTIONS, _nrt=False)
-summing = njit(**OPTIONS, _nrt=False, fastmath={"reassoc", "contract", "nsz"})
-allocating = njit(**OPTIONS)
+FILES = "triangular.py", "gauss_newton.py", "steps.py"
+DIGEST = hashlib.sha256(b"".join(Path(__file__).with_name(f).read_bytes() for f in FILES))
+"""Of the code that is compiled together: numba's cache knows a function by its name and its own
+file, and would take one for current whose callee in another file was edited."""
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def _compiled(**options: Any) -> Callable[[Function], Function]:
+    def compile_signed(function: Function) -> Function:
+        function.__qualname__ += f".{DIGEST.hexdigest()[:16]}"
+        return cast(
+            Function, njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+        )
+
+    return compile_signed
+
+
+compiled = _compiled(_nrt=False)
+summing = _compiled(_nrt=False, fastmath={"reassoc", "contract", "nsz"})
+allocating = _compiled()
 """Compiled; for sums over rows in any order, so that the processor adds side by side; and where
 arrays are made: the others do without the counting of references to them, which costs more than a
 step of a few rows does."""
