@@ -33,9 +33,9 @@ from miho.optim.validate import one_of, positive, whole
 
 Array = NDArray[np.float64]
 
-SCREEN, CLIMB, LEAD, FINISH, SHARE, OVER = range(6)
+SCREEN, CLIMB, LEAD, FINISH, SHARE, POLISH, OVER = range(7)
 """Phases of a bracket: first looks, steps of a rung and more of its best, the last one on all rows,
-one that was set aside before, and the end."""
+one that was set aside before; more digits for the best of all; and the end."""
 ALONE = 1 << 40
 """Steps of a configuration that goes on as long as it makes progress."""
 NEAR, NEAR_LAST = 9.0, 0.1
@@ -53,6 +53,8 @@ SOLVED_FIRST = 9
 """A problem that is linear in all parameters is solved on one row in so many, then on all."""
 ROOM = 1 << 22
 """Numbers that the derivatives of a rung may hold; beyond, each step pays for its own."""
+POLISHING = 50
+"""Steps for more digits at most: valleys have no end."""
 TRIALS = 1000
 """Looks for one usable configuration of a problem that does not say how many rows it has."""
 
@@ -64,7 +66,7 @@ class MIHOGNState:
     `ends` are the rows of the levels, all of them last (0 as long as nobody said how many).
     `minima` (k, d) in unit coordinates are those known, with their sums of squares over the rows
     of each level, `sums` (k, levels); `sound` (k,) where the data determine all parameters there.
-    `found` is what was spent when the best of them was.
+    `found` is what was spent when the best of them was, `sizes` counts brackets begun in doubt.
     `rest` waits for the best of its rung, `aside` are configurations that crawl, one each. `size`
     is what a rung of the bracket may cost, `begun` what was spent before it.
     """
@@ -83,6 +85,7 @@ class MIHOGNState:
     rest: Candidates | None = None
     aside: list[Candidates] = field(default_factory=list)
     bracket: int = 0
+    sizes: int = 0
     projects: bool = False
     phase: int = OVER
     level: int = 0
@@ -137,7 +140,8 @@ class MIHOGN(Resumable[MIHOGNState]):
     to `lead`, and `eta` times as many rows, until the last one goes to its end on all rows. A level
     with more than the share `jump` of all rows, or after `enough` rows for each parameter, is all
     of them; so are all levels of a problem that gives no fewer. Brackets have rungs of `base`
-    (d + 1) evaluations times Luby's sequence, at most `largest`; `least` to `most` configurations.
+    (d + 1) evaluations, times Luby's sequence and at most `largest` as long as the best minimum is
+    in doubt; `least` to `most` configurations.
 
     Steps are damped by `damping` at first, no longer than `reach` of the widths, and over where
     they promise less than `tolerance` of the loss; on fewer rows, m of them, `level_tolerance`
@@ -151,7 +155,8 @@ class MIHOGN(Resumable[MIHOGNState]):
     Searches get stuck at bounds, where the data leave a parameter open in all of its range, and
     where the loss is more than their noise explains: at such an optimum `doubtful` brackets must
     have ended, in a search that has become `longer` times as long as when it was found. `brackets`
-    are the most. A problem that is linear in all parameters is solved.
+    are the most. Then the best one is descended from to a tolerance of `digits`. A problem that is
+    linear in all parameters is solved.
 
     Needs a least-squares problem; of its residuals and derivatives those of the first rows, if it
     gives them, and compiled, if it has them.
@@ -174,6 +179,7 @@ class MIHOGN(Resumable[MIHOGNState]):
     draws: str = "thirds"
     tolerance: float = 1e-8
     level_tolerance: float = 0.1
+    digits: float = 1e-16
     patience: float = 4.0
     progress: float = 0.05
     doubtful: int = 20
@@ -189,7 +195,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         one_of("draws", self.draws, DRAWS)
         for name in (
             "rows", "jump", "enough", "base", "largest", "damping", "reach", "tolerance",
-            "level_tolerance", "patience", "progress", "longer",
+            "digits", "level_tolerance", "patience", "progress", "longer",
         ):  # fmt: skip
             positive(name, getattr(self, name))
         if self.most < self.least:
@@ -240,7 +246,8 @@ class MIHOGN(Resumable[MIHOGNState]):
         if state.phase == OVER:
             self._draw(state, oracle)
         if (state.live.stage < DONE).any():
-            minima = Minima(state.minima[state.sound], state.level_losses[state.sound])
+            known = state.sound & (state.phase != POLISH)
+            minima = Minima(state.minima[known], state.level_losses[known])
             rules = self._rules(state, oracle)
             give_steps(oracle, state.live, state.box, state.ends, minima, rules)
         phases = {
@@ -249,6 +256,7 @@ class MIHOGN(Resumable[MIHOGNState]):
             LEAD: self._led,
             FINISH: self._finished,
             SHARE: self._shared,
+            POLISH: self._polished,
         }
         phases[state.phase](state, oracle)
 
@@ -270,7 +278,14 @@ class MIHOGN(Resumable[MIHOGNState]):
     def _rules(self, state: MIHOGNState, oracle: Oracle) -> Rules:
         """What the configurations of this phase may do."""
         share, alone = state.d / state.rows, state.phase in (LEAD, FINISH, SHARE)
-        steps = {SCREEN: 0, CLIMB: self.steps, LEAD: self.lead - self.steps}
+        polishes = state.phase == POLISH
+        steps = {
+            SCREEN: 0,
+            CLIMB: self.steps,
+            LEAD: self.lead - self.steps,
+            POLISH: POLISHING,
+        }
+        tolerance = self.digits if polishes else self.tolerance
         spent = (oracle.evaluations - state.begun) * int(state.ends[-1])
         return Rules(
             level=state.level,
@@ -278,13 +293,13 @@ class MIHOGN(Resumable[MIHOGNState]):
             steps=steps.get(state.phase, ALONE),
             reach=self.reach,
             secants=self.secants,
-            tolerance=self.tolerance if state.last else self.level_tolerance * share,
+            tolerance=tolerance if state.last else self.level_tolerance * share,
             patience=int(self.patience * (state.d + 1) * state.rows) if alone else 0,
             share=int(spent) if state.phase == SHARE else 0,
             progress=self.progress,
             near=min(NEAR * share, NEAR_LAST) if state.last else NEAR * share,
             better=0.0 if state.last else BETTER * share,
-            nothing=oracle.rounding,
+            nothing=0.0 if polishes else oracle.rounding,
         )
 
     # The phases of a bracket.
@@ -293,7 +308,10 @@ class MIHOGN(Resumable[MIHOGNState]):
         """Begin a bracket."""
         state.bracket += 1
         state.projects = state.linear or self._projects(state)
-        state.size = (state.d + 1) * min(self.base * luby(state.bracket), self.largest)
+        likely = self._likely(state, oracle)
+        state.sizes += not likely
+        size = 1 if likely else luby(state.sizes)
+        state.size = (state.d + 1) * min(self.base * size, self.largest)
         state.level, state.phase, state.begun = 0, SCREEN, oracle.evaluations
         n = min(max(round(state.size / state.look_cost), self.least), self.most)
         n = 1 if state.linear else n
@@ -382,7 +400,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         earlier = state.aside.copy()
         self._settle(state, oracle)
         self._close(state, oracle)
-        if earlier and not state.over:
+        if earlier and state.phase == OVER:
             best = min(range(len(earlier)), key=lambda k: float(earlier[k].loss[0]))
             state.live = state.aside.pop(best)
             self._begin(state, SHARE)
@@ -423,15 +441,38 @@ class MIHOGN(Resumable[MIHOGNState]):
     def _close(self, state: MIHOGNState, oracle: Oracle) -> None:
         """End the bracket, and the search if the ends of its brackets are evidence enough."""
         state.phase = OVER
-        state.over = state.bracket >= self.brackets
+        enough = state.bracket >= self.brackets
         if state.losses.size:
-            best = int(np.argmin(state.losses))
-            crawling = any(c.loss[0] < state.losses[best] for c in state.aside)
+            least = state.losses.min()
+            crawling = any(c.loss[0] < least for c in state.aside)
             agreement = oracle.agreement
-            likely = state.sound[best] and state.losses[best] <= oracle.noise
             searched = oracle.evaluations >= self.longer * state.found
-            returned = likely or (searched and agreement.here >= self.doubtful)
-            state.over |= bool(agreement.enough and returned and not crawling)
+            returned = searched and agreement.here >= self.doubtful
+            likely = returned or self._likely(state, oracle)
+            enough = enough or bool(agreement.enough and likely and not crawling)
+        if enough:
+            self._polish(state)
+
+    def _likely(self, state: MIHOGNState, oracle: Oracle) -> bool:
+        """Whether the best minimum so far is none where searches get stuck."""
+        if not state.losses.size:
+            return False
+        best = int(np.argmin(state.losses))
+        return bool(state.sound[best] and state.losses[best] <= oracle.noise)
+
+    def _polish(self, state: MIHOGNState) -> None:
+        """Go on from the best minimum, for the digits that a descent needs not to be told apart."""
+        state.over = not state.losses.size
+        if state.over:
+            return
+        best = state.minima[[np.argmin(state.losses)]]
+        state.level = state.ends.size - 1
+        state.live = Candidates.at(best, state.ends.size, ENTERING, False)
+        self._make_room(state)
+        self._begin(state, POLISH)
+
+    def _polished(self, state: MIHOGNState, oracle: Oracle) -> None:
+        state.over = True
 
     def _best(self, state: MIHOGNState) -> float:
         """The least loss of a known minimum over the rows of this level."""
