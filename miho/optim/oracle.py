@@ -249,15 +249,19 @@ class Oracle:
         """What one evaluation at a fidelity costs, in full evaluations."""
         return self._problem.cost(fidelity)
 
-    def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
+    def residuals(self, theta: Array, fidelity: float = 1.0, *, goes_on: bool = False) -> Array:
         """Residuals (m,) of one configuration (d,) in units: one evaluation of so many rows.
+
+        A run ends before an evaluation, never between it and the use of its value; nor before one
+        that `goes_on` with the one before, unless it cannot pay for it.
 
         Raises UnusableValueError if the problem raises; residuals that are not finite are
         returned as they are, for solvers that know what to do with them.
         """
         problem = self._least_squares
         some, cost = self._of_rows(fidelity)
-        self._check_open()
+        if not goes_on:
+            self._check_open()
         if cost > self.remaining:
             raise BudgetExhausted
         started = self.seconds
@@ -270,7 +274,6 @@ class Oracle:
             self._record(theta[None], np.array([math.inf]), cost, started)
             raise UnusableValueError(str(error)) from error
         self._record(theta[None], loss, cost, started)
-        self._check_end()
         return residuals
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
@@ -291,12 +294,11 @@ class Oracle:
             usable = bool(np.isfinite(jacobian).all())
         except Exception as error:  # noqa: BLE001 -- as for residuals
             reason, usable = f"{type(error).__name__}: {error}", False
-        self.meter.evaluations += cost
+        self._spend(cost)
         self.meter.seconds = self.seconds
         if not usable:
             self.meter.reject(reason)
             raise UnusableValueError(reason)
-        self._check_end()
         return jacobian
 
     def _of_rows(self, fidelity: float) -> tuple[tuple[float, ...], float]:
@@ -530,13 +532,17 @@ class Oracle:
             meter.best = meter.trace.loss[-1]
             self._wall = self._clock.wall() - now
             self._cpu = self._clock.cpu() - meter.cpu_seconds
-        meter.evaluations += evaluations
+        self._spend(evaluations)
         if self._observer is not None and now - self._observed >= OBSERVE_SECONDS:
             self._observed = now
             cpu = self._clock.cpu()
             self._observer(self)
             self._cpu += self._clock.cpu() - cpu
             self._wall = self._clock.wall() - now
+
+    def _spend(self, evaluations: float) -> None:
+        """Count what was allowed: a sum of fractions is beyond the limit by its rounding only."""
+        self.meter.evaluations = min(self.meter.evaluations + evaluations, self._limit)
 
 
 def _read_only(array: Array) -> Array:

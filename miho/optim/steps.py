@@ -168,7 +168,7 @@ def _look_outside(
         moved, up = theta.copy(), box.high[k] - theta[k] >= theta[k] - box.low[k]
         moved[k] = box.high[k] if up else box.low[k]
         scale = (box.high[k] - box.low[k]) / (moved[k] - theta[k])
-        rows[column] = (oracle.residuals(moved, fidelity) - r) * scale
+        rows[column] = (oracle.residuals(moved, fidelity, goes_on=True) - r) * scale
     rows[p] = r
     refold(rows, p, p, r.size, w)
     loss = solve_linear(c, i, box, r.size, w)
