@@ -38,6 +38,7 @@ from miho.optim import (
     Oracle,
     Outcome,
     Parameter,
+    Resumable,
     RunRecord,
     Space,
     Trace,
@@ -395,12 +396,12 @@ def stops_at_the_target(optimizer: Optimizer, evaluations: int = BUDGET) -> None
 
 
 def resumes_bit_exactly(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
-    """An AskTell run cut anywhere, pickled and resumed is the run that was never cut."""
-    if not isinstance(optimizer, AskTell):
+    """A Resumable run cut anywhere, pickled and resumed is the run that was never cut."""
+    if not isinstance(optimizer, Resumable):
         return
     whole = minimize(optimizer, DecayFit(), Budget(evaluations=evaluations), seed=3)
     cut: RunRecord | None = None
-    cuts = (n for n in (1, 57, 58, 15_700, 15_701, 18_211) if n < evaluations)
+    cuts = (n for n in (1, 5, 57, 58, 15_700, 15_701, 18_211) if n < evaluations)
     for n in (*cuts, evaluations):
         checkpoint = None if cut is None else pickle.loads(pickle.dumps(cut.checkpoint))
         budget = Budget(evaluations=n)

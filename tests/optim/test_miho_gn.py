@@ -1,0 +1,302 @@
+"""Hyperband over Gauss-Newton steps: what it finds, when it ends, and that it can be resumed."""
+
+from __future__ import annotations
+
+import math
+import pickle
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from miho.data import Dataset, load_published
+from miho.identification import CurveFit
+from miho.models import BrakePlay
+from miho.models.published import PublishedModel
+from miho.optim import (
+    MIHOGN,
+    Budget,
+    LeastSquaresProblem,
+    Outcome,
+    Parameter,
+    Problem,
+    RunRecord,
+    Space,
+    minimize,
+)
+from miho.testing import CHECKS, DecayFit, check_optimizer
+from tests.optim.decays import SPACE, Decay, Outside, fit
+
+Array = NDArray[np.float64]
+
+
+def same(one: RunRecord, other: RunRecord) -> bool:
+    """Whether two runs saw the same improvements at the same evaluations, bit for bit."""
+    return (
+        one.trace.evaluations == other.trace.evaluations
+        and one.trace.loss == other.trace.loss
+        and np.array_equal(np.array(one.trace.theta), np.array(other.trace.theta))
+        and one.evaluations == other.evaluations
+        and one.descents == other.descents
+    )
+
+
+@pytest.mark.parametrize(
+    "method",
+    [MIHOGN(secants=0), MIHOGN(projecting=1), MIHOGN(projecting=0, draws="uniform", eta=2)],
+    ids=["derivatives", "projections", "uniform"],
+)
+def test_other_settings_conform(method: MIHOGN) -> None:
+    check_optimizer(method)
+    assert "resumes_bit_exactly" in CHECKS
+
+
+@pytest.mark.parametrize("problem", [fit(), Outside(fit()), Outside(fit(), rows_said=False)],
+                         ids=["compiled", "outside", "without rows"])  # fmt: skip
+@pytest.mark.parametrize("step", [1, 3, 17])
+def test_a_run_cut_anywhere_goes_on_bit_exactly(problem: LeastSquaresProblem, step: int) -> None:
+    method = MIHOGN()
+    whole = minimize(method, problem, seed=2)
+    assert whole.outcome is Outcome.CONVERGED
+    cut = minimize(method, problem, Budget(evaluations=step), seed=2)
+    evaluations = step
+    while cut.outcome is not Outcome.CONVERGED:
+        assert cut.evaluations <= evaluations
+        evaluations += step
+        checkpoint = pickle.loads(pickle.dumps(cut.checkpoint))
+        budget = Budget(evaluations=evaluations)
+        cut = minimize(method, problem, budget, seed=2, checkpoint=checkpoint)
+    assert cut.trace.loss == whole.trace.loss
+    assert np.array_equal(np.array(cut.trace.theta), np.array(whole.trace.theta))
+    np.testing.assert_allclose(cut.trace.evaluations, whole.trace.evaluations, rtol=1e-12)
+    assert cut.evaluations == pytest.approx(whole.evaluations, rel=1e-12)
+    assert cut.descents == whole.descents
+
+
+def test_a_seed_says_it_all() -> None:
+    problem = fit()
+    first, again, other = (minimize(MIHOGN(), problem, seed=seed) for seed in (5, 5, 6))
+    assert same(first, again)
+    assert not same(first, other)
+
+
+NIST = {
+    "misra1a": (
+        "rise",
+        [(-935.81828951, 1674.76041869), (-0.001925703943145, 0.002575860374955)],
+        [2.3894212918e02, 5.5015643181e-04],
+        [2.7070075241e00, 7.2668688436e-06],
+    ),
+    "mgh09": (
+        "kowalik_osborne",
+        [(-111.43956185981, 136.63236879439), (-174.44794719199, 213.63922952072),
+         (-186.07318921188, 227.69624571882), (-174.75165718126, 213.88771951194)],
+        [1.9280693458e-01, 1.9128232873e-01, 1.2305650693e-01, 1.3606233068e-01],
+        [1.1435312227e-02, 1.9633220911e-01, 8.0842031232e-02, 9.0025542308e-02],
+    ),
+    "thurber": (
+        "cubic_over_cubic",
+        [(-350, 2650), (-1250, 3750), (-424.572659465, 1407.811028235),
+         (-119.3748993095, 234.7915436005), (-0.65, 2.35), (-0.15, 0.85), (-0.06, 0.14)],
+        [1.2881396800e03, 1.4910792535e03, 5.8323836877e02, 7.5416644291e01, 9.6629502864e-01,
+         3.9797285797e-01, 4.9727297349e-02],
+        [4.6647963344e00, 3.9571156086e01, 2.8698696102e01, 5.5675370270e00, 3.1333340687e-02,
+         1.4984928198e-02, 6.5842344623e-03],
+    ),
+    "mgh17": (
+        "osborne_1",
+        [(-222.9352447134, 273.3106547655), (-666.75, 818.25), (-545.5, 444.5), (-4.445, 5.455),
+         (-8.89, 10.91)],
+        [3.7541005211e-01, 1.9358469127e00, -1.4646871366e00, 1.2867534640e-02, 2.2122699662e-02],
+        [2.0723153551e-03, 2.2031669222e-01, 2.2175707739e-01, 4.4861358114e-04, 8.9471996575e-04],
+    ),
+}  # fmt: skip
+"""Formula, box (ten times as wide as the spread of NIST's starts), certified parameters and their standard deviations."""
+
+
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.slow) for k in range(1, 6))]
+)
+@pytest.mark.parametrize(
+    "name", ["misra1a", *(pytest.param(k, marks=pytest.mark.slow) for k in list(NIST)[1:])]
+)
+def test_nists_certified_parameters_are_found(name: str, seed: int) -> None:
+    """From no start of NIST's, to 1e-3 of their standard deviations; of two terms in either order.
+
+    Steps end where they promise 1e-8 of the loss, of which m - d times that is a squared distance
+    in standard deviations: 6e-4 of one for the 30 degrees of freedom of the largest.
+    """
+    formula, box, certified, deviations = NIST[name]
+    model = PublishedModel(formula)
+    space = Space(
+        tuple(Parameter(p, "-", *sides) for p, sides in zip(model.parameters, box, strict=True))
+    )
+    problem = CurveFit(model, load_published(name), space)
+    record = minimize(MIHOGN(), problem, seed=seed)
+    assert record.outcome is Outcome.CONVERGED
+    assert record.loss == pytest.approx(problem.loss(np.array([certified]))[0], rel=2e-8)
+    assert record.theta is not None
+    theta = record.theta
+    if name == "mgh17" and theta[3] > theta[4]:
+        theta = theta[[0, 2, 1, 4, 3]]
+    assert (np.abs(theta - certified) < 1e-3 * np.array(deviations)).all()
+
+
+def test_a_search_ends_by_its_evidence() -> None:
+    """It does not need its 200 brackets, and what it relies on is enough for a report."""
+    record = minimize(MIHOGN(), fit())
+    assert record.outcome is Outcome.CONVERGED
+    assert record.descents is not None
+    assert record.descents.finished < 50
+    assert record.descents.agreeing is not None
+    assert record.descents.agreeing >= 5
+    assert record.evaluations < 200
+
+
+def test_an_optimum_at_a_bound_is_come_back_to_more_often() -> None:
+    inside = minimize(MIHOGN(), fit())
+    bounded = replace(SPACE.parameters[2], low=0.6)
+    space = Space((*SPACE.parameters[:2], bounded))
+    record = minimize(MIHOGN(doubtful=20), fit(space=space))
+    assert record.outcome is Outcome.CONVERGED
+    assert record.theta is not None
+    assert record.theta[2] == 0.6
+    assert record.descents is not None
+    assert inside.descents is not None
+    assert record.descents.agreeing is not None
+    assert record.descents.agreeing >= 20 > inside.descents.finished
+
+
+def test_a_loss_above_the_noise_is_doubted() -> None:
+    class Noisy(Outside):
+        """Noise far below what is left: the model is another than that of the data."""
+
+    problem = Noisy(fit())
+    problem.noise = 1e-6
+    record = minimize(MIHOGN(doubtful=15), problem)
+    assert record.outcome is Outcome.CONVERGED
+    assert record.descents is not None
+    assert (record.descents.agreeing or 0) >= 15
+
+
+def test_what_knows_no_rows_is_asked_for_all_of_them() -> None:
+    problem = Outside(fit(), rows_said=False)
+    record = minimize(MIHOGN(), problem)
+    assert {rows for _, rows in problem.asked} == {600}
+    assert record.loss == pytest.approx(minimize(MIHOGN(), fit()).loss, rel=1e-8)
+
+
+def test_exact_data_are_fitted_to_their_rounding() -> None:
+    """Ends differ by their rounding alone, and are one optimum."""
+    problem = fit(noise=0.0)
+    record = minimize(MIHOGN(), problem)
+    assert record.outcome is Outcome.CONVERGED
+    assert record.loss <= problem.rounding
+    assert record.theta is not None
+    np.testing.assert_allclose(record.theta, [2.0, 0.7, 0.3], rtol=1e-7)
+
+
+def test_what_one_row_in_a_hundred_tells_is_identified() -> None:
+    """c alone is told by late rows, which few random rows hold; half of the data is far too many.
+
+    The optimum is that of the best b, to the 1e-8 of the loss at which steps end.
+    """
+    rng = np.random.default_rng(3)
+    t = np.where(
+        rng.random(20_000) < 0.01, rng.uniform(50, 60, 20_000), rng.uniform(0, 0.2, 20_000)
+    )
+    y = 2 * np.exp(-0.7 * t) + 0.3 + 0.01 * rng.standard_normal(t.size)
+    data = Dataset("rare", {"t": t, "y": y}, {"t": "s", "y": "V"}, "y")
+    for seed in range(3):
+        record = minimize(MIHOGN(), CurveFit(Decay(), data, SPACE), seed=seed)
+        assert record.outcome is Outcome.CONVERGED
+        assert record.theta is not None
+        np.testing.assert_allclose(record.theta, [2.0, 0.7, 0.3], rtol=0.02)
+        assert record.trace.evaluations[-1] < 30
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"eta": 1}, "eta is 1; expected a whole number of at least 2"),
+        ({"steps": 0}, "steps is 0; expected a whole number of at least 1"),
+        ({"secants": -1}, "secants is -1; expected a whole number of at least 0"),
+        ({"reach": 0.0}, "reach"),
+        ({"tolerance": math.nan}, "tolerance"),
+        ({"draws": "halves"}, "draws"),
+        ({"least": 9, "most": 3}, "most is 3; expected at least 9, which is least"),
+        ({"brackets": 1.5}, "brackets"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused_in_a_line(
+    settings: dict[str, object], message: str
+) -> None:
+    with pytest.raises(ValueError, match=message) as refused:
+        MIHOGN(**settings)  # type: ignore[arg-type]
+    assert "\n" not in str(refused.value)
+
+
+class Paraboloid(Problem):
+    """Losses and nothing else."""
+
+    name = "paraboloid"
+    space = SPACE
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        return np.asarray((thetas**2).sum(axis=1))
+
+
+def test_a_problem_without_residuals_is_refused_with_what_to_choose() -> None:
+    record = minimize(MIHOGN(), Paraboloid())
+    assert record.outcome is Outcome.FAILED
+    assert record.error is not None
+    line = record.error.strip().splitlines()[-1]
+    assert "problem paraboloid gives no residuals" in line
+    assert "optimizer=miho_qn" in line
+
+
+def test_a_problem_without_a_usable_value_says_so() -> None:
+    problem = DecayFit(lambda thetas, losses: np.full(len(thetas), np.nan))
+    record = minimize(MIHOGN(), problem)
+    assert record.outcome is Outcome.NO_FINITE_VALUE
+
+
+def test_an_ordered_model_is_asked_for_its_whole_record() -> None:
+    """A memory has no first rows; its play is found from all of them."""
+    rng = np.random.default_rng(9)
+    u = np.concatenate([np.linspace(0, 1, 100), np.linspace(1, 0, 100), np.linspace(0, 0.7, 80)])
+    model = BrakePlay()
+    names, bounds = list(model.parameters), [(0, 0.3), (0.6, 1.4), (1e6, 3e7), (0.5, 3), (0, 0.3)]
+    truth = np.array([0.05, 1.0, 1e7, 1.5, 0.1])
+    p = model.predict(truth[None], u)[0] + 2e4 * rng.standard_normal(u.size)
+    space = Space(
+        tuple(Parameter(n, model.parameters[n], *b) for n, b in zip(names, bounds, strict=True))
+    )
+    data = Dataset("play", {"u": u, "p": p}, {"u": "-", "p": model.output}, "p")
+    problem = Outside(CurveFit(model, data, space))
+    record = minimize(MIHOGN(brackets=20), problem)
+    assert {rows for _, rows in problem.asked} == {u.size}
+    assert record.loss <= problem.loss(truth[None])[0]
+
+
+@pytest.mark.slow
+def test_three_million_rows_are_fitted_in_little_memory() -> None:
+    """Beyond the data, a few MB: no residuals or derivatives of all rows are ever held.
+
+    The bound is a fifth of what the residuals alone would take.
+    """
+    N = 3_000_000
+    problem = fit(N)
+    warm = minimize(MIHOGN(), problem, Budget(evaluations=20))
+    assert warm.theta is not None
+    tracemalloc.start()
+    try:
+        record = minimize(MIHOGN(), problem, Budget(evaluations=300))
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert record.theta is not None
+    np.testing.assert_allclose(record.theta, [2.0, 0.7, 0.3], rtol=0.01)
+    assert peak < 8 * N / 5 + 8 * 4 * (1 << 22)
