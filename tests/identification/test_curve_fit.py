@@ -1,10 +1,16 @@
 """The identification problem: its loss is Eq. 5, in any batch."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from numba import njit
 
 from miho import Budget, CurveFit, Dataset, Oracle, Parameter, Space
-from miho.models import Pacejka
+from miho.identification.loss import Cauchy, Loss, Square
+from miho.models import Pacejka, PacejkaCurvature, TorqueCubic
+from miho.models.expression import Expression
+from miho.models.published import FORMS, PublishedModel
 from tests.identification import published
 
 SPACE = Space(
@@ -72,6 +78,88 @@ def test_a_fidelity_is_compiled(fidelity: float, monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(Pacejka, "predict", predict)
     assert p.loss(thetas, fidelity) == pytest.approx(np.mean(rows**2, axis=1), rel=1e-12)
+
+
+@pytest.mark.parametrize("rho", [Square(), Cauchy(200.0)])
+@pytest.mark.parametrize("fidelity", [1e-9, 0.01, 0.25, 0.251, 0.999, 1.0])
+def test_residuals_at_a_fidelity_are_those_of_its_rows(fidelity: float, rho: Loss) -> None:
+    """In the fixed order, and their mean square is the loss; all rows come as the data have them.
+
+    The loss to the 1e-12 at which compiled and NumPy's sines agree.
+    """
+    p = replace(problem(2000), rho=rho)
+    theta = np.array([11.0, 1.3, 2900.0, 0.01, 30.0])
+    m = round(p.cost(fidelity) * p.rows)
+    part = p._order[:m] if fidelity < 1 else slice(None)
+    residuals, jacobian = p.residuals(theta, fidelity), p.jacobian(theta, fidelity)
+    assert m == max(1, np.ceil(fidelity * 2000 - 1e-6))
+    assert jacobian.shape == (m, 5)
+    scale = np.abs(p.dataset["Fy"]).max()
+    np.testing.assert_allclose(residuals, p.residuals(theta)[part], rtol=0, atol=1e-12 * scale)
+    columns = p.jacobian(theta)
+    np.testing.assert_allclose(
+        jacobian / np.abs(columns).max(axis=0),
+        columns[part] / np.abs(columns).max(axis=0),
+        rtol=0,
+        atol=1e-12,
+    )
+    loss = p.loss(theta[None], fidelity)[0]
+    assert np.mean(residuals**2) == pytest.approx(loss, rel=1e-12)
+    oracle = Oracle(p, Budget())
+    oracle.residuals(theta, fidelity)
+    oracle.jacobian(theta, fidelity)
+    assert oracle.evaluations == pytest.approx((1 + 5) * m / 2000, rel=1e-12)
+    assert len(oracle.trace) == (fidelity == 1.0), "only all rows tell the loss"
+
+
+@njit
+def compiled_rows_of(residuals, slopes, theta, X, y, i, j, r, J):  # type: ignore[no-untyped-def]
+    residuals(theta, X, y, i, j, r)
+    slopes(theta, X, i, j, J)
+
+
+@pytest.mark.parametrize(
+    "model",
+    [
+        Pacejka(),
+        *(
+            pytest.param(model, marks=pytest.mark.slow)
+            for model in (PacejkaCurvature(), TorqueCubic(), *map(PublishedModel, FORMS))
+        ),
+    ],
+    ids=lambda model: model.name or type(model).__name__,
+)
+def test_compiled_rows_are_numpys(model: Expression) -> None:
+    """Of any rows i to j; to 1e-9 of a column: roundings where large terms cancel."""
+    rng = np.random.default_rng(4)
+    N, d = 101, len(model.parameters)
+    columns = {name: rng.uniform(0.1, 2.0, N) for name in model.inputs}
+    y = rng.standard_normal(N)
+    data = Dataset("rows", {**columns, "output": y}, {**model.inputs, "output": model.output},
+                   "output")  # fmt: skip
+    space = Space(tuple(Parameter(n, u, 0.2, 2.0) for n, u in model.parameters.items()))
+    p = CurveFit(model, data, space)
+    rows = p.compiled_rows
+    assert rows is not None
+    checked = 0
+    for theta in space.sample(20, rng, "uniform"):
+        for i, j in ((0, N), (0, 1), (40, 57), (100, 101)):
+            r, J = np.full(j - i, np.nan), np.full((d, j - i + 2), np.nan)
+            compiled_rows_of(rows.residuals, rows.slopes, theta, rows.X, rows.y, i, j, r, J)
+            some = p._order[i:j]
+            for compiled, numpys in (
+                (r, model.predict(theta[None], *p.inputs)[0] - y),
+                *zip(J[:, : j - i], model.jacobian(theta, *p.inputs).T, strict=True),
+            ):
+                valued = np.isfinite(numpys)
+                scale = np.abs(numpys[valued]).max(initial=1.0)
+                assert (np.isfinite(compiled) == valued[some]).all()
+                checked += np.count_nonzero(valued[some])
+                np.testing.assert_allclose(
+                    compiled[valued[some]], numpys[some][valued[some]], rtol=1e-9, atol=1e-9 * scale
+                )
+            assert np.isnan(J[:, j - i :]).all(), "no more rows than these"
+    assert checked
 
 
 def test_a_model_with_a_memory_costs_all_rows_at_any_fidelity() -> None:
