@@ -420,7 +420,7 @@ class MIHOGN(Resumable[MIHOGNState]):
             best = float(state.losses.min(initial=math.inf))
             if loss < best or not in_optimum(best, loss, oracle.rounding):
                 sums = c.sums if c.sums[0, -1] > 0 else loss * state.ends[None]
-                if loss < best:
+                if not in_optimum(loss, best, oracle.rounding):
                     state.found = oracle.evaluations
                 state.minima = np.vstack([state.minima, c.x])
                 state.losses = np.append(state.losses, loss)

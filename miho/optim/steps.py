@@ -157,8 +157,8 @@ def _look_outside(
     theta = w.theta.copy()
     r = w.residuals
     r[:] = oracle.residuals(theta, fidelity)
-    w.sums[:] = [r[:end] @ r[:end] for end in ends]
-    loss = float(r @ r) / r.size
+    w.sums[:] = [square_sum(r, min(end, r.size)) for end in ends]
+    loss = float(square_sum(r, r.size)) / r.size
     if not (project and math.isfinite(loss)):
         return loss
     p = box.linear.size
