@@ -47,7 +47,13 @@ from experiments.benchmarks.reach_tables import (
     stopping_shares,
     stopping_table,
 )
-from experiments.build import ConfigError, build_optimizer, build_problem, our_code
+from experiments.build import (
+    ConfigError,
+    build_optimizer,
+    build_problem,
+    our_code,
+    recorded_optimum,
+)
 from experiments.cli import CONF, OK, SOME_FAILED, composed, guarded
 from experiments.explain import parsed, unknown
 from experiments.schema import register
@@ -80,7 +86,8 @@ class Job:
 def _problem(name: str, others: tuple[str, ...]) -> tuple[CurveFit, Budget, float] | str:
     """A problem, what a run on it may spend, and its optimum; or why it cannot be had here."""
     cfg = composed([*BUDGET, *others, f"problem={name}"])
-    if not cfg.problem.optimum:
+    optimum = recorded_optimum(cfg)
+    if not optimum:
         raise ConfigError(
             f"problem {name}: has no recorded optimum above zero; leave it out of --problems"
         )
@@ -89,7 +96,7 @@ def _problem(name: str, others: tuple[str, ...]) -> tuple[CurveFit, Budget, floa
     except DataUnavailableError as error:
         return str(error)
     budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
-    return problem, budget, float(cfg.problem.optimum)
+    return problem, budget, optimum
 
 
 @cache
