@@ -441,16 +441,16 @@ def test_compare_writes_figure_tables_and_provenance(compare: Command, tmp_path:
     ]
     code, out, _ = compare(*small)
     assert code == 0
-    assert "[16/16]" in out
+    assert "[18/18]" in out
     written = {path.name for path in (tmp_path / "runs" / "figures").iterdir()}
     assert {"fig6.png", "fig6.pdf", "claims.md", "claims.csv", "results.md"} <= written
     provenance = json.loads((tmp_path / "runs" / "figures" / "provenance.json").read_text())
     assert provenance["seeds"] == "0 to 1"
     assert "experiments.compare" in provenance["command"]
     code, out, _ = compare(*small)
-    assert out.count("(done before)") == 16
+    assert out.count("(done before)") == 18
     order = [line.split()[2] for line in out.splitlines() if line.startswith("[")]
-    assert order[:8] == order[8:], "methods are interleaved inside a repetition"
+    assert order[:9] == order[9:], "methods are interleaved inside a repetition"
 
 
 @pytest.mark.slow

@@ -31,13 +31,14 @@ Opened = Callable[[int], Page]
 
 @pytest.fixture(scope="module")
 def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Eight methods with five seeds each on two problems; the second has no recorded optimum."""
+    """Eight methods, five seeds; no optimum of the second problem is recorded, the third's is 0."""
     runs, curves = like_fig6(seeds=5)
-    second = [frame.assign(problem="other", id="o" + frame["id"]) for frame in (runs, curves)]
-    second[0]["error"] *= 2
-    second[1]["error"] *= 2
-    runs = pd.concat([runs, second[0]], ignore_index=True)
-    curves = pd.concat([curves, second[1]], ignore_index=True)
+    tables = []
+    for table in (runs, curves):
+        second = table.assign(problem="other", id="o" + table["id"], error=2 * table["error"])
+        third = table.assign(problem="exact", id="e" + table["id"])
+        tables.append(pd.concat([table, second, third], ignore_index=True))
+    runs, curves = tables
     runs.loc[runs["problem"] == "other", "timing_valid"] = False
     runs.loc[runs["problem"] != "other", "timing_valid"] = True
     values = pd.DataFrame({"parameter": ["B"], "value": ["17.4"], "unit": ["1/rad"]})
@@ -138,7 +139,7 @@ def test_bands_and_seeds(opened: Opened) -> None:
 def test_what_is_not_there_cannot_be_chosen(opened: Opened) -> None:
     page = opened(1280)
     page.click("[data-set=quantity][data-to=gap]")
-    page.run("(s => { s.value = '1'; s.dispatchEvent(new Event('change')) })"
+    page.run("(s => { s.value = '2'; s.dispatchEvent(new Event('change')) })"
              "(document.querySelector('#problem'))")  # fmt: skip
     assert page.run(LABELS) == ["evaluations of the loss [-]", "error [kN]"]
     assert page.run("document.querySelector('[data-to=gap]').disabled")

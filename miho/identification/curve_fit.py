@@ -235,6 +235,11 @@ class CurveFit(LeastSquaresProblem):
         """The fixed order of the rows of which a fidelity takes the first ones."""
         return row_order(self.inputs, stream("fidelity", self.dataset.digest))
 
+    @property
+    def order(self) -> NDArray[np.intp] | None:  # type: ignore[override]
+        """The order in which a fidelity takes the rows."""
+        return None if self.model.ordered else self._order
+
     def cost(self, fidelity: float) -> float:
         """The fraction of rows that a fidelity uses; all of them where their order matters."""
         return self._rows(fidelity) / len(self.dataset)

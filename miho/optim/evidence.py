@@ -100,4 +100,4 @@ def in_optimum(best: float, end: float, rounding: float = 0.0) -> bool:
 
     It is unless its loss is above that by more than solvers leave (AGREEING) and rounding does.
     """
-    return bool(end <= best * (1 + AGREEING) + rounding)
+    return bool(end <= best + AGREEING * abs(best) + rounding)

@@ -25,7 +25,7 @@ from miho.optim.gauss_newton import (
 )
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Budget, Oracle, UnusableValueError
-from miho.optim.problem import LeastSquaresProblem, Problem
+from miho.optim.problem import Problem
 from miho.optim.seeds import stream
 from miho.optim.space import Space
 from miho.optim.steps import give_steps
@@ -45,6 +45,7 @@ BETTER = 4.0
 """But not if its loss is lower than there by so many d / rows: more than a few rows may tell."""
 ENTERING = 1e-3
 """The damping with which one begins a level that was done with the one before."""
+LARGEST_RATIO = 1e100
 APART = 1.1
 """Losses of a few rows tell two worse optima apart where they differ by this factor."""
 BOUND = 1e-9
@@ -66,9 +67,10 @@ class MIHOGNState:
     `ends` are the rows of the levels, all of them last (0 as long as nobody said how many).
     `minima` (k, d) in unit coordinates are those known, with their sums of squares over the rows
     of each level, `sums` (k, levels); `sound` (k,) where the data determine all parameters there.
-    `found` is what was spent when the best of them was, `sizes` counts brackets begun in doubt.
+    `found` is what was spent when the best of them was.
     `rest` waits for the best of its rung, `aside` are configurations that crawl, one each. `size`
-    is what a rung of the bracket may cost, `begun` what was spent before it.
+    is what a rung of the bracket may cost, `begun` what was spent before it, `share` the rows that
+    one set aside may have.
     """
 
     space: Space
@@ -85,12 +87,12 @@ class MIHOGNState:
     rest: Candidates | None = None
     aside: list[Candidates] = field(default_factory=list)
     bracket: int = 0
-    sizes: int = 0
     projects: bool = False
     phase: int = OVER
     level: int = 0
     size: float = 0.0
     begun: float = 0.0
+    share: int = 0
     found: float = 0.0
     tried: int = 0
     over: bool = False
@@ -140,8 +142,7 @@ class MIHOGN(Resumable[MIHOGNState]):
     to `lead`, and `eta` times as many rows, until the last one goes to its end on all rows. A level
     with more than the share `jump` of all rows, or after `enough` rows for each parameter, is all
     of them; so are all levels of a problem that gives no fewer. Brackets have rungs of `base`
-    (d + 1) evaluations, times Luby's sequence and at most `largest` as long as the best minimum is
-    in doubt; `least` to `most` configurations.
+    (d + 1) evaluations times Luby's sequence, at most `largest`; `least` to `most` configurations.
 
     Steps are damped by `damping` at first, no longer than `reach` of the widths, and over where
     they promise less than `tolerance` of the loss; on fewer rows, m of them, `level_tolerance`
@@ -262,10 +263,16 @@ class MIHOGN(Resumable[MIHOGNState]):
 
     def rehearsals(self, problem: Problem, theta: Array) -> Sequence[Callable[[], object]]:
         """A first bracket, where it is compiled; else what residuals and derivatives need."""
-        if isinstance(problem, LeastSquaresProblem) and problem.compiled_rows is not None:
+
+        def rehearse() -> None:
             oracle = Oracle(problem, Budget(evaluations=len(theta) + 2))
-            return [lambda: problem.noise, lambda: self.run(oracle, stream())]
-        return super().rehearsals(problem, theta)
+            if oracle.compiled_rows is not None:
+                self.run(oracle, stream())
+                return
+            for job in super(MIHOGN, self).rehearsals(problem, theta):
+                job()
+
+        return [lambda: problem.noise, rehearse]
 
     def _count_rows(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Look once at all residuals of a problem that does not say how many there are."""
@@ -286,7 +293,6 @@ class MIHOGN(Resumable[MIHOGNState]):
             POLISH: POLISHING,
         }
         tolerance = self.digits if polishes else self.tolerance
-        spent = (oracle.evaluations - state.begun) * int(state.ends[-1])
         return Rules(
             level=state.level,
             last=state.last,
@@ -295,7 +301,7 @@ class MIHOGN(Resumable[MIHOGNState]):
             secants=self.secants,
             tolerance=tolerance if state.last else self.level_tolerance * share,
             patience=int(self.patience * (state.d + 1) * state.rows) if alone else 0,
-            share=int(spent) if state.phase == SHARE else 0,
+            share=state.share if state.phase == SHARE else 0,
             progress=self.progress,
             near=min(NEAR * share, NEAR_LAST) if state.last else NEAR * share,
             better=0.0 if state.last else BETTER * share,
@@ -308,10 +314,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         """Begin a bracket."""
         state.bracket += 1
         state.projects = state.linear or self._projects(state)
-        likely = self._likely(state, oracle)
-        state.sizes += not likely
-        size = 1 if likely else luby(state.sizes)
-        state.size = (state.d + 1) * min(self.base * size, self.largest)
+        state.size = (state.d + 1) * min(self.base * luby(state.bracket), self.largest)
         state.level, state.phase, state.begun = 0, SCREEN, oracle.evaluations
         n = min(max(round(state.size / state.look_cost), self.least), self.most)
         n = 1 if state.linear else n
@@ -403,6 +406,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         if earlier and state.phase == OVER:
             best = min(range(len(earlier)), key=lambda k: float(earlier[k].loss[0]))
             state.live = state.aside.pop(best)
+            state.share = int((oracle.evaluations - state.begun) * int(state.ends[-1]))
             self._begin(state, SHARE)
 
     def _shared(self, state: MIHOGNState, oracle: Oracle) -> None:
@@ -434,8 +438,12 @@ class MIHOGN(Resumable[MIHOGNState]):
         nearest = np.argmin(((state.minima - c.x[0]) ** 2).sum(axis=1))
         loss = float(state.losses[nearest])
         if c.stage[0] != KNOWN:
-            more = math.log(max(1.0, c.loss[0] / self._best(state)), APART)
-            loss = float(state.losses.min()) * APART ** (1 + math.floor(more))
+            best, worse = self._best(state), float(c.loss[0])
+            loss = float(state.losses.min())
+            if not in_optimum(best, worse, oracle.rounding):
+                ratio = min(max(worse / best, 1.0), LARGEST_RATIO) if best > 0 else LARGEST_RATIO
+                steps = 1 + math.floor(math.log(ratio, APART))
+                loss = max(loss, oracle.rounding) * APART**steps
         oracle.ended(math.inf, loss)
 
     def _close(self, state: MIHOGNState, oracle: Oracle) -> None:

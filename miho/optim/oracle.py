@@ -230,6 +230,11 @@ class Oracle:
         return self._least_squares.compiled_rows
 
     @property
+    def order(self) -> NDArray[np.intp] | None:
+        """The order in which a fidelity takes the rows of all residuals, None if it is theirs."""
+        return self._least_squares.order
+
+    @property
     def jacobian_cost(self) -> int:
         """What the derivatives of the residuals cost, in evaluations of the same rows."""
         cost = self._least_squares.jacobian_cost

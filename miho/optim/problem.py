@@ -68,7 +68,8 @@ class LeastSquaresProblem(Problem):
     """A problem whose loss is the mean of squared residuals, with derivatives of the residuals.
 
     Their number is `rows`, if those of the first rows can be had: a fidelity takes so many of them
-    in the problem's own order. A problem without it is asked for all of them only.
+    in the problem's own order. A problem without it is asked for all of them only. `order` numbers
+    the rows of all residuals in that order, None if they stand in it.
 
     `jacobian_cost` is what one Jacobian costs in evaluations; a problem without it pays the
     number of parameters, as finite differences would. `linear` names parameters in which the
@@ -79,6 +80,7 @@ class LeastSquaresProblem(Problem):
     jacobian_cost: int | None = None
     linear: tuple[str, ...] = ()
     compiled_rows: CompiledRows | None = None
+    order: NDArray[np.intp] | None = None
 
     @abstractmethod
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:

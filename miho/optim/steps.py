@@ -157,7 +157,9 @@ def _look_outside(
     theta = w.theta.copy()
     r = w.residuals
     r[:] = oracle.residuals(theta, fidelity)
-    w.sums[:] = [square_sum(r, min(end, r.size)) for end in ends]
+    order = oracle.order if fidelity == 1.0 else None
+    in_order = r if order is None else r[order]
+    w.sums[:] = [square_sum(in_order, min(end, r.size)) for end in ends]
     loss = float(square_sum(r, r.size)) / r.size
     if not (project and math.isfinite(loss)):
         return loss
