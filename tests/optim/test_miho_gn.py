@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from miho.data import Dataset, load_published
 from miho.identification import CurveFit
+from miho.identification.loss import Huber
 from miho.models import BrakePlay
 from miho.models.published import PublishedModel
 from miho.optim import (
@@ -73,6 +74,38 @@ def test_a_run_cut_anywhere_goes_on_bit_exactly(problem: LeastSquaresProblem, st
     np.testing.assert_allclose(cut.trace.evaluations, whole.trace.evaluations, rtol=1e-12)
     assert cut.evaluations == pytest.approx(whole.evaluations, rel=1e-12)
     assert cut.descents == whole.descents
+
+
+def test_a_share_is_what_it_was_however_often_a_run_is_cut() -> None:
+    """In Bennett5's valley descents are set aside, and get a share of each later bracket."""
+    sides = (-7129.28, 3105.78), (22.5, 72.5), (0.205168, 1.52702)
+    box = tuple(Parameter(f"b{k}", "-", *ends) for k, ends in enumerate(sides, start=1))
+    problem = CurveFit(PublishedModel("bennett5"), load_published("bennett5"), Space(box))
+    whole = minimize(MIHOGN(), problem, Budget(evaluations=300), seed=0)
+    cut = minimize(MIHOGN(), problem, Budget(evaluations=20), seed=0)
+    for evaluations in range(40, 301, 20):
+        budget = Budget(evaluations=evaluations)
+        cut = minimize(MIHOGN(), problem, budget, seed=0, checkpoint=cut.checkpoint)
+    assert whole.checkpoint is not None
+    assert whole.checkpoint.state.aside or whole.checkpoint.state.share
+    assert cut.trace.loss == whole.trace.loss
+    assert cut.trace.evaluations == pytest.approx(whole.trace.evaluations, abs=1e-9)  # sums of 1/N
+
+
+def test_sums_of_a_minimum_are_of_the_rows_of_each_level() -> None:
+    """Of a problem that is not compiled, whose fidelity takes the rows in another order."""
+    problem = replace(fit(), rho=Huber(1.0))
+    assert problem.compiled_rows is None
+    record = minimize(MIHOGN(), problem, seed=0)
+    assert record.checkpoint is not None
+    state = record.checkpoint.state
+    assert state.ends.size > 2
+    assert state.losses.size
+    space = problem.space
+    low, high = space.bounds
+    thetas = space.decode(low + (high - low) * state.minima)
+    for end, sums in zip(state.ends, state.sums.T, strict=True):
+        assert sums / end == pytest.approx(problem.loss(thetas, end / 600), rel=1e-9)
 
 
 def test_a_seed_says_it_all() -> None:
