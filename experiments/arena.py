@@ -15,6 +15,7 @@ from experiments.build import (
     build,
     build_optimizer,
     build_problem,
+    recorded_optimum,
 )
 from experiments.cli import composed
 from experiments.own_code import runs_own_code
@@ -70,6 +71,9 @@ def plan(cfg: DictConfig, overrides: Sequence[str], *, methods: int = 3, familie
                 left_out[name] = str(error)
                 continue
             build(setting, problem)
+        optimum = recorded_optimum(setting)
+        if comparison.target is not None and optimum is not None:
+            setting.budget.target = (comparison.target * optimum) ** 2  # of the loss, not its root
         settings[name] = setting
         kinds.add(setting.problem.family or name)
     if len(optimizers) < methods or len(kinds) < families:

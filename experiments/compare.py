@@ -37,6 +37,7 @@ SETTINGS = {
     "comparison.repetitions": "runs of each method, with seeds 0, 1, ...",
     "comparison.methods": "'+comparison.methods.pso_100={}' adds one of optimizer --help",
     "comparison.processes": "runs at a time, where several problems are compared",
+    "comparison.target": "runs end at so many times their problem's optimum, with several problems",
     "budget.evaluations, budget.seconds": "what a run may spend; it ends at the first of them",
     "root, fresh": "where results go; fresh=true sets aside what is outdated",
 }
@@ -142,6 +143,8 @@ def _note(cfg: DictConfig, size: list[str]) -> str:
         parts.append(f"at most {cfg.budget.seconds:g} s per run")
     if cfg.budget.evaluations is not None:
         parts.append(f"at most {cfg.budget.evaluations:,} evaluations per run")
+    if cfg.comparison.problems and cfg.comparison.target is not None:
+        parts.append(f"which ends at {cfg.comparison.target:g} times the optimum")
     return ", ".join(parts)
 
 

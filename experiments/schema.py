@@ -65,10 +65,13 @@ class ComparisonConfig:
 
     `methods` maps an optimizer of conf/optimizer to settings that replace its own. `problems` names
     several of conf/problem, which are then compared on together, `processes` runs at a time;
-    without it there is one problem, and one run at a time. Figures and tables go to `output`.
+    without it there is one problem, and one run at a time. With several, runs end at `target` times
+    the optimum that their problem records: what comes after that is compared by nothing. Figures
+    and tables go to `output`.
     """
 
     repetitions: int = 5
+    target: float | None = None
     problems: list[str] = field(default_factory=list)
     processes: int = 1
     methods: dict[str, dict[str, Any]] = field(default_factory=dict)

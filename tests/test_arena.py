@@ -15,7 +15,7 @@ from experiments import compare as comparing
 from experiments.arena import plan
 from experiments.arena_problems import as_configured
 from experiments.arena_results import FACTOR, PLAIN, draw_arena, pages, separated
-from experiments.build import ConfigError, build
+from experiments.build import ConfigError, build, recorded_optimum
 from experiments.cli import CONF, SOME_FAILED, composed
 from experiments.comparison import COMPARISON, Comparison
 from experiments.run import run
@@ -155,6 +155,16 @@ def test_who_was_cut_by_seconds(tmp_path: Path) -> None:
     assert runs["outcome"].tolist() == ["budget"] * 3
     assert runs["cut"].to_dict() == {"torque_15": True, "brake_static": False, "torque_05": False}
     assert runs["family"]["torque_15"] == "torque"
+
+
+def test_runs_end_at_the_target_of_their_problem() -> None:
+    overrides = [*ARENA, *METHODS, PROBLEMS, "comparison.target=1.5"]
+    planned = plan(composed(overrides), overrides)
+    for one in planned.runs:
+        optimum = recorded_optimum(composed([f"problem={one.identity.problem}"]))
+        assert optimum is not None
+        target = OmegaConf.create(one.setting).budget.target  # of the loss, not of its root
+        assert target == pytest.approx((1.5 * optimum) ** 2, rel=1e-12)
 
 
 def test_a_store_that_is_too_small_to_draw_is_one_sentence(tmp_path: Path) -> None:

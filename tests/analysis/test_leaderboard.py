@@ -1,11 +1,19 @@
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from miho.analysis.anytime import area_over_curve
-from miho.analysis.leaderboard import families, family_scores, leaderboard, problem_scores
+from miho.analysis.leaderboard import (
+    best_rivals,
+    families,
+    family_scores,
+    leaderboard,
+    problem_scores,
+)
 from miho.analysis.markdown import to_markdown
 from miho.analysis.running_time import hits, running_times
 from tests.analysis.several_problems import several
@@ -126,3 +134,16 @@ def test_the_share_of_runs_cut_by_seconds_is_shown_where_it_is_known() -> None:
     runs["cut"] = (runs["optimizer"] == "slow") & (runs["problem"] == "q")
     cut = leaderboard(runs, curves).set_index("method")["cut by seconds"]
     assert cut.to_dict() == {"fast": 0, "slow": 0.5, "absent": 0, "bad": 0}
+
+
+def test_a_method_beside_the_best_rival_of_each_problem() -> None:
+    ert = running_times(hits(*worked()), "evaluations")
+    table = best_rivals({"evaluations": ert}, "slow", 1.01).set_index("problem")
+    # p: fast needs 10 and slow 1000; q: fast gets there once in 10 and fails once at 2000
+    assert table["by evaluations"].tolist() == ["fast", "fast"]
+    assert table["evaluations of a rival"].tolist() == [10, 2010]
+    assert table["share of evaluations"].tolist() == [100, math.inf]
+    alone = ert[ert["optimizer"].isin(["slow", "bad"])]
+    table = best_rivals({"evaluations": alone}, "slow", 1.01).set_index("problem")
+    assert table["share of evaluations"].to_dict() == {"p": 0, "q": 1}
+    assert table["by evaluations"].tolist() == ["none", "none"]
