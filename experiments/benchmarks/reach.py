@@ -15,6 +15,9 @@ With `--stopping` only the method ends a run, or the budget. A run is at the opt
 at most 1e-4 of it above that of the recorded optimum, and it arrived where its loss first was at
 most 1e-4 above its last one: what it spent over what it had spent then is the price of knowing.
 Milliseconds are of the method's clock; those of two processes at once disturb each other.
+
+With `--wider 30` each range is thirty times as wide around its middle, or both its ends are a
+factor of thirty further out where its scale is logarithmic. A better optimum may lie there.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import math
 import multiprocessing
 import re
 import shlex
@@ -60,7 +64,7 @@ from experiments.schema import register
 from miho.analysis.running_time import FACTORS
 from miho.data import DataUnavailableError
 from miho.identification import CurveFit
-from miho.optim import Budget, Optimizer, minimize
+from miho.optim import Budget, Optimizer, Space, minimize
 from miho.optim.minimize import Outcome
 from miho.study import environment_stamp, single_thread, write_text
 
@@ -80,10 +84,13 @@ class Job:
     others: tuple[str, ...]
     seeds: tuple[int, ...]
     stopping: bool = False
+    wider: float = 1.0
 
 
 @lru_cache(maxsize=1)
-def _problem(name: str, others: tuple[str, ...]) -> tuple[CurveFit, Budget, float] | str:
+def _problem(
+    name: str, others: tuple[str, ...], wider: float
+) -> tuple[CurveFit, Budget, float] | str:
     """A problem, what a run on it may spend, and its optimum; or why it cannot be had here."""
     cfg = composed([*BUDGET, *others, f"problem={name}"])
     optimum = recorded_optimum(cfg)
@@ -95,8 +102,24 @@ def _problem(name: str, others: tuple[str, ...]) -> tuple[CurveFit, Budget, floa
         problem = build_problem(cfg)
     except DataUnavailableError as error:
         return str(error)
+    if wider != 1:
+        problem = replace(problem, space=widened(problem.space, wider))
     budget = Budget(cfg.budget.evaluations, cfg.budget.seconds)
     return problem, budget, optimum
+
+
+def widened(space: Space, factor: float) -> Space:
+    """The same parameters in wider ranges."""
+    parameters = []
+    for parameter in space.parameters:
+        low, high = parameter.low, parameter.high
+        if parameter.scale == "log":
+            low, high = low / factor, high * factor
+        else:
+            middle, half = (low + high) / 2, (high - low) / 2
+            low, high = middle - factor * half, middle + factor * half
+        parameters.append(replace(parameter, low=low, high=high))
+    return replace(space, parameters=tuple(parameters))
 
 
 @cache
@@ -107,7 +130,7 @@ def _optimizer(method: tuple[str, ...]) -> Optimizer:
 def runs_of(job: Job) -> list[Run] | str:
     """The runs of a job, or the reason why its problem cannot be had here."""
     register()
-    known = _problem(job.problem, job.others)
+    known = _problem(job.problem, job.others, job.wider)
     if isinstance(known, str):
         return known
     problem, budget, optimum = known
@@ -285,11 +308,15 @@ def _arguments() -> argparse.Namespace:
     add("--with", action="append", default=[], metavar="OVERRIDES", dest="others",
         help="a variant with these overrides of the method")  # fmt: skip
     add("--stopping", action="store_true", help="let the method end its runs by itself")
+    add("--wider", type=float, default=1.0, metavar="FACTOR",
+        help="search boxes so many times as wide")  # fmt: skip
     add("--out", type=Path, metavar="FILE.csv", help="where to write the runs, with provenance")
     arguments = parser.parse_intermixed_args()
     for name, least in (("seeds", 1), ("first", 0), ("processes", 1)):
         if getattr(arguments, name) < least:
             parser.error(f"--{name}: is {getattr(arguments, name)}; expected at least {least}")
+    if not 1 <= arguments.wider < math.inf:
+        parser.error(f"--wider: is {arguments.wider:g}; expected a number of at least 1")
     return arguments
 
 
@@ -312,7 +339,7 @@ def main() -> None:
         seeds = range(arguments.first, arguments.first + arguments.seeds)
         parts = [tuple(seeds[i : i + SEEDS_AT_ONCE]) for i in range(0, len(seeds), SEEDS_AT_ONCE)]
         jobs = [
-            Job(name, variant, method, tuple(own[False]), part, arguments.stopping)
+            Job(name, variant, method, tuple(own[False]), part, arguments.stopping, arguments.wider)
             for name in problems(arguments.problems)
             for variant, method in methods.items()
             for part in parts

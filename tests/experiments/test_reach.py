@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from experiments.benchmarks import reach
-from experiments.benchmarks.reach import DEFAULT, problems, variants
+from experiments.benchmarks.reach import DEFAULT, problems, variants, widened
 from experiments.benchmarks.reach_tables import (
     Run,
     geometric_means,
@@ -20,6 +20,7 @@ from experiments.benchmarks.reach_tables import (
 )
 from experiments.build import ConfigError
 from experiments.schema import register
+from miho.optim import Parameter, Space
 from miho.optim.minimize import Outcome
 
 
@@ -208,3 +209,11 @@ def test_what_cannot_be_run_is_said_before_anything_runs(
         assert call(monkeypatch, "optimizer=least_squares", *arguments) == 2
         assert said in capsys.readouterr().err
     assert call(monkeypatch, "--seeds", "0") == 2
+
+
+def test_a_wider_box_has_its_middle_where_it_was() -> None:
+    space = Space([Parameter("a", "V", -1.0, 3.0), Parameter("b", "V", 1e-2, 1e2, scale="log")])
+    wide = widened(space, 30)
+    np.testing.assert_allclose(wide.low, [-59, 1e-2 / 30])
+    np.testing.assert_allclose(wide.high, [61, 3e3])
+    assert widened(space, 1) == space
