@@ -201,7 +201,7 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
         parameters = as_tuple(theta, d)
         for start in range(0, y.size, BLOCK):
             end = min(start + BLOCK, y.size)
-            found[start:end] = value(columns(X, start, end), parameters) - y[start:end]
+            _put(value(columns(X, start, end), parameters) - y[start:end], found[start:end])
 
     @njit(cache=True, nogil=True, error_model="numpy")
     @own
@@ -315,7 +315,29 @@ def as_tuple(theta: Array, d: int) -> tuple[float, ...]:
 @register_jitable
 def _store(columns: tuple[Array, ...], found: Array) -> None:
     for k, column in enumerate(columns):
-        found[k] = column
+        _put(column, found[k])
+
+
+def _put(values: Any, to: Any) -> None:
+    """Copy values (n,), or the same one n times."""
+    to[:] = values
+
+
+@overload(_put)
+def _put_compiled(values: Any, to: Any) -> Callable[..., None]:
+    """Element by element: numba's own copy takes seconds to compile, for what it says of shapes."""
+
+    def each(values: Any, to: Any) -> None:
+        if values.size != to.size and values.size != 1:
+            raise ValueError("as many values are needed as there are rows")
+        for i in range(to.size):
+            to[i] = values[i if values.size > 1 else 0]
+
+    def same(values: Any, to: Any) -> None:
+        for i in range(to.size):
+            to[i] = values
+
+    return each if isinstance(values, types.Array) else same
 
 
 def _store_row(values: Any, found: Array, row: int) -> None:

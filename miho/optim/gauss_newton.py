@@ -13,13 +13,13 @@ in between where the space says so.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from miho.optim.space import Space
-from miho.optim.triangular import Room, allocating, compiled, fold, norm, solve_in_box
+from miho.optim.triangular import Room, compiled, entry, fold, norm, solve_in_box
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -130,10 +130,11 @@ class Candidates(NamedTuple):
 
 
 def _of(numbers: Array, counts: Whole, R: Array, rows: Array) -> Candidates:
-    return cast(Candidates, cast(Any, views).py_func(numbers, counts, R, rows))
+    """By a name that pickle finds."""
+    return views(numbers, counts, R, rows)
 
 
-@allocating
+@compiled
 def views(numbers: Array, counts: Whole, R: Array, rows: Array) -> Candidates:
     """Configurations whose numbers stand beside each other."""
     d = R.shape[1]
@@ -238,21 +239,47 @@ class Work(NamedTuple):
     room: Room
 
 
-@allocating
-def work(d: int, m: int, levels: int) -> Work:
-    """Room for d parameters, m residuals and levels of rows."""
+def room_for(d: int, m: int, levels: int) -> int:
+    """Numbers that `work` needs."""
+    return levels + (d + 1) * (d + 1) + (2 * d + 1) * CHUNK + m + 7 * d + (d + 1) * (3 * d + 1)
+
+
+@compiled
+def work(room: Array, d: int, m: int, levels: int) -> Work:
+    """Room for d parameters, m residuals and levels of rows; the factor and the sums are 0."""
+    n, at = d + 1, 7 * d
+    sums = room[at : at + levels]
+    for k in range(levels):
+        sums[k] = 0.0
+    at += levels
+    T = room[at : at + n * n].reshape((n, n))
+    clear(T)
+    at += n * n
+    chunk = room[at : at + n * CHUNK].reshape((n, CHUNK))
+    at += n * CHUNK
+    slopes = room[at : at + d * CHUNK].reshape((d, CHUNK))
+    at += d * CHUNK
+    residuals = room[at : at + m]
+    at += m
+    columns = room[at : at + n * 2 * d].reshape((n, 2 * d))
+    at += n * 2 * d
     return Work(
-        np.empty(d),
-        np.empty(d),
-        np.empty(d),
-        np.empty(d),
-        np.empty(d),
-        np.zeros(levels),
-        np.zeros((d + 1, d + 1)),
-        np.empty((d + 1, CHUNK)),
-        np.empty((d, CHUNK)),
-        np.empty(m),
-        Room(np.empty(d), np.empty(d), np.empty((d + 1, 2 * d)), np.empty((d + 1, d + 1))),
+        room[:d],
+        room[d : 2 * d],
+        room[2 * d : 3 * d],
+        room[3 * d : 4 * d],
+        room[4 * d : 5 * d],
+        sums,
+        T,
+        chunk,
+        slopes,
+        residuals,
+        Room(
+            room[5 * d : 6 * d],
+            room[6 * d : 7 * d],
+            columns,
+            room[at : at + n * n].reshape((n, n)),
+        ),
     )
 
 
@@ -563,10 +590,17 @@ def same(c: Candidates, i: int, j: int, box: Box) -> bool:
     return bool(square_distance(c, i, c.x[j], box) <= COPY * c.x.shape[1] * c.loss[i])
 
 
-@allocating
 def distinct(c: Candidates, box: Box) -> NDArray[np.intp]:
     """Which of configurations, in ascending order of their losses, are no copies of better ones."""
-    kept, count = np.empty(c.loss.size, np.intp), 0
+    kept = np.empty(c.loss.size, np.intp)
+    return kept[: _distinct(*c[:4], box, kept)]
+
+
+@entry
+def _distinct(
+    numbers: Array, counts: Whole, R: Array, rows: Array, box: Box, kept: NDArray[np.intp]
+) -> int:
+    c, count = views(numbers, counts, R, rows), 0
     for j in range(c.loss.size):
         new = True
         for i in kept[:count]:
@@ -574,4 +608,4 @@ def distinct(c: Candidates, box: Box) -> NDArray[np.intp]:
         if new:
             kept[count] = j
             count += 1
-    return kept[:count]
+    return count

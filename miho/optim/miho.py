@@ -124,9 +124,15 @@ class MIHO(AskTell[MIHOState]):
         state.row = 0
         self._count(state, 1)
 
-    def rehearsals(self, problem: Problem, theta: Array) -> Sequence[Callable[[], object]]:
-        """Losses, and compiled steps where the problem has them."""
-        return [lambda: Oracle(problem, Budget())(theta[None]), lambda: _climb_once(problem, theta)]
+    def rehearsals(
+        self, problem: Problem, toy: Problem, theta: Array
+    ) -> Sequence[Callable[[], object]]:
+        """Losses, compiled steps where the problem has them, and a search of the toy."""
+        return [
+            lambda: Oracle(problem, Budget())(theta[None]),
+            lambda: _climb_once(problem, theta),
+            lambda: self.search_toy(toy),
+        ]
 
     def step(self, state: MIHOState, oracle: Oracle) -> None:
         """A batch; or the next steps of this rung, or rows of one, in one compiled block."""

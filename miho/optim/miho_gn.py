@@ -261,16 +261,22 @@ class MIHOGN(Resumable[MIHOGNState]):
         }
         phases[state.phase](state, oracle)
 
-    def rehearsals(self, problem: Problem, theta: Array) -> Sequence[Callable[[], object]]:
-        """A first bracket, where it is compiled; else what residuals and derivatives need."""
+    def rehearsals(
+        self, problem: Problem, toy: Problem, theta: Array
+    ) -> Sequence[Callable[[], object]]:
+        """A first bracket, where the problem is compiled: the toy, which is not, would make all
+        compile a second time. Else residuals, derivatives and the toy."""
 
         def rehearse() -> None:
             oracle = Oracle(problem, Budget(evaluations=len(theta) + 2))
             if oracle.compiled_rows is not None:
+                none = Candidates.at(np.empty((0, len(theta))), 1, self.damping, False)
+                distinct(none, Box.of(oracle.space, oracle.linear))
                 self.run(oracle, stream())
                 return
-            for job in super(MIHOGN, self).rehearsals(problem, theta):
-                job()
+            for job in super(MIHOGN, self).rehearsals(problem, toy, theta):
+                with contextlib.suppress(Exception):
+                    job()
 
         return [lambda: problem.noise, rehearse]
 

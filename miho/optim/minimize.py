@@ -31,8 +31,6 @@ from miho.optim.trace import Descents, Trace
 
 Array = NDArray[np.float64]
 
-WARM_UP_EVALUATIONS = 64
-
 
 class Outcome(StrEnum):
     """How a run ended: by its budget or target, or by itself (converged), or otherwise."""
@@ -233,8 +231,8 @@ _warm = _Warm()
 def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     """Let problem and method import, compile and allocate before the clock starts.
 
-    The problem evaluates one configuration, as the method will (`rehearsals`); the method searches
-    a paraboloid over the same space for a few evaluations, so it learns nothing of the problem.
+    The method says how (`rehearsals`): by default the problem evaluates one configuration, and the
+    method searches a paraboloid over the same space, so that it learns nothing of the problem.
     What ran last is warm. A Ctrl-C is raised after the evaluation or compilation in progress.
     """
     global _warm
@@ -243,11 +241,7 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     theta = problem.space.decode(problem.space.initial(1))
     toy = _Paraboloid(replace(problem.space, seed=()))
     interrupts: list[bool] = []
-    jobs: list[Callable[[], object]] = [
-        *optimizer.rehearsals(problem, theta[0]),
-        lambda: optimizer.run(Oracle(toy, Budget(evaluations=WARM_UP_EVALUATIONS)), stream()),
-    ]
-    for job in jobs:
+    for job in optimizer.rehearsals(problem, toy, theta[0]):
         try:
             with _ctrl_c_waits(partial(interrupts.append, True)):
                 job()

@@ -11,11 +11,14 @@ from numpy.typing import NDArray
 
 from miho.optim.oracle import Budget, Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
+from miho.optim.seeds import stream
 from miho.optim.space import Space
 from miho.optim.trace import Starts
 
 Array = NDArray[np.float64]
 State = TypeVar("State")
+
+TOY_EVALUATIONS = 64
 
 
 class Optimizer(ABC):
@@ -29,14 +32,22 @@ class Optimizer(ABC):
         comes from `rng`, except the common start, `oracle.space.initial(n)`.
         """
 
-    def rehearsals(self, problem: Problem, theta: Array) -> Sequence[Callable[[], object]]:
-        """What makes a problem compile and allocate, before the clock starts, all that is asked of
-        it: by default losses, residuals and derivatives at one configuration (d,).
+    def rehearsals(
+        self, problem: Problem, toy: Problem, theta: Array
+    ) -> Sequence[Callable[[], object]]:
+        """What makes problem and method compile and allocate before the clock starts.
+
+        By default losses, residuals and derivatives of the problem at one configuration (d,), and a
+        search of `toy`, which has the same space and is compiled nowhere.
         """
         jobs: list[Callable[[], object]] = [lambda: Oracle(problem, Budget())(theta[None])]
         if isinstance(problem, LeastSquaresProblem):
             jobs += [lambda: problem.residuals(theta), lambda: problem.jacobian(theta)]
-        return jobs
+        return [*jobs, lambda: self.search_toy(toy)]
+
+    def search_toy(self, toy: Problem) -> None:
+        """A search of a few evaluations."""
+        self.run(Oracle(toy, Budget(evaluations=TOY_EVALUATIONS)), stream())
 
 
 class Resumable(Optimizer, Generic[State]):

@@ -7,7 +7,7 @@ are folded into triangular factors as they come, so that any number of rows take
 from __future__ import annotations
 
 import math
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +30,14 @@ from miho.optim.gauss_newton import (
     is_free,
     prepare,
     refold,
+    room_for,
     solve_linear,
     to_units,
     views,
     work,
 )
 from miho.optim.oracle import NOT_FINITE, Block, BudgetExhausted, Oracle, UnusableValueError
-from miho.optim.triangular import allocating, compiled, fold, square_sum
+from miho.optim.triangular import compiled, entry, fold, square_sum
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -64,19 +65,21 @@ def give_steps(
     rows = oracle.compiled_rows
     m = int(ends[rules.level])
     if rows is None:
-        w = cast(Any, work).py_func(c.x.shape[1], m, ends.size)
+        d = c.x.shape[1]
+        w = work(np.empty(room_for(d, m, ends.size)), d, m, ends.size)
         _from_outside(oracle, c, box, ends, minima, rules, w)
         return
     N, d, slope_cost = rows.y.size, c.x.shape[1], oracle.jacobian_cost
     least = float(max(box.linear.size + 1, slope_cost))
-    room = EVENTS if rules.last else 0
-    at, losses, thetas = np.empty(room, np.int64), np.empty(room), np.empty((room, d))
+    most = EVENTS if rules.last else 0
+    at, losses, thetas = np.empty(most, np.int64), np.empty(most), np.empty((most, d))
+    room = np.empty(room_for(d, m if c.rows.shape[2] else CHUNK, ends.size))
 
     def block(most: float, best: float, target: float) -> Block:
         limit = int(min(most * N + ROUNDING, EVENTS * N))
         state, spent, found, nans, infinities, unusable = advance(
             rows.residuals, rows.slopes, rows.X, rows.y, *c[:4], box, ends, minima, rules,
-            slope_cost, limit, best, target, at, losses, thetas,
+            slope_cost, limit, best, target, at, losses, thetas, room,
         )  # fmt: skip
         counts = {
             f"{NOT_FINITE} nan": nans,
@@ -103,10 +106,9 @@ def _from_outside(
     fidelity = 1.0 if rules.last else m / int(ends[-1])
     share = 1.0 if rules.last else oracle.cost(fidelity)
     for i in range(c.x.shape[0]):
-        while prepare(c, i, box, m, minima, rules, w):
+        while prepare_outside(*c[:4], i, box, m, minima, rules, w):
             stage = c.stage[i]
             project = bool(c.projects[i]) and stage != RECORD
-            to_units(c.trial[i] if stage in (ENTER, TRIED) else c.x[i], box, w.theta)
             if stage == SLOPES:
                 cost = oracle.jacobian_cost
                 try:
@@ -121,7 +123,7 @@ def _from_outside(
                     loss = _look_outside(oracle, fidelity, c, i, box, ends, project, w)
                 except UnusableValueError:
                     loss = math.inf
-                evaluated(c, i, loss, box, m, rules, oracle.best, w)
+                evaluated_outside(*c[:4], i, loss, box, m, rules, oracle.best, w)
             c.spent[i] += m * cost
 
 
@@ -136,8 +138,7 @@ def _slopes_outside(
     if c.projects[i]:
         order = np.array([*(k for k in box.linear if is_free(c.x[i, k])), *box.nonlinear])
     c.rows[i, : order.size] = columns[order]
-    refold(c.rows[i], order.size, d, m, w)
-    factored(c, i, box, w)
+    factored_outside(*c[:4], i, box, order.size, m, w)
 
 
 def _look_outside(
@@ -159,8 +160,7 @@ def _look_outside(
     r[:] = oracle.residuals(theta, fidelity)
     order = oracle.order if fidelity == 1.0 else None
     in_order = r if order is None else r[order]
-    w.sums[:] = [square_sum(in_order, min(end, r.size)) for end in ends]
-    loss = float(square_sum(r, r.size)) / r.size
+    loss = sums_outside(r, in_order, ends, w.sums) / r.size
     if not (project and math.isfinite(loss)):
         return loss
     p = box.linear.size
@@ -172,13 +172,64 @@ def _look_outside(
         scale = (box.high[k] - box.low[k]) / (moved[k] - theta[k])
         rows[column] = (oracle.residuals(moved, fidelity, goes_on=True) - r) * scale
     rows[p] = r
-    refold(rows, p, p, r.size, w)
-    loss = solve_linear(c, i, box, r.size, w)
+    loss = solved_outside(*c[:4], i, box, rows, w)
     r += w.step[:p] @ rows[:p]
-    return float(loss)
+    return loss
 
 
-@allocating
+@entry
+def prepare_outside(
+    numbers: Array, counts: Whole, R: Array, rows: Array, i: int, box: Box, m: int,
+    minima: Minima, rules: Rules, w: Work,
+) -> bool:  # fmt: skip
+    """As `prepare`, and where the next evaluation is, into w.theta."""
+    c = views(numbers, counts, R, rows)
+    if not prepare(c, i, box, m, minima, rules, w):
+        return False
+    trial = c.stage[i] == ENTER or c.stage[i] == TRIED
+    to_units(c.trial[i] if trial else c.x[i], box, w.theta)
+    return True
+
+
+@entry
+def evaluated_outside(
+    numbers: Array, counts: Whole, R: Array, rows: Array, i: int, loss: float, box: Box, m: int,
+    rules: Rules, best: float, w: Work,
+) -> None:  # fmt: skip
+    """As `evaluated`."""
+    evaluated(views(numbers, counts, R, rows), i, loss, box, m, rules, best, w)
+
+
+@entry
+def factored_outside(
+    numbers: Array, counts: Whole, R: Array, rows: Array, i: int, box: Box, count: int, m: int,
+    w: Work,
+) -> None:  # fmt: skip
+    """The factor of the first columns, `count`, of its rows and of the residuals."""
+    c = views(numbers, counts, R, rows)
+    refold(c.rows[i], count, c.x.shape[1], m, w)
+    factored(c, i, box, w)
+
+
+@entry
+def solved_outside(
+    numbers: Array, counts: Whole, R: Array, rows: Array, i: int, box: Box, columns: Array, w: Work
+) -> float:
+    """As `solve_linear`, with the columns of the linear parameters and of the residuals (., m)."""
+    p, m = box.linear.size, columns.shape[1]
+    refold(columns, p, p, m, w)
+    return float(solve_linear(views(numbers, counts, R, rows), i, box, m, w))
+
+
+@entry
+def sums_outside(r: Array, in_order: Array, ends: Whole, sums: Array) -> float:
+    """The sum of squares of residuals, and in `sums` those of the rows of each level."""
+    for level in range(ends.size):
+        sums[level] = square_sum(in_order, min(ends[level], r.size))
+    return square_sum(r, r.size)
+
+
+@entry
 def advance(
     residuals: Any,
     slopes: Any,
@@ -199,43 +250,16 @@ def advance(
     at: Whole,
     losses: Array,
     thetas: Array,
+    room: Array,
 ) -> tuple[int, int, int, int, int, int]:
     """Give each configuration its steps: (state, rows spent, improvements, NaN, inf, unusable).
 
     `residuals(theta, X, y, i, j, r)` and `slopes(theta, X, i, j, J)` are compiled and give those of
     rows i to j. No more than `most` rows are spent; improvements of `best` are listed with the rows
-    up to and with them, and end the block where they reach `target`.
+    up to and with them, and end the block where they reach `target`. `room` is for `work`.
     """
     c = views(numbers, counts, R, rows)
-    w = work(R.shape[1], ends[rules.level] if rows.shape[2] else CHUNK, ends.size)
-    counts_of_block: tuple[int, int, int, int, int, int] = _advance(
-        residuals, slopes, X, y, c, box, ends, minima, rules, slope_cost, most, best, target, w,
-        at, losses, thetas,
-    )  # fmt: skip
-    return counts_of_block
-
-
-@compiled
-def _advance(
-    residuals: Any,
-    slopes: Any,
-    X: Array,
-    y: Array,
-    c: Candidates,
-    box: Box,
-    ends: Whole,
-    minima: Minima,
-    rules: Rules,
-    slope_cost: int,
-    most: int,
-    best: float,
-    target: float,
-    w: Work,
-    at: Whole,
-    losses: Array,
-    thetas: Array,
-) -> tuple[int, int, int, int, int, int]:
-    """As `advance`, with the arrays that it needs."""
+    w = work(room, R.shape[1], ends[rules.level] if rows.shape[2] else CHUNK, ends.size)
     m = ends[rules.level]
     spent = found = nans = infinities = unusable = 0
     for i in range(c.x.shape[0]):

@@ -10,33 +10,50 @@ from typing import Any, NamedTuple, TypeVar, cast
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
 FILES = "triangular.py", "gauss_newton.py", "steps.py"
 DIGEST = hashlib.sha256(b"".join(Path(__file__).with_name(f).read_bytes() for f in FILES))
-"""Of the code that is compiled together: numba's cache knows a function by its name and its own
-file, and would take one for current whose callee in another file was edited."""
+"""Of the code that is compiled together: numba's cache and its linker know a function by its name
+and its own file, and would take one for current whose callee in another file was edited."""
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
+"""No array is made here: without the counting of references to them, which costs more than a step
+of a few rows does."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def _compiled(**options: Any) -> Callable[[Function], Function]:
-    def compile_signed(function: Function) -> Function:
-        function.__qualname__ += f".{DIGEST.hexdigest()[:16]}"
-        return cast(
-            Function, njit(cache=True, nogil=True, error_model="numpy", **options)(function)
-        )
-
-    return compile_signed
+def _signed(function: Function) -> Function:
+    function.__qualname__ += f".{DIGEST.hexdigest()[:16]}"
+    return function
 
 
-compiled = _compiled(_nrt=False)
-summing = _compiled(_nrt=False, fastmath={"reassoc", "contract", "nsz"})
-allocating = _compiled()
-"""Compiled; for sums over rows in any order, so that the processor adds side by side; and where
-arrays are made: the others do without the counting of references to them, which costs more than a
-step of a few rows does."""
+def entry(function: Function) -> Function:
+    """Compiled and cached, to be called from Python.
+
+    Each one costs seconds to compile, since it is translated with all that it calls: they are few,
+    and take arrays whose type is always the same (a view of one row is another type than of two).
+    """
+    return cast(Function, njit(cache=True, **OPTIONS)(_signed(function)))
+
+
+def _part(**options: Any) -> Callable[[Function], Function]:
+    """Compiled as a part of those that call it, without an entry and a place in the cache.
+
+    Called from Python it is the Python function, and slow.
+    """
+
+    def register(function: Function) -> Function:
+        return cast(Function, register_jitable(**OPTIONS, **options)(_signed(function)))
+
+    return register
+
+
+compiled = _part()
+summing = _part(fastmath={"reassoc", "contract", "nsz"})
+"""Parts; the second for sums over rows in any order, so that the processor adds side by side."""
 
 SINGULAR = 1e-14
 """A pivot below this share of the largest one, or of its column, is 0: its parameter is left where

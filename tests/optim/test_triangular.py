@@ -7,9 +7,31 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from miho.optim.triangular import Room, fold, solve_in_box, square_sum
+from miho.optim import triangular
+from miho.optim.triangular import Room, entry
 
 Array = NDArray[np.float64]
+
+
+@entry
+def fold(T: Array, columns: Array, count: int, n: int) -> None:
+    """Compiled, as its callers have it."""
+    triangular.fold(T, columns, count, n)
+
+
+@entry
+def square_sum(r: Array, count: int) -> float:
+    """Likewise."""
+    return triangular.square_sum(r, count)
+
+
+@entry
+def solve_in_box(
+    R: Array, q: Array, scale: Array, low: Array, high: Array, n: int, s: Array, room: Room
+) -> None:
+    """Likewise."""
+    triangular.solve_in_box(R, q, scale, low, high, n, s, room)
+
 
 BACKWARD = 1e-13
 """Householder's factors are exact for data that differ by some m d times 1e-16 (Higham, Accuracy
