@@ -39,6 +39,7 @@ from experiments.run import line, result_line, run
 from experiments.stopped import HANG_UP, Stopped, ignores_hang_up
 from miho.data import Dataset
 from miho.identification import CurveFit
+from miho.optim.minimize import warm_up
 from miho.optim.oracle import UNSENT
 from miho.study import Identity, Status, Store, environment_stamp, single_thread
 from miho.study.changes import refuse_changes
@@ -63,7 +64,8 @@ SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGUSR1
 class Wanted:
     """One run: what was asked in the user's words, its configuration in YAML, and who it is.
 
-    `own`: its model is code of the user's. `lost`: why it cannot even begin.
+    `own`: its model is code of the user's. `lost`: why it cannot even begin. `compile_only`: it is
+    not done, but what it needs is compiled.
     """
 
     asked: str
@@ -72,6 +74,7 @@ class Wanted:
     root: str
     own: bool = False
     lost: str | None = None
+    compile_only: bool = False
 
 
 @dataclass(frozen=True)
@@ -268,12 +271,15 @@ def _each(runs: Sequence[Wanted], settings: schema.SweepConfig) -> Iterator[Done
     if not runs:
         return
     todo, elsewhere = deque(runs), deque[Wanted]()
+    first = _to_compile(runs) if settings.processes > 1 else None
     with (
         Workers(
             _execute, settings.processes, settings.time_limit, MODULES, prepare=_prepare, alone=_own
         ) as workers,
         _stopping(workers) as stop,
     ):
+        if first is not None:
+            workers.start(first)
         while todo or elsewhere or workers.busy:
             if stop.number is not None:
                 todo.clear()
@@ -284,15 +290,18 @@ def _each(runs: Sequence[Wanted], settings: schema.SweepConfig) -> Iterator[Done
             if stop.overdue(GRACE):
                 left = workers.jobs
                 workers.kill()
-                for job in left:
+                for job in left if first is None else ():
                     yield _done(Ended(job, reason="did not stop in time", interrupted=True))
                 break
-            while todo and workers.idle:
+            while todo and workers.idle and first is None:
                 workers.start(todo.popleft())
             if elsewhere and workers.idle:
                 time.sleep(POLL)
                 todo.append(elsewhere.popleft())
             for ended in workers.wait(POLL) if workers.busy else ():
+                if first is not None:
+                    first = None
+                    continue
                 done = _done(ended)
                 if done.status is Status.RUNNING_ELSEWHERE:
                     elsewhere.append(ended.job)
@@ -336,8 +345,23 @@ def _prepare(one: Wanted) -> None:
         packages_of(build_optimizer(_read(one.setting)))
 
 
-def _execute(one: Wanted) -> Done:
-    """In a process of its own: do a run, unless it is done."""
+def _to_compile(runs: Sequence[Wanted]) -> Wanted | None:
+    """A run whose method is to be compiled before the others start: each would compile the same."""
+    by_method = {one.identity.optimizer: one for one in reversed(runs) if not one.own}
+    for one in by_method.values():
+        if build_optimizer(_read(one.setting)).uncompiled:
+            if sys.stderr.isatty():
+                print(f"compiling {one.identity.optimizer}, once on this machine", file=sys.stderr)
+            return replace(one, compile_only=True)
+    return None
+
+
+def _execute(one: Wanted) -> Done | None:
+    """In a process of its own: do a run, unless it is done; or only compile what it needs."""
+    if one.compile_only:
+        experiment = _built(one.setting)
+        warm_up(experiment.optimizer, experiment.problem)
+        return None
     root = Path(one.root).absolute()  # before a model of the user's may change the folder
     experiment = replace(_built(one.setting), identity=one.identity, root=root)
     execution = run(experiment, quiet=True)

@@ -28,7 +28,8 @@ from miho.optim.oracle import Budget, Oracle, UnusableValueError
 from miho.optim.problem import Problem
 from miho.optim.seeds import stream
 from miho.optim.space import Space
-from miho.optim.steps import give_steps
+from miho.optim.steps import advance, give_steps
+from miho.optim.triangular import in_cache
 from miho.optim.validate import one_of, positive, whole
 
 Array = NDArray[np.float64]
@@ -279,6 +280,11 @@ class MIHOGN(Resumable[MIHOGNState]):
                     job()
 
         return [lambda: problem.noise, rehearse]
+
+    @property
+    def uncompiled(self) -> bool:
+        """Whether the steps are not in numba's cache."""
+        return not in_cache(advance)
 
     def _count_rows(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Look once at all residuals of a problem that does not say how many there are."""

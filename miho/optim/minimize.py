@@ -20,6 +20,7 @@ from types import FrameType
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba.core import event
 from numpy.typing import NDArray
 
 from miho.optim.optimizer import Optimizer, Resumable
@@ -233,7 +234,8 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
 
     The method says how (`rehearsals`): by default the problem evaluates one configuration, and the
     method searches a paraboloid over the same space, so that it learns nothing of the problem.
-    What ran last is warm. A Ctrl-C is raised after the evaluation or compilation in progress.
+    What ran last is warm. A Ctrl-C is raised after the evaluation in progress, or before the next
+    function is compiled.
     """
     global _warm
     if _warm.optimizer() is optimizer and _warm.problem() is problem:
@@ -243,7 +245,10 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     interrupts: list[bool] = []
     for job in optimizer.rehearsals(problem, toy, theta[0]):
         try:
-            with _ctrl_c_waits(partial(interrupts.append, True)):
+            with (
+                _ctrl_c_waits(partial(interrupts.append, True)),
+                event.install_listener("numba:compile", _Stop(interrupts)),
+            ):
                 job()
         except KeyboardInterrupt:
             raise
@@ -252,6 +257,21 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
         if interrupts:
             raise KeyboardInterrupt
     _warm = _Warm(weakref.ref(optimizer), weakref.ref(problem))
+
+
+class _Stop(event.Listener):  # type: ignore[misc]
+    """Between two functions that numba compiles, raises what a Ctrl-C asked for."""
+
+    def __init__(self, interrupts: list[bool]) -> None:
+        self.interrupts = interrupts
+
+    def on_start(self, event: Any) -> None:
+        """Called by numba."""
+        if self.interrupts:
+            raise KeyboardInterrupt
+
+    def on_end(self, event: Any) -> None:
+        """Called by numba."""
 
 
 class _Paraboloid(LeastSquaresProblem):

@@ -45,6 +45,11 @@ class Optimizer(ABC):
             jobs += [lambda: problem.residuals(theta), lambda: problem.jacobian(theta)]
         return [*jobs, lambda: self.search_toy(toy)]
 
+    @property
+    def uncompiled(self) -> bool:
+        """Whether it has code of its own that this machine has yet to compile, for many seconds."""
+        return False
+
     def search_toy(self, toy: Problem) -> None:
         """A search of a few evaluations."""
         self.run(Oracle(toy, Budget(evaluations=TOY_EVALUATIONS)), stream())

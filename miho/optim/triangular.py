@@ -39,6 +39,12 @@ def entry(function: Function) -> Function:
     return cast(Function, njit(cache=True, **OPTIONS)(_signed(function)))
 
 
+def in_cache(function: Any) -> bool:
+    """Whether numba has compiled an entry before; then it need not now."""
+    name = function.py_func.__qualname__
+    return any(Path(function.stats.cache_path).glob(f"*.{name}-*.nbi"))
+
+
 def _part(**options: Any) -> Callable[[Function], Function]:
     """Compiled as a part of those that call it, without an entry and a place in the cache.
 
