@@ -2,8 +2,10 @@
 
 import math
 import os
+import time
 
 import pytest
+from numba.core import event
 
 from experiments.progress import progress, spent
 from miho import Budget, Oracle
@@ -49,6 +51,34 @@ def test_the_bar_shows_it(
     assert " 75% |" in shown
     assert ", 2 of 3 descents agree, " in shown
     assert "at most 15 s left" in shown
+
+
+def test_a_compilation_is_told_while_it_lasts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of two functions, one in the other, that numba does not find in its cache."""
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    monkeypatch.setattr("experiments.progress.REFRESH_SECONDS", 0.01)
+    monkeypatch.setattr("experiments.progress.WORTH_TELLING", 0.0)
+    shown, deadline = "", time.monotonic() + 60
+    with progress("run", Budget(evaluations=100), "V"):
+        assert "compiling" not in capsys.readouterr().err
+        with event.trigger_event("numba:compile"), event.trigger_event("numba:compile"):
+            while "compiling, once on this machine" not in shown and time.monotonic() < deadline:
+                shown += capsys.readouterr().err
+    assert "run: compiling, once on this machine, 0 s" in shown
+
+
+def test_a_short_compilation_is_not_worth_telling(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    with (
+        progress("run", Budget(evaluations=100), "V"),
+        event.trigger_event("numba:compile"),
+    ):
+        pass
+    assert "compiling" not in capsys.readouterr().err
 
 
 def test_a_terminal_without_a_width_shows_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,118 @@
+"""What a machine that has never run the method compiles, and how that ends."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba import njit
+from numba.core import event
+from numba.extending import register_jitable
+from numpy.typing import NDArray
+
+from miho.optim import MIHOGN, Budget, minimize
+from miho.testing import DecayFit
+
+Array = NDArray[np.float64]
+ROOT = Path(__file__).parents[2]
+
+FIRST_RUN = """
+from numba.core import event
+from miho.optim import MIHOGN, Budget, minimize
+from decays import fit
+
+method = MIHOGN(brackets=3)
+with event.install_recorder("numba:compile") as compiled:
+    given = minimize(method, fit(linear=("a", "c")), Budget(evaluations=500))
+names = set()
+for _, one in compiled.buffer:
+    function = one.data["dispatcher"]
+    if function.py_func.__module__.startswith("miho.optim") and function.stats.cache_path:
+        names.add(function.py_func.__qualname__.split(".")[0])
+from miho.optim.gauss_newton import _distinct
+from miho.optim.steps import advance
+assert given.error is None, given.error
+print(*sorted(names), len(advance.signatures), len(_distinct.signatures))
+"""
+
+
+@pytest.mark.slow
+def test_a_compiled_problem_compiles_its_own_steps_once(tmp_path: Path) -> None:
+    """And not those from outside, which take as long again."""
+    environment = os.environ | {
+        "NUMBA_CACHE_DIR": str(tmp_path),
+        "NUMBA_OPT": "0",  # what is compiled need not be fast
+        "PYTHONPATH": os.pathsep.join([str(ROOT), str(Path(__file__).parent)]),
+    }
+    command = [sys.executable, "-c", FIRST_RUN]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["_distinct", "advance", "1", "1"]
+
+
+@pytest.mark.slow
+def test_two_workers_compile_the_steps_once(tmp_path: Path) -> None:
+    environment = os.environ | {
+        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
+        "NUMBA_DEBUG_CACHE": "1",  # tells of what is read and written
+        "NUMBA_OPT": "0",
+    }
+    command = [sys.executable, "-m", "experiments.identify", "-m", "model=torque_cubic",
+               "dataset=torque_15", "seed=range(4)", "sweep.processes=2",
+               f"root={tmp_path / 'runs'}"]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    saved = [line for line in done.stdout.splitlines() if "data saved to" in line]
+    assert sum("steps.advance." in line for line in saved) == 1, saved
+    assert len(saved) == len(set(saved))
+
+
+@register_jitable
+def first_part(x: float) -> float:
+    return x + 1.0
+
+
+@register_jitable
+def second_part(x: float) -> float:
+    return first_part(x) * 2.0
+
+
+class Compiling(DecayFit):
+    """Whose loss is compiled in three parts, the first of which the user interrupts."""
+
+    name = "compiling"
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        @njit
+        def whole(x: float) -> float:
+            return second_part(first_part(x))
+
+        whole(1.0)
+        return super().loss(thetas, fidelity)
+
+
+class Interrupting(event.Listener):  # type: ignore[misc]
+    """Sends Ctrl-C when the first compilation begins."""
+
+    def __init__(self) -> None:
+        self.begun = 0
+
+    def on_start(self, event: object) -> None:
+        self.begun += 1
+        if self.begun == 1:
+            signal.raise_signal(signal.SIGINT)
+
+    def on_end(self, event: object) -> None:
+        pass
+
+
+def test_ctrl_c_ends_a_warm_up_before_the_next_function() -> None:
+    listener = Interrupting()
+    with event.install_listener("numba:compile", listener), pytest.raises(KeyboardInterrupt):
+        minimize(MIHOGN(), Compiling(), Budget(evaluations=10))
+    assert listener.begun == 1
