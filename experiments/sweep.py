@@ -314,7 +314,7 @@ def _each(runs: Sequence[Wanted], settings: schema.SweepConfig) -> Iterator[Done
             raise Stopped(stop.number)
 
 
-def _done(ended: Ended[Wanted, Done]) -> Done:
+def _done(ended: Ended[Wanted, Done | None]) -> Done:
     """What a worker says, or what is known of a run whose worker says nothing."""
     one, reason, interrupted = ended.job, ended.reason, ended.interrupted
     if ended.result is not None:
