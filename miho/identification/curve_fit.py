@@ -34,8 +34,12 @@ FRACTION = 1e-12
 """A fidelity of m / N means m rows, whatever the rounding of the fraction."""
 FAR = 2.0
 """A nominal value this factor beyond the data is far from them."""
-ROUNDING = 1e-16
-"""Of the output's mean square: a loss below has only digits of rounding."""
+EPSILON = float(np.finfo(float).eps)
+ROUNDING = 100.0
+"""Of EPSILON: a root-mean-square error of this share of the output's is rounding. A row's residual
+is rounded by some EPSILON of the output, r, which moves a loss L by up to 2 r sqrt(L). That is
+never more than AGREEING L + (ROUNDING r)^2, within which two losses are one: 100 is
+1 / sqrt(AGREEING) (`miho.optim.evidence`)."""
 SCATTER = 100_000
 """Rows that tell how far points scatter."""
 BLOCK = 50_000
@@ -194,7 +198,16 @@ class CurveFit(LeastSquaresProblem):
     @cached_property
     def rounding(self) -> float:  # type: ignore[override]
         """The loss, in the output's unit squared, up to which a loss is 0."""
-        return ROUNDING * float(np.mean(self._output**2))
+        return (ROUNDING * EPSILON) ** 2 * float(np.mean(self._output**2))
+
+    @cached_property
+    def resolution(self) -> float:  # type: ignore[override]
+        """How close losses may be, in the output's unit squared, without being told apart.
+
+        Of losses as large as the output's variance, which are those of a fit that explains nothing,
+        a difference below EPSILON of that is rounding.
+        """
+        return max(EPSILON * float(np.var(self._output)), self.rounding)
 
     @cached_property
     def inputs(self) -> tuple[Array, ...]:

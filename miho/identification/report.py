@@ -196,7 +196,7 @@ class Report:
         problem = self.problem
         ends = sorted(end for each in self.searches for end in each.ends)
         loss = float(problem.loss(self.at.theta[None])[0])
-        here = ["yes" if in_optimum(loss, end, problem.rounding) else "no" for end in ends]
+        here = ["yes" if in_optimum(loss, end, problem.resolution) else "no" for end in ends]
         rows = {"descent": np.arange(len(ends)) + 1, "error": np.sqrt(ends), "ended here": here}
         return pd.DataFrame(rows)
 
@@ -426,7 +426,7 @@ def _standing(
     """What is known of the optimum that the report is of; `linear`: the best known is exact."""
     found = standing(
         optimum.cost / len(problem.dataset),
-        problem.rounding,
+        problem.resolution,
         searches,
         best_known=best_known,
         irreducible=_irreducible(problem),

@@ -78,7 +78,7 @@ def agreement(
     """How the losses at which descents ended agree.
 
     Losses are one optimum where they differ by less than AGREEING of the smaller one, or by less
-    than `rounding`, below which a loss of the problem is 0 (`Problem.rounding`): without it no two
+    than `rounding`, which the problem does not resolve (`Problem.resolution`): without it no two
     descents on data without noise would agree. `best` is the loss of the optimum in question, that
     of the best end unless it is known from elsewhere. `finished` is the number of descents where
     `ends` are only the best of them.

@@ -140,7 +140,7 @@ class Oracle:
         self.budget = budget
         self.space = problem.space if space is None else space
         self.meter = Meter() if meter is None else meter
-        self.meter.starts.rounding = problem.rounding
+        self.meter.starts.rounding = max(problem.rounding, problem.resolution)
         self.state: Any = None
         self.interrupted = False
         self._box = self.space.rounded

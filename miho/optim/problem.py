@@ -21,17 +21,19 @@ class Problem(ABC):
     `name` identifies the problem in seeds, stores and figures: two problems with one name are
     the same problem. `climb` makes steps of mutation and acceptance on this very loss, compiled,
     for problems that have a compiled loss and no parameter on a log scale. A loss up to `rounding`
-    is 0: its digits are rounding. One above `noise` is more than the noise of the data explains, as
-    far as a problem can tell: its model is another one than that of the data, or a better optimum
-    exists. `rows` is the number of rows of data, and says that a fidelity of m / rows takes the
-    first m of them, in the problem's own order; a problem without it has no cheaper versions of
-    itself.
+    is 0: its digits are rounding. Losses closer than `resolution` are not told apart: whoever sees
+    only losses ends so far above a minimum at 0. A loss above `noise` is more than the noise of the
+    data explains, as far as a problem can tell: its model is another one than that of the data, or
+    a better optimum exists. `rows` is the number of rows of data, and says that a fidelity of
+    m / rows takes the first m of them, in the problem's own order; a problem without it has no
+    cheaper versions of itself.
     """
 
     name: str
     space: Space
     climb: Climb | None = None
     rounding: float = 0.0
+    resolution: float = 0.0
     noise: float = math.inf
     rows: int | None = None
 

@@ -76,7 +76,8 @@ class Starts:
     """The starts of a run so far: how many were `screened`, and the descents from the best of them.
 
     A configuration is screened if it is looked at, on few rows or on all, to choose whether it is
-    followed; `descents` are in their order. Losses up to `rounding` are 0, as the problem says.
+    followed; `descents` are in their order. Losses closer than `rounding`, what the
+    problem does not resolve, are one.
     """
 
     screened: int = 0

@@ -80,6 +80,7 @@ class Outside(LeastSquaresProblem):
     def __init__(self, problem: LeastSquaresProblem, rows_said: bool = True) -> None:
         self.problem, self.name, self.space = problem, problem.name, problem.space
         self.linear, self.rounding, self.noise = problem.linear, problem.rounding, problem.noise
+        self.resolution = problem.resolution
         self.rows = problem.rows if rows_said else None
         self.residual_rows = self.jacobian_rows = 0
         self.asked: list[tuple[Array, int]] = []

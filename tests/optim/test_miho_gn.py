@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from miho.data import Dataset, load_published
 from miho.identification import CurveFit
@@ -229,6 +230,31 @@ def test_exact_data_are_fitted_to_their_rounding() -> None:
     assert record.loss <= problem.rounding
     assert record.theta is not None
     np.testing.assert_allclose(record.theta, [2.0, 0.7, 0.3], rtol=1e-7)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_large_offset_hides_no_noise(seed: int) -> None:
+    """Noise of 1e-9 of the output is not rounding: descents go on until its optimum.
+
+    That is by SciPy, without the offset, whose removal rounds by 1e-7 of the noise. Losses agree to
+    1e-5: rounding of the output, 1e-10, correlates with the noise of 1e-3 by chance.
+    """
+    offset, exact = 1e6, fit(400)
+    t, rng = exact.dataset["t"], np.random.default_rng(2)
+    y = offset + 2 * np.exp(-0.7 * t) + 1e-3 * rng.standard_normal(t.size)
+    c = replace(SPACE.parameters[2], low=0.0, high=2 * offset)
+    data = Dataset("offset", {"t": t, "y": y}, {"t": "s", "y": "V"}, "y")
+    problem = CurveFit(Decay(), data, Space((*SPACE.parameters[:2], c)))
+    best = least_squares(
+        lambda x: x[0] * np.exp(-x[1] * t) + x[2] - (y - offset),
+        [2, 0.7, 0],
+        xtol=1e-12,
+        ftol=1e-12,
+    )
+    record = minimize(MIHOGN(), problem, seed=seed)
+    assert record.outcome is Outcome.CONVERGED
+    assert record.descents is not None
+    assert record.descents.ends == pytest.approx([2 * best.cost / t.size] * 7, rel=1e-5)
 
 
 def test_what_one_row_in_a_hundred_tells_is_identified() -> None:

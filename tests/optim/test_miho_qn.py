@@ -245,7 +245,7 @@ def test_a_curve_fit_ends_by_itself_at_the_least_squares_optimum() -> None:
 
 
 def test_exact_data_end_by_themselves() -> None:
-    """A loss below the rounding of the data is zero, and all that come to it agree."""
+    """A loss that losses do not resolve is as good as zero, and all that come to it agree."""
     exact = fit()
     t = exact.dataset["t"]
     columns = {"t": t, "y": 2 * np.exp(-0.7 * t) + 0.3}
@@ -253,7 +253,7 @@ def test_exact_data_end_by_themselves() -> None:
     problem = CurveFit(decay, data, exact.space)
     record = minimize(MIHOQN(), problem, Budget(evaluations=5000))
     assert record.outcome is Outcome.CONVERGED
-    assert record.loss <= problem.rounding
+    assert record.loss <= problem.resolution
     assert record.theta is not None
     np.testing.assert_allclose(record.theta, [2, 0.7, 0.3], rtol=1e-6)
 
