@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
+from miho.identification.compiled_values import difference
 from miho.identification.compressed import CompressedLoss
 from miho.identification.fused import FusedLoss
 from miho.identification.irreducible import irreducible_interval
@@ -42,6 +43,8 @@ never more than AGREEING L + (ROUNDING r)^2, within which two losses are one: 10
 1 / sqrt(AGREEING) (`miho.optim.evidence`)."""
 SCATTER = 100_000
 """Rows that tell how far points scatter."""
+COMPARED = 1000
+"""Rows on which compiled values are compared with NumPy's."""
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
 
@@ -225,6 +228,38 @@ class CurveFit(LeastSquaresProblem):
             return None
         return FusedLoss(self.model, np.array(self.inputs), self._output, self._order, self.threads)
 
+    def _compiled(self, kind: str) -> FusedLoss | None:
+        """The compiled loss, if its `losses`, `residuals`, `jacobian` or `rows` are NumPy's.
+
+        They are compared at their first use, off the clock like their compilation.
+        """
+        if kind not in self._differences:
+            self._differences[kind] = self._compare(kind)
+        return None if self._differences[kind] else self._fused
+
+    @cached_property
+    def _differences(self) -> dict[str, str]:
+        """What is known of compiled values that are not NumPy's, by kind; empty where they are."""
+        return {}
+
+    def _compare(self, kind: str) -> str:
+        """Warn where compiled values are not NumPy's, which is used then."""
+        if self._fused is None:
+            return "not an expression"
+        some = self._order[:COMPARED]
+        X, y = np.array(self._inputs_of(some)), self._output[some]
+        part = FusedLoss(self._fused.model, X, y, np.arange(some.size))
+        found = difference(part, kind, self.space.decode(self.space.initial(TRIALS)))
+        if found:
+            warnings.warn(
+                f"{self.model.name or type(self.model).__name__}: {kind}: {found}; NumPy's are "
+                "used, which are slower: write it element by element with NumPy's functions of "
+                "numbers, or derive from Model",
+                UserWarning,
+                stacklevel=4,
+            )
+        return found
+
     @cached_property
     def _compressed(self) -> CompressedLoss | None:
         """The loss from few nodes, if it is wanted and the model allows it."""
@@ -238,7 +273,7 @@ class CurveFit(LeastSquaresProblem):
     @property
     def climb(self) -> Climb | None:  # type: ignore[override]
         """Compiled mutation steps, for a compiled loss and a space without log scales."""
-        compiled = self._compressed or self._fused
+        compiled = self._compressed or self._compiled("losses")
         if compiled is None or any(p.scale == "log" for p in self.space.parameters):
             return None
         return compiled.climb
@@ -274,15 +309,17 @@ class CurveFit(LeastSquaresProblem):
     @property
     def compiled_rows(self) -> CompiledRows | None:  # type: ignore[override]
         """Residuals and derivatives of a model that is an expression, compiled."""
-        return None if self._fused is None else self._fused.compiled_rows
+        compiled = self._compiled("rows")
+        return None if compiled is None else compiled.compiled_rows
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Mean squared error (n,) of parameter rows (n, d), over a fidelity of the data rows."""
         inputs, output, rows = self.inputs, self._output, self._rows(fidelity)
         if self._compressed is not None and rows == output.size:
             return self._compressed.losses(thetas)
-        if self._fused is not None:
-            return self._fused.losses(thetas, rows)
+        compiled = self._compiled("losses")
+        if compiled is not None:
+            return compiled.losses(thetas, rows)
         if rows < output.size:
             part = self._order[:rows]
             inputs, output = tuple(column[part] for column in inputs), output[part]
@@ -303,8 +340,8 @@ class CurveFit(LeastSquaresProblem):
     def errors(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Model minus data, (m,)."""
         part = self._part(fidelity)
-        if part is None and self._fused is not None:
-            return self._fused.residuals(theta)
+        if part is None and (compiled := self._compiled("residuals")) is not None:
+            return compiled.residuals(theta)
         errors = self.model.predict(theta[None], *self._inputs_of(part))[0]
         errors -= self._output if part is None else self._output[part]
         return np.asarray(errors)
@@ -316,8 +353,8 @@ class CurveFit(LeastSquaresProblem):
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals, (m, d)."""
         part = self._part(fidelity)
-        if part is None and self._fused is not None:
-            return self._fused.jacobian(theta)
+        if part is None and (compiled := self._compiled("jacobian")) is not None:
+            return compiled.jacobian(theta)
         derivatives = self.model.jacobian(theta, *self._inputs_of(part))
         if self._square:
             return derivatives

@@ -139,11 +139,9 @@ class FusedLoss:
         return losses
 
     def _explained(self, error: NumbaError) -> str:
-        said = [line.strip() for line in str(error).splitlines() if line.strip()]
-        cause = next((line for line in said if line.startswith(CAUSES)), said[0])
         return (
-            f"{type(self.model).__name__}: its value cannot be compiled: {cause}; write it with "
-            "arithmetic and NumPy's functions of numbers, or derive from Model"
+            f"{type(self.model).__name__}: its value cannot be compiled: {cause(error)}; write it "
+            "with arithmetic and NumPy's functions of numbers, or derive from Model"
         )
 
     def residuals(self, theta: Array) -> Array:
@@ -184,7 +182,7 @@ class _Compiled:
 
 @cache
 def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
-    columns = COLUMNS[p]
+    columns = columns_of(p)
     own = signed(formulas.signature)
     value, derivatives = map(register_jitable, formulas.copies())
     loss = _mean_square(value, own, p, d)
@@ -221,7 +219,7 @@ def _compile_rows(formulas: Signed, p: int, d: int) -> tuple[Any, Any]:
     Row by row, which the compiler turns into several at once: the temporaries of a block would cost
     more than a few rows do.
     """
-    columns, inputs, store = COLUMNS[p], INPUTS[p], _store_row
+    columns, inputs, store = columns_of(p), inputs_of(p), _store_row
     own = signed(formulas.signature)
     value, derivatives = map(register_jitable, formulas.copies())
 
@@ -274,7 +272,7 @@ def _mean_square(
     value: Formula, own: Sign, p: int, d: int
 ) -> Callable[[Array, float, _Data], float]:
     """The loss, which numba can compile: given up as soon as it is not below the limit."""
-    columns = COLUMNS[p]
+    columns = columns_of(p)
 
     @register_jitable(error_model="numpy")
     @own
@@ -295,6 +293,12 @@ def _mean_square(
     return cast(Callable[[Array, float, _Data], float], loss)
 
 
+def cause(error: NumbaError) -> str:
+    """The line of numba's message that says why something cannot be compiled."""
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return next((line for line in lines if line.startswith(CAUSES)), lines[0])
+
+
 def read_only(array: Array) -> Array:
     """The numbers in their order in memory, for compiled code that only reads them.
 
@@ -312,10 +316,24 @@ def as_tuple(theta: Array, d: int) -> tuple[float, ...]:
     return parameters
 
 
-@register_jitable
-def _store(columns: tuple[Array, ...], found: Array) -> None:
-    for k, column in enumerate(columns):
-        _put(column, found[k])
+def _store(values: Any, found: Any) -> None:
+    """Put columns, or numbers for a whole column, into the first ones of `found` (d, .)."""
+    for k, value in enumerate(values):
+        _put(value, found[k])
+
+
+@overload(_store)
+def _unrolled_columns(values: Any, found: Any) -> Callable[..., None]:
+    last = len(values) - 1
+
+    def store(values: Any, found: Any) -> None:
+        _store(values[:last], found)
+        _put(values[last], found[last])
+
+    def nothing(values: Any, found: Any) -> None:
+        pass
+
+    return nothing if last < 0 else store
 
 
 def _put(values: Any, to: Any) -> None:
@@ -382,48 +400,19 @@ def sum_of_squares(r: Array) -> float:
     return total
 
 
-@register_jitable
-def _one(X: Array, i: int, j: int) -> tuple[Array, ...]:
-    return (X[0, i:j],)
+def columns_of(p: int) -> Callable[[Array, int, int], tuple[Array, ...]]:
+    """Takes rows i to j of columns (p, N) as a tuple: compiled code needs to know its length."""
+    k = p - 1
+    if not k:
+        return register_jitable(lambda X, i, j: (X[k, i:j],))
+    before = columns_of(k)
+    return register_jitable(lambda X, i, j: (*before(X, i, j), X[k, i:j]))
 
 
-@register_jitable
-def _two(X: Array, i: int, j: int) -> tuple[Array, ...]:
-    return X[0, i:j], X[1, i:j]
-
-
-@register_jitable
-def _three(X: Array, i: int, j: int) -> tuple[Array, ...]:
-    return X[0, i:j], X[1, i:j], X[2, i:j]
-
-
-@register_jitable
-def _four(X: Array, i: int, j: int) -> tuple[Array, ...]:
-    return X[0, i:j], X[1, i:j], X[2, i:j], X[3, i:j]
-
-
-@register_jitable
-def _input(columns: tuple[Array, ...], row: int) -> tuple[float, ...]:
-    return (columns[0][row],)
-
-
-@register_jitable
-def _two_inputs(columns: tuple[Array, ...], row: int) -> tuple[float, ...]:
-    return columns[0][row], columns[1][row]
-
-
-@register_jitable
-def _three_inputs(columns: tuple[Array, ...], row: int) -> tuple[float, ...]:
-    return columns[0][row], columns[1][row], columns[2][row]
-
-
-@register_jitable
-def _four_inputs(columns: tuple[Array, ...], row: int) -> tuple[float, ...]:
-    return columns[0][row], columns[1][row], columns[2][row], columns[3][row]
-
-
-INPUTS = {1: _input, 2: _two_inputs, 3: _three_inputs, 4: _four_inputs}
-"""One row of the columns as a tuple, likewise."""
-
-COLUMNS = {1: _one, 2: _two, 3: _three, 4: _four}
-"""Blocks of the input columns as a tuple, by the number of inputs: numba needs its length."""
+def inputs_of(p: int) -> Callable[[tuple[Array, ...], int], tuple[float, ...]]:
+    """Takes one row of p columns as a tuple, likewise."""
+    k = p - 1
+    if not k:
+        return register_jitable(lambda columns, row: (columns[k][row],))
+    before = inputs_of(k)
+    return register_jitable(lambda columns, row: (*before(columns, row), columns[k][row]))

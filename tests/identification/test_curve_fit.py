@@ -73,6 +73,8 @@ def test_a_fidelity_is_compiled(fidelity: float, monkeypatch: pytest.MonkeyPatch
     part = p._order[: round(p.cost(fidelity) * 2000)]
     rows = p.model.predict(thetas, p.inputs[0][part]) - p.dataset["Fy"][part]
 
+    assert p.loss(thetas, fidelity).shape == (50,), "which compares it with NumPy's"
+
     def predict(*arguments: object) -> None:
         raise AssertionError("it went the way of NumPy")
 

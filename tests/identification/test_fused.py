@@ -5,18 +5,23 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pytest
+from numba.extending import overload
 from numpy.typing import NDArray
+from scipy.optimize import curve_fit
 
 from miho import MIHO, Budget, CurveFit, Dataset, Parameter, Space, minimize
 from miho.identification.fused import FusedLoss
 from miho.models import Model, Pacejka, PacejkaCurvature, TorqueCubic
 from miho.models.expression import Expression, Formula
+from miho.optim import MIHOGN
 from miho.optim.problem import mean_square
 
 Array = NDArray[np.float64]
@@ -154,6 +159,58 @@ def test_several_inputs() -> None:
     thetas = rng.standard_normal((20, 3))
     np.testing.assert_allclose(loss.losses(thetas), by_numpy(loss, thetas), rtol=RELATIVE)
     np.testing.assert_allclose(loss.jacobian(thetas[0]), loss.model.jacobian(thetas[0], *loss.X))
+
+
+@dataclass(frozen=True)
+class Sum(Expression):
+    """y = a_1 x_1 + ... + a_p x_p + c: derivatives that are the inputs, and a number."""
+
+    p: int
+
+    @property
+    def inputs(self) -> dict[str, str]:  # type: ignore[override]
+        return {f"x{k}": "1" for k in range(self.p)}
+
+    @property
+    def parameters(self) -> dict[str, str]:  # type: ignore[override]
+        return {**{f"a{k}": "1" for k in range(self.p)}, "c": "1"}
+
+    output = "1"
+
+    @property
+    def value(self) -> Formula:
+        if self.p == 1:
+            return lambda i, t: t[0] * i[0] + t[1]
+        return lambda i, t: (
+            t[0] * i[0] + t[1] * i[1] + t[2] * i[2] + t[3] * i[3] + t[4] * i[4] + t[5]
+        )
+
+    @property
+    def derivatives(self) -> Formula:
+        return (
+            (lambda i, t: (i[0], 1))
+            if self.p == 1
+            else (lambda i, t: (i[0], i[1], i[2], i[3], i[4], 1.0))
+        )
+
+
+@pytest.mark.parametrize("p", [1, 5])
+def test_derivatives_may_be_inputs_of_any_number(p: int) -> None:
+    """A line of one input and of five, whose least squares are known in closed form."""
+    rng, model = np.random.default_rng(5), Sum(p)
+    X, y = rng.standard_normal((p, 700)), rng.standard_normal(700)
+    columns = dict(zip([*model.inputs, "y"], [*X, y], strict=True))
+    data = Dataset("sum", columns, dict.fromkeys(columns, "1"), "y")
+    space = Space(tuple(Parameter(name, "1", -2, 2) for name in model.parameters))
+    problem = CurveFit(model, data, space)
+    theta = space.initial(1)[0]
+    A = np.vstack([X, np.ones(700)]).T
+    np.testing.assert_array_equal(problem.jacobian(theta), A)
+    np.testing.assert_allclose(problem.residuals(theta), A @ theta - y, atol=1e-14)
+    best, squares = np.linalg.lstsq(A, y)[:2]
+    record = minimize(MIHOGN(), problem)
+    np.testing.assert_allclose(record.theta, best, rtol=0, atol=1e-8)
+    assert record.loss == pytest.approx(squares[0] / 700, rel=1e-12)
 
 
 @dataclass(frozen=True)
@@ -360,3 +417,90 @@ def test_models_that_differ_in_a_number_are_told_apart_in_the_cache(tmp_path: Pa
         command = [sys.executable, str(tmp_path / "two_models.py"), *arguments]
         done = subprocess.run(command, capture_output=True, text=True, env=environment)
         assert done.returncode == 0, done.stderr
+
+
+def shifted(x: Any) -> Any:
+    """As NumPy sees it."""
+    return x
+
+
+@overload(shifted)
+def _as_compiled(x: Any) -> Any:
+    def compiled(x: Any) -> Any:
+        return x + SHIFT
+
+    return compiled
+
+
+SHIFT = 1e-3
+
+
+@pytest.mark.parametrize("wrong", ["value", "derivatives"])
+def test_compiled_values_that_are_not_numpys_are_not_used(wrong: str) -> None:
+    class Shifted(Expression):
+        inputs = MappingProxyType({"x": "1"})
+        parameters = MappingProxyType({"a": "1", "b": "1"})
+        output = "1"
+
+        @property
+        def value(self) -> Formula:
+            if wrong == "value":
+                return lambda i, t: t[0] * np.exp(-t[1] * shifted(i[0]))
+            return lambda i, t: t[0] * np.exp(-t[1] * i[0])
+
+        @property
+        def derivatives(self) -> Formula:
+            if wrong == "value":
+                return lambda i, t: (
+                    np.exp(-t[1] * i[0]),
+                    -t[0] * i[0] * np.exp(-t[1] * i[0]),
+                )
+            return lambda i, t: (
+                np.exp(-t[1] * shifted(i[0])),
+                -t[0] * i[0] * np.exp(-t[1] * i[0]),
+            )
+
+    x = np.linspace(0, 2, 300)
+    y = 2 * np.exp(-1.5 * x) + 0.01 * np.cos(40 * x)
+    data = Dataset("d", {"x": x, "y": y}, {"x": "1", "y": "1"}, "y")
+    space = Space((Parameter("a", "1", 0, 5), Parameter("b", "1", 0, 5)))
+    problem = CurveFit(Shifted(), data, space)
+    theta = np.array([2.5, 1.0])
+    with pytest.warns(UserWarning, match=r"Shifted: rows: compiled .* where NumPy gives .* at \["):
+        assert problem.compiled_rows is None
+    for kind in ["losses", "residuals"] if wrong == "value" else ["jacobian"]:
+        of_numpy = {
+            "losses": lambda: np.mean((problem.model.predict(theta[None], x) - y) ** 2, axis=1),
+            "residuals": lambda: problem.model.predict(theta[None], x)[0] - y,
+            "jacobian": lambda: problem.model.jacobian(theta, x),
+        }[kind]
+        with pytest.warns(UserWarning, match=f"Shifted: {kind}: compiled"):
+            given = problem.loss(theta[None]) if kind == "losses" else getattr(problem, kind)(theta)
+        np.testing.assert_allclose(given, of_numpy(), rtol=1e-14)
+    truth, _ = curve_fit(lambda x, a, b: a * np.exp(-b * x), x, y, [2, 1.5])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        record = minimize(MIHOGN(), problem)
+    np.testing.assert_allclose(record.theta, truth, rtol=1e-6)
+
+
+def test_what_cancels_is_compared_to_its_rounding() -> None:
+    """Two terms of 1e12 leave 1: NumPy and compiled code differ by 1e-4 of that, and are right."""
+
+    class Cancelling(Expression):
+        inputs = MappingProxyType({"x": "1"})
+        parameters = MappingProxyType({"a": "1", "b": "1"})
+        output = "1"
+        value = property(
+            lambda self: lambda i, t: 1e12 * np.exp(t[0] * i[0]) - 1e12 * np.exp(t[1] * i[0] * 1.0)
+        )
+        derivatives = property(
+            lambda self: (
+                lambda i, t: (1e12 * i[0] * np.exp(t[0] * i[0]), -1e12 * i[0] * np.exp(t[1] * i[0]))
+            )
+        )
+
+    x = np.linspace(0, 1, 50)
+    data = Dataset("d", {"x": x, "y": x}, {"x": "1", "y": "1"}, "y")
+    space = Space((Parameter("a", "1", 1, 1 + 1e-12), Parameter("b", "1", 1, 1 + 1e-12)))
+    assert CurveFit(Cancelling(), data, space).compiled_rows is not None
