@@ -25,6 +25,8 @@ CHUNK_SECONDS = 0.02
 OBSERVE_SECONDS = 0.1
 CHECKED_AT_ONCE = 1024
 REASONS = 20
+OFF_A_ROW, ROUNDED = 1e-6, 1e-15
+"""How far a sum of fractions may be off a whole number of rows, besides a few roundings of it."""
 NOT_FINITE = "loss is"
 """So begins the reason why a value was rejected that was computed and is not finite."""
 NONE, NOWHERE = np.empty(0), np.empty(0, np.int64)
@@ -123,6 +125,7 @@ class Oracle:
 
     Calling it evaluates a batch in order; an improvement inside a batch is recorded at its own
     evaluation. Values that are not finite numbers come back as +inf and never become best.
+    `rows` is how many rows of data there are, if a fidelity takes the first of them, else None.
     `state` is the place where a resumable method leaves its state. Once `interrupted` is set, the
     run ends with RunInterrupted at its next evaluation.
     """
@@ -139,6 +142,7 @@ class Oracle:
     ) -> None:
         self.budget = budget
         self.space = problem.space if space is None else space
+        self.rows = problem.rows
         self.meter = Meter() if meter is None else meter
         self.meter.starts.rounding = max(problem.rounding, problem.resolution)
         self.state: Any = None
@@ -220,11 +224,6 @@ class Oracle:
         return losses
 
     @property
-    def rows(self) -> int | None:
-        """How many rows of data there are, if a fidelity takes the first of them; else None."""
-        return self._problem.rows
-
-    @property
     def compiled_rows(self) -> CompiledRows | None:
         """Compiled residuals and derivatives, for blocks of evaluations (`spend`)."""
         return self._least_squares.compiled_rows
@@ -250,6 +249,10 @@ class Oracle:
         """A loss above this is more than the noise of the data explains, as far as is known."""
         return self._problem.noise
 
+    def affords(self, evaluations: float) -> bool:
+        """Whether the budget can pay for so many more evaluations, whatever their rounding."""
+        return self._after(evaluations) <= self._limit
+
     def cost(self, fidelity: float) -> float:
         """What one evaluation at a fidelity costs, in full evaluations."""
         return self._problem.cost(fidelity)
@@ -267,7 +270,7 @@ class Oracle:
         some, cost = self._of_rows(fidelity)
         if not goes_on:
             self._check_open()
-        if cost > self.remaining:
+        if not self.affords(cost):
             raise BudgetExhausted
         started = self.seconds
         self._count_outside(theta[None])
@@ -291,7 +294,7 @@ class Oracle:
         some, cost = self._of_rows(fidelity)
         cost *= self.jacobian_cost
         self._check_open()
-        if cost > self.remaining:
+        if not self.affords(cost):
             raise BudgetExhausted
         reason = "derivative is not finite"
         try:
@@ -450,8 +453,9 @@ class Oracle:
         if rows > 1:
             rate = meter.evaluations / meter.seconds if meter.seconds > 0 else 0.0
             rows = min(rows, max(1, int(CHUNK_SECONDS * rate / cost)))
-        if rows * cost > self.remaining:
+        if not self.affords(rows * cost):
             rows = int(self.remaining / cost)
+            rows += self.affords((rows + 1) * cost)
         return rows
 
     def _count_outside(self, rows: Array) -> None:
@@ -528,7 +532,7 @@ class Oracle:
             per_evaluation = (now - started) / evaluations
             for count, loss, theta in zip(at.tolist(), losses.tolist(), thetas, strict=True):
                 meter.trace.add(
-                    meter.evaluations + count,
+                    self._after(count),
                     now - per_evaluation * (evaluations - count),
                     meter.cpu_seconds,
                     loss,
@@ -547,7 +551,21 @@ class Oracle:
 
     def _spend(self, evaluations: float) -> None:
         """Count what was allowed: a sum of fractions is beyond the limit by its rounding only."""
-        self.meter.evaluations = min(self.meter.evaluations + evaluations, self._limit)
+        self.meter.evaluations = min(self._after(evaluations), self._limit)
+
+    def _after(self, evaluations: float) -> float:
+        """The count after so many more, which does not depend on the blocks that they came in.
+
+        On rows of data it is a whole number of them, divided once: sums of fractions would differ
+        in their last bits.
+        """
+        count = self.meter.evaluations + evaluations
+        if self.rows is None:
+            return count
+        rows = count * self.rows
+        whole = round(rows)
+        near = abs(rows - whole) <= OFF_A_ROW + ROUNDED * rows
+        return whole / self.rows if near else count
 
 
 def _read_only(array: Array) -> Array:

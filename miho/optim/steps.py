@@ -46,8 +46,6 @@ FINISHED, PAUSED = range(2)
 """Whether a block of steps was done to its end, or the next evaluation is beyond its allowance."""
 EVENTS = 4096
 """Looks at all rows in one block, each of which may improve."""
-ROUNDING = 1e-6
-"""Of a row: how far sums of fractions of evaluations may be off a whole number of rows."""
 
 
 def give_steps(
@@ -76,7 +74,7 @@ def give_steps(
     room = np.empty(room_for(d, m if c.rows.shape[2] else CHUNK, ends.size))
 
     def block(most: float, best: float, target: float) -> Block:
-        limit = int(min(most * N + ROUNDING, EVENTS * N))
+        limit = round(min(most, EVENTS) * N)  # most is of whole rows but for its rounding
         state, spent, found, nans, infinities, unusable = advance(
             rows.residuals, rows.slopes, rows.X, rows.y, *c[:4], box, ends, minima, rules,
             slope_cost, limit, best, target, at, losses, thetas, room,
@@ -117,7 +115,7 @@ def _from_outside(
                     c.stage[i] = UNUSABLE
             else:
                 cost = p + 1 if project else 1
-                if cost * share > oracle.remaining:
+                if not oracle.affords(cost * share):
                     raise BudgetExhausted
                 try:
                     loss = _look_outside(oracle, fidelity, c, i, box, ends, project, w)

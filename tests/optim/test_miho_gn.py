@@ -70,11 +70,7 @@ def test_a_run_cut_anywhere_goes_on_bit_exactly(problem: LeastSquaresProblem, st
         checkpoint = pickle.loads(pickle.dumps(cut.checkpoint))
         budget = Budget(evaluations=evaluations)
         cut = minimize(method, problem, budget, seed=2, checkpoint=checkpoint)
-    assert cut.trace.loss == whole.trace.loss
-    assert np.array_equal(np.array(cut.trace.theta), np.array(whole.trace.theta))
-    np.testing.assert_allclose(cut.trace.evaluations, whole.trace.evaluations, rtol=1e-12)
-    assert cut.evaluations == pytest.approx(whole.evaluations, rel=1e-12)
-    assert cut.descents == whole.descents
+    assert same(cut, whole)
 
 
 def test_a_share_is_what_it_was_however_often_a_run_is_cut() -> None:
@@ -89,8 +85,7 @@ def test_a_share_is_what_it_was_however_often_a_run_is_cut() -> None:
         cut = minimize(MIHOGN(), problem, budget, seed=0, checkpoint=cut.checkpoint)
     assert whole.checkpoint is not None
     assert whole.checkpoint.state.aside or whole.checkpoint.state.share
-    assert cut.trace.loss == whole.trace.loss
-    assert cut.trace.evaluations == pytest.approx(whole.trace.evaluations, abs=1e-9)  # sums of 1/N
+    assert same(cut, whole)
 
 
 def test_sums_of_a_minimum_are_of_the_rows_of_each_level() -> None:

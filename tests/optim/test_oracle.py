@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 
 from miho import Budget, LeastSquaresProblem, Oracle, Parameter, Problem, Space
 from miho.optim import BudgetExhausted, Clock, Meter, RunInterrupted, Trace, UnusableValueError
+from miho.optim.oracle import Block
 from miho.testing import DecayFit
 
 Array = NDArray[np.float64]
+NOTHING = np.empty(0)
 SPACE = Space((Parameter("x", "m", -10.0, 10.0),))
 
 
@@ -194,6 +196,32 @@ def test_a_fidelity_costs_its_fraction_and_never_becomes_best() -> None:
     assert oracle.trace.evaluations == [2]
     with pytest.raises(ValueError, match="fidelity is 0"):
         Oracle(Given(), Budget())(column(1), fidelity=0.0)
+
+
+@pytest.mark.parametrize("N", [3, 600, 701, 1_000_003])
+@pytest.mark.parametrize("seed", range(3))
+def test_the_count_of_rows_does_not_depend_on_how_they_are_cut(N: int, seed: int) -> None:
+    """By one batch, by single rows, and by compiled blocks: the quotient of two whole numbers."""
+    rng = np.random.default_rng(seed)
+    parts = rng.integers(1, max(2, N // 2), 200)
+    limit = -(-int(parts.sum()) // N)
+
+    def blocks(most: float, best: float, target: float) -> Block:
+        rows = parts[done[0]]
+        done[0] += 1
+        return Block(rows / N, NOTHING, NOTHING, NOTHING[:, None], {}, done[0] == parts.size)
+
+    problem = Given()
+    problem.rows = N
+    compiled, batches = (Oracle(problem, Budget(evaluations=limit)) for _ in range(2))
+    done = [0]
+    compiled.spend(blocks, 0.0)
+    for rows in parts:
+        batches(column(1), fidelity=rows / N)
+    assert compiled.evaluations == batches.evaluations == int(parts.sum()) / N
+    rest = limit * N - int(parts.sum())
+    assert batches.affords(rest / N)
+    assert not batches.affords((rest + 1) / N)
 
 
 def test_a_problem_may_reuse_its_buffer() -> None:
