@@ -43,6 +43,8 @@ never more than AGREEING L + (ROUNDING r)^2, within which two losses are one: 10
 1 / sqrt(AGREEING) (`miho.optim.evidence`)."""
 SCATTER = 100_000
 """Rows that tell how far points scatter."""
+REMEMBERED = 1 << 20
+"""Errors that are kept for the derivatives of a robust loss at the same configurations."""
 COMPARED = 1000
 """Rows on which compiled values are compared with NumPy's."""
 BLOCK = 50_000
@@ -307,6 +309,11 @@ class CurveFit(LeastSquaresProblem):
         return None if rows == len(self.dataset) else self._order[:rows]
 
     @property
+    def jacobian_cost(self) -> int | None:  # type: ignore[override]
+        """What the model's Jacobian costs, in evaluations."""
+        return self.model.jacobian_cost
+
+    @property
     def compiled_rows(self) -> CompiledRows | None:  # type: ignore[override]
         """Residuals and derivatives of a model that is an expression, compiled."""
         compiled = self._compiled("rows")
@@ -348,7 +355,18 @@ class CurveFit(LeastSquaresProblem):
 
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Model minus data, transformed by rho, (m,)."""
-        return self.rho.transform(self.errors(theta, fidelity))
+        errors = self.errors(theta, fidelity)
+        if self._square:
+            return errors
+        while len(self._known_errors) >= max(1, REMEMBERED // errors.size):
+            del self._known_errors[next(iter(self._known_errors))]
+        self._known_errors[theta.tobytes(), errors.size] = errors.copy()
+        return self.rho.transform(errors)
+
+    @cached_property
+    def _known_errors(self) -> dict[tuple[bytes, int], Array]:
+        """The latest errors, by configuration and rows: what robust derivatives need as well."""
+        return {}
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals, (m, d)."""
@@ -358,7 +376,10 @@ class CurveFit(LeastSquaresProblem):
         derivatives = self.model.jacobian(theta, *self._inputs_of(part))
         if self._square:
             return derivatives
-        return np.asarray(slope(self.rho, self.errors(theta, fidelity))[:, None] * derivatives)
+        errors = self._known_errors.get((theta.tobytes(), len(derivatives)))
+        if errors is None:
+            errors = self.errors(theta, fidelity)
+        return np.asarray(slope(self.rho, errors)[:, None] * derivatives)
 
     def _inputs_of(self, part: NDArray[np.intp] | None) -> tuple[Array, ...]:
         if part is None:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.models.model import Model, central_differences
+from miho.models.model import DifferencedModel, Model
 from miho.regular_file import read_regular
 
 Array = NDArray[np.float64]
@@ -23,7 +23,7 @@ COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEY
 
 
 @dataclass(frozen=True)
-class FunctionModel(Model):
+class FunctionModel(DifferencedModel):
     """A function whose positional arguments are input columns, keyword-only ones parameters.
 
     Annotations are units, as strings; the model is called after the function:
@@ -35,7 +35,8 @@ class FunctionModel(Model):
     give (n, N); a result (n, 1) is the same for all rows of data. With `batched` false it gets
     one row of parameters at a time, as numbers, and gives (N,) or a number: slower, but it may
     branch. `linear` names the parameters in which the output is jointly linear; nobody checks it
-    but `miho.testing.check_model`. Derivatives are central differences.
+    but `miho.testing.check_model`. Derivatives are central differences, which count
+    two evaluations for each parameter.
 
     Raises ValueError for another signature, and where the function raises or gives another
     shape; NaN and infinity are values like any other, so NumPy does not warn of them.
@@ -108,10 +109,6 @@ class FunctionModel(Model):
                 f"({n}, 1); expected ({n}, {rows}); {REMEDY}"
             )
         return np.broadcast_to(values, (n, rows)).astype(float)
-
-    def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Derivatives of the outputs, (N, d), by central differences."""
-        return central_differences(self, theta, *inputs)
 
     def _row(self, theta: Array, columns: Sequence[Array]) -> Array:
         values = self._call(columns, theta.tolist())

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,8 @@ class Model(ABC):
     belong to this package, so that a change of it is noticed; an `ordered` model needs every row
     of the data in order, as one with a memory does. `nominal` gives of some inputs the value that
     the parameters refer to, as (what it is called, value): far outside of the data, their values
-    are extrapolations.
+    are extrapolations. `jacobian_cost` is how many rows of `predict` a Jacobian takes the time of:
+    None for the number of parameters, as which derivatives of a model's own count.
     """
 
     inputs: Mapping[str, str]
@@ -38,6 +40,7 @@ class Model(ABC):
     source: Path | None = None
     ordered: bool = False
     nominal: Mapping[str, tuple[str, float]] = MappingProxyType({})
+    jacobian_cost: int | None = None
 
     @abstractmethod
     def predict(self, thetas: Array, *inputs: Array) -> Array:
@@ -49,6 +52,20 @@ class Model(ABC):
     @abstractmethod
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives of the outputs, (N, d), at one configuration (d,)."""
+
+
+class DifferencedModel(Model):
+    """A model without derivatives of its own: they are `central_differences`, 2 d values a row."""
+
+    @final
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Derivatives of the outputs, (N, d), to some 1e-10 of their size in smooth models."""
+        return central_differences(self, theta, *inputs)
+
+    @property
+    def jacobian_cost(self) -> int:  # type: ignore[override]
+        """Two values for each parameter; a few more near 0, or where values are not finite."""
+        return 2 * len(self.parameters)
 
 
 def central_differences(model: Model, theta: Array, *inputs: Array) -> Array:

@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from miho.models.elementary import atan, sin
-from miho.models.model import Model, central_differences
+from miho.models.model import DifferencedModel
 from miho.models.signature import signature_of, signed
 from miho.models.single_track import SingleTrack
 from miho.models.vehicle_settings import from_settings
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class SingleTrackResponse(Model):
+class SingleTrackResponse(DifferencedModel):
     """Yaw rate r [rad/s] over time t [s], from steering [rad] and speed vx [m/s], ISO-W signs.
 
         m (v_y' + v_x r) = F_yf cos(delta) + F_yr     I_zz r' = l_f F_yf cos(delta) - l_r F_yr
@@ -68,10 +68,6 @@ class SingleTrackResponse(Model):
                 np.diff(t), speed, delta, np.cos(delta),
             ).T
         )  # fmt: skip
-
-    def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Derivatives of the yaw rate, (N, 7), by central differences: some 1e-9 of their size."""
-        return central_differences(self, theta, *inputs)
 
 
 def _with_halves(column: Array) -> Array:

@@ -74,7 +74,7 @@ class LeastSquaresProblem(Problem):
     the rows of all residuals in that order, None if they stand in it.
 
     `jacobian_cost` is what one Jacobian costs in evaluations; a problem without it pays the
-    number of parameters, as finite differences would. `linear` names parameters in which the
+    number of parameters, as forward differences would. `linear` names parameters in which the
     residuals are jointly linear: with all others held, they are an offset plus a fixed
     combination of these, a (x + b) thus in a or in b but not in both.
     """

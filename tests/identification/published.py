@@ -7,11 +7,11 @@ import numpy as np
 from miho.data import Dataset
 from miho.identification import CurveFit
 from miho.identification.loss import Loss, Square
-from miho.models.model import Array, Model, central_differences
+from miho.models.model import Array, DifferencedModel, Model
 from miho.optim import Parameter, Space
 
 
-class Misra1a(Model):
+class Misra1a(DifferencedModel):
     """y = b1 (1 - exp(-b2 x))."""
 
     inputs = MappingProxyType({"x": "-"})
@@ -22,11 +22,8 @@ class Misra1a(Model):
         b1, b2 = thetas.T[:, :, None]
         return np.asarray(b1 * -np.expm1(-b2 * inputs[0]))
 
-    def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        return central_differences(self, theta, *inputs)
 
-
-class MGH09(Model):
+class MGH09(DifferencedModel):
     """y = b1 (x^2 + b2 x) / (x^2 + b3 x + b4)."""
 
     inputs = MappingProxyType({"x": "-"})
@@ -38,11 +35,8 @@ class MGH09(Model):
         x = inputs[0]
         return np.asarray(b1 * (x**2 + b2 * x) / (x**2 + b3 * x + b4))
 
-    def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        return central_differences(self, theta, *inputs)
 
-
-class MichaelisMenten(Model):
+class MichaelisMenten(DifferencedModel):
     """rate = Vm conc / (K + conc)."""
 
     inputs = MappingProxyType({"x": "-"})
@@ -52,9 +46,6 @@ class MichaelisMenten(Model):
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         Vm, K = thetas.T[:, :, None]
         return np.asarray(Vm * inputs[0] / (K + inputs[0]))
-
-    def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        return central_differences(self, theta, *inputs)
 
 
 class Line(Model):

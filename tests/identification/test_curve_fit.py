@@ -1,16 +1,20 @@
 """The identification problem: its loss is Eq. 5, in any batch."""
 
+import contextlib
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 import pytest
 from numba import njit
 
 from miho import Budget, CurveFit, Dataset, Oracle, Parameter, Space
-from miho.identification.loss import Cauchy, Loss, Square
+from miho.identification.loss import Cauchy, Huber, Loss, Square
 from miho.models import Pacejka, PacejkaCurvature, TorqueCubic
 from miho.models.expression import Expression
+from miho.models.model import DifferencedModel, Model
 from miho.models.published import FORMS, PublishedModel
+from miho.optim import MIHOGN, BudgetExhausted
 from tests.identification import published
 
 SPACE = Space(
@@ -272,3 +276,48 @@ def test_a_function_is_a_model() -> None:
         with pytest.raises(ValueError, match=message) as caught:
             CurveFit(wrong, data, space)  # type: ignore[arg-type]
         assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("rho", [Square(), Huber(0.02)], ids=["square", "huber"])
+@pytest.mark.parametrize("own", [True, False], ids=["derivatives", "differences"])
+def test_books_are_of_the_values_that_a_model_gave(own: bool, rho: Loss) -> None:
+    """Residuals, Jacobians and all of a run; a robust loss needs no values for its derivatives
+    besides those of the residuals. A Jacobian of the model's own counts d of them."""
+    values = 0
+
+    class Counted(DifferencedModel if not own else Model):  # type: ignore[misc]
+        inputs = MappingProxyType({"t": "s"})
+        parameters = MappingProxyType({"a": "V", "b": "1/s", "c": "V"})
+        output = "V"
+
+        def predict(self, thetas: np.ndarray, *inputs: np.ndarray) -> np.ndarray:
+            nonlocal values
+            values += len(thetas) * inputs[0].size
+            a, b, c = thetas.T[:, :, None]
+            return np.asarray(a * np.exp(-b * inputs[0]) + c)
+
+        if own:
+
+            def jacobian(self, theta: np.ndarray, *inputs: np.ndarray) -> np.ndarray:
+                nonlocal values
+                values += 3 * inputs[0].size
+                a, b, _ = theta
+                decay = np.exp(-b * inputs[0])
+                return np.stack([decay, -a * inputs[0] * decay, np.ones_like(decay)], axis=1)
+
+    rng, t = np.random.default_rng(6), np.linspace(0, 5, 301)
+    y = 2 * np.exp(-0.7 * t) + 0.3 + 0.02 * rng.standard_t(3, t.size)
+    data = Dataset("d", {"t": t, "y": y}, {"t": "s", "y": "V"}, "y")
+    sides = {"a": ("V", 0.1, 9.0), "b": ("1/s", 0.01, 9.0), "c": ("V", 0.01, 9.0)}
+    space = Space(tuple(Parameter(name, *side) for name, side in sides.items()))
+    fit = CurveFit(Counted(), data, space, rho)
+    oracle, theta = Oracle(fit, Budget()), np.array([2.5, 0.5, 0.2])
+    values = 0
+    for fidelity in (1.0, 40 / 301):
+        oracle.residuals(theta, fidelity)
+        oracle.jacobian(theta, fidelity)
+        assert values / 301 == oracle.evaluations
+    oracle, values = Oracle(fit, Budget(evaluations=60)), 0
+    with contextlib.suppress(BudgetExhausted):
+        MIHOGN().run(oracle, np.random.default_rng(0))
+    assert values / 301 == oracle.evaluations
