@@ -15,7 +15,7 @@ from miho.data.dataset import Dataset
 from miho.identification.compiled_values import difference
 from miho.identification.compressed import CompressedLoss
 from miho.identification.fused import FusedLoss
-from miho.identification.irreducible import irreducible_interval
+from miho.identification.irreducible import irreducible_interval, irreducible_limit
 from miho.identification.loss import Loss, Square, slope
 from miho.identification.row_order import row_order
 from miho.models.expression import Expression
@@ -41,8 +41,11 @@ ROUNDING = 100.0
 is rounded by some EPSILON of the output, r, which moves a loss L by up to 2 r sqrt(L). That is
 never more than AGREEING L + (ROUNDING r)^2, within which two losses are one: 100 is
 1 / sqrt(AGREEING) (`miho.optim.evidence`)."""
-SCATTER = 100_000
-"""Rows that tell how far points scatter."""
+FEWEST = 3
+"""Rows that tell of any."""
+SCATTER, SCATTERED = 100_000, 20_000
+"""Rows that tell how far points scatter, of one input; of several, where looking for neighbours
+takes longer the more inputs there are."""
 REMEMBERED = 1 << 20
 """Errors that are kept for the derivatives of a robust loss at the same configurations."""
 COMPARED = 1000
@@ -191,14 +194,17 @@ class CurveFit(LeastSquaresProblem):
     def noise(self) -> float:  # type: ignore[override]
         """The mean square that is not the model's: how far neighbouring points scatter at most.
 
-        The upper end of an interval for it (see `irreducible_interval`), for models of one input;
-        of long data some rows tell it.
+        The upper end of an interval for it, see `irreducible_interval` for one input and
+        `irreducible_limit` for several; of long data some rows tell it.
         """
-        if not self._square or len(self.inputs) != 1 or self.model.ordered:
+        if not self._square or self.model.ordered or len(self.dataset) < FEWEST:
             return math.inf
-        every = slice(None, None, -(-len(self.dataset) // SCATTER))
-        high = irreducible_interval(self.inputs[0][every], self._output[every]).high
-        return math.inf if math.isnan(high) else float(high) ** 2
+        most = SCATTER if len(self.inputs) == 1 else SCATTERED
+        every = slice(None, None, -(-len(self.dataset) // most))
+        X, y = np.array(self.inputs)[:, every], self._output[every]
+        if len(X) == 1:
+            return float(irreducible_interval(X[0], y).high) ** 2
+        return irreducible_limit(X, y) ** 2
 
     @cached_property
     def rounding(self) -> float:  # type: ignore[override]

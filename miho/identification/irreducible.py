@@ -7,11 +7,16 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.special import chdtri
+
+from miho.optim.seeds import stream
 
 Array = NDArray[np.float64]
 
 
+TIED = 1e-9
+"""Of an input's spread: points this near are one."""
 RESOLVED = 0.5
 """An estimate whose interval reaches below this fraction of it is of no use."""
 
@@ -66,6 +71,32 @@ def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible
     lowest = square * freedom / float(chdtri(freedom, tail)) - bend
     highest = square * freedom / max(float(chdtri(freedom, 1 - tail)), np.finfo(float).tiny)
     return Irreducible(value, math.sqrt(max(0.0, lowest)), math.sqrt(highest))
+
+
+def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
+    """The upper end of such an interval around a function of several inputs X (p, N), in y's unit.
+
+    Half the squared difference of two points has the noise's variance for its mean, if errors are
+    independent, and what the function differs by on top: it is above the truth where points lie
+    far apart, as they do the farther the more inputs there are. The pairs are points that are each
+    other's nearest neighbour, with each input in units of its spread, so that none shares a point
+    with another; points as near, as on a grid, are told apart by chance. math.inf for fewer than
+    five pairs.
+    """
+    spread = X.std(axis=1, keepdims=True)
+    Z = ((X - X.mean(axis=1, keepdims=True)) / np.where(spread > 0, spread, 1.0)).T
+    Z += TIED * stream("neighbours").standard_normal(Z.shape)
+    nearest = cKDTree(Z).query(Z, k=2)[1][:, 1]
+    own = np.arange(y.size)
+    pairs = own[(nearest[nearest] == own) & (own < nearest)]
+    squares = (y[pairs] - y[nearest[pairs]]) ** 2 / 2
+    if pairs.size < 5:
+        return math.inf
+    if not squares.any():
+        return 0.0
+    # of normal errors e^4 / 3 estimates the variance's square, as in `_variance`
+    freedom = 3 * float(squares.sum()) ** 2 / float((squares**2).sum())
+    return math.sqrt(squares.mean() * freedom / chdtri(freedom, (1 + level) / 2))
 
 
 def _pseudo_residuals(x: Array, y: Array) -> tuple[Array, Array]:

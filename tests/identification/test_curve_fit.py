@@ -321,3 +321,20 @@ def test_books_are_of_the_values_that_a_model_gave(own: bool, rho: Loss) -> None
     with contextlib.suppress(BudgetExhausted):
         MIHOGN().run(oracle, np.random.default_rng(0))
     assert values / 301 == oracle.evaluations
+
+
+def test_a_wrong_optimum_of_two_inputs_is_more_than_the_noise() -> None:
+    """A wave in x as high as z says, in more rows than are looked at; the wrong one is 10 % off."""
+    rng = np.random.default_rng(8)
+    x, z = rng.uniform(0, 5, (2, 25_000))
+    y = np.sin(x) * z + rng.normal(0, 0.1, x.size)
+    units = dict.fromkeys(("x", "z", "y"), "1")
+    data = Dataset("wave", {"x": x, "z": z, "y": y}, units, "y")
+
+    def wave(x: "1", z: "1", *, a: "1", k: "1") -> "1":  # type: ignore[syntax]
+        return a * np.sin(k * x) * z
+
+    space = Space((Parameter("a", "1", 0, 3), Parameter("k", "1", 0, 3)))
+    fit = CurveFit(wave, data, space)  # type: ignore[arg-type]
+    right, wrong = fit.loss(np.array([[1.0, 1.0], [0.9, 1.1]]))
+    assert right < fit.noise < wrong

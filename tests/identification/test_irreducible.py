@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from miho.identification import irreducible_error
-from miho.identification.irreducible import irreducible_interval
+from miho.identification.irreducible import irreducible_interval, irreducible_limit
 
 
 def test_it_finds_the_noise_of_a_smooth_curve() -> None:
@@ -50,3 +50,31 @@ def test_points_too_far_apart_tell_nothing() -> None:
     assert found.low == 0
     assert not found.resolved
     assert irreducible_interval(x[:4], x[:4] ** 2).high == math.inf
+
+
+def test_the_limit_of_several_inputs_is_above_the_noise() -> None:
+    """Nominally 975 of 1,000; a binomial of that is below 955 once in ten thousand."""
+    rng = np.random.default_rng(3)
+    limits = [
+        irreducible_limit(rng.uniform(-1, 1, (2, 100)), rng.normal(0, 2.0, 100))
+        for _ in range(1000)
+    ]
+    assert 955 <= sum(limit >= 2.0 for limit in limits) < 1000
+    for p, rows in ((2, 200), (3, 2000), (5, 500)):
+        X = rng.uniform(-1, 1, (p, rows))
+        y = np.sin(2 * X[0]) * X[1] + rng.normal(0, 0.1, rows)
+        assert irreducible_limit(X, y) >= 0.1, "what the function does adds to it"
+
+
+def test_the_limit_of_several_inputs_is_near_the_noise() -> None:
+    """Of 600 rows it is some 10 % above, in any units and places of the inputs, on a grid and of
+    repeated rows too: 3 to 4 standard deviations of 100 pairs and more are 20 % to 40 %."""
+    rng = np.random.default_rng(4)
+    grid = np.array(np.meshgrid(np.arange(20.0), np.arange(30.0))).reshape(2, -1)
+    repeated = np.repeat(rng.uniform(-1, 1, (2, 150)), 4, axis=1)
+    for X in (rng.uniform(-1, 1, (2, 600)), grid, 1e9 + 1e-3 * grid, repeated):
+        assert irreducible_limit(X, rng.normal(0, 3.0, 600)) == pytest.approx(3.3, rel=0.3)
+    assert irreducible_limit(repeated, 1e3 * repeated[0] + rng.normal(0, 3.0, 600)) < 4.2
+    constant = np.stack([rng.uniform(-1, 1, 600), np.full(600, 7.0)])
+    assert irreducible_limit(constant, 5 * constant[1]) == 0.0
+    assert irreducible_limit(grid[:, :5], np.arange(5.0)) == math.inf
