@@ -64,7 +64,8 @@ def _tolerance(values: Values, theta: Array) -> Array:
 
 def _largest(values: Array) -> Array:
     """The largest finite one of each column of rows, (..., 1)."""
-    return np.abs(np.where(np.isfinite(values), values, 0.0)).max(axis=-1, keepdims=True)
+    finite = np.where(np.isfinite(values), values, 0.0)
+    return np.asarray(np.abs(finite).max(axis=-1, keepdims=True))
 
 
 def _losses(loss: FusedLoss) -> tuple[Values, Values]:

@@ -400,8 +400,8 @@ def sum_of_squares(r: Array) -> float:
     return total
 
 
-def columns_of(p: int) -> Callable[[Array, int, int], tuple[Array, ...]]:
-    """Takes rows i to j of columns (p, N) as a tuple: compiled code needs to know its length."""
+def columns_of(p: int) -> Any:
+    """(X, i, j) -> rows i to j of columns (p, N) as a tuple: compiled code needs its length."""
     k = p - 1
     if not k:
         return register_jitable(lambda X, i, j: (X[k, i:j],))
@@ -409,8 +409,8 @@ def columns_of(p: int) -> Callable[[Array, int, int], tuple[Array, ...]]:
     return register_jitable(lambda X, i, j: (*before(X, i, j), X[k, i:j]))
 
 
-def inputs_of(p: int) -> Callable[[tuple[Array, ...], int], tuple[float, ...]]:
-    """Takes one row of p columns as a tuple, likewise."""
+def inputs_of(p: int) -> Any:
+    """(columns, row) -> one row of p columns as a tuple, likewise."""
     k = p - 1
     if not k:
         return register_jitable(lambda columns, row: (columns[k][row],))

@@ -86,7 +86,7 @@ def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
     spread = X.std(axis=1, keepdims=True)
     Z = ((X - X.mean(axis=1, keepdims=True)) / np.where(spread > 0, spread, 1.0)).T
     Z += TIED * stream("neighbours").standard_normal(Z.shape)
-    nearest = cKDTree(Z).query(Z, k=2)[1][:, 1]
+    nearest = np.asarray(cKDTree(Z).query(Z, k=2)[1])[:, 1]
     own = np.arange(y.size)
     pairs = own[(nearest[nearest] == own) & (own < nearest)]
     squares = (y[pairs] - y[nearest[pairs]]) ** 2 / 2
