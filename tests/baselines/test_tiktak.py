@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 def test_it_finds_the_certified_minimum() -> None:
     """To ten digits, as a descent ends where a step gains less than 1e-10."""
-    record = minimize(TikTak(), mgh09(), Budget(evaluations=20_000), seed=1)
+    record = minimize(TikTak(), mgh09(), Budget(evaluations=40_000), seed=1)
     assert record.outcome is Outcome.CONVERGED
     assert record.loss * 11 == pytest.approx(3.0750560385e-4, rel=1e-9)
 
