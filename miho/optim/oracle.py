@@ -330,11 +330,7 @@ class Oracle:
             most = min(self.remaining, max(CHUNK_SECONDS * rate, least))
             started = self.seconds
             done = block(most, meter.best, self._target)
-            for reason, count in done.rejected.items():
-                meter.reject(reason, count)
-            if done.losses.size:
-                self._count_outside(done.thetas)
-            self._keep(done.at, done.losses, done.thetas, done.evaluations, started)
+            self._take(done, started)
             self._check_end()
             if done.finished:
                 return
@@ -406,18 +402,14 @@ class Oracle:
         reached, which ends the run at its next evaluation. `climbing_evaluations` says how many
         may be asked.
         """
-        climb, meter = self._problem.climb, self.meter
+        climb = self._problem.climb
         if climb is None or (len(noise) + 1) * len(P) > self.remaining:
             raise ValueError("more steps than climbing_evaluations allows")
         started = self.seconds
-        block = climb(first, P, L, noise, sigma, bounds, meter.best, self._target, early_stopping)
-        evaluations = block.steps * len(P)
-        for value, count in (("nan", block.nans), ("inf", block.infinities)):
-            if count:
-                meter.reject(f"{NOT_FINITE} {value}", count)
-        if block.losses.size:
-            self._count_outside(block.thetas)
-        self._keep(block.at.astype(float), block.losses, block.thetas, evaluations, started)
+        block = climb(first, P, L, noise, sigma, bounds, self.best, self._target, early_stopping)
+        rejected = {f"{NOT_FINITE} nan": block.nans, f"{NOT_FINITE} inf": block.infinities}
+        at, spent = block.at.astype(float), block.steps * len(P)
+        self._take(Block(spent, at, block.losses, block.thetas, rejected, True), started)
         return block.steps
 
     def stop(self) -> None:
@@ -516,6 +508,15 @@ class Oracle:
         else:
             improving, found, thetas = NOWHERE, NONE, rows[:0]
         self._keep((improving + 1).astype(float), found, thetas, losses.size * cost, started)
+
+    def _take(self, block: Block, started: float) -> None:
+        """Count what compiled code did, and keep its improvements."""
+        for reason, count in block.rejected.items():
+            if count:
+                self.meter.reject(reason, count)
+        if block.losses.size:
+            self._count_outside(block.thetas)
+        self._keep(block.at, block.losses, block.thetas, block.evaluations, started)
 
     def _keep(
         self, at: Array, losses: Array, thetas: Array, evaluations: float, started: float

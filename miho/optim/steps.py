@@ -89,7 +89,7 @@ def give_steps(
             at[:found] / N,
             losses[:found],
             thetas[:found],
-            {reason: count for reason, count in counts.items() if count},
+            counts,
             state == FINISHED,
         )
 
