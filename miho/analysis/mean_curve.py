@@ -14,7 +14,7 @@ from miho.analysis.curves import Axis, positions, step
 Array = NDArray[np.float64]
 Picks = NDArray[np.intp]
 
-ENDED_BY_ITSELF = ("converged", "failed")
+ENDED_BY_ITSELF = ("converged", "brackets", "failed")
 
 
 @dataclass(frozen=True, eq=False)

@@ -42,8 +42,8 @@ class Agreement:
     """How the ends of `finished` independent descents agree.
 
     `best` is the loss of the optimum in question, math.inf if there is none; `here` of the descents
-    ended in it, and all together in `optima` different ones. `unseen` is the probability that one
-    more ends in an optimum that none has ended in, 1 if nothing is known of it.
+    ended in it, and all together in `optima` different ones at most. `unseen` is the probability
+    that one more ends in an optimum that none has ended in, 1 if nothing is known of it.
     """
 
     best: float
@@ -74,6 +74,7 @@ def agreement(
     *,
     best: float | None = None,
     finished: int | None = None,
+    dropped: int = 0,
 ) -> Agreement:
     """How the losses at which descents ended agree.
 
@@ -81,14 +82,16 @@ def agreement(
     than `rounding`, which the problem does not resolve (`Problem.resolution`): without it no two
     descents on data without noise would agree. `best` is the loss of the optimum in question, that
     of the best end unless it is known from elsewhere. `finished` is the number of descents where
-    `ends` are only the best of them.
+    `ends` are only the best of them. `dropped` of them ended where nobody knows their loss, but
+    that it is none of the best: each in an optimum of its own, as far as is known.
     """
-    finished = len(ends) if finished is None else finished
+    finished = len(ends) + dropped if finished is None else finished
     best = min(ends, default=math.inf) if best is None else best
     optima, least = 0, -math.inf
     for end in sorted(ends):
         if not in_optimum(least, end, rounding):
             optima, least = optima + 1, end
+    optima += dropped
     here = sum(in_optimum(best, end, rounding) for end in ends)
     pairs = finished * (finished - 1)
     unseen = min(1.0, optima * (optima + 1) / pairs) if pairs else 1.0

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from miho.optim.brackets import DRAWS, draw_starts, levels, luby
 from miho.optim.evidence import in_optimum
 from miho.optim.gauss_newton import (
+    COPY_LOSS,
     DONE,
     ENTER,
     KNOWN,
@@ -22,6 +23,7 @@ from miho.optim.gauss_newton import (
     Minima,
     Rules,
     distinct,
+    known,
 )
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Budget, Oracle, UnusableValueError
@@ -46,9 +48,6 @@ BETTER = 4.0
 """But not if its loss is lower than there by so many d / rows: more than a few rows may tell."""
 ENTERING = 1e-3
 """The damping with which one begins a level that was done with the one before."""
-LARGEST_RATIO = 1e100
-APART = 1.1
-"""Losses of a few rows tell two worse optima apart where they differ by this factor."""
 BOUND = 1e-9
 """A share of a width: nearer, a parameter is at its bound."""
 SOLVED_FIRST = 9
@@ -133,6 +132,10 @@ class MIHOGNState:
         """The losses of the known minima over the rows of this level, (k,)."""
         return np.asarray(self.sums[:, self.level] / self.rows)
 
+    def known_minima(self, which: NDArray[np.bool_]) -> Minima:
+        """Some (k,) of the known minima, as steps on the rows of this level need them."""
+        return Minima(self.minima[which], self.level_losses[which])
+
 
 @dataclass(frozen=True)
 class MIHOGN(Resumable[MIHOGNState]):
@@ -212,6 +215,7 @@ class MIHOGN(Resumable[MIHOGNState]):
             ends = self._levels(N, box)
             if oracle.cost(ends[0] / N) >= 1:  # fewer rows are not cheaper
                 ends = ends[-1:]
+        oracle.meter.starts.brackets = True
         none = np.empty((0, len(space)))
         return MIHOGNState(
             space,
@@ -248,8 +252,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         if state.phase == OVER:
             self._draw(state, oracle)
         if (state.live.stage < DONE).any():
-            known = state.sound & (state.phase != POLISH)
-            minima = Minima(state.minima[known], state.level_losses[known])
+            minima = state.known_minima(state.sound & (state.phase != POLISH))
             rules = self._rules(state, oracle)
             give_steps(oracle, state.live, state.box, state.ends, minima, rules)
         phases = {
@@ -331,7 +334,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         n = min(max(round(state.size / state.look_cost), self.least), self.most)
         n = 1 if state.linear else n
         starts = draw_starts(state.space, n, state.rng, state.bracket == 1, self.draws)
-        oracle.screened(n)
+        oracle.screened(n * (not state.linear))
         x = (starts - state.box.origin) / state.box.width
         state.live = Candidates.at(x, state.ends.size, self.damping, state.projects)
         self._make_room(state)
@@ -347,8 +350,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         elif not state.live.loss.size:
             self._close(state, oracle)
         elif state.last:
-            oracle.ended(math.inf, oracle.best)
-            state.over = True
+            state.over = True  # solved: nothing descended, and nothing has to agree
         else:
             state.level += 1
             self._enter(state)
@@ -398,13 +400,13 @@ class MIHOGN(Resumable[MIHOGNState]):
     def _prune(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Go on with what may lead to something new, on more rows."""
         c = state.live
-        known = (c.stage == KNOWN) | ((c.stage == DONE) & (c.loss >= self._best(state)))
-        if known.all():
+        over = (c.stage == KNOWN) | ((c.stage == DONE) & (c.loss >= self._best(state)))
+        if over.all():
             if c.loss.size:
                 self._returned(state, oracle, c)
             self._close(state, oracle)
             return
-        c = c.take(~known)
+        c = c.take(~over)
         state.live = c.take(distinct(c, state.box))
         entering = not state.last
         state.level += entering
@@ -446,48 +448,49 @@ class MIHOGN(Resumable[MIHOGNState]):
             state.aside.append(c)
 
     def _returned(self, state: MIHOGNState, oracle: Oracle, c: Candidates) -> None:
-        """The best of a bracket has come to a known minimum, or is done and no better."""
-        nearest = np.argmin(((state.minima - c.x[0]) ** 2).sum(axis=1))
-        loss = float(state.losses[nearest])
-        if c.stage[0] != KNOWN:
-            best, worse = self._best(state), float(c.loss[0])
-            loss = float(state.losses.min())
-            if not in_optimum(best, worse, oracle.rounding):
-                ratio = min(max(worse / best, 1.0), LARGEST_RATIO) if best > 0 else LARGEST_RATIO
-                steps = 1 + math.floor(math.log(ratio, APART))
-                loss = max(loss, oracle.rounding) * APART**steps
-        oracle.ended(math.inf, loss)
+        """The best of a bracket has come to a known minimum, or is done and no better.
+
+        What is done on fewer rows than all has come to a minimum that is not sound if, as far as
+        these rows can tell, it is there; else nobody knows where it would have ended.
+        """
+        if state.last and c.stage[0] == DONE:
+            oracle.ended(math.inf, float(c.loss[0]))
+            return
+        which = state.sound
+        if c.stage[0] == DONE:
+            which = ~which & (c.loss[0] <= (1 + COPY_LOSS) * state.level_losses)
+        minima, rules = state.known_minima(which), self._rules(state, oracle)
+        k = known(c, 0, state.box, state.rows, minima, rules)
+        if k < 0:
+            oracle.dropped()
+        else:
+            oracle.ended(math.inf, float(state.losses[which][k]))
 
     def _close(self, state: MIHOGNState, oracle: Oracle) -> None:
         """End the bracket, and the search if the ends of its brackets are evidence enough."""
         state.phase = OVER
-        enough = state.bracket >= self.brackets
-        if state.losses.size:
-            least = state.losses.min()
-            crawling = any(c.loss[0] < least for c in state.aside)
-            agreement = oracle.agreement
-            searched = oracle.evaluations >= self.longer * state.found
-            returned = searched and agreement.here >= self.doubtful
-            likely = returned or self._likely(state, oracle)
-            enough = enough or bool(agreement.enough and likely and not crawling)
-        if enough:
-            self._polish(state)
+        agreement = oracle.agreement
+        searched = oracle.evaluations >= self.longer * state.found
+        returned = searched and agreement.here >= self.doubtful
+        enough = agreement.enough and (returned or self._likely(state, oracle))
+        if enough or state.bracket >= self.brackets:
+            oracle.meter.starts.exhausted = not enough
+            self._polish(state, oracle)
 
     def _likely(self, state: MIHOGNState, oracle: Oracle) -> bool:
         """Whether the best minimum so far is none where searches get stuck."""
-        if not state.losses.size:
-            return False
         best = int(np.argmin(state.losses))
         return bool(state.sound[best] and state.losses[best] <= oracle.noise)
 
-    def _polish(self, state: MIHOGNState) -> None:
-        """Go on from the best minimum, for the digits that a descent needs not to be told apart."""
-        state.over = not state.losses.size
+    def _polish(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Go on from the run's best, for the digits that a descent needs not to be told apart."""
+        state.over = not math.isfinite(oracle.best)
         if state.over:
             return
-        best = state.minima[[np.argmin(state.losses)]]
+        best = state.space.encode(oracle.trace.theta[-1][None])
+        x = np.clip((best - state.box.origin) / state.box.width, 0.0, 1.0)
         state.level = state.ends.size - 1
-        state.live = Candidates.at(best, state.ends.size, ENTERING, False)
+        state.live = Candidates.at(x, state.ends.size, ENTERING, False)
         self._make_room(state)
         self._begin(state, POLISH)
 

@@ -63,7 +63,8 @@ class MIHOQNState:
 
     `ends` are the rows of the levels, `costs` what one look at each costs. `minima` (k, d) in
     search coordinates are those known, with `losses` (k,) on all rows. `aside` are configurations
-    that crawl, one each. `size` is what a rung of the bracket may cost, `spent` what all
+    that crawl, one each. `starts` are the run's, or the state's own where there is no run; `best`
+    is the least loss on all rows. `size` is what a rung of the bracket may cost, `spent` what all
     evaluations have cost, `begun` what those had before this bracket or its last phase, which may
     cost `share`. The last one of a bracket is `polished` where a simplex brings it no further.
     """
@@ -75,10 +76,11 @@ class MIHOQNState:
     costs: tuple[float, ...]
     live: Candidates
     minima: Array
+    starts: Starts
     losses: Array = field(default_factory=lambda: np.empty(0))
     batch: Array = field(default_factory=lambda: np.empty((0, 0)))
     requests: list[Request] = field(default_factory=list)
-    starts: Starts = field(default_factory=Starts)
+    best: float = math.inf
     aside: list[Candidates] = field(default_factory=list)
     simplex: Simplex | None = None
     polished: bool = False
@@ -177,7 +179,7 @@ class MIHOQN(AskTell[MIHOQNState]):
 
     def init(self, space: Space, rng: np.random.Generator) -> MIHOQNState:
         """The state before the first batch, of a problem without cheaper versions of itself."""
-        return self._begin(space, rng, (0,), (1.0,))
+        return self._begin(space, rng, (0,), (1.0,), Starts(brackets=True))
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOQNState:
         """The state before the first batch."""
@@ -196,7 +198,9 @@ class MIHOQN(AskTell[MIHOQNState]):
             costs = tuple(oracle.cost(m / N) for m in ends)
             if costs[0] >= 1.0:  # fewer rows are not cheaper
                 ends, costs = ends[-1:], costs[-1:]
-        return self._begin(space, rng, ends, costs)
+        state = self._begin(space, rng, ends, costs, oracle.meter.starts)
+        state.starts.brackets = True
+        return state
 
     def _begin(
         self,
@@ -204,16 +208,13 @@ class MIHOQN(AskTell[MIHOQNState]):
         rng: np.random.Generator,
         ends: tuple[int, ...],
         costs: tuple[float, ...],
+        starts: Starts,
     ) -> MIHOQNState:
         none = np.empty((0, len(space)))
         live = Candidates.at(none, self.radius)
-        state = MIHOQNState(space, Box.of(space), rng, ends, costs, live, none)
+        state = MIHOQNState(space, Box.of(space), rng, ends, costs, live, none, starts)
         self._proceed(state)
         return state
-
-    def starts(self, state: MIHOQNState) -> Starts:
-        """The starts of the search, and where their descents ended."""
-        return state.starts
 
     def done(self, state: MIHOQNState) -> bool:
         """After brackets whose ends are evidence enough, or after the last."""
@@ -230,6 +231,8 @@ class MIHOQN(AskTell[MIHOQNState]):
     def tell(self, state: MIHOQNState, thetas: Array, losses: Array) -> None:
         """Give each configuration its losses, and see what is needed next."""
         state.spent += losses.size * state.cost
+        if state.last:
+            state.best = min(state.best, float(losses.min()))
         if state.simplex is not None:
             state.simplex.tell(losses)
         else:
@@ -416,10 +419,9 @@ class MIHOQN(AskTell[MIHOQNState]):
     def _close(self, state: MIHOQNState) -> None:
         """End the bracket, and the search if the ends of its brackets are evidence enough."""
         state.phase = OVER
-        best = state.losses.min(initial=math.inf)
-        crawling = any(c.loss[0] < best for c in state.aside)
-        enough = state.starts.agreement().enough
-        state.over = (enough and not crawling) or state.bracket >= self.brackets
+        enough = state.starts.agreement(state.best).enough
+        state.over = enough or state.bracket >= self.brackets
+        state.starts.exhausted = state.over and not enough
 
 
 def _away(state: MIHOQNState, z: Array, others: Array) -> Array:

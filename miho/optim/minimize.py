@@ -34,10 +34,15 @@ Array = NDArray[np.float64]
 
 
 class Outcome(StrEnum):
-    """How a run ended: by its budget or target, or by itself (converged), or otherwise."""
+    """How a run ended: by its budget or target, by itself, or otherwise.
+
+    By itself it has `converged`, or made the largest number of `brackets` without evidence enough
+    that its best optimum is the best of all.
+    """
 
     BUDGET = "budget"
     CONVERGED = "converged"
+    BRACKETS = "brackets"
     NO_FINITE_VALUE = "no_finite_value"
     FAILED = "failed"
     INTERRUPTED = "interrupted"
@@ -129,9 +134,12 @@ def minimize(
     oracle.stop()
     meter = oracle.meter
     target = oracle.budget.target
-    if outcome is Outcome.CONVERGED and target is not None and meter.best <= target:
+    if outcome is Outcome.CONVERGED and meter.starts.exhausted:
+        outcome = Outcome.BRACKETS
+    by_itself = outcome in (Outcome.CONVERGED, Outcome.BRACKETS)
+    if by_itself and target is not None and meter.best <= target:
         outcome = Outcome.BUDGET
-    if outcome in (Outcome.CONVERGED, Outcome.BUDGET) and math.isinf(meter.best):
+    if (by_itself or outcome is Outcome.BUDGET) and math.isinf(meter.best):
         outcome = Outcome.NO_FINITE_VALUE
     resumable = None
     if oracle.state is not None:
@@ -149,7 +157,7 @@ def minimize(
         error=error,
         checkpoint=resumable,
         outside=meter.outside,
-        descents=Descents.of(meter.starts),
+        descents=Descents.of(meter.starts, meter.best),
     )
 
 

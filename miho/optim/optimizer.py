@@ -13,7 +13,6 @@ from miho.optim.oracle import Budget, Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.seeds import stream
 from miho.optim.space import Space
-from miho.optim.trace import Starts
 
 Array = NDArray[np.float64]
 State = TypeVar("State")
@@ -74,13 +73,6 @@ class Resumable(Optimizer, Generic[State]):
     def done(self, state: State) -> bool:
         """Whether the method has nothing left to ask."""
 
-    def starts(self, state: State) -> Starts | None:
-        """The starts in the state of a method that descends from several; None by default.
-
-        The same object in all of a run: the method adds to it.
-        """
-        return None
-
     @final
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Search from the beginning."""
@@ -90,9 +82,6 @@ class Resumable(Optimizer, Generic[State]):
     def resume(self, oracle: Oracle, state: State) -> None:
         """Go on from a state, with an oracle that holds the meter of the same moment."""
         oracle.state = state
-        if (starts := self.starts(state)) is not None:
-            starts.rounding = oracle.meter.starts.rounding
-            oracle.meter.starts = starts
         while not self.done(state):
             self.step(state, oracle)
 

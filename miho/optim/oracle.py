@@ -362,14 +362,21 @@ class Oracle:
         """
         self.meter.starts.ended(start, end, converged=converged, finished=finished)
 
+    def dropped(self) -> None:
+        """Keep a descent that came to its end on fewer rows, where a known optimum is no worse."""
+        self.meter.starts.dropped += 1
+
     def screened(self, configurations: int) -> None:
         """Count configurations that were looked at to choose from which to descend."""
         self.meter.starts.screened += configurations
 
     @property
     def agreement(self) -> Agreement:
-        """How the ends of the descents so far agree: where it is `enough`, a method may stop."""
-        return self.meter.starts.agreement()
+        """How the ends of the descents so far agree on the best loss so far.
+
+        Where it is `enough`, a method may stop.
+        """
+        return self.meter.starts.agreement(self.best)
 
     def climbing_evaluations(self) -> int:
         """How many evaluations `climb` may make next; 0 if batches must be evaluated.

@@ -76,13 +76,19 @@ class Starts:
     """The starts of a run so far: how many were `screened`, and the descents from the best of them.
 
     A configuration is screened if it is looked at, on few rows or on all, to choose whether it is
-    followed; `descents` are in their order. Losses closer than `rounding`, what the
-    problem does not resolve, are one.
+    followed; `descents` are in their order. `dropped` counts further ones that came to an end on
+    fewer rows than all, where a known optimum is no worse: nobody knows their losses. With
+    `brackets` a descent is what a bracket of successive halving kept to its last. `exhausted` if
+    the method ended at the largest number of them, not by its evidence. Losses closer
+    than `rounding`, what the problem does not resolve, are one.
     """
 
     screened: int = 0
     descents: list[Descent] = field(default_factory=list)
     rounding: float = 0.0
+    dropped: int = 0
+    brackets: bool = False
+    exhausted: bool = False
 
     def ended(
         self, start: float, end: float, *, converged: bool = True, finished: bool = True
@@ -90,9 +96,13 @@ class Starts:
         """Add a descent from a loss to a loss, as `Descent` describes them."""
         self.descents.append(Descent(start, end, finished, converged))
 
-    def agreement(self) -> Agreement:
-        """How the ends of the finished descents agree; a method may stop if it is `enough`."""
-        return agreement(self.ends, self.rounding)
+    def agreement(self, best: float) -> Agreement:
+        """How the ends of the finished descents agree on the run's `best` loss.
+
+        A method may stop if it is `enough`. Where something that was looked at in passing is better
+        than all ends, none has come back to it.
+        """
+        return agreement(self.ends, self.rounding, best=best, dropped=self.dropped)
 
     @property
     def finished(self) -> list[Descent]:
@@ -109,11 +119,14 @@ class Starts:
 class Descents:
     """What is kept of the descents of one run: how many there were, and where they ended.
 
-    `ends` are the losses of those that finished, ascending, the best MOST_ENDS of them;
-    `converged` counts those of the finished whose solver had nothing more to gain, `stayed` those
-    that found nothing better than their start. `screened` counts the configurations from which
-    the starts were chosen, `agreeing` the descents that ended in the best of the optima (None:
-    not counted); both are missing in runs of older versions.
+    `ends` are the losses of those that finished, ascending, the best MOST_ENDS of them, but for the
+    `dropped` ones: those came to their end on fewer rows than all, as no better than an optimum
+    that was known, and nobody knows their losses. `converged` counts those of the finished whose
+    solver had nothing more to gain, `stayed` those that found nothing better than their start.
+    `screened` counts the configurations from which the starts were chosen, `agreeing` the descents
+    that ended in the optimum of the run's best loss (None: not counted). With `brackets` each is
+    what a bracket of successive halving kept to its last. Runs of older versions lack what has a
+    default.
     """
 
     started: int
@@ -123,19 +136,23 @@ class Descents:
     ends: tuple[float, ...]
     screened: int = 0
     agreeing: int | None = None
+    dropped: int = 0
+    brackets: bool = False
 
     @classmethod
-    def of(cls, starts: Starts) -> Descents | None:
-        """The summary; None for a method that neither screens nor makes descents."""
+    def of(cls, starts: Starts, best: float) -> Descents | None:
+        """The summary, for a run's best loss; None if the method neither screens nor descends."""
         if not (starts.descents or starts.screened):
             return None
-        finished = starts.finished
+        finished, dropped = starts.finished, starts.dropped
         return cls(
-            started=len(starts.descents),
-            finished=len(finished),
-            converged=sum(each.converged for each in finished),
+            started=len(starts.descents) + dropped,
+            finished=len(finished) + dropped,
+            converged=sum(each.converged for each in finished) + dropped,
             stayed=sum(not each.moved for each in finished),
             ends=tuple(sorted(starts.ends)[:MOST_ENDS]),
             screened=starts.screened,
-            agreeing=starts.agreement().here,
+            agreeing=starts.agreement(best).here,
+            dropped=dropped,
+            brackets=starts.brackets,
         )

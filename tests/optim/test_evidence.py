@@ -75,6 +75,28 @@ def test_an_optimum_from_elsewhere_is_compared_with_the_ends() -> None:
     assert agreement([1.0] * 1000, finished=5000).enough is False, "the best 1,000 of 5,000"
 
 
+def test_what_was_dropped_ended_in_an_optimum_of_its_own() -> None:
+    agreed = agreement([1.0] * 9 + [2.0], dropped=2)
+    assert agreed == Agreement(1.0, 9, 12, 4, 20 / 132)
+    assert agreement([1.0] * 9 + [2.0, 3.0, 4.0]) == agreed
+    assert agreement([1.0] * 9 + [2.0], finished=12, dropped=2) == agreed
+
+
+def test_ends_agree_on_the_best_of_the_run() -> None:
+    """Where something better was looked at in passing, nothing has come back to it."""
+    oracle = Oracle(Constant(), Budget())
+    oracle(oracle.space.decode(oracle.space.initial(1)))
+    for _ in range(9):
+        oracle.ended(math.inf, 1.001)
+    assert (oracle.agreement.here, oracle.agreement.finished) == (0, 9)
+    for _ in range(9):
+        oracle.ended(math.inf, 1.00001)
+    assert (oracle.agreement.here, oracle.agreement.finished) == (9, 18)
+    descents = Descents.of(oracle.meter.starts, oracle.best)
+    assert descents is not None
+    assert descents.agreeing == 9
+
+
 @dataclass(frozen=True)
 class Returning(Optimizer):
     """Brackets of ten, of which the last is cut by the budget; all end in the first one's best."""
@@ -141,7 +163,7 @@ def test_data_without_error_agree_to_rounding() -> None:
 
 @dataclass
 class Brackets:
-    """A state that holds its own starts."""
+    """A state that holds the run's starts."""
 
     rng: np.random.Generator
     starts: Starts = field(default_factory=Starts)
@@ -162,11 +184,11 @@ class InTurns(AskTell[Brackets]):
         state.starts.screened += len(losses)
         state.starts.ended(float(losses[0]), float(losses.min()), converged=False)
 
+    def start(self, oracle: Oracle, rng: np.random.Generator) -> Brackets:
+        return Brackets(rng, oracle.meter.starts)
+
     def done(self, state: Brackets) -> bool:
         return len(state.starts.descents) == 6
-
-    def starts(self, state: Brackets) -> Starts:
-        return state.starts
 
 
 def test_a_resumed_run_keeps_the_descents_before() -> None:

@@ -6,6 +6,7 @@ import math
 import pickle
 import tracemalloc
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -13,9 +14,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from miho.data import Dataset, load_published, published_fit
-from miho.identification import CurveFit
+from miho.identification import CurveFit, linear_optimum
 from miho.identification.loss import Huber
 from miho.models import BrakePlay
+from miho.models.expression import Expression, Formula
 from miho.models.published import PublishedModel
 from miho.optim import (
     MIHOGN,
@@ -196,6 +198,121 @@ def test_an_optimum_at_a_bound_is_come_back_to_more_often() -> None:
     assert inside.descents is not None
     assert record.descents.agreeing is not None
     assert record.descents.agreeing >= 20 > inside.descents.finished
+
+
+class Wave(Expression):
+    """a sin(w t) + c, which has an optimum for each of many frequencies."""
+
+    inputs = MappingProxyType({"t": "s"})
+    parameters = MappingProxyType({"a": "V", "w": "rad/s", "c": "V"})
+    output = "V"
+
+    @property
+    def value(self) -> Formula:
+        return lambda inputs, theta: theta[0] * np.sin(theta[1] * inputs[0]) + theta[2]
+
+    @property
+    def derivatives(self) -> Formula:
+        return lambda inputs, theta: (
+            np.sin(theta[1] * inputs[0]),
+            theta[0] * inputs[0] * np.cos(theta[1] * inputs[0]),
+            1.0 + 0.0 * inputs[0],
+        )
+
+
+class Rising(Expression):
+    """a t + exp(-b t), which data that fall press to a = 0."""
+
+    inputs = MappingProxyType({"t": "s"})
+    parameters = MappingProxyType({"a": "V/s", "b": "1/s"})
+    output = "V"
+
+    @property
+    def value(self) -> Formula:
+        return lambda inputs, theta: theta[0] * inputs[0] + np.exp(-theta[1] * inputs[0])
+
+    @property
+    def derivatives(self) -> Formula:
+        return lambda inputs, theta: (
+            1.0 * inputs[0],
+            -inputs[0] * np.exp(-theta[1] * inputs[0]),
+        )
+
+
+class Line(Expression):
+    """a t + c."""
+
+    inputs = MappingProxyType({"t": "s"})
+    parameters = MappingProxyType({"a": "V/s", "c": "V"})
+    output = "V"
+    linear = ("a", "c")
+
+    @property
+    def value(self) -> Formula:
+        return lambda inputs, theta: theta[0] * inputs[0] + theta[1]
+
+    @property
+    def derivatives(self) -> Formula:
+        return lambda inputs, theta: (1.0 * inputs[0], 1.0 + 0.0 * inputs[0])
+
+
+def sampled(
+    model: Expression, truth: list[float], box: list[tuple[float, float]], N: int, noise: float
+) -> CurveFit:
+    """N noisy rows of a model over five seconds."""
+    rng = np.random.default_rng(2)
+    t = rng.uniform(0, 5, N)
+    y = model.predict(np.array([truth]), t)[0] + noise * rng.standard_normal(N)
+    units = model.parameters.items()
+    space = Space(tuple(Parameter(n, u, *b) for (n, u), b in zip(units, box, strict=True)))
+    return CurveFit(model, Dataset("sampled", {"t": t, "y": y}, {"t": "s", "y": "V"}, "y"), space)
+
+
+WAVE = sampled(Wave(), [1.0, 11.0, 0.3], [(-5, 5), (0, 40), (-5, 5)], 400, 1.5)
+
+
+def test_an_end_is_a_loss_over_all_rows_or_is_not_known() -> None:
+    problem = Outside(WAVE)
+    record = minimize(MIHOGN(brackets=40), problem, seed=1)
+    descents = record.descents
+    assert descents is not None
+    assert descents.dropped > 0, "or this tests nothing"
+    assert descents.brackets
+    assert len(descents.ends) == descents.finished - descents.dropped
+    looks = [WAVE.residuals(theta) for theta, rows in problem.asked if rows == 400]
+    seen = (np.array(looks) ** 2).mean(axis=1)
+    for end in descents.ends:
+        assert np.abs(seen / end - 1).min() < 1e-12  # sums of 400 rows in another order
+
+
+def test_a_search_that_runs_out_of_brackets_says_so() -> None:
+    record = minimize(MIHOGN(brackets=20), WAVE)
+    assert record.outcome is Outcome.BRACKETS
+    assert record.descents is not None
+    assert record.descents.finished <= 20
+    assert minimize(MIHOGN(brackets=20), fit()).outcome is Outcome.CONVERGED
+
+
+def test_a_problem_that_is_linear_is_solved_and_not_searched() -> None:
+    problem = sampled(Line(), [2.0, -1.0], [(-9, 9), (-9, 9)], 200, 0.1)
+    record = minimize(MIHOGN(), problem)
+    assert record.outcome is Outcome.CONVERGED
+    assert record.descents is None
+    exact = linear_optimum(problem)
+    assert exact is not None
+    assert record.loss == pytest.approx(exact[1], rel=1e-12)  # of a well-conditioned line
+
+
+def test_brackets_that_come_back_to_a_bound_on_few_rows_have_come_back() -> None:
+    """Each of them is told to be there by the rows it saw, and none to be a worse optimum."""
+    problem = sampled(Rising(), [-0.05, 0.7], [(0, 10), (0.01, 100)], 500, 0.05)
+    for seed in range(3):
+        record = minimize(MIHOGN(), problem, seed=seed)
+        assert record.outcome is Outcome.CONVERGED
+        assert record.theta is not None
+        assert record.theta[0] == 0
+        assert record.descents is not None
+        assert record.descents.agreeing == record.descents.finished >= 20
 
 
 def test_a_loss_above_the_noise_is_doubted() -> None:
