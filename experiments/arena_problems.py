@@ -12,6 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from experiments import schema
 from experiments.build import recorded_optimum
 from experiments.cli import CONF, composed
+from miho.analysis.mean_curve import ENDED_BY_ITSELF
 from miho.study import StoredRun, read_run
 
 SAME = ("model", "dataset", "space", "loss")
@@ -63,4 +64,4 @@ def _cut(runs: pd.DataFrame, stored: StoredRun) -> pd.Series:
         late &= runs["seconds"] >= budget["seconds"]
     if budget["evaluations"] is not None:
         late &= runs["evaluations"] < budget["evaluations"]
-    return late & (runs["outcome"] != "converged")
+    return late & ~runs["outcome"].isin(ENDED_BY_ITSELF)

@@ -35,7 +35,7 @@ MEANING = {
     "problem": ("", "model and data"),
     "optimizer": ("", "method"),
     "seed": ("", "repetition; one seed gives all methods the same start"),
-    "outcome": ("", "how the run ended: budget, converged or no_finite_value"),
+    "outcome": ("", "how the run ended: budget, converged, brackets or no_finite_value"),
     "error": ("see column unit of the runs", "root of the loss, best so far"),
     "unit": ("", "of the error"),
     "evaluations": ("evaluations of the loss", "used so far; parts of the data count as parts"),

@@ -57,6 +57,8 @@ def remedy(problem: CurveFit, stored: StoredRun, *, checked: bool = False) -> st
     ways = []
     if stored.result["outcome"] == Outcome.BUDGET and (more := _more(stored)):
         ways.append(f"a larger budget: {more}")
+    if stored.result["outcome"] == Outcome.BRACKETS:
+        ways.append(f"more brackets: optimizer.brackets={10 * settings['brackets']}")
     if "screen" in settings and "starts" in settings:
         screen, starts = MORE_SCREEN * settings["screen"], MORE_STARTS * settings["starts"]
         ways.append(f"more starts: optimizer.screen={screen} optimizer.starts={starts}")

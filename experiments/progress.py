@@ -65,9 +65,8 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
             error = math.sqrt(max(0.0, oracle.best))
             most = f", at most {left:.0f} s left" if math.isfinite(left) else ""
             agreed = oracle.agreement
-            agreeing = f", {agreed.here} of {agreed.finished} descents agree" * bool(
-                agreed.finished
-            )
+            kind = "brackets" if oracle.meter.starts.brackets else "descents"
+            agreeing = f", {agreed.here} of {agreed.finished} {kind} agree" * bool(agreed.finished)
             bar.set_description_str(
                 f"{title}: {error:.5g} {unit}{agreeing}, {oracle.evaluations:,.0f} evaluations, "
                 f"{oracle.meter.seconds:.1f} s{most}"

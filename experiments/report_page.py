@@ -25,6 +25,7 @@ from miho.analysis.report_figures import (
     waterfall_figure,
 )
 from miho.identification import Report
+from miho.identification.evidence import kind_of
 from miho.study import StoredRun
 
 GRID = 200
@@ -63,6 +64,8 @@ def figures_of(report: Report) -> dict[str, bytes]:
             problem.unit,
             None if report.best_known is None else math.sqrt(report.best_known),
             math.sqrt(problem.rounding),
+            kind_of(report.searches),
+            sum(each.dropped for each in report.searches),
         )
     if profiles:
         quantile = report.at.quantile(report.level)
@@ -83,7 +86,7 @@ def page_of(report: Report, stored: StoredRun, figures: Mapping[str, bytes]) -> 
             else [f"optimum: {report.standing.evidence}.", *report.notes],
         ),
         Section(
-            "Where the descents ended",
+            f"Where the {kind_of(report.searches)} ended",
             figure=figures.get("descents"),
             caption=_searched(report),
         ),
@@ -156,14 +159,27 @@ def _explained(report: Report) -> str:
 
 def _searched(report: Report) -> str:
     """What the picture of the descents shows."""
-    finished = sum(each.finished for each in report.searches)
+    dropped = sum(each.dropped for each in report.searches)
+    finished = sum(each.finished for each in report.searches) - dropped
+    kind = kind_of(report.searches)
     screened = sum(each.screened for each in report.searches)
     which = f"the best {len(report.descents):,} " * (finished > len(report.descents))
     starts = f", from the best of {screened:,} configurations" * bool(screened)
-    return (
-        f"Errors (roots of the loss) at which {which and which + 'of '}{finished:,} descents "
+    caption = (
+        f"Errors (roots of the loss) at which {which and which + 'of '}{finished:,} {kind} "
         f"ended{starts}, sorted: a level stretch is one optimum."
     )
+    if kind == "brackets":
+        caption += (
+            " A bracket looks at several starts, halves them as they descend, and ends where the "
+            "last one does."
+        )
+    if dropped:
+        caption += (
+            f" {dropped:,} more came to an end on fewer rows, as no better there than an optimum "
+            "that was known; their errors on all rows are not known."
+        )
+    return caption
 
 
 def _where(report: Report) -> str:

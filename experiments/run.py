@@ -12,11 +12,16 @@ import numpy as np
 from experiments.build import Experiment
 from experiments.progress import progress
 from miho.identification import Square, linear_optimum
+from miho.identification.evidence import kind_of
 from miho.identification.validation import root_mean_square
-from miho.optim import Descents, RunRecord, agreement, minimize
+from miho.optim import Descents, RunRecord, agreement, in_optimum, minimize
 from miho.study import Execution, Identity, Status, Store, StoredRun, execute
 
-ENDINGS = {"converged": "itself", "budget": "its budget"}
+ENDINGS = {
+    "converged": "itself",
+    "brackets": "its largest number of brackets",
+    "budget": "its budget",
+}
 
 
 def run(experiment: Experiment, *, quiet: bool = False) -> Execution:
@@ -91,10 +96,11 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     if not isinstance(problem.rho, Square):
         name = type(problem.rho).__name__
         rows.append(("loss", f"{math.sqrt(loss):.5g} {unit} (root of the mean {name} loss)"))
-    optimum = experiment.facts.get("optimum")
+    optimum, linear = experiment.facts.get("optimum"), linear_optimum(problem)
+    exact = None if linear is None else linear[1]
     if optimum is not None:
         best = min(optimum, loss)
-        source = "closed form" if linear_optimum(problem) else "recorded"
+        source = "recorded" if exact is None else "closed form"
         gap, of_the_run = (_gap(each, best) for each in (loss, result["loss"]))
         if gap != of_the_run:
             gap += f"; of the run itself {of_the_run}"
@@ -102,7 +108,7 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     rows += [
         ("evaluations", f"{result['evaluations']:,.0f}"),
         ("seconds", f"{result['seconds']:.3f} (set-up {result['setup_seconds']:.3f})"),
-        ("ended by", _ending(str(result["outcome"]), descents_of(stored), problem.rounding)),
+        ("ended by", _ending(result, descents_of(stored), problem.rounding, exact)),
     ]
     if result["rejected"]:
         rows.append(("rejected", ", ".join(f"{n} x {r}" for r, n in result["rejected"].items())))
@@ -119,14 +125,25 @@ def _gap(loss: float, best: float) -> str:
     return f"{100 * (math.sqrt(loss / best) - 1) if best else 0.0:.4f} %"
 
 
-def _ending(outcome: str, descents: Descents | None, rounding: float) -> str:
-    """What ended a run, and how far its descents were; losses up to `rounding` are 0."""
+def _ending(
+    result: Mapping[str, Any], descents: Descents | None, rounding: float, exact: float | None
+) -> str:
+    """What ended a run, and how far its descents were; losses up to `rounding` are 0.
+
+    `exact` is the loss of the only optimum, where the problem is linear in all its parameters.
+    """
+    outcome, loss = str(result["outcome"]), float(result["loss"])
     ending = ENDINGS.get(outcome, outcome)
+    if exact is not None and in_optimum(exact, loss, rounding):
+        return f"{ending}, in the only optimum: the problem is linear in all its parameters"
     if descents is None:
         return ending
-    enough = agreement(descents.ends, rounding, finished=descents.finished).enough
-    ending += f", {'after' if enough else 'before'} enough of its descents agreed"
-    if descents.converged < descents.finished:
-        moving = descents.finished - descents.converged
-        ending += f"; {moving} of {descents.finished} descents were still moving at their end"
+    finished, kind = descents.finished, kind_of([descents])
+    agreed = agreement(
+        descents.ends, rounding, best=loss, finished=finished, dropped=descents.dropped
+    )
+    ending += f", {'after' if agreed.enough else 'before'} enough of its {kind} agreed"
+    if descents.converged < finished:
+        moving = finished - descents.converged
+        ending += f"; {moving} of {finished} {kind} were still moving at their end"
     return ending

@@ -261,13 +261,27 @@ def test_another_method_is_not_the_one_of_the_run(root: Path) -> None:
         ("budget", Descents(8, 7, 7, 0, (1.0,) * 6 + (2.0,)), "its budget, before enough"),
         ("budget", Descents(8, 7, 7, 0, (1e-30, 1e-26) + (1e-25,) * 5), "its budget, after"),
         ("budget", Descents(1, 0, 0, 0, (), 20), "its budget, before enough of"),
+        ("converged", Descents(7, 7, 7, 0, (2.0,) * 7), "itself, before enough of its descents"),
+        ("converged", Descents(7, 7, 7, 0, (1.0,) * 6, dropped=1), "itself, before enough of its"),
+        ("brackets", Descents(3, 3, 3, 0, (1.0,), 9, 1, 2, True),
+         "its largest number of brackets, before enough of its brackets agreed"),
         ("converged", Descents(3, 3, 2, 0, (1.0, 2.0, 3.0)), "agreed; 1 of 3 descents were still"),
     ],
 )  # fmt: skip
 def test_the_ending_says_whether_the_evidence_was_enough(
     outcome: str, descents: Descents | None, ending: str
 ) -> None:
-    assert ending in _ending(outcome, descents, 1e-20)
+    loss = min(descents.ends, default=1.0) if descents else 1.0
+    loss = 1.0 if loss > 1e-20 else loss
+    assert ending in _ending({"outcome": outcome, "loss": loss}, descents, 1e-20, None)
+
+
+def test_where_there_is_one_optimum_nothing_has_to_agree() -> None:
+    descents = Descents(1, 1, 1, 0, (1.0,), 1)
+    found = _ending({"outcome": "converged", "loss": 1.0}, descents, 0.0, 1.0)
+    assert found == "itself, in the only optimum: the problem is linear in all its parameters"
+    missed = _ending({"outcome": "converged", "loss": 1.1}, descents, 0.0, 1.0)
+    assert missed == "itself, before enough of its descents agreed"
 
 
 @pytest.mark.parametrize(("spent", "more"), [(1.0, "evaluations=5000000"), (60.01, "seconds=600")])

@@ -73,9 +73,18 @@ def fit_figure(
 
 
 def waterfall_figure(
-    errors: Array, here: NDArray[np.bool_], unit: str, known: float | None, rounding: float
+    errors: Array,
+    here: NDArray[np.bool_],
+    unit: str,
+    known: float | None,
+    rounding: float,
+    kind: str = "descents",
+    dropped: int = 0,
 ) -> Figure:
     """Errors (n,) where the descents of a run ended, ascending: in an optimum each is a step.
+
+    `kind` is what they are, such as brackets; the legend counts those that were `dropped` on fewer
+    rows, whose errors nobody knows.
 
     Filled are those that ended `here` (n,), in the optimum in question; `known` is the error of the
     best known one. Errors up to `rounding` are drawn as that. The axis is logarithmic where errors
@@ -97,6 +106,8 @@ def waterfall_figure(
                     number[part], shown[part], s=size, edgecolors=[color], linewidths=0.8,
                     color=[color] if filled else "white", label=f"{label}: {part.sum():,}",
                 )  # fmt: skip
+        if dropped:
+            ax.plot([], [], " ", label=f"dropped on fewer rows: {dropped:,}")
         low, high = float(shown[0]), float(shown[-1])
         if known is not None:
             low = min(low, max(known, rounding))
@@ -110,7 +121,7 @@ def waterfall_figure(
         else:
             middle, half = (low + high) / 2, 0.6 * max(high - low, LEAST_RANGE * high)
             ax.set_ylim(middle - half, middle + half)
-        ax.set(xlabel="descent, the best first", ylabel=f"error [{unit}]")
+        ax.set(xlabel=f"{kind}, the best first", ylabel=f"error [{unit}]")
         ax.set_xlim(0.5, len(errors) + 0.5)
         ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1, steps=[1, 2, 5, 10]))
         figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=3)

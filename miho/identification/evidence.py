@@ -28,6 +28,11 @@ class Standing:
     certain: bool = False
 
 
+def kind_of(searches: Sequence[Descents]) -> str:
+    """What the descents of searches are: all of them brackets, or not."""
+    return "brackets" if searches and all(each.brackets for each in searches) else "descents"
+
+
 def standing(
     loss: float,
     rounding: float,
@@ -52,12 +57,20 @@ def standing(
         return Standing(doubt, doubt)
     finished = sum(each.finished for each in searches)
     screened = sum(each.screened for each in searches)
+    dropped = sum(each.dropped for each in searches)
+    kind = kind_of(searches)
     ends = [end for each in searches for end in each.ends]
-    agreed = agreement(ends, rounding, best=loss, finished=finished)
+    agreed = agreement(ends, rounding, best=loss, finished=finished, dropped=dropped)
     here = agreed.here
-    ended = f"{here or 'none'} of {finished} descents ended here"
-    evidence = f"{screened:,} starts screened for {finished} descents; " if screened else ""
-    evidence += f"{here or 'none'} of them ended here" if screened else ended
+    verb = "was" if dropped == 1 else "were"
+    elsewhere = f", {dropped} {verb} dropped on fewer rows as no better" * bool(dropped)
+    ended = f"{here or 'none'} of {finished} {kind} ended here{elsewhere}"
+    evidence = ended
+    if screened:
+        evidence = (
+            f"{screened:,} starts screened for {finished} {kind}; {here or 'none'} of them "
+            f"ended here{elsewhere}"
+        )
     unseen = (
         f"one more would find a better one with a probability of about {100 * agreed.better:.2g} %"
     )
@@ -75,9 +88,11 @@ def standing(
         once = "one search, and nothing in it tells whether a better optimum exists"
         return Standing(once, once)
     if not finished:
-        return Standing("no descent was finished", "no descent was finished within the budget")
+        none = f"no {kind.removesuffix('s')} was finished"
+        return Standing(none, f"{none} within the budget")
     if agreed.optima > 1:
-        others = f"; they ended at {agreed.optima} different errors"
+        errors = agreed.optima - dropped
+        others = f"; they ended at {errors} different errors" * (errors > 1)
         others += f", so that {unseen}" * agreed.returned
         evidence, ended = evidence + others, ended + others
     doubt = f"{ended}, which are too few to rely on" if here == finished else f"only {ended}"

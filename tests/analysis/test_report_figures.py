@@ -29,6 +29,16 @@ def test_a_waterfall_counts_the_descents_that_agree() -> None:
     assert points.tolist() == [[1, 391.3], [2, 391.3], [3, 391.4], [4, 738.8], [5, 783.2]]
 
 
+def test_a_waterfall_counts_what_has_no_error() -> None:
+    here = np.array([True, True, False])
+    figure = waterfall_figure(np.array([2.0, 2.0, 3.0]), here, "N", None, 0.0, "brackets", 4)
+    (ax,) = figure.axes
+    assert ax.get_xlabel() == "brackets, the best first"
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert texts == ["ended here: 2", "elsewhere: 1", "dropped on fewer rows: 4"]
+    assert sum(len(np.asarray(part.get_offsets())) for part in ax.collections) == 3
+
+
 @pytest.mark.parametrize(
     ("errors", "here", "known", "scale", "texts"),
     [

@@ -42,11 +42,13 @@ def test_the_bar_shows_it(
     with progress("run", budget, "V") as observer:
         problem = DecayFit()
         oracle = Oracle(problem, budget, observer=observer, clock=clock)
-        oracle.ended(2.0, 1.0)
-        oracle.ended(3.0, 1.0)
-        oracle.ended(3.0, 1.5)
+        theta = problem.space.decode(problem.space.initial(1))
+        loss = float(problem.loss(theta)[0])
+        oracle.ended(9.0, loss)
+        oracle.ended(9.0, loss)
+        oracle.ended(9.0, 1.5 * loss)
         now[0] = 45.0
-        oracle(problem.space.decode(problem.space.initial(1)))
+        oracle(theta)
     shown = capsys.readouterr().err
     assert " 75% |" in shown
     assert ", 2 of 3 descents agree, " in shown

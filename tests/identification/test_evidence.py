@@ -75,6 +75,27 @@ def test_the_evidence_counts_starts_descents_and_what_they_may_have_missed() -> 
     assert both.startswith("100 starts screened for 25 descents; 22 of them ended here"), both
 
 
+def test_what_was_dropped_on_fewer_rows_is_said_and_may_be_an_optimum_of_its_own() -> None:
+    """Of 12, 2 were dropped: 3 optima at worst, so that 3 / (12 * 11) = 2.3 % find a better one."""
+    found = replace(
+        ended(*[1.0] * 10), started=12, finished=12, screened=99, dropped=2, brackets=True
+    )
+    known = standing(1.0, 0.0, [found])
+    assert known.evidence == (
+        "99 starts screened for 12 brackets; 10 of them ended here, 2 were dropped on fewer rows "
+        "as no better, and none found a better one; one more would find a better one with a "
+        "probability of about 2.3 %"
+    )
+    assert not known.doubt
+    few = replace(found, ends=(1.0,) * 7, started=8, finished=8, dropped=1)
+    assert standing(1.0, 0.0, [few]).doubt == (
+        "only 7 of 8 brackets ended here, 1 was dropped on fewer rows as no better, so that one "
+        "more would find a better one with a probability of about 3.6 %"
+    )
+    both = standing(1.0, 0.0, [found, ended(1.0)]).evidence
+    assert both.startswith("99 starts screened for 13 descents; 11 of them"), "not all are brackets"
+
+
 def test_what_is_known_needs_no_descents() -> None:
     alone = ended(1.0, *[2.0] * 29)
     assert standing(1.0, 9e-16, [alone], best_known=1.0).certain
