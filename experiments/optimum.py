@@ -55,7 +55,7 @@ def remedy(problem: CurveFit, stored: StoredRun, *, checked: bool = False) -> st
     """
     settings = stored.config["optimizer"]
     ways = []
-    if stored.result["outcome"] == Outcome.BUDGET and (more := _more(stored)):
+    if stored.result["outcome"] == Outcome.BUDGET and (more := larger_budget(stored)):
         ways.append(f"a larger budget: {more}")
     if stored.result["outcome"] == Outcome.BRACKETS:
         ways.append(f"more brackets: optimizer.brackets={10 * settings['brackets']}")
@@ -80,7 +80,7 @@ def remedy(problem: CurveFit, stored: StoredRun, *, checked: bool = False) -> st
     return f"{again} Or look for a better optimum: {command}"
 
 
-def _more(stored: StoredRun) -> str:
+def larger_budget(stored: StoredRun) -> str:
     """Ten times the limit that ended the run; empty if it had none but a target."""
     evaluations, seconds = (stored.config["budget"].get(key) for key in ("evaluations", "seconds"))
     if seconds is not None and (evaluations is None or stored.result["seconds"] >= seconds):

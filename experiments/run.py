@@ -54,7 +54,7 @@ def line(experiment: Experiment, execution: Execution) -> str:
 
 def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -> str:
     """One line: which run, its error and what it spent."""
-    found = "no finite value"
+    found = "no finite value" if result["rejected"] else "no value on all rows of data"
     if result["loss"] is not None:
         found = f"{math.sqrt(result['loss']):.5g} {result['facts']['unit']}"
     outside = result.get("outside", 0)
@@ -68,13 +68,18 @@ def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -
 def report(experiment: Experiment, stored: StoredRun) -> str:
     """The identified parameters, how far to trust them and how good they are; writes the page."""
     # Here, because figures take longer to import than a small run takes: only who draws them waits.
-    from experiments.optimum import descents_of
+    from experiments.optimum import descents_of, larger_budget
     from experiments.report import report_folder, reported, write
     from experiments.report_tables import error_rows, text
 
     problem, result = experiment.problem, stored.result
     if result["theta"] is None:
         reasons = ", ".join(f"{n} x {reason}" for reason, n in result["rejected"].items())
+        if not reasons:
+            return (
+                "no configuration was looked at on all rows of data before the budget was spent; "
+                f"search again with a larger one: {larger_budget(stored)}"
+            )
         return f"no finite value was found: {reasons}"
     unit = problem.unit
     rows: list[tuple[str, str]] = []
@@ -99,7 +104,7 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     optimum, linear = experiment.facts.get("optimum"), linear_optimum(problem)
     exact = None if linear is None else linear[1]
     if optimum is not None:
-        best = min(optimum, loss)
+        best = min(optimum, loss, result["loss"])
         source = "recorded" if exact is None else "closed form"
         gap, of_the_run = (_gap(each, best) for each in (loss, result["loss"]))
         if gap != of_the_run:

@@ -47,7 +47,8 @@ class ProblemConfig:
     over families as well. `optimum` is the smallest known root of the loss in the space, in the
     output's unit, and `evidence` says how it is known. Of data without errors, an error below
     `resolution` is rounding, and counts as equal to it in an arena. `compressed` and `threads` are
-    those of `miho.CurveFit`.
+    those of `miho.CurveFit`: they make losses faster, which methods that work with residuals
+    (`miho_gn`, least squares) do not ask for.
     """
 
     name: str | None = None

@@ -73,6 +73,14 @@ def test_identify_prints_parameters_errors_and_evidence(identify: Command, tmp_p
     assert "(done before)" in identify(*QUICK)[1]
 
 
+def test_a_budget_that_buys_no_value_says_what_to_do(identify: Command) -> None:
+    code, out, _ = identify("optimizer=miho_gn", "budget.evaluations=2", "budget.seconds=null")
+    assert code == 0
+    assert "miho_gn seed 0: no value on all rows of data, 2 evaluations" in out
+    assert "search again with a larger one: budget.evaluations=20" in out
+    assert "no finite value" not in out
+
+
 def test_a_method_that_leaves_the_box_is_remarked(identify: Command) -> None:
     """The authors' code clips at lower bounds only, and so does this choice."""
     small = ["optimizer.R=300", "dataset.n=200", "budget.evaluations=3000"]

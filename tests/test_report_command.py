@@ -293,6 +293,19 @@ def test_more_of_what_ended_the_run_is_a_setting(root: Path, spent: float, more:
     composed([f"budget.{more}"])
 
 
+def test_a_run_that_ran_out_of_brackets_may_have_more(root: Path) -> None:
+    stored = read_run(Path(load_runs(root).runs.set_index("seed").loc[1, "folder"]))
+    settings = {"name": "miho_gn", "brackets": 200}
+    ran_out = replace(
+        stored,
+        result={**stored.result, "outcome": "brackets"},
+        config={**stored.config, "optimizer": settings},
+    )
+    said = remedy(rebuild(stored), ran_out)
+    assert said.startswith("search again with more brackets: optimizer.brackets=2000; another ")
+    composed(["optimizer=miho_gn", "optimizer.brackets=2000"])
+
+
 def test_runs_without_a_word_on_descents_are_read(root: Path) -> None:
     """Those of older versions, and those that somebody edited."""
     stored = read_run(Path(load_runs(root).runs.set_index("seed").loc[0, "folder"]))

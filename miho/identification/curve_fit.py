@@ -50,6 +50,9 @@ REMEMBERED = 1 << 20
 """Errors that are kept for the derivatives of a robust loss at the same configurations."""
 COMPARED = 1000
 """Rows on which compiled values are compared with NumPy's."""
+SMALLEST, LARGEST = 1e-140, 1e150
+"""The largest output has a square that neither its rounding nor a sum over all rows takes out of
+double precision, 1e-308 to 1e308."""
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
 
@@ -65,7 +68,8 @@ class CurveFit(LeastSquaresProblem):
     names the problem: the same data in two spaces are two problems. The square loss of a model
     that is an `Expression` is compiled, and evaluates batches on `threads` threads. `compressed`
     takes it, to 1e-9 of itself, from far fewer values than points, if the model has one input and
-    a `bound`; residuals, derivatives and lower fidelities stay those of the points.
+    a `bound`; residuals, derivatives and lower fidelities stay those of the points. So neither
+    changes a run of a method that works with residuals, such as `MIHOGN`, the default.
 
     A plain function may stand for the model, with annotations as `miho.models.FunctionModel`
     describes them; its `linear` parameters are then declared by giving that class itself.
@@ -132,8 +136,18 @@ class CurveFit(LeastSquaresProblem):
                 )
 
     def _check_values(self, called: str) -> None:
-        """Refuse rows that the model predicts nowhere, and a linearity that is not so."""
+        """Refuse rows that the model predicts nowhere, and a linearity that is not so.
+
+        And an output whose squares overflow, or are 0 beside their rounding.
+        """
         model, names = self.model, self.space.names
+        largest = float(np.abs(self._output).max(initial=0.0))
+        if largest and not SMALLEST < largest < LARGEST:
+            raise ValueError(
+                f"column {self.dataset.output!r} of {self.dataset.name} reaches {largest:.3g} "
+                f"{self.unit}, whose square is beyond double precision; give it in a unit in "
+                f"which it reaches {SMALLEST:g} to {LARGEST:g}"
+            )
         thetas = self.space.decode(self.space.initial(TRIALS))
         try:
             values = model.predict(thetas, *self.inputs)

@@ -231,6 +231,17 @@ def test_a_row_that_no_parameters_predict_is_named() -> None:
         published.problem(Inverse(), x, x, [(1, 2), (1, 2)])
 
 
+@pytest.mark.parametrize("size", [1e160, 1e-160])
+def test_an_output_whose_squares_are_no_numbers_is_refused(size: float) -> None:
+    p = problem()
+    columns = {"alpha": p.dataset["alpha"], "Fy": size * p.dataset["Fy"] / 3000}
+    data = Dataset("d", columns, {"alpha": "rad", "Fy": "N"}, "Fy")
+    with pytest.raises(ValueError, match=r"column 'Fy' of d reaches .* N, whose square") as refused:
+        CurveFit(Pacejka(), data, SPACE)
+    assert "\n" not in str(refused.value)
+    CurveFit(Pacejka(), replace(data, columns={**columns, "Fy": 0 * columns["Fy"]}), SPACE)
+
+
 def test_a_linearity_that_is_not_so_is_refused() -> None:
     x = np.linspace(1, 2, 9)
     with pytest.raises(ValueError, match="not linear in a, b as it declares"):
