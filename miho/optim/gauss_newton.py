@@ -491,25 +491,21 @@ def square_distance(c: Candidates, i: int, x: Array, box: Box) -> float:
 
 
 @compiled
-def known(c: Candidates, i: int, box: Box, m: int, minima: Minima, rules: Rules) -> int:
-    """The known minimum that a configuration is on its way to, and no better than; -1 if none.
-
-    That is the nearest one by the linear model where the configuration is.
-    """
-    nearest, least = -1, rules.near * c.loss[i] * m
+def known(c: Candidates, i: int, box: Box, m: int, minima: Minima, rules: Rules) -> bool:
+    """Whether a configuration is on its way to a minimum that is known, and no better."""
+    near = rules.near * c.loss[i] * m
     for k in range(minima.loss.size):
-        if c.loss[i] >= minima.loss[k] * (1 - rules.better):
-            distance = square_distance(c, i, minima.x[k], box)
-            if distance <= least:
-                nearest, least = k, distance
-    return nearest
+        worse = c.loss[i] >= minima.loss[k] * (1 - rules.better)
+        if worse and square_distance(c, i, minima.x[k], box) <= near:
+            return True
+    return False
 
 
 @compiled
 def prepare(c: Candidates, i: int, box: Box, m: int, minima: Minima, rules: Rules, w: Work) -> bool:
     """Bring a configuration to its next evaluation; false where it needs none in this block."""
     while c.stage[i] == SLOPES or c.stage[i] == READY:
-        if c.stage[i] == READY and known(c, i, box, m, minima, rules) >= 0:
+        if c.stage[i] == READY and known(c, i, box, m, minima, rules):
             c.stage[i] = KNOWN
         elif c.steps[i] >= rules.steps or crawls(c, i, rules):
             return False

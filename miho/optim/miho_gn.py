@@ -23,7 +23,6 @@ from miho.optim.gauss_newton import (
     Minima,
     Rules,
     distinct,
-    known,
 )
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Budget, Oracle, UnusableValueError
@@ -53,7 +52,8 @@ BOUND = 1e-9
 SOLVED_FIRST = 9
 """A problem that is linear in all parameters is solved on one row in so many, then on all."""
 ROOM = 1 << 22
-"""Numbers that the derivatives of a rung may hold; beyond, each step pays for its own."""
+"""Numbers that the derivatives of a rung may hold; beyond, each step pays for its own, and where
+nothing is compiled for the residuals again."""
 POLISHING = 50
 """Steps for more digits at most: valleys have no end."""
 TRIALS = 1000
@@ -131,10 +131,6 @@ class MIHOGNState:
     def level_losses(self) -> Array:
         """The losses of the known minima over the rows of this level, (k,)."""
         return np.asarray(self.sums[:, self.level] / self.rows)
-
-    def known_minima(self, which: NDArray[np.bool_]) -> Minima:
-        """Some (k,) of the known minima, as steps on the rows of this level need them."""
-        return Minima(self.minima[which], self.level_losses[which])
 
 
 @dataclass(frozen=True)
@@ -252,7 +248,8 @@ class MIHOGN(Resumable[MIHOGNState]):
         if state.phase == OVER:
             self._draw(state, oracle)
         if (state.live.stage < DONE).any():
-            minima = state.known_minima(state.sound & (state.phase != POLISH))
+            known = state.sound & (state.phase != POLISH)
+            minima = Minima(state.minima[known], state.level_losses[known])
             rules = self._rules(state, oracle)
             give_steps(oracle, state.live, state.box, state.ends, minima, rules)
         phases = {
@@ -373,6 +370,11 @@ class MIHOGN(Resumable[MIHOGNState]):
         done = c.stage == DONE
         c.projects[:] = state.projects & (state.linear | ~done | (not state.last))
         c.damping[done] = np.minimum(c.damping[done], ENTERING)
+        self._look_again(state)
+
+    def _look_again(self, state: MIHOGNState) -> None:
+        """Have the residuals and derivatives of the live ones evaluated where they are."""
+        c = state.live
         c.loss[:] = c.gain[:] = np.inf
         c.stage[:], c.growth[:], c.secants[:], c.trial[:] = ENTER, 2.0, 0, c.x
         self._make_room(state)
@@ -420,6 +422,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         if earlier and state.phase == OVER:
             best = min(range(len(earlier)), key=lambda k: float(earlier[k].loss[0]))
             state.live = state.aside.pop(best)
+            self._look_again(state)
             state.share = int((oracle.evaluations - state.begun) * int(state.ends[-1]))
             self._begin(state, SHARE)
 
@@ -445,7 +448,7 @@ class MIHOGN(Resumable[MIHOGNState]):
                 state.sums = np.vstack([state.sums, sums])
                 state.sound = np.append(state.sound, _sound(c, state.box, state.rows))
         elif c.stage[0] != UNUSABLE:
-            state.aside.append(c)
+            state.aside.append(c.with_rows(0))
 
     def _returned(self, state: MIHOGNState, oracle: Oracle, c: Candidates) -> None:
         """The best of a bracket has come to a known minimum, or is done and no better.
@@ -453,18 +456,22 @@ class MIHOGN(Resumable[MIHOGNState]):
         What is done on fewer rows than all has come to a minimum that is not sound if, as far as
         these rows can tell, it is there; else nobody knows where it would have ended.
         """
+        loss, rules = float(c.loss[0]), self._rules(state, oracle)
         if state.last and c.stage[0] == DONE:
-            oracle.ended(math.inf, float(c.loss[0]))
+            oracle.ended(math.inf, loss)
             return
-        which = state.sound
-        if c.stage[0] == DONE:
-            which = ~which & (c.loss[0] <= (1 + COPY_LOSS) * state.level_losses)
-        minima, rules = state.known_minima(which), self._rules(state, oracle)
-        k = known(c, 0, state.box, state.rows, minima, rules)
-        if k < 0:
-            oracle.dropped()
+        distances = _square_distances(c, state.minima, state.box)
+        there = loss >= (1 - rules.better) * state.level_losses
+        if c.stage[0] == KNOWN:
+            there &= state.sound
         else:
-            oracle.ended(math.inf, float(state.losses[which][k]))
+            there &= ~state.sound & (loss <= (1 + COPY_LOSS) * state.level_losses)
+            there &= distances <= rules.near * loss * state.rows
+        if there.any():
+            nearest = np.argmin(np.where(there, distances, math.inf))
+            oracle.ended(math.inf, float(state.losses[nearest]))
+        else:
+            oracle.dropped()
 
     def _close(self, state: MIHOGNState, oracle: Oracle) -> None:
         """End the bracket, and the search if the ends of its brackets are evidence enough."""
@@ -504,14 +511,25 @@ class MIHOGN(Resumable[MIHOGNState]):
     def _make_room(self, state: MIHOGNState) -> None:
         """Room for the derivatives of the live ones on this level, where they are kept."""
         c = state.live
-        kept = c.loss.size * (state.d + 1) * state.rows <= ROOM and not c.projects.all()
-        state.live = c.with_rows(state.rows if kept or not state.compiled else 0)
+        kept = c.loss.size * (state.d + 1) * state.rows <= ROOM
+        kept &= not (state.compiled and c.projects.all())
+        state.live = c.with_rows(state.rows if kept else 0)
 
 
 def _usable(c: Candidates) -> Candidates:
     """Those with finite losses, the best first."""
     order = np.argsort(c.loss, kind="stable")
     return c.take(order[(c.stage[order] != UNUSABLE) & np.isfinite(c.loss[order])])
+
+
+def _square_distances(c: Candidates, minima: Array, box: Box) -> Array:
+    """From the first configuration to minima (k, d), in the metric by which steps know them, (k,).
+
+    |R (x - x*)|^2: what the linear model where it is says of the way there.
+    """
+    which = box.nonlinear if c.projects[0] else np.arange(c.x.shape[1])
+    R = c.R[0, : which.size, : which.size]
+    return np.asarray((((c.x[0] - minima)[:, which] @ R.T) ** 2).sum(axis=1))
 
 
 def _sound(c: Candidates, box: Box, m: int) -> bool:

@@ -108,7 +108,9 @@ def _from_outside(
             stage = c.stage[i]
             project = bool(c.projects[i]) and stage != RECORD
             if stage == SLOPES:
-                cost = oracle.jacobian_cost
+                cost = oracle.jacobian_cost + (not c.rows.shape[2])
+                if cost * share > oracle.remaining:
+                    raise BudgetExhausted
                 try:
                     _slopes_outside(oracle, fidelity, c, i, box, m, w)
                 except UnusableValueError:
@@ -128,15 +130,22 @@ def _from_outside(
 def _slopes_outside(
     oracle: Oracle, fidelity: float, c: Candidates, i: int, box: Box, m: int, w: Work
 ) -> None:
-    """Take the derivatives where a configuration is, as `fill` does."""
-    d = c.x.shape[1]
-    width = box.width * np.where(box.log, w.theta, 1.0)
-    columns = oracle.jacobian(w.theta.copy(), fidelity).T * width[:, None]
+    """Take the derivatives where a configuration is, as `fill` does.
+
+    Without room for rows its residuals are asked for again, and nothing is kept.
+    """
+    d, theta = c.x.shape[1], w.theta.copy()
+    width = box.width * np.where(box.log, theta, 1.0)
+    columns = oracle.jacobian(theta, fidelity).T * width[:, None]
     order = np.arange(d)
     if c.projects[i]:
         order = np.array([*(k for k in box.linear if is_free(c.x[i, k])), *box.nonlinear])
-    c.rows[i, : order.size] = columns[order]
-    factored_outside(*c[:4], i, box, order.size, m, w)
+    rows = c.rows[i]
+    if not rows.shape[1]:
+        rows = np.empty((d + 1, m))
+        rows[d] = oracle.residuals(theta, fidelity, goes_on=True)
+    rows[: order.size] = columns[order]
+    factored_outside(*c[:4], i, box, rows, order.size, w)
 
 
 def _look_outside(
@@ -200,13 +209,12 @@ def evaluated_outside(
 
 @entry
 def factored_outside(
-    numbers: Array, counts: Whole, R: Array, rows: Array, i: int, box: Box, count: int, m: int,
-    w: Work,
+    numbers: Array, counts: Whole, R: Array, rows: Array, i: int, box: Box, columns: Array,
+    count: int, w: Work,
 ) -> None:  # fmt: skip
-    """The factor of the first columns, `count`, of its rows and of the residuals."""
-    c = views(numbers, counts, R, rows)
-    refold(c.rows[i], count, c.x.shape[1], m, w)
-    factored(c, i, box, w)
+    """The factor of the first `count` of the columns (d + 1, m) and of the residuals, the last."""
+    refold(columns, count, columns.shape[0] - 1, columns.shape[1], w)
+    factored(views(numbers, counts, R, rows), i, box, w)
 
 
 @entry

@@ -27,7 +27,6 @@ from miho.optim import (
     Trace,
     minimize,
 )
-from miho.optim.gauss_newton import Box, Candidates, Minima, Rules, known
 from tests.optim.decays import Outside, fit
 
 Array = NDArray[np.float64]
@@ -44,23 +43,6 @@ def same_steps(one: Trace, other: Trace) -> None:
     theirs = np.array(other.theta)
     scale = np.abs(theirs).max(axis=0)
     np.testing.assert_allclose(np.array(one.theta) / scale, theirs / scale, rtol=0, atol=1e-6)
-
-
-def test_what_is_known_is_the_nearest_minimum_in_the_metric_of_the_residuals() -> None:
-    """Not the nearest in the box: here residuals hardly change along the second coordinate."""
-    c = Candidates.at(np.array([[0.5, 0.5]]), 1, 0.1, False)
-    c.R[0], c.loss[0] = np.diag([10.0, 0.1]), 1.0
-    box = Box.of(Space((Parameter("a", "-", 0, 1), Parameter("b", "-", 0, 1))), ())
-    x = np.array([[0.5, 0.4], [0.3, 0.5], [0.5, 0.9], [0.45, 0.5]])
-    rules = Rules(0, True, 1, 0.25, 0, 1e-8, 0, 0, 0.05, near=1.0, better=0.0, nothing=0.0)
-    distance = np.array([0.01, 2.0, 0.04, 0.5]) ** 2
-
-    def nearest(loss: list[float]) -> int:
-        return int(known(c, 0, box, 1, Minima(x, np.array(loss)), rules))
-
-    assert nearest([1.0, 1.0, 1.0, 1.0]) == int(np.argmin(distance)) == 0
-    assert nearest([1.5, 1.0, 1.0, 1.0]) == 2, "it is better than the first"
-    assert nearest([1.5, 1.0, 1.5, 1.5]) == -1, "the second is too far"
 
 
 def finished(problem: LeastSquaresProblem, method: MIHOGN, seed: int) -> RunRecord:

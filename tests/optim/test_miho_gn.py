@@ -30,6 +30,8 @@ from miho.optim import (
     Space,
     minimize,
 )
+from miho.optim.gauss_newton import Box, Candidates
+from miho.optim.miho_gn import _square_distances
 from miho.testing import CHECKS, DecayFit, check_optimizer
 from tests.optim.decays import SPACE, Decay, Outside, fit
 
@@ -86,8 +88,39 @@ def test_a_share_is_what_it_was_however_often_a_run_is_cut() -> None:
         budget = Budget(evaluations=evaluations)
         cut = minimize(MIHOGN(), problem, budget, seed=0, checkpoint=cut.checkpoint)
     assert whole.checkpoint is not None
-    assert whole.checkpoint.state.aside or whole.checkpoint.state.share
+    state = whole.checkpoint.state
+    assert state.aside or state.share
+    assert not any(c.rows.size for c in state.aside), "which wait for long"
     assert same(cut, whole)
+
+
+@pytest.mark.parametrize("problem", [fit(), Outside(fit())], ids=["compiled", "outside"])
+def test_without_room_for_derivatives_steps_pay_for_their_own(
+    problem: LeastSquaresProblem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with_room = minimize(MIHOGN(), problem, seed=2)
+    monkeypatch.setattr("miho.optim.miho_gn.ROOM", 0)
+    whole = minimize(MIHOGN(), problem, seed=2)
+    assert whole.outcome is Outcome.CONVERGED
+    assert whole.loss == pytest.approx(with_room.loss, rel=1e-8)  # at which steps end
+    cut = minimize(MIHOGN(), problem, Budget(evaluations=7), seed=2)
+    for evaluations in range(14, 7 * math.ceil(whole.evaluations / 7) + 1, 7):
+        assert cut.checkpoint is not None
+        assert not cut.checkpoint.state.live.rows.size
+        budget = Budget(evaluations=evaluations)
+        cut = minimize(MIHOGN(), problem, budget, seed=2, checkpoint=cut.checkpoint)
+    assert cut.trace.loss == whole.trace.loss
+    assert cut.evaluations == pytest.approx(whole.evaluations, rel=1e-12)
+
+
+def test_a_return_is_to_the_minimum_that_is_near_in_the_metric_of_the_residuals() -> None:
+    """Not to the nearest in the box: residuals hardly change along the second coordinate."""
+    c = Candidates.at(np.array([[0.5, 0.5]]), 1, 0.1, False)
+    c.R[0] = np.diag([10.0, 0.1])
+    box = Box.of(Space((Parameter("a", "-", 0, 1), Parameter("b", "-", 0, 1))), ())
+    minima = np.array([[0.5, 0.9], [0.45, 0.5], [0.5, 0.4]])
+    squares = _square_distances(c, minima, box)
+    assert squares == pytest.approx(np.array([0.04, 0.5, 0.01]) ** 2)
 
 
 def test_sums_of_a_minimum_are_of_the_rows_of_each_level() -> None:
