@@ -1,6 +1,9 @@
-"""When the ends of independent descents are evidence enough that the best of them is the optimum.
+"""When the ends of several descents are evidence enough that the best of them is the optimum.
 
-Methods that make several descents stop by this rule, and a report relies on a result by it.
+Methods that make several descents stop by this rule, and a report relies on a result by it. A
+descent is that of a start of its own; or, of methods with brackets of successive halving, what a
+bracket kept to its last, the best of several starts. Brackets are independent but for the minima
+known so far: one that is on its way to such a minimum ends there.
 
 n descents from starts of their own have ended in w different optima. Boender and Rinnooy Kan
 (Mathematical Programming 37, 1987) take this for a sample of unknown cells with unknown shares, no
@@ -39,7 +42,7 @@ BETTER = 0.025
 
 @dataclass(frozen=True)
 class Agreement:
-    """How the ends of `finished` independent descents agree.
+    """How the ends of `finished` descents agree.
 
     `best` is the loss of the optimum in question, math.inf if there is none; `here` of the descents
     ended in it, and all together in `optima` different ones at most. `unseen` is the probability

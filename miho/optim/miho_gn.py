@@ -156,8 +156,8 @@ class MIHOGN(Resumable[MIHOGNState]):
     Searches get stuck at bounds, where the data leave a parameter open in all of its range, and
     where the loss is more than their noise explains: at such an optimum `doubtful` brackets must
     have ended, in a search that has become `longer` times as long as when it was found. `brackets`
-    are the most. Then the best one is descended from to a tolerance of `digits`. A problem that is
-    linear in all parameters is solved.
+    are the most: a search that makes them all ends as `Outcome.BRACKETS`. Then the run's best is
+    descended from to a tolerance of `digits`. A problem that is linear in all parameters is solved.
 
     Needs a least-squares problem; of its residuals and derivatives those of the first rows, if it
     gives them, and compiled, if it has them.
