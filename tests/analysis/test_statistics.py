@@ -120,7 +120,9 @@ def test_a_rival_cut_early_bounds_from_below_what_another_bounds_from_above() ->
     assert (ours.estimate, ours.at_most) == (5, 30)
 
 
-@pytest.mark.parametrize(("outcome", "high"), [("budget", 0.2), ("converged", 0.0)])
+@pytest.mark.parametrize(
+    ("outcome", "high"), [("budget", 0.2), ("converged", 0.0), ("brackets", 0.0)]
+)
 def test_not_arriving_oneself_gives_zero(outcome: str, high: float) -> None:
     mine = mean_curve([[(10.0, 900.0)]] * 3, outcome=outcome)
     rival = mean_curve([[(200.0, 400.0)]] * 3)
