@@ -47,7 +47,7 @@ class Run:
 
     @property
     def ended(self) -> bool:
-        """Whether the method ended the run by itself."""
+        """Whether the method ended the run by itself, and not by its largest number of brackets."""
         return self.outcome is Outcome.CONVERGED
 
     @property
