@@ -63,7 +63,7 @@ def remedy(problem: CurveFit, stored: StoredRun, *, checked: bool = False) -> st
         screen, starts = MORE_SCREEN * settings["screen"], MORE_STARTS * settings["starts"]
         ways.append(f"more starts: optimizer.screen={screen} optimizer.starts={starts}")
     else:
-        other = next(name for name in OTHER_METHODS if name != settings.get("name"))
+        other = next(name for name in OTHER_METHODS if name != stored.result["optimizer"])
         ways.append(f"another method: optimizer={other}")
         ways.append(f"another seed: seed={stored.result['seed'] + 1}")
     ends = zip(problem.space.parameters, stored.result["theta"], strict=True)

@@ -245,8 +245,9 @@ def test_another_method_is_not_the_one_of_the_run(root: Path) -> None:
     """A run that ended by itself would end there again, whatever its budget."""
     stored = read_run(Path(load_runs(root).runs.set_index("seed").loc[1, "folder"]))
     for own in ("random", *OTHER_METHODS):
-        config = {**stored.config, "optimizer": {"name": own}}
-        said = remedy(rebuild(stored), replace(stored, config=config))
+        config = {**stored.config, "optimizer": {}}
+        result = {**stored.result, "optimizer": own}
+        said = remedy(rebuild(stored), replace(stored, config=config, result=result))
         (other,) = re.findall(r"search again with another method: optimizer=(\w+); ", said)
         assert other != own
         composed([f"optimizer={other}"])
@@ -295,14 +296,16 @@ def test_more_of_what_ended_the_run_is_a_setting(root: Path, spent: float, more:
 
 def test_a_run_that_ran_out_of_brackets_may_have_more(root: Path) -> None:
     stored = read_run(Path(load_runs(root).runs.set_index("seed").loc[1, "folder"]))
-    settings = {"name": "miho_gn", "brackets": 200}
     ran_out = replace(
         stored,
-        result={**stored.result, "outcome": "brackets"},
-        config={**stored.config, "optimizer": settings},
+        result={**stored.result, "optimizer": "miho_gn", "outcome": "brackets"},
+        config={**stored.config, "optimizer": {"brackets": 200}},
     )
     said = remedy(rebuild(stored), ran_out)
-    assert said.startswith("search again with more brackets: optimizer.brackets=2000; another ")
+    assert said.startswith(
+        "search again with more brackets: optimizer.brackets=2000; another method: "
+    )
+    assert "optimizer=miho_gn" not in said
     composed(["optimizer=miho_gn", "optimizer.brackets=2000"])
 
 
