@@ -10,8 +10,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from miho.models.elementary import atan, sin
-from miho.models.model import DifferencedModel
+from miho.models.elementary import atan, cos, sin
+from miho.models.model import Model
 from miho.models.signature import signature_of, signed
 from miho.models.single_track import SingleTrack
 from miho.models.vehicle_settings import from_settings
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class SingleTrackResponse(DifferencedModel):
+class SingleTrackResponse(Model):
     """Yaw rate r [rad/s] over time t [s], from steering [rad] and speed vx [m/s], ISO-W signs.
 
         m (v_y' + v_x r) = F_yf cos(delta) + F_yr     I_zz r' = l_f F_yf cos(delta) - l_r F_yr
@@ -55,19 +55,24 @@ class SingleTrackResponse(DifferencedModel):
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Yaw rate [rad/s], (n, N)."""
-        t, vx, steering = inputs
+        return np.asarray(_yaw_rates(np.ascontiguousarray(thetas.T), *self._given(*inputs)).T)
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Derivatives of the yaw rate, (N, 7): the motion's own, differentiated step by step."""
+        with np.errstate(all="ignore"):
+            return np.asarray(_sensitivities(theta, *self._given(*inputs)))
+
+    def _given(
+        self, t: Array, vx: Array, steering: Array
+    ) -> tuple[tuple[float, float, float], Array, Array, Array, Array]:
+        """The car, steps of time, and speed, steering and its cosine at and between the rows."""
         if not (np.diff(t) > 0).all():
             raise ValueError(
                 "t does not increase from row to row; give one record in order of time"
             )
-        speed, delta = _with_halves(vx), _with_halves(steering)
-        car = self._car
-        return np.asarray(
-            _yaw_rates(
-                np.ascontiguousarray(thetas.T), (car.mass, car.lf, car.lr),
-                np.diff(t), speed, delta, np.cos(delta),
-            ).T
-        )  # fmt: skip
+        car, delta = self._car, _with_halves(steering)
+        known = (car.mass, car.lf, car.lr)
+        return known, np.diff(t), _with_halves(vx), delta, np.cos(delta)
 
 
 def _with_halves(column: Array) -> Array:
@@ -120,3 +125,71 @@ def _yaw_rates(
                 after[i] += weight * dr[i]
         lateral = v_after
     return yaw_rates
+
+
+@njit(cache=True, error_model="numpy")
+@signed(signature_of())
+def _sensitivities(
+    theta: Array,
+    car: tuple[float, float, float],
+    steps: Array,
+    vx: Array,
+    delta: Array,
+    cosine: Array,
+) -> Array:
+    """Derivatives (N, 7) of `_yaw_rates` at one configuration (7,).
+
+    Each stage of each step is differentiated, so these are the derivatives of what is computed, to
+    rounding, and not those of the motion that it approximates.
+    """
+    mass, lf, lr = car
+    B_f, C_f, D_f = theta[0], theta[1], theta[2]
+    B_r, C_r, D_r, Izz = theta[3], theta[4], theta[5], theta[6]
+    derivatives = np.zeros((steps.size + 1, 7))
+    r = v = dr = dv = 0.0
+    r_p, v_p, dr_p, dv_p = np.zeros(7), np.zeros(7), np.zeros(7), np.zeros(7)
+    front_p, rear_p = np.zeros(7), np.zeros(7)
+    for j in range(steps.size):
+        h, r_after, v_after = steps[j], r, v
+        r_p_after, v_p_after = r_p.copy(), v_p.copy()
+        for stage in range(4):
+            at = 2 * j + (stage + 1) // 2
+            ahead = h * ((stage + 1) // 2) / 2
+            weight = h / 3 if stage in (1, 2) else h / 6
+            speed, turned = vx[at], cosine[at]
+            at_v, at_r = v + ahead * dv, r + ahead * dr
+            slip_f, slip_r = (at_v + lf * at_r) / speed, (at_v - lr * at_r) / speed
+            alpha_f, alpha_r = atan(slip_f) - delta[at], atan(slip_r)
+            inner_f, inner_r = atan(B_f * alpha_f), atan(B_r * alpha_r)
+            front, rear = sin(C_f * inner_f) * turned, sin(C_r * inner_r)
+            # by the inner arctangents, and from there by slip angles, stiffnesses and shapes
+            by_f, by_r = -D_f * cos(C_f * inner_f) * turned, -D_r * cos(C_r * inner_r)
+            per_f, per_r = C_f / (1 + (B_f * alpha_f) ** 2), C_r / (1 + (B_r * alpha_r) ** 2)
+            for k in range(7):
+                v_k, r_k = v_p[k] + ahead * dv_p[k], r_p[k] + ahead * dr_p[k]
+                alpha_f_k = (v_k + lf * r_k) / (speed * (1 + slip_f**2))
+                alpha_r_k = (v_k - lr * r_k) / (speed * (1 + slip_r**2))
+                front_p[k] = by_f * per_f * B_f * alpha_f_k
+                rear_p[k] = by_r * per_r * B_r * alpha_r_k
+                dv_p[k], dr_p[k] = -speed * r_k, 0.0
+            front_p[0] += by_f * per_f * alpha_f
+            front_p[1] += by_f * inner_f
+            front_p[2] -= front
+            rear_p[3] += by_r * per_r * alpha_r
+            rear_p[4] += by_r * inner_r
+            rear_p[5] -= rear
+            dv = (-D_f * front - D_r * rear) / mass - speed * at_r
+            dr = (-lf * D_f * front + lr * D_r * rear) / Izz
+            for k in range(7):
+                dv_p[k] += (front_p[k] + rear_p[k]) / mass
+                dr_p[k] = (lf * front_p[k] - lr * rear_p[k]) / Izz
+            dr_p[6] -= dr / Izz
+            v_after += weight * dv
+            r_after += weight * dr
+            for k in range(7):
+                v_p_after[k] += weight * dv_p[k]
+                r_p_after[k] += weight * dr_p[k]
+        r, v = r_after, v_after
+        r_p, v_p = r_p_after, v_p_after
+        derivatives[j + 1] = r_p
+    return derivatives
