@@ -16,7 +16,7 @@ from functools import cache, cached_property, partial
 from typing import Any, cast
 
 import numpy as np
-from numba import cfunc, njit, types
+from numba import cfunc, njit, typeof, types
 from numba.core.errors import NumbaError
 from numba.extending import overload, register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
@@ -237,7 +237,21 @@ def _compile_rows(formulas: Signed, p: int, d: int) -> tuple[Any, Any]:
         for row in range(parts[0].size):
             store(derivatives(inputs(parts, row), parameters), found, row)
 
-    return residuals, slopes
+    return Callee(residuals), Callee(slopes)
+
+
+class Callee:
+    """A compiled function to be passed to compiled code, with its type worked out once.
+
+    numba does so at each call, in 15 us: as long as a step on a hundred rows takes.
+    """
+
+    def __init__(self, function: Any) -> None:
+        self._function = function  # whose code lives as long as it does
+        self._numba_type_ = typeof(function)
+
+    def __wrapper_address__(self) -> int:
+        return int(self._function.address)
 
 
 @cache
