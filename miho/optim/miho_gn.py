@@ -439,9 +439,9 @@ class MIHOGN(Resumable[MIHOGNState]):
         elif c.stage[0] == DONE:
             oracle.ended(math.inf, loss)
             best = float(state.losses.min(initial=math.inf))
-            if loss < best or not in_optimum(best, loss, oracle.rounding):
+            if loss < best or not in_optimum(best, loss, oracle.resolution):
                 sums = c.sums if c.sums[0, -1] > 0 else loss * state.ends[None]
-                if not in_optimum(loss, best, oracle.rounding):
+                if not in_optimum(loss, best, oracle.resolution):
                     state.found = oracle.evaluations
                 state.minima = np.vstack([state.minima, c.x])
                 state.losses = np.append(state.losses, loss)
@@ -544,4 +544,5 @@ def _sound(c: Candidates, box: Box, m: int) -> bool:
     if not np.diag(R).all():
         return False
     deviation = math.sqrt(c.loss[0] * m / max(m - n, 1))
-    return bool((np.linalg.norm(np.linalg.inv(R), axis=1) * deviation <= 1).all())
+    with np.errstate(over="ignore", invalid="ignore"):  # NaN and infinity are no such deviations
+        return bool((np.linalg.norm(np.linalg.inv(R), axis=1) * deviation <= 1).all())

@@ -245,6 +245,11 @@ class Oracle:
         return self._problem.rounding
 
     @property
+    def resolution(self) -> float:
+        """Losses that differ by no more than this are one."""
+        return self.meter.starts.rounding
+
+    @property
     def noise(self) -> float:
         """A loss above this is more than the noise of the data explains, as far as is known."""
         return self._problem.noise
