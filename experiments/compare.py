@@ -37,7 +37,7 @@ SETTINGS = {
     "comparison.repetitions": "runs of each method, with seeds 0, 1, ...",
     "comparison.methods": "'+comparison.methods.pso_100={}' adds one of optimizer --help",
     "comparison.processes": "runs at a time, where several problems are compared",
-    "comparison.target": "runs end at so many times their problem's optimum, with several problems",
+    "comparison.target": "runs on several problems end at so many times the optimum",
     "budget.evaluations, budget.seconds": "what a run may spend; it ends at the first of them",
     "root, fresh": "where results go; fresh=true sets aside what is outdated",
 }
