@@ -144,7 +144,7 @@ def _note(cfg: DictConfig, size: list[str]) -> str:
     if cfg.budget.evaluations is not None:
         parts.append(f"at most {cfg.budget.evaluations:,} evaluations per run")
     if cfg.comparison.problems and cfg.comparison.target is not None:
-        parts.append(f"which ends at {cfg.comparison.target:g} times the optimum")
+        parts.append(f"runs end at {cfg.comparison.target:g} times the optimum")
     return ", ".join(parts)
 
 
