@@ -1,5 +1,5 @@
 # make compare    the paper's comparison at reduced size: figure and claims table (3 minutes)
-# make arena      many methods on many problems: leaderboard, tests, profiles (41 minutes)
+# make arena      many methods on many problems: leaderboard, tests, profiles (some two hours)
 # make figures    Fig. 4, 5 and 6 from nothing (6 to 10 minutes)
 # make test       the test suite
 # make lint       formatter, linter, type checker

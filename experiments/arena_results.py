@@ -67,7 +67,7 @@ CAPTIONS = {
     "best_rivals": "{method} against the best rival of each problem, chosen afterwards: expected "
     "evaluations and {unit} to within 1 % of the best known error, and what it spends over what "
     "that rival does. In evaluations it is ahead on {ahead} of {problems} problems, and on "
-    "{within} it needs at most 1.2 times as many; in {unit} it is ahead on {sooner}.",
+    "{within} it needs at most {close:g} times as many; in {unit} it is ahead on {sooner}.",
     "tests": "{method} against each rival by the expected number of evaluations: problems won and "
     "lost, and Wilcoxon's signed-rank test over problems (N = {problems}) with Holm's correction. "
     "A problem that neither solves is a tie, since there is no running time to compare: so p tells "
@@ -111,7 +111,7 @@ def draw_arena(root: Path, output: Path) -> list[Path]:
         "leaderboard": leaderboard(runs, curves),
     }
     method = next((name for name in TESTED if name in set(runs["optimizer"])), None)
-    facts: dict[str, object] = {"method": method, "unit": clock.unit}
+    facts: dict[str, object] = {"method": method, "unit": clock.unit, "close": CLOSE}
     if method is not None:
         plain = problem_scores(ert["evaluations"], None, FACTOR)
         tables["tests"] = head_to_head(method, plain, solved, kinds, speed_ups)

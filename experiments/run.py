@@ -113,7 +113,7 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     rows += [
         ("evaluations", f"{result['evaluations']:,.0f}"),
         ("seconds", f"{result['seconds']:.3f} (set-up {result['setup_seconds']:.3f})"),
-        ("ended by", _ending(result, descents_of(stored), problem.rounding, exact)),
+        ("ended by", _ending(result, descents_of(stored), problem.resolution, exact)),
     ]
     if result["rejected"]:
         rows.append(("rejected", ", ".join(f"{n} x {r}" for r, n in result["rejected"].items())))
@@ -131,21 +131,21 @@ def _gap(loss: float, best: float) -> str:
 
 
 def _ending(
-    result: Mapping[str, Any], descents: Descents | None, rounding: float, exact: float | None
+    result: Mapping[str, Any], descents: Descents | None, resolution: float, exact: float | None
 ) -> str:
-    """What ended a run, and how far its descents were; losses up to `rounding` are 0.
+    """What ended a run, and how far its descents were; losses closer than `resolution` are one.
 
     `exact` is the loss of the only optimum, where the problem is linear in all its parameters.
     """
     outcome, loss = str(result["outcome"]), float(result["loss"])
     ending = ENDINGS.get(outcome, outcome)
-    if exact is not None and in_optimum(exact, loss, rounding):
+    if exact is not None and in_optimum(exact, loss, resolution):
         return f"{ending}, in the only optimum: the problem is linear in all its parameters"
     if descents is None:
         return ending
     finished, kind = descents.finished, kind_of([descents])
     agreed = agreement(
-        descents.ends, rounding, best=loss, finished=finished, dropped=descents.dropped
+        descents.ends, resolution, best=loss, finished=finished, dropped=descents.dropped
     )
     ending += f", {'after' if agreed.enough else 'before'} enough of its {kind} agreed"
     if descents.converged < finished:

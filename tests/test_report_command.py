@@ -393,3 +393,15 @@ def test_a_run_that_cannot_be_reported_stops_no_other(
     headings = re.findall(r"<h3>([^<]*)</h3>", page)
     assert len(set(headings)) == 4
     assert all(re.search(r"data=[0-9a-f]{6}$", heading) for heading in headings), headings
+
+
+@pytest.mark.slow
+def test_ends_on_exact_data_agree_as_they_did_for_the_search(tmp_path: Path) -> None:
+    """Losses alone leave some 1e-22 of data without errors, which is more than rounding does."""
+    asked = ["problem=mgh_gulf_starts", "optimizer=miho_qn", f"root={tmp_path}"]
+    experiment = build(composed(asked))
+    found = run(experiment, quiet=True).run
+    assert found is not None
+    assert found.result["outcome"] == "converged"
+    assert found.result["loss"] > experiment.problem.rounding
+    assert "itself, after enough of its brackets agreed" in summary(experiment, found)

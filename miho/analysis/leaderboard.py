@@ -94,8 +94,8 @@ def problem_scores(ert: pd.DataFrame, areas: pd.DataFrame | None, factor: float)
 def best_rivals(ert: Mapping[Axis, pd.DataFrame], method: str, factor: float) -> pd.DataFrame:
     """A method beside the best of all others on each problem, a row per problem.
 
-    For each axis of `ert` (expected running times by axis) three columns: of the method; of the
-    rival that spends least, with its name; and share, the first over the second, 0 where no rival
+    For each axis of `ert` (expected running times by axis) four columns: of the method; of the
+    rival that spends least; by which; and share, the first over the second, 0 where no rival
     arrives, inf where the method does not, 1 where nobody does. On different axes the best rivals
     may be different ones. The rival is chosen by these very runs, so it looks better than it is.
     """
