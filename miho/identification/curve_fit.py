@@ -366,22 +366,30 @@ class CurveFit(LeastSquaresProblem):
 
     def errors(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Model minus data, (m,)."""
-        part = self._part(fidelity)
-        if part is None and (compiled := self._compiled("residuals")) is not None:
-            return compiled.residuals(theta)
-        errors = self.model.predict(theta[None], *self._inputs_of(part))[0]
-        errors -= self._output if part is None else self._output[part]
-        return np.asarray(errors)
+        return self._errors(theta[None], fidelity)[0]
 
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Model minus data, transformed by rho, (m,)."""
-        errors = self.errors(theta, fidelity)
+        return self.residual_rows(theta[None], fidelity)[0]
+
+    def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Residuals (n, m) of parameter rows (n, d), evaluated side by side."""
+        errors = self._errors(thetas, fidelity)
         if self._square:
             return errors
-        while len(self._known_errors) >= max(1, REMEMBERED // errors.size):
-            del self._known_errors[next(iter(self._known_errors))]
-        self._known_errors[theta.tobytes(), errors.size] = errors.copy()
+        for theta, row in zip(thetas, errors, strict=True):
+            while len(self._known_errors) >= max(1, REMEMBERED // row.size):
+                del self._known_errors[next(iter(self._known_errors))]
+            self._known_errors[theta.tobytes(), row.size] = row.copy()
         return self.rho.transform(errors)
+
+    def _errors(self, thetas: Array, fidelity: float) -> Array:
+        part = self._part(fidelity)
+        if part is None and (compiled := self._compiled("residuals")) is not None:
+            return np.stack([compiled.residuals(theta) for theta in thetas])
+        errors = self.model.predict(thetas, *self._inputs_of(part))
+        errors -= self._output if part is None else self._output[part]
+        return np.asarray(errors)
 
     @cached_property
     def _known_errors(self) -> dict[tuple[bytes, int], Array]:

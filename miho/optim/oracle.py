@@ -289,6 +289,42 @@ class Oracle:
         self._record(theta[None], loss, cost, started)
         return residuals
 
+    def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Residuals (k, m) of the first k of some configurations (n, d): k evaluations.
+
+        As many as fit between two looks at the clock, and as the budget pays for; with none left it
+        is exhausted. A row is NaN where the problem raises.
+        """
+        some, cost = self._of_rows(fidelity)
+        self._check_open()
+        rows = thetas[: self._chunk(len(thetas), cost)]
+        if not len(rows):
+            raise BudgetExhausted
+        started = self.seconds
+        self._count_outside(rows)
+        try:
+            residuals = _real(self._least_squares.residual_rows(_read_only(rows), *some))
+            losses = self._usable(mean_square(residuals))
+        except Exception:  # noqa: BLE001 -- whatever a model raises; found out one at a time
+            residuals, losses = self._one_by_one(rows, some)
+        self._record(rows, losses, cost, started)
+        return residuals
+
+    def _one_by_one(self, rows: Array, some: tuple[float, ...]) -> tuple[Array, Array]:
+        """Residuals (n, m), NaN where the problem raises, and losses (n,)."""
+        found: dict[int, Array] = {}
+        losses = np.full(len(rows), math.inf)
+        for k, theta in enumerate(rows):
+            try:
+                found[k] = _real(self._least_squares.residuals(_read_only(theta), *some)).copy()
+                losses[k] = self._usable(mean_square(found[k])[None])[0]
+            except Exception as error:  # noqa: BLE001 -- as for residuals
+                self.meter.reject(f"{type(error).__name__}: {error}")
+        residuals = np.full((len(rows), max((r.size for r in found.values()), default=1)), math.nan)
+        for k, values in found.items():
+            residuals[k] = values
+        return residuals, losses
+
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals (m, d) at one configuration (d,) in units.
 

@@ -88,6 +88,11 @@ class LeastSquaresProblem(Problem):
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Model minus data, (m,), of one configuration (d,), over a fidelity of the rows."""
 
+    def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Those of each of some configurations (n, d), (n, m): at once where that is quicker."""
+        some = () if fidelity == 1.0 else (fidelity,)  # a problem need not know of any
+        return np.stack([np.array(self.residuals(theta, *some)) for theta in thetas])
+
     @abstractmethod
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals, (m, d), at one configuration (d,)."""

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -321,6 +322,41 @@ def test_unusable_residuals_and_derivatives_are_counted() -> None:
         "ArithmeticError: no residuals": 1,
         "derivative is not finite": 1,
     }
+
+
+class Partly(Line):
+    """Raises where x is above 1, and in any batch that holds such a row."""
+
+    def residuals(self, theta: Array) -> Array:
+        if theta[0] > 1:
+            raise ZeroDivisionError("above 1")
+        return super().residuals(theta)
+
+
+@pytest.mark.parametrize(("bad", "budget"), [((), 7), ((2, 3), 7), ((0,), 20), (range(9), 9)])
+def test_residuals_of_several_are_those_of_each_and_counted_alike(
+    bad: tuple[int, ...], budget: int
+) -> None:
+    thetas = np.linspace(-1, 0.9, 9)[:, None]
+    thetas[list(bad), 0] = 2.0
+    problem, limit = Partly(), Budget(evaluations=budget)
+    together, alone = Oracle(problem, limit), Oracle(problem, limit)
+    rows: list[Array] = []
+    with pytest.raises(BudgetExhausted) if budget < 9 else nullcontext():
+        while len(rows) < len(thetas):
+            rows += list(together.residual_rows(thetas[len(rows) :]))
+    assert len(rows) == min(budget, 9)
+    for theta, row in zip(thetas, rows, strict=False):
+        try:
+            expected = alone.residuals(theta)
+        except UnusableValueError:
+            assert np.isnan(row).all()
+        else:
+            assert np.array_equal(row, expected)
+    assert together.meter.evaluations == alone.meter.evaluations == len(rows)
+    assert together.meter.rejected == alone.meter.rejected
+    assert together.trace.loss == alone.trace.loss
+    assert together.trace.evaluations == alone.trace.evaluations
 
 
 def test_a_problem_without_residuals_says_so() -> None:
