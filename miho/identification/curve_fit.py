@@ -366,11 +366,11 @@ class CurveFit(LeastSquaresProblem):
 
     def errors(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Model minus data, (m,)."""
-        return self._errors(theta[None], fidelity)[0]
+        return np.asarray(self._errors(theta[None], fidelity)[0])
 
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Model minus data, transformed by rho, (m,)."""
-        return self.residual_rows(theta[None], fidelity)[0]
+        return np.asarray(self.residual_rows(theta[None], fidelity)[0])
 
     def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Residuals (n, m) of parameter rows (n, d), evaluated side by side."""
