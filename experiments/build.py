@@ -36,7 +36,8 @@ from miho.identification.irreducible import irreducible_interval
 from miho.models import Model
 from miho.models.expression import Expression
 from miho.optim import Budget, Optimizer, Parameter, Space
-from miho.study import Identity, StoredRun, code_digest
+from miho.study import Identity, StoredRun
+from miho.study.closure import Sources
 from miho.study.identity import sha256
 
 PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
@@ -122,7 +123,7 @@ def build(cfg: DictConfig, problem: CurveFit | None = None) -> Experiment:
             optimizer=name,
             seed=cfg.seed,
             config=config | {"optimizer": optimizer_node},
-            code=_code(problem.model),
+            code=_code(cfg, problem, optimizer),
             data=problem.dataset.digest,
             packages=packages_of(optimizer),
         )
@@ -349,20 +350,26 @@ _version = cache(version)
 """Looking a version up takes milliseconds."""
 
 
-def _code(model: Model) -> str:
-    """Digest of the code that decides what a run finds, the model's own file included."""
-    ours = our_code()
-    return ours if model.source is None else sha256(ours.encode() + model.source.read_bytes())
+def _code(cfg: DictConfig, problem: CurveFit, optimizer: Optimizer) -> str:
+    """Digest of the code that decides what a run finds, the model's own file included.
+
+    It is that of the parts of this run and of what they import: code that a run does not use may
+    change without making its result one of other code.
+    """
+    parts = (problem, problem.model, problem.rho, optimizer)
+    modules = {type(part).__module__ for part in parts} | {"miho.optim.minimize"}
+    for key, kind in (("model", Model), ("dataset", Dataset)):
+        modules.add(find_target(cfg[key]["_target_"], kind).__module__)
+    code, source = our_code(frozenset(modules)), problem.model.source
+    return code if source is None else sha256(code.encode() + source.read_bytes())
 
 
 @cache
-def our_code() -> str:
-    """Digest of our code that decides what a run finds: all of it but studies and figures."""
-    library = Path(miho.__file__).parent
-    names = (
-        "curve_fit.py", "loss.py", "row_order.py", "fused.py", "compressed.py", "panels.py",
-        "panel_sums.py",
-    )  # fmt: skip
-    problem = [library / "identification" / name for name in names]
-    parts = [*(library / name for name in ("optim", "methods", "models", "data")), *problem]
-    return code_digest([*parts, Path(baselines.__file__).parent])
+def our_code(modules: frozenset[str]) -> str:
+    """Digest of some modules of ours and of all that they use."""
+    return SOURCES.digest(modules)
+
+
+SOURCES = Sources(
+    {package.__name__: Path(str(package.__file__)).parent for package in (miho, baselines)}
+)

@@ -340,9 +340,10 @@ def _prepare(one: Wanted) -> None:
     with single_thread():
         kernel().recent()
         environment_stamp()
-        our_code()
+        optimizer = build_optimizer(_read(one.setting))
+        our_code(frozenset({CurveFit.__module__, type(optimizer).__module__}))
         _dataset(one.setting)
-        packages_of(build_optimizer(_read(one.setting)))
+        packages_of(optimizer)
 
 
 def _to_compile(runs: Sequence[Wanted]) -> Wanted | None:

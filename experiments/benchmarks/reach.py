@@ -287,7 +287,10 @@ def _write(path: Path, report: Report, jobs: Sequence[Job]) -> None:
         "variants": {job.variant: job.method for job in jobs},
         "optima": {run.problem: run.optimum for run in report.runs},
         "data": {run.problem: run.data for run in report.runs},
-        "code": our_code(),
+        "code": our_code(
+            frozenset({type(_optimizer(job.method)).__module__ for job in jobs})
+            | {CurveFit.__module__, "miho.models", "miho.data"}
+        ),
         "environment": environment_stamp(),
     }
     write_text(path.with_suffix(".provenance.json"), json.dumps(about, indent=1) + "\n")

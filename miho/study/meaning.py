@@ -19,20 +19,22 @@ def meaning(source: bytes) -> str:
     since versions differ in which there are, and so is what is not ASCII, since they differ in what
     can be printed. `ast.dump` heeds neither.
     """
-    return _normal(ast.parse(source))
+    return meaning_of(ast.parse(source))
 
 
-def _normal(node: Any) -> str:
+def meaning_of(node: Any) -> str:
+    """That of a syntax tree, or of what one holds."""
     if isinstance(node, ast.AST):
         fields = {name: value for name, value in ast.iter_fields(node) if name not in UNHEEDED}
         if isinstance(fields.get("body"), list):
             fields["body"] = [line for line in fields["body"] if not _is_text(line)]
         if isinstance(node, ast.JoinedStr):  # 3.12 has empty texts between its parts
             fields["values"] = [part for part in node.values if not _is_empty_text(part)]
-        named = (f"{name}={_normal(value)}" for name, value in fields.items() if not _empty(value))
+        held = {name: value for name, value in fields.items() if not _empty(value)}
+        named = (f"{name}={meaning_of(value)}" for name, value in held.items())
         return f"{type(node).__name__}({','.join(named)})"
     if isinstance(node, list):
-        return f"[{','.join(map(_normal, node))}]"
+        return f"[{','.join(map(meaning_of, node))}]"
     return ascii(node)
 
 

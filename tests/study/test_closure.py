@@ -1,0 +1,94 @@
+"""Which code a run uses: found by reading imports, in copies that may be changed."""
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+import baselines
+import miho
+from miho.study.closure import Sources
+
+PACKAGES = {package.__name__: Path(str(package.__file__)).parent for package in (miho, baselines)}
+RUN = (
+    "miho.identification.curve_fit", "miho.optim.minimize", "miho.models.tire",
+    "miho.data.tir_sampling", "miho.methods.least_squares",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def roots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Our packages, to be changed."""
+    copies = {name: tmp_path_factory.mktemp("copies") / name for name in PACKAGES}
+    for name, folder in PACKAGES.items():
+        for path in folder.rglob("*.py"):
+            copy = copies[name] / path.relative_to(folder)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(path, copy)
+    return copies
+
+
+@contextmanager
+def appended(path: Path, text: str) -> Iterator[None]:
+    """A file that has more for a while."""
+    before = path.read_text() if path.exists() else None
+    path.write_text((before or "") + text)
+    yield
+    path.unlink() if before is None else path.write_text(before)
+
+
+def test_code_that_a_run_does_not_use_may_change(roots: dict[str, Path]) -> None:
+    before = Sources(roots).digest(RUN)
+    for place in ("data/mat.py", "methods/tiktak.py", "models/engine.py", "study/store.py"):
+        with appended(roots["miho"] / place, "\nCHANGED = 1\n"):
+            assert Sources(roots).digest(RUN) == before
+    with appended(roots["baselines"] / "another.py", "from miho.optim import Optimizer\n"):
+        assert Sources(roots).digest(RUN) == before
+
+
+@pytest.mark.parametrize(
+    "place",
+    ["optim/oracle.py", "optim/space.py", "identification/fused.py", "identification/loss.py",
+     "models/elementary.py", "models/tire.py", "methods/descent.py", "data/dataset.py"],
+)  # fmt: skip
+def test_one_constant_of_what_it_uses_may_not(roots: dict[str, Path], place: str) -> None:
+    before = Sources(roots).digest(RUN)
+    with appended(roots["miho"] / place, "\nCHANGED = 1\n"):
+        assert Sources(roots).digest(RUN) != before
+
+
+def test_comments_and_docstrings_may_change(roots: dict[str, Path]) -> None:
+    before = Sources(roots).digest(RUN)
+    with appended(roots["miho"] / "optim" / "oracle.py", "\n# a comment\n"):
+        assert Sources(roots).digest(RUN) == before
+
+
+def test_a_name_leads_to_the_module_that_defines_it(tmp_path: Path) -> None:
+    files = {
+        "p/__init__.py": "from p.a import f\nfrom p.b import g as h\nfrom .inner import deep\n",
+        "p/a.py": "def f():\n    from p.late import x\n",
+        "p/b.py": "import p.c\ng = 1\n",
+        "p/c.py": "import numpy\nfrom os import path\n",
+        "p/late.py": "x = 1\n",
+        "p/unused.py": "",
+        "p/inner/__init__.py": "from .deep import deep\n",
+        "p/inner/deep.py": "from .. import late\nfrom ..c import *\ndeep = 1\n",
+        "user.py": "",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    for text, used in (
+        ("from p import f", ["p.a", "p.late"]),
+        ("from p import h", ["p.b", "p.c"]),
+        ("from p import a as other", ["p.a", "p.late"]),
+        ("from p import deep", ["p.c", "p.inner.deep", "p.late"]),
+        ("import p.b", ["p.b", "p.c"]),
+        ("from p import *", ["p", "p.a", "p.b", "p.c", "p.inner.deep", "p.late"]),
+        ("import numpy", []),
+    ):
+        (tmp_path / "q.py").write_text(text)
+        sources = Sources({"p": tmp_path / "p", "q": tmp_path / "q"})
+        assert sources.closure(["q"]) == sorted([*used, "q"]), text
