@@ -4,6 +4,7 @@
 # make test       the test suite
 # make lint       formatter, linter, type checker
 # make notebooks  run the notebooks, and keep what they show
+# make docs       the manual, into site/
 # make install    only the environment
 # make lock       pin the versions of this environment
 # make clean      remove the environment
@@ -15,6 +16,7 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 INSTALLED := $(VENV)/installed
 DEVELOPED := $(VENV)/developed
+DOCUMENTED := $(VENV)/documented
 
 # Without build isolation nothing is downloaded twice. Libraries are compiled where they are imported;
 # our own modules are compiled first, since numba takes code from sources and from bytecode for two.
@@ -24,7 +26,7 @@ PYTEST := $(BIN)/python -m pytest -q -n auto
 # With it every process is made from the sources again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help install compare arena figures test lint notebooks lock clean
+.PHONY: help install compare arena figures test lint notebooks docs lock clean
 
 help:
 	@sed -n 's/^# make /make /p' Makefile
@@ -45,6 +47,11 @@ $(DEVELOPED): $(INSTALLED)
 	@echo "$(VENV): pytest, mypy, Jupyter's kernel and what else MIHO is developed with"
 	@$(PIP) --editable '.[experiments,dev]'
 	@$(SIZE)
+	@touch $@
+
+$(DOCUMENTED): $(INSTALLED)
+	@echo "$(VENV): MkDocs and what reads docstrings and notebooks"
+	@$(PIP) --editable '.[experiments,docs]'
 	@touch $@
 
 SIZE = du -sk $(VENV)/lib/python*/site-packages/* | sort -rn | awk ' \
@@ -76,6 +83,9 @@ lint: $(DEVELOPED)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+docs: $(DOCUMENTED)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 notebooks: $(DEVELOPED)
 	$(BIN)/python -m experiments.notebooks

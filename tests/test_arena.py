@@ -212,7 +212,7 @@ def test_a_wrong_setting_stops_before_the_first_run() -> None:
 
 def test_the_tests_of_the_published_arena_follow_from_its_running_times() -> None:
     """The tables in the repository against each other, by the code as it is."""
-    folder = ROOT / "experiments" / "results" / "arena"
+    folder = ROOT / "docs" / "results" / "arena"
     ert, tests = pd.read_csv(folder / "ert.csv"), pd.read_csv(folder / "tests.csv")
     kinds = pd.read_csv(folder / "problems.csv").set_index("problem")["family"]
     plain = problem_scores(ert[ert["axis"] == "evaluations"], None, FACTOR)

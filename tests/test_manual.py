@@ -1,0 +1,63 @@
+"""What the README and the manual show runs as it stands there, and what they name exists."""
+
+import re
+import shutil
+import sys
+import types
+from pathlib import Path
+
+import pytest
+
+from miho.data import embedded_tire
+
+ROOT = Path(__file__).parent.parent
+DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
+LONG = {"method.md"}
+"""Pages whose Python takes minutes."""
+BLOCKS = [
+    pytest.param(block, id=f"{page.name}-{number}")
+    for page in PAGES
+    if page.name not in LONG
+    for number, block in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))
+]
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+def test_python_blocks_run(block: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "runs" / "compare").mkdir(parents=True)
+    shutil.copy(embedded_tire("lf"), tmp_path / "my.tir")
+    monkeypatch.chdir(tmp_path)
+    module = types.ModuleType("readme")
+    monkeypatch.setitem(sys.modules, "readme", module)
+    exec(compile(block, "README.md", "exec"), module.__dict__)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_and_names_exist(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for target, anchor in re.findall(r"\]\((?!https:)([^)#]*)#?([^)]*)\)", text):
+        linked = page.parent / target if target else page
+        assert linked.exists(), target
+        if anchor:
+            titles = re.findall(r"^#+ (.*)", linked.read_text(encoding="utf-8"), re.MULTILINE)
+            assert anchor in {re.sub(r"\W+", "-", title.lower()).strip("-") for title in titles}
+    for name in re.findall(r"`?(?:dataset|optimizer|space|problem)=([a-z]\w*)(?![\w.*])", text):
+        known = name in {"null", "halving"} or list((ROOT / "conf").glob(f"*/{name}*.yaml"))
+        assert known, name
+    for module in re.findall(r"python -m (experiments[\w.]*)", text):
+        parts = module.split(".")
+        place = ROOT.joinpath(*parts)
+        assert place.is_dir() or place.with_suffix(".py").is_file(), module
+
+
+def test_the_manual_lists_every_page() -> None:
+    pages = re.findall(r": (\w[\w-]*\.md)$", (ROOT / "mkdocs.yml").read_text(), re.MULTILINE)
+    assert sorted(pages) == sorted(path.name for path in DOCS.glob("*.md"))
+    notebooks = re.findall(r": notebooks/(\w+\.ipynb)$", (ROOT / "mkdocs.yml").read_text(), re.M)
+    assert sorted(notebooks) == sorted(path.name for path in (ROOT / "notebooks").glob("*.ipynb"))
+
+
+def test_the_claims_are_the_measured_ones() -> None:
+    table = (DOCS / "results/paper_fig6/claims.md").read_text(encoding="utf-8")
+    assert table.partition("\n\n")[2].strip() in (DOCS / "results.md").read_text(encoding="utf-8")
