@@ -305,7 +305,7 @@ class Oracle:
         try:
             residuals = _real(self._least_squares.residual_rows(_read_only(rows), *some))
             losses = self._usable(mean_square(residuals))
-        except Exception:  # noqa: BLE001 -- whatever a model raises; found out one at a time
+        except Exception:  # noqa: BLE001 -- whatever a model raises, or it has no such rows
             residuals, losses = self._one_by_one(rows, some)
         self._record(rows, losses, cost, started)
         return residuals

@@ -89,9 +89,11 @@ class LeastSquaresProblem(Problem):
         """Model minus data, (m,), of one configuration (d,), over a fidelity of the rows."""
 
     def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """Those of each of some configurations (n, d), (n, m): at once where that is quicker."""
-        some = () if fidelity == 1.0 else (fidelity,)  # a problem need not know of any
-        return np.stack([np.array(self.residuals(theta, *some)) for theta in thetas])
+        """Those of each of some configurations (n, d), (n, m).
+
+        For problems that are quicker with several at once; others are asked one at a time.
+        """
+        raise NotImplementedError
 
     @abstractmethod
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:

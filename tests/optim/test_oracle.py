@@ -325,12 +325,22 @@ def test_unusable_residuals_and_derivatives_are_counted() -> None:
 
 
 class Partly(Line):
-    """Raises where x is above 1, and in any batch that holds such a row."""
+    """Counts configurations, and raises where x is above 1."""
+
+    count = 0
 
     def residuals(self, theta: Array) -> Array:
+        self.count += 1
         if theta[0] > 1:
             raise ZeroDivisionError("above 1")
         return super().residuals(theta)
+
+
+class InBatches(Partly):
+    """Raises in any batch that holds such a row."""
+
+    def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        return np.stack([self.residuals(theta) for theta in thetas])
 
 
 @pytest.mark.parametrize(("bad", "budget"), [((), 7), ((2, 3), 7), ((0,), 20), (range(9), 9)])
@@ -339,7 +349,7 @@ def test_residuals_of_several_are_those_of_each_and_counted_alike(
 ) -> None:
     thetas = np.linspace(-1, 0.9, 9)[:, None]
     thetas[list(bad), 0] = 2.0
-    problem, limit = Partly(), Budget(evaluations=budget)
+    problem, limit = InBatches(), Budget(evaluations=budget)
     together, alone = Oracle(problem, limit), Oracle(problem, limit)
     rows: list[Array] = []
     with pytest.raises(BudgetExhausted) if budget < 9 else nullcontext():
@@ -357,6 +367,16 @@ def test_residuals_of_several_are_those_of_each_and_counted_alike(
     assert together.meter.rejected == alone.meter.rejected
     assert together.trace.loss == alone.trace.loss
     assert together.trace.evaluations == alone.trace.evaluations
+
+
+def test_no_configuration_is_evaluated_twice_where_there_are_no_batches() -> None:
+    problem, thetas = Partly(), np.array([[0.5], [2.0], [0.1]])
+    oracle = Oracle(problem, Budget())
+    rows: list[Array] = []
+    while len(rows) < len(thetas):
+        rows += list(oracle.residual_rows(thetas[len(rows) :]))
+    assert problem.count == oracle.meter.evaluations == 3
+    assert oracle.meter.rejected == {"ZeroDivisionError: above 1": 1}
 
 
 def test_a_problem_without_residuals_says_so() -> None:
