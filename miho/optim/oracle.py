@@ -316,8 +316,9 @@ class Oracle:
         losses = np.full(len(rows), math.inf)
         for k, theta in enumerate(rows):
             try:
-                found[k] = _real(self._least_squares.residuals(_read_only(theta), *some)).copy()
-                losses[k] = self._usable(mean_square(found[k])[None])[0]
+                values = _real(self._least_squares.residuals(_read_only(theta), *some))
+                losses[k] = self._usable(mean_square(values)[None])[0]
+                found[k] = values.copy()
             except Exception as error:  # noqa: BLE001 -- as for residuals
                 self.meter.reject(f"{type(error).__name__}: {error}")
         residuals = np.full((len(rows), max((r.size for r in found.values()), default=1)), math.nan)

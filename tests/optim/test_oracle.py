@@ -379,6 +379,20 @@ def test_no_configuration_is_evaluated_twice_where_there_are_no_batches() -> Non
     assert oracle.meter.rejected == {"ZeroDivisionError: above 1": 1}
 
 
+class OfOtherShape(Line):
+    """Residuals (2, 2) where x is above 1."""
+
+    def residuals(self, theta: Array) -> Array:
+        return np.ones((2, 2)) if theta[0] > 1 else super().residuals(theta)
+
+
+def test_residuals_of_another_shape_are_unusable_as_if_the_problem_raised() -> None:
+    oracle = Oracle(OfOtherShape(), Budget())
+    assert np.isnan(oracle.residual_rows(np.array([[2.0]]))).all()
+    assert oracle.meter.evaluations == sum(oracle.meter.rejected.values()) == 1
+    assert oracle.best == math.inf
+
+
 def test_a_problem_without_residuals_says_so() -> None:
     with pytest.raises(TypeError, match=r"gives no residuals; .* \(optimizer=miho_qn\)"):
         Oracle(Given(), Budget()).residuals(np.array([1.0]))
