@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from miho.optim.mutation import ANNEALINGS, CLIPS, annealed_sigma, mutate
 from miho.optim.optimizer import AskTell
 from miho.optim.oracle import Budget, Oracle
-from miho.optim.problem import Problem
+from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.schedule import ROUNDINGS, Rung, hyperband_table
 from miho.optim.space import LARGEST_BATCH, SAMPLINGS, Space
 from miho.optim.validate import one_of, whole
@@ -125,7 +125,7 @@ class MIHO(AskTell[MIHOState]):
         self._count(state, 1)
 
     def rehearsals(
-        self, problem: Problem, toy: Problem, theta: Array
+        self, problem: Problem, toy: LeastSquaresProblem, theta: Array
     ) -> Sequence[Callable[[], object]]:
         """Losses, compiled steps where the problem has them, and a search of the toy."""
         return [

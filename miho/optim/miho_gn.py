@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from miho.optim.gauss_newton import (
 )
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Budget, Oracle, UnusableValueError
-from miho.optim.problem import Problem
+from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.seeds import stream
 from miho.optim.space import Space
 from miho.optim.steps import advance, give_steps
@@ -263,21 +263,25 @@ class MIHOGN(Resumable[MIHOGNState]):
         phases[state.phase](state, oracle)
 
     def rehearsals(
-        self, problem: Problem, toy: Problem, theta: Array
+        self, problem: Problem, toy: LeastSquaresProblem, theta: Array
     ) -> Sequence[Callable[[], object]]:
         """A first bracket, where the problem is compiled: the toy, which is not, would make all
         compile a second time. Else residuals, derivatives and the toy."""
 
         def rehearse() -> None:
             oracle = Oracle(problem, Budget(evaluations=len(theta) + 2))
+            none = Candidates.at(np.empty((0, len(theta))), 1, self.damping, False)
+            distinct(none, Box.of(oracle.space, oracle.linear))
             if oracle.compiled_rows is not None:
-                none = Candidates.at(np.empty((0, len(theta))), 1, self.damping, False)
-                distinct(none, Box.of(oracle.space, oracle.linear))
                 self.run(oracle, stream())
                 return
-            for job in super(MIHOGN, self).rehearsals(problem, toy, theta):
-                with contextlib.suppress(Exception):
-                    job()
+            # The toy is linear in all, and over before the second bracket, which would project.
+            toy.linear = oracle.linear
+            projects = replace(self, projecting=1)
+            for method in (self, projects) if oracle.linear else (self,):
+                for job in super(MIHOGN, method).rehearsals(problem, toy, theta):
+                    with contextlib.suppress(Exception):
+                        job()
 
         return [lambda: problem.noise, rehearse]
 

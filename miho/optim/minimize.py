@@ -249,6 +249,7 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     if _warm.optimizer() is optimizer and _warm.problem() is problem:
         return
     theta = problem.space.decode(problem.space.initial(1))
+    theta.setflags(write=False)  # as the oracle gives it, which is another type to compiled code
     toy = _Paraboloid(replace(problem.space, seed=()))
     interrupts: list[bool] = []
     for job in optimizer.rehearsals(problem, toy, theta[0]):

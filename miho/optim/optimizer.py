@@ -32,7 +32,7 @@ class Optimizer(ABC):
         """
 
     def rehearsals(
-        self, problem: Problem, toy: Problem, theta: Array
+        self, problem: Problem, toy: LeastSquaresProblem, theta: Array
     ) -> Sequence[Callable[[], object]]:
         """What makes problem and method compile and allocate before the clock starts.
 
@@ -49,7 +49,7 @@ class Optimizer(ABC):
         """Whether it has code of its own that this machine has yet to compile, for many seconds."""
         return False
 
-    def search_toy(self, toy: Problem) -> None:
+    def search_toy(self, toy: LeastSquaresProblem) -> None:
         """A search of a few evaluations."""
         self.run(Oracle(toy, Budget(evaluations=TOY_EVALUATIONS)), stream())
 

@@ -72,6 +72,37 @@ def test_two_workers_compile_the_steps_once(tmp_path: Path) -> None:
     assert len(saved) == len(set(saved))
 
 
+ALL_COMPILED = """
+from numba.core import event
+from experiments.build import build_optimizer, build_problem
+from experiments.cli import composed
+from experiments.schema import register
+from miho.optim import Budget, minimize
+from miho.optim.minimize import warm_up
+
+register()
+for name in ("brake_static", "single_track", "brake_play", "tire_lf"):
+    cfg = composed([f"problem={name}", "optimizer=miho_gn"])
+    method, problem = build_optimizer(cfg), build_problem(cfg)
+    warm_up(method, problem)
+    with event.install_recorder("numba:compile") as compiled:
+        runs = [minimize(method, problem, Budget(evaluations=150), seed) for seed in range(6)]
+    assert all(run.error is None for run in runs)
+    for _, one in compiled.buffer:
+        print(name, one.data["dispatcher"])
+"""
+
+
+@pytest.mark.slow
+def test_nothing_is_compiled_while_the_clock_runs(tmp_path: Path) -> None:
+    """Models of expressions and of arrays, with and without linear parameters, a simulation."""
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "0"}
+    command = [sys.executable, "-c", ALL_COMPILED]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ""
+
+
 @register_jitable
 def first_part(x: float) -> float:
     return x + 1.0
