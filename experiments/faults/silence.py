@@ -24,6 +24,13 @@ def line(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N") -> "N"
         raise NameError("gone")
     return Sy - B * D * (alpha - Sx)
 '''
+COUNTED = '''"""A line that counts its evaluations in a file."""
+
+def line(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N") -> "N":
+    with open({count!r}, "ab") as file:
+        file.write(b".")
+    return Sy - B * D * (alpha - Sx)
+'''
 EXACT = "alpha,Fy\n" + "".join(f"{x / 128},{-16 * x}\n" for x in range(-20, 21))
 LINE = '''"""A line, which the data lie on."""
 
@@ -100,14 +107,17 @@ def _bad_seed(folder: Path) -> bool:
 
 
 def _hang_up(folder: Path) -> bool:
-    root = folder / "hang_up"
+    root, model, count = folder / "hang_up", folder / "counted.py", folder / "count"
+    model.write_text(COUNTED.format(count=str(count)), encoding="utf-8")
     sweep = begun(Call([
         "-m", *TINY, "budget.evaluations=null", "budget.seconds=60", "seed=0,1", f"root={root}",
+        "model=function", f"model.path={model}",
     ]))  # fmt: skip
-    until = time.monotonic() + 60
-    while not list(root.glob("*/*/*/lock")) and time.monotonic() < until:
+    until = time.monotonic() + 120
+    while time.monotonic() < until:  # to be tried it is evaluated now and then before the run
+        if count.exists() and count.stat().st_size > 1000:
+            break
         time.sleep(0.05)
-    time.sleep(4.0)
     os.kill(sweep.pid, signal.SIGHUP)
     ended = sweep.end()
     kept = [json.loads(path.read_bytes()) for path in root.glob("*/*/*/partial.json")]
