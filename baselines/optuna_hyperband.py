@@ -9,8 +9,9 @@ import numpy as np
 import optuna
 from numpy.typing import NDArray
 
+from miho.compiled import Block, Climb, Steps
 from miho.optim import Optimizer, Oracle, Space
-from miho.optim.mutation import annealed_sigma, mutate
+from miho.optim.mutation import annealed_sigma, climb_of, mutate
 from miho.optim.validate import whole
 
 optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -82,21 +83,36 @@ def _climbed(
     P: Array, L: float, sigma: Array, oracle: Oracle, rng: np.random.Generator
 ) -> tuple[Array, float]:
     """P (1, d) and its loss after a mutation for each row of sigma (k, d); compiled if possible."""
-    space, k = oracle.space, 0
-    while k < len(sigma):
-        mutant = mutate(P, sigma[k], space, rng, "box")
-        steps = min(len(sigma) - k, oracle.climbing_evaluations())
-        if steps:
-            noise = rng.standard_normal((steps - 1, *P.shape))
-            P, losses = P.copy(), np.array([L])
-            oracle.climb(mutant, P, losses, noise, sigma[k + 1 : k + steps], space.bounds, True)
-            L, k = float(losses[0]), k + steps
-        else:
-            loss = float(oracle(space.decode(mutant))[0])
-            k += 1
-            if loss < L:
-                P, L = mutant, loss
+    space, climb = oracle.space, climb_of(oracle)
+    if climb is not None:
+        return _climbed_at_once(climb, P, L, sigma, oracle, rng)
+    for each in sigma:
+        mutant = mutate(P, each, space, rng, "box")
+        loss = float(oracle(space.decode(mutant))[0])
+        if loss < L:
+            P, L = mutant, loss
     return P, L
+
+
+def _climbed_at_once(
+    climb: Climb, P: Array, L: float, sigma: Array, oracle: Oracle, rng: np.random.Generator
+) -> tuple[Array, float]:
+    space, k = oracle.space, 0
+    P, losses = P.copy(), np.array([L])
+
+    def block(most: float, best: float, target: float) -> Block:
+        """As many of the next steps as `most` evaluations pay for."""
+        nonlocal k
+        count = min(len(sigma) - k, int(most))
+        mutant = mutate(P, sigma[k], space, rng, "box")
+        noise = rng.standard_normal((count - 1, *P.shape))
+        steps = Steps(mutant, P, losses, noise, sigma[k + 1 : k + count], space.bounds)
+        k += count
+        return climb(steps, best, target)._replace(finished=k == len(sigma))
+
+    if len(sigma):
+        oracle.spend(block, 1)
+    return P, float(losses[0])
 
 
 def _configurations(space: Space, rng: np.random.Generator) -> Iterator[Array]:

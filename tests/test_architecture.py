@@ -12,14 +12,15 @@ TABLES = {"pandas", "seaborn", "matplotlib"}
 
 # package: (ours it may import, third-party packages it may import)
 LAYERS: dict[str, tuple[set[str], set[str]]] = {
-    "miho.optim": ({"miho.optim"}, NUMERICS),
-    "miho.models": ({"miho.models"}, NUMERICS),
+    "miho.compiled": ({"miho.compiled"}, NUMERICS),
+    "miho.optim": ({"miho.compiled", "miho.optim"}, NUMERICS),
+    "miho.models": ({"miho.compiled", "miho.models"}, NUMERICS),
     "miho.data": ({"miho.data", "miho.models"}, NUMERICS | {"pooch"}),
     "miho.identification": (
-        {"miho.identification", "miho.optim", "miho.models", "miho.data"},
+        {"miho.identification", "miho.compiled", "miho.optim", "miho.models", "miho.data"},
         NUMERICS | TABLES,
     ),
-    "miho.driving": ({"miho.driving", "miho.models", "miho.data"}, NUMERICS),
+    "miho.driving": ({"miho.driving", "miho.compiled", "miho.models", "miho.data"}, NUMERICS),
     "miho.study": (
         {"miho.study", "miho.optim"},
         {"pandas", "filelock", "numpy", "orjson", "threadpoolctl"},
@@ -28,7 +29,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "miho.methods": ({"miho.methods", "miho.optim"}, NUMERICS),
     "miho.testing": ({"miho.optim", "miho.models"}, NUMERICS),
     "baselines": (
-        {"baselines", "miho.methods", "miho.optim"},
+        {"baselines", "miho.compiled", "miho.methods", "miho.optim"},
         NUMERICS | {"optuna", "cmaes", "nevergrad", "dehb", "dfols", "loguru"},
     ),
 }

@@ -24,6 +24,7 @@ from experiments.build import build
 from experiments.cli import composed
 from experiments.schema import register
 from miho.analysis.benchmark_figures import growth_figure
+from miho.compiled import Steps
 from miho.identification import CurveFit
 from miho.optim import MIHO, minimize
 from miho.optim.mutation import annealed_sigma, mutate
@@ -45,11 +46,12 @@ def of_size(rows: int, *, compressed: bool) -> CurveFit:
 
 def stopped(problem: CurveFit, mutants: Array, loss: float) -> None:
     """Compare every mutant with the same loss, and give it up early."""
-    if problem.climb is None:
+    climb = None if problem.kernel is None else problem.kernel.climb
+    if climb is None:
         raise RuntimeError("the problem has no compiled steps")
     none, L = np.empty((0, *mutants.shape)), np.full(len(mutants), loss)
-    problem.climb(mutants, mutants.copy(), L, none, none[:, 0], problem.space.bounds,
-                  -math.inf, -math.inf, True)  # fmt: skip
+    steps = Steps(mutants, mutants.copy(), L, none, none[:, 0], problem.space.bounds)
+    climb(steps, -math.inf, -math.inf)
 
 
 def measure(quick: bool) -> Measured:

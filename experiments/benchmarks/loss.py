@@ -32,7 +32,7 @@ from experiments.benchmarks.bars import (
     turns,
 )
 from miho.analysis.benchmark_figures import loss_figure
-from miho.identification.fused import FusedLoss
+from miho.compiled.fused import FusedLoss
 from miho.models import Pacejka
 
 Array = NDArray[np.float64]

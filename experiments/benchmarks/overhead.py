@@ -17,7 +17,7 @@ from __future__ import annotations
 import math
 import time
 from functools import partial
-from typing import Any, cast
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -28,8 +28,8 @@ from experiments.build import build
 from experiments.cli import CONF, composed
 from experiments.schema import register
 from miho.analysis.benchmark_figures import overhead_figure
+from miho.compiled import Block, Climb, Kernel, Rows, Steps
 from miho.optim import Budget, LeastSquaresProblem, Optimizer, Oracle, Problem, Space, minimize
-from miho.optim.climb import Climb, Climbed
 
 Array = NDArray[np.float64]
 
@@ -72,6 +72,13 @@ class Bowl(LeastSquaresProblem):
         return derivatives
 
 
+class CompiledSteps(NamedTuple):
+    """A kernel of counted steps."""
+
+    climb: Climb
+    rows: Rows | None = None
+
+
 class Counted(Problem):
     """A problem that counts what a run asks of it."""
 
@@ -85,38 +92,29 @@ class Counted(Problem):
         return self.inner.loss(thetas, fidelity)
 
     @property
-    def climb(self) -> Climb | None:  # type: ignore[override]
+    def kernel(self) -> Kernel | None:  # type: ignore[override]
         """The problem's compiled steps."""
-        return cast(Climb, self._climb)
+        return CompiledSteps(self._climb)
 
-    def _climb(self, *arguments: Any) -> Climbed:
+    def _climb(self, steps: Steps, best: float, target: float) -> Block:
         self.blocks += 1
-        if self.inner.climb is None:
+        kernel = self.inner.kernel
+        if kernel is None or kernel.climb is None:
             raise RuntimeError("the problem has no compiled steps")
-        return self.inner.climb(*arguments)
+        return kernel.climb(steps, best, target)
 
 
 class Prepared(Problem):
-    """Losses, and blocks of steps, that are there already and cost nothing."""
+    """Losses that are there already and cost nothing."""
 
     name = "prepared"
 
-    def __init__(self, space: Space, losses: Array, block: Climbed | None = None) -> None:
-        self.space, self.losses, self.block = space, losses, block
+    def __init__(self, space: Space, losses: Array) -> None:
+        self.space, self.losses = space, losses
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """The prepared ones."""
         return self.losses[: len(thetas)]
-
-    @property
-    def climb(self) -> Climb | None:  # type: ignore[override]
-        """Gives the prepared block."""
-        return None if self.block is None else cast(Climb, self._climb)
-
-    def _climb(self, *arguments: Any) -> Climbed:
-        if self.block is None:
-            raise RuntimeError("there is no block")
-        return self.block
 
 
 SETTINGS = {"ngopt": ["optimizer.plan=1000"]}
@@ -174,15 +172,13 @@ def recorder(space: Space, repeats: int) -> dict[tuple[str, int], float]:
 
 def block_seconds(space: Space, repeats: int) -> float:
     """Seconds of the oracle's own per block of compiled steps without improvements."""
-    P = space.initial(1)
-    L, noise, bounds = np.ones(1), np.empty((0, *P.shape)), space.bounds
-    none = np.empty(0, np.int64), np.empty(0), np.empty((0, len(space)))
-    oracle = Oracle(Prepared(space, np.ones(1), Climbed(1, *none, 0, 0)), Budget())
-    oracle(P)
+    none = np.empty(0)
+    report = Block(1, none, none, none.reshape(0, len(space)), {"loss is nan": 0, "loss is inf": 0})
+    oracle = Oracle(Prepared(space, np.ones(1)), Budget())
+    oracle(space.initial(1))
 
     def step() -> None:
-        oracle.climbing_evaluations()
-        oracle.climb(P, P, L, noise, noise[:, 0], bounds, True)
+        oracle.spend(lambda most, best, target: report, 1)
 
     return interleaved({"block": step}, repeats)["block"]
 

@@ -10,14 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from miho.driving import (
-    compiled_tire,
-    dynamics,
-    load_transfer,
-    plant_parameters,
-    powertrain,
-    road,
-)
+from miho.compiled.signature import compiled_when_called
 from miho.driving.dynamics import (
     CHI,
     DELTA,
@@ -40,16 +33,11 @@ from miho.driving.road import PLANE, Road, place_at, shape_at
 from miho.driving.vehicle import Vehicle
 from miho.models.brake import Brake
 from miho.models.engine_map import EngineMap
-from miho.models.signature import signature_of, signed
 
 Array = NDArray[np.float64]
 
 LARGEST_STEP = 1e-3
 """Above it the lightest mode, a wheel that comes to rest, is no longer stable [s]."""
-COMPILED_WITH = tuple(
-    str(module.__file__)
-    for module in (compiled_tire, dynamics, load_transfer, plant_parameters, powertrain, road)
-)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,8 +144,7 @@ class DoubleTrack(Plant[DoubleTrackState]):
         )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-@signed(signature_of(*COMPILED_WITH))
+@compiled_when_called(nogil=True, error_model="numpy")
 def _advance(
     car: Car, road: Road, step: float, count: int, y: Array, gearbox: Array, steering: Array,
     brake: Array, seen: Array, asked_steering: float, throttle: float, asked_brake: float,

@@ -7,24 +7,25 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.compiled import kernel_for
 from miho.data.dataset import Dataset
-from miho.identification.compiled_values import difference
-from miho.identification.compressed import CompressedLoss
-from miho.identification.fused import FusedLoss
 from miho.identification.irreducible import irreducible_interval, irreducible_limit
 from miho.identification.loss import Loss, Square, slope
 from miho.identification.row_order import row_order
 from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
-from miho.optim.climb import Climb
-from miho.optim.problem import CompiledRows, LeastSquaresProblem, mean_square
+from miho.optim.problem import LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
+
+if TYPE_CHECKING:
+    from miho.compiled.fit import FitKernel
 
 Array = NDArray[np.float64]
 
@@ -48,8 +49,6 @@ SCATTER, SCATTERED = 100_000, 20_000
 takes longer the more inputs there are."""
 REMEMBERED = 1 << 20
 """Errors that are kept for the derivatives of a robust loss at the same configurations."""
-COMPARED = 1000
-"""Rows on which compiled values are compared with NumPy's."""
 SMALLEST, LARGEST = 1e-140, 1e150
 """The largest output has a square that neither its rounding nor a sum over all rows takes out of
 double precision, 1e-308 to 1e308."""
@@ -112,7 +111,7 @@ class CurveFit(LeastSquaresProblem):
 
         self._check_values(called)
         self._check_nominal(called)
-        if self.compressed and self._compressed is None:
+        if self.compressed and (self.kernel is None or self.kernel.few_nodes is None):
             raise ValueError(
                 f"compressed is true for {called} with {len(model.inputs)} inputs and the loss "
                 f"{type(self.rho).__name__}; expected an Expression of one input that has a bound, "
@@ -244,61 +243,16 @@ class CurveFit(LeastSquaresProblem):
         return self.dataset[self.dataset.output]
 
     @cached_property
-    def _fused(self) -> FusedLoss | None:
-        """The compiled loss of a model that is an expression."""
+    def kernel(self) -> FitKernel | None:  # type: ignore[override]
+        """Compiled forms of the square loss of a model that is an expression."""
         if not (isinstance(self.model, Expression) and self._square):
             return None
-        return FusedLoss(self.model, np.array(self.inputs), self._output, self._order, self.threads)
-
-    def _compiled(self, kind: str) -> FusedLoss | None:
-        """The compiled loss, if its `losses`, `residuals`, `jacobian` or `rows` are NumPy's.
-
-        They are compared at their first use, off the clock like their compilation.
-        """
-        if kind not in self._differences:
-            self._differences[kind] = self._compare(kind)
-        return None if self._differences[kind] else self._fused
-
-    @cached_property
-    def _differences(self) -> dict[str, str]:
-        """What is known of compiled values that are not NumPy's, by kind; empty where they are."""
-        return {}
-
-    def _compare(self, kind: str) -> str:
-        """Warn where compiled values are not NumPy's, which is used then."""
-        if self._fused is None:
-            return "not an expression"
-        some = self._order[:COMPARED]
-        X, y = np.array(self._inputs_of(some)), self._output[some]
-        part = FusedLoss(self._fused.model, X, y, np.arange(some.size))
-        found = difference(part, kind, self.space.decode(self.space.initial(TRIALS)))
-        if found:
-            warnings.warn(
-                f"{self.model.name or type(self.model).__name__}: {kind}: {found}; NumPy's are "
-                "used, which are slower: write it element by element with NumPy's functions of "
-                "numbers, or derive from Model",
-                UserWarning,
-                stacklevel=4,
-            )
-        return found
-
-    @cached_property
-    def _compressed(self) -> CompressedLoss | None:
-        """The loss from few nodes, if it is wanted and the model allows it."""
-        model = self.model
-        if not (self.compressed and isinstance(model, Expression) and self._square):
-            return None
-        if len(self.inputs) != 1 or model.bound is None:
-            return None
-        return CompressedLoss(model, self.inputs[0], self._output, threads=self.threads)
-
-    @property
-    def climb(self) -> Climb | None:  # type: ignore[override]
-        """Compiled mutation steps, for a compiled loss and a space without log scales."""
-        compiled = self._compressed or self._compiled("losses")
-        if compiled is None or any(p.scale == "log" for p in self.space.parameters):
-            return None
-        return compiled.climb
+        thetas = self.space.decode(self.space.initial(TRIALS))
+        name = self.model.name or type(self.model).__name__
+        return kernel_for(
+            self.model, np.array(self.inputs), self._output, self._order, thetas,
+            name=name, threads=self.threads, compressed=self.compressed,
+        )  # fmt: skip
 
     @cached_property
     def _order(self) -> NDArray[np.intp]:
@@ -333,20 +287,13 @@ class CurveFit(LeastSquaresProblem):
         """What the model's Jacobian costs, in evaluations."""
         return self.model.jacobian_cost
 
-    @property
-    def compiled_rows(self) -> CompiledRows | None:  # type: ignore[override]
-        """Residuals and derivatives of a model that is an expression, compiled."""
-        compiled = self._compiled("rows")
-        return None if compiled is None else compiled.compiled_rows
-
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Mean squared error (n,) of parameter rows (n, d), over a fidelity of the data rows."""
         inputs, output, rows = self.inputs, self._output, self._rows(fidelity)
-        if self._compressed is not None and rows == output.size:
-            return self._compressed.losses(thetas)
-        compiled = self._compiled("losses")
-        if compiled is not None:
-            return compiled.losses(thetas, rows)
+        if self.kernel is not None:
+            losses = self.kernel.losses(thetas, rows)
+            if losses is not None:
+                return losses
         if rows < output.size:
             part = self._order[:rows]
             inputs, output = tuple(column[part] for column in inputs), output[part]
@@ -385,8 +332,10 @@ class CurveFit(LeastSquaresProblem):
 
     def _errors(self, thetas: Array, fidelity: float) -> Array:
         part = self._part(fidelity)
-        if part is None and (compiled := self._compiled("residuals")) is not None:
-            return np.stack([compiled.residuals(theta) for theta in thetas])
+        if part is None and self.kernel is not None:
+            residuals = self.kernel.residuals(thetas)
+            if residuals is not None:
+                return residuals
         errors = self.model.predict(thetas, *self._inputs_of(part))
         errors -= self._output if part is None else self._output[part]
         return np.asarray(errors)
@@ -399,8 +348,10 @@ class CurveFit(LeastSquaresProblem):
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals, (m, d)."""
         part = self._part(fidelity)
-        if part is None and (compiled := self._compiled("jacobian")) is not None:
-            return compiled.jacobian(theta)
+        if part is None and self.kernel is not None:
+            derivatives = self.kernel.jacobian(theta)
+            if derivatives is not None:
+                return derivatives
         derivatives = self.model.jacobian(theta, *self._inputs_of(part))
         if self._square:
             return derivatives

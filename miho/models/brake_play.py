@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from miho.compiled.signature import compiled_when_called
 from miho.models.brake_statics import BrakePressure
 from miho.models.model import Model
 
@@ -53,7 +53,7 @@ class BrakePlay(Model):
         return np.column_stack([static, by_v * by_width])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_when_called(error_model="numpy")
 def _pressures(thetas: Array, u: Array) -> Array:
     """Pressures (n, N) of parameter rows (n, 5) at a record of commands (N,)."""
     pressures = np.empty((thetas.shape[0], u.size))
@@ -70,7 +70,7 @@ def _pressures(thetas: Array, u: Array) -> Array:
     return pressures
 
 
-@njit(cache=True)
+@compiled_when_called()
 def _played(u: Array, width: float) -> tuple[Array, Array]:
     """What comes through the play at each command, and its derivative in the width, (N,) each."""
     played, slope = np.empty(u.size), np.empty(u.size)

@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.models.expression import Expression, Formula
+from miho.compiled.kernel import Formula
+from miho.models.expression import Expression
 
 Array = NDArray[np.float64]
 

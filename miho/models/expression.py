@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
-from typing import Any, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.compiled.kernel import Formula
 from miho.models.model import Model
 
 Array = NDArray[np.float64]
-
-Formula = Callable[[tuple[Any, ...], tuple[Any, ...]], Any]
-"""(inputs, theta) -> value: element by element, with the operators and `miho.models.elementary`."""
 
 
 class Expression(Model):
@@ -22,7 +19,7 @@ class Expression(Model):
 
     `value` and `derivatives` are plain functions of two tuples, the inputs and the parameters in
     their order. They use arithmetic, NumPy's functions of numbers and those of
-    `miho.models.elementary`, without branches, so that numbers, arrays and compiled blocks go
+    `miho.compiled.elementary`, without branches, so that numbers, arrays and compiled blocks go
     through the same lines. What they need besides is in their closure, as plain numbers.
 
     `bound`, for a model of one input whose loss can be compressed, is such a function too:

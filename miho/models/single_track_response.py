@@ -7,12 +7,11 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from miho.models.elementary import atan, cos, sin
+from miho.compiled.elementary import atan, cos, sin
+from miho.compiled.signature import compiled_when_called
 from miho.models.model import Model
-from miho.models.signature import signature_of, signed
 from miho.models.single_track import SingleTrack
 from miho.models.vehicle_settings import from_settings
 
@@ -83,8 +82,7 @@ def _with_halves(column: Array) -> Array:
     return both
 
 
-@njit(cache=True, error_model="numpy")
-@signed(signature_of())
+@compiled_when_called(error_model="numpy")
 def _yaw_rates(
     columns: Array,
     car: tuple[float, float, float],
@@ -127,8 +125,7 @@ def _yaw_rates(
     return yaw_rates
 
 
-@njit(cache=True, error_model="numpy")
-@signed(signature_of())
+@compiled_when_called(error_model="numpy")
 def _sensitivities(
     theta: Array,
     car: tuple[float, float, float],

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from miho.models.elementary import atan, cos, sin
-from miho.models.expression import Expression, Formula
+from miho.compiled.elementary import atan, cos, sin
+from miho.compiled.kernel import Formula
+from miho.models.expression import Expression
 
 OUTSIDE = 1e200
 """The exponent of a bound that does not hold."""

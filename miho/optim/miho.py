@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.optim.mutation import ANNEALINGS, CLIPS, annealed_sigma, mutate
-from miho.optim.optimizer import AskTell
+from miho.compiled import Block, Climb, Steps
+from miho.optim.mutation import ANNEALINGS, CLIPS, annealed_sigma, climb_of, mutate
+from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Budget, Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.schedule import ROUNDINGS, Rung, hyperband_table
@@ -48,7 +50,7 @@ class MIHOState:
 
 
 @dataclass(frozen=True)
-class MIHO(AskTell[MIHOState]):
+class MIHO(Resumable[MIHOState]):
     """Alg. 1 with the settings it leaves open; the defaults are the paper as printed.
 
     R is the largest number of mutations one configuration gets on a rung, eta the proportion kept
@@ -91,9 +93,9 @@ class MIHO(AskTell[MIHOState]):
                 f"configurations; expected at most {LARGEST_BATCH:,}"
             )
 
-    def init(self, space: Space, rng: np.random.Generator) -> MIHOState:
+    def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOState:
         """The first bracket's configurations are the common initial ones."""
-        table = hyperband_table(self.R, self.eta, self.rounding)
+        space, table = oracle.space, hyperband_table(self.R, self.eta, self.rounding)
         P = self._clipped(space.initial(table[0].n, self.sampling), space)
         return MIHOState(
             space=space,
@@ -107,13 +109,20 @@ class MIHO(AskTell[MIHOState]):
             batch=P,
         )
 
-    def ask(self, state: MIHOState) -> Array:
-        """Fresh configurations, or one mutation of each configuration of the rung."""
-        return state.space.decode(state.batch[state.row :])
+    def step(self, state: MIHOState, oracle: Oracle) -> None:
+        """A batch; or the next steps of this rung, or rows of one, in one compiled block."""
+        climb = None
+        if state.step >= 0 and self.proposal == "mutation":
+            climb = climb_of(oracle)
+        if climb is None:
+            self._evaluate(state, oracle)
+        else:
+            oracle.spend(partial(self._climb, climb, state), 1)
 
-    def tell(self, state: MIHOState, thetas: Array, losses: Array) -> None:
-        """Keep each mutant that is better than its parent, then prepare the next batch."""
+    def _evaluate(self, state: MIHOState, oracle: Oracle) -> None:
+        """Keep each configuration that is better than its parent, then prepare the next batch."""
         rest = slice(state.row, None)
+        losses = oracle(state.space.decode(state.batch[rest]))
         if state.step < 0:
             state.L = losses.copy()
         else:
@@ -124,6 +133,35 @@ class MIHO(AskTell[MIHOState]):
         state.row = 0
         self._count(state, 1)
 
+    def _climb(
+        self, climb: Climb, state: MIHOState, most: float, best: float, target: float
+    ) -> Block:
+        """So many evaluations at most: whole steps of all rows, or one step of some of them."""
+        evaluations, n, space, rng = int(most), len(state.P), state.space, state.rng
+        whole = evaluations >= n and state.row == 0
+        count = min(evaluations // n, state.rung.mutations - state.step) if whole else 1
+        rows = slice(state.row, min(state.row + evaluations, n))
+        low, high = space.bounds
+        before, shape = rng.bit_generator.state, (count - 1, *state.P.shape)
+        steps = Steps(
+            state.batch[rows],
+            state.P[rows],
+            state.L[rows],
+            rng.standard_normal(shape),
+            state.sigma[state.step + 1 : state.step + count],
+            (low, high if self.clip == "box" else np.full(high.shape, np.inf)),
+            self.early_stopping,
+        )
+        block = climb(steps, best, target)
+        taken = round(block.evaluations) // (rows.stop - rows.start)
+        if taken < count:  # the target was reached: nothing was drawn for the steps after it
+            rng.bit_generator.state = before
+            rng.standard_normal((taken - 1, *shape[1:]))
+        state.row = rows.stop % n
+        if state.row == 0:
+            self._count(state, taken)
+        return block
+
     def rehearsals(
         self, problem: Problem, toy: LeastSquaresProblem, theta: Array
     ) -> Sequence[Callable[[], object]]:
@@ -133,35 +171,6 @@ class MIHO(AskTell[MIHOState]):
             lambda: _climb_once(problem, theta),
             lambda: self.search_toy(toy),
         ]
-
-    def step(self, state: MIHOState, oracle: Oracle) -> None:
-        """A batch; or the next steps of this rung, or rows of one, in one compiled block."""
-        climbs = state.step >= 0 and self.proposal == "mutation"
-        evaluations, n = oracle.climbing_evaluations() if climbs else 0, len(state.P)
-        if not evaluations:
-            super().step(state, oracle)
-            return
-        whole = evaluations >= n and state.row == 0
-        steps = min(evaluations // n, state.rung.mutations - state.step) if whole else 1
-        rows = slice(state.row, min(state.row + evaluations, n))
-        rng, shape = state.rng, (steps - 1, *state.P.shape)
-        before = rng.bit_generator.state
-        low, high = state.space.bounds
-        made = oracle.climb(
-            state.batch[rows],
-            state.P[rows],
-            state.L[rows],
-            rng.standard_normal(shape),
-            state.sigma[state.step + 1 : state.step + steps],
-            (low, high if self.clip == "box" else np.full(high.shape, np.inf)),
-            self.early_stopping,
-        )
-        if made < steps:
-            rng.bit_generator.state = before
-            rng.standard_normal((made - 1, *shape[1:]))
-        state.row = rows.stop % n
-        if state.row == 0:
-            self._count(state, made)
 
     def _count(self, state: MIHOState, steps: int) -> None:
         """Count steps as done and prepare the next batch."""
@@ -208,9 +217,8 @@ class MIHO(AskTell[MIHOState]):
 
 
 def _climb_once(problem: Problem, theta: Array) -> None:
-    """Compile the problem's climb."""
-    if problem.climb is not None:
-        P, none = theta[None].copy(), np.empty((0, 1, theta.size))
-        bounds = problem.space.bounds
-        L = np.array([np.inf])
-        problem.climb(P, P.copy(), L, none, none[:, 0], bounds, np.inf, -np.inf, True)
+    """Compile the steps of the problem's kernel."""
+    climb = climb_of(Oracle(problem, Budget()))
+    if climb is not None:
+        P, none, L = theta[None].copy(), np.empty((0, 1, theta.size)), np.array([np.inf])
+        climb(Steps(P, P.copy(), L, none, none[:, 0], problem.space.bounds), np.inf, -np.inf)

@@ -10,9 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.optim.brackets import DRAWS, draw_starts, levels, luby
-from miho.optim.evidence import in_optimum
-from miho.optim.gauss_newton import (
+from miho.compiled.gauss_newton_state import (
     COPY_LOSS,
     DONE,
     ENTER,
@@ -22,15 +20,14 @@ from miho.optim.gauss_newton import (
     Candidates,
     Minima,
     Rules,
-    distinct,
 )
+from miho.optim.brackets import DRAWS, draw_starts, levels, luby
+from miho.optim.evidence import in_optimum
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Budget, Oracle, UnusableValueError
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.seeds import stream
 from miho.optim.space import Space
-from miho.optim.steps import advance, give_steps
-from miho.optim.triangular import in_cache
 from miho.optim.validate import one_of, positive, whole
 
 Array = NDArray[np.float64]
@@ -205,7 +202,7 @@ class MIHOGN(Resumable[MIHOGNState]):
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOGNState:
         """The state before the first look."""
         space, N = oracle.space, oracle.rows
-        box = Box.of(space, oracle.linear)
+        box = box_of(space, oracle.linear)
         ends: tuple[int, ...] = (0,)
         if N is not None:
             ends = self._levels(N, box)
@@ -218,7 +215,7 @@ class MIHOGN(Resumable[MIHOGNState]):
             box,
             rng,
             np.array(ends),
-            oracle.compiled_rows is not None,
+            _has_rows(oracle),
             oracle.jacobian_cost,
             live=Candidates.at(none, len(ends), self.damping, False),
             minima=none,
@@ -248,6 +245,8 @@ class MIHOGN(Resumable[MIHOGNState]):
         if state.phase == OVER:
             self._draw(state, oracle)
         if (state.live.stage < DONE).any():
+            from miho.optim.steps import give_steps  # which needs numba
+
             known = state.sound & (state.phase != POLISH)
             minima = Minima(state.minima[known], state.level_losses[known])
             rules = self._rules(state, oracle)
@@ -270,9 +269,11 @@ class MIHOGN(Resumable[MIHOGNState]):
 
         def rehearse() -> None:
             oracle = Oracle(problem, Budget(evaluations=len(theta) + 2))
+            from miho.compiled.gauss_newton import distinct
+
             none = Candidates.at(np.empty((0, len(theta))), 1, self.damping, False)
-            distinct(none, Box.of(oracle.space, oracle.linear))
-            if oracle.compiled_rows is not None:
+            distinct(none, box_of(oracle.space, oracle.linear))
+            if _has_rows(oracle):
                 self.run(oracle, stream())
                 return
             # The toy is linear in all, and over before the second bracket, which would project.
@@ -288,6 +289,9 @@ class MIHOGN(Resumable[MIHOGNState]):
     @property
     def uncompiled(self) -> bool:
         """Whether the steps are not in numba's cache."""
+        from miho.compiled.advance import advance
+        from miho.compiled.triangular import in_cache
+
         return not in_cache(advance)
 
     def _count_rows(self, state: MIHOGNState, oracle: Oracle) -> None:
@@ -412,6 +416,8 @@ class MIHOGN(Resumable[MIHOGNState]):
                 self._returned(state, oracle, c)
             self._close(state, oracle)
             return
+        from miho.compiled.gauss_newton import distinct
+
         c = c.take(~over)
         state.live = c.take(distinct(c, state.box))
         entering = not state.last
@@ -518,6 +524,26 @@ class MIHOGN(Resumable[MIHOGNState]):
         kept = c.loss.size * (state.d + 1) * state.rows <= ROOM
         kept &= not (state.compiled and c.projects.all())
         state.live = c.with_rows(state.rows if kept else 0)
+
+
+def box_of(space: Space, linear: tuple[str, ...]) -> Box:
+    """The box of a space whose residuals are linear in these parameters."""
+    low, high = space.bounds
+    names = space.names
+    return Box(
+        space.low,
+        space.high,
+        low,
+        high - low,
+        np.array([p.scale == "log" for p in space.parameters]),
+        np.array([names.index(name) for name in linear], dtype=np.int64),
+        np.array([k for k, name in enumerate(names) if name not in linear], dtype=np.int64),
+    )
+
+
+def _has_rows(oracle: Oracle) -> bool:
+    """Whether residuals and derivatives are compiled."""
+    return oracle.kernel is not None and oracle.kernel.rows is not None
 
 
 def _usable(c: Candidates) -> Candidates:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.compiled import Climb
+from miho.optim.oracle import Oracle
 from miho.optim.space import Space
 
 Array = NDArray[np.float64]
@@ -40,3 +42,16 @@ def mutate(P: Array, sigma: Array, space: Space, rng: np.random.Generator, clip:
     if clip == "box":
         np.minimum(mutated, high, out=mutated)
     return mutated
+
+
+def climb_of(oracle: Oracle) -> Climb | None:
+    """Compiled steps of mutation, for a problem that has them and a space without log scales.
+
+    They move in units, which are the search coordinates there. None while a batch is cut off in the
+    middle: it has to be evaluated to its end.
+    """
+    if oracle.kernel is None or oracle.meter.unfinished:
+        return None
+    if any(parameter.scale == "log" for parameter in oracle.space.parameters):
+        return None
+    return oracle.kernel.climb

@@ -113,8 +113,9 @@ class AskTell(Resumable[State]):
         """The state before the first batch, of a method that needs to know the space only."""
         return self.init(oracle.space, rng)
 
+    @final
     def step(self, state: State, oracle: Oracle) -> None:
-        """Ask, evaluate and tell; a method may do at once what many of these would do."""
+        """Ask, evaluate and tell."""
         thetas = self.ask(state)
         if not len(thetas):
             raise ValueError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.compiled import Block, Kernel
 from miho.optim.evidence import Agreement
-from miho.optim.problem import CompiledRows, LeastSquaresProblem, Problem, mean_square
+from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.space import Space
 from miho.optim.trace import Descent, Starts, Trace
 from miho.optim.validate import positive, whole
@@ -30,23 +31,6 @@ OFF_A_ROW, ROUNDED = 1e-6, 1e-15
 NOT_FINITE = "loss is"
 """So begins the reason why a value was rejected that was computed and is not finite."""
 NONE, NOWHERE = np.empty(0), np.empty(0, np.int64)
-
-
-@dataclass(frozen=True)
-class Block:
-    """What compiled code did: evaluations spent, and its improvements of the best loss.
-
-    `at` (k,) counts the evaluations up to each improvement, `losses` (k,) and `thetas` (k, d) are
-    what was found there. `finished` unless it stopped before an evaluation that was not allowed.
-    `rejected` counts values that could not be used, by reason.
-    """
-
-    evaluations: float
-    at: Array
-    losses: Array
-    thetas: Array
-    rejected: Mapping[str, int]
-    finished: bool
 
 
 class BudgetExhausted(Exception):  # noqa: N818 -- the signal that ends every run, not an error
@@ -224,9 +208,9 @@ class Oracle:
         return losses
 
     @property
-    def compiled_rows(self) -> CompiledRows | None:
-        """Compiled residuals and derivatives, for blocks of evaluations (`spend`)."""
-        return self._least_squares.compiled_rows
+    def kernel(self) -> Kernel | None:
+        """Compiled forms of the problem's loss, for blocks of evaluations (`spend`)."""
+        return self._problem.kernel
 
     @property
     def order(self) -> NDArray[np.intp] | None:
@@ -360,10 +344,10 @@ class Oracle:
     def spend(self, block: Callable[[float, float, float], Block], least: float) -> None:
         """Let compiled code evaluate in blocks of some 20 ms until it is done.
 
-        `block(most, best, target)` spends no more than `most` evaluations and says what it did; it
-        goes on where it was when it is called again. `least` is what it may need for its next step:
-        a budget that cannot pay it is exhausted. Raises, as an evaluation would, where the run is
-        over.
+        `block(most, best, target)` spends no more than `most` evaluations and reports what it did,
+        each improvement at its own evaluation; the state of its method is then whole, and it goes
+        on there when it is called again. `least` is what it may need for its next step: a budget
+        that cannot pay it is exhausted. Raises, as an evaluation would, where the run is over.
         """
         meter = self.meter
         while True:
@@ -371,12 +355,12 @@ class Oracle:
             rate = meter.evaluations / meter.seconds if meter.seconds else 0.0
             most = min(self.remaining, max(CHUNK_SECONDS * rate, least))
             started = self.seconds
-            done = block(most, meter.best, self._target)
-            self._take(done, started)
+            report = block(most, meter.best, self._target)
+            self._take(report, started)
             self._check_end()
-            if done.finished:
+            if report.finished:
                 return
-            if not done.evaluations:
+            if not report.evaluations:
                 raise BudgetExhausted
 
     @contextmanager
@@ -419,47 +403,6 @@ class Oracle:
         Where it is `enough`, a method may stop.
         """
         return self.meter.starts.agreement(self.best)
-
-    def climbing_evaluations(self) -> int:
-        """How many evaluations `climb` may make next; 0 if batches must be evaluated.
-
-        As many as are left and some 20 ms hold. None where the problem cannot climb, where not even
-        one is within these limits, and before anything was timed. Raises, as an evaluation would,
-        where the run is over.
-        """
-        self._check_open()
-        meter = self.meter
-        if self._problem.climb is None or meter.unfinished or not meter.seconds:
-            return 0
-        in_time = int(CHUNK_SECONDS * meter.evaluations / meter.seconds)
-        return int(min(in_time, self.remaining))
-
-    def climb(
-        self,
-        first: Array,
-        P: Array,
-        L: Array,
-        noise: Array,
-        sigma: Array,
-        bounds: tuple[Array, Array],
-        early_stopping: bool,
-    ) -> int:
-        """A block of compiled steps, as `Climb` describes; how many were made.
-
-        Each counts one evaluation for each row, stopped early or not, and each improvement is
-        recorded at its own evaluation. Fewer steps than asked are made only where the target is
-        reached, which ends the run at its next evaluation. `climbing_evaluations` says how many
-        may be asked.
-        """
-        climb = self._problem.climb
-        if climb is None or (len(noise) + 1) * len(P) > self.remaining:
-            raise ValueError("more steps than climbing_evaluations allows")
-        started = self.seconds
-        block = climb(first, P, L, noise, sigma, bounds, self.best, self._target, early_stopping)
-        rejected = {f"{NOT_FINITE} nan": block.nans, f"{NOT_FINITE} inf": block.infinities}
-        at, spent = block.at.astype(float), block.steps * len(P)
-        self._take(Block(spent, at, block.losses, block.thetas, rejected, True), started)
-        return block.steps
 
     def stop(self) -> None:
         """Read the clocks for the last time, and look at what was not looked at yet."""

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.optim.climb import Climb
+from miho.compiled import Kernel
 from miho.optim.space import Space
 
 Array = NDArray[np.float64]
@@ -18,20 +17,19 @@ Array = NDArray[np.float64]
 class Problem(ABC):
     """A loss over a box of parameters; the loss of a row depends on that row alone.
 
-    `name` identifies the problem in seeds, stores and figures: two problems with one name are
-    the same problem. `climb` makes steps of mutation and acceptance on this very loss, compiled,
-    for problems that have a compiled loss and no parameter on a log scale. A loss up to `rounding`
-    is 0: its digits are rounding. Losses closer than `resolution` are not told apart: whoever sees
-    only losses ends so far above a minimum at 0. A loss above `noise` is more than the noise of the
-    data explains, as far as a problem can tell: its model is another one than that of the data, or
-    a better optimum exists. `rows` is the number of rows of data, and says that a fidelity of
-    m / rows takes the first m of them, in the problem's own order; a problem without it has no
-    cheaper versions of itself.
+    `name` identifies the problem in seeds, stores and figures: two problems with one name are the
+    same problem. `kernel` holds compiled forms of this very loss, for methods that know what to do
+    with them. A loss up to `rounding` is 0: its digits are rounding. Losses closer than
+    `resolution` are not told apart: whoever sees only losses ends so far above a minimum at 0. A
+    loss above `noise` is more than the noise of the data explains, as far as a problem can tell:
+    its model is another one than that of the data, or a better optimum exists. `rows` is the number
+    of rows of data, and says that a fidelity of m / rows takes the first m of them, in the
+    problem's own order; a problem without it has no cheaper versions of itself.
     """
 
     name: str
     space: Space
-    climb: Climb | None = None
+    kernel: Kernel | None = None
     rounding: float = 0.0
     resolution: float = 0.0
     noise: float = math.inf
@@ -53,19 +51,6 @@ class Problem(ABC):
         return fidelity
 
 
-class CompiledRows(NamedTuple):
-    """Residuals and derivatives of rows i to j of the data, which compiled code can call.
-
-    `residuals(theta, X, y, i, j, r)` fills r (j - i,), `slopes(theta, X, i, j, J)` the first
-    columns of J (d, j - i or more). X (p, N) and y (N,) hold the data in the order of a fidelity.
-    """
-
-    residuals: Any
-    slopes: Any
-    X: Array
-    y: Array
-
-
 class LeastSquaresProblem(Problem):
     """A problem whose loss is the mean of squared residuals, with derivatives of the residuals.
 
@@ -81,7 +66,6 @@ class LeastSquaresProblem(Problem):
 
     jacobian_cost: int | None = None
     linear: tuple[str, ...] = ()
-    compiled_rows: CompiledRows | None = None
     order: NDArray[np.intp] | None = None
 
     @abstractmethod

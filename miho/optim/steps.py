@@ -1,50 +1,38 @@
-"""The evaluations that Gauss-Newton steps need: compiled on rows of data, or from outside.
-
-Compiled, all configurations of a rung make their steps without Python in between, and derivatives
-are folded into triangular factors as they come, so that any number of rows takes no room.
-"""
+"""The evaluations that Gauss-Newton steps need: compiled on rows of data, or from outside."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.optim.gauss_newton import (
-    CHUNK,
-    ENTER,
+from miho.compiled import Block
+from miho.compiled.advance import FINISHED, advance
+from miho.compiled.from_outside import (
+    entering_outside,
+    evaluated_outside,
+    factored_outside,
+    looked_outside,
+    next_outside,
+    solved_outside,
+)
+from miho.compiled.gauss_newton import CHUNK, Work, is_free, room_for, work
+from miho.compiled.gauss_newton_state import (
     RECORD,
     SLOPES,
-    TRIED,
     UNUSABLE,
     Box,
     Candidates,
     Minima,
     Rules,
-    Work,
-    clear,
-    copy,
-    evaluated,
-    factored,
-    is_free,
-    prepare,
-    refold,
-    room_for,
-    solve_linear,
-    to_units,
-    views,
-    work,
 )
-from miho.optim.oracle import NOT_FINITE, Block, BudgetExhausted, Oracle, UnusableValueError
-from miho.optim.triangular import compiled, entry, fold, square_sum
+from miho.compiled.kernel import INFINITE, NAN
+from miho.optim.oracle import BudgetExhausted, Oracle, UnusableValueError
 
 Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
-FINISHED, PAUSED = range(2)
-"""Whether a block of steps was done to its end, or the next evaluation is beyond its allowance."""
 EVENTS = 4096
 """Looks at all rows in one block, each of which may improve."""
 
@@ -61,7 +49,8 @@ def give_steps(
 
     Goes on where it was cut off. Raises as the oracle does at the end of the budget.
     """
-    rows = oracle.compiled_rows
+    kernel = oracle.kernel
+    rows = None if kernel is None else kernel.rows
     m = int(ends[rules.level])
     if rows is None:
         d = c.x.shape[1]
@@ -81,8 +70,8 @@ def give_steps(
             slope_cost, limit, best, target, at, losses, thetas, room,
         )  # fmt: skip
         counts = {
-            f"{NOT_FINITE} nan": nans,
-            f"{NOT_FINITE} inf": infinities,
+            NAN: nans,
+            INFINITE: infinities,
             "derivative is not finite": unusable,
         }
         return Block(
@@ -211,231 +200,3 @@ def _project_outside(
     loss = solved_outside(*c[:4], i, box, rows, w)
     r += w.step[:p] @ rows[:p]
     return loss
-
-
-@entry
-def next_outside(
-    numbers: Array, counts: Whole, R: Array, rows: Array, i: int, box: Box, m: int,
-    minima: Minima, rules: Rules, w: Work,
-) -> int:  # fmt: skip
-    """The next configuration from i on that needs an evaluation, the place for it in w.theta.
-
-    Their number where none does.
-    """
-    c = views(numbers, counts, R, rows)
-    while i < c.stage.size and not prepare(c, i, box, m, minima, rules, w):
-        i += 1
-    if i < c.stage.size:
-        trial = c.stage[i] == ENTER or c.stage[i] == TRIED
-        to_units(c.trial[i] if trial else c.x[i], box, w.theta)
-    return i
-
-
-@entry
-def entering_outside(
-    numbers: Array, counts: Whole, R: Array, rows: Array, box: Box, which: Whole, thetas: Array
-) -> int:
-    """How many are to be looked at for the first time, without projection; which, and where."""
-    c = views(numbers, counts, R, rows)
-    count = 0
-    for i in range(c.stage.size):
-        if c.stage[i] == ENTER and not c.projects[i]:
-            which[count] = i
-            to_units(c.trial[i], box, thetas[count])
-            count += 1
-    return count
-
-
-@entry
-def looked_outside(
-    numbers: Array, counts: Whole, R: Array, rows: Array, which: Whole, r: Array, in_order: Array,
-    box: Box, ends: Whole, rules: Rules, best: float, w: Work,
-) -> None:  # fmt: skip
-    """As `evaluated`, of residuals (k, m); `in_order` are those in the order of the levels."""
-    c = views(numbers, counts, R, rows)
-    m = r.shape[1]
-    for k in range(which.size):
-        copy(r[k], w.residuals)
-        for level in range(ends.size):
-            w.sums[level] = square_sum(in_order[k], min(ends[level], m))
-        loss = square_sum(w.residuals, m) / m
-        evaluated(c, which[k], loss, box, m, rules, best, w)
-
-
-@entry
-def evaluated_outside(
-    numbers: Array, counts: Whole, R: Array, rows: Array, i: int, loss: float, box: Box, m: int,
-    rules: Rules, best: float, w: Work,
-) -> None:  # fmt: skip
-    """As `evaluated`."""
-    evaluated(views(numbers, counts, R, rows), i, loss, box, m, rules, best, w)
-
-
-@entry
-def factored_outside(
-    numbers: Array, counts: Whole, R: Array, rows: Array, i: int, box: Box, columns: Array,
-    count: int, w: Work,
-) -> None:  # fmt: skip
-    """The factor of the first `count` of the columns (d + 1, m) and of the residuals, the last."""
-    refold(columns, count, columns.shape[0] - 1, columns.shape[1], w)
-    factored(views(numbers, counts, R, rows), i, box, w)
-
-
-@entry
-def solved_outside(
-    numbers: Array, counts: Whole, R: Array, rows: Array, i: int, box: Box, columns: Array, w: Work
-) -> float:
-    """As `solve_linear`, with the columns of the linear parameters and of the residuals (., m)."""
-    p, m = box.linear.size, columns.shape[1]
-    refold(columns, p, p, m, w)
-    return float(solve_linear(views(numbers, counts, R, rows), i, box, m, w))
-
-
-@entry
-def advance(
-    residuals: Any,
-    slopes: Any,
-    X: Array,
-    y: Array,
-    numbers: Array,
-    counts: Whole,
-    R: Array,
-    rows: Array,
-    box: Box,
-    ends: Whole,
-    minima: Minima,
-    rules: Rules,
-    slope_cost: int,
-    most: int,
-    best: float,
-    target: float,
-    at: Whole,
-    losses: Array,
-    thetas: Array,
-    room: Array,
-) -> tuple[int, int, int, int, int, int]:
-    """Give each configuration its steps: (state, rows spent, improvements, NaN, inf, unusable).
-
-    `residuals(theta, X, y, i, j, r)` and `slopes(theta, X, i, j, J)` are compiled and give those of
-    rows i to j. No more than `most` rows are spent; improvements of `best` are listed with the rows
-    up to and with them, and end the block where they reach `target`. `room` is for `work`.
-    """
-    c = views(numbers, counts, R, rows)
-    w = work(room, R.shape[1], ends[rules.level] if rows.shape[2] else CHUNK, ends.size)
-    m = ends[rules.level]
-    spent = found = nans = infinities = unusable = 0
-    for i in range(c.x.shape[0]):
-        while prepare(c, i, box, m, minima, rules, w):
-            stage = c.stage[i]
-            project = c.projects[i] and stage != RECORD
-            cost = m * (box.linear.size + 1 if project else 1)
-            if stage == SLOPES:
-                cost = m * slope_cost
-            if spent + cost > most:
-                return PAUSED, spent, found, nans, infinities, unusable
-            spent += cost
-            c.spent[i] += cost
-            if stage == SLOPES:
-                to_units(c.x[i], box, w.theta)
-                fill(residuals, slopes, X, y, c, i, box, m, False, w)
-                factored(c, i, box, w)
-                unusable += c.stage[i] == UNUSABLE
-                continue
-            to_units(c.x[i] if stage == RECORD else c.trial[i], box, w.theta)
-            loss = look(residuals, X, y, ends, m, c.rows.shape[2] > 0 and not project, w) / m
-            nans += math.isnan(loss)
-            infinities += math.isinf(loss)
-            if m == y.size and loss < best:
-                best = loss
-                at[found], losses[found] = spent - cost + m, loss
-                for k in range(w.theta.size):
-                    thetas[found, k] = w.theta[k]
-                found += 1
-            if project and math.isfinite(loss):
-                fill(residuals, slopes, X, y, c, i, box, m, True, w)
-                loss = solve_linear(c, i, box, m, w)
-            evaluated(c, i, loss, box, m, rules, best, w)
-            if best <= target:
-                return FINISHED, spent, found, nans, infinities, unusable
-    return FINISHED, spent, found, nans, infinities, unusable
-
-
-@compiled
-def look(residuals: Any, X: Array, y: Array, ends: Whole, m: int, keep: bool, w: Work) -> float:
-    """The sum of squares at w.theta over m rows, and in w.sums over those of each level."""
-    total, start = 0.0, 0
-    for level in range(ends.size):
-        end = min(ends[level], m)
-        while start < end:
-            count = min(CHUNK, end - start)
-            r = w.residuals[start : start + count] if keep else w.residuals[:count]
-            residuals(w.theta, X, y, start, start + count, r)
-            total += square_sum(r, count)
-            start += count
-        w.sums[level] = total
-    return total
-
-
-@compiled
-def fill(
-    residuals: Any,
-    slopes: Any,
-    X: Array,
-    y: Array,
-    c: Candidates,
-    i: int,
-    box: Box,
-    m: int,
-    only_linear: bool,
-    w: Work,
-) -> None:
-    """The factor of derivatives and residuals at w.theta, into w.T, one chunk after the other.
-
-    Of the linear parameters alone, in box widths; or of all in unit coordinates, as `factored`
-    takes them.
-    """
-    d = w.theta.size
-    keep = c.rows.shape[2] > 0 and not c.projects[i]
-    J, chunk = w.slopes, w.chunk
-    clear(w.T)
-    for start in range(0, m, CHUNK):
-        count = min(CHUNK, m - start)
-        slopes(w.theta, X, start, start + count, J)
-        n = 0
-        if only_linear or c.projects[i]:
-            for k in box.linear:
-                if only_linear or is_free(c.x[i, k]):
-                    column(J[k], box.high[k] - box.low[k], count, chunk[n])
-                    n += 1
-        if not only_linear:
-            for k in range(d):
-                if c.projects[i] and is_linear(k, box):
-                    continue
-                width = box.width[k] * (w.theta[k] if box.log[k] else 1.0)
-                column(J[k], width, count, chunk[n])
-                if keep:
-                    for row in range(count):
-                        c.rows[i, k, start + row] = chunk[n, row]
-                n += 1
-        if keep:
-            for row in range(count):
-                chunk[n, row] = c.rows[i, d, start + row]
-        else:
-            residuals(w.theta, X, y, start, start + count, chunk[n, :count])
-        fold(w.T, chunk, count, n + 1)
-
-
-@compiled
-def column(slopes: Array, width: float, count: int, into: Array) -> None:
-    """Derivatives in coordinates of this width."""
-    for row in range(count):
-        into[row] = slopes[row] * width
-
-
-@compiled
-def is_linear(k: int, box: Box) -> bool:
-    """Whether a parameter is one of the linear ones."""
-    for j in box.linear:  # noqa: SIM110 -- as numba compiles it
-        if j == k:
-            return True
-    return False

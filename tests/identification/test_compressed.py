@@ -12,9 +12,10 @@ import pytest
 from numpy.typing import NDArray
 
 from miho import MIHO, Budget, CurveFit, Dataset, Parameter, Space, minimize
-from miho.identification.compressed import CompressedLoss
+from miho.compiled.compressed import CompressedLoss
+from miho.compiled.fit import FitKernel
+from miho.compiled.panels import ORDERS, STARTS, panels
 from miho.identification.loss import Huber
-from miho.identification.panels import ORDERS, STARTS, panels
 from miho.models import Pacejka, PacejkaCurvature, TorqueCubic
 from miho.models.expression import Expression
 
@@ -229,7 +230,7 @@ def test_limits_change_no_decision() -> None:
 def test_compiled_steps_give_the_trace_of_single_batches(monkeypatch: pytest.MonkeyPatch) -> None:
     optimizer = MIHO(R=60, eta=3)
     compiled = minimize(optimizer, problem(3000, compressed=True), Budget(), seed=1)
-    monkeypatch.setattr(CurveFit, "climb", None)
+    monkeypatch.setattr(FitKernel, "climb", None)
     plain = minimize(optimizer, problem(3000, compressed=True), Budget(), seed=1)
     assert compiled.loss == plain.loss
     assert compiled.theta.tolist() == plain.theta.tolist()
@@ -253,7 +254,8 @@ def test_what_cannot_be_compressed_is_told() -> None:
 TWO_MODELS = """
 import sys
 import numpy as np
-from miho.identification.compressed import CompressedLoss
+from miho.compiled import Steps
+from miho.compiled.compressed import CompressedLoss
 from miho.models import Pacejka, PacejkaCurvature
 from numba.core import event
 
@@ -267,7 +269,7 @@ for name in sys.argv[1:]:
         found, L = loss.losses(theta), np.array([np.inf])
         steps = np.zeros((0, 1, theta.size)), np.zeros((0, theta.size))
         bounds = theta[0] - 1, theta[0] + 1
-        loss.climb(theta, theta.copy(), L, *steps, bounds, np.inf, 0.0, True)
+        loss.climb(Steps(theta, theta.copy(), L, *steps, bounds), np.inf, 0.0)
     expected = np.mean((model.predict(theta, x) - y) ** 2)
     np.testing.assert_allclose([found[0], L[0]], expected, rtol=1e-9)
     print(len(compiled.buffer))

@@ -145,7 +145,7 @@ def test_compiled_rows_are_numpys(model: Expression) -> None:
                    "output")  # fmt: skip
     space = Space(tuple(Parameter(n, u, 0.2, 2.0) for n, u in model.parameters.items()))
     p = CurveFit(model, data, space)
-    rows = p.compiled_rows
+    rows = p.kernel.rows
     assert rows is not None
     checked = 0
     for theta in space.sample(20, rng, "uniform"):

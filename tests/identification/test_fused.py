@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 from scipy.optimize import curve_fit
 
 from miho import MIHO, Budget, CurveFit, Dataset, Parameter, Space, minimize
-from miho.identification.fused import FusedLoss
+from miho.compiled.fused import FusedLoss
+from miho.compiled.kernel import Formula
 from miho.models import Model, Pacejka, PacejkaCurvature, TorqueCubic
-from miho.models.expression import Expression, Formula
+from miho.models.expression import Expression
 from miho.optim import MIHOGN
 from miho.optim.problem import mean_square
 
@@ -238,8 +239,8 @@ def test_a_model_that_is_no_expression_goes_the_way_of_numpy() -> None:
     plain, compiled = (
         CurveFit(model, data, space, label="one problem") for model in (Plain(), Pacejka())
     )
-    assert plain.climb is None
-    assert compiled.climb is not None
+    assert plain.kernel is None
+    assert compiled.kernel.climb is not None
     thetas = space.initial(300)
     np.testing.assert_allclose(compiled.loss(thetas), plain.loss(thetas), rtol=RELATIVE)
     theta = thetas[0]
@@ -289,8 +290,9 @@ MODEL = """
 from types import MappingProxyType
 import numpy as np
 from numba.extending import register_jitable
-from miho.identification.fused import FusedLoss
-from miho.models.elementary import sin
+from miho.compiled import Steps
+from miho.compiled.fused import FusedLoss
+from miho.compiled.elementary import sin
 from miho.models.expression import Expression
 
 
@@ -325,8 +327,8 @@ if __name__ == "__main__":
     loss.residuals(theta)
     loss.jacobian(theta)
     best, none = np.array([np.inf]), np.empty((0, 1, 1))
-    loss.climb(theta[None], theta[None].copy(), best, none, none[:, 0],
-               (theta - 1, theta + 1), np.inf, -np.inf, True)
+    loss.climb(Steps(theta[None], theta[None].copy(), best, none, none[:, 0],
+                     (theta - 1, theta + 1)), np.inf, -np.inf)
     compiled = loss._compiled
     each = (compiled.losses, compiled.residuals, compiled.jacobian, loss._steps)
     misses = sum(sum(one.stats.cache_misses.values()) for one in each)
@@ -363,8 +365,9 @@ import sys
 from dataclasses import dataclass
 from types import MappingProxyType
 import numpy as np
-from miho.identification.fused import FusedLoss
-from miho.models.elementary import atan, cos, sin
+from miho.compiled import Steps
+from miho.compiled.fused import FusedLoss
+from miho.compiled.elementary import atan, cos, sin
 from miho.models.expression import Expression
 
 
@@ -392,8 +395,8 @@ none = np.empty((0, 1, 2))
 for model in map(Wave, map(float, sys.argv[1:])):
     loss = FusedLoss(model, x[None], np.zeros(2000), np.arange(2000))
     found, climbed = loss.losses(theta[None]).tolist(), np.array([np.inf])
-    loss.climb(theta[None], theta[None].copy(), climbed, none, none[:, 0],
-               (theta - 1, theta + 1), np.inf, -np.inf, True)
+    loss.climb(Steps(theta[None], theta[None].copy(), climbed, none, none[:, 0],
+                     (theta - 1, theta + 1)), np.inf, -np.inf)
     residuals, jacobian = loss.residuals(theta), loss.jacobian(theta)
     values = model.predict(theta[None], x)[0]
     expected = np.mean(values**2)
@@ -467,7 +470,7 @@ def test_compiled_values_that_are_not_numpys_are_not_used(wrong: str) -> None:
     problem = CurveFit(Shifted(), data, space)
     theta = np.array([2.5, 1.0])
     with pytest.warns(UserWarning, match=r"Shifted: rows: compiled .* where NumPy gives .* at \["):
-        assert problem.compiled_rows is None
+        assert problem.kernel.rows is None
     for kind in ["losses", "residuals"] if wrong == "value" else ["jacobian"]:
         of_numpy = {
             "losses": lambda: np.mean((problem.model.predict(theta[None], x) - y) ** 2, axis=1),
@@ -503,4 +506,4 @@ def test_what_cancels_is_compared_to_its_rounding() -> None:
     x = np.linspace(0, 1, 50)
     data = Dataset("d", {"x": x, "y": x}, {"x": "1", "y": "1"}, "y")
     space = Space((Parameter("a", "1", 1, 1 + 1e-12), Parameter("b", "1", 1, 1 + 1e-12)))
-    assert CurveFit(Cancelling(), data, space).compiled_rows is not None
+    assert CurveFit(Cancelling(), data, space).kernel.rows is not None

@@ -12,7 +12,8 @@ import pytest
 from numba import njit
 from numpy.typing import NDArray
 
-from miho.models import elementary
+import miho.compiled.polynomials  # noqa: F401 -- registers the compiled forms
+from miho.compiled import elementary
 
 Array = NDArray[np.float64]
 

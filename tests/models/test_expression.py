@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from miho.compiled.kernel import Formula
 from miho.models import Pacejka, PacejkaCurvature, TorqueCubic
-from miho.models.expression import Expression, Formula
+from miho.models.expression import Expression
 from miho.testing import check_model
 
 

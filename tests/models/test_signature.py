@@ -4,40 +4,53 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
-from miho.identification.compressed import CompressedLoss
-from miho.identification.fused import FusedLoss
-from miho.models import Pacejka, TorqueCubic, signature, single_track_response
-from miho.models.expression import Formula
-from miho.models.signature import signature_of, signed_formulas
+from miho.compiled import signature
+from miho.compiled.compressed import CompressedLoss
+from miho.compiled.fused import FusedLoss
+from miho.compiled.kernel import Formula
+from miho.compiled.signature import signature_of, signed_formulas
+from miho.driving import double_track
+from miho.models import Pacejka, TorqueCubic, single_track_response
 
 X = np.linspace(100, 700, 200)
-FUSED = ["elementary", "signature", "climb", "panels", "panel_sums", "fused"]
+PACKAGE = [path.stem for path in Path(signature.__file__).parent.glob("*.py")]
+PLANT = ["compiled_tire", "double_track", "dynamics", "load_transfer", "plant_parameters",
+         "powertrain", "road"]  # fmt: skip
 
 
-def fused() -> Callable[..., Any]:
-    return FusedLoss(Pacejka(), X[None], X, np.arange(X.size))._compiled.losses
+def fused() -> str:
+    return FusedLoss(Pacejka(), X[None], X, np.arange(X.size))._compiled.losses.__qualname__
 
 
-def compressed() -> Callable[..., Any]:
-    return CompressedLoss(Pacejka(), X, X)._compiled.losses
+def compressed() -> str:
+    return CompressedLoss(Pacejka(), X, X)._compiled.losses.__qualname__
+
+
+def simulated() -> str:
+    return signature_of(single_track_response._yaw_rates.__wrapped__)
+
+
+def plant() -> str:
+    return signature_of(double_track._advance.__wrapped__)
 
 
 @pytest.mark.parametrize(
-    ("kernel", "files"),
+    ("name_of", "files"),
     [
-        (fused, [*FUSED, "tire"]),
-        (compressed, [*FUSED, "compressed", "tire"]),
+        (fused, [*PACKAGE, "tire"]),
+        (compressed, [*PACKAGE, "tire"]),
+        (simulated, [*PACKAGE, "single_track_response"]),
+        (plant, [*PACKAGE, *PLANT]),
     ],
 )
 def test_an_edit_of_any_file_that_is_compiled_in_gives_another_name(
-    kernel: Callable[[], Any], files: list[str], monkeypatch: pytest.MonkeyPatch
+    name_of: Callable[[], str], files: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    names = {kernel().__qualname__}
+    names = {name_of()}
     text = signature._text
     for file in files:
 
@@ -45,23 +58,19 @@ def test_an_edit_of_any_file_that_is_compiled_in_gives_another_name(
             return text(path) + b"#" * (Path(path).name == name)
 
         monkeypatch.setattr(signature, "_text", edited)
-        names.add(kernel().__qualname__)
+        names.add(name_of())
     assert len(names) == 1 + len(files)
     monkeypatch.setattr(signature, "_text", text)
-    assert kernel().__qualname__ in names
+    assert name_of() in names
 
 
-def test_a_simulated_model_is_named_after_its_elementary_functions() -> None:
-    assert single_track_response._yaw_rates.__qualname__ == f"_yaw_rates.{signature_of()}"
-
-
-def test_a_file_counts_by_its_content(tmp_path: Path) -> None:
-    paths = [tmp_path / name for name in ("a.py", "b.py", "c.py")]
-    for path, text in zip(paths, ("1", "1", "2"), strict=True):
-        path.write_text(text, encoding="utf-8")
-    a, b, c = (signature_of(str(path)) for path in paths)
-    assert a == b
-    assert len({a, c, signature_of()}) == 3
+def test_an_edit_elsewhere_gives_no_other_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = fused(), plant()
+    text = signature._text
+    monkeypatch.setattr(
+        signature, "_text", lambda path: text(path) + b"#" * (Path(path).stem in ("driver", "axle"))
+    )
+    assert names == (fused(), plant())
 
 
 def formula(source: str, **named: object) -> Formula:

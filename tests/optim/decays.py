@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.compiled.kernel import Formula
 from miho.data import Dataset
 from miho.identification import CurveFit
-from miho.models.expression import Expression, Formula
+from miho.models.expression import Expression
 from miho.optim import LeastSquaresProblem, Parameter, Space
 
 Array = NDArray[np.float64]

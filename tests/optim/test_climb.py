@@ -8,7 +8,7 @@ import signal
 from dataclasses import dataclass, replace
 from itertools import count
 from types import MappingProxyType
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -28,11 +28,14 @@ from miho import (
     Space,
     minimize,
 )
-from miho.identification.fused import FusedLoss
+from miho.compiled import Block, Climb, Kernel, Rows, Steps
+from miho.compiled.fused import FusedLoss
+from miho.compiled.kernel import Formula
 from miho.models import TorqueCubic
-from miho.models.expression import Expression, Formula
-from miho.optim import Clock, Outcome, RunRecord
-from miho.optim.climb import Climb, Climbed
+from miho.models.expression import Expression
+from miho.optim import BudgetExhausted, Clock, Outcome, RunRecord
+from miho.optim.mutation import climb_of
+from miho.optim.schedule import hyperband_table
 from miho.optim.seeds import stream
 
 Array = NDArray[np.float64]
@@ -57,6 +60,13 @@ def torque(rows: int = 150) -> FusedLoss:
     return FusedLoss(TorqueCubic(), omega[None], y, rng.permutation(rows))
 
 
+class Counting(NamedTuple):
+    """A kernel of counted steps."""
+
+    climb: Climb
+    rows: Rows | None = None
+
+
 @dataclass
 class Watched(Problem):
     """A problem that counts its compiled steps, or has none.
@@ -75,12 +85,12 @@ class Watched(Problem):
         return self.fused.losses(thetas)
 
     @property
-    def climb(self) -> Climb | None:  # type: ignore[override]
-        return self._climb if self.compiled else None
+    def kernel(self) -> Kernel | None:  # type: ignore[override]
+        return Counting(self._climb) if self.compiled else None
 
-    def _climb(self, *arguments: Any) -> Climbed:
-        block = self.fused.climb(*arguments)
-        self.steps += block.steps
+    def _climb(self, steps: Steps, best: float, target: float) -> Block:
+        block = self.fused.climb(steps, best, target)
+        self.steps += round(block.evaluations) // len(steps.P)
         if self.steps > self.until:
             signal.raise_signal(signal.SIGINT)
         return block
@@ -179,7 +189,7 @@ def test_a_target_ends_the_run_at_the_same_improvement(fit: FusedLoss) -> None:
 
 def test_a_target_in_the_last_step_is_still_what_ended_the_run(fit: FusedLoss) -> None:
     optimizer = MIHO(R=5, eta=2)
-    last = optimizer.init(SPACE, stream()).table[-1].n
+    last = hyperband_table(5, 2, "ceil")[-1].n
     runs = (minimize(optimizer, Watched(fit), seed=seed) for seed in range(200))
     seed, free = next(
         (seed, run) for seed, run in enumerate(runs)
@@ -196,8 +206,8 @@ def test_log_scales_go_the_general_path() -> None:
     data = Dataset("torque", {"omega": fused.X[0], "T": fused.y}, units, "T")
     first = Parameter("p0", "Nm", 1, 150, "log")
     log = CurveFit(TorqueCubic(), data, Space((first, *SPACE.parameters[1:])))
-    assert log.climb is None
-    assert CurveFit(TorqueCubic(), data, SPACE).climb is not None
+    assert climb_of(Oracle(log, Budget())) is None
+    assert climb_of(Oracle(CurveFit(TorqueCubic(), data, SPACE), Budget())) is not None
     record = minimize(MIHO(R=30, eta=3), log)
     assert record.outcome is Outcome.CONVERGED
     assert record.loss < 1000
@@ -209,12 +219,12 @@ def test_fresh_proposals_go_the_general_path(fit: FusedLoss) -> None:
     assert watched.steps <= 1  # the warm-up's
 
 
-def climb_by(fit: FusedLoss, P: Array, L: Array, noise: Array, early_stopping: bool) -> Climbed:
+def climb_by(fit: FusedLoss, P: Array, L: Array, noise: Array, early_stopping: bool) -> Block:
     """Mutations of P by the rows of `noise`, against the incumbents L."""
     sigma, bounds = np.ones((len(noise), P.shape[1])), SPACE.bounds
     first = np.clip(P + noise[0], *bounds)
-    return fit.climb(first, P, L, noise[1:], sigma[1:], bounds, math.inf, -math.inf,
-                     early_stopping)  # fmt: skip
+    steps = Steps(first, P, L, noise[1:], sigma[1:], bounds, early_stopping)
+    return fit.climb(steps, math.inf, -math.inf)
 
 
 @given(seed=st.integers(0, 2**32 - 1), rows=st.sampled_from([1, 63, 64, 65, 200, 1500]),
@@ -230,9 +240,9 @@ def test_early_stopping_changes_no_decision(seed: int, rows: int, size: float) -
         p, losses = P.copy(), L.copy()
         block = climb_by(fit, p, losses, noise, early_stopping)
         found.append((p.tolist(), losses.tolist(), block.at.tolist(), block.losses.tolist(),
-                      block.thetas.tolist(), block.steps))  # fmt: skip
+                      block.thetas.tolist(), block.evaluations))  # fmt: skip
     assert found[0] == found[1]
-    assert found[0][5] == 10
+    assert found[0][5] == 10 * len(P)
 
 
 FITS = {rows: torque(rows) for rows in (1, 63, 64, 65, 200, 1500)}
@@ -316,19 +326,21 @@ def test_ctrl_c_between_blocks_leaves_a_state_that_goes_on(fit: FusedLoss) -> No
         same(minimize(optimizer, Watched(fit, compiled), seed=3, checkpoint=kept), whole)
 
 
-def test_more_steps_than_the_budget_allows_are_refused(fit: FusedLoss) -> None:
-    ticks = count()
+def test_a_step_makes_no_more_evaluations_than_the_budget_allows(fit: FusedLoss) -> None:
+    """Before anything was timed one, then as many as the clock or the budget allows."""
+    ticks, optimizer = count(), MIHO(R=5, eta=2)
     clock = Clock(wall=lambda: 1e-6 * next(ticks))
-    oracle = Oracle(Watched(fit), Budget(evaluations=10), clock=clock)
-    P = SPACE.initial(4)
-    L, noise, bounds = np.full(4, np.inf), np.zeros((2, *P.shape)), SPACE.bounds
-    assert oracle.climbing_evaluations() == 0  # before anything was timed
-    oracle(P[:1])
-    assert oracle.climbing_evaluations() == 9
-    with pytest.raises(ValueError, match="more steps than climbing_evaluations allows"):
-        oracle.climb(P, P.copy(), L, noise, noise[:, 0], bounds, True)
-    assert oracle.climb(P, P.copy(), L, noise[:1], noise[:1, 0], bounds, True) == 2
-    assert oracle.evaluations == 9
+    watched = Watched(fit)
+    n = len(optimizer.start(Oracle(watched, Budget()), stream("own")).P)
+    for beyond in (1, n - 1, n, n + 1):
+        oracle = Oracle(watched, Budget(evaluations=n + beyond), clock=clock)
+        state = optimizer.start(oracle, stream("own"))
+        optimizer.step(state, oracle)
+        with pytest.raises(BudgetExhausted):
+            while True:
+                optimizer.step(state, oracle)
+        assert oracle.evaluations == n + beyond
+        assert (state.step, state.row) == divmod(beyond, n)
 
 
 def test_by_default_a_step_is_one_batch(fit: FusedLoss) -> None:

@@ -32,10 +32,10 @@ with event.install_recorder("numba:compile") as compiled:
 names = set()
 for _, one in compiled.buffer:
     function = one.data["dispatcher"]
-    if function.py_func.__module__.startswith("miho.optim") and function.stats.cache_path:
+    if function.py_func.__module__.startswith("miho.compiled") and function.stats.cache_path:
         names.add(function.py_func.__qualname__.split(".")[0])
-from miho.optim.gauss_newton import _distinct
-from miho.optim.steps import advance
+from miho.compiled.gauss_newton import _distinct
+from miho.compiled.advance import advance
 assert given.error is None, given.error
 print(*sorted(names), len(advance.signatures), len(_distinct.signatures))
 """
@@ -68,7 +68,7 @@ def test_two_workers_compile_the_steps_once(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     saved = [line for line in done.stdout.splitlines() if "data saved to" in line]
-    assert sum("steps.advance." in line for line in saved) == 1, saved
+    assert sum("advance.advance." in line for line in saved) == 1, saved
     assert len(saved) == len(set(saved))
 
 

@@ -13,11 +13,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from miho.compiled.gauss_newton_state import Candidates
+from miho.compiled.kernel import Formula
 from miho.data import Dataset, load_published, published_fit
 from miho.identification import CurveFit, linear_optimum
 from miho.identification.loss import Huber
 from miho.models import BrakePlay
-from miho.models.expression import Expression, Formula
+from miho.models.expression import Expression
 from miho.models.published import PublishedModel
 from miho.optim import (
     MIHOGN,
@@ -30,8 +32,7 @@ from miho.optim import (
     Space,
     minimize,
 )
-from miho.optim.gauss_newton import Box, Candidates
-from miho.optim.miho_gn import _square_distances
+from miho.optim.miho_gn import _square_distances, box_of
 from miho.testing import CHECKS, DecayFit, check_optimizer
 from tests.optim.decays import SPACE, Decay, Outside, fit
 
@@ -117,7 +118,7 @@ def test_a_return_is_to_the_minimum_that_is_near_in_the_metric_of_the_residuals(
     """Not to the nearest in the box: residuals hardly change along the second coordinate."""
     c = Candidates.at(np.array([[0.5, 0.5]]), 1, 0.1, False)
     c.R[0] = np.diag([10.0, 0.1])
-    box = Box.of(Space((Parameter("a", "-", 0, 1), Parameter("b", "-", 0, 1))), ())
+    box = box_of(Space((Parameter("a", "-", 0, 1), Parameter("b", "-", 0, 1))), ())
     minima = np.array([[0.5, 0.9], [0.45, 0.5], [0.5, 0.4]])
     squares = _square_distances(c, minima, box)
     assert squares == pytest.approx(np.array([0.04, 0.5, 0.01]) ** 2)
@@ -126,7 +127,7 @@ def test_a_return_is_to_the_minimum_that_is_near_in_the_metric_of_the_residuals(
 def test_sums_of_a_minimum_are_of_the_rows_of_each_level() -> None:
     """Of a problem that is not compiled, whose fidelity takes the rows in another order."""
     problem = replace(fit(), rho=Huber(1.0))
-    assert problem.compiled_rows is None
+    assert problem.kernel is None
     record = minimize(MIHOGN(), problem, seed=0)
     assert record.checkpoint is not None
     state = record.checkpoint.state

@@ -10,8 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 from miho import Budget, LeastSquaresProblem, Oracle, Parameter, Problem, Space
+from miho.compiled import Block
 from miho.optim import BudgetExhausted, Clock, Meter, RunInterrupted, Trace, UnusableValueError
-from miho.optim.oracle import Block
 from miho.testing import DecayFit
 
 Array = NDArray[np.float64]
@@ -119,20 +119,28 @@ def test_seconds_end_a_run_within_a_chunk() -> None:
     assert problem.calls == 3
 
 
-def test_compiled_steps_that_take_longer_than_a_chunk_are_not_made() -> None:
-    """At 6 ms an evaluation, 20 ms hold three rows: a step of more is evaluated in chunks."""
-    watch = Watch()
+def test_a_compiled_block_lasts_no_longer_than_a_chunk() -> None:
+    """At 6 ms an evaluation, 20 ms hold three; before anything was timed, what is needed."""
+    watch, allowed = Watch(), []
 
     class Slow(Given):
-        climb = object()  # type: ignore[assignment]
-
         def loss(self, thetas: Array, fidelity: float = 1.0) -> Any:
             watch.now += 0.006 * len(thetas)
             return np.abs(thetas[:, 0])
 
-    oracle = Oracle(Slow(), Budget(), clock=watch.clock())
+    def block(most: float, best: float, target: float) -> Block:
+        allowed.append(int(most))
+        return Block(1, NOTHING, NOTHING, NOTHING[:, None], {})
+
+    oracle = Oracle(Slow(), Budget(evaluations=4), clock=watch.clock())
+    oracle.spend(block, 1)
     oracle(column(3))
-    assert oracle.climbing_evaluations() == 3
+    watch.now += 0.006
+    oracle.spend(block, 1)
+    oracle.spend(block, 1)
+    assert allowed == [1, 2, 1]  # of the 3 that time allows, as many as are left
+    with pytest.raises(BudgetExhausted):
+        oracle.spend(block, 1)
 
 
 def test_the_target_ends_a_run() -> None:

@@ -7,8 +7,8 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from miho.optim import triangular
-from miho.optim.triangular import Room, entry
+from miho.compiled import triangular
+from miho.compiled.triangular import Room, entry
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from miho.models.expression import Expression, Formula
+from miho.compiled.kernel import Formula
+from miho.models.expression import Expression
 from miho.models.published import kinetics, mgh, nist
 from miho.models.published.form import Form
 

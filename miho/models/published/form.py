@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from miho.models.expression import Formula
+from miho.compiled.kernel import Formula
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from miho.models.elementary import cos, sin
+from miho.compiled.elementary import cos, sin
 from miho.models.published.form import Form
 
 Inputs = tuple[Any, ...]

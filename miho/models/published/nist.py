@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from miho.models.elementary import atan, cos, sin
+from miho.compiled.elementary import atan, cos, sin
 from miho.models.published.form import Form
 
 Inputs = tuple[Any, ...]

@@ -1,13 +1,12 @@
-"""Sine, cosine and arctangent of an expression that runs on NumPy arrays and compiled alike.
+"""The compiled forms of the elementary functions; importing this registers them with numba.
 
-Called from Python these are NumPy's functions. Compiled (numba) they are polynomials without
-branches, which the processor evaluates for several points at once; the mathematical library does
-not. Every operation is rounded as IEEE 754 says, so that results are the same bits on every machine
-that has a fused multiply-add (x86-64 since 2013, Arm64).
+They are polynomials without branches, which the processor evaluates for several points at once; the
+mathematical library does not. Every operation is rounded as IEEE 754 says, so that results are the
+same bits on every machine that has a fused multiply-add (x86-64 since 2013, Arm64).
 
-Error against the exact value: `sin` and `cos` at most 2.3e-16 + 1 unit in the last place for
-|x| <= 2^40, NaN beyond 2^45, where neighbouring numbers are a hundredth of a period apart; `atan`
-at most 3 units in the last place everywhere. The sine of -0.0 is +0.0. The coefficients interpolate
+Error against the exact value: `sin` and `cos` at most 2.3e-16 + 1 unit in the last place for |x| <=
+2^40, NaN beyond 2^45, where neighbouring numbers are a hundredth of a period apart; `atan` at most
+3 units in the last place everywhere. The sine of -0.0 is +0.0. The coefficients interpolate
 sin(r)/r on [0, pi/2] and atan(t)/t on [0, tan(pi/8)] at Chebyshev nodes of the argument's square,
 computed with 50 digits; the polynomials alone are within 2.1e-19 and 3.5e-17 of them.
 """
@@ -22,6 +21,8 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload, register_jitable
+
+from miho.compiled.elementary import atan, cos, sin
 
 INVERSE_PI = 1 / math.pi
 PI_HIGH = math.pi
@@ -42,21 +43,6 @@ A1, A2, A3, A4, A5, A6, A7, A8, A9, A10 = (
     -0.09090773074808414, 0.07689953496306857, -0.06640233930429408, 0.056883492268090106,
     -0.04348052215716462, 0.021135373157693246,
 )  # fmt: skip
-
-
-def sin(x: Any) -> Any:
-    """Sine of x [rad]."""
-    return np.sin(x)
-
-
-def cos(x: Any) -> Any:
-    """Cosine of x [rad]."""
-    return np.cos(x)
-
-
-def atan(x: Any) -> Any:
-    """Arctangent [rad]."""
-    return np.arctan(x)
 
 
 @intrinsic

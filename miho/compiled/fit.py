@@ -1,4 +1,4 @@
-"""Whether compiled code gives what NumPy gives of the same model.
+"""Compiled forms of a curve fit, each used only where it gives what NumPy gives.
 
 It need not: an expression that is not element by element takes a block for the column, a function
 may have another form for compiled code, and a cache on disk may serve what was edited since.
@@ -6,7 +6,10 @@ may have another form for compiled code, and a cache on disk may serve what was 
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -14,19 +17,100 @@ from numba import njit
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
-from miho.identification.fused import FusedLoss, cause
-from miho.optim.problem import mean_square
+from miho.compiled.arrays import cause
+from miho.compiled.compressed import CompressedLoss
+from miho.compiled.fused import FusedLoss
+from miho.compiled.kernel import Climb, Formulas, Rows
 
 Array = NDArray[np.float64]
 Values = Callable[[Array], Array]
 """Of one configuration (d,)."""
 
+COMPARED = 1000
+"""Rows on which compiled values are compared with NumPy's."""
 CLOSE = 1e-9
 """Of the largest value: elementary functions that differ by a few roundings may be in large terms
 that cancel."""
 MOVED, ROUNDINGS = 4 * float(np.finfo(float).eps), 100.0
 """Where more cancels than that: values that a parameter moves by its last bits, by so much of the
 parameter, may differ by so many times that."""
+
+
+@dataclass(frozen=True, eq=False)
+class FitKernel:
+    """Compiled forms of the mean square of a model minus data, see `kernel_for`.
+
+    Each is compared with NumPy's at its first use, off the clock like its compilation; where it
+    differs there is a warning, and None in its place.
+    """
+
+    model: Formulas
+    X: Array
+    y: Array
+    order: NDArray[np.intp]
+    thetas: Array
+    name: str
+    threads: int = 1
+    compressed: bool = False
+
+    @cached_property
+    def few_nodes(self) -> CompressedLoss | None:
+        """The loss from few nodes, if it is wanted and the model allows it."""
+        if not self.compressed or len(self.X) != 1 or self.model.bound is None:
+            return None
+        return CompressedLoss(self.model, self.X[0], self.y, threads=self.threads)
+
+    def losses(self, thetas: Array, rows: int) -> Array | None:
+        """Losses (n,) of parameter rows (n, d), over the first rows of the order."""
+        if self.few_nodes is not None and rows == self.y.size:
+            return self.few_nodes.losses(thetas)
+        return self._fused.losses(thetas, rows) if self._agrees("losses") else None
+
+    def residuals(self, thetas: Array) -> Array | None:
+        """Model minus data, (n, N), of parameter rows (n, d)."""
+        if not self._agrees("residuals"):
+            return None
+        return np.stack([self._fused.residuals(theta) for theta in thetas])
+
+    def jacobian(self, theta: Array) -> Array | None:
+        """Derivatives of the residuals, (N, d)."""
+        return self._fused.jacobian(theta) if self._agrees("jacobian") else None
+
+    @property
+    def climb(self) -> Climb | None:
+        """Mutation steps on the loss."""
+        if self.few_nodes is not None:
+            return self.few_nodes.climb
+        return self._fused.climb if self._agrees("losses") else None
+
+    @property
+    def rows(self) -> Rows | None:
+        """Residuals and derivatives of some rows, in the order of the loss."""
+        return self._fused.rows if self._agrees("rows") else None
+
+    @cached_property
+    def _fused(self) -> FusedLoss:
+        return FusedLoss(self.model, self.X, self.y, self.order, self.threads)
+
+    def _agrees(self, kind: str) -> bool:
+        if kind not in self._differences:
+            some = self.order[:COMPARED]
+            part = FusedLoss(self.model, self.X[:, some], self.y[some], np.arange(some.size))
+            self._differences[kind] = difference(part, kind, self.thetas)
+            if self._differences[kind]:
+                warnings.warn(
+                    f"{self.name}: {kind}: {self._differences[kind]}; NumPy's are used, which are "
+                    "slower: write it element by element with NumPy's functions of numbers, or "
+                    "derive from Model",
+                    UserWarning,
+                    stacklevel=4,
+                )
+        return not self._differences[kind]
+
+    @cached_property
+    def _differences(self) -> dict[str, str]:
+        """What is known of compiled values that are not NumPy's, by kind; empty where they are."""
+        return {}
 
 
 def difference(loss: FusedLoss, kind: str, thetas: Array) -> str:
@@ -68,13 +152,17 @@ def _largest(values: Array) -> Array:
     return np.asarray(np.abs(finite).max(axis=-1, keepdims=True))
 
 
+def _mean_square(values: Array) -> Array:
+    return np.asarray(np.mean(values**2, axis=-1))
+
+
 def _losses(loss: FusedLoss) -> tuple[Values, Values]:
     """With the mean square of the model beside it: a loss may be the small rest of that."""
     model, X, y = loss.model, loss.X, loss.y
 
     def by_numpy(theta: Array) -> Array:
         predicted = model.predict(theta[None], *X)
-        return np.append(mean_square(predicted - y), mean_square(predicted))
+        return np.append(_mean_square(predicted - y), _mean_square(predicted))
 
     return lambda theta: np.append(loss.losses(theta[None]), by_numpy(theta)[1]), by_numpy
 
@@ -93,7 +181,7 @@ def _rows(loss: FusedLoss) -> tuple[Values, Values]:
 
     def compiled(theta: Array) -> Array:
         values = np.empty((len(theta) + 1, y.size))
-        _all_rows(*loss.compiled_rows, theta.copy(), values[0], values[1:])
+        _all_rows(*loss.rows, theta.copy(), values[0], values[1:])
         return values
 
     def by_numpy(theta: Array) -> Array:

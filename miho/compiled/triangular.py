@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -13,21 +12,16 @@ from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
+from miho.compiled.signature import signature_of, signed
+
 Array = NDArray[np.float64]
 
-FILES = "triangular.py", "gauss_newton.py", "steps.py"
-DIGEST = hashlib.sha256(b"".join(Path(__file__).with_name(f).read_bytes() for f in FILES))
-"""Of the code that is compiled together: numba's cache and its linker know a function by its name
-and its own file, and would take one for current whose callee in another file was edited."""
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
 """No array is made here: without the counting of references to them, which costs more than a step
 of a few rows does."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-
-def _signed(function: Function) -> Function:
-    function.__qualname__ += f".{DIGEST.hexdigest()[:16]}"
-    return function
+_signed = signed(signature_of())
 
 
 def entry(function: Function) -> Function:

@@ -5,59 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Protocol, cast
+from typing import Any, cast
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from miho.compiled.kernel import INFINITE, NAN, Block, Climb, Steps
+
 Array = NDArray[np.float64]
 
 WORTH_THREADS = 1
 """Steps after the first that a block must have to be shared out."""
-
-
-@dataclass(frozen=True)
-class Climbed:
-    """What a block of steps did: how many steps, and its improvements of the best loss.
-
-    `at` (k,) counts the evaluations of the block up to each improvement, `losses` (k,) and `thetas`
-    (k, d) are what was found there. `nans` and `infinities` count losses that are no numbers.
-    """
-
-    steps: int
-    at: NDArray[np.int64]
-    losses: Array
-    thetas: Array
-    nans: int
-    infinities: int
-
-
-class Climb(Protocol):
-    """Compiled steps on one problem's loss."""
-
-    def __call__(
-        self,
-        first: Array,
-        P: Array,
-        L: Array,
-        noise: Array,
-        sigma: Array,
-        bounds: tuple[Array, Array],
-        best: float,
-        target: float,
-        early_stopping: bool,
-    ) -> Climbed:
-        """Evaluate mutants of all rows of P, keep the better ones, and do it again.
-
-        P (n, d) and L (n,) are changed in place. The mutants of the first step are `first` (n, d),
-        those of step k are P + sigma[k - 1] noise[k - 1] within the bounds, with noise (steps - 1,
-        n, d) and sigma (steps - 1, d): bit for bit what `mutate` gives. Improvements are of `best`;
-        the block ends after the step that reaches `target`. With `early_stopping` a mutant is given
-        up as soon as it cannot be better than its parent, which changes no decision.
-        """
 
 
 def compiled_climb(
@@ -90,7 +50,7 @@ def compiled_climb(
         thetas: Array,
     ) -> tuple[int, int, int, int]:
         n, d = P.shape
-        found = nans = infinities = evaluations = 0
+        improvements = nans = infinities = evaluations = 0
         for k in range(noise.shape[0] + 1):
             for i in range(n):
                 for j in range(d):
@@ -107,18 +67,18 @@ def compiled_climb(
                     L[i] = value
                     if value < best:
                         best = value
-                        at[found] = evaluations
-                        losses[found] = value
+                        at[improvements] = evaluations
+                        losses[improvements] = value
                         for j in range(d):
-                            thetas[found, j] = mutant[j]
-                        found += 1
+                            thetas[improvements, j] = mutant[j]
+                        improvements += 1
                 elif math.isnan(value):
                     nans += 1
                 elif value == np.inf:
                     infinities += 1
             if best <= target:
                 break
-        return k + 1, found, nans, infinities
+        return k + 1, improvements, nans, infinities
 
     climb.__qualname__ += f".{signature}"
     compiled = njit(cache=True, nogil=True, error_model="numpy", _nrt=allocates)(climb)
@@ -140,45 +100,34 @@ def climb_on(
     """
     pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
-    def climb_rows(
-        first: Array,
-        P: Array,
-        L: Array,
-        noise: Array,
-        sigma: Array,
-        bounds: tuple[Array, Array],
-        best: float,
-        target: float,
-        early_stopping: bool,
-    ) -> Climbed:
-        most, d = (len(noise) + 1) * len(P), P.shape[1]
+    def climb_rows(steps: Steps, best: float, target: float) -> Block:
+        n, d = steps.P.shape
+        most = (len(steps.noise) + 1) * n
         at, losses, thetas = np.empty(most, np.int64), np.empty(most), np.empty((most, d))
-        steps, found, nans, infinities = compiled(
-            data, room(), np.empty(d), first, P, L, noise, sigma, *bounds, best, target,
-            early_stopping, at, losses, thetas,
+        *arrays, bounds, early_stopping = steps
+        taken, improvements, nans, infinities = compiled(
+            data, room(), np.empty(d), *arrays, *bounds, best, target, early_stopping,
+            at, losses, thetas,
         )  # fmt: skip
-        return Climbed(steps, at[:found], losses[:found], thetas[:found], nans, infinities)
+        return Block(
+            taken * n,
+            at[:improvements].astype(float),
+            losses[:improvements],
+            thetas[:improvements],
+            {NAN: nans, INFINITE: infinities},
+        )
 
-    def climb(
-        first: Array,
-        P: Array,
-        L: Array,
-        noise: Array,
-        sigma: Array,
-        bounds: tuple[Array, Array],
-        best: float,
-        target: float,
-        early_stopping: bool,
-    ) -> Climbed:
-        rest = sigma, bounds, best, target, early_stopping
-        if pool is None or target > -math.inf or len(P) < threads or len(noise) < WORTH_THREADS:
-            return climb_rows(first, P, L, noise, *rest)
+    def climb(steps: Steps, best: float, target: float) -> Block:
+        n = len(steps.P)
+        if pool is None or target > -math.inf or n < threads or len(steps.noise) < WORTH_THREADS:
+            return climb_rows(steps, best, target)
 
-        def part(rows: slice) -> Climbed:
-            mine = np.ascontiguousarray(noise[:, rows])
-            return climb_rows(first[rows], P[rows], L[rows], mine, *rest)
+        def part(rows: slice) -> Block:
+            noise = np.ascontiguousarray(steps.noise[:, rows])
+            first, P, L = steps.first[rows], steps.P[rows], steps.L[rows]
+            return climb_rows(steps._replace(first=first, P=P, L=L, noise=noise), best, target)
 
-        parts = equal_parts(len(P), threads)
+        parts = equal_parts(n, threads)
         return _together(list(pool.map(part, parts)), parts, best)
 
     return climb
@@ -189,23 +138,22 @@ def equal_parts(n: int, count: int) -> list[slice]:
     return [slice(i, j) for i, j in pairwise(np.linspace(0, n, count + 1).astype(int).tolist())]
 
 
-def _together(parts: list[Climbed], rows: list[slice], best: float) -> Climbed:
-    """What the rows did, with the improvements in the order of a loop over all of them."""
-    n = rows[-1].stop
+def _together(blocks: list[Block], parts: list[slice], best: float) -> Block:
+    """What the parts of the rows did, with improvements in the order of a loop over all rows."""
+    n = parts[-1].stop
     numbers = []
-    for part, own in zip(parts, rows, strict=True):
-        step, row = np.divmod(part.at - 1, own.stop - own.start)
-        numbers.append(step * n + own.start + row + 1)
+    for block, rows in zip(blocks, parts, strict=True):
+        step, row = np.divmod(block.at - 1, rows.stop - rows.start)
+        numbers.append(step * n + rows.start + row + 1)
     at = np.concatenate(numbers)
     order = np.argsort(at)
-    losses = np.concatenate([part.losses for part in parts])[order]
+    losses = np.concatenate([block.losses for block in blocks])[order]
     lower = losses < np.minimum.accumulate(np.append(best, losses[:-1]))
-    kept = order[lower]
-    return Climbed(
-        parts[0].steps,
-        at[kept],
+    improving = order[lower]
+    return Block(
+        sum(block.evaluations for block in blocks),
+        at[improving],
         losses[lower],
-        np.concatenate([part.thetas for part in parts])[kept],
-        sum(part.nans for part in parts),
-        sum(part.infinities for part in parts),
+        np.concatenate([block.thetas for block in blocks])[improving],
+        {reason: sum(block.rejected[reason] for block in blocks) for reason in (NAN, INFINITE)},
     )

@@ -19,20 +19,21 @@ from numba import njit
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from miho.identification import fused, panel_sums, panels
-from miho.identification.fused import as_tuple, read_only
-from miho.identification.panel_sums import (
+import miho.compiled.polynomials  # noqa: F401 -- registers the elementary functions
+from miho.compiled.arrays import as_tuple, read_only
+from miho.compiled.climb import climb_on, compiled_climb, equal_parts
+from miho.compiled.kernel import Climb, Formulas
+from miho.compiled.panel_sums import (
     ROUNDING,
     WITHIN,
     PanelTerms,
     Scratch,
+    panel_sums,
     panel_terms,
     scratch_for,
 )
-from miho.models.expression import Expression
-from miho.models.signature import Signed, signed, signed_formulas
-from miho.optim import climb
-from miho.optim.climb import Climb, climb_on, compiled_climb, equal_parts
+from miho.compiled.panels import panels
+from miho.compiled.signature import Signed, signed, signed_formulas
 
 Array = NDArray[np.float64]
 
@@ -44,7 +45,6 @@ SCATTER = 0.5
 """Part of the leaves' scatter that a loss is expected to have at least."""
 SHARE = 100
 """Candidates that are worth a thread of their own."""
-COMPILED_WITH = (climb.__file__, fused.__file__, panels.__file__, panel_sums.__file__, __file__)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class CompressedLoss:
     x (N,) is the only input of the model, which has a `bound`; y (N,) the output.
     """
 
-    model: Expression
+    model: Formulas
     x: Array
     y: Array
     tolerance: float = 1e-9
@@ -68,11 +68,11 @@ class CompressedLoss:
                 f"{type(model).__name__} has no bound; only a model that has one can be compressed"
             )
         d = len(model.parameters)
-        return _compile(signed_formulas((model.value, model.bound), (1, d), *COMPILED_WITH), d)
+        return _compile(signed_formulas((model.value, model.bound), (1, d)), d)
 
     @cached_property
     def _data(self) -> _Data:
-        found = panels.panels(self.x, self.y)
+        found = panels(self.x, self.y)
         N = self.y.size
         size = math.sqrt(float(np.mean(self.y**2)))
         scatter = SCATTER * math.sqrt(found.unexplained / N)
@@ -134,7 +134,7 @@ class _Compiled:
 def _compile(formulas: Signed, d: int) -> _Compiled:
     named = signed(formulas.signature)
     value, bound = map(register_jitable, formulas.copies())
-    over_panels, beaten = panel_sums.panel_sums(value, bound, named)
+    over_panels, beaten = panel_sums(value, bound, named)
 
     @register_jitable(error_model="numpy", forceinline=True)
     @named

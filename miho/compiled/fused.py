@@ -16,34 +16,36 @@ from functools import cache, cached_property, partial
 from typing import Any, cast
 
 import numpy as np
-from numba import cfunc, njit, typeof, types
+from numba import cfunc, njit, types
 from numba.core.errors import NumbaError
-from numba.extending import overload, register_jitable
-from numba.np.unsafe.ndarray import to_fixed_tuple
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from miho.identification import panel_sums, panels
-from miho.identification.panel_sums import Sign, panel_terms, scratch_for
-from miho.models.expression import Expression, Formula
-from miho.models.signature import Signed, signed, signed_formulas
-from miho.optim import climb
-from miho.optim.climb import Climb, climb_on, compiled_climb, equal_parts
-from miho.optim.problem import CompiledRows
+import miho.compiled.polynomials  # noqa: F401 -- registers the elementary functions
+from miho.compiled.arrays import (
+    Callee,
+    as_tuple,
+    cause,
+    columns_of,
+    inputs_of,
+    put,
+    read_only,
+    store_columns,
+    store_row,
+    sum_of_squares,
+)
+from miho.compiled.climb import climb_on, compiled_climb, equal_parts
+from miho.compiled.kernel import Climb, Formula, Formulas, Rows
+from miho.compiled.panel_sums import Sign, panel_sums, panel_terms, scratch_for
+from miho.compiled.panels import panels
+from miho.compiled.signature import Signed, signed, signed_formulas
 
 Array = NDArray[np.float64]
 
 BLOCK = 512
 """Rows at a time: a handful of temporaries of 4 KiB."""
-COMPILED_WITH = (climb.__file__, panels.__file__, panel_sums.__file__, __file__)
 SHARE = 50_000
 """Model values that are worth a thread of their own."""
-CAUSES = (
-    "Untyped global name",
-    "Use of unsupported",
-    "Unknown attribute",
-    "Cannot unify",
-    "No impl",
-)
 FIRST_BLOCK = 64
 """Rows before the first look whether a candidate is beaten; doubles up to BLOCK. Where panels come
 before rows, there is nothing to win by an early look."""
@@ -61,7 +63,7 @@ class FusedLoss:
     soon as it is beaten by sums over panels, if the model has a bound, or by a part of the rows.
     """
 
-    model: Expression
+    model: Formulas
     X: Array
     y: Array
     order: NDArray[np.intp]
@@ -70,14 +72,14 @@ class FusedLoss:
     @cached_property
     def _compiled(self) -> _Compiled:
         shape, formulas = self._shape, (self.model.value, self.model.derivatives)
-        return _compile(signed_formulas(formulas, shape, *COMPILED_WITH), *shape)
+        return _compile(signed_formulas(formulas, shape), *shape)
 
     @cached_property
     def _steps(self) -> Callable[..., tuple[int, int, int, int]]:
         shape, formulas = self._shape, [self.model.value]
         if self._in_panels and self.model.bound is not None:
             formulas.append(self.model.bound)
-        return _compile_steps(signed_formulas(tuple(formulas), shape, *COMPILED_WITH), *shape)
+        return _compile_steps(signed_formulas(tuple(formulas), shape), *shape)
 
     @property
     def _shape(self) -> tuple[int, int]:
@@ -93,12 +95,12 @@ class FusedLoss:
         return np.ascontiguousarray(self.X[:, self.order]), self.y[self.order], first_block
 
     @cached_property
-    def compiled_rows(self) -> CompiledRows:
+    def rows(self) -> Rows:
         """Residuals and derivatives of some rows, in the order of the loss."""
         shape, formulas = self._shape, (self.model.value, self.model.derivatives)
-        compiled = _compile_rows(signed_formulas(formulas, shape, *COMPILED_WITH), *shape)
+        compiled = _compile_rows(signed_formulas(formulas, shape), *shape)
         X, y, _ = self._data
-        return CompiledRows(*compiled, read_only(X), read_only(y))
+        return Rows(*compiled, read_only(X), read_only(y))
 
     @cached_property
     def _columns(self) -> tuple[Array, Array]:
@@ -114,7 +116,7 @@ class FusedLoss:
         if not self._in_panels:
             return climb_on(self._steps, (self._data, ()), tuple, self.threads)
         size = float(np.sqrt(np.mean(self.y**2)))
-        terms = panel_terms(panels.panels(self.X[0], self.y), self.y.size, size)
+        terms = panel_terms(panels(self.X[0], self.y), self.y.size, size)
         room = partial(scratch_for, terms)
         return climb_on(self._steps, (self._data, terms), room, self.threads)
 
@@ -199,7 +201,7 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
         parameters = as_tuple(theta, d)
         for start in range(0, y.size, BLOCK):
             end = min(start + BLOCK, y.size)
-            _put(value(columns(X, start, end), parameters) - y[start:end], found[start:end])
+            put(value(columns(X, start, end), parameters) - y[start:end], found[start:end])
 
     @njit(cache=True, nogil=True, error_model="numpy")
     @own
@@ -207,7 +209,7 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
         parameters = as_tuple(theta, d)
         for start in range(0, X.shape[1], BLOCK):
             end = min(start + BLOCK, X.shape[1])
-            _store(derivatives(columns(X, start, end), parameters), found[:, start:end])
+            store_columns(derivatives(columns(X, start, end), parameters), found[:, start:end])
 
     return _Compiled(losses, residuals, jacobian)
 
@@ -219,7 +221,7 @@ def _compile_rows(formulas: Signed, p: int, d: int) -> tuple[Any, Any]:
     Row by row, which the compiler turns into several at once: the temporaries of a block would cost
     more than a few rows do.
     """
-    columns, inputs, store = columns_of(p), inputs_of(p), _store_row
+    columns, inputs = columns_of(p), inputs_of(p)
     own = signed(formulas.signature)
     value, derivatives = map(register_jitable, formulas.copies())
 
@@ -235,23 +237,9 @@ def _compile_rows(formulas: Signed, p: int, d: int) -> tuple[Any, Any]:
     def slopes(theta: Array, X: Array, i: int, j: int, found: Array) -> None:
         parameters, parts = as_tuple(theta, d), columns(X, i, j)
         for row in range(parts[0].size):
-            store(derivatives(inputs(parts, row), parameters), found, row)
+            store_row(derivatives(inputs(parts, row), parameters), found, row)
 
     return Callee(residuals), Callee(slopes)
-
-
-class Callee:
-    """A compiled function to be passed to compiled code, with its type worked out once.
-
-    numba does so at each call, in 15 us: as long as a step on a hundred rows takes.
-    """
-
-    def __init__(self, function: Any) -> None:
-        self._function = function  # whose code lives as long as it does
-        self._numba_type_ = typeof(function)
-
-    def __wrapper_address__(self) -> int:
-        return int(self._function.address)
 
 
 @cache
@@ -269,7 +257,7 @@ def _compile_steps(formulas: Signed, p: int, d: int) -> Callable[..., tuple[int,
 
     if not bound:
         return compiled_climb(of_rows, formulas.signature)
-    _, beaten = panel_sums.panel_sums(value, bound[0], own)
+    _, beaten = panel_sums(value, bound[0], own)
 
     @register_jitable(error_model="numpy")
     @own
@@ -305,128 +293,3 @@ def _mean_square(
         return total / y.size
 
     return cast(Callable[[Array, float, _Data], float], loss)
-
-
-def cause(error: NumbaError) -> str:
-    """The line of numba's message that says why something cannot be compiled."""
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return next((line for line in lines if line.startswith(CAUSES)), lines[0])
-
-
-def read_only(array: Array) -> Array:
-    """The numbers in their order in memory, for compiled code that only reads them.
-
-    Numba compiles anew for arrays that may be written and for those that may not.
-    """
-    view = np.ascontiguousarray(array, dtype=float).view()
-    view.flags.writeable = False
-    return view
-
-
-@register_jitable
-def as_tuple(theta: Array, d: int) -> tuple[float, ...]:
-    """Parameters (d,) as the tuple that a formula takes; compiled code needs its length."""
-    parameters: tuple[float, ...] = to_fixed_tuple(theta, d)
-    return parameters
-
-
-def _store(values: Any, found: Any) -> None:
-    """Put columns, or numbers for a whole column, into the first ones of `found` (d, .)."""
-    for k, value in enumerate(values):
-        _put(value, found[k])
-
-
-@overload(_store)
-def _unrolled_columns(values: Any, found: Any) -> Callable[..., None]:
-    last = len(values) - 1
-
-    def store(values: Any, found: Any) -> None:
-        _store(values[:last], found)
-        _put(values[last], found[last])
-
-    def nothing(values: Any, found: Any) -> None:
-        pass
-
-    return nothing if last < 0 else store
-
-
-def _put(values: Any, to: Any) -> None:
-    """Copy values (n,), or the same one n times."""
-    to[:] = values
-
-
-@overload(_put)
-def _put_compiled(values: Any, to: Any) -> Callable[..., None]:
-    """Element by element: numba's own copy takes seconds to compile, for what it says of shapes."""
-
-    def each(values: Any, to: Any) -> None:
-        if values.size != to.size and values.size != 1:
-            raise ValueError("as many values are needed as there are rows")
-        for i in range(to.size):
-            to[i] = values[i if values.size > 1 else 0]
-
-    def same(values: Any, to: Any) -> None:
-        for i in range(to.size):
-            to[i] = values
-
-    return each if isinstance(values, types.Array) else same
-
-
-def _store_row(values: Any, found: Array, row: int) -> None:
-    """Put the values into a row of columns (d, .)."""
-    for k, value in enumerate(values):
-        found[k, row] = value
-
-
-@overload(_store_row)
-def _unrolled(values: Any, found: Array, row: int) -> Callable[..., None]:
-    """One value after the other, known to the compiler, so that it can do many rows at once."""
-    last = len(values) - 1
-
-    def store(values: Any, found: Array, row: int) -> None:
-        found[last, row] = values[last]
-        _store_row(values[:last], found, row)
-
-    def nothing(values: Any, found: Array, row: int) -> None:
-        pass
-
-    return nothing if last < 0 else store
-
-
-@register_jitable
-def _add(to: Array, what: Array) -> None:
-    for i in range(what.size):
-        to[i] += what[i]
-
-
-@register_jitable
-def sum_of_squares(r: Array) -> float:
-    """The sum of r^2, in pairs from both halves, which the processor adds side by side."""
-    r *= r
-    n = r.size
-    while n > 8:
-        half = (n + 1) // 2
-        _add(r[: n - half], r[half:n])
-        n = half
-    total = 0.0
-    for i in range(n):
-        total += r[i]
-    return total
-
-
-def columns_of(p: int) -> Any:
-    """(X, i, j) -> rows i to j of columns (p, N) as a tuple: compiled code needs its length."""
-    k = p - 1
-    if not k:
-        return register_jitable(lambda X, i, j: (X[k, i:j],))
-    before = columns_of(k)
-    return register_jitable(lambda X, i, j: (*before(X, i, j), X[k, i:j]))
-
-
-def inputs_of(p: int) -> Any:
-    """(columns, row) -> one row of p columns as a tuple, likewise."""
-    k = p - 1
-    if not k:
-        return register_jitable(lambda columns, row: (columns[k][row],))
-    before = inputs_of(k)
-    return register_jitable(lambda columns, row: (*before(columns, row), columns[k][row]))

@@ -19,8 +19,8 @@ import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from miho.identification.panels import ORDERS, SIDE_BY_SIDE, STARTS, Panels
-from miho.models.expression import Formula
+from miho.compiled.kernel import Formula
+from miho.compiled.panels import ORDERS, SIDE_BY_SIDE, STARTS, Panels
 
 Array = NDArray[np.float64]
 Sign = Callable[[Callable[..., Any]], Callable[..., Any]]

@@ -1,0 +1,135 @@
+"""What compiled code can do for a problem, in the words of those who use it; needs no compiler."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from miho.compiled.fit import FitKernel
+
+Array = NDArray[np.float64]
+
+Formula = Callable[[tuple[Any, ...], tuple[Any, ...]], Any]
+"""(inputs, theta) -> value: element by element, with the operators and the functions of
+`miho.compiled.elementary`."""
+
+
+NAN, INFINITE = "loss is nan", "loss is inf"
+"""Reasons why a value was rejected that was computed and is not finite."""
+
+
+class Block(NamedTuple):
+    """What a block of compiled code did: evaluations spent, and its improvements of the best loss.
+
+    `at` (k,) counts the evaluations up to each improvement, which has `losses` (k,) at `thetas`
+    (k, d). `rejected` counts values that could not be used, by reason. `finished` unless it stopped
+    before an evaluation that was not allowed.
+    """
+
+    evaluations: float
+    at: Array
+    losses: Array
+    thetas: Array
+    rejected: Mapping[str, int]
+    finished: bool = True
+
+
+class Steps(NamedTuple):
+    """Steps of mutation and acceptance: evaluate mutants of all rows of P, keep the better ones.
+
+    P (n, d) and L (n,) are changed in place. The mutants of the first step are `first` (n, d),
+    those of step k are P + sigma[k - 1] noise[k - 1] within the bounds, with noise (steps - 1, n,
+    d) and sigma (steps - 1, d): bit for bit what `mutate` gives. With `early_stopping` a mutant is
+    given up as soon as it cannot be better than its parent, which changes no decision.
+    """
+
+    first: Array
+    P: Array
+    L: Array
+    noise: Array
+    sigma: Array
+    bounds: tuple[Array, Array]
+    early_stopping: bool = True
+
+
+Climb = Callable[[Steps, float, float], Block]
+"""(steps, best, target) -> what they did, with the improvements of `best`; it ends after the step
+that reaches `target`. Each step counts one evaluation for each row, stopped early or not."""
+
+
+class Rows(NamedTuple):
+    """Residuals and derivatives of rows i to j of the data, which compiled code can call.
+
+    `residuals(theta, X, y, i, j, r)` fills r (j - i,), `slopes(theta, X, i, j, J)` the first
+    columns of J (d, j - i or more). X (p, N) and y (N,) hold the data in the order of a fidelity.
+    """
+
+    residuals: Any
+    slopes: Any
+    X: Array
+    y: Array
+
+
+class Kernel(Protocol):
+    """Compiled forms of a problem's loss, each None where there is none."""
+
+    @property
+    def climb(self) -> Climb | None:
+        """Steps of mutation and acceptance, in units."""
+
+    @property
+    def rows(self) -> Rows | None:
+        """Residuals and derivatives."""
+
+
+class Formulas(Protocol):
+    """What compiled code needs of a model: `miho.models.expression.Expression` says what it is."""
+
+    @property
+    def parameters(self) -> Mapping[str, str]:
+        """Units by name, in the order of theta."""
+
+    @property
+    def value(self) -> Formula:
+        """The output."""
+
+    @property
+    def derivatives(self) -> Formula:
+        """A tuple of its derivatives."""
+
+    @property
+    def bound(self) -> Formula | None:
+        """Its growth off the real axis."""
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        """Outputs (n, N) by NumPy."""
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Their derivatives (N, d) by NumPy."""
+
+
+def kernel_for(
+    model: Formulas,
+    X: Array,
+    y: Array,
+    order: NDArray[np.intp],
+    thetas: Array,
+    *,
+    name: str,
+    threads: int = 1,
+    compressed: bool = False,
+) -> FitKernel:
+    """Compiled forms of the mean square of a model minus data, each compared with NumPy's first.
+
+    X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which a loss goes
+    through them. Compared at `thetas` (n, d), at the first use of each; `name` is the model's in a
+    warning. `compressed` takes the loss from few nodes instead of all points. numba is imported
+    here, and not before.
+    """
+    from miho.compiled.fit import FitKernel
+
+    return FitKernel(model, X, y, order, thetas, name, threads, compressed)

@@ -1,0 +1,123 @@
+"""Names by which numba and its linker tell compiled code from other code of the same name.
+
+Numba's cache knows a function by its name, its closure and its file; the linker knows it by its
+name alone. Neither sees an edit in another file, from which the function takes what it calls. A
+function that calls what stands elsewhere therefore carries a digest of all code that it is compiled
+with: without it two models, compiled in two processes and read from the cache by a third, would be
+taken for each other, and an edited model for the old one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import cache, wraps
+from pathlib import Path
+from types import CodeType, FunctionType
+from typing import Any, TypeVar, cast
+
+from miho.compiled.kernel import Formula
+
+Function = TypeVar("Function", bound=Callable[..., object])
+
+
+@dataclass(frozen=True)
+class Signed:
+    """Formulas of one model with their signature, by which alone two of them are equal.
+
+    A cache with these for keys compiles equal formulas once, even if each model makes its own.
+    """
+
+    signature: str
+    formulas: tuple[Formula, ...] = field(compare=False)
+
+    def copies(self) -> list[Formula]:
+        """Copies of the formulas under names of their own; the originals stay as they are."""
+        sign = signed(self.signature)
+        return [
+            cast(Formula, sign(FunctionType(f.__code__, f.__globals__, f.__name__, None,
+                                            f.__closure__)))
+            for f in self.formulas
+        ]  # fmt: skip
+
+
+def signed_formulas(formulas: tuple[Formula, ...], shape: tuple[int, ...]) -> Signed:
+    """The formulas with a signature; `shape` is what else is compiled in."""
+    return Signed(signature_of(*formulas, shape=shape), formulas)
+
+
+def signature_of(*functions: Callable[..., object], shape: tuple[int, ...] = ()) -> str:
+    """16 hexadecimal digits for some functions, all that they call, and the code of this package.
+
+    Functions are told apart by their code, the files it stands in, the values that they close over
+    and the numbers, functions and classes among their globals, whose own code counts likewise.
+    """
+    digest = hashlib.sha256(repr(shape).encode())
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(_text(str(path)))
+    waiting: list[Any] = list(functions)
+    for function in waiting:  # which grows
+        code = function.__code__
+        closed_over = [cell.cell_contents for cell in function.__closure__ or ()]
+        names = [*_names(code), *map(str, function.__annotations__.values())]
+        named = [function.__globals__.get(name) for name in names]
+        called = [getattr(value, "py_func", value) for value in (*closed_over, *named)]
+        waiting += [f for f in called if isinstance(f, FunctionType) and f not in waiting]
+        held = [value for value in closed_over if not isinstance(value, FunctionType)]
+        numbers = [value for value in named if isinstance(value, int | float | tuple)]
+        digest.update(code.co_code + repr((code.co_consts, names, held, numbers)).encode())
+        digest.update(_text(code.co_filename))
+        for value in named:
+            if isinstance(value, type):  # a record whose fields the code reads
+                digest.update(_text(getattr(sys.modules[value.__module__], "__file__", "")))
+    return digest.hexdigest()[:16]
+
+
+def signed(signature: str) -> Callable[[Function], Function]:
+    """A decorator that puts the signature into a function's name."""
+
+    def sign(function: Function) -> Function:
+        function.__qualname__ += f".{signature}"
+        return function
+
+    return sign
+
+
+def compiled_when_called(**options: Any) -> Callable[[Function], Function]:
+    """A decorator as numba's njit, cached on disk: numba is imported at the function's first call.
+
+    It is signed then, when all that it calls is defined.
+    """
+
+    def decorate(function: Function) -> Function:
+        @cache
+        def compiled() -> Callable[..., object]:
+            import numba
+
+            import miho.compiled.polynomials  # noqa: F401 -- registers the elementary functions
+
+            sign = signed(signature_of(function))
+            return cast(Callable[..., object], numba.njit(cache=True, **options)(sign(function)))
+
+        @wraps(function)
+        def call(*arguments: object) -> object:
+            return compiled()(*arguments)
+
+        return cast(Function, call)
+
+    return decorate
+
+
+def _names(code: CodeType) -> Iterator[str]:
+    """The global names in a function's code, and in that of the functions inside of it."""
+    yield from code.co_names
+    for constant in code.co_consts:
+        if isinstance(constant, CodeType):
+            yield from _names(constant)
+
+
+@cache
+def _text(path: str) -> bytes:
+    return Path(path).read_bytes() if Path(path).is_file() else b""
