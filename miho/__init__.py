@@ -1,26 +1,33 @@
 """MIHO: identify the parameters of a model from data, and compare the methods that do it."""
 
-from miho.data import Dataset
-from miho.identification import CurveFit
-from miho.models import load_tir
-from miho.optim import (
-    MIHO,
-    MIHOGN,
-    MIHOQN,
-    AskTell,
-    Budget,
-    LeastSquaresProblem,
-    Optimizer,
-    Oracle,
-    Parameter,
-    Problem,
-    Space,
-    minimize,
-)
-from miho.study import load_runs
+from typing import TYPE_CHECKING
+
+from miho.exports import at_first_use
+
+if TYPE_CHECKING:
+    from miho.data import Dataset
+    from miho.identification import CurveFit
+    from miho.models import load_tir
+    from miho.optim import (
+        MIHO,
+        MIHOGN,
+        MIHOQN,
+        AskTell,
+        Budget,
+        LeastSquaresProblem,
+        Optimizer,
+        Oracle,
+        Parameter,
+        Problem,
+        Space,
+        minimize,
+    )
+    from miho.study import load_runs
 
 __all__ = [
     "MIHO", "MIHOGN", "MIHOQN", "AskTell", "Budget", "CurveFit", "Dataset",
     "LeastSquaresProblem", "Optimizer", "Oracle", "Parameter", "Problem", "Space", "load_runs",
     "load_tir", "minimize",
 ]  # fmt: skip
+
+__getattr__, __dir__ = at_first_use(__name__)

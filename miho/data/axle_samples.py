@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.constants import g
 
 from miho.data.conventions import sign_problem
 from miho.data.csv import TextFormat
@@ -14,6 +13,7 @@ from miho.data.dataset import Dataset
 from miho.data.driving_log import DrivingLog, load_driving_log
 from miho.models.single_track import SingleTrack
 from miho.models.vehicle_settings import from_settings
+from miho.quantities import g
 
 LARGEST_SLIP_ANGLE = 1.0
 """Of an axle [rad]; beyond, a car spins or a unit is wrong."""

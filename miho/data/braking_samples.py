@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from scipy.constants import g
 
 from miho.data.csv import TextFormat
 from miho.data.dataset import Dataset
 from miho.data.driving_log import DrivingLog, load_driving_log, low_pass
+from miho.quantities import g
 
 UNITS = {"p": "Pa", "vx": "m/s", "deceleration": "m/s^2", "t": "s", "event": "-"}
 

@@ -11,12 +11,12 @@ from types import MappingProxyType
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
-from scipy.constants import g
 
 from miho.data.csv import PLAIN, CSVError, Table, TextFormat
 from miho.data.dataset import file_name
 from miho.data.preview import Reading
 from miho.data.units import si
+from miho.quantities import g
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

@@ -13,13 +13,13 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.constants import g
 
 from miho.data.dataset import Dataset
 from miho.data.driving_log import DrivingLog
 from miho.data.torque_samples import torque_samples
 from miho.models.engine import RPM
 from miho.models.longitudinal import Longitudinal
+from miho.quantities import g
 
 Array = NDArray[np.float64]
 

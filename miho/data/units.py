@@ -7,7 +7,7 @@ from math import pi
 from types import MappingProxyType
 from typing import NamedTuple
 
-from scipy import constants
+from miho.quantities import g
 
 OWN = "own:"
 
@@ -19,33 +19,35 @@ class Unit(NamedTuple):
     factor: float
 
 
-_KILO, _MILLI = constants.kilo, constants.milli
+_KILO, _MILLI, _DEGREE, _HOUR = 1e3, 1e-3, pi / 180, 3600.0
+_INCH, _POUND = 0.0254, 7000 * 64.79891e-6  # so many grains
+_FOOT, _POUND_FORCE = 12 * _INCH, _POUND * g
 _TABLE: dict[str, dict[str, float]] = {
     "-": {"-": 1.0, "1": 1.0, "%": 0.01},
-    "rad": {"rad": 1.0, "deg": constants.degree, "mrad": _MILLI},
-    "rad/s": {"rad/s": 1.0, "deg/s": constants.degree, "rpm": 2 * pi / constants.minute},
-    "1/rad": {"1/rad": 1.0, "1/deg": 1 / constants.degree},
-    "N": {"N": 1.0, "kN": _KILO, "daN": constants.deka, "lbf": constants.lbf, "kgf": constants.kgf},
+    "rad": {"rad": 1.0, "deg": _DEGREE, "mrad": _MILLI},
+    "rad/s": {"rad/s": 1.0, "deg/s": _DEGREE, "rpm": 2 * pi / 60.0},
+    "1/rad": {"1/rad": 1.0, "1/deg": 1 / _DEGREE},
+    "N": {"N": 1.0, "kN": _KILO, "daN": 10.0, "lbf": _POUND_FORCE, "kgf": g},
     "N/rad": {
-        "N/rad": 1.0, "N/deg": 1 / constants.degree, "kN/rad": _KILO,
-        "kN/deg": _KILO / constants.degree,
+        "N/rad": 1.0, "N/deg": 1 / _DEGREE, "kN/rad": _KILO,
+        "kN/deg": _KILO / _DEGREE,
     },
-    "Nm": {"Nm": 1.0, "kNm": _KILO, "lbf-ft": constants.lbf * constants.foot},
-    "Nm/rad": {"Nm/rad": 1.0, "Nm/deg": 1 / constants.degree},
+    "Nm": {"Nm": 1.0, "kNm": _KILO, "lbf-ft": _POUND_FORCE * _FOOT},
+    "Nm/rad": {"Nm/rad": 1.0, "Nm/deg": 1 / _DEGREE},
     "Pa": {
-        "Pa": 1.0, "kPa": _KILO, "MPa": constants.mega, "bar": constants.bar, "psi": constants.psi,
+        "Pa": 1.0, "kPa": _KILO, "MPa": 1e6, "bar": 1e5, "psi": _POUND_FORCE / _INCH**2,
     },
-    "s": {"s": 1.0, "ms": _MILLI, "min": constants.minute},
+    "s": {"s": 1.0, "ms": _MILLI, "min": 60.0},
     "1/s": {"1/s": 1.0, "Hz": 1.0},
     "m": {
-        "m": 1.0, "mm": _MILLI, "cm": constants.centi, "km": _KILO, "in": constants.inch,
-        "ft": constants.foot,
+        "m": 1.0, "mm": _MILLI, "cm": 1e-2, "km": _KILO, "in": _INCH,
+        "ft": _FOOT,
     },
     "1/m": {"1/m": 1.0},
-    "m/s": {"m/s": 1.0, "km/h": constants.kmh, "mph": constants.mph, "ft/s": constants.foot},
-    "m/s^2": {"m/s^2": 1.0, "m/s2": 1.0, "g0": constants.g},
+    "m/s": {"m/s": 1.0, "km/h": _KILO / _HOUR, "mph": 1760 * (3 * _FOOT) / _HOUR, "ft/s": _FOOT},
+    "m/s^2": {"m/s^2": 1.0, "m/s2": 1.0, "g0": g},
     "N/m": {"N/m": 1.0, "N/mm": _KILO, "kN/m": _KILO},
-    "kg": {"kg": 1.0, "lb": constants.lb},
+    "kg": {"kg": 1.0, "lb": _POUND},
     "kg m^2": {"kg m^2": 1.0, "kg m2": 1.0},
     "V": {"V": 1.0, "mV": _MILLI},
     "A": {"A": 1.0, "mA": _MILLI},

@@ -22,7 +22,6 @@ import math
 import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import NDArray
-from scipy.constants import g
 
 from miho.driving.compiled_tire import wheel_forces
 from miho.driving.load_transfer import wheel_loads
@@ -36,6 +35,7 @@ from miho.driving.powertrain import (
     torque_rate,
 )
 from miho.driving.road import Road, shape_at
+from miho.quantities import g
 
 Array = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
-from scipy.constants import g
 
 from miho.driving.grip import Grip
 from miho.driving.load_transfer import LoadCoefficients, LoadTransfer, wheel_loads
 from miho.driving.vehicle import Vehicle
+from miho.quantities import g
 
 Array = NDArray[np.float64]
 

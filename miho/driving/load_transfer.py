@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import register_jitable
 from numpy.typing import ArrayLike, NDArray
-from scipy.constants import g
 
 from miho.driving.vehicle import Vehicle
+from miho.quantities import g
 
 Array = NDArray[np.float64]
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.constants import g
 from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
 
 from miho.models.single_track import SingleTrack
+from miho.quantities import g
 
 Array = NDArray[np.float64]
 

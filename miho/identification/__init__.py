@@ -1,13 +1,20 @@
 """Identification: the problem made of a model, a dataset and a space, and what it can tell."""
 
-from miho.identification.curve_fit import CurveFit
-from miho.identification.irreducible import irreducible_error
-from miho.identification.linear_optimum import linear_optimum
-from miho.identification.loss import Cauchy, Huber, Loss, Square
-from miho.identification.report import Report, make_report
-from miho.identification.uncertainty import Linearised, linearised
+from typing import TYPE_CHECKING
+
+from miho.exports import at_first_use
+
+if TYPE_CHECKING:
+    from miho.identification.curve_fit import CurveFit
+    from miho.identification.irreducible import irreducible_error
+    from miho.identification.linear_optimum import linear_optimum
+    from miho.identification.loss import Cauchy, Huber, Loss, Square
+    from miho.identification.report import Report, make_report
+    from miho.identification.uncertainty import Linearised, linearised
 
 __all__ = [
     "Cauchy", "CurveFit", "Huber", "Linearised", "Loss", "Report", "Square", "irreducible_error",
     "linear_optimum", "linearised", "make_report",
 ]  # fmt: skip
+
+__getattr__, __dir__ = at_first_use(__name__)

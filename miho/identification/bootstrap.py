@@ -6,8 +6,8 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
-from scipy.special import ndtr, stdtrit
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import refit
@@ -50,6 +50,6 @@ def percentile_intervals(replicates: Array, units: int, freedom: int, level: flo
     `freedom` left of the `units` drawn (rows, or events) make a normal interval wider (Hesterberg,
     The American Statistician 69, 2015): the plain ones are too narrow for small samples.
     """
-    reach = math.sqrt(units / freedom) * stdtrit(freedom, (1 + level) / 2)
-    tail = float(ndtr(-reach))
+    reach = math.sqrt(units / freedom) * scipy.special.stdtrit(freedom, (1 + level) / 2)
+    tail = float(scipy.special.ndtr(-reach))
     return np.quantile(replicates, [tail, 1 - tail], axis=0).T

@@ -6,9 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
-from scipy.special import chdtrc
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Cauchy, Huber
@@ -180,7 +179,7 @@ def _chance_of_spread(problem: CurveFit, at: Linearised) -> float:
     fitted = columns @ np.linalg.lstsq(columns, squares, rcond=None)[0]
     explained = np.var(fitted) / np.var(squares)
     rank = int(np.linalg.matrix_rank(columns)) - 1
-    return float(chdtrc(rank, squares.size * explained)) if rank else 1.0
+    return float(scipy.special.chdtrc(rank, squares.size * explained)) if rank else 1.0
 
 
 def independence(problem: CurveFit, at: Linearised) -> list[str]:
@@ -255,7 +254,7 @@ def _at_bounds(at: Linearised, space: Space) -> list[tuple[Parameter, str, float
 def _entangled(correlation: Array) -> list[list[int]]:
     """Groups of parameters that strong correlations connect, in the order of the parameters."""
     strong = np.abs(np.nan_to_num(correlation)) >= CORRELATED
-    count, label = connected_components(strong, directed=False)
+    count, label = scipy.sparse.csgraph.connected_components(strong, directed=False)
     groups = [np.flatnonzero(label == group).tolist() for group in range(count)]
     return [group for group in groups if len(group) > 1]
 

@@ -6,9 +6,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
-from scipy.special import chdtri
 
 from miho.optim.seeds import stream
 
@@ -68,8 +67,10 @@ def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible
     tail = (1 - level) / 2
     wider = [_pseudo_residuals(x[half::2], y[half::2])[0] for half in (0, 1)]
     bend = max(0.0, float(np.mean(np.concatenate(wider) ** 2)) - square)
-    lowest = square * freedom / float(chdtri(freedom, tail)) - bend
-    highest = square * freedom / max(float(chdtri(freedom, 1 - tail)), np.finfo(float).tiny)
+    lowest = square * freedom / float(scipy.special.chdtri(freedom, tail)) - bend
+    highest = (
+        square * freedom / max(float(scipy.special.chdtri(freedom, 1 - tail)), np.finfo(float).tiny)
+    )
     return Irreducible(value, math.sqrt(max(0.0, lowest)), math.sqrt(highest))
 
 
@@ -86,7 +87,7 @@ def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
     spread = X.std(axis=1, keepdims=True)
     Z = ((X - X.mean(axis=1, keepdims=True)) / np.where(spread > 0, spread, 1.0)).T
     Z += TIED * stream("neighbours").standard_normal(Z.shape)
-    nearest = np.asarray(cKDTree(Z).query(Z, k=2)[1])[:, 1]
+    nearest = np.asarray(scipy.spatial.cKDTree(Z).query(Z, k=2)[1])[:, 1]
     own = np.arange(y.size)
     pairs = own[(nearest[nearest] == own) & (own < nearest)]
     squares = (y[pairs] - y[nearest[pairs]]) ** 2 / 2
@@ -96,7 +97,7 @@ def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
         return 0.0
     # of normal errors e^4 / 3 estimates the variance's square, as in `_variance`
     freedom = 3 * float(squares.sum()) ** 2 / float((squares**2).sum())
-    return math.sqrt(squares.mean() * freedom / chdtri(freedom, (1 + level) / 2))
+    return math.sqrt(squares.mean() * freedom / scipy.special.chdtri(freedom, (1 + level) / 2))
 
 
 def _pseudo_residuals(x: Array, y: Array) -> tuple[Array, Array]:

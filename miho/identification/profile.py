@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
-from scipy.optimize.elementwise import find_root
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import Deadline, Refit, refit
@@ -106,7 +105,7 @@ def profile(
             return sign * np.inf
         if abs(tau(outside)) <= wanted + CLOSE:
             return outside
-        solution = find_root(
+        solution = scipy.optimize.elementwise.find_root(
             np.vectorize(lambda value: abs(tau(float(value))) - wanted),
             (inside, outside),
             tolerances={"fatol": CLOSE},

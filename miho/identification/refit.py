@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy.optimize
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit

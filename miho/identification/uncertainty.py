@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
-from scipy.special import stdtrit
 
 from miho.data.dataset import Dataset
 from miho.identification.curve_fit import CurveFit
@@ -68,7 +68,7 @@ class Linearised:
 
     def quantile(self, level: float = 0.95) -> float:
         """How many standard errors the two-sided interval reaches (Student's t)."""
-        return float(stdtrit(self.freedom, (1 + level) / 2))
+        return float(scipy.special.stdtrit(self.freedom, (1 + level) / 2))
 
     def intervals(self, level: float = 0.95) -> Array:
         """Lower and upper ends, (d, 2)."""

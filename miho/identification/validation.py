@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
-from scipy.special import fdtrc
 
 from miho.data.dataset import Dataset
 from miho.identification.curve_fit import CurveFit
@@ -145,7 +145,7 @@ def _explained(
         return 1.0, 0.0
     F = (fine - known) / (k - j) / within
     explained = max(0.0, (fine - known - (k - j) * within) / total)
-    return explained, float(fdtrc(k - j, n - k, max(F, 0.0)))
+    return explained, float(scipy.special.fdtrc(k - j, n - k, max(F, 0.0)))
 
 
 def _between(errors: Array, index: NDArray[np.intp] | None) -> tuple[float, int]:

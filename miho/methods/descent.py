@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
-import scipy.optimize
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
 
 from miho.methods.unit_box import UnitBox

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import scipy.optimize
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
 
 from miho.methods.unit_oracle import UnitOracle

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
 
 from miho.methods.least_squares import check_starts, multi_start

@@ -1,24 +1,29 @@
 """Parametric models: pure functions of inputs and a batch of parameters."""
 
-from miho.models.axle import Axle, central_stiffness, cornering_stiffness
-from miho.models.brake import Brake, BrakeCommand
-from miho.models.brake_dynamics import BrakeResponse, play
-from miho.models.brake_play import BrakePlay
-from miho.models.brake_statics import BrakeDeceleration, BrakePressure, BrakeTorque
-from miho.models.engine import TorqueCubic, TorqueCurve
-from miho.models.engine_map import EngineMap
-from miho.models.function_model import FunctionModel, load_function
-from miho.models.identified import Identified, OutsideDataWarning, read_parameters
-from miho.models.lateral_magic_formula import LateralMagicFormula, mf61_lateral
-from miho.models.longitudinal import Longitudinal
-from miho.models.model import Model
-from miho.models.published import PublishedModel
-from miho.models.simplified_tire import SimplifiedTire, from_simplified, simplify
-from miho.models.single_track import Axles, SingleTrack
-from miho.models.single_track_response import SingleTrackResponse
-from miho.models.tir import TirError, load_tir, write_tir
-from miho.models.tire import Pacejka, PacejkaCurvature
-from miho.models.tire_landmarks import PacejkaLandmarks
+from typing import TYPE_CHECKING
+
+from miho.exports import at_first_use
+
+if TYPE_CHECKING:
+    from miho.models.axle import Axle, central_stiffness, cornering_stiffness
+    from miho.models.brake import Brake, BrakeCommand
+    from miho.models.brake_dynamics import BrakeResponse, play
+    from miho.models.brake_play import BrakePlay
+    from miho.models.brake_statics import BrakeDeceleration, BrakePressure, BrakeTorque
+    from miho.models.engine import TorqueCubic, TorqueCurve
+    from miho.models.engine_map import EngineMap
+    from miho.models.function_model import FunctionModel, load_function
+    from miho.models.identified import Identified, OutsideDataWarning, read_parameters
+    from miho.models.lateral_magic_formula import LateralMagicFormula, mf61_lateral
+    from miho.models.longitudinal import Longitudinal
+    from miho.models.model import Model
+    from miho.models.published import PublishedModel
+    from miho.models.simplified_tire import SimplifiedTire, from_simplified, simplify
+    from miho.models.single_track import Axles, SingleTrack
+    from miho.models.single_track_response import SingleTrackResponse
+    from miho.models.tir import TirError, load_tir, write_tir
+    from miho.models.tire import Pacejka, PacejkaCurvature
+    from miho.models.tire_landmarks import PacejkaLandmarks
 
 __all__ = [
     "Axle", "Axles", "Brake", "BrakeCommand", "BrakeDeceleration", "BrakePlay", "BrakePressure",
@@ -29,3 +34,5 @@ __all__ = [
     "cornering_stiffness", "from_simplified", "load_function", "load_tir", "mf61_lateral", "play",
     "read_parameters", "simplify", "write_tir",
 ]  # fmt: skip
+
+__getattr__, __dir__ = at_first_use(__name__)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import isotonic_regression
 
 from miho.models.engine import RPM, TorqueCurve
 
@@ -98,7 +98,9 @@ class EngineMap:
 
         `corrected` (K, M) is what had been added to the table before.
         """
-        risen = np.apply_along_axis(lambda column: isotonic_regression(column).x, 0, table)
+        risen = np.apply_along_axis(
+            lambda column: scipy.optimize.isotonic_regression(column).x, 0, table
+        )
         return cls(openings, speeds, risen, learned, corrected + risen - table)
 
     def integrate(

@@ -6,7 +6,8 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.constants import g
+
+from miho.quantities import g
 
 Array = NDArray[np.float64]
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 
 from miho.models.lateral_magic_formula import UNITS, LateralMagicFormula
 from miho.models.magic_formula import MagicFormula
@@ -133,7 +133,7 @@ def from_simplified(table: SimplifiedTire, base: MagicFormula) -> MagicFormula:
     def slopes(theta: Array) -> Array:
         return weight[:, None] * model.jacobian(theta, *inputs)
 
-    found = least_squares(
+    found = scipy.optimize.least_squares(
         misfit,
         _start(table, base),
         jac=slopes,

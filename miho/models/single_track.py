@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.constants import g
+
+from miho.quantities import g
 
 Array = NDArray[np.float64]
 

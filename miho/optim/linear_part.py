@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from miho.optim.space import Space
 
@@ -65,7 +65,7 @@ def solve_linear_part(
     norm[norm == 0] = 1.0
     low, high = space.low[at], space.high[at]
     basis = basis / norm
-    solution = lsq_linear(basis, -offset, (low * norm, high * norm), method="bvls")
+    solution = scipy.optimize.lsq_linear(basis, -offset, (low * norm, high * norm), method="bvls")
     theta[at] = np.clip(solution.x / norm, low, high)
 
     free = solution.active_mask == 0

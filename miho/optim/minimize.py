@@ -20,7 +20,6 @@ from types import FrameType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.core import event
 from numpy.typing import NDArray
 
 from miho.optim.optimizer import Optimizer, Resumable
@@ -245,6 +244,8 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     What ran last is warm. A Ctrl-C is raised after the evaluation in progress, or before the next
     function is compiled.
     """
+    from miho.compiled.interrupts import stopping_compilation
+
     global _warm
     if _warm.optimizer() is optimizer and _warm.problem() is problem:
         return
@@ -256,7 +257,7 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
         try:
             with (
                 _ctrl_c_waits(partial(interrupts.append, True)),
-                event.install_listener("numba:compile", _Stop(interrupts)),
+                stopping_compilation(interrupts),
             ):
                 job()
         except KeyboardInterrupt:
@@ -266,21 +267,6 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
         if interrupts:
             raise KeyboardInterrupt
     _warm = _Warm(weakref.ref(optimizer), weakref.ref(problem))
-
-
-class _Stop(event.Listener):  # type: ignore[misc]
-    """Between two functions that numba compiles, raises what a Ctrl-C asked for."""
-
-    def __init__(self, interrupts: list[bool]) -> None:
-        self.interrupts = interrupts
-
-    def on_start(self, event: Any) -> None:
-        """Called by numba."""
-        if self.interrupts:
-            raise KeyboardInterrupt
-
-    def on_end(self, event: Any) -> None:
-        """Called by numba."""
 
 
 class _Paraboloid(LeastSquaresProblem):

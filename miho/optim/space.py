@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
 
 from miho.optim.seeds import Part, stream
 from miho.optim.validate import one_of
@@ -177,12 +177,15 @@ class Space:
             return low + (high - low) * rng.random((n, d))
         if sampling == "uniform_plus_noise":
             draws = rng.random((n, 2 * d))
-            noise = ndtri(np.maximum(draws[:, d:], np.finfo(float).tiny))
+            noise = scipy.special.ndtri(np.maximum(draws[:, d:], np.finfo(float).tiny))
             return np.asarray(low + (high - low) * draws[:, :d] + self.sigma[0] * noise)
         mean, std = self._normal
-        below, above = ndtr((low - mean) / std), ndtr((high - mean) / std)
+        below, above = (
+            scipy.special.ndtr((low - mean) / std),
+            scipy.special.ndtr((high - mean) / std),
+        )
         quantiles = below + (above - below) * rng.random((n, d))
-        return np.minimum(np.maximum(mean + std * ndtri(quantiles), low), high)
+        return np.minimum(np.maximum(mean + std * scipy.special.ndtri(quantiles), low), high)
 
     @cached_property
     def _normal(self) -> tuple[Array, Array]:

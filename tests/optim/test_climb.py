@@ -331,16 +331,16 @@ def test_a_step_makes_no_more_evaluations_than_the_budget_allows(fit: FusedLoss)
     ticks, optimizer = count(), MIHO(R=5, eta=2)
     clock = Clock(wall=lambda: 1e-6 * next(ticks))
     watched = Watched(fit)
-    n = len(optimizer.start(Oracle(watched, Budget()), stream("own")).P)
-    for beyond in (1, n - 1, n, n + 1):
-        oracle = Oracle(watched, Budget(evaluations=n + beyond), clock=clock)
+    first, second = (rung.n for rung in hyperband_table(5, 2, "ceil")[:2])
+    for evaluations in (1, second - 1, second, second + 1):
+        oracle = Oracle(watched, Budget(evaluations=first + evaluations), clock=clock)
         state = optimizer.start(oracle, stream("own"))
-        optimizer.step(state, oracle)
+        optimizer.step(state, oracle)  # the second rung is the first that mutates
         with pytest.raises(BudgetExhausted):
             while True:
                 optimizer.step(state, oracle)
-        assert oracle.evaluations == n + beyond
-        assert (state.step, state.row) == divmod(beyond, n)
+        assert oracle.evaluations == first + evaluations
+        assert (state.step, state.row) == divmod(evaluations, second)
 
 
 def test_by_default_a_step_is_one_batch(fit: FusedLoss) -> None:

@@ -1,0 +1,50 @@
+"""What a package passes on, imported at its first use: a package is a table of contents."""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Callable
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+
+
+def at_first_use(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` (PEP 562) of a package that passes names on.
+
+    The names stand in its __init__ under `if TYPE_CHECKING`, as imports that readers, type checkers
+    and `miho.study.closure` see as any other, and that nobody runs. Its modules can be reached as
+    its attributes too.
+    """
+    module = sys.modules[package]
+
+    @cache
+    def sources() -> dict[str, str]:
+        tree = ast.parse(Path(str(module.__file__)).read_bytes())
+        imports = [node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)]
+        return {alias.name: str(node.module) for node in imports for alias in node.names}
+
+    def get(name: str) -> object:
+        if name.startswith("__"):
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        if name in sources():
+            value = getattr(import_module(sources()[name]), name)
+        else:
+            value = _submodule(package, name)
+        setattr(module, name, value)
+        return value
+
+    def names() -> list[str]:
+        return sorted({*vars(module), *sources()})
+
+    return get, names
+
+
+def _submodule(package: str, name: str) -> object:
+    try:
+        return import_module(f"{package}.{name}")
+    except ModuleNotFoundError as error:
+        if error.name != f"{package}.{name}":
+            raise
+        raise AttributeError(f"module {package!r} has no attribute {name!r}") from None

@@ -1,0 +1,11 @@
+"""What all rooms share: arrays of numbers, and gravity."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+g = 9.80665
+"""Standard acceleration of gravity [m/s^2]."""
