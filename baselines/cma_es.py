@@ -8,14 +8,12 @@ from dataclasses import dataclass, field
 
 import cmaes
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.methods.loss_scale import LossScale
 from miho.methods.unit_box import UnitBox
 from miho.optim import AskTell, Space
-from miho.optim.validate import one_of, positive, whole
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import one_of, positive, whole
 
 RESTARTS = ("ipop", "bipop")
 LEVEL = 1e3

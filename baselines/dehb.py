@@ -10,7 +10,7 @@ import numpy as np
 from miho.methods.unit_oracle import UnitOracle
 from miho.optim import Optimizer, Oracle
 from miho.optim.space import LARGEST_BATCH
-from miho.optim.validate import at_least, one_of, positive, whole
+from miho.validate import at_least, one_of, positive, whole
 
 try:
     import dehb

@@ -8,12 +8,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.methods.least_squares import check_starts, multi_start
 from miho.methods.unit_box import UnitBox
 from miho.optim import Optimizer, Oracle, UnusableValueError
-from miho.optim.validate import positive, whole
+from miho.quantities import Array
+from miho.validate import positive, whole
 
 try:
     import dfols
@@ -22,7 +22,6 @@ except ModuleNotFoundError as error:
         f"dfo_ls needs a library that is missing ({error.name}); pip install 'miho[rivals]'"
     ) from error
 
-Array = NDArray[np.float64]
 
 LEVEL = 1e4
 """Norm of a descent's first residuals, by which the library's absolute tolerance is relative."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from miho.methods.unit_oracle import UnitOracle
 from miho.optim import Optimizer, Oracle
-from miho.optim.validate import whole
+from miho.validate import whole
 
 try:
     import nevergrad

@@ -7,16 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import optuna
-from numpy.typing import NDArray
 
 from miho.compiled import Block, Climb, Steps
 from miho.optim import Optimizer, Oracle, Space
 from miho.optim.mutation import annealed_sigma, climb_of, mutate
-from miho.optim.validate import whole
+from miho.quantities import Array
+from miho.validate import whole
 
 optuna.logging.set_verbosity(optuna.logging.WARNING)
 
-Array = NDArray[np.float64]
 
 DRAWN_AT_ONCE = 1000
 

@@ -9,15 +9,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import optuna
-from numpy.typing import NDArray
 
 from miho.methods.loss_scale import UNUSABLE
 from miho.optim import Optimizer, Oracle, Space
-from miho.optim.validate import positive, whole
+from miho.validate import positive, whole
 
 optuna.logging.set_verbosity(optuna.logging.WARNING)
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
         Parameter,
         Problem,
         Space,
-        minimize,
     )
+    from miho.optim.minimize import minimize
     from miho.study import load_runs
 
 __all__ = [

@@ -26,7 +26,6 @@ from itertools import combinations_with_replacement
 from types import FrameType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.models import Model
 from miho.optim import (
@@ -47,8 +46,7 @@ from miho.optim import (
 from miho.optim.minimize import raised_at
 from miho.optim.problem import mean_square
 from miho.optim.seeds import stream
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 BUDGET = 20_000
 """Evaluations per run unless told otherwise: beyond the first batch of any method in use."""

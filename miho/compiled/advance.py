@@ -35,8 +35,8 @@ from miho.compiled.gauss_newton_state import (
     views,
 )
 from miho.compiled.triangular import compiled, entry, fold, square_sum
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 FINISHED, PAUSED = range(2)

@@ -10,9 +10,8 @@ from numba import typeof, types
 from numba.core.errors import NumbaError
 from numba.extending import overload, register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 CAUSES = (
     "Untyped global name",

@@ -13,8 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from miho.compiled.kernel import INFINITE, NAN, Block, Climb, Steps
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 WORTH_THREADS = 1
 """Steps after the first that a block must have to be shared out."""

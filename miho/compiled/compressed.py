@@ -34,8 +34,7 @@ from miho.compiled.panel_sums import (
 )
 from miho.compiled.panels import panels
 from miho.compiled.signature import Signed, signed, signed_formulas
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 TRUNCATION = 0.15
 """Share of the tolerance that E is of the root of L: 0.7 of it, two times WITHIN."""

@@ -21,8 +21,8 @@ from miho.compiled.arrays import cause
 from miho.compiled.compressed import CompressedLoss
 from miho.compiled.fused import FusedLoss
 from miho.compiled.kernel import Climb, Formulas, Rows
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Values = Callable[[Array], Array]
 """Of one configuration (d,)."""
 

@@ -19,8 +19,8 @@ from miho.compiled.gauss_newton import (
 )
 from miho.compiled.gauss_newton_state import ENTER, TRIED, Box, Minima, Rules, views
 from miho.compiled.triangular import entry, square_sum
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 

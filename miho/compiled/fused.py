@@ -39,8 +39,7 @@ from miho.compiled.kernel import Climb, Formula, Formulas, Rows
 from miho.compiled.panel_sums import Sign, panel_sums, panel_terms, scratch_for
 from miho.compiled.panels import panels
 from miho.compiled.signature import Signed, signed, signed_formulas
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 BLOCK = 512
 """Rows at a time: a handful of temporaries of 4 KiB."""

@@ -32,8 +32,8 @@ from miho.compiled.gauss_newton_state import (
     views,
 )
 from miho.compiled.triangular import Room, compiled, entry, fold, norm, solve_in_box
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 CHUNK = 512

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from miho.quantities import Array
+
 Whole = NDArray[np.int64]
 
 ENTER, SLOPES, READY, TRIED, RECORD, DONE, KNOWN, UNUSABLE = range(8)

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.quantities import Array
+
 if TYPE_CHECKING:
     from miho.compiled.fit import FitKernel
 
-Array = NDArray[np.float64]
 
 Formula = Callable[[tuple[Any, ...], tuple[Any, ...]], Any]
 """(inputs, theta) -> value: element by element, with the operators and the functions of

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 
 from miho.compiled.kernel import Formula
 from miho.compiled.panels import ORDERS, SIDE_BY_SIDE, STARTS, Panels
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Sign = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 RHOS = np.array([2.2, 4.0])

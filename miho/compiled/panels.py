@@ -22,7 +22,8 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dstev
 
-Array = NDArray[np.float64]
+from miho.quantities import Array
+
 Whole = NDArray[np.int64]
 
 ORDERS = (4, 8, 12, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96)

@@ -19,9 +19,8 @@ from collections.abc import Collection, Mapping
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 FLIPPED: Mapping[str, frozenset[str]] = MappingProxyType(
     {

@@ -10,13 +10,11 @@ from difflib import get_close_matches
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset, file_name
 from miho.data.measurements import Layout
+from miho.quantities import Array
 from miho.regular_file import NotAFileError, read_regular
-
-Array = NDArray[np.float64]
 
 MAX_BYTES = 64 * 2**20
 MAX_LINE = 10_000

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.data.preview import Reading
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import whole
 
 
 def file_name(path: str | os.PathLike[str]) -> str:
@@ -112,8 +112,7 @@ class Dataset:
 
     def thinned(self, every: int) -> Dataset:
         """The first row of every so many; `held_out` stays."""
-        if type(every) is not int or every < 1:
-            raise ValueError(f"every is {every!r}; expected a whole number of at least 1")
+        whole("every", every, 1)
         return self.select(np.arange(len(self)) % every == 0)
 
     def hold_out(self, ranges: Mapping[str, Sequence[float]]) -> Dataset:

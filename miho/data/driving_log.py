@@ -16,9 +16,9 @@ from miho.data.csv import PLAIN, CSVError, Table, TextFormat
 from miho.data.dataset import file_name
 from miho.data.preview import Reading
 from miho.data.units import si
-from miho.quantities import g
+from miho.quantities import Array, g
+from miho.validate import positive
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 CHANNELS = MappingProxyType(
@@ -237,8 +237,7 @@ def load_driving_log(
                 raise ValueError(f"{setting}: {channel!r} is not one of the channels read")
     if "time" not in columns or len(set(columns)) != len(columns):
         raise ValueError(f"columns are {', '.join(columns)}; expected 'time' and none twice")
-    if not 0 < steering_ratio < np.inf:
-        raise ValueError(f"steering_ratio is {steering_ratio}; expected a positive number")
+    positive("steering_ratio", steering_ratio)
 
     table = Table(Path(path), headers, header=True, text=text)
     numbers = table.numbers()

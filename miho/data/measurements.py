@@ -13,8 +13,9 @@ from miho.data.conventions import FLIPPED, sign_problem, to_iso_w
 from miho.data.dataset import Dataset, number_pair
 from miho.data.preview import Reading
 from miho.data.units import UNITS, Unit, si
+from miho.quantities import Array
+from miho.validate import whole
 
-Array = NDArray[np.float64]
 Fault = Callable[[str, int | None, str], ValueError]
 """Makes the error about a header and a row from 0 (None: the whole column) of the file."""
 
@@ -84,8 +85,7 @@ class Layout:
             )
         if self.convention not in FLIPPED:
             raise ValueError(f"convention is {self.convention!r}; choose from {', '.join(FLIPPED)}")
-        if type(self.every) is not int or self.every < 1:
-            raise ValueError(f"every is {self.every!r}; expected a whole number of at least 1")
+        whole("every", self.every, 1)
         for setting in ("ranges", "held_out", "where"):
             if not isinstance(getattr(self, setting) or {}, Mapping):
                 raise ValueError(

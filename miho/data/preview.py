@@ -6,13 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
+from miho.quantities import Array
 
 if TYPE_CHECKING:
     from miho.data.dataset import Dataset
 
-Array = NDArray[np.float64]
 
 SHOWN = 3
 """So many rows are shown."""

@@ -8,13 +8,12 @@ bench and a straight, so that what is identified can be compared with what is tr
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
 from miho.models.brake import Brake
 from miho.models.brake_dynamics import BrakeResponse
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import at_least, positive, whole
 
 EMBEDDED_BRAKE = Brake(
     u0=0.065, u1=0.93, P_max=6.0e6, n=1.35, bias=0.57,
@@ -133,12 +132,11 @@ def _deceleration(p: Array, vx: Array) -> Array:
 
 def _rng(test: str, seed: int, **settings: float) -> np.random.Generator:
     """A stream for each test and seed; raises ValueError for settings that make no test."""
-    if seed < 0:
-        raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
+    whole("seed", seed, 0)
     for name, value in settings.items():
         least = {"steps": 2, "samples": 1, "noise": 0.0}.get(name)
-        if least is not None and not least <= value < np.inf:
-            raise ValueError(f"{name} is {value}; expected a number of at least {least}")
-        if least is None and not 0 < value < np.inf:
-            raise ValueError(f"{name} is {value}; expected a positive number")
+        if least is None:
+            positive(name, value)
+        else:
+            at_least(name, value, least)
     return np.random.default_rng([seed, *test.encode()])

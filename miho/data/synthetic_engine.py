@@ -12,16 +12,15 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from miho.data.dataset import Dataset
 from miho.data.driving_log import DrivingLog
 from miho.data.torque_samples import torque_samples
 from miho.models.engine import RPM
 from miho.models.longitudinal import Longitudinal
-from miho.quantities import g
-
-Array = NDArray[np.float64]
+from miho.quantities import Array, g
+from miho.validate import whole
 
 OMEGA_MAX = 7000 * RPM
 """The engine's largest speed [rad/s]."""
@@ -87,8 +86,7 @@ def dyno_test(seed: int = 0) -> Dataset:
     torque, it is 15 Nm on top of an error of each row that reaches some 20 to 40 Nm either way
     and drifts over the speed: nothing there can be trusted.
     """
-    if seed < 0:
-        raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
+    whole("seed", seed, 0)
     rng = np.random.default_rng(seed)
     omega = np.arange(1000, 7001, 100) * RPM
     w = omega / OMEGA_MAX
@@ -211,8 +209,7 @@ def engine_driving_log(seed: int = 0) -> DrivingLog:
     opening meets nearly all engine speeds, on either side of the speed it can keep. The
     accelerometer feels the grade. The seed draws the channels' noise.
     """
-    if seed < 0:
-        raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
+    whole("seed", seed, 0)
     driven = _driven()
     rng = np.random.default_rng(seed)
     noisy = driven + np.array(NOISE)[:, None] * rng.standard_normal(driven.shape)

@@ -7,7 +7,6 @@ from functools import cache
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.data.axle_samples import axle_samples
 from miho.data.dataset import Dataset
@@ -15,8 +14,8 @@ from miho.data.driving_log import DrivingLog
 from miho.models.single_track import Axles, SingleTrack
 from miho.models.tire import Pacejka
 from miho.models.vehicle_settings import from_settings
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import at_least, whole
 
 AXLES = MappingProxyType(
     {
@@ -46,10 +45,8 @@ def simulated_weave(car: SingleTrack, noise: float = 1.0, seed: int = 0) -> Driv
     The two axles follow `AXLES`; the lateral motion is integrated by Runge-Kutta of fourth order.
     Channels vx, vy, yaw_rate, steering and ay carry white noise, `noise` times `NOISE`.
     """
-    if noise < 0:
-        raise ValueError(f"noise is {noise}; expected a number of at least 0")
-    if seed < 0:
-        raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
+    at_least("noise", noise, 0)
+    whole("seed", seed, 0)
     channels = dict(_driven(car))
     rng = np.random.default_rng(seed)
     for name, std in NOISE.items():

@@ -5,12 +5,11 @@ from __future__ import annotations
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
 from miho.models.tire import Pacejka
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import at_least, positive, whole
 
 TRUTH = MappingProxyType({"B": 18.0, "C": 1.5, "D": 4500.0, "Sx": 0.004, "Sy": 150.0})
 """The tire under test (Eq. 4 in ISO-W)."""
@@ -29,14 +28,10 @@ def tire_outlier_test(
     times `scale` [N]: near normal in the middle, with rare rows many times `scale` away. A share
     `dropped` of the rows, chosen at random, reads exactly 0 N. Least squares suffers from both.
     """
-    if seed < 0:
-        raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
-    if n < 1:
-        raise ValueError(f"n is {n}; expected a whole number of at least 1")
-    if not 0 <= scale < np.inf:
-        raise ValueError(f"scale is {scale}; expected a number of at least 0")
-    if not 0 < freedom < np.inf:
-        raise ValueError(f"freedom is {freedom}; expected a positive number")
+    whole("seed", seed, 0)
+    whole("n", n, 1)
+    at_least("scale", scale, 0)
+    positive("freedom", freedom)
     if not 0 <= dropped < 1:
         raise ValueError(f"dropped is {dropped}; expected a share from 0 to below 1")
     rng = np.random.default_rng([seed, *b"outliers"])

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.models.brake_dynamics import play
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import at_least, whole
 
 PLAY = 0.06
 """Full width of the play [-], in the command; the curve behind it is that of `EMBEDDED_BRAKE`."""
@@ -24,12 +23,9 @@ def brake_play_test(seed: int = 0, samples: int = 800, noise: float = 5.0e4) -> 
     Columns u [-] and the output p [Pa], in the order in which they were taken, at equal steps of
     the command's path. noise: standard deviation of the pressure [Pa], normal.
     """
-    if seed < 0:
-        raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
-    if samples < len(TURNS):
-        raise ValueError(f"samples is {samples}; expected at least {len(TURNS)}")
-    if not 0 <= noise < np.inf:
-        raise ValueError(f"noise is {noise}; expected a number of at least 0")
+    whole("seed", seed, 0)
+    whole("samples", samples, len(TURNS))
+    at_least("noise", noise, 0)
     rng = np.random.default_rng([seed, *b"play"])
     travelled = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(TURNS)))])
     u: Array = np.interp(np.linspace(0.0, travelled[-1], samples), travelled, TURNS)

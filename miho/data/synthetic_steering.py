@@ -9,14 +9,13 @@ from types import MappingProxyType
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
-from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
 from miho.data.synthetic_handling import AXLES, NOISE
 from miho.models.single_track import SingleTrack
 from miho.models.vehicle_settings import from_settings
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import at_least, positive, whole
 
 TRUTH = MappingProxyType(
     {
@@ -46,13 +45,10 @@ def steering_test(
     order 8. noise: standard deviation of the yaw rate [rad/s], normal; speed and steering are
     exact. rate: rows per second.
     """
-    if seed < 0:
-        raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
-    for name, value in {"duration": duration, "rate": rate}.items():
-        if not 0 < value < np.inf:
-            raise ValueError(f"{name} is {value}; expected a positive number")
-    if not 0 <= noise < np.inf:
-        raise ValueError(f"noise is {noise}; expected a number of at least 0")
+    whole("seed", seed, 0)
+    positive("duration", duration)
+    positive("rate", rate)
+    at_least("noise", noise, 0)
     if round(duration * rate) < 2:
         raise ValueError(f"duration is {duration} s at rate {rate}; expected two rows or more")
     t, vx, steering, yaw_rate = _driven(from_settings(SingleTrack, vehicle), duration, rate)

@@ -17,13 +17,13 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset, file_name
 from miho.models.magic_formula import MagicFormula
 from miho.models.tir import load_tir
+from miho.quantities import Array
+from miho.validate import at_least, whole
 
-Array = NDArray[np.float64]
 Range = tuple[float, float]
 
 _UNMODELLED = ("Fz", "gamma", "kappa")
@@ -141,8 +141,7 @@ def sample_lateral(
     """
     rng = _generator(n, seed)
     _generator(held_out, seed)
-    if not 0 <= noise < np.inf:
-        raise ValueError(f"noise is {noise}; expected a finite number of at least 0")
+    at_least("noise", noise, 0)
     formula, _, name = _resolve(tire, None, strict)
     p, bounds = formula.parameters, SamplingRanges(Fz=(0, 0), gamma=(0, 0), alpha=_pair(alpha))
     levels = {
@@ -215,8 +214,7 @@ def unmodelled_spread(
 def _generator(n: int, seed: int) -> np.random.Generator:
     if n < 1:
         raise ValueError(f"n is {n}; at least one sample is needed")
-    if seed < 0:
-        raise ValueError(f"seed is {seed}; expected a whole number of at least 0")
+    whole("seed", seed, 0)
     return np.random.default_rng(seed)
 
 

@@ -15,8 +15,9 @@ from miho.data.dataset import Dataset
 from miho.data.driving_log import DrivingLog, load_driving_log
 from miho.models.longitudinal import Longitudinal
 from miho.models.vehicle_settings import from_settings
+from miho.quantities import Array
+from miho.validate import positive
 
-Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 UNITS = {"omega": "rad/s", "throttle": "-", "torque": "Nm"}
@@ -65,9 +66,7 @@ class TorqueRules:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value: object = getattr(self, field.name)
-            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
-                raise ValueError(f"rules.{field.name} is {value!r}; expected a positive number")
+            positive(f"rules.{field.name}", getattr(self, field.name))
 
     def apply(
         self, log: DrivingLog, car: Longitudinal, throttle: float | None = None

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from miho.compiled.signature import compiled_when_called
 from miho.driving.dynamics import (
@@ -33,8 +32,7 @@ from miho.driving.road import PLANE, Road, place_at, shape_at
 from miho.driving.vehicle import Vehicle
 from miho.models.brake import Brake
 from miho.models.engine_map import EngineMap
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 LARGEST_STEP = 1e-3
 """Above it the lightest mode, a wheel that comes to rest, is no longer stable [s]."""

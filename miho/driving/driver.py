@@ -18,6 +18,7 @@ from miho.driving.steering_control import (
 )
 from miho.driving.track import Projection, Track
 from miho.driving.velocity_planner import VelocityPlan, VelocityPlanner
+from miho.validate import positive
 
 LOST = 10.0
 """Offset [m] at which a car is no longer on its line and stops."""
@@ -43,8 +44,7 @@ class Pace:
         object.__setattr__(self, "top_speeds", tuple(self.top_speeds))
         if not self.top_speeds or not all(0 < v < math.inf for v in self.top_speeds):
             raise ValueError(f"top_speeds is {self.top_speeds}; expected speeds above 0 m/s")
-        if not 0 < self.ramp < math.inf:
-            raise ValueError(f"ramp is {self.ramp}; expected a positive number [m/s^2]")
+        positive("ramp", self.ramp, "[m/s^2]")
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,7 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import NDArray
 
 from miho.driving.compiled_tire import wheel_forces
 from miho.driving.load_transfer import wheel_loads
@@ -35,9 +33,7 @@ from miho.driving.powertrain import (
     torque_rate,
 )
 from miho.driving.road import Road, shape_at
-from miho.quantities import g
-
-Array = NDArray[np.float64]
+from miho.quantities import Array, g
 
 S, N, CHI, VX, VY, R, AX, AY, DELTA, TORQUE, PRESSURE = range(11)
 WHEELS, KAPPA, TAN_ALPHA, SIZE = 11, 15, 19, 23

@@ -12,14 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from miho.driving.grip import Grip
 from miho.driving.load_transfer import LoadCoefficients, LoadTransfer, wheel_loads
 from miho.driving.vehicle import Vehicle
-from miho.quantities import g
-
-Array = NDArray[np.float64]
+from miho.quantities import Array, g
 
 BISECTIONS = 40
 """Halvings of 100 m/s or m/s^2 that leave 1e-10."""

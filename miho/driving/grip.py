@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from miho.models.axle import Axle
 from miho.models.magic_formula import MagicFormula
 from miho.models.tire import Pacejka, PacejkaCurvature
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 SLIP = np.linspace(-0.35, 0.35, 1401)
 """Slip angles [rad] and slip ratios [-] among which the peaks are looked for."""

@@ -9,12 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from miho.driving.vehicle import Vehicle
 from miho.models.engine_map import EngineMap
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 class PowertrainModel(NamedTuple):

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.driving.grip import Grip
 from miho.driving.load_transfer import LoadTransfer
@@ -25,8 +24,7 @@ from miho.models.axle import Axle
 from miho.models.brake import Brake
 from miho.models.engine_map import EngineMap
 from miho.models.simplified_tire import simplify
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,13 +7,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import PchipInterpolator
 
 from miho.driving.track import Track
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 class Offset(NamedTuple):

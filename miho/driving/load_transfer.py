@@ -19,12 +19,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from miho.driving.vehicle import Vehicle
-from miho.quantities import g
-
-Array = NDArray[np.float64]
+from miho.quantities import Array, g
 
 
 class WheelLoads(NamedTuple):

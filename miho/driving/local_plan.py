@@ -7,12 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.driving.lines import Offset, beside
 from miho.driving.track import Track
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import positive, positive_settings
 
 
 class NoPathError(ValueError):
@@ -31,9 +30,8 @@ class Obstacle:
     def __post_init__(self) -> None:
         if not (math.isfinite(self.s) and math.isfinite(self.e)):
             raise ValueError(f"obstacle at s = {self.s}, e = {self.e}; expected finite numbers")
-        for name in ("length", "width"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(f"obstacle {name} is {getattr(self, name)}; expected above 0 m")
+        positive("obstacle length", self.length, "[m]")
+        positive("obstacle width", self.width, "[m]")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,11 +89,7 @@ class LocalPlanner:
     spacing: float = 0.25
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            if not 0 < getattr(self, field.name) < math.inf:
-                raise ValueError(
-                    f"{field.name} is {getattr(self, field.name)}; expected a positive number [m]"
-                )
+        positive_settings(self, [field.name for field in fields(self)], "[m]")
 
     def path(self, line: Track, obstacles: Sequence[Obstacle], now: float) -> Track:
         """The line with the smallest offset that passes all obstacles, from `now` [m] on.

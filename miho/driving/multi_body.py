@@ -18,7 +18,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.driving.plant import Command, Motion, Plant, steps_of
 from miho.driving.plant_parameters import Engine
@@ -28,8 +27,7 @@ from miho.driving.vehicle import Vehicle
 from miho.models.axle import Axle
 from miho.models.brake import Brake
 from miho.models.engine_map import EngineMap
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 KINDS = (1, 2, 3)
 """CommonRoad's cars: Ford Escort, BMW 320i, VW Vanagon."""

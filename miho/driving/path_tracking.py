@@ -9,13 +9,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
 
 from miho.models.single_track import SingleTrack
-from miho.quantities import g
-
-Array = NDArray[np.float64]
+from miho.quantities import Array, g
+from miho.validate import positive, positive_settings
 
 SLOWEST = 3.0
 """Speed [m/s] below which the tires' slip says nothing and the path is followed by geometry."""
@@ -38,11 +36,7 @@ class LateralModel:
     C_r: float
 
     def __post_init__(self) -> None:
-        for name in ("C_f", "C_r"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise ValueError(
-                    f"{name} is {getattr(self, name)}; expected a positive number [N/rad]"
-                )
+        positive_settings(self, ("C_f", "C_r"), "[N/rad]")
 
     def matrices(self, vx: float) -> tuple[Array, Array, Array, Array]:
         """A (4, 4), B1, B2 and B3 (4,) at a speed [m/s] above 0."""
@@ -121,8 +115,7 @@ class SampledModel:
     period: float
 
     def __post_init__(self) -> None:
-        if not 0 < self.period < math.inf:
-            raise ValueError(f"period is {self.period}; expected a positive number of seconds")
+        positive("period", self.period, "of seconds")
 
     @property
     def delayed(self) -> int:

@@ -6,10 +6,8 @@ import math
 from abc import ABC, abstractmethod
 from typing import Generic, NamedTuple, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 State = TypeVar("State")
 
 

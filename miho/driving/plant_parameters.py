@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.driving.compiled_tire import wheel_tire
 from miho.driving.load_transfer import LoadTransfer
@@ -13,8 +12,8 @@ from miho.driving.vehicle import Vehicle
 from miho.models.brake import Brake
 from miho.models.engine_map import EngineMap
 from miho.models.magic_formula import MagicFormula
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Tires = tuple[MagicFormula, MagicFormula, MagicFormula, MagicFormula]
 """Front left, front right, rear left, rear right; each used as its file describes it."""
 

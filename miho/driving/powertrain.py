@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import NDArray
 
 from miho.driving.plant_parameters import Brakes, Driveline, Engine
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 CUT = 20.0
 """Engine speed over which the limiter closes the throttle, above the largest [rad/s]."""

@@ -8,15 +8,14 @@ from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.data.driving_log import DrivingLog
 from miho.driving.plant import Command, Motion, Plant
 from miho.driving.sensors import Sensors
 from miho.driving.vehicle import Vehicle
 from miho.models.engine import RPM
+from miho.validate import settings_at_least
 
-Array = NDArray[np.float64]
 State = TypeVar("State")
 
 PERIOD = 0.01
@@ -54,10 +53,7 @@ class Manoeuvre:
     frequency: float = 0.4
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            if field.name != "within" and not 0 <= getattr(self, field.name) < math.inf:
-                value = getattr(self, field.name)
-                raise ValueError(f"{field.name} is {value}; expected a number of at least 0")
+        settings_at_least(self, [f.name for f in fields(self) if f.name != "within"], 0)
         low, high = self.within
         if not 0 < low <= self.speed <= high:
             raise ValueError(f"speed is {self.speed} m/s; expected {low:g} to {high:g} m/s, within")

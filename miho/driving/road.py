@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import register_jitable
-from numpy.typing import NDArray
 
 from miho.driving.track import Track
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import positive
 
 
 class Road(NamedTuple):
@@ -42,8 +40,7 @@ PLANE = Road(
 
 def road_of(track: Track, friction: float = 1.0) -> Road:
     """The road of a track; friction as in `Road`."""
-    if not 0 < friction < math.inf:
-        raise ValueError(f"friction of the road is {friction}; expected a positive number")
+    positive("friction of the road", friction)
     x, y, bank = (np.append(column, column[0]) for column in (track.x, track.y, track.bank))
     heading = np.append(track.heading, track.heading[0] + track.turn)
     curvature = np.diff(heading) / track.step

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.driving.track import Track
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import positive
 
 PIECE = 20.0
 """Length [m] over which one Gauss rule integrates; the error is below 1e-12 m."""
@@ -34,8 +34,7 @@ class Segment:
     width: tuple[float, float] = (15.0, 15.0)
 
     def __post_init__(self) -> None:
-        if not 0 < self.length < math.inf:
-            raise ValueError(f"length of a segment is {self.length}; expected a positive number")
+        positive("length of a segment", self.length)
         for field in fields(self)[1:]:
             pair = getattr(self, field.name)
             if len(pair) != 2 or not all(map(math.isfinite, pair)):
@@ -66,8 +65,7 @@ def track_of(
     gap; they are changed by the least sum of squares that closes it, each by at most `slack` [m].
     Raises ValueError where that is not enough.
     """
-    if not 0 < step < math.inf:
-        raise ValueError(f"step is {step}; expected a positive number of metres")
+    positive("step", step, "of metres")
     closed = _closed(name, list(segments), slack)
     length = sum(one.length for one in closed)
     n = math.ceil(length / step)

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
 
 from miho.driving.plant import Motion
+from miho.validate import settings_at_least
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,10 +34,7 @@ class Sensors:
     loads: float = 30.0
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not 0 <= value < math.inf:
-                raise ValueError(f"{field.name} is {value}; expected a number of at least 0")
+        settings_at_least(self, [field.name for field in fields(self)], 0)
 
     def measure(self, motion: Motion, rng: np.random.Generator) -> Motion:
         """The motion as the sensors show it; each call draws as many numbers from `rng`."""

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.data.driving_log import DrivingLog
 from miho.driving.driver import Driver, DriverState, place
 from miho.driving.plant import Command, Motion, Plant
 from miho.driving.sensors import Sensors
+from miho.quantities import Array
+from miho.validate import positive
 
-Array = NDArray[np.float64]
 State = TypeVar("State")
 
 MOTION = (
@@ -80,8 +80,7 @@ def drive(
     """
     if sensors is not None and rng is None:
         raise ValueError("rng is None; give a numpy Generator for the noise of the sensors")
-    if not 0 < distance < math.inf:
-        raise ValueError(f"distance is {distance}; expected a positive number of metres")
+    positive("distance", distance, "of metres")
     state, motion = start, plant.motion(start)
     memory, line = driver.begin(motion), driver.plan.line
     rows: list[list[float]] = []

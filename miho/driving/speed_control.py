@@ -12,6 +12,7 @@ from miho.driving.vehicle import Vehicle
 from miho.models.brake import Brake
 from miho.models.engine import RPM
 from miho.models.engine_map import EngineMap
+from miho.validate import settings_at_least
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,10 +37,7 @@ class SpeedSettings:
     brake_max: float = 20.0
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not 0 <= value < math.inf:
-                raise ValueError(f"{field.name} is {value}; expected a number of at least 0")
+        settings_at_least(self, [field.name for field in fields(self)], 0)
         if self.shift_down >= self.shift_up:
             raise ValueError(
                 f"shift_down is {self.shift_down:g} rad/s; expected below shift_up, which is "

@@ -7,15 +7,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.driving.friction import demand
 from miho.driving.path_tracking import SLOWEST, GainSchedule
 from miho.driving.track import Projection, Track
 from miho.driving.vehicle import Vehicle
 from miho.models.axle import Axle
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 STEEPEST = 0.15
 """Slip angle [rad] up to which an axle's curve is looked at."""

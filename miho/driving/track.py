@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 GAP = 0.05
 """How far the end of a closed line may be from its start [m]."""

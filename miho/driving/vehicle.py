@@ -9,6 +9,7 @@ from typing import Any
 
 from miho.models.longitudinal import Longitudinal
 from miho.models.single_track import SingleTrack
+from miho.validate import at_least, positive
 
 ZERO_ALLOWED = frozenset(
     ["C_d", "C_r", "C_l_front", "C_l_rear", "roll_centre_front", "roll_centre_rear",
@@ -158,10 +159,10 @@ def _check(name: str, value: Any) -> None:
             raise ValueError(f"gear_ratios is {value!r}; give a positive ratio for each gear")
     elif not _number(value):
         raise ValueError(f"{name} is {value!r}; expected a finite number")
-    elif name in ZERO_ALLOWED and value < 0:
-        raise ValueError(f"{name} is {value!r}; expected a number of at least 0")
-    elif name not in ZERO_ALLOWED | SIGNED and value <= 0:
-        raise ValueError(f"{name} is {value!r}; expected a positive number")
+    elif name in ZERO_ALLOWED:
+        at_least(name, value, 0)
+    elif name not in SIGNED:
+        positive(name, value)
 
 
 def _number(value: Any) -> bool:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.driving.grip import Grip
 from miho.driving.load_transfer import LoadTransfer
 from miho.driving.track import Track
 from miho.driving.vehicle import Vehicle
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 @dataclass(frozen=True)

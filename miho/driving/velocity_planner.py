@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from miho.driving.friction import BISECTIONS, FrictionCar, demand, friction_car, use_at, uses
 from miho.driving.grip import Grip
@@ -21,8 +20,8 @@ from miho.driving.track import Track
 from miho.driving.vehicle import Vehicle
 from miho.models.brake import Brake
 from miho.models.engine_map import EngineMap
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import positive_settings
 
 SCAN = 2.0
 """Step [m/s] in which the lateral limit is looked for before it is bisected."""
@@ -86,10 +85,7 @@ class VelocityPlanner:
     brake_share: float = 0.9
 
     def __post_init__(self) -> None:
-        for name in ("mu", "top_speed", "brake_share"):
-            value = getattr(self, name)
-            if not 0 < value < math.inf:
-                raise ValueError(f"{name} is {value}; expected a positive number")
+        positive_settings(self, ("mu", "top_speed", "brake_share"))
 
     @property
     def friction(self) -> FrictionCar:

@@ -7,13 +7,11 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
-from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import refit
 from miho.identification.uncertainty import events_of
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 def bootstrap(

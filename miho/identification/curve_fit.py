@@ -23,11 +23,11 @@ from miho.models.model import Model
 from miho.optim.problem import LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
+from miho.quantities import Array
 
 if TYPE_CHECKING:
     from miho.compiled.fit import FitKernel
 
-Array = NDArray[np.float64]
 
 TRIALS = 5
 """Configurations at which a new problem is tried out."""

@@ -6,13 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
 from miho.identification.uncertainty import Linearised
 from miho.models.model import Model
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 REACH = 1.5
 """Peaks are looked for up to this many times the largest input in the data."""

@@ -14,8 +14,7 @@ from miho.identification.loss import Cauchy, Huber
 from miho.identification.profile import Profile
 from miho.identification.uncertainty import EVENT, Linearised
 from miho.optim.space import Parameter, Space
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 CORRELATED = 0.9
 LOPSIDED = 0.2

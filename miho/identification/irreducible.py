@@ -7,12 +7,9 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
-from numpy.typing import NDArray
 
 from miho.optim.seeds import stream
-
-Array = NDArray[np.float64]
-
+from miho.quantities import Array
 
 TIED = 1e-9
 """Of an input's spread: points this near are one."""

@@ -2,13 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
 from miho.identification.curve_fit import CurveFit
 from miho.optim.linear_part import solve_linear_part
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 def linear_optimum(problem: CurveFit) -> tuple[Array, float] | None:

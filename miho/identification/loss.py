@@ -6,11 +6,9 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from miho.optim.validate import positive
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import positive
 
 
 class Loss(ABC):

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
-from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import Deadline, Refit, refit
 from miho.identification.uncertainty import Linearised
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 EXPANSIONS = 20
 """Steps outwards at most until an interval's end lies behind."""
@@ -86,6 +84,8 @@ def profile(
             known[value] = (root if value > centre else -root, end.theta)
         return known[value][0]
 
+    from scipy.optimize.elementwise import find_root
+
     def limit(sign: int, bound: float) -> float:
         """Where |tau| reaches the quantile; infinite if it does not within the box."""
         inside, step = centre, wanted * float(at.standard_errors[index])
@@ -105,7 +105,7 @@ def profile(
             return sign * np.inf
         if abs(tau(outside)) <= wanted + CLOSE:
             return outside
-        solution = scipy.optimize.elementwise.find_root(
+        solution = find_root(
             np.vectorize(lambda value: abs(tau(float(value))) - wanted),
             (inside, outside),
             tolerances={"fatol": CLOSE},

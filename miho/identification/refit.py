@@ -10,12 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
-from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
-
-Array = NDArray[np.float64]
-
+from miho.quantities import Array
 
 EVALUATIONS = 200
 """Enough from nearby, for what is repeated many times."""

@@ -46,8 +46,7 @@ from miho.identification.validation import (
 )
 from miho.optim import Descents, in_optimum
 from miho.optim.seeds import stream
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 MOST_PROFILES = 10
 """Models with more parameters are profiled only if asked: each end costs several refits."""

@@ -22,7 +22,8 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from miho.quantities import Array
+
 Rows = NDArray[np.intp]
 
 POOL = 300_000

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from miho.data.dataset import Dataset
 from miho.identification.curve_fit import CurveFit
 from miho.optim.space import Space
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 EVENT = "event"
 """A column of this name numbers events, such as brakings, whose rows are not independent."""

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from miho.data.dataset import Dataset
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import Deadline, refit
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 MOST_LEVELS = 12
 """A condition with more levels than this is split into BINS groups of equal size."""

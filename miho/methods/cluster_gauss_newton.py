@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from miho.methods.unit_box import UnitBox
 from miho.optim import Optimizer, Oracle, UnusableValueError
 from miho.optim.space import LARGEST_BATCH
-from miho.optim.validate import positive, whole
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import positive, whole
 
 STOPPED = 1e10
 """A point whose damping has grown by this factor moves no more (CGNM)."""

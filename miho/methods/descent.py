@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from miho.methods.unit_box import UnitBox
 from miho.optim import Oracle, Space, UnusableValueError
 from miho.optim.problem import mean_square
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Vector = Callable[[Array], Array]
 
 METHODS = ("trf", "lm")

@@ -7,13 +7,11 @@ from typing import Any
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
-from numpy.typing import NDArray
 
 from miho.methods.unit_oracle import UnitOracle
 from miho.optim import Optimizer, Oracle
-from miho.optim.validate import at_least, one_of, whole
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import at_least, one_of, whole
 
 LEVEL = 1e12
 """Of the first loss: the polish then ends by its relative tolerance."""

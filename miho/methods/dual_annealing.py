@@ -7,13 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
-from numpy.typing import NDArray
 
 from miho.methods.unit_oracle import UnitOracle
 from miho.optim import Optimizer, Oracle
-from miho.optim.validate import whole
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import whole
 
 LEVEL = 1e3
 """Of the first loss: about what a step may be worse by at SciPy's first temperature, 5230 / 6."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from miho.optim import Optimizer, Oracle, UnusableValueError
-from miho.optim.validate import positive
+from miho.validate import positive
 
 
 @dataclass(frozen=True)

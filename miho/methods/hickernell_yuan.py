@@ -22,9 +22,8 @@ from miho.methods.unit_box import UnitBox
 from miho.optim import Optimizer, Oracle
 from miho.optim.space import LARGEST_BATCH
 from miho.optim.trace import Descent
-from miho.optim.validate import at_least, positive, whole
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import at_least, positive, whole
 
 LOWER = 0.99
 """A stationary point is a new one below this share of the best sum of squares (gslnls)."""

@@ -11,7 +11,7 @@ import numpy as np
 from miho.optim import Optimizer, Oracle
 from miho.optim.schedule import Rung, hyperband_table, largest_bracket
 from miho.optim.space import LARGEST_BATCH
-from miho.optim.validate import whole
+from miho.validate import whole
 
 
 @dataclass(frozen=True)

@@ -8,14 +8,12 @@ from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, descend, given_up
 from miho.optim import Optimizer, Oracle
 from miho.optim.space import LARGEST_BATCH
-from miho.optim.validate import at_least, one_of, whole
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import at_least, one_of, whole
 
 SCREENING = 0.2
 """Of what is left of the budget, a round of screening takes this at most."""

@@ -8,15 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
-from numpy.typing import NDArray
 
 from miho.methods.least_squares import check_starts, multi_start
 from miho.methods.unit_box import UnitBox
 from miho.optim import Optimizer, Oracle
 from miho.optim.problem import mean_square
-from miho.optim.validate import positive, whole
+from miho.quantities import Array
+from miho.validate import positive, whole
 
-Array = NDArray[np.float64]
 Slope = Callable[[Array], tuple[float, Array]]
 
 LARGE = 1e12

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 UNUSABLE = 1e100
 """The loss of a point that has none: its square and its slope over a step of 1e-8 are finite."""

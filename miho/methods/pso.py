@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.optim import AskTell, Space
 from miho.optim.space import LARGEST_BATCH
-from miho.optim.validate import at_least, positive, whole
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import at_least, positive, whole
 
 
 @dataclass

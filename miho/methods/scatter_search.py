@@ -6,14 +6,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, local_search
 from miho.methods.unit_box import UnitBox
 from miho.optim import Optimizer, Oracle
-from miho.optim.validate import at_least, one_of, positive, whole
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import at_least, one_of, positive, whole
 
 STRATA = 5
 """Diverse points beside the uniform ones; the k-th is in the k-th fifth of all ranges (MEIGO)."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, local_search
 from miho.methods.least_squares import screened
@@ -15,9 +14,8 @@ from miho.methods.sobol import Sobol
 from miho.methods.unit_box import UnitBox
 from miho.optim import Optimizer, Oracle
 from miho.optim.space import LARGEST_BATCH
-from miho.optim.validate import at_least, one_of, positive, whole
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import at_least, one_of, positive, whole
 
 
 @dataclass(frozen=True)

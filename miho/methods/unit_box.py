@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.optim import Space
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 @dataclass(frozen=True)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.methods.loss_scale import LossScale
 from miho.methods.unit_box import UnitBox
 from miho.optim import Oracle
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 class UnitOracle:

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, descend
 from miho.methods.least_squares import LeastSquares, check_starts, multi_start
 from miho.optim import Optimizer, Oracle, Space
 from miho.optim.linear_part import LinearPart, solve_linear_part
-from miho.optim.validate import at_least, one_of
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import at_least, one_of
 
 
 @dataclass(frozen=True)

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from miho.models.tire import Pacejka, PacejkaCurvature
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 _MODELS = {len(model.parameters): model for model in (Pacejka(), PacejkaCurvature())}
 

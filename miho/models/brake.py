@@ -6,12 +6,12 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from miho.models.brake_dynamics import BrakeResponse, play
 from miho.models.brake_statics import BrakePressure
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import positive, positive_settings, settings_at_least
 
 
 class BrakeCommand(NamedTuple):
@@ -57,12 +57,8 @@ class Brake:
 
     def __post_init__(self) -> None:
         zero_allowed = ("u0", "P0_front", "P0_rear", "delay", "hysteresis")
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name in zero_allowed and not 0 <= value < np.inf:
-                raise ValueError(f"{field.name} is {value}; expected a number of at least 0")
-            if field.name not in zero_allowed and not 0 < value < np.inf:
-                raise ValueError(f"{field.name} is {value}; expected a positive number")
+        settings_at_least(self, zero_allowed, 0)
+        positive_settings(self, [f.name for f in fields(self) if f.name not in zero_allowed])
         if self.u1 <= self.u0:
             raise ValueError(f"u1 is {self.u1}; expected above u0, which is {self.u0}")
         if self.bias >= 1:
@@ -124,8 +120,7 @@ class Brake:
         u = np.asarray(u, dtype=float)
         if u.ndim != 1 or not u.size or not np.isfinite(u).all():
             raise ValueError(f"u has shape {u.shape}; expected (N,), of finite numbers")
-        if not 0 < dt < np.inf:
-            raise ValueError(f"dt is {dt}; expected a positive number of seconds")
+        positive("dt", dt, "of seconds")
         target = self.pressure(play(u, self.hysteresis))[0]
         t = np.linspace(0.0, (u.size - 1) * dt, u.size)
         theta = np.array([[self.delay, self.tau_rise, self.tau_fall]])

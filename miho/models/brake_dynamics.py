@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.models.model import Model
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import at_least
 
 
 def play(values: Array, width: float) -> Array:
@@ -20,8 +20,7 @@ def play(values: Array, width: float) -> Array:
     dragged along, width / 2 below a rising input and above a falling one. It starts at the first
     value.
     """
-    if not 0 <= width < np.inf:
-        raise ValueError(f"width is {width}; expected a number of at least 0")
+    at_least("width", width, 0)
     half = width / 2
     output = np.array(values, dtype=float)
     for i in range(1, output.size):

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.compiled.signature import compiled_when_called
 from miho.models.brake_statics import BrakePressure
 from miho.models.model import Model
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 @dataclass(frozen=True)

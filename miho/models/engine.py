@@ -8,12 +8,10 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.compiled.kernel import Formula
 from miho.models.expression import Expression
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 RPM = pi / 30
 """One revolution per minute in rad/s."""

@@ -11,8 +11,7 @@ import scipy  # which loads its packages where they are used: importing them tak
 from numpy.typing import ArrayLike, NDArray
 
 from miho.models.engine import RPM, TorqueCurve
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 class Throttle(NamedTuple):

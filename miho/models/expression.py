@@ -6,12 +6,10 @@ from abc import abstractmethod
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.compiled.kernel import Formula
 from miho.models.model import Model
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 class Expression(Model):

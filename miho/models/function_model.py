@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.models.model import DifferencedModel, Model
+from miho.quantities import Array
 from miho.regular_file import read_regular
-
-Array = NDArray[np.float64]
 
 COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 

@@ -15,12 +15,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.models.model import Model
+from miho.quantities import Array
 from miho.regular_file import read_regular
-
-Array = NDArray[np.float64]
 
 FORMAT = 1
 LARGEST = 16 << 20

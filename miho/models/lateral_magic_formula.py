@@ -8,7 +8,6 @@ from pathlib import Path
 from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.models.magic_formula import Conditions, MagicFormula
 from miho.models.magic_formula_parameters import (
@@ -19,8 +18,7 @@ from miho.models.magic_formula_parameters import (
 )
 from miho.models.model import Model
 from miho.models.tir import load_tir
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 UNITS = MappingProxyType(
     {

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from miho.quantities import g
-
-Array = NDArray[np.float64]
+from miho.quantities import Array, g
+from miho.validate import positive_settings, settings_at_least
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,14 +51,8 @@ class Longitudinal:
             raise ValueError(
                 f"gear_ratios is {self.gear_ratios}; give a positive ratio for each gear"
             )
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name in ("mass", "wheel_radius", "final_drive") and not 0 < value < np.inf:
-                raise ValueError(f"{field.name} is {value}; expected a positive number")
-            if field.name in ("engine_inertia", "wheel_inertia", "C_d", "C_r") and not (
-                0 <= value < np.inf
-            ):
-                raise ValueError(f"{field.name} is {value}; expected a number of at least 0")
+        positive_settings(self, ("mass", "wheel_radius", "final_drive"))
+        settings_at_least(self, ("engine_inertia", "wheel_inertia", "C_d", "C_r"), 0)
         if not 0 < self.efficiency <= 1:
             raise ValueError(
                 f"efficiency is {self.efficiency}; expected a number above 0 and at most 1"

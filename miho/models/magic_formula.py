@@ -21,11 +21,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from miho.models.magic_formula_parameters import MagicFormulaParameters
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 class TireForces(NamedTuple):

@@ -11,7 +11,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 SMALLEST = 1e-12
 VISIBLE = 1e-9

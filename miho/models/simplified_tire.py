@@ -11,13 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from miho.models.lateral_magic_formula import UNITS, LateralMagicFormula
 from miho.models.magic_formula import MagicFormula
 from miho.models.tire import PacejkaCurvature
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 SLIP = np.linspace(-0.3, 0.3, 61)
 """Slip angles [rad] over which curves are compared."""

@@ -6,11 +6,10 @@ from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from miho.quantities import g
-
-Array = NDArray[np.float64]
+from miho.quantities import Array, g
+from miho.validate import positive_settings
 
 
 class Axles(NamedTuple):
@@ -42,10 +41,7 @@ class SingleTrack:
     Izz: float
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if not 0 < value < np.inf:
-                raise ValueError(f"{field.name} is {value}; expected a positive number")
+        positive_settings(self, [field.name for field in fields(self)])
 
     def slip_angles(
         self, vx: ArrayLike, vy: ArrayLike, yaw_rate: ArrayLike, steering: ArrayLike

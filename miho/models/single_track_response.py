@@ -7,15 +7,13 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.compiled.elementary import atan, cos, sin
 from miho.compiled.signature import compiled_when_called
 from miho.models.model import Model
 from miho.models.single_track import SingleTrack
 from miho.models.vehicle_settings import from_settings
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 @dataclass(frozen=True)

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.models.model import Model
 from miho.models.tire import PacejkaCurvature
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 @dataclass(frozen=True)

@@ -3,18 +3,31 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.optim.space import Parameter, Space
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import positive_settings, whole, whole_settings
 
 KINDS = "own", "scale", "uniform"
 DRAWS = "thirds", *KINDS
 DECADES = 3
 """A range that reaches to zero is drawn over so many decades below its end."""
+
+
+def check_brackets(method: Any) -> None:
+    """Raise ValueError unless the settings that all methods of such brackets have can be used."""
+    whole("eta", method.eta, 2)
+    whole_settings(method, ("least", "most", "steps", "lead", "brackets"), 1)
+    positive_settings(
+        method,
+        ("rows", "jump", "enough", "base", "largest", "tolerance", "level_tolerance", "patience",
+         "progress"),
+    )  # fmt: skip
+    if method.most < method.least:
+        raise ValueError(f"most is {method.most}; expected at least {method.least}, which is least")
 
 
 def luby(k: int) -> int:

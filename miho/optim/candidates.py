@@ -21,8 +21,8 @@ from miho.optim.quasi_newton import (
     parabolas,
 )
 from miho.optim.space import Space
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 LOOK, SLOPE, CURVATURE, HESSIAN, TRIAL = range(5)

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
-from numpy.typing import NDArray
 
 from miho.optim.space import Space
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 @dataclass(frozen=True, eq=False)

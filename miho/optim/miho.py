@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.compiled import Block, Climb, Steps
 from miho.optim.mutation import ANNEALINGS, CLIPS, annealed_sigma, climb_of, mutate
@@ -16,9 +15,8 @@ from miho.optim.oracle import Budget, Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.schedule import ROUNDINGS, Rung, hyperband_table
 from miho.optim.space import LARGEST_BATCH, SAMPLINGS, Space
-from miho.optim.validate import one_of, whole
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import one_of, whole
 
 PROPOSALS = ("mutation", "fresh")
 

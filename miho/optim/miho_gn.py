@@ -21,16 +21,15 @@ from miho.compiled.gauss_newton_state import (
     Minima,
     Rules,
 )
-from miho.optim.brackets import DRAWS, draw_starts, levels, luby
+from miho.optim.brackets import DRAWS, check_brackets, draw_starts, levels, luby
 from miho.optim.evidence import in_optimum
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Budget, Oracle, UnusableValueError
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.seeds import stream
 from miho.optim.space import Space
-from miho.optim.validate import one_of, positive, whole
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import one_of, positive_settings, whole, whole_settings
 
 SCREEN, CLIMB, LEAD, FINISH, SHARE, POLISH, OVER = range(7)
 """Phases of a bracket: first looks, steps of a rung and more of its best, the last one on all rows,
@@ -185,19 +184,11 @@ class MIHOGN(Resumable[MIHOGNState]):
     brackets: int = 200
 
     def __post_init__(self) -> None:
-        whole("eta", self.eta, 2)
-        for name in ("least", "most", "steps", "lead", "doubtful", "brackets"):
-            whole(name, getattr(self, name), 1)
-        for name in ("secants", "projecting"):
-            whole(name, getattr(self, name), 0)
+        check_brackets(self)
+        whole("doubtful", self.doubtful, 1)
+        whole_settings(self, ("secants", "projecting"), 0)
         one_of("draws", self.draws, DRAWS)
-        for name in (
-            "rows", "jump", "enough", "base", "largest", "damping", "reach", "tolerance",
-            "digits", "level_tolerance", "patience", "progress", "longer",
-        ):  # fmt: skip
-            positive(name, getattr(self, name))
-        if self.most < self.least:
-            raise ValueError(f"most is {self.most}; expected at least {self.least}, which is least")
+        positive_settings(self, ("damping", "reach", "digits", "longer"))
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOGNState:
         """The state before the first look."""

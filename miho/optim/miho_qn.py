@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.optim.brackets import draw_starts, levels, luby
+from miho.optim.brackets import check_brackets, draw_starts, levels, luby
 from miho.optim.candidates import (
     DONE,
     HESSIAN,
@@ -31,9 +31,8 @@ from miho.optim.quasi_newton import diagonal
 from miho.optim.simplex import Simplex
 from miho.optim.space import Space
 from miho.optim.trace import Starts
-from miho.optim.validate import positive, whole
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import positive_settings, whole_settings
 
 SCREEN, CLIMB, LEAD, FINISH, SHARE, OVER = range(6)
 """Phases of a bracket: first looks, steps of a rung and more of its best, the last one on all rows,
@@ -164,18 +163,9 @@ class MIHOQN(AskTell[MIHOQNState]):
     brackets: int = 200
 
     def __post_init__(self) -> None:
-        whole("eta", self.eta, 2)
-        for name in ("least", "most", "steps", "lead", "brackets"):
-            whole(name, getattr(self, name), 1)
-        for name in ("guesses", "polish"):
-            whole(name, getattr(self, name), 0)
-        for name in (
-            "rows", "jump", "enough", "base", "largest", "radius", "tolerance", "level_tolerance",
-            "refresh", "patience", "progress", "edge",
-        ):  # fmt: skip
-            positive(name, getattr(self, name))
-        if self.most < self.least:
-            raise ValueError(f"most is {self.most}; expected at least {self.least}, which is least")
+        check_brackets(self)
+        whole_settings(self, ("guesses", "polish"), 0)
+        positive_settings(self, ("radius", "refresh", "edge"))
 
     def init(self, space: Space, rng: np.random.Generator) -> MIHOQNState:
         """The state before the first batch, of a problem without cheaper versions of itself."""

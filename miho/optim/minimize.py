@@ -20,7 +20,6 @@ from types import FrameType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.optim.optimizer import Optimizer, Resumable
 from miho.optim.oracle import UNSENT, Budget, BudgetExhausted, Meter, Oracle, RunInterrupted
@@ -28,8 +27,7 @@ from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
 from miho.optim.trace import Descents, Trace
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 class Outcome(StrEnum):

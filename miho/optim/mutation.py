@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.compiled import Climb
 from miho.optim.oracle import Oracle
 from miho.optim.space import Space
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 ANNEALINGS = ("linear", "exponential")
 CLIPS = ("box", "lower")

@@ -7,14 +7,13 @@ from collections.abc import Callable, Sequence
 from typing import Generic, TypeVar, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.optim.oracle import Budget, Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.seeds import stream
 from miho.optim.space import Space
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 State = TypeVar("State")
 
 TOY_EVALUATIONS = 64

@@ -18,9 +18,8 @@ from miho.optim.evidence import Agreement
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.space import Space
 from miho.optim.trace import Descent, Starts, Trace
-from miho.optim.validate import positive, whole
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import positive, whole
 
 CHUNK_SECONDS = 0.02
 OBSERVE_SECONDS = 0.1

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from miho.compiled import Kernel
 from miho.optim.space import Space
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 
 class Problem(ABC):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 DAMPING = 0.1
 """Powell's: an update keeps at least this share of the curvature that was there."""

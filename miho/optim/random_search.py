@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.optim.optimizer import AskTell
 from miho.optim.space import LARGEST_BATCH, SAMPLINGS, Space
-from miho.optim.validate import one_of, whole
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import one_of, whole
 
 
 @dataclass

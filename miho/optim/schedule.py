@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from miho.optim.validate import one_of, whole
+from miho.validate import one_of, whole
 
 ROUNDINGS = ("ceil", "floor")
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 FLAT, SMALL = 1e-9, 1e-8
 """It ends where its losses differ by less than this fraction, or its corners by less than this."""

@@ -11,9 +11,8 @@ import scipy  # which loads its packages where they are used: importing them tak
 from numpy.typing import NDArray
 
 from miho.optim.seeds import Part, stream
-from miho.optim.validate import one_of
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
+from miho.validate import one_of
 
 SCALES = ("linear", "log")
 SAMPLINGS = ("normal", "uniform_plus_noise", "uniform")

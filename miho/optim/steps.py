@@ -29,8 +29,8 @@ from miho.compiled.gauss_newton_state import (
 )
 from miho.compiled.kernel import INFINITE, NAN
 from miho.optim.oracle import BudgetExhausted, Oracle, UnusableValueError
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
 Whole = NDArray[np.int64]
 
 EVENTS = 4096

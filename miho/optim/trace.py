@@ -6,11 +6,9 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.optim.evidence import Agreement, agreement
-
-Array = NDArray[np.float64]
+from miho.quantities import Array
 
 MOST_ENDS = 1000
 

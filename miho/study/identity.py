@@ -10,9 +10,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from miho.optim.validate import whole
 from miho.study.meaning import meaning
 from miho.study.places import check_name
+from miho.validate import whole
 
 REQUEST = 10
 """Hexadecimal digits of each half of a run's id."""

@@ -64,5 +64,5 @@ def test_the_loss_is_the_mean_square_of_the_residuals() -> None:
 
 
 def test_a_scale_must_be_positive() -> None:
-    with pytest.raises(ValueError, match=r"scale is -1.*above zero"):
+    with pytest.raises(ValueError, match=r"scale is -1.*positive number"):
         Huber(-1)

@@ -328,19 +328,19 @@ def test_ctrl_c_between_blocks_leaves_a_state_that_goes_on(fit: FusedLoss) -> No
 
 def test_a_step_makes_no_more_evaluations_than_the_budget_allows(fit: FusedLoss) -> None:
     """Before anything was timed one, then as many as the clock or the budget allows."""
-    ticks, optimizer = count(), MIHO(R=5, eta=2)
+    ticks, optimizer = count(), MIHO(R=9, eta=3)
     clock = Clock(wall=lambda: 1e-6 * next(ticks))
     watched = Watched(fit)
-    first, second = (rung.n for rung in hyperband_table(5, 2, "ceil")[:2])
-    for evaluations in (1, second - 1, second, second + 1):
-        oracle = Oracle(watched, Budget(evaluations=first + evaluations), clock=clock)
+    n = hyperband_table(9, 3, "ceil")[0].n
+    for evaluations in (1, n - 1, n, n + 1):
+        oracle = Oracle(watched, Budget(evaluations=n + evaluations), clock=clock)
         state = optimizer.start(oracle, stream("own"))
-        optimizer.step(state, oracle)  # the second rung is the first that mutates
+        optimizer.step(state, oracle)
         with pytest.raises(BudgetExhausted):
             while True:
                 optimizer.step(state, oracle)
-        assert oracle.evaluations == first + evaluations
-        assert (state.step, state.row) == divmod(evaluations, second)
+        assert oracle.evaluations == n + evaluations
+        assert state.row == evaluations % n  # of the step that was cut
 
 
 def test_by_default_a_step_is_one_batch(fit: FusedLoss) -> None:

@@ -50,8 +50,8 @@ def test_code_that_a_run_does_not_use_may_change(roots: dict[str, Path]) -> None
 
 @pytest.mark.parametrize(
     "place",
-    ["optim/oracle.py", "optim/space.py", "identification/fused.py", "identification/loss.py",
-     "models/elementary.py", "models/tire.py", "methods/descent.py", "data/dataset.py"],
+    ["optim/oracle.py", "optim/space.py", "compiled/fused.py", "identification/loss.py",
+     "compiled/elementary.py", "models/tire.py", "methods/descent.py", "data/dataset.py"],
 )  # fmt: skip
 def test_one_constant_of_what_it_uses_may_not(roots: dict[str, Path], place: str) -> None:
     before = Sources(roots).digest(RUN)

@@ -1,0 +1,59 @@
+"""Sentences for settings that cannot be used: which field, which value, what was expected."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from numbers import Integral, Real
+
+
+def one_of(field: str, value: str, allowed: Sequence[str]) -> None:
+    """Raise ValueError unless `value` is one of `allowed`."""
+    if value not in allowed:
+        raise ValueError(f"{field} is {value!r}; expected one of {', '.join(allowed)}")
+
+
+def at_least(field: str, value: float, low: float) -> None:
+    """Raise ValueError unless `value` is a finite number of at least `low`."""
+    if not _is_number(value) or value < low:
+        raise ValueError(f"{field} is {value!r}; expected a number of at least {low:g}")
+
+
+def whole(field: str, value: int, low: int, high: int | None = None) -> None:
+    """Raise ValueError unless `value` is an integer of at least `low` and at most `high`."""
+    if not _is_whole(value) or value < low or (high is not None and value > high):
+        top = "" if high is None else f" and at most {high:,}"
+        raise ValueError(f"{field} is {value!r}; expected a whole number of at least {low}{top}")
+
+
+def positive(field: str, value: float, unit: str = "") -> None:
+    """Raise ValueError unless `value` is a finite number above zero; `unit` ends the sentence."""
+    if not _is_number(value) or value <= 0:
+        raise ValueError(f"{field} is {value!r}; expected a positive number{unit and f' {unit}'}")
+
+
+def settings_at_least(settings: object, names: Iterable[str], low: float) -> None:
+    """As `at_least`, of the attributes of these names."""
+    for name in names:
+        at_least(name, getattr(settings, name), low)
+
+
+def whole_settings(settings: object, names: Iterable[str], low: int) -> None:
+    """As `whole`, of the attributes of these names."""
+    for name in names:
+        whole(name, getattr(settings, name), low)
+
+
+def positive_settings(settings: object, names: Iterable[str], unit: str = "") -> None:
+    """As `positive`, of the attributes of these names."""
+    for name in names:
+        positive(name, getattr(settings, name), unit)
+
+
+def _is_whole(value: object) -> bool:
+    return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def _is_number(value: object) -> bool:
+    real = isinstance(value, Real) and not isinstance(value, bool)
+    return real and math.isfinite(float(value))  # type: ignore[arg-type]
