@@ -12,18 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.compiled.gauss_newton import (
-    CHUNK,
-    Work,
-    clear,
-    evaluated,
-    factored,
-    is_free,
-    prepare,
-    solve_linear,
-    to_units,
-    work,
-)
+from miho.compiled.gauss_newton import evaluated, factored, is_free, prepare, solve_linear, to_units
 from miho.compiled.gauss_newton_state import (
     RECORD,
     SLOPES,
@@ -35,6 +24,7 @@ from miho.compiled.gauss_newton_state import (
     views,
 )
 from miho.compiled.triangular import compiled, entry, fold, square_sum
+from miho.compiled.workspace import CHUNK, Work, clear, work
 from miho.quantities import Array
 
 Whole = NDArray[np.int64]

@@ -7,18 +7,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.compiled.gauss_newton import (
-    Work,
-    copy,
-    evaluated,
-    factored,
-    prepare,
-    refold,
-    solve_linear,
-    to_units,
-)
+from miho.compiled.gauss_newton import evaluated, factored, prepare, refold, solve_linear, to_units
 from miho.compiled.gauss_newton_state import ENTER, TRIED, Box, Minima, Rules, views
 from miho.compiled.triangular import entry, square_sum
+from miho.compiled.workspace import Work, copy
 from miho.quantities import Array
 
 Whole = NDArray[np.int64]

@@ -9,7 +9,6 @@ cut off between two evaluations goes on as if it had not been.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,13 +30,12 @@ from miho.compiled.gauss_newton_state import (
     Rules,
     views,
 )
-from miho.compiled.triangular import Room, compiled, entry, fold, norm, solve_in_box
+from miho.compiled.triangular import compiled, entry, fold, norm, solve_in_box
+from miho.compiled.workspace import CHUNK, Work, clear, copy
 from miho.quantities import Array
 
 Whole = NDArray[np.int64]
 
-CHUNK = 512
-"""Rows at a time: their derivatives stay in the first-level cache."""
 ACCEPTED, GOOD, POOR = 1e-4, 0.75, 0.25
 """Gain over predicted gain: above the first a trial is taken; above the second the damping falls,
 below the third it grows (Marquardt, 1963; Moré, 1978)."""
@@ -63,66 +61,6 @@ INSIDE = 1e-12
 """A share of a width: nearer, a linear parameter is at its bound."""
 
 compiled(views)
-
-
-class Work(NamedTuple):
-    """Room for one configuration: residuals (m,), rows of a chunk, factors, a step."""
-
-    theta: Array
-    step: Array
-    low: Array
-    high: Array
-    scale: Array
-    sums: Array
-    T: Array
-    chunk: Array
-    slopes: Array
-    residuals: Array
-    room: Room
-
-
-def room_for(d: int, m: int, levels: int) -> int:
-    """Numbers that `work` needs."""
-    return levels + (d + 1) * (d + 1) + (2 * d + 1) * CHUNK + m + 7 * d + (d + 1) * (3 * d + 1)
-
-
-@compiled
-def work(room: Array, d: int, m: int, levels: int) -> Work:
-    """Room for d parameters, m residuals and levels of rows; the factor and the sums are 0."""
-    n, at = d + 1, 7 * d
-    sums = room[at : at + levels]
-    for k in range(levels):
-        sums[k] = 0.0
-    at += levels
-    T = room[at : at + n * n].reshape((n, n))
-    clear(T)
-    at += n * n
-    chunk = room[at : at + n * CHUNK].reshape((n, CHUNK))
-    at += n * CHUNK
-    slopes = room[at : at + d * CHUNK].reshape((d, CHUNK))
-    at += d * CHUNK
-    residuals = room[at : at + m]
-    at += m
-    columns = room[at : at + n * 2 * d].reshape((n, 2 * d))
-    at += n * 2 * d
-    return Work(
-        room[:d],
-        room[d : 2 * d],
-        room[2 * d : 3 * d],
-        room[3 * d : 4 * d],
-        room[4 * d : 5 * d],
-        sums,
-        T,
-        chunk,
-        slopes,
-        residuals,
-        Room(
-            room[5 * d : 6 * d],
-            room[6 * d : 7 * d],
-            columns,
-            room[at : at + n * n].reshape((n, n)),
-        ),
-    )
 
 
 @compiled
@@ -164,21 +102,6 @@ def factored(c: Candidates, i: int, box: Box, w: Work) -> None:
     c.stage[i] = READY if fine else UNUSABLE
     if fine and n and largest == 0:
         c.stage[i] = DONE
-
-
-@compiled
-def clear(T: Array) -> None:
-    """Make all numbers 0."""
-    for j in range(T.shape[0]):
-        for k in range(T.shape[1]):
-            T[j, k] = 0.0
-
-
-@compiled
-def copy(these: Array, to: Array) -> None:
-    """Copy numbers."""
-    for k in range(these.size):
-        to[k] = these[k]
 
 
 @compiled

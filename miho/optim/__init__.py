@@ -1,20 +1,20 @@
 """Search: what is searched, who searches, and the metered door between them."""
 
 from miho.optim.evidence import Agreement, agreement, in_optimum
+from miho.optim.meter import (
+    Budget,
+    BudgetExhausted,
+    Clock,
+    Meter,
+    RunInterrupted,
+    UnusableValueError,
+)
 from miho.optim.miho import MIHO
 from miho.optim.miho_gn import MIHOGN
 from miho.optim.miho_qn import MIHOQN
 from miho.optim.minimize import Checkpoint, Outcome, RunRecord, minimize
 from miho.optim.optimizer import AskTell, Optimizer, Resumable
-from miho.optim.oracle import (
-    Budget,
-    BudgetExhausted,
-    Clock,
-    Meter,
-    Oracle,
-    RunInterrupted,
-    UnusableValueError,
-)
+from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.random_search import RandomSearch
 from miho.optim.schedule import Rung, hyperband_table

@@ -9,9 +9,10 @@ from functools import partial
 import numpy as np
 
 from miho.compiled import Block, Climb, Steps
+from miho.optim.meter import Budget
 from miho.optim.mutation import ANNEALINGS, CLIPS, annealed_sigma, climb_of, mutate
 from miho.optim.optimizer import Resumable
-from miho.optim.oracle import Budget, Oracle
+from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.schedule import ROUNDINGS, Rung, hyperband_table
 from miho.optim.space import LARGEST_BATCH, SAMPLINGS, Space

@@ -5,10 +5,9 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.compiled.gauss_newton_state import (
     COPY_LOSS,
@@ -23,17 +22,28 @@ from miho.compiled.gauss_newton_state import (
 )
 from miho.optim.brackets import DRAWS, check_brackets, draw_starts, levels, luby
 from miho.optim.evidence import in_optimum
+from miho.optim.meter import Budget, UnusableValueError
+from miho.optim.miho_gn_state import (
+    CLIMB,
+    FINISH,
+    LEAD,
+    OVER,
+    POLISH,
+    SCREEN,
+    SHARE,
+    MIHOGNState,
+    box_of,
+    sound,
+    square_distances,
+    usable,
+)
 from miho.optim.optimizer import Resumable
-from miho.optim.oracle import Budget, Oracle, UnusableValueError
+from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.seeds import stream
-from miho.optim.space import Space
 from miho.quantities import Array
 from miho.validate import one_of, positive_settings, whole, whole_settings
 
-SCREEN, CLIMB, LEAD, FINISH, SHARE, POLISH, OVER = range(7)
-"""Phases of a bracket: first looks, steps of a rung and more of its best, the last one on all rows,
-one that was set aside before; more digits for the best of all; and the end."""
 ALONE = 1 << 40
 """Steps of a configuration that goes on as long as it makes progress."""
 NEAR, NEAR_LAST = 9.0, 0.1
@@ -43,8 +53,6 @@ BETTER = 4.0
 """But not if its loss is lower than there by so many d / rows: more than a few rows may tell."""
 ENTERING = 1e-3
 """The damping with which one begins a level that was done with the one before."""
-BOUND = 1e-9
-"""A share of a width: nearer, a parameter is at its bound."""
 SOLVED_FIRST = 9
 """A problem that is linear in all parameters is solved on one row in so many, then on all."""
 ROOM = 1 << 22
@@ -54,79 +62,6 @@ POLISHING = 50
 """Steps for more digits at most: valleys have no end."""
 TRIALS = 1000
 """Looks for one usable configuration of a problem that does not say how many rows it has."""
-
-
-@dataclass
-class MIHOGNState:
-    """Where the search stands: a bracket's phase and level, and its `live` configurations.
-
-    `ends` are the rows of the levels, all of them last (0 as long as nobody said how many).
-    `minima` (k, d) in unit coordinates are those known, with their sums of squares over the rows
-    of each level, `sums` (k, levels); `sound` (k,) where the data determine all parameters there.
-    `found` is what was spent when the best of them was.
-    `rest` waits for the best of its rung, `aside` are configurations that crawl, one each. `size`
-    is what a rung of the bracket may cost, `begun` what was spent before it, `share` the rows that
-    one set aside may have.
-    """
-
-    space: Space
-    box: Box
-    rng: np.random.Generator
-    ends: NDArray[np.int64]
-    compiled: bool
-    slope_cost: int
-    live: Candidates
-    minima: Array
-    losses: Array
-    sums: Array
-    sound: NDArray[np.bool_]
-    rest: Candidates | None = None
-    aside: list[Candidates] = field(default_factory=list)
-    bracket: int = 0
-    projects: bool = False
-    phase: int = OVER
-    level: int = 0
-    size: float = 0.0
-    begun: float = 0.0
-    share: int = 0
-    found: float = 0.0
-    tried: int = 0
-    over: bool = False
-
-    @property
-    def d(self) -> int:
-        """The number of parameters."""
-        return len(self.space)
-
-    @property
-    def rows(self) -> int:
-        """How many rows this level looks at."""
-        return int(self.ends[self.level])
-
-    @property
-    def last(self) -> bool:
-        """Whether that is all rows."""
-        return self.level == self.ends.size - 1
-
-    @property
-    def linear(self) -> bool:
-        """Whether the problem is linear in all parameters."""
-        return not self.box.nonlinear.size
-
-    @property
-    def look_cost(self) -> float:
-        """What one look on this level costs, in evaluations."""
-        return self.rows / int(self.ends[-1]) * (1 + self.projects * self.box.linear.size)
-
-    @property
-    def step_cost(self) -> float:
-        """What a step costs: derivatives and a look."""
-        return self.look_cost + self.slope_cost * self.rows / int(self.ends[-1])
-
-    @property
-    def level_losses(self) -> Array:
-        """The losses of the known minima over the rows of this level, (k,)."""
-        return np.asarray(self.sums[:, self.level] / self.rows)
 
 
 @dataclass(frozen=True)
@@ -340,7 +275,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         return bool(every and state.box.linear.size)
 
     def _screened(self, state: MIHOGNState, oracle: Oracle) -> None:
-        state.live = _usable(state.live)
+        state.live = usable(state.live)
         if not state.linear:
             self._rung(state, oracle, entering=False)
         elif not state.live.loss.size:
@@ -385,7 +320,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         state.phase = phase
 
     def _climbed(self, state: MIHOGNState, oracle: Oracle) -> None:
-        state.live = _usable(state.live)
+        state.live = usable(state.live)
         if state.last or not state.live.loss.size:
             self._prune(state, oracle)
             return
@@ -395,7 +330,7 @@ class MIHOGN(Resumable[MIHOGNState]):
 
     def _led(self, state: MIHOGNState, oracle: Oracle) -> None:
         if state.rest is not None:
-            state.live, state.rest = _usable(state.live.beside(state.rest)), None
+            state.live, state.rest = usable(state.live.beside(state.rest)), None
         self._prune(state, oracle)
 
     def _prune(self, state: MIHOGNState, oracle: Oracle) -> None:
@@ -447,7 +382,7 @@ class MIHOGN(Resumable[MIHOGNState]):
                 state.minima = np.vstack([state.minima, c.x])
                 state.losses = np.append(state.losses, loss)
                 state.sums = np.vstack([state.sums, sums])
-                state.sound = np.append(state.sound, _sound(c, state.box, state.rows))
+                state.sound = np.append(state.sound, sound(c, state.box, state.rows))
         elif c.stage[0] != UNUSABLE:
             state.aside.append(c.with_rows(0))
 
@@ -461,7 +396,7 @@ class MIHOGN(Resumable[MIHOGNState]):
         if state.last and c.stage[0] == DONE:
             oracle.ended(math.inf, loss)
             return
-        distances = _square_distances(c, state.minima, state.box)
+        distances = square_distances(c, state.minima, state.box)
         there = loss >= (1 - rules.better) * state.level_losses
         if c.stage[0] == KNOWN:
             there &= state.sound
@@ -517,53 +452,6 @@ class MIHOGN(Resumable[MIHOGNState]):
         state.live = c.with_rows(state.rows if kept else 0)
 
 
-def box_of(space: Space, linear: tuple[str, ...]) -> Box:
-    """The box of a space whose residuals are linear in these parameters."""
-    low, high = space.bounds
-    names = space.names
-    return Box(
-        space.low,
-        space.high,
-        low,
-        high - low,
-        np.array([p.scale == "log" for p in space.parameters]),
-        np.array([names.index(name) for name in linear], dtype=np.int64),
-        np.array([k for k, name in enumerate(names) if name not in linear], dtype=np.int64),
-    )
-
-
 def _has_rows(oracle: Oracle) -> bool:
     """Whether residuals and derivatives are compiled."""
     return oracle.kernel is not None and oracle.kernel.rows is not None
-
-
-def _usable(c: Candidates) -> Candidates:
-    """Those with finite losses, the best first."""
-    order = np.argsort(c.loss, kind="stable")
-    return c.take(order[(c.stage[order] != UNUSABLE) & np.isfinite(c.loss[order])])
-
-
-def _square_distances(c: Candidates, minima: Array, box: Box) -> Array:
-    """From the first configuration to minima (k, d), in the metric by which steps know them, (k,).
-
-    |R (x - x*)|^2: what the linear model where it is says of the way there.
-    """
-    which = box.nonlinear if c.projects[0] else np.arange(c.x.shape[1])
-    R = c.R[0, : which.size, : which.size]
-    return np.asarray((((c.x[0] - minima)[:, which] @ R.T) ** 2).sum(axis=1))
-
-
-def _sound(c: Candidates, box: Box, m: int) -> bool:
-    """Whether the data determine each parameter within its range, off the bounds.
-
-    Its standard deviation, by the factor of the derivatives there, is less than the range.
-    """
-    if (c.x < BOUND).any() or (c.x > 1 - BOUND).any():
-        return False
-    n = box.nonlinear.size if c.projects[0] else box.low.size
-    R = c.R[0, :n, :n]
-    if not np.diag(R).all():
-        return False
-    deviation = math.sqrt(c.loss[0] * m / max(m - n, 1))
-    with np.errstate(over="ignore", invalid="ignore"):  # NaN and infinity are no such deviations
-        return bool((np.linalg.norm(np.linalg.inv(R), axis=1) * deviation <= 1).all())

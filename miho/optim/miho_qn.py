@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.optim.brackets import check_brackets, draw_starts, levels, luby
 from miho.optim.candidates import (
@@ -19,11 +18,23 @@ from miho.optim.candidates import (
     UNUSABLE,
     Box,
     Candidates,
-    Request,
     Rules,
     answer,
     needs,
     points,
+)
+from miho.optim.miho_qn_state import (
+    CLIMB,
+    FINISH,
+    LEAD,
+    NEAR_LAST,
+    OVER,
+    SCREEN,
+    SHARE,
+    MIHOQNState,
+    at_known,
+    away_from,
+    distinct,
 )
 from miho.optim.optimizer import AskTell
 from miho.optim.oracle import Oracle
@@ -34,83 +45,14 @@ from miho.optim.trace import Starts
 from miho.quantities import Array
 from miho.validate import positive_settings, whole_settings
 
-SCREEN, CLIMB, LEAD, FINISH, SHARE, OVER = range(6)
-"""Phases of a bracket: first looks, steps of a rung and more of its best, the last one on all rows,
-one that was set aside, and the end."""
 ALONE = 1 << 40
 """Steps of a configuration that goes on as long as it makes progress."""
-NEAR = 9.0
-"""At a known minimum within 3 standard deviations: squared, in units of d / rows of the loss."""
-NEAR_LAST = 1e-4
-"""And on all rows, in units of the loss."""
-BASIN = 0.1
-"""But no further from it than this share of a width: further away models say nothing."""
-COPY, COPY_LOSS = 0.5, 0.05
-"""A near copy of a better one: within this many d / rows of its loss, which differs by less."""
 LITTLE = 1e-6
 """A simplex that gains less than this share of a loss was the last one."""
 SHARP = 1e-3
 """Where a curvature alone would double a loss within this share of a width, it may be a kink."""
 REENTRY = 0.05
 """The least radius with which a level begins, whatever trouble the one before had."""
-
-
-@dataclass
-class MIHOQNState:
-    """Where the search stands: a bracket's phase and level, and the `batch` (n, d) in search
-    coordinates whose losses it needs, as `requests` of the `live` configurations or a `simplex`.
-
-    `ends` are the rows of the levels, `costs` what one look at each costs. `minima` (k, d) in
-    search coordinates are those known, with `losses` (k,) on all rows. `aside` are configurations
-    that crawl, one each. `starts` are the run's, or the state's own where there is no run; `best`
-    is the least loss on all rows. `size` is what a rung of the bracket may cost, `spent` what all
-    evaluations have cost, `begun` what those had before this bracket or its last phase, which may
-    cost `share`. The last one of a bracket is `polished` where a simplex brings it no further.
-    """
-
-    space: Space
-    box: Box
-    rng: np.random.Generator
-    ends: tuple[int, ...]
-    costs: tuple[float, ...]
-    live: Candidates
-    minima: Array
-    starts: Starts
-    losses: Array = field(default_factory=lambda: np.empty(0))
-    batch: Array = field(default_factory=lambda: np.empty((0, 0)))
-    requests: list[Request] = field(default_factory=list)
-    best: float = math.inf
-    aside: list[Candidates] = field(default_factory=list)
-    simplex: Simplex | None = None
-    polished: bool = False
-    bracket: int = 0
-    phase: int = OVER
-    level: int = 0
-    size: float = 0.0
-    spent: float = 0.0
-    begun: float = 0.0
-    share: float = 0.0
-    over: bool = False
-
-    @property
-    def d(self) -> int:
-        """The number of parameters."""
-        return len(self.space)
-
-    @property
-    def cost(self) -> float:
-        """What one evaluation costs on this level."""
-        return self.costs[self.level]
-
-    @property
-    def rows(self) -> int:
-        """How many rows this level looks at."""
-        return self.ends[self.level]
-
-    @property
-    def last(self) -> bool:
-        """Whether that is all rows."""
-        return self.level == len(self.ends) - 1
 
 
 @dataclass(frozen=True)
@@ -250,7 +192,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         c = state.live
         if c.stage[0] >= REST:
             return
-        if state.phase != LEAD and _known(state, c)[0]:
+        if state.phase != LEAD and at_known(state, c)[0]:
             c.stage[0] = REST
         elif c.spent[0] >= self.patience * (state.d + 1) * state.cost:
             crawls = c.mark[0] - c.loss[0] < self.progress * abs(c.mark[0])
@@ -337,14 +279,14 @@ class MIHOQN(AskTell[MIHOQNState]):
         those that are worse on the same rows costs more than the next bracket.
         """
         state.live = c = state.live.usable
-        known = _known(state, c)
+        known = at_known(state, c)
         if not len(c) or known[0]:
             if len(c):
                 self._returned(state)
             self._close(state)
             return False
         c = c.take(np.flatnonzero(~known))
-        state.live = c.take(_distinct(state, c))
+        state.live = c.take(distinct(state, c))
         return True
 
     def _finished(self, state: MIHOQNState) -> None:
@@ -380,7 +322,7 @@ class MIHOQN(AskTell[MIHOQNState]):
             state.minima = np.vstack([state.minima, c.z])
             state.losses = np.append(state.losses, c.loss[0])
             state.starts.ended(math.inf, float(c.loss[0]))
-        elif stage != UNUSABLE and _known(state, c)[0]:
+        elif stage != UNUSABLE and at_known(state, c)[0]:
             self._returned(state)
         elif stage != UNUSABLE:
             state.aside.append(c)
@@ -403,7 +345,7 @@ class MIHOQN(AskTell[MIHOQNState]):
     def _returned(self, state: MIHOQNState) -> None:
         """The best of a bracket has come back to a known minimum."""
         c = state.live
-        above = c.above(slice(1), _away(state, c.z[:1], state.minima))
+        above = c.above(slice(1), away_from(state, c.z[:1], state.minima))
         state.starts.ended(math.inf, float(state.losses[np.argmin(above[0])]))
 
     def _close(self, state: MIHOQNState) -> None:
@@ -412,36 +354,3 @@ class MIHOQN(AskTell[MIHOQNState]):
         enough = state.starts.agreement(state.best).enough
         state.over = enough or state.bracket >= self.brackets
         state.starts.exhausted = state.over and not enough
-
-
-def _away(state: MIHOQNState, z: Array, others: Array) -> Array:
-    """From others (k, d) to z (n, d), in shares of the widths, (n, k, d)."""
-    return (z[:, None] - others) / state.box.width
-
-
-def _known(state: MIHOQNState, c: Candidates) -> NDArray[np.bool_]:
-    """Which configurations are at a known minimum, as far as these rows can tell."""
-    if not state.losses.size:
-        return np.zeros(len(c), bool)
-    away = _away(state, c.z, state.minima)
-    near = NEAR_LAST if state.last else NEAR * state.d / state.rows
-    at = c.above(slice(None), away) <= near * np.abs(c.loss[:, None])
-    at &= np.abs(away).max(axis=2) < BASIN
-    if state.last:
-        higher = c.loss[:, None] - state.losses
-        at &= (higher >= 0) & (higher <= near * np.abs(c.loss[:, None]))
-    return np.asarray(at.any(axis=1) & c.curved)
-
-
-def _distinct(state: MIHOQNState, c: Candidates) -> NDArray[np.intp]:
-    """Those that are no near copies of better ones."""
-    away = _away(state, c.z, c.z)
-    near = COPY * state.d / max(state.rows, 1) * np.abs(c.loss[:, None])
-    copy = c.above(slice(None), away) <= near
-    copy &= np.abs(c.loss[:, None] - c.loss) <= COPY_LOSS * np.abs(c.loss[:, None])
-    copy &= c.curved[:, None]
-    kept: list[int] = []
-    for k in range(len(c)):
-        if not copy[kept, k].any():
-            kept.append(k)
-    return np.array(kept)

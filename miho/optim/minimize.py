@@ -21,8 +21,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from miho.optim.meter import Budget, BudgetExhausted, Meter, RunInterrupted
 from miho.optim.optimizer import Optimizer, Resumable
-from miho.optim.oracle import UNSENT, Budget, BudgetExhausted, Meter, Oracle, RunInterrupted
+from miho.optim.oracle import UNSENT, Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space

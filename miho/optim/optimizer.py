@@ -8,7 +8,8 @@ from typing import Generic, TypeVar, final
 
 import numpy as np
 
-from miho.optim.oracle import Budget, Oracle
+from miho.optim.meter import Budget
+from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.seeds import stream
 from miho.optim.space import Space

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -15,92 +13,29 @@ from numpy.typing import NDArray
 
 from miho.compiled import Block, Kernel
 from miho.optim.evidence import Agreement
+from miho.optim.meter import (
+    Budget,
+    BudgetExhausted,
+    Clock,
+    Meter,
+    RunInterrupted,
+    UnusableValueError,
+)
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.space import Space
-from miho.optim.trace import Descent, Starts, Trace
+from miho.optim.trace import Descent, Trace
 from miho.quantities import Array
-from miho.validate import positive, whole
 
 CHUNK_SECONDS = 0.02
 OBSERVE_SECONDS = 0.1
 CHECKED_AT_ONCE = 1024
-REASONS = 20
 OFF_A_ROW, ROUNDED = 1e-6, 1e-15
 """How far a sum of fractions may be off a whole number of rows, besides a few roundings of it."""
 NOT_FINITE = "loss is"
 """So begins the reason why a value was rejected that was computed and is not finite."""
 NONE, NOWHERE = np.empty(0), np.empty(0, np.int64)
-
-
-class BudgetExhausted(Exception):  # noqa: N818 -- the signal that ends every run, not an error
-    """Raised by the oracle when its budget is spent or its target is reached."""
-
-
 UNSENT = "KeyboardInterrupt, though nobody interrupted it"
 """What ends a run whose model or method raises what only a signal should."""
-
-
-class RunInterrupted(KeyboardInterrupt):
-    """Raised by the oracle between two evaluations after Ctrl-C: the state is whole."""
-
-
-class UnusableValueError(ValueError):
-    """Raised by the oracle where residuals or derivatives cannot be computed."""
-
-
-@dataclass(frozen=True)
-class Budget:
-    """What one run may spend; a limit of None does not bind.
-
-    `evaluations` is exact: not one more is made. `seconds` of the method's clock are checked
-    after every chunk of about 20 ms. A run also ends at a loss of `target` or below.
-    """
-
-    evaluations: int | None = None
-    seconds: float | None = None
-    target: float | None = None
-
-    def __post_init__(self) -> None:
-        if self.evaluations is not None:
-            whole("budget.evaluations", self.evaluations, 1)
-        if self.seconds is not None:
-            positive("budget.seconds", self.seconds)
-        if self.target is not None and not math.isfinite(self.target):
-            raise ValueError(f"budget.target is {self.target!r}; expected a finite loss")
-
-
-@dataclass
-class Meter:
-    """What a run has spent and seen; with the method's state, all that a resumed run needs.
-
-    `unfinished` holds the losses of a batch that was cut: the same batch, asked again, goes on
-    behind them. `rejected` counts the values that could not be used, by reason. `outside` counts
-    configurations outside of the space's box: their values are used, but a method is to stay in it.
-    `starts` are those of a method that descends from several.
-    """
-
-    evaluations: float = 0
-    seconds: float = 0.0
-    cpu_seconds: float = 0.0
-    best: float = math.inf
-    trace: Trace = field(default_factory=Trace)
-    rejected: Counter[str] = field(default_factory=Counter)
-    unfinished: list[float] = field(default_factory=list)
-    outside: int = 0
-    starts: Starts = field(default_factory=Starts)
-
-    def reject(self, reason: str, count: int = 1) -> None:
-        """Count values that cannot be used; beyond some kinds of reason, together."""
-        known = reason in self.rejected or len(self.rejected) < REASONS
-        self.rejected[reason if known else "other reasons"] += count
-
-
-@dataclass(frozen=True)
-class Clock:
-    """Seconds of wall and of CPU time, each monotone."""
-
-    wall: Callable[[], float] = time.perf_counter
-    cpu: Callable[[], float] = time.process_time
 
 
 class Oracle:

@@ -17,7 +17,7 @@ from miho.compiled.from_outside import (
     next_outside,
     solved_outside,
 )
-from miho.compiled.gauss_newton import CHUNK, Work, is_free, room_for, work
+from miho.compiled.gauss_newton import is_free
 from miho.compiled.gauss_newton_state import (
     RECORD,
     SLOPES,
@@ -28,7 +28,9 @@ from miho.compiled.gauss_newton_state import (
     Rules,
 )
 from miho.compiled.kernel import INFINITE, NAN
-from miho.optim.oracle import BudgetExhausted, Oracle, UnusableValueError
+from miho.compiled.workspace import CHUNK, Work, room_for, work
+from miho.optim.meter import BudgetExhausted, UnusableValueError
+from miho.optim.oracle import Oracle
 from miho.quantities import Array
 
 Whole = NDArray[np.int64]

@@ -32,7 +32,7 @@ from miho.optim import (
     Space,
     minimize,
 )
-from miho.optim.miho_gn import _square_distances, box_of
+from miho.optim.miho_gn_state import box_of, square_distances
 from miho.testing import CHECKS, DecayFit, check_optimizer
 from tests.optim.decays import SPACE, Decay, Outside, fit
 
@@ -120,7 +120,7 @@ def test_a_return_is_to_the_minimum_that_is_near_in_the_metric_of_the_residuals(
     c.R[0] = np.diag([10.0, 0.1])
     box = box_of(Space((Parameter("a", "-", 0, 1), Parameter("b", "-", 0, 1))), ())
     minima = np.array([[0.5, 0.9], [0.45, 0.5], [0.5, 0.4]])
-    squares = _square_distances(c, minima, box)
+    squares = square_distances(c, minima, box)
     assert squares == pytest.approx(np.array([0.04, 0.5, 0.01]) ** 2)
 
 
