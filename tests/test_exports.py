@@ -1,0 +1,47 @@
+"""What packages pass on, and that they import it where it is used."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+
+import pytest
+
+import miho
+
+PACKAGES = ["miho", "miho.data", "miho.identification", "miho.models", "miho.study"]
+HEAVY = ["matplotlib", "numba", "pandas", "scipy.constants", "scipy.optimize", "scipy.special"]
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_all_that_a_package_lists_can_be_had(name: str) -> None:
+    package = importlib.import_module(name)
+    assert set(package.__all__) <= set(dir(package))
+    for exported in package.__all__:
+        assert hasattr(package, exported), exported
+
+
+def test_modules_are_attributes_and_nothing_else_is() -> None:
+    assert miho.models.tire.Pacejka is importlib.import_module("miho.models").Pacejka
+    with pytest.raises(AttributeError, match="module 'miho' has no attribute 'pacejka'"):
+        miho.pacejka  # noqa: B018
+    with pytest.raises(ImportError):
+        exec("from miho.models import pacejka")
+
+
+@pytest.mark.parametrize(
+    "program",
+    [
+        "import miho",
+        "from miho import MIHO, MIHOGN, CurveFit, Dataset, Space, minimize",
+        "import miho.data, miho.models; [getattr(p, n) for p in (miho.data, miho.models) "
+        "for n in p.__all__]",
+    ],
+)
+def test_what_takes_long_to_import_is_imported_where_it_is_used(program: str) -> None:
+    listed = f"import sys; {program}; print([m for m in {HEAVY} if m in sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", listed], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
