@@ -11,6 +11,14 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--thorough",
+        action="store_true",
+        help="faults as often as `python -m experiments.faults` does them",
+    )
+
+
 @pytest.fixture(scope="session", autouse=True)
 def one_blas_thread() -> Iterator[None]:
     """As a study runs: where all cores are busy, the threads of BLAS wait for each other."""

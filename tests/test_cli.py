@@ -19,8 +19,8 @@ import pytest
 from experiments import compare as comparing
 from experiments import figures
 from experiments import identify as identifying
-from experiments.faults.isolation import MODEL
 from miho import load_runs
+from tests.faults.misbehaviour import MODEL
 
 ROOT = Path(__file__).parent.parent
 TIRE = ROOT / "miho" / "data" / "tires" / "lf.tir"

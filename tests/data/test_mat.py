@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from scipy.io import loadmat, savemat
 
-from experiments.faults.flipped_mat import flip_bits
-from experiments.faults.hostile_files import mat_bomb
 from miho.data import Dataset, load_mat, sample_tir
 from miho.data.mat import read_variables
+from tests.faults.hostile_files import flip_bits, mat_bomb
 
 TIRE = sample_tir("rf", n=300)
 SETTINGS: dict[str, Any] = {

@@ -1,94 +1,118 @@
 """The faults command: every row on its own, within its time, and a table at the end."""
 
+import re
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from experiments.faults import command, outcome
-from experiments.faults.outcome import Outcome, run_rows
-from experiments.faults.registry import ENTRIES, Entry
-from experiments.faults.row import Row
+from experiments import faults as command
+from experiments.faults import ROWS, Table, faults
+from tests.faults.conftest import started
+
+FILES = [path.read_text() for path in sorted(Path(__file__).parent.glob("test_*.py"))]
+MARKS = [mark for text in FILES for mark in re.findall(r"(?s)@pytest.mark.fault\(.*?\ndef", text)]
+"""The marks of all rows, with what follows up to the test."""
 
 
-def test_the_table_has_all_rows_in_order() -> None:
-    assert [one.number for one in ENTRIES] == [f"R{n}" for n in range(1, 27)]
-    assert len({one.name for one in ENTRIES}) == 26
+def numbers(texts: Sequence[str]) -> list[str]:
+    return [row for text in texts for row in re.findall(r'^\s*row="(R\d+)"', text, re.MULTILINE)]
 
 
-def test_a_row_that_is_not_there() -> None:
-    (found,) = run_rows([Entry("R1", "nothing_of_that_name")])
-    assert (found.verdict, found.fine) == (outcome.MISSING, False)
+def test_every_row_is_one_test() -> None:
+    found = numbers(MARKS)
+    assert len(found) == len(set(found))
+    assert sorted(found, key=ROWS.index) == ROWS
+
+
+def test_rows_that_judge_seconds_are_alone() -> None:
+    timed = [part for text in FILES for part in text.split("\n\n\n") if "pytest.mark.timed" in part]
+    assert sorted(numbers(timed), key=ROWS.index) == ["R10", "R11", "R12", "R20"]
+
+
+def test_quick_rows() -> None:
+    assert sorted(numbers([mark for mark in MARKS if "quick=True" in mark])) == [
+        "R14", "R15", "R18", "R9",
+    ]  # fmt: skip
+
+
+def sleep(measured: object) -> None:
+    time.sleep(1000)
 
 
 @pytest.mark.slow
 def test_a_row_is_stopped_at_its_limit() -> None:
-    started = time.perf_counter()
-    (found,) = run_rows([Entry("R8", "objectives")], limit=0.2)
-    assert found.verdict == outcome.BROKEN
-    assert found.row.measured == "stopped after 0.2 s"
-    assert time.perf_counter() - started < 30
+    began = time.perf_counter()
+    with started(sleep, {"measured": None}) as (process, answer):
+        assert not answer.poll(0.2)
+    assert process.exitcode
+    assert time.perf_counter() - began < 30
 
 
-@pytest.mark.slow
-def test_rows_run_in_processes_of_their_own_and_timed_ones_first() -> None:
-    entries = [Entry("R14", "targets", timed=True), Entry("R15", "names"), Entry("R18", "schedule")]
-    found = list(run_rows(entries, at_once=2))
-    assert {one.verdict for one in found} == {outcome.MET}
-    assert found[0].entry.number == "R14"
-    assert all(one.seconds > 0 for one in found)
-
-
-def test_rows_that_judge_seconds_are_alone() -> None:
-    assert [one.number for one in ENTRIES if one.timed] == ["R10", "R11", "R12", "R20"]
-
-
-def fake(verdict: str, entry: Entry = ENTRIES[6]) -> Outcome:
-    row = Row(entry.number, "a fault | a pipe", "a goal", "a long measure " * 10, met=True)
-    return Outcome(entry, row, verdict, 1.25)
+def report(row: str, outcome: str, measured: str) -> pytest.TestReport:
+    properties: list[tuple[str, Any]] = [
+        ("fault", {"row": row, "fault": "a fault | a pipe", "promise": "a goal"}),
+        *([("measured", measured)] if measured else []),
+    ]
+    place = ("tests/faults/test_x.py", 1, "test_x")
+    return pytest.TestReport(
+        "test_x", place, {}, outcome, "Traceback\nOSError: gone", "call", user_properties=properties
+    )  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(
-    ("verdict", "code"),
-    [("met", 0), ("not judged", 0), ("MISSED", 3), ("missing", 3), ("BROKEN", 3)],
+    ("outcome", "measured", "verdict", "code"),
+    [
+        ("passed", "a long measure " * 10, "met", 0),
+        ("skipped", "not judged: busy; figures", "not judged", 0),
+        ("failed", "figures", "MISSED", 3),
+        ("failed", "", "BROKEN", 3),
+        ("", "", "missing", 3),
+    ],
 )
 def test_exit_codes_and_output(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, verdict: str, code: int
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    outcome: str,
+    measured: str,
+    verdict: str,
+    code: int,
 ) -> None:
-    def run(entries: Iterable[Entry], at_once: int) -> Iterator[Outcome]:
-        yield from (fake(verdict, entry) for entry in reversed(list(entries)))
+    def run(arguments: list[str], plugins: list[Table]) -> None:
+        if outcome and "not timed" in arguments[-3]:
+            for row in ("R18", "R7"):
+                plugins[0].pytest_runtest_logreport(report(row, outcome, measured))
 
-    monkeypatch.setattr(command, "run_rows", run)
+    monkeypatch.setattr(command.pytest, "main", run)
     page = tmp_path / "faults.md"
-    assert command.faults(["r18", "R7", "--output", str(page)]) == code
+    assert faults(["r18", "R7", "--output", str(page)]) == code
     lines = page.read_text().splitlines()
     assert lines[0] == "| row | fault | goal | measured | verdict | seconds |"
     assert [line.split()[1] for line in lines[2:]] == ["R7", "R18"], "in order, however they end"
-    assert r"a fault \| a pipe" in lines[2]
+    assert all(f"| {verdict} |" in line for line in lines[2:])
+    if outcome:
+        assert r"a fault \| a pipe" in lines[2]
+    if verdict == "BROKEN":
+        assert "OSError: gone" in lines[2]
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[-1].startswith(f"{0 if code else 2} of 2 rows fine in ")
+    assert max(map(len, shown[-20:])) <= 200
 
 
-def test_quick_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
-
-    def run(entries: Iterable[Entry], at_once: int) -> Iterator[Outcome]:
-        asked.extend(entry.number for entry in entries)
-        return iter(())
-
-    monkeypatch.setattr(command, "run_rows", run)
-    command.faults(["--quick"])
-    assert asked == [one.number for one in ENTRIES if one.quick]
-    assert 0 < len(asked) < 26
-
-
-def test_the_table_is_aligned() -> None:
-    lines = command.table([fake("met"), fake("MISSED")]).splitlines()
+def test_the_table_is_aligned(capsys: pytest.CaptureFixture[str]) -> None:
+    table = Table()
+    for row in ("R1", "R2"):
+        table.pytest_runtest_logreport(report(row, "passed", "a long measure " * 10))
+    lines = command._text(table.frame(["R1", "R2"])).splitlines()
     assert len({line.index("a goal") for line in lines if "a goal" in line}) == 1
     assert max(map(len, lines)) <= 150
-    assert lines[-1] == "1 of 2 rows fine"
+    assert lines[-1] == "2 of 2 rows fine"
 
 
 def test_an_unknown_row() -> None:
     with pytest.raises(SystemExit) as ended:
-        command.faults(["R99"])
+        faults(["R99"])
     assert ended.value.code == 2

@@ -11,9 +11,9 @@ import pandas as pd
 import pytest
 
 from experiments.compact import main
-from experiments.faults.made_runs import make_runs
 from miho import load_runs
 from miho.study.compaction import FOLDER, NAME, Curves, compact, compacted
+from tests.faults.stored_runs import make_runs
 
 
 @pytest.fixture

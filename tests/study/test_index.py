@@ -11,10 +11,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.faults.made_runs import POINTS, make_runs
 from miho import load_runs
 from miho.study import DamagedRun, read_run
 from miho.study.identity import canonical, sha256
+from tests.faults.stored_runs import POINTS, make_runs
 
 
 @pytest.fixture

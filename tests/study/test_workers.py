@@ -6,13 +6,13 @@ import time
 from pathlib import Path
 from typing import TypeVar
 
-from experiments.faults.misbehaviour import misbehave, spoil
 from miho.study.processes import descendants
 from miho.study.workers import INTERRUPTED, Ended, Workers
+from tests.faults.misbehaviour import misbehave, spoil
 
 Result = TypeVar("Result")
 WAIT = 60.0
-MODULES = ("experiments.faults.misbehaviour",)
+MODULES = ("tests.faults.misbehaviour",)
 
 
 def all_of(jobs: list[str], workers: Workers[str, Result]) -> dict[str, Ended[str, Result]]:

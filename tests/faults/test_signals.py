@@ -1,4 +1,4 @@
-"""R4: sweeps that are told to stop."""
+"""R4: sweeps that get a signal."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import pytest
+
 from experiments.cli import composed, guarded
-from experiments.faults.called import forked, prepare
-from experiments.faults.identifying import alive, descendants, started
-from experiments.faults.isolation import MODEL
-from experiments.faults.row import Row
 from experiments.schema import SweepConfig
 from experiments.sweep import Wanted, sweep, wanted
+from tests.faults.commands import alive, descendants, forked, prepare, started
+from tests.faults.conftest import Figures
+from tests.faults.misbehaviour import MODEL
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1)
-SENT, SPARE, SEEDS, LATEST = 20, 6, 6, 1.3
+SENT, FEWER_SENT, SPARE, SEEDS, LATEST = 20, 5, 6, 6, 1.3
 """Each signal goes to a sweep over some seeds of its own. It comes at a random time after the first
 run has begun, at most so many times what a first run takes, and can find the sweep at its end."""
 ALLOWED, AT_ONCE, SECOND = 5.0, 1.0, 0.3
@@ -37,49 +38,58 @@ class Stopped:
     code: int
 
 
-def signals(folder: Path, times: int = SENT) -> Row:
+@pytest.mark.slow
+@pytest.mark.fault(
+    row="R4",
+    fault=f"SIGINT, SIGTERM, SIGUSR1 to a sweep at {SENT} random times; runs that do not listen",
+    promise="all processes gone in 5 s, open runs marked, curves kept, rerun resumes; a second "
+    "signal ends at once",
+)
+def test_signals(tmp_path: Path, measured: Figures, thorough: bool) -> None:
     """Signal sweeps at random times, then go on with all they left; then what ignores a signal.
 
     A run that does not listen is killed with its process, after some seconds or at the second
     signal. The last sweep is the command in an interpreter of its own, with all it starts.
     """
-    root = folder / "runs"
+    times, root = SENT if thorough else FEWER_SENT, tmp_path / "runs"
     prepare()
     stopped, wrong, runs = _at_random_times(root, times)
     before = {path: path.read_bytes() for path in root.glob("*/*/*/result.json")}
     marked, _, opened = _open_runs(root)
     again = forked(partial(_sweep, runs)).end()
     done = len(list(root.glob("*/*/*/result.json")))
-    kept = sum(path.read_bytes() == data for path, data in before.items())
-    once, twice = (_deaf(folder / str(count), [signal.SIGINT] * count) for count in (1, 2))
-    place = folder / "long"
+    untouched = sum(path.read_bytes() == data for path, data in before.items())
+    once, twice = (_deaf(tmp_path / str(count), [signal.SIGINT] * count) for count in (1, 2))
+    place = tmp_path / "long"
     of_a_minute = wanted(composed([*SWEEP, "budget.seconds=60", f"root={place}"]), "", [0, 1])
     long = _stop(partial(_sweep, of_a_minute), place, [signal.SIGTERM], 5.0)
     curves = _open_runs(place)[1]
-    whole = _whole_command(folder / "whole")
-    slowest = max(one.seconds for one in (*stopped, once, long, whole))
-    left = sum(one.left for one in (*stopped, once, twice, long, whole))
-    wrong += sum(one.code != 130 for one in (once, twice, whole))
-    return Row(
-        "R4",
-        f"SIGINT, SIGTERM, SIGUSR1 to a sweep at {times} random times; runs that do not listen",
-        "all processes gone in 5 s, open runs marked, curves kept, rerun resumes; a second signal "
-        "ends at once",
+    whole = _whole_command(tmp_path / "whole")
+    slowest = max(sweep.seconds for sweep in (*stopped, once, long, whole))
+    left = sum(sweep.left for sweep in (*stopped, once, twice, long, whole))
+    wrong += sum(sweep.code != 130 for sweep in (once, twice, whole))
+    measured(
         f"{len(stopped)} signals: gone in {slowest:.1f} s at most, {left} left, {wrong} wrong exit "
         f"codes; {marked} of {opened} open runs marked, {curves} of 2 curves kept; rerun "
-        f"exit {again.code}, {done} of {len(runs)} done, {kept} of {len(before)} untouched; "
-        f"second: {twice.seconds:.1f} s",
-        slowest <= ALLOWED and not left and not wrong and twice.seconds <= AT_ONCE
-        and len(stopped) == times <= opened == marked and curves == 2
-        and again.code == 0 and done == len(runs) and kept == len(before),
-    )  # fmt: skip
+        f"exit {again.code}, {done} of {len(runs)} done, {untouched} of {len(before)} untouched; "
+        f"second: {twice.seconds:.1f} s"
+    )
+    assert slowest <= ALLOWED
+    assert not left
+    assert not wrong
+    assert twice.seconds <= AT_ONCE
+    assert len(stopped) == times <= opened == marked
+    assert curves == 2
+    assert again.code == 0
+    assert done == len(runs)
+    assert untouched == len(before)
 
 
 def _at_random_times(root: Path, times: int) -> tuple[list[Stopped], int, list[Wanted]]:
     """The sweeps that a signal stopped, how many had a wrong exit code, and all that was wanted."""
     chance = random.Random(4)
-    asked = wanted(composed([*SWEEP, f"root={root}"]), "", range((times + SPARE + 1) * SEEDS))
-    process = forked(partial(_sweep, asked[:SEEDS]))
+    runs = wanted(composed([*SWEEP, f"root={root}"]), "", range((times + SPARE + 1) * SEEDS))
+    process = forked(partial(_sweep, runs[:SEEDS]))
     _wait_for(root, "lock", 1)
     began = time.monotonic()
     _wait_for(root, "result.json", 1)
@@ -88,13 +98,13 @@ def _at_random_times(root: Path, times: int) -> tuple[list[Stopped], int, list[W
     stopped: list[Stopped] = []
     wrong, sweeps = 0, 1
     while len(stopped) < times and sweeps <= times + SPARE:
-        job = partial(_sweep, asked[SEEDS * sweeps : SEEDS * (sweeps + 1)])
+        job = partial(_sweep, runs[SEEDS * sweeps : SEEDS * (sweeps + 1)])
         number = SIGNALS[sweeps % 3]
-        one = _stop(job, root, [number], chance.uniform(0, latest))
-        stopped += [one] * (one.code != 0)
-        wrong += one.code not in (0, 128 + number)
+        ended = _stop(job, root, [number], chance.uniform(0, latest))
+        stopped += [ended] * (ended.code != 0)
+        wrong += ended.code not in (0, 128 + number)
         sweeps += 1
-    return stopped, wrong, asked[: SEEDS * sweeps]
+    return stopped, wrong, runs[: SEEDS * sweeps]
 
 
 def _deaf(root: Path, numbers: list[signal.Signals]) -> Stopped:
@@ -114,7 +124,7 @@ def _sweep(runs: Sequence[Wanted]) -> None:
 def _stop(
     job: Callable[[], None], root: Path, numbers: list[signal.Signals], wait: float
 ) -> Stopped:
-    """Signal a sweep `wait` seconds after it has begun its first run; then again, if told to."""
+    """Signal a sweep `wait` seconds after it has begun its first run; then with the others."""
     locks, serving = _count(root, "lock"), set(descendants(os.getpid()))
     process = forked(job)
     _wait_for(root, "lock", locks + 1)

@@ -1,9 +1,9 @@
 """Commands as a user types them, each in a process of its own that starts in milliseconds.
 
-It is forked from one that has imported what the commands need: from this one (`begun`), or from a
-fresh interpreter in other surroundings (`called`), which is
+It is forked from one that has imported what the commands need: from this one (`begun`), a row's own
+with one thread, or from a fresh interpreter in other surroundings (`called`), which is
 
-    python -m experiments.faults.called < calls.json
+    python -m tests.faults.commands < calls.json
 
 The workers of sweeps come from one server of this process, where each command has its own.
 """
@@ -30,11 +30,13 @@ from typing import IO
 from unittest import mock
 
 from experiments.cli import composed
-from experiments.faults.identifying import CHECKOUT
 from experiments.schema import register
 from experiments.sweep import MODULES, wanted
 from miho.study.workers import start_server
 
+CHECKOUT = Path(__file__).parents[2]
+TINY = ("optimizer=random", "budget.evaluations=200", "dataset.n=40")
+"""A method, a budget and data that take a millisecond."""
 DEADLINE = 140.0
 
 
@@ -135,15 +137,15 @@ def called(
     checkout: Path = CHECKOUT,
 ) -> list[Ended]:
     """Run the commands one after the other, in this `environment` if it is given."""
-    given = json.dumps([asdict(call) for call in calls])
-    told = subprocess.run(
-        [sys.executable, "-m", "experiments.faults.called"],
-        input=given, capture_output=True, encoding="utf-8", check=False, cwd=checkout,
+    described = json.dumps([asdict(call) for call in calls])
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.faults.commands"],
+        input=described, capture_output=True, encoding="utf-8", check=False, cwd=checkout,
         env=environment, timeout=DEADLINE,
     )  # fmt: skip
-    if told.returncode:
-        raise RuntimeError(told.stderr)
-    return [Ended(**ended) for ended in json.loads(told.stdout)]
+    if done.returncode:
+        raise RuntimeError(done.stderr)
+    return [Ended(**ended) for ended in json.loads(done.stdout)]
 
 
 def _command(call: Call) -> None:
@@ -212,5 +214,49 @@ def _set_clock(now: float) -> None:
     datetime.datetime = Behind  # type: ignore[misc]
 
 
+def started(*arguments: str) -> subprocess.Popen[bytes]:
+    """`python -m experiments.identify` in a session of its own, from a fresh interpreter."""
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    return subprocess.Popen(
+        [sys.executable, "-m", "experiments.identify", *arguments],
+        cwd=CHECKOUT,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+
+
+def descendants(pid: int) -> list[int]:
+    """Processes that stem from this one and have not ended, by what /proc says."""
+    parents: dict[int, int] = {}
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = stat.read_text(encoding="utf-8").rpartition(")")[2].split()
+        except OSError:
+            continue
+        if fields[0] != "Z":
+            parents[int(stat.parent.name)] = int(fields[1])
+    found, open_ones = [], [pid]
+    while open_ones:
+        children = [child for child, parent in parents.items() if parent == open_ones[0]]
+        found += children
+        open_ones = [*open_ones[1:], *children]
+    return found
+
+
+def alive(pids: list[int]) -> list[int]:
+    """Those that have not ended."""
+    found = []
+    for pid in pids:
+        try:
+            stat = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8")
+        except OSError:
+            continue
+        if stat.rpartition(")")[2].split()[0] != "Z":
+            found.append(pid)
+    return found
+
+
 if __name__ == "__main__":
-    print(json.dumps([asdict(begun(Call(**call)).end()) for call in json.load(sys.stdin)]))
+    json.dump([asdict(begun(Call(**call)).end()) for call in json.load(sys.stdin)], sys.stdout)

@@ -11,12 +11,10 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from experiments.cli import BAD_INPUT
 from experiments.export import write_csv
-from experiments.faults.called import identified, prepare
-from experiments.faults.flipped_mat import flip_bits
-from experiments.faults.row import Row
 from miho import load_runs
 from miho.data import load_csv, load_mat
 from miho.models import Pacejka, load_function, load_tir, read_parameters
@@ -24,33 +22,39 @@ from miho.models.identified import Identified, UncheckedWarning, Value, paramete
 from miho.optim import Budget, RandomSearch, minimize
 from miho.study import Identity, Store, execute
 from miho.testing import DecayFit
+from tests.faults.commands import identified, prepare
+from tests.faults.conftest import Figures
+from tests.faults.hostile_files import flip_bits
 
 FLIPS, WAIT = 1000, 2.0
 COLUMNS, UNITS = ("alpha", "Fy"), ("rad", "N")
 FORMULAS = ("=1+1", "+1+1", "-1+1", "@SUM(1)")
 
 
-def received_files(folder: Path) -> Row:
+@pytest.mark.slow
+@pytest.mark.fault(
+    row="R24",
+    fault=f"{FLIPS} bit flips of .mat files, packed and not, and of parameters.json; pipes and "
+    "devices as files; YAML of 9^7 aliases, 3,000 deep, holding itself; CSV export of formulas",
+    promise=f"no crash, nothing above {WAIT:g} s, no wrong number, one line, no formula",
+)
+def test_received_files(tmp_path: Path, measured: Figures) -> None:
     """Flip bits, name devices, read what expands, and export what a table would calculate."""
     prepare()
-    ends, slowest = flip_bits(folder, FLIPS)
+    ends, slowest = flip_bits(tmp_path, FLIPS)
     harmless = ends["refused"] + ends["as it was"]
-    unseen = _parameters_flips(folder)
-    slow = [name for name, read in _devices(folder).items() if not _refused(read)]
-    bombs = [name for name in _bombs(folder) if not _refused_by_the_command(folder, name)]
-    cells = _formulas(folder)
-    return Row(
-        "R24",
-        f"{FLIPS} bit flips of .mat files, packed and not, and of parameters.json; pipes and "
-        "devices as files; YAML of 9^7 aliases, 3,000 deep, holding itself; CSV export of formulas",
-        f"no crash, nothing above {WAIT:g} s, no wrong number, one line, no formula",
+    unseen = _parameters_flips(tmp_path)
+    slow = [name for name, read in _devices(tmp_path).items() if not _refused(read)]
+    bombs = [name for name in _bombs(tmp_path) if not _refused_by_the_command(tmp_path, name)]
+    cells = _formulas(tmp_path)
+    measured(
         f".mat: {harmless} of {ends.total()} flips refused or harmless, the slowest in "
         f"{slowest:.2f} s; parameters.json: {unseen} wrong numbers; "
-        f"not refused in time: {', '.join([*slow, *bombs]) or 'none'}; {cells} formulas exported",
-        harmless == ends.total() >= FLIPS
-        and slowest < WAIT
-        and not (unseen or slow or bombs or cells),
+        f"not refused in time: {', '.join([*slow, *bombs]) or 'none'}; {cells} formulas exported"
     )
+    assert harmless == ends.total() >= FLIPS
+    assert slowest < WAIT
+    assert not (unseen or slow or bombs or cells)
 
 
 def _parameters_flips(folder: Path) -> int:

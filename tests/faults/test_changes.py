@@ -6,18 +6,25 @@ import re
 import shutil
 from pathlib import Path
 
-from experiments.faults.called import Call, called
-from experiments.faults.identifying import CHECKOUT, TINY
-from experiments.faults.row import Row
-from miho.study import load_runs
+import pytest
 
-PARTS = ("miho", "baselines", "experiments", "conf")
+from miho.study import load_runs
+from tests.faults.commands import CHECKOUT, TINY, Call, called
+from tests.faults.conftest import Figures
+
+PARTS = ("miho", "baselines", "experiments", "conf", "tests/faults")
 CSV = "alpha,Fy\n" + "".join(f"{x / 100},{-2000 * x / 100 + 3 * (x % 3)}\n" for x in range(-30, 31))
 
 
-def changes(folder: Path) -> Row:
+@pytest.mark.slow
+@pytest.mark.fault(
+    row="R17",
+    fault="code, settings or data change before a sweep goes on",
+    promise="exit 5 says what changed, fresh=true starts anew, comments count for nothing",
+)
+def test_changes(tmp_path: Path, measured: Figures) -> None:
     """Change a comment, the code, the settings, the data; then start afresh."""
-    checkout, data = folder / "checkout", folder / "data.csv"
+    checkout, data = tmp_path / "checkout", tmp_path / "data.csv"
     for part in PARTS:
         ignored = shutil.ignore_patterns("__pycache__")
         shutil.copytree(CHECKOUT / part, checkout / part, ignore=ignored)
@@ -25,7 +32,7 @@ def changes(folder: Path) -> Row:
     settings = checkout / "conf/optimizer/random.yaml"
     commented = method.read_text(encoding="utf-8") + "\n# a comment\n"
     edited = re.sub(r"(?m)^batch: .*$", "batch: 7", settings.read_text(encoding="utf-8"))
-    root = folder / "runs"
+    root = tmp_path / "runs"
     sweep = [
         "-m", *TINY[:2], "seed=0,1", f"root={root}", "dataset=csv", f"dataset.path={data}",
     ]  # fmt: skip
@@ -40,13 +47,11 @@ def changes(folder: Path) -> Row:
         "data": (0, Call(fresh, files={str(data): CSV + "0.31,-620\n"})),
     }
     ended = dict(zip(steps, called([c for _, c in steps.values()], checkout=checkout), strict=True))
-    found = {step: one.code for step, one in ended.items()}
-    told = {step: one.err.strip().rpartition("\n")[2] for step, one in ended.items()}
-    named = " code " in told["code"] and "optimizer.batch" in told["settings"]
+    codes = {step: command.code for step, command in ended.items()}
+    last = {step: command.err.strip().rpartition("\n")[2] for step, command in ended.items()}
+    named = " code " in last["code"] and "optimizer.batch" in last["settings"]
     runs = load_runs(root).runs
-    return Row(
-        "R17", "code, settings or data change before a sweep goes on",
-        "exit 5 says what changed, fresh=true starts anew, comments count for nothing",
-        f"exits {found}; changes named: {named}; {len(runs)} rows for 2 runs",
-        found == {step: code for step, (code, _) in steps.items()} and named and len(runs) == 2,
-    )  # fmt: skip
+    measured(f"exits {codes}; changes named: {named}; {len(runs)} rows for 2 runs")
+    assert codes == {step: code for step, (code, _) in steps.items()}
+    assert named
+    assert len(runs) == 2

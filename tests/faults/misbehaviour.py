@@ -1,4 +1,4 @@
-"""Jobs that go wrong, each in its way."""
+"""Jobs and models that go wrong, each in its way."""
 
 from __future__ import annotations
 
@@ -10,6 +10,21 @@ import sys
 import time
 
 import numpy as np
+
+MODEL = '''"""A line whose evaluation goes wrong after some calls."""
+from tests.faults.misbehaviour import misbehave
+
+calls = 0
+
+
+def line(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N") -> "N":
+    global calls
+    calls += 1
+    if calls > 200:
+        misbehave({how!r})
+    return Sy - B * D * (alpha - Sx)
+'''
+"""The text of a model: `how` says what goes wrong."""
 
 
 def misbehave(how: str) -> str:
@@ -37,5 +52,5 @@ def spoil(job: str) -> tuple[int, float]:
     if job == "spoil":
         np.exp = lambda _: 0.5  # type: ignore[assignment]
         os.chdir("/")
-        subprocess.Popen(["sleep", "600"], start_new_session=True)  # noqa: S607 -- wherever it is
+        subprocess.Popen(["sleep", "600"], start_new_session=True)
     return os.getpid(), float(np.exp(1.0))

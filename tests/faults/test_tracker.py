@@ -16,8 +16,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from experiments.doctor.machine import BUSY_CORES, busy_cores
-from experiments.faults.row import NOT_JUDGED, Row
+import pytest
+
+from experiments.doctor.machine import busy_cores
 from experiments.mirror import (
     Entry,
     Mirror,
@@ -35,6 +36,7 @@ from miho.optim import Budget, RandomSearch, minimize
 from miho.study import Identity, Store, execute, load_runs, read_run
 from miho.study.store import StoredRun
 from miho.testing import DecayFit
+from tests.faults.conftest import Figures, skip_if_busy
 
 FAULTS = ("down", "slow", "full", "version")
 RUNS, MLFLOW_RUNS = 100, 20
@@ -87,40 +89,40 @@ class FolderTracker(Tracker):
         path.write_text(json.dumps(vars(entry)), encoding="utf-8")
 
 
-def tracker(folder: Path) -> Row:
+@pytest.mark.timed
+@pytest.mark.fault(
+    row="R20",
+    fault="tracker down, slow (2 s per call), full or of another version",
+    promise="0 runs fail or slow (< 1 %), sync catches up, rows equal files",
+)
+def test_tracker(tmp_path: Path, measured: Figures) -> None:
     """Make trivial runs beside a tracker with each fault, then sync and compare with the files.
 
     MLflow itself, on SQLite, is the last tracker where it is installed.
     """
-    started = {fault: _start(folder, fault) for fault in FAULTS}
+    mirrors = {fault: _start(tmp_path, fault) for fault in FAULTS}
     for fault in FAULTS:
-        _wait_for(_tracked(folder, fault) / READY)
-    told, met, quick = [], True, True
+        _wait_for(_tracked(tmp_path, fault) / READY)
+    figures, caught_up, quick = [], True, True
     busy = busy_cores()
-    for fault, (mirror, seconds) in started.items():
-        failed, share, said = _sweep(mirror, RUNS, seconds)
-        synced, equal = _catches_up(folder / fault, FolderTracker(_tracked(folder, fault)))
-        told.append(f"{fault} {100 * share:.2f} % {equal}/{RUNS}")
+    for fault, (mirror, seconds) in mirrors.items():
+        failed, share, lines = _sweep(mirror, RUNS, seconds)
+        synced, equal = _catches_up(tmp_path / fault, FolderTracker(_tracked(tmp_path, fault)))
+        figures.append(f"{fault} {100 * share:.2f} % {equal}/{RUNS}")
         quick = quick and share < GOAL
-        met = met and failed == 0 and equal == RUNS and said == 1
-        met = met and (synced.repaired > 0 or fault != "full")
+        caught_up = caught_up and failed == 0 and equal == RUNS and lines == 1
+        caught_up = caught_up and (synced.repaired > 0 or fault != "full")
     if importlib.util.find_spec("mlflow"):
-        root = folder / "mlflow"
+        root = tmp_path / "mlflow"
         failed, _, _ = _sweep(mlflow_mirror(root, None, None), MLFLOW_RUNS, 0.0)
         _, equal = _catches_up(root, connect(root))
-        told.append(f"MLflow on SQLite {equal}/{MLFLOW_RUNS}")
-        met = met and failed == 0 and equal == MLFLOW_RUNS
-    measured = f"mirror's share of the sweep, rows equal after sync: {', '.join(told)}"
-    if met and not quick and (busy is None or busy > BUSY_CORES):
-        other = "an unknown load" if busy is None else f"{busy:.2f} cores busy with other work"
-        measured = f"{NOT_JUDGED}: {other}; {measured}"
-    return Row(
-        "R20",
-        "tracker down, slow (2 s per call), full or of another version",
-        "0 runs fail or slow (< 1 %), sync catches up, rows equal files",
-        measured,
-        met and quick,
-    )
+        figures.append(f"MLflow on SQLite {equal}/{MLFLOW_RUNS}")
+        caught_up = caught_up and failed == 0 and equal == MLFLOW_RUNS
+    measured(f"mirror's share of the sweep, rows equal after sync: {', '.join(figures)}")
+    assert caught_up
+    if not quick:
+        skip_if_busy(busy)
+    assert quick
 
 
 def _tracked(folder: Path, fault: str) -> Path:
@@ -131,7 +133,7 @@ def _start(folder: Path, fault: str) -> tuple[Mirror, float]:
     """A mirror in the faulty tracker, and the seconds that its start takes."""
     rows = _tracked(folder, fault)
     rows.mkdir()
-    command = [sys.executable, "-m", "experiments.faults.tracker", fault, str(rows)]
+    command = [sys.executable, "-m", "tests.faults.test_tracker", fault, str(rows)]
     began = time.perf_counter()
     mirror = Mirror(folder / fault, command, {})
     return mirror, time.perf_counter() - began
@@ -152,16 +154,16 @@ def _sweep(mirror: Mirror, runs: int, spent: float) -> tuple[int, float, int]:
     for seed in range(runs):
         identity = Identity("decay", "random", seed, {"optimizer": {}}, "c0de", "da7a")
         job = partial(minimize, RandomSearch(), DecayFit(), budget, seed)
-        made = execute(Store(mirror.root), identity, job, DecayFit.space, {"unit": "V"})
-        if made.run is not None:
+        done = execute(Store(mirror.root), identity, job, DecayFit.space, {"unit": "V"})
+        if done.run is not None:
             before = time.perf_counter()
-            mirror.push(made.run)
+            mirror.push(done.run)
             spent += time.perf_counter() - before
     total = time.perf_counter() - began
-    said = io.StringIO()
-    with contextlib.redirect_stderr(said):
+    message = io.StringIO()
+    with contextlib.redirect_stderr(message):
         mirror.close(1.0)
-    lines = said.getvalue().count("experiments.sync")
+    lines = message.getvalue().count("experiments.sync")
     return runs - len(load_runs(mirror.root).runs), spent / total, lines
 
 

@@ -10,11 +10,12 @@ from multiprocessing import forkserver
 from pathlib import Path
 from unittest import mock
 
+import pytest
+
 from experiments.doctor.results import result_checks
-from experiments.faults.called import Call, begun, identified, prepare
-from experiments.faults.identifying import TINY
-from experiments.faults.row import Row
 from miho.study.workers import Workers
+from tests.faults.commands import TINY, Call, begun, identified, prepare
+from tests.faults.conftest import Figures
 
 NEVER = '''"""A line that cannot be evaluated in a run, though it can be tried."""
 import inspect
@@ -39,28 +40,31 @@ def line(alpha: "rad", *, D: "N", B: "N") -> "N":
 '''
 
 
-def silence(folder: Path) -> Row:
-    """Six faults, each of which must be noticed in words and in the exit code."""
+@pytest.mark.slow
+@pytest.mark.fault(
+    row="R25",
+    fault="result deleted, JIT off, all evaluations rejected, data without error, bad seed, "
+    "hang-up, server of workers killed",
+    promise="each noticed in words and in the exit code; partial results kept",
+)
+def test_silence(tmp_path: Path, measured: Figures) -> None:
+    """Seven faults, each of which must be noticed in words and in the exit code."""
     prepare()
     noticed = {
-        "deleted result": _deleted(folder),
-        "JIT off": _jit_off(folder),
-        "all rejected": _rejected(folder),
-        "no error in the data": _exact(folder),
-        "a bad seed": _bad_seed(folder),
-        "hang-up": _hang_up(folder),
+        "deleted result": _deleted(tmp_path),
+        "JIT off": _jit_off(tmp_path),
+        "all rejected": _rejected(tmp_path),
+        "no error in the data": _exact(tmp_path),
+        "a bad seed": _bad_seed(tmp_path),
+        "hang-up": _hang_up(tmp_path),
         "server killed": _server_killed(),
     }
     unseen = [what for what, seen in noticed.items() if not seen]
-    return Row(
-        "R25",
-        "result deleted, JIT off, all evaluations rejected, data without error, bad seed, hang-up, "
-        "server of workers killed",
-        "each noticed in words and in the exit code; partial results kept",
+    measured(
         f"{len(noticed) - len(unseen)} of {len(noticed)} noticed"
-        + f"; not: {', '.join(unseen)}" * bool(unseen),
-        not unseen,
+        + f"; not: {', '.join(unseen)}" * bool(unseen)
     )
+    assert not unseen
 
 
 def _deleted(folder: Path) -> bool:
@@ -68,9 +72,9 @@ def _deleted(folder: Path) -> bool:
     sweep = ("-m", *TINY, "seed=0,1", f"root={root}")
     identified(*sweep)
     next(root.glob("*/*/*/result.json")).unlink()
-    said = [check.told for check in result_checks(root, quarantine=False)]
+    checked = [check.told for check in result_checks(root, quarantine=False)]
     again = identified(*sweep)
-    seen = any("1 of 2 runs" in line for line in said) and "have no result.json" in again.err
+    seen = any("1 of 2 runs" in line for line in checked) and "have no result.json" in again.err
     return seen and again.code == 0 and len(list(root.glob("*/*/*/result.json"))) == 2
 
 
@@ -84,9 +88,9 @@ def _rejected(folder: Path) -> bool:
     model, root = folder / "never.py", folder / "rejected"
     model.write_text(NEVER, encoding="utf-8")
     ended = identified("-m", *TINY, "model=function", f"model.path={model}", f"root={root}")
-    kept = list(root.glob("*/*/*/partial.json"))
+    partials = list(root.glob("*/*/*/partial.json"))
     seen = "not one evaluation gave a value" in ended.out and "gone" in ended.out
-    return seen and ended.code == 3 and len(kept) == 1 and not list(root.rglob("result.json"))
+    return seen and ended.code == 3 and len(partials) == 1 and not list(root.rglob("result.json"))
 
 
 def _exact(folder: Path) -> bool:
@@ -120,9 +124,9 @@ def _hang_up(folder: Path) -> bool:
         time.sleep(0.05)
     os.kill(sweep.pid, signal.SIGHUP)
     ended = sweep.end()
-    kept = [json.loads(path.read_bytes()) for path in root.glob("*/*/*/partial.json")]
+    partials = [json.loads(path.read_bytes()) for path in root.glob("*/*/*/partial.json")]
     seen = "interrupted" in ended.out and ended.code == 128 + signal.SIGHUP
-    return seen and len(kept) == 1 and len(kept[0]["curve"]["loss"]) > 0
+    return seen and len(partials) == 1 and len(partials[0]["curve"]["loss"]) > 0
 
 
 def _server_killed() -> bool:
