@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from filelock import FileLock
 
-from experiments.doctor import machine, results
-from experiments.doctor.__main__ import diagnose
-from experiments.doctor.check import Check, State
-from experiments.doctor.packages import package_checks
-from experiments.doctor.same_method import Pairs, same_method_twice
+from experiments import machine
+from experiments.doctor import diagnose, move_aside, package_checks, result_checks
+from experiments.machine import Check, Pairs, State, same_method_twice
 from miho import Budget, load_runs, minimize
 from miho.optim import RandomSearch
 from miho.study import Identity, Store, execute
@@ -40,14 +38,14 @@ def root_with(tmp_path: Path, runs: int = 3) -> tuple[Path, list[Path]]:
 
 
 def found(root: Path, *, quarantine: bool = False) -> dict[str, Check]:
-    return {check.name: check for check in results.result_checks(root, quarantine=quarantine)}
+    return {check.name: check for check in result_checks(root, quarantine=quarantine)}
 
 
 def test_a_sound_root(tmp_path: Path) -> None:
     root, _ = root_with(tmp_path)
     checks = found(root)
     assert {check.state for check in checks.values()} == {State.OK}
-    assert checks["runs"].told.startswith("3 finished")
+    assert checks["runs"].message.startswith("3 finished")
 
 
 def test_damaged_runs_are_moved_aside_on_request_only(tmp_path: Path) -> None:
@@ -57,7 +55,7 @@ def test_damaged_runs_are_moved_aside_on_request_only(tmp_path: Path) -> None:
     damaged = {path.name: path.read_bytes() for path in folders[1].glob("*.json")}
     checks = found(root)
     assert checks["runs"].state is State.FAILED
-    assert "1 damaged" in checks["runs"].told
+    assert "1 damaged" in checks["runs"].message
     assert curve.exists()
 
     assert found(root, quarantine=True)["runs"].state is State.OK
@@ -72,9 +70,9 @@ def test_damaged_runs_are_moved_aside_on_request_only(tmp_path: Path) -> None:
 
 def test_a_second_damage_of_one_run_gets_a_folder_of_its_own(tmp_path: Path) -> None:
     root, folders = root_with(tmp_path, runs=2)
-    first = results.move_aside(root, folders[0])
+    first = move_aside(root, folders[0])
     folders[0].mkdir(parents=True)
-    second = results.move_aside(root, folders[0])
+    second = move_aside(root, folders[0])
     assert first is not None
     assert second is not None
     assert second.name == f"{first.name}-2"
@@ -83,14 +81,14 @@ def test_a_second_damage_of_one_run_gets_a_folder_of_its_own(tmp_path: Path) -> 
 def test_nothing_in_use_or_outside_is_moved(tmp_path: Path) -> None:
     root, folders = root_with(tmp_path, runs=1)
     with FileLock(folders[0] / "lock"):
-        assert results.move_aside(root, folders[0]) is None
+        assert move_aside(root, folders[0]) is None
     outside = tmp_path / "outside"
     outside.mkdir()
-    assert results.move_aside(root, outside) is None
+    assert move_aside(root, outside) is None
     assert outside.exists()
     link = root / "decay" / "random" / FINE
     link.symlink_to(outside)
-    aside = results.move_aside(root, link)
+    aside = move_aside(root, link)
     assert aside is not None
     assert aside.is_symlink()
     assert outside.is_dir()
@@ -109,20 +107,20 @@ def test_partial_runs_temporary_files_locks_and_links(tmp_path: Path) -> None:
     with FileLock(folders[2] / "lock"):
         checks = found(root)
     assert checks["partial runs"].state is State.WARNING
-    assert str(folders[0]) in checks["partial runs"].told
-    assert checks["temporary files"].told.startswith(
+    assert str(folders[0]) in checks["partial runs"].message
+    assert checks["temporary files"].message.startswith(
         f"1 of processes that have ended: {folders[1]}/.curve.json"
     )
     assert checks["links"].state is State.FAILED
-    assert str(root / "elsewhere") in checks["links"].told
-    assert str(root / "round") in checks["links"].told
-    assert "inner" not in checks["links"].told
+    assert str(root / "elsewhere") in checks["links"].message
+    assert str(root / "round") in checks["links"].message
+    assert "inner" not in checks["links"].message
     if Path("/proc/locks").exists():
-        assert checks["running"].told == f"1 runs: {folders[2]} by process {os.getpid()}"
+        assert checks["running"].message == f"1 runs: {folders[2]} by process {os.getpid()}"
 
 
 @pytest.mark.parametrize(
-    ("line", "state", "told"),
+    ("line", "state", "message"),
     [
         ("numpy>=1", State.OK, "1 of 1 there, in range"),
         ("numpy<1", State.FAILED, r"is not <1; run make install"),
@@ -130,7 +128,7 @@ def test_partial_runs_temporary_files_locks_and_links(tmp_path: Path) -> None:
         ("no-such-package; python_version < '3'", State.OK, "0 of 0 there"),
     ],
 )
-def test_versions(tmp_path: Path, line: str, state: State, told: str) -> None:
+def test_versions(tmp_path: Path, line: str, state: State, message: str) -> None:
     pyproject = tmp_path / "pyproject.toml"
     pyproject.write_text(
         f'[project]\nrequires-python = ">=3.11"\ndependencies = ["{line}"]\n'
@@ -138,7 +136,7 @@ def test_versions(tmp_path: Path, line: str, state: State, told: str) -> None:
     )
     checks = {check.name: check for check in package_checks(pyproject)}
     assert checks["packages"].state is state
-    assert told in checks["packages"].told
+    assert message in checks["packages"].message
     absent = "no-such-package>" in line
     assert checks["extra rivals"].state is (State.OK if absent else state)
 

@@ -12,7 +12,7 @@ from miho.study import load_runs
 from tests.faults.commands import CHECKOUT, TINY, Call, called
 from tests.faults.conftest import Figures
 
-PARTS = ("miho", "baselines", "experiments", "conf", "tests/faults")
+PARTS = ("miho", "baselines", "experiments", "conf", "tests")
 CSV = "alpha,Fy\n" + "".join(f"{x / 100},{-2000 * x / 100 + 3 * (x % 3)}\n" for x in range(-30, 31))
 
 

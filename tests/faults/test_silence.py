@@ -12,7 +12,7 @@ from unittest import mock
 
 import pytest
 
-from experiments.doctor.results import result_checks
+from experiments.doctor import result_checks
 from miho.study.workers import Workers
 from tests.faults.commands import TINY, Call, begun, identified, prepare
 from tests.faults.conftest import Figures
@@ -72,7 +72,7 @@ def _deleted(folder: Path) -> bool:
     sweep = ("-m", *TINY, "seed=0,1", f"root={root}")
     identified(*sweep)
     next(root.glob("*/*/*/result.json")).unlink()
-    checked = [check.told for check in result_checks(root, quarantine=False)]
+    checked = [check.message for check in result_checks(root, quarantine=False)]
     again = identified(*sweep)
     seen = any("1 of 2 runs" in line for line in checked) and "have no result.json" in again.err
     return seen and again.code == 0 and len(list(root.glob("*/*/*/result.json"))) == 2

@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 import threadpoolctl
 
-from experiments.doctor.machine import busy_cores
-from experiments.doctor.same_method import CPU_RATIO, Pairs, evaluations_in, same_method_twice
+from experiments.machine import CPU_RATIO, Pairs, busy_cores, evaluations_in, same_method_twice
 from miho.study import single_thread
 from tests.faults.conftest import Figures, skip_if_busy
 

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from experiments.doctor.machine import busy_cores
+from experiments.machine import busy_cores
 from experiments.mirror import (
     Entry,
     Mirror,

@@ -1,19 +1,35 @@
-"""Checks of a results folder, and the moving aside of what is damaged in it."""
+"""Check the machine, the installation and a folder of results; one line for each check.
+
+python -m experiments.doctor                          # machine and packages
+python -m experiments.doctor runs/identify            # its runs as well
+python -m experiments.doctor runs/identify --quarantine
+python -m experiments.doctor --timing                 # the A/A test too, some five seconds
+
+Exit codes: 0 nothing has to be mended, 2 no such folder, 3 something failed.
+"""
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import datetime
 import json
 import os
+import platform
 import re
+import tomllib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from itertools import chain
 from pathlib import Path
 
 from filelock import FileLock, Timeout
+from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 
-from experiments.doctor.check import Check, State
+from experiments.cli import OK, SOME_FAILED, guarded
+from experiments.machine import Check, State, machine_checks
 from experiments.manifest import missing_runs
 from miho.study import Runs, load_runs
 from miho.study.environment import ARITHMETIC
@@ -28,11 +44,83 @@ from miho.study.files import (
 )
 from miho.study.places import below
 
+PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
+NEEDED = "experiments"
+"""The extra without which no command runs; what others lack is said, and no fault."""
 QUARANTINE = ".quarantine"
 TEMPORARY = re.compile(r"\..+\.(\d+)")
 """What `write_text` calls a file until it is whole: .NAME.PID."""
 
 LOCK, SHOWN = "lock", 3
+CALLED = {"processor": "kinds of CPU", "blas": "kernels of BLAS", "simd": "sets of SIMD"}
+"""What `ARITHMETIC` names, in words."""
+
+
+def diagnose(arguments: Sequence[str] | None = None) -> int:
+    """Print the checks as they are made; the exit code."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.doctor",
+        description="Check this machine, the installed packages and a folder of results.",
+    )
+    parser.add_argument("root", type=Path, nargs="?", metavar="ROOT", help="a folder of runs")
+    parser.add_argument(
+        "--quarantine",
+        action="store_true",
+        help="move damaged runs to ROOT/.quarantine; nothing is deleted",
+    )
+    parser.add_argument("--timing", action="store_true", help="compare a method with itself")
+    chosen = parser.parse_args(arguments)
+    if chosen.quarantine and chosen.root is None:
+        parser.error("--quarantine needs the ROOT of the runs")
+    if chosen.root is not None and not chosen.root.is_dir():
+        raise FileNotFoundError(f"{chosen.root}: no such folder of runs; check its name")
+    checks = [machine_checks(chosen.root or Path(), timing=chosen.timing), package_checks()]
+    if chosen.root is not None:
+        checks.append(result_checks(chosen.root, quarantine=chosen.quarantine))
+    done: list[Check] = []
+    for check in chain.from_iterable(checks):
+        print(check.line, flush=True)
+        done.append(check)
+    failed = sum(check.state is State.FAILED for check in done)
+    warned = sum(check.state is State.WARNING for check in done)
+    print(f"{len(done)} checks: {failed} failed, {warned} warnings")
+    return SOME_FAILED if failed else OK
+
+
+def package_checks(pyproject: Path = PYPROJECT) -> Iterator[Check]:
+    """Python, the dependencies, and each extra."""
+    project = tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"]
+    wanted, found = SpecifierSet(project["requires-python"]), platform.python_version()
+    if found in wanted:
+        yield Check("python", State.OK, found)
+    else:
+        yield Check("python", State.FAILED, f"{found}; install one that is {wanted}")
+    yield _group("packages", project["dependencies"], needed=True)
+    for extra, lines in project.get("optional-dependencies", {}).items():
+        yield _group(f"extra {extra}", lines, needed=extra == NEEDED)
+
+
+def _group(name: str, lines: list[str], *, needed: bool) -> Check:
+    """Requirements that are met, missing or met by a version out of range."""
+    absent, wrong = [], []
+    requirements = [Requirement(line) for line in lines]
+    here = [one for one in requirements if one.marker is None or one.marker.evaluate()]
+    for requirement in here:
+        try:
+            found = version(requirement.name)
+        except PackageNotFoundError:
+            absent.append(str(requirement))
+            continue
+        if not requirement.specifier.contains(found, prereleases=True):
+            wrong.append(f"{requirement.name} {found} is not {requirement.specifier}")
+    there = len(here) - len(absent)
+    message = f"{there} of {len(here)} there"
+    if wrong or (absent and needed):
+        found_wrong = [*wrong, *(f"{one} is missing" for one in absent if needed)]
+        return Check(name, State.FAILED, f"{message}: {', '.join(found_wrong)}; run make install")
+    if absent:
+        return Check(name, State.OK, f"{message}; without {', '.join(absent)}")
+    return Check(name, State.OK, f"{message}, in range")
 
 
 def result_checks(root: Path, *, quarantine: bool) -> Iterator[Check]:
@@ -64,27 +152,27 @@ def contents(root: Path) -> tuple[list[Path], list[Path]]:
 
 def runs(root: Path, found: Runs, *, quarantine: bool) -> Check:
     """Finished runs, and those whose files do not match their checksums."""
-    told = f"{len(found.runs)} finished, {len(found.curves):,} rows of curves"
+    message = f"{len(found.runs)} finished, {len(found.curves):,} rows of curves"
     damaged = found.damaged
     if damaged.empty:
-        return Check("runs", State.OK, told)
-    told = f"{told}, {len(damaged)} damaged: {_some(damaged['reason'].tolist())}"
+        return Check("runs", State.OK, message)
+    message = f"{message}, {len(damaged)} damaged: {_some(damaged['reason'].tolist())}"
     if not quarantine:
-        return Check("runs", State.FAILED, f"{told}; --quarantine moves them aside")
+        return Check("runs", State.FAILED, f"{message}; --quarantine moves them aside")
     moved = [move_aside(root, Path(folder)) for folder in damaged["folder"]]
     kept = [folder for folder, to in zip(damaged["folder"], moved, strict=True) if to is None]
-    told = f"{told}; moved {len(moved) - len(kept)} to {root / QUARANTINE}"
+    message = f"{message}; moved {len(moved) - len(kept)} to {root / QUARANTINE}"
     if kept:
-        return Check("runs", State.FAILED, f"{told}, left {_some(kept)}: in use or outside")
-    return Check("runs", State.OK, f"{told}; the next sweep runs them again")
+        return Check("runs", State.FAILED, f"{message}, left {_some(kept)}: in use or outside")
+    return Check("runs", State.OK, f"{message}; the next sweep runs them again")
 
 
 def missing(root: Path) -> Check:
     """Runs that sweeps consisted of and that have no result."""
-    told = missing_runs(root)
-    if told is None:
+    message = missing_runs(root)
+    if message is None:
         return Check("missing runs", State.OK, "none")
-    return Check("missing runs", State.WARNING, told)
+    return Check("missing runs", State.WARNING, message)
 
 
 def arithmetic(folders: Iterable[str]) -> Check:
@@ -96,19 +184,15 @@ def arithmetic(folders: Iterable[str]) -> Check:
             for name, counts in kinds.items():
                 if environment.get(name):
                     counts[json.dumps(environment[name])] += 1
-    told = [
+    message = [
         f"{len(counts)} {CALLED[name]} ({', '.join(str(n) for n in counts.values())} runs)"
         for name, counts in kinds.items()
         if len(counts) > 1
     ]
-    if not told:
+    if not message:
         return Check("arithmetic", State.OK, "one CPU and one kernel of BLAS, as far as runs say")
     bits = "the same seed need not give the same bits"
-    return Check("arithmetic", State.WARNING, f"runs of {' and '.join(told)}: {bits}")
-
-
-CALLED = {"processor": "kinds of CPU", "blas": "kernels of BLAS", "simd": "sets of SIMD"}
-"""What `ARITHMETIC` names, in words."""
+    return Check("arithmetic", State.WARNING, f"runs of {' and '.join(message)}: {bits}")
 
 
 def move_aside(root: Path, folder: Path) -> Path | None:
@@ -142,8 +226,8 @@ def partial(files: Sequence[Path]) -> Check:
     found -= {path.parent for path in files if path.name == RESULT}
     if not found:
         return Check("partial runs", State.OK, "none")
-    told = f"{len(found)} interrupted or failed: {_some(found)}; the next sweep runs them again"
-    return Check("partial runs", State.WARNING, told)
+    message = f"{len(found)} interrupted or failed: {_some(found)}; the next sweep runs them again"
+    return Check("partial runs", State.WARNING, message)
 
 
 def temporary(files: Sequence[Path]) -> Check:
@@ -155,8 +239,8 @@ def temporary(files: Sequence[Path]) -> Check:
             stale.append(path)
     if not stale:
         return Check("temporary files", State.OK, "none of processes that have ended")
-    told = f"{len(stale)} of processes that have ended: {_some(stale)}; they can be deleted"
-    return Check("temporary files", State.WARNING, told)
+    message = f"{len(stale)} of processes that have ended: {_some(stale)}; they can be deleted"
+    return Check("temporary files", State.WARNING, message)
 
 
 def locks(files: Sequence[Path]) -> Check:
@@ -184,8 +268,10 @@ def leading_out(root: Path, links: Sequence[Path]) -> Check:
     out = [link for link in links if not below(link, root)]
     if not out:
         return Check("links", State.OK, "none leads out")
-    told = f"{len(out)} lead out of {root} or nowhere: {_some(out)}; remove them, none is followed"
-    return Check("links", State.FAILED, told)
+    message = (
+        f"{len(out)} lead out of {root} or nowhere: {_some(out)}; remove them, none is followed"
+    )
+    return Check("links", State.FAILED, message)
 
 
 def _alive(process: int) -> bool:
@@ -203,3 +289,13 @@ def _some(things: Sequence[object] | set[Path]) -> str:
     named = sorted(map(str, things))
     more = f" and {len(named) - SHOWN} more" * (len(named) > SHOWN)
     return ", ".join(named[:SHOWN]) + more
+
+
+def main() -> None:
+    """Diagnose, and exit with the code that fits."""
+    codes: list[int] = []
+    guarded(lambda: codes.append(diagnose()), lambda: codes[0])
+
+
+if __name__ == "__main__":
+    main()

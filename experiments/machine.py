@@ -1,0 +1,254 @@
+"""Can seconds be measured on this machine now: checks of it, and a method against itself."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+import threadpoolctl
+from numpy.typing import NDArray
+
+from miho.optim import Budget, Parameter, Problem, RandomSearch, RunRecord, Space, minimize
+from miho.study import single_thread
+from miho.study.environment import machine_seconds
+from miho.study.validity import Kernel, stamped
+
+Array = NDArray[np.float64]
+
+PAIRS, SECONDS = 40, 0.02
+CPU_RATIO, WALL_RATIO = (0.95, 1.05), (0.90, 1.10)
+IDLE_SECONDS, BUSY_CORES = 0.3, 0.25
+READINGS, RESOLUTION = 20_000, 1e-6
+KERNELS, STEADY = 30, 1.1
+ENOUGH_VALID = 0.5
+ENOUGH, LITTLE = 2**30, 100 * 2**20
+
+
+class State(StrEnum):
+    """How bad it is: nothing, worth knowing, or something to mend."""
+
+    OK = "ok"
+    WARNING = "warning"
+    FAILED = "failed"
+
+
+@dataclass(frozen=True)
+class Check:
+    """What was looked at, how it is, and what was seen and is to be done."""
+
+    name: str
+    state: State
+    message: str
+
+    @property
+    def line(self) -> str:
+        """For the terminal."""
+        return f"{self.name:<18} {self.state:<8} {self.message}"
+
+
+def machine_checks(place: Path, *, timing: bool) -> Iterator[Check]:
+    """One check after the other; `place` is where results go, `timing` runs the A/A test too."""
+    yield cores()
+    yield threads()
+    yield load()
+    yield clock()
+    yield disk(place)
+    yield speed()
+    yield same_method() if timing else Check("A/A test", State.OK, "not run; --timing runs it")
+
+
+def cores() -> Check:
+    """All cores, and those that this process may use."""
+    total = os.cpu_count() or 1
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else total
+    message = f"{usable} of {total}"
+    if usable == 1:
+        return Check(
+            "cores", State.WARNING, f"{message}; anything else that runs disturbs a timing"
+        )
+    return Check("cores", State.OK, message)
+
+
+def threads() -> Check:
+    """Whether the numerical libraries can be held to one thread."""
+    with single_thread():
+        pools = threadpoolctl.threadpool_info()
+    several = [
+        f"{pool['prefix']} {pool['num_threads']}" for pool in pools if pool["num_threads"] > 1
+    ]
+    if several:
+        message = f"{', '.join(several)} although one was asked for; set OMP_NUM_THREADS=1"
+        return Check("threads", State.FAILED, message)
+    names = ", ".join(sorted({pool["prefix"] for pool in pools})) or "no library found"
+    return Check("threads", State.OK, f"one in a run ({names})")
+
+
+def busy_cores(seconds: float = IDLE_SECONDS) -> float | None:
+    """How many cores the rest of the machine keeps busy while we sleep; None if nobody counts."""
+    before, started = machine_seconds(), time.perf_counter()
+    time.sleep(seconds)
+    after, took = machine_seconds(), time.perf_counter() - started
+    return None if before is None or after is None else (after - before) / took
+
+
+def load() -> Check:
+    """How many cores other work keeps busy, and the load average."""
+    busy = busy_cores()
+    averages = os.getloadavg() if hasattr(os, "getloadavg") else None
+    message = f"load average {averages[0]:.2f}" if averages else "no load average here"
+    if busy is None:
+        return Check("load", State.OK, message)
+    message = f"other work keeps {busy:.2f} cores busy, {message}"
+    if busy > BUSY_CORES:
+        return Check("load", State.WARNING, f"{message}; time nothing until it has ended")
+    return Check("load", State.OK, message)
+
+
+def clock() -> Check:
+    """Whether the clock of all durations never falls, and how finely it ticks."""
+    readings = np.array([time.perf_counter() for _ in range(READINGS)])
+    steps = np.diff(readings)
+    finest = float(steps[steps > 0].min()) if (steps > 0).any() else float("inf")
+    info = time.get_clock_info("perf_counter")
+    message = f"{info.implementation}, finest step {finest * 1e9:.0f} ns"
+    if (steps < 0).any() or not info.monotonic:
+        return Check("clock", State.FAILED, f"{message}; it falls: no duration can be trusted")
+    if finest > RESOLUTION:
+        return Check("clock", State.WARNING, f"{message}; short runs cannot be timed")
+    return Check("clock", State.OK, message)
+
+
+def disk(place: Path) -> Check:
+    """Free space where the results go."""
+    free = shutil.disk_usage(place).free
+    message = f"{free / 2**30:.1f} GiB free for {place}"
+    if free < LITTLE:
+        return Check("disk", State.FAILED, f"{message}; make room before the next run")
+    if free < ENOUGH:
+        return Check("disk", State.WARNING, f"{message}; a large sweep may not fit")
+    return Check("disk", State.OK, message)
+
+
+def speed() -> Check:
+    """Whether fixed work takes the same time again and again."""
+    kernel = Kernel()
+    took = []
+    for _ in range(KERNELS):
+        kernel.measure()
+        took.append(kernel.last)
+    spread = float(np.median(took) / min(took))
+    message = f"fixed work {min(took) * 1e3:.3f} ms at best, median {spread:.2f} times that"
+    if spread > STEADY:
+        return Check(
+            "speed", State.WARNING, f"{message}; the cores are shared or change their clock"
+        )
+    return Check("speed", State.OK, message)
+
+
+def same_method() -> Check:
+    """One optimizer under two names, interleaved: 40 runs of 20 ms each."""
+    found = same_method_twice(evaluations_in())
+    message = (
+        f"one method by two names: CPU {found.cpu_ratio:.3f}, wall {found.wall_ratio:.3f}, "
+        f"{int(found.valid.sum())} of {found.valid.size} runs valid"
+    )
+    if found.valid.mean() < ENOUGH_VALID:
+        return Check("A/A test", State.WARNING, f"{message}; not judged, the machine is busy")
+    if found.outside():
+        message += f"; {' and '.join(found.outside())}: compare no seconds on this machine now"
+        return Check("A/A test", State.FAILED, message)
+    return Check("A/A test", State.OK, message)
+
+
+class Waves(Problem):
+    """Mean square of sines at 200 points over (n, 3) amplitudes: some microseconds a row."""
+
+    name = "waves"
+    space = Space(tuple(Parameter(name, "-", -1.0, 1.0) for name in "abc"))
+
+    def __init__(self) -> None:
+        self._basis = np.sin(np.outer([1.0, 2.0, 3.0], np.linspace(0.0, 6.0, 200)))
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Losses (n,)."""
+        values = np.sin(thetas[:, :1] * self._basis[0]) + thetas[:, 1:2] * self._basis[1]
+        return np.asarray(((values + thetas[:, 2:] * self._basis[2]) ** 2).mean(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Seconds (n, 2) of wall and CPU time under two names, and whether each run was valid."""
+
+    wall: Array
+    cpu: Array
+    valid: NDArray[np.bool_]
+
+    @property
+    def cpu_ratio(self) -> float:
+        """Total CPU time of the first name by that of the second."""
+        return _ratio(self.cpu)
+
+    @property
+    def wall_ratio(self) -> float:
+        """Total wall time of the first name by that of the second."""
+        return _ratio(self.wall)
+
+    def outside(self) -> list[str]:
+        """The ratios that leave their intervals, in words."""
+        wrong = []
+        for name, ratio, (low, high) in (
+            ("CPU", self.cpu_ratio, CPU_RATIO),
+            ("wall", self.wall_ratio, WALL_RATIO),
+        ):
+            if not low <= ratio <= high:
+                wrong.append(f"{name} ratio {ratio:.3f} outside {low:g} to {high:g}")
+        return wrong
+
+
+def same_method_twice(
+    evaluations: int,
+    pairs: int = PAIRS,
+    *,
+    interleaved: bool = True,
+    halfway: Callable[[], None] | None = None,
+) -> Pairs:
+    """Random search by two names, `pairs` times each: ABBA in turn, or all of A before all of B.
+
+    `halfway` is called between the first half of all runs and the second.
+    """
+    order = [(pair, name) for pair in range(pairs) for name in ((0, 1), (1, 0))[pair % 2]]
+    if not interleaved:
+        order.sort(key=lambda run: run[1])
+    wall, cpu = np.empty((pairs, 2)), np.empty((pairs, 2))
+    valid = np.zeros((pairs, 2), bool)
+    for number, (pair, name) in enumerate(order):
+        if number == pairs and halfway is not None:
+            halfway()
+        with single_thread(), stamped() as stamp:
+            record = _search(pair, Budget(evaluations=evaluations))
+        wall[pair, name], cpu[pair, name] = record.seconds, record.cpu_seconds
+        valid[pair, name] = stamp.judge(record.seconds, record.cpu_seconds).valid
+    return Pairs(wall, cpu, valid)
+
+
+def evaluations_in(seconds: float = SECONDS) -> int:
+    """How many evaluations take so much CPU time here."""
+    with single_thread():
+        record = _search(0, Budget(evaluations=5000))
+        record = _search(0, Budget(evaluations=5000))
+    return max(1, int(5000 * seconds / record.cpu_seconds))
+
+
+def _search(seed: int, budget: Budget) -> RunRecord:
+    return minimize(RandomSearch(batch=100), Waves(), budget, seed)
+
+
+def _ratio(seconds: Array) -> float:
+    first, second = seconds.sum(axis=0)
+    return float(first / second)
