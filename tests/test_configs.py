@@ -9,8 +9,8 @@ import pytest
 from omegaconf import OmegaConf
 
 from experiments.arena import chosen_method
-from experiments.benchmarks.published_problems import BOXES, files, problems
 from experiments.build import ConfigError, build, build_optimizer
+from experiments.check.published_problems import BOXES, files, problems
 from experiments.cli import composed
 from experiments.schema import register
 from miho.data import published_names
@@ -154,7 +154,7 @@ QUICK = {"nist_nelson_log"}
 
 
 def test_published_problems_are_as_their_rule_says() -> None:
-    """Their files are written by it: `python -m experiments.benchmarks.published_problems`."""
+    """Their files are written by it: `python -m experiments.check.published_problems`."""
     for file, text in files().items():
         assert file.read_text(encoding="utf-8") == text, file.name
 

@@ -10,7 +10,7 @@ shrunk to its rows and halved in the same way. A box is split at the middle of a
 median, so that a few rows far out are a half; of the inputs along which it is long, at the one
 whose halves hold the most different numbers of rows. What determines a parameter without being far
 out in an input, such as the first moments of a transient, is as rare here as it is at random.
-`experiments.benchmarks.row_order` compares this order with others.
+`experiments.check.row_order` compares this order with others.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """One method under two names: statistics that find a difference here find one anywhere.
 
-python -m experiments.benchmarks.aa_check [METHOD]
+python -m experiments.check.aa [METHOD]
 
 Runs the method (default pso_constriction) 20 times on each problem of the arena, on two cores in
 some four minutes. Runs with even and odd seeds go by the names A and B. Exits with 1 if Wilcoxon's

@@ -1,13 +1,13 @@
 """How far the optimum of the first rows is from that of all, for several orders of the rows.
 
-python -m experiments.benchmarks.row_order [--orders 20] [--problems tire_lf,rare_load]
+python -m experiments.check.row_order [--orders 20] [--problems tire_lf,rare_load]
 
 For the first 4, 12 and 36 rows per parameter: least squares on them from the optimum of all rows,
 and how much larger the loss over all rows is there, in percent: median and, behind it, 90 % of
 `--orders` orders. `seen` is the share of orders whose first 4 rows per parameter have derivatives
 of full rank. The orders: at random; by rank, a low-discrepancy sequence over the sorted first
 input; by value, covering rows only; alternating, every second row a covering one; and the one in
-use, with sqrt(m) covering rows among m. In the made-up problems one row in a hundred alone
+use, with sqrt(m) covering rows among m. In the synthetic problems one row in a hundred alone
 determines a parameter (rare), inputs are clustered, skewed over six decades, constant or repeat a
 few values, and the model is wrong where rows are rare (wrong). Of what it prints (20 orders):
 
@@ -120,7 +120,7 @@ def scaled_decay(x: "-", z: "-", *, a: "-", b: "-", c: "-") -> "-":
     return a * z * np.exp(-b * x) + c
 
 
-MADE: dict[str, tuple[Callable[..., Array], tuple[float, ...], float]] = {
+SYNTHETIC: dict[str, tuple[Callable[..., Array], tuple[float, ...], float]] = {
     "rare": (rare_slope, (1.0, 2.0, 3.0), 0.02),
     "rare_load": (rare_load, (12.0, 1.4, 1.0, 0.08, 0.05), 0.1),
     "clusters": (decay, (1.0, 8.0, 0.2), 0.02),
@@ -130,11 +130,11 @@ MADE: dict[str, tuple[Callable[..., Array], tuple[float, ...], float]] = {
     "duplicates": (decay, (1.0, 4.0, 0.2), 0.05),
     "wrong": (line, (0.0, 1.0), 0.05),
 }
-"""Made-up problems: function, parameters and the noise's standard deviation."""
+"""Synthetic problems: function, parameters and the noise's standard deviation."""
 
 
 def inputs_of(name: str, rng: np.random.Generator) -> tuple[Array, ...]:
-    """The inputs of a made-up problem."""
+    """The inputs of a synthetic problem."""
     u, v = rng.random((2, ROWS))
     rare = rng.random(ROWS) < RARE
     return {
@@ -149,9 +149,9 @@ def inputs_of(name: str, rng: np.random.Generator) -> tuple[Array, ...]:
     }[name]
 
 
-def made(name: str) -> CurveFit:
-    """A made-up problem; `wrong` has a cubic part that its model lacks."""
-    function, truth, noise = MADE[name]
+def synthetic(name: str) -> CurveFit:
+    """A synthetic problem; `wrong` has a cubic part that its model lacks."""
+    function, truth, noise = SYNTHETIC[name]
     rng = stream("row order", name)
     inputs = inputs_of(name, rng)
     model = FunctionModel(function)
@@ -184,8 +184,8 @@ def descended(problem: CurveFit, theta: Array, rows: Rows | slice = slice(None))
 
 def optimum(name: str, problem: CurveFit) -> Array:
     """The optimum over all rows: from the truth, or the best end of screened starts."""
-    if name in MADE:
-        return descended(problem, np.array(MADE[name][1]))
+    if name in SYNTHETIC:
+        return descended(problem, np.array(SYNTHETIC[name][1]))
     thetas = problem.space.decode(problem.space.initial(500))
     starts = thetas[np.argsort(problem.loss(thetas))[:10]]
     ends = np.array([descended(problem, theta) for theta in starts])
@@ -201,11 +201,25 @@ def full_rank(problem: CurveFit, theta: Array, rows: Rows) -> bool:
     return bool(singular[-1] > SINGULAR * singular[0])
 
 
+def figures(
+    name: str, problem: CurveFit, best: Array, kind: str, orders: int
+) -> tuple[list[bool], list[Array]]:
+    """Of each order: whether its first rows tell all parameters apart, and percent more loss."""
+    d, least = len(problem.space), problem.loss(best[None])[0]
+    seen, more = [], []
+    for seed in range(orders):
+        order = ORDERS[kind](problem.inputs, stream("order", name, seed))
+        seen.append(full_rank(problem, best, order[: 4 * d]))
+        ends = np.array([descended(problem, best, order[: k * d]) for k in PER_PARAMETER])
+        more.append(100 * (problem.loss(ends) / least - 1))
+    return seen, more
+
+
 def main() -> None:
     """Print a line for each problem and order."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
     parser.add_argument("--orders", type=int, default=20, help="orders of each kind")
-    parser.add_argument("--problems", default=",".join((*MADE, *ARENA)))
+    parser.add_argument("--problems", default=",".join((*SYNTHETIC, *ARENA)))
     arguments = parser.parse_args()
 
     def job() -> None:
@@ -215,19 +229,13 @@ def main() -> None:
         with single_thread(), np.errstate(all="ignore"):
             for name in arguments.problems.split(","):
                 problem = (
-                    made(name) if name in MADE else build_problem(composed([f"problem={name}"]))
+                    synthetic(name)
+                    if name in SYNTHETIC
+                    else build_problem(composed([f"problem={name}"]))
                 )
-                best, d = optimum(name, problem), len(problem.space)
-                least = problem.loss(best[None])[0]
-                for kind, order_of in ORDERS.items():
-                    seen, more = [], []
-                    for seed in range(arguments.orders):
-                        order = order_of(problem.inputs, stream("order", name, seed))
-                        seen.append(full_rank(problem, best, order[: 4 * d]))
-                        ends = np.array(
-                            [descended(problem, best, order[: k * d]) for k in PER_PARAMETER]
-                        )
-                        more.append(100 * (problem.loss(ends) / least - 1))
+                best = optimum(name, problem)
+                for kind in ORDERS:
+                    seen, more = figures(name, problem, best, kind, arguments.orders)
                     middle, high = np.quantile(more, [0.5, 0.9], axis=0)
                     cells = "".join(
                         f"{a:>11.3g}{b:>11.3g}" for a, b in zip(middle, high, strict=True)

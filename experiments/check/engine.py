@@ -1,6 +1,6 @@
 """How well curves and map of the engine are identified, and where a cubic can be.
 
-    python -m experiments.benchmarks.engine_check [FOLDER]
+    python -m experiments.check.engine [FOLDER]
 
 First the embedded data, whose truth is known: the three learned curves, and the map with and
 without them. Then, if there is a measured engine in the folder engine of FOLDER (else of
@@ -9,14 +9,13 @@ MIHO_DATA_DIR, else of ../shared/data beside the checkout), what the best cubic 
 
 from __future__ import annotations
 
-import os
-import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from experiments.check import reference_data
 from experiments.engine import Engine, identify_engine, truth_error
 from miho.data.synthetic_engine import true_torque
 from miho.models import EngineMap, TorqueCubic
@@ -101,20 +100,18 @@ def show(title: str, table: pd.DataFrame) -> None:
     print(f"{title}\n\n{table.to_string(index=False, float_format='%.3g')}\n")
 
 
-def main() -> int:
+def main() -> None:
     """Print the tables."""
     engine = identify_engine()
     show("Learned curves, embedded drive [Nm]", curves(engine))
     show("Maps against the true engine, 1300 to 6500 rpm [Nm]", maps(engine))
-    default = Path(__file__).parents[3] / "shared" / "data"
-    named = sys.argv[1] if len(sys.argv) > 1 else os.environ.get("MIHO_DATA_DIR", default)
-    files = sorted((Path(named) / "engine").glob("*.csv"))
+    folder = reference_data() / "engine"
+    files = sorted(folder.glob("*.csv"))
     for file in files:
         show(f"What the best cubic leaves of {file.stem} [Nm]", measured(file))
     if not files:
-        print(f"no measured engine in {named}; set MIHO_DATA_DIR to the folder of engine")
-    return 0
+        print(f"no measured engine in {folder}; set MIHO_DATA_DIR to the folder of engine")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

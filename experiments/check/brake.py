@@ -1,6 +1,6 @@
 """What the brake models are worth: round trips, recovered parameters, a law from a driving log.
 
-    python -m experiments.benchmarks.brake_check [FOLDER]
+    python -m experiments.check.brake [FOLDER]
 
 The embedded brake test is identified by multi-start least squares and compared with the brake
 that made it. The driving log is av21_putnam in FOLDER, else in MIHO_DATA_DIR, else in
@@ -11,8 +11,6 @@ errors of independent samples stand intervals of a bootstrap over whole brakings
 
 from __future__ import annotations
 
-import os
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from experiments.build import build
+from experiments.check import reference_data
 from experiments.cli import composed, guarded
 from experiments.schema import register
 from miho.data import Dataset, DrivingLog, load_driving_log
@@ -41,6 +40,24 @@ def main() -> None:
     """Print all figures."""
     register()
     print("Embedded test: parameters")
+    table, identified = embedded_test()
+    print(table.to_string(index=False, float_format="%.4g"))
+    print(f"{'bias':>20} {identified.bias:.5f}, true {EMBEDDED_BRAKE.bias:.5f}")
+    round_trips(identified)
+
+    path = reference_data() / FILE
+    if not path.is_file():
+        print(f"\nDriving log: none at {path}; set MIHO_DATA_DIR to the folder of av21_putnam")
+        return
+    driving(path)
+
+
+CURVE = ("u0", "u1", "P_max", "n")
+RESPONSE = ("delay", "tau_rise", "tau_fall")
+
+
+def embedded_test() -> tuple[pd.DataFrame, Brake]:
+    """All parameters beside the true ones, and the brake they make."""
     found = [
         fit("brake_pressure", {name: getattr(EMBEDDED_BRAKE, name) for name in CURVE}),
         fit("brake_torque", {"K": EMBEDDED_BRAKE.K_front, "P0": EMBEDDED_BRAKE.P0_front}),
@@ -52,7 +69,6 @@ def main() -> None:
         fit("brake_step", {name: getattr(EMBEDDED_BRAKE, name) for name in RESPONSE}),
         fit("brake_deceleration", true_law()),
     ]
-    print(pd.concat(found).to_string(index=False, float_format="%.4g"))
     curve, front, rear, response = (frame["found"] for frame in found[:4])
     identified = replace(
         EMBEDDED_BRAKE,
@@ -60,20 +76,7 @@ def main() -> None:
         **dict(zip(("K_front", "P0_front", "K_rear", "P0_rear"), (*front, *rear), strict=True)),
         bias=bias(build(composed(["dataset=brake_pressure"])).problem.dataset),
     )
-    print(f"{'bias':>20} {identified.bias:.5f}, true {EMBEDDED_BRAKE.bias:.5f}")
-    round_trips(identified)
-
-    default = Path(__file__).parents[3] / "shared" / "data"
-    named = sys.argv[1] if len(sys.argv) > 1 else os.environ.get("MIHO_DATA_DIR", default)
-    path = Path(named) / FILE
-    if not path.is_file():
-        print(f"\nDriving log: none at {path}; set MIHO_DATA_DIR to the folder of av21_putnam")
-        return
-    driving(path)
-
-
-CURVE = ("u0", "u1", "P_max", "n")
-RESPONSE = ("delay", "tau_rise", "tau_fall")
+    return pd.concat(found), identified
 
 
 def true_law() -> dict[str, float]:
@@ -126,13 +129,10 @@ def bias(dataset: Dataset) -> float:
 
 def round_trips(identified: Brake) -> None:
     """Force to command to force, of the model alone and against the true brake."""
-    largest = min(EMBEDDED_BRAKE.largest_force, identified.largest_force)
-    forces = np.geomspace(1e-3 * largest, largest, 20_000)
-    command = identified.command(forces)
-    own = np.abs(identified.force(command.u) / forces - 1)
+    forces, own, error = round_trip_errors(identified)
+    largest = forces[-1]
     print("\nRound trip force -> command -> force")
     print(f"  model alone, {forces[0]:.0f} to {largest:.0f} N: at most {own.max():.1e} relative")
-    error = np.abs(EMBEDDED_BRAKE.force(command.u) / forces - 1)
     for share in (0.005, 0.01, 0.02, 0.05, 0.1):
         used = forces >= share * largest
         print(
@@ -142,6 +142,17 @@ def round_trips(identified: Brake) -> None:
     above = forces[np.flatnonzero(error > 0.01)[-1] + 1] if (error > 0.01).any() else forces[0]
     print(f"  within 1 % from {above:.0f} N, {100 * above / largest:.2f} % of {largest:.0f} N")
     print(f"  largest error {(error * forces).max():.1f} N; beyond, the brake is saturated")
+
+
+def round_trip_errors(identified: Brake) -> tuple[Array, Array, Array]:
+    """Forces [N] (n,), and relative errors of what comes back: from the model, the true brake."""
+    largest = min(EMBEDDED_BRAKE.largest_force, identified.largest_force)
+    forces = np.geomspace(1e-3 * largest, largest, 20_000)
+    command = identified.command(forces)
+    own, true = (
+        np.abs(brake.force(command.u) / forces - 1) for brake in (identified, EMBEDDED_BRAKE)
+    )
+    return forces, own, true
 
 
 def driving(path: Path) -> None:

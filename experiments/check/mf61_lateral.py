@@ -1,6 +1,6 @@
 """How well MF 6.1 lateral coefficients are identified, written, simplified and rebuilt.
 
-    python -m experiments.benchmarks.mf61_lateral_check [FOLDER]
+    python -m experiments.check.mf61_lateral [FOLDER]
 
 For each embedded tire, and for the MF 6.1 tire in the folder mf_reference of FOLDER (else of
 MIHO_DATA_DIR, else of ../shared/data beside the checkout) if it is there: 27 coefficients from
@@ -10,8 +10,6 @@ judged against the tire itself at loads and cambers that were not in the data.
 
 from __future__ import annotations
 
-import os
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +22,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from experiments.build import build, build_space
+from experiments.check import reference_data
 from experiments.cli import composed
 from experiments.schema import register
 from miho.data import embedded_tire, sample_axle, sample_lateral
@@ -60,7 +59,13 @@ def bare(tire: MagicFormula) -> LateralMagicFormula:
     return model
 
 
-def identification(path: Path, space: Space) -> dict[str, object]:
+def configured_space() -> Space:
+    """That of conf/space/mf61_lateral."""
+    chosen = composed(["model=mf61_lateral", "space=mf61_lateral"]).space
+    return build_space({str(k): dict(v) for k, v in chosen.items()})
+
+
+def identification(path: Path, space: Space, starts: int = STARTS) -> dict[str, object]:
     """Uniform starts on one tire: how many succeed, how good the best is, what it took."""
     tire, data = load_tir(path), sample_lateral(str(path), strict=False)
     problem = CurveFit(bare(tire), data, space)
@@ -72,7 +77,7 @@ def identification(path: Path, space: Space) -> dict[str, object]:
     peak = np.abs(truth).max()
     rng = np.random.default_rng(0)
     errors, seconds, unseen = [], [], []
-    for start in rng.uniform(space.low, space.high, (STARTS, len(space))):
+    for start in rng.uniform(space.low, space.high, (starts, len(space))):
         began = process_time()
         found = scipy.optimize.least_squares(
             problem.residuals, start, jac=problem.jacobian, bounds=(space.low, space.high),
@@ -87,7 +92,7 @@ def identification(path: Path, space: Space) -> dict[str, object]:
     return {
         "tire": path.stem,
         "peak [N]": round(float(peak)),
-        "starts that succeed": f"{success.sum()} of {STARTS}",
+        "starts that succeed": f"{success.sum()} of {starts}",
         "training RMSE [N]": errors[best],
         "unseen RMSE against the tire [% of peak]": unseen[best],
         "median CPU s per start": float(np.median(seconds)),
@@ -198,34 +203,30 @@ def axles() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def main() -> int:
+def main() -> None:
     """Print all figures, with one thread."""
     with threadpool_limits(1):
-        return figures()
+        figures()
 
 
-def figures() -> int:
+def figures() -> None:
     """All figures."""
     register()
-    default = Path(__file__).parents[3] / "shared" / "data"
-    named = sys.argv[1] if len(sys.argv) > 1 else os.environ.get("MIHO_DATA_DIR", default)
     tires = [embedded_tire(name) for name in ("lf", "rf", "lr", "rr")]
     tires += [
         path
-        for path in sorted((Path(named) / "mf_reference").glob("*.tir"))
+        for path in sorted((reference_data() / "mf_reference").glob("*.tir"))
         if load_tir(path).parameters.version == "6.1"
     ]
     print(f"{len(UNITS)} coefficients of MF 6.1 from 3000 samples with 50 N of noise")
-    chosen = composed(["model=mf61_lateral", "space=mf61_lateral"]).space
-    space = build_space({str(k): dict(v) for k, v in chosen.items()})
+    space = configured_space()
     print(pd.DataFrame([identification(path, space) for path in tires]).to_string(index=False))
     whole_run()
     print("\nsimple curves of 5 loads x 5 cambers x 3 pressures: largest error over each peak")
     print(pd.DataFrame([round_trips(path) for path in tires]).to_string(index=False))
     print("\naxles")
     print(axles().to_string(index=False, float_format="%.4g"))
-    return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

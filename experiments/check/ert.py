@@ -1,6 +1,6 @@
 """Our expected running times against iohinspector's, on the same export.
 
-python -m experiments.benchmarks.ert_check ROOT     # after pip install 'miho[crosscheck]'
+python -m experiments.check.ert ROOT     # after pip install 'miho[crosscheck]'
 
 Exports the last comparison below ROOT in the IOHprofiler format, reads it with iohinspector and
 compares expected running time and success rate of every method on every problem, at four targets.
@@ -32,7 +32,7 @@ PAIRS = (("ert", "ERT"), ("success", "success_ratio"))
 
 def main() -> None:
     """Read the command line, export, compare."""
-    parser = argparse.ArgumentParser(prog="python -m experiments.benchmarks.ert_check")
+    parser = argparse.ArgumentParser(prog="python -m experiments.check.ert")
     parser.add_argument("root", type=Path, help="folder of a comparison")
     arguments = parser.parse_args()
 

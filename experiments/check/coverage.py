@@ -1,6 +1,6 @@
 """How often the 95 % intervals hold the truth, on synthetic tire data.
 
-python -m experiments.benchmarks.coverage [--bootstrapped 500]   # with it half an hour
+python -m experiments.check.coverage [--bootstrapped 500]   # with it half an hour
 
 Each data set has 300 slip angles, uniform within 0.3 rad, the force of Eq. 4 and normal noise:
 size, parameters and noise of the authors' sample data, tire A. Intervals are linearised and by

@@ -1,6 +1,6 @@
 """The best known optimum of each problem in conf/problem, and how well it is known.
 
-python -m experiments.benchmarks.optima [PROBLEM ...] [--starts 1000]
+python -m experiments.check.optima [PROBLEM ...] [--starts 1000]
 
 A problem that is linear in its parameters has a closed form. Elsewhere, SciPy's bounded
 trust-region solver descends from uniform starts, at first roughly, and then to the end where the

@@ -1,6 +1,6 @@
 """How often the brackets of `miho_gn` agree on a wrong optimum, by how many of them have to agree.
 
-python -m experiments.benchmarks.false_ends --instances 8 --seeds 2
+python -m experiments.check.false_ends --instances 8 --seeds 2
 
 Problems are drawn at random from families that have many optima: true parameters, rows and noise by
 a seeded generator, boxes as wide as somebody would draw them who knows little. With one optimum
@@ -184,7 +184,7 @@ def runs(instances: int, seeds: int, agreeing: list[int]) -> Iterator[dict[str, 
 def main() -> None:
     """Draw, run, print."""
     parser = argparse.ArgumentParser(
-        prog="python -m experiments.benchmarks.false_ends",
+        prog="python -m experiments.check.false_ends",
         description=(__doc__ or "").partition("\n\n")[0],
     )
     parser.add_argument("--instances", type=int, default=8, help="problems of each family")

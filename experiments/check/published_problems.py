@@ -1,8 +1,8 @@
 """Writes conf/problem of the published problems: each of miho/data/published in two boxes, by rule.
 
-python -m experiments.benchmarks.published_problems
+python -m experiments.check.published_problems
 
-What stands in a file as its evidence stays; `experiments.benchmarks.optima` finds it.
+What stands in a file as its evidence stays; `experiments.check.optima` finds it.
 """
 
 from __future__ import annotations
@@ -142,7 +142,7 @@ def yaml_of(name: str, fit: PublishedFit, box: str, evidence: str) -> str:
     lines = [
         "# @package _global_",
         *about,
-        "# Written by experiments.benchmarks.published_problems: change the rule, not this file.",
+        "# Written by experiments.check.published_problems: change the rule, not this file.",
         "defaults:",
         "  - override /dataset: published",
         "  - override /model: published",

@@ -1,0 +1,84 @@
+"""The figures of `experiments.check` that take seconds; docs/results.md says where each stands.
+
+Data and starts have fixed seeds, so that figures repeat to the last digits but one; tolerances are
+half of the last digit that docs/results.md gives.
+"""
+
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+import numpy as np
+import pytest
+from scipy.stats import binom
+
+from experiments.check import brake, coverage, engine, mf61_lateral, optima, row_order
+from experiments.cli import composed
+from experiments.engine import identify_engine
+from experiments.schema import register
+from miho.data import embedded_tire
+from miho.study import single_thread
+
+pytestmark = pytest.mark.slow
+
+
+def test_curves_and_map_of_the_engine() -> None:
+    learned = identify_engine()
+    curves = engine.curves(learned)
+    np.testing.assert_allclose(curves["RMSE against truth"], [0.5, 1.3, 2.7], atol=0.05)
+    # The loss is a sum over some thousand samples: rounding is far below, a wrong end far above.
+    assert curves["gap to closed form"].abs().max() < 1e-9
+    table = engine.maps(learned).set_index("map")
+    # Torques of some 700 Nm are rounded at 1e-13.
+    assert table.loc["integrated", "inverse residual"] < 1e-11
+    assert table.loc["integrated", "least rise"] > -1e-10, "monotone but for rounding"
+
+
+def test_force_to_command_to_force() -> None:
+    register()
+    _, identified = brake.embedded_test()
+    forces, own, true = brake.round_trip_errors(identified)
+    assert own.max() < 1e-9
+    assert true[forces >= 0.05 * forces[-1]].max() < 0.0055
+    assert true[forces >= 0.01 * forces[-1]].max() < 0.0225
+
+
+def test_mf61_is_identified_from_noisy_samples() -> None:
+    register()
+    figures = mf61_lateral.identification(
+        embedded_tire("lf"), mf61_lateral.configured_space(), starts=3
+    )
+    assert figures["unseen RMSE against the tire [% of peak]"] < 0.055
+    trip = mf61_lateral.round_trips(embedded_tire("lf"))
+    # Both are the same formula, rounded some ten times at 1e-16.
+    assert max(float(str(trip[key])) for key in ("E per side", "rebuilt from E per side")) < 1e-12
+
+
+def test_intervals_hold_the_truth() -> None:
+    """Nominally 95 of 100 sets; a binomial of that is below the limit once in ten thousand."""
+    sets = 60
+    least = binom.ppf(1e-4, sets, 0.95) / sets
+    table = coverage.coverage(sets, bootstrapped=0, replicates=0).set_index("interval")
+    shares = table.drop(columns="sets").map(lambda cell: float(cell.partition(" ")[0]) / 100)
+    assert set(shares.index) == {"linearised", "profile"}
+    assert shares.to_numpy().min() >= least
+
+
+@pytest.mark.parametrize("name", ["tire_lf", "torque_05", "brake_static"])
+def test_recorded_optima_are_found_anew(name: str) -> None:
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        found = optima.optimum_of(name, 20, pool)
+    recorded = composed([f"problem={name}"]).problem.optimum
+    assert recorded is not None
+    assert optima.verdict(found, recorded) == ""
+
+
+def test_the_first_rows_show_what_rare_rows_determine() -> None:
+    register()
+    problem = row_order.synthetic("rare_load")
+    with single_thread(), np.errstate(all="ignore"):
+        best = row_order.optimum("rare_load", problem)
+        seen = {
+            kind: sum(row_order.figures("rare_load", problem, best, kind, 20)[0])
+            for kind in ("in use", "random")
+        }
+    assert seen == {"in use": 20, "random": 2}
