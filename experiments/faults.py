@@ -21,6 +21,7 @@ import time
 from collections.abc import Sequence
 from itertools import zip_longest
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -44,7 +45,7 @@ class Table:
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         """A test that is done, or that could not be set up."""
-        properties = dict(report.user_properties)
+        properties: dict[str, Any] = dict(report.user_properties)
         if "fault" not in properties or (report.when != "call" and report.passed):
             return
         row, measured = properties["fault"], str(properties.get("measured", ""))

@@ -168,6 +168,7 @@ def _become(job: Callable[[], object]) -> None:
         os.setsid()
         sys.stdout, sys.stderr = sys.__stdout__, sys.__stderr__
         signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)  # as in a terminal, also below nohup
         if serve_workers.cache_info().currsize:  # which our parent alone may wait for
             mock.patch.object(forkserver, "ensure_running").start()
             mock.patch.object(forkserver._forkserver, "ensure_running").start()
