@@ -1,1 +1,1 @@
-"""Measurements by command, never as tests: `python -m experiments.benchmarks.NAME`."""
+"""Measurements of speed by command, never as tests: `python -m experiments.benchmarks.NAME`."""
