@@ -9,9 +9,9 @@ from typing import Any
 import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 
-from experiments import schema
-from experiments.build import recorded_optimum
-from experiments.cli import CONF, composed
+from experiments.app import schema
+from experiments.app.build import recorded_optimum
+from experiments.app.compose import CONF, composed
 from miho.analysis.mean_curve import ENDED_BY_ITSELF
 from miho.study import StoredRun, read_run
 

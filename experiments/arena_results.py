@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from experiments.app.build import ConfigError
 from experiments.arena_problems import as_configured
-from experiments.build import ConfigError
 from experiments.comparison import Comparison
 from miho.analysis import save
 from miho.analysis.anytime import area_over_curve

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from experiments.cli import guarded
+from experiments.app.console import guarded
 from miho.study.compaction import compact
 
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.build import ConfigError
+from experiments.app.build import ConfigError
 from miho.study import load_runs, read_run, write_text
 
 COMPARISON = "comparison.json"

@@ -28,9 +28,8 @@ from filelock import FileLock, Timeout
 from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
-from experiments.cli import OK, SOME_FAILED, guarded
+from experiments.app.console import OK, SOME_FAILED, guarded
 from experiments.machine import Check, State, machine_checks
-from experiments.manifest import missing_runs
 from miho.study import Runs, load_runs
 from miho.study.environment import ARITHMETIC
 from miho.study.files import (
@@ -42,6 +41,7 @@ from miho.study.files import (
     decoded,
     read_bytes,
 )
+from miho.study.manifest import missing_runs
 from miho.study.places import below
 
 PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
@@ -293,8 +293,7 @@ def _some(things: Sequence[object] | set[Path]) -> str:
 
 def main() -> None:
     """Diagnose, and exit with the code that fits."""
-    codes: list[int] = []
-    guarded(lambda: codes.append(diagnose()), lambda: codes[0])
+    guarded(diagnose)
 
 
 if __name__ == "__main__":

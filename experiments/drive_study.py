@@ -21,11 +21,11 @@ import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 from tqdm import tqdm
 
-from experiments.build import ConfigError
-from experiments.cli import OK, SOME_FAILED, command
-from experiments.drive import factors, prepared
-from experiments.drive_laps import VARIANTS, Job, laps_before, laps_of
-from experiments.drive_results import driving_code, regenerates
+from experiments.app.build import ConfigError
+from experiments.app.console import OK, SOME_FAILED, command
+from experiments.app.origin import driving_code, regenerates
+from experiments.driving.laps import VARIANTS, Job, laps_before, laps_of, methods_of
+from experiments.driving.settings import factors, prepared
 from miho.analysis import save
 from miho.analysis.laps import lap_figure, lap_table, lap_text
 from miho.study import write_text
@@ -41,17 +41,29 @@ SETTINGS = {
 NEEDED = ("miho", "least_squares")
 POLL = 0.5
 TIME_LIMIT = 1800.0
-failed: list[str] = []
 
 
-def study(cfg: DictConfig) -> None:
+def study(cfg: DictConfig) -> int:
     """Do what is not done yet, then the table as text and CSV, the figure, and what made them."""
     check(cfg)
     root = Path(cfg.root)
     root.mkdir(parents=True, exist_ok=True)
-    rows = list(_done(_jobs(cfg, root), cfg.sweep.processes))
-    if not rows:
-        return
+    rows: list[dict[str, Any]] = []
+    failed: list[str] = []
+    for seed in _each_seed(_jobs(cfg, root), cfg.sweep.processes):
+        if isinstance(seed, str):
+            failed.append(seed)
+        else:
+            rows += seed
+    for line in failed:
+        print(line, file=sys.stderr)
+    if rows:
+        _write(cfg, root, rows)
+    return SOME_FAILED if failed else OK
+
+
+def _write(cfg: DictConfig, root: Path, rows: list[dict[str, Any]]) -> None:
+    """The laps, their table as text and CSV, the figure, and what made them."""
     laps = pd.DataFrame(rows)
     laps["variant"] = pd.Categorical(laps["variant"], [variant.name for variant in VARIANTS])
     laps = laps.sort_values(["variant", "seed"]).reset_index(drop=True)
@@ -62,7 +74,8 @@ def study(cfg: DictConfig) -> None:
     note = f"one lap of {cfg.drive.track.name.upper()}, {factors(cfg)}, at most "
     note += f"{3.6 * cfg.drive.top_speed:.0f} km/h; {laps['seed'].nunique()} seeds"
     paths = save(lap_figure(laps, table, note=note), root / "figures" / "identification_buys")
-    about = regenerates("experiments.drive_study") | {"seeds": sorted(set(laps["seed"].tolist()))}
+    about = regenerates("experiments.drive_study", methods_of(cfg).values())
+    about |= {"seeds": sorted(set(laps["seed"].tolist()))}
     write_text(root / "drive_study.json", json.dumps(about, indent=1) + "\n")
     print(lap_text(table))
     names = ("laps.csv", "table.csv", "table.txt", "drive_study.json")
@@ -90,21 +103,22 @@ def _jobs(cfg: DictConfig, root: Path) -> list[Job]:
     methods = OmegaConf.to_container(cfg.comparison.methods, resolve=True)
     setting["comparison"] = {"methods": methods}
     text = OmegaConf.to_yaml(OmegaConf.create(setting))
+    code = driving_code(methods_of(cfg).values())
     return [
-        Job(text, driving_code(), seed, str(root / f"seed_{seed:03d}"))
+        Job(text, code, seed, str(root / f"seed_{seed:03d}"))
         for seed in range(cfg.seed, cfg.seed + cfg.comparison.repetitions)
     ]
 
 
-def _done(jobs: list[Job], processes: int) -> Iterator[dict[str, Any]]:
-    """The rows of all jobs, done before or now, in worker processes."""
+def _each_seed(jobs: list[Job], processes: int) -> Iterator[list[dict[str, Any]] | str]:
+    """The rows of each job, done before or now in worker processes; or why it has none."""
     waiting: deque[Job] = deque()
     for job in jobs:
         before = laps_before(job)
         if before is None:
             waiting.append(job)
         else:
-            yield from before
+            yield before
     count = len(jobs) - len(waiting)
     bar = tqdm(total=len(jobs), initial=count, desc="seeds", disable=None)
     workers: Workers[Job, list[dict[str, Any]]] = Workers(
@@ -117,20 +131,10 @@ def _done(jobs: list[Job], processes: int) -> Iterator[dict[str, Any]]:
             for ended in workers.wait(POLL):
                 count += 1
                 bar.update()
-                told = f"seed {ended.job.seed}: {ended.reason or 'done'} ({count} of {len(jobs)})"
-                tqdm.write(told, file=sys.stderr)
-                if ended.result is None:
-                    failed.append(told)
-                else:
-                    yield from ended.result
-
-
-def _after() -> int:
-    """Say which seeds have no result."""
-    if failed:
-        print("\n".join(failed), file=sys.stderr)
-    return SOME_FAILED if failed else OK
+                line = f"seed {ended.job.seed}: {ended.reason or 'done'} ({count} of {len(jobs)})"
+                tqdm.write(line, file=sys.stderr)
+                yield line if ended.result is None else ended.result
 
 
 if __name__ == "__main__":
-    command(study, _after, settings=SETTINGS)
+    command(study, settings=SETTINGS)

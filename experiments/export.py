@@ -21,8 +21,8 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.build import ConfigError, MissingLibraryError
-from experiments.cli import guarded
+from experiments.app.build import ConfigError, MissingLibraryError
+from experiments.app.console import guarded
 from miho.analysis import write_ioh
 from miho.study import load_runs, read_run, write_text
 from miho.study.identity import sha256

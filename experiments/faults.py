@@ -26,7 +26,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from experiments.cli import BY_SIGNAL, OK, SOME_FAILED
+from experiments.app.console import BY_SIGNAL, OK, SOME_FAILED
 from miho.analysis import to_markdown
 
 FOLDER = Path(__file__).parents[1] / "tests" / "faults"

@@ -19,16 +19,16 @@ from pathlib import Path
 
 import numpy as np
 
+from experiments.app.build import ConfigError, build_dataset, rebuild
+from experiments.app.console import guarded
 from experiments.arena_results import draw_arena
-from experiments.build import ConfigError, build_dataset, rebuild
-from experiments.cli import guarded
 from experiments.comparison import Comparison
-from experiments.engine import DATASETS, engine_of, fig5_data
 from experiments.full_size import differences
 from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save
 from miho.analysis.axle_figure import AxleCurve, fig4_right
 from miho.analysis.timing import clock_of
 from miho.data import Dataset
+from miho.driving.assembly.engine import DATASETS, engine_of, fig5_data
 from miho.models import Axle
 from miho.study import StoredRun, load_runs, read_run, write_text
 

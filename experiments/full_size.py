@@ -9,8 +9,8 @@ from typing import Any, cast
 import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 
-from experiments.build import stored_part
-from experiments.cli import CONF
+from experiments.app.build import stored_part
+from experiments.app.compose import CONF
 from miho.analysis.claims import Differences
 from miho.study import read_run
 

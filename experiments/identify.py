@@ -6,21 +6,21 @@ python -m experiments.identify -m optimizer=miho_gn,least_squares 'seed=range(10
 
 from __future__ import annotations
 
-import shlex
-from collections import Counter
-from functools import partial
+from collections.abc import Sequence
 
-import pandas as pd
+from hydra.core.override_parser.types import Override
+from hydra.types import HydraContext
 from omegaconf import DictConfig
 
-from experiments.build import build
-from experiments.cli import OK, SOME_FAILED, command
-from experiments.forecast import announce
-from experiments.run import line, report, run
-from experiments.sweep import Done, mirrors, sweep, wanted
-from experiments.sweep_command import finished, run_sweep, sweep_settings
-from miho.study import Status, Store
-from miho.study.changes import refuse_changes
+from experiments.app.build import build
+from experiments.app.console import OK, SOME_FAILED, command
+from experiments.app.forecast import announce
+from experiments.app.launch import BASIC, TYPED, launched
+from experiments.app.mirror import check_tracking
+from experiments.app.plan import is_of, planned, request_of, requests, sweep_settings
+from experiments.app.runs import HERE, Runs, mirror_runs, run
+from experiments.app.words import report, summary
+from miho.study import Status
 
 SETTINGS = {
     "model, dataset, space": "what is identified, from which data, and where to search",
@@ -32,83 +32,65 @@ SETTINGS = {
     "sweep.processes, .dry_run": "with -m: how many runs at a time; list the runs and do none",
     "tracking": "mlflow: mirror finished runs there",
 }
-failed: list[str] = []
 
 
-def identify(cfg: DictConfig) -> None:
-    """Run one composed configuration and print what was identified.
+def identify(cfg: DictConfig) -> int:
+    """Run one composed configuration in this process and print what was identified.
 
-    As a job of a launcher, with `sweep.seeds`, it does a run for each of these seeds.
+    As a job of a launcher, with `sweep.seeds`, it does a run for each of these seeds in others.
     """
     settings = sweep_settings(cfg)
-    if settings.seeds is not None or settings.dry_run:
-        seeds = [cfg.seed] if settings.seeds is None else settings.seeds
-        runs = wanted(cfg, "", seeds)
-        sweep(runs, settings, fresh=cfg.fresh, tracking=cfg.tracking, ended=finished)
-        return
+    if settings.seeds is not None:
+        plan = requests(cfg, "", settings.seeds, settings.time_limit)
+        runs = run(plan, settings, fresh=cfg.fresh)
+        runs.raise_if_stopped()
+        return OK
+    if settings.dry_run:
+        return _summed_up(run(requests(cfg, "", [cfg.seed], settings.time_limit), settings))
     experiment = build(cfg)
-    refuse_changes(Store(experiment.root), [experiment.identity], fresh=cfg.fresh)
     announce(experiment, cfg.dataset)
-    with mirrors([str(experiment.root)], cfg.tracking) as mirrored:
-        execution = run(experiment)
-        if execution.run is not None and mirrored:
-            mirrored[str(experiment.root)].push(execution.run)
-    told = line(experiment, execution)
-    print(told, flush=True)
-    if execution.status is Status.INTERRUPTED:
-        raise KeyboardInterrupt
-    if execution.status is Status.FAILED:
-        failed.append(told)
-    if execution.run is not None:
-        print("\n" + report(experiment, execution.run))
-
-
-def summary() -> int:
-    """Say what became of the runs of a sweep; the exit code of the command."""
-    if not finished:
-        return SOME_FAILED if failed else OK
-    listed = all(done.status in (Status.TO_DO, Status.DONE_BEFORE) for done in finished)
-    if listed:
-        print("\n".join(done.line for done in finished if done.line))
-    _tell_errors(finished)
-    bad = [done for done in finished if done.reason is not None]
-    for done in bad:
-        print(f"{done.status}: {done.wanted.asked}: {done.reason}")
-    for root in dict.fromkeys(done.wanted.root for done in finished if done.error is not None):
-        print(_report_of(root))
-    counts = Counter(done.status for done in finished)
-    told = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
-    print(f"{len(finished)} runs: {told}")
-    return SOME_FAILED if bad else OK
-
-
-def _report_of(root: str) -> str:
-    """The command that reports on the runs of a root; --trust where their model is a file."""
-    models = (done.wanted.identity.config["model"] for done in finished if done.wanted.root == root)
-    files = sorted({str(model["path"]) for model in models if "path" in model})
-    what = f" (--trust runs {', '.join(files)})" if files else ""
-    trust = " --trust" if files else ""
-    return f"how far to trust the best of them{what}: " + (
-        f"python -m experiments.report {shlex.quote(root)}{trust}"
+    runs = run(
+        [request_of(experiment, cfg)],
+        settings,
+        processes=HERE,
+        fresh=cfg.fresh,
+        tracking=cfg.tracking,
     )
+    (state,) = runs.states
+    if state.line:
+        print(state.line, flush=True)
+    runs.raise_if_stopped()
+    if state.run is not None:
+        print("\n" + report(experiment, state.run))
+    return SOME_FAILED if state.status is Status.FAILED else OK
 
 
-def _tell_errors(runs: list[Done]) -> None:
-    """A line per problem and method: how many runs, and their errors."""
-    found = [
-        (done.wanted.identity.problem, done.wanted.identity.optimizer, done.error)
-        for done in runs
-        if done.error is not None
+def sweep(context: HydraContext, cfg: DictConfig, overrides: Sequence[Override]) -> int:
+    """Do the runs that the overrides of -m ask for, here or by a launcher."""
+    plan, settings = planned(cfg, overrides), sweep_settings(cfg)
+    if cfg.hydra.launcher._target_ != BASIC and not settings.dry_run:
+        check_tracking(cfg.tracking)
+        runs = launched(plan, identify, context, cfg, overrides)
+        mirror_runs(runs.states, cfg.tracking)
+        return _summed_up(runs)
+    words = [
+        str(override.input_line)
+        for override in overrides
+        if not is_of(override.key_or_group, TYPED)
     ]
-    if found:
-        table = pd.DataFrame(found, columns=["problem", "method", "error"])
-        errors = table.groupby(["problem", "method"])["error"]
-        print(errors.agg(["count", "min", "median", "max"]).to_string(float_format="%.5g"))
+    how = {"fresh": cfg.fresh, "overrides": words, "tracking": cfg.tracking}
+    return _summed_up(run(plan, settings, **how))
+
+
+def _summed_up(runs: Runs) -> int:
+    code = summary(runs.states)
+    runs.raise_if_stopped()
+    return code
 
 
 def main() -> None:
     """The command."""
-    command(identify, summary, sweep=partial(run_sweep, identify), settings=SETTINGS)
+    command(identify, sweep=sweep, settings=SETTINGS)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.progress import progress
+from experiments.app.progress import progress
 from miho.identification import CurveFit
 from miho.methods.variable_projection import VariableProjection
 from miho.optim import Budget, Descents, Outcome, Parameter, RunRecord, minimize

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from experiments.build import ConfigError, rebuild
-from experiments.cli import OK, SOME_FAILED, guarded
-from experiments.explain import one_line
+from experiments.app.build import ConfigError, rebuild
+from experiments.app.console import OK, SOME_FAILED, guarded
+from experiments.app.explain import one_line
+from experiments.app.progress import at_work
 from experiments.optimum import CHECK_SECONDS, check, descents_of, remedy
-from experiments.progress import at_work
 from experiments.report_page import figures_of, page_of, provenance
 from experiments.report_sweep import best_runs, read_sweep, write_sweep
 from experiments.report_tables import (
@@ -223,8 +223,7 @@ def main() -> int:
 
 def run() -> None:
     """Report, and exit with the code that fits."""
-    codes: list[int] = []
-    guarded(lambda: codes.append(main()), lambda: codes[0])
+    guarded(main)
 
 
 if __name__ == "__main__":

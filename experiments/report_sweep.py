@@ -15,11 +15,10 @@ from pathlib import Path
 import pandas as pd
 from tqdm import tqdm
 
+from experiments.app.build import ConfigError
 from experiments.arena_problems import as_configured
-from experiments.build import ConfigError
 from experiments.comparison import COMPARISON
 from experiments.full_size import differences
-from experiments.manifest import missing_runs
 from miho.analysis import claims_table, leaderboard
 from miho.analysis.running_time import references
 from miho.analysis.sweep_origins import environment_table
@@ -27,6 +26,7 @@ from miho.analysis.sweep_page import Best, Told, sweep_page
 from miho.analysis.sweep_runs import Sweep
 from miho.analysis.timing import undisturbed
 from miho.study import load_runs, write_text
+from miho.study.manifest import missing_runs
 
 MIHO = "miho"
 CLAIMS = (

@@ -13,290 +13,17 @@ MLflow keeps absolute paths: after a root was moved, delete its .mlflow and writ
 from __future__ import annotations
 
 import argparse
-import contextlib
-import datetime
 import importlib.util
-import json
-import logging
-import math
-import os
-import re
 import shlex
 import sys
-import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
-import pandas as pd
-from filelock import FileLock, Timeout
-
-from experiments.build import ConfigError, MissingLibraryError
-from experiments.cli import OK, SOME_FAILED, guarded
-from experiments.mirror import (
-    MISSING,
-    Entry,
-    Tracker,
-    TrackerError,
-    digest_of,
-    follow,
-    numbers_of,
-    sync,
-    told,
-    word,
-)
-from miho.study import StoredRun, load_runs
-from miho.study.compaction import error_of
-from miho.study.identity import sha256
-from miho.study.places import inside
-
-PLACE = ".mlflow"
-"""Folder of a root's own database; readers of runs skip names that begin with a dot."""
-
-OLDEST, TOO_NEW = (3, 10), (4, 0)
-TELEMETRY_OFF = {"MLFLOW_DISABLE_TELEMETRY": "true", "DO_NOT_TRACK": "true"}
-IMPATIENCE = {"MLFLOW_HTTP_REQUEST_MAX_RETRIES": "1", "MLFLOW_HTTP_REQUEST_TIMEOUT": "20"}
-"""MLflow's own are 7 retries and 120 s a request; what the environment sets is kept."""
-
-BATCH_METRICS, BATCH_PARAMS, LONGEST_PARAM = 900, 100, 6000
-"""MLflow takes 1000 entries a batch, 100 of them parameters, of at most 6000 characters."""
-
-LOCK_SECONDS = 60.0
-FIGURES = {".png", ".pdf", ".svg", ".html", ".md", ".csv"}
-
-
-@dataclass(frozen=True)
-class MLflow(Tracker):
-    """One experiment of MLflow, with a run per run and one, their parent, for the figures.
-
-    A run's tags are its id, problem, optimizer, seed, outcome and digests; its parameters the
-    resolved configuration; its metrics those of `numbers_of`, where `error` and `seconds` have a
-    point per improvement: step = evaluations, timestamp = start + seconds on the run's clock, to
-    the millisecond. Its status is FINISHED once all is written.
-    """
-
-    client: Any
-    entities: Any
-    experiment: str
-    parent: str
-    lock: Path
-
-    @contextlib.contextmanager
-    def alone(self) -> Iterator[None]:
-        """Hold the lock beside the database, or the root's own."""
-        with _locked(self.lock):
-            yield
-
-    def entries(self, run: str | None = None) -> list[Entry]:
-        """All runs of the experiment that have an id, or those of one."""
-        if run is not None and not run.isalnum():
-            raise TrackerError(f"run id {run!r} holds more than letters and digits")
-        asked = f"tags.`miho.id` {'LIKE' if run is None else '='} '{run or '%'}'"
-        found, token = [], None
-        while True:
-            page = self.client.search_runs(
-                [self.experiment], asked, max_results=1000, page_token=token
-            )
-            found += [_entry(run) for run in page]
-            token = page.token
-            if not token:
-                return found
-
-    def add(self, stored: StoredRun) -> None:
-        """Write a run in one batch (long curves in several), then its files, then its status."""
-        result, facts = stored.result, stored.result["facts"]
-        start = _milliseconds(stored.environment)
-        names = ("id", "problem", "optimizer", "seed", "outcome", "code", "data")
-        tags = {f"miho.{name}": str(result[name]) for name in names}
-        tags |= {"miho.digest": digest_of(stored), "miho.unit": str(facts.get("unit"))}
-        key = self.client.create_run(
-            self.experiment,
-            start_time=start,
-            tags={**tags, "mlflow.parentRunId": self.parent},
-            run_name=f"{result['problem']} {result['optimizer']} {result['seed']}",
-        ).info.run_id
-        params = [self.entities.Param(k, v) for k, v in _flat("", stored.config).items()]
-        metrics = [self.entities.Metric(*point) for point in _points(stored, start)]
-        while params or metrics:
-            self.client.log_batch(
-                key, metrics[:BATCH_METRICS], params[:BATCH_PARAMS], (), synchronous=True
-            )
-            del metrics[:BATCH_METRICS], params[:BATCH_PARAMS]
-        with tempfile.TemporaryDirectory() as folder:
-            pd.DataFrame(_curve(stored)).to_csv(Path(folder, "curve.csv"), index=False)
-            for name in ("config", "environment"):
-                text = json.dumps(dict(getattr(stored, name)), indent=1)
-                Path(folder, f"{name}.json").write_text(text, encoding="utf-8")
-            self.client.log_artifacts(key, folder)
-        end = start + round(1000 * result["seconds"])
-        self.client.set_terminated(key, "FINISHED", end)
-
-    def remove(self, entry: Entry) -> None:
-        """Delete a run, as MLflow does: it can be restored there."""
-        self.client.delete_run(entry.key)
-
-    def attach(self, root: Path) -> int:
-        """Give the parent run the figures and tables of the root, if they have changed; how many.
-
-        Links are not followed: a folder from elsewhere must not name what else is uploaded.
-        """
-        found = (path for name in ("figures", "reports") for path in (root / name).rglob("*"))
-        files = [
-            path
-            for path in sorted([*found, root / "report.html"])
-            if path.suffix in FIGURES and path.is_file()
-            and path.resolve() == root.resolve() / path.relative_to(root)
-        ]  # fmt: skip
-        names = [path.relative_to(root).as_posix() for path in files]
-        digests = [sha256(path.read_bytes()) for path in files]
-        digest = sha256("".join(map("\0".join, zip(names, digests, strict=True))))
-        with self.alone():
-            if self.client.get_run(self.parent).data.tags.get("miho.figures") == digest:
-                return 0
-            for path in files:
-                place = path.parent.relative_to(root).as_posix()
-                self.client.log_artifact(self.parent, str(path), None if place == "." else place)
-            self.client.set_tag(self.parent, "miho.figures", digest)
-        return len(files)
-
-
-def connect(root: Path, uri: str | None = None, experiment: str | None = None) -> MLflow:
-    """MLflow at `uri`, by default SQLite below the root; a new database is initialised, once.
-
-    `experiment` is by default the name of the root. Raises MissingLibraryError, ConfigError for
-    another version of MLflow than this was written for, TrackerError if it cannot be reached,
-    PermissionError where a link in the root leads out of it.
-    """
-    root = root.absolute()
-    own = inside(root, PLACE)
-    for name in ("mlflow.db", "mlflow.db.lock", "lock", "artifacts"):
-        inside(root, PLACE, name)
-    os.environ.update(TELEMETRY_OFF)
-    for name, value in IMPATIENCE.items():
-        os.environ.setdefault(name, value)
-    try:
-        mlflow = importlib.import_module("mlflow")
-        entities = importlib.import_module("mlflow.entities")
-    except ModuleNotFoundError as error:
-        raise MissingLibraryError(MISSING) from error
-    version = mlflow.__version__
-    if not OLDEST <= tuple(map(int, re.findall(r"\d+", version)[:2])) < TOO_NEW:
-        raise ConfigError(f"mlflow: is version {version}; expected at least 3.10 and below 4")
-    for noisy in ("alembic", "mlflow"):
-        logging.getLogger(noisy).setLevel(logging.ERROR)
-    if uri is None:
-        uri = f"sqlite:///{own / 'mlflow.db'}"
-    name = experiment or root.name or "miho"
-    database = _database(uri)
-    lock = own / "lock"
-    artifacts = None
-    if database is not None:
-        lock = database.with_name(f"{database.name}.lock")
-        artifacts = (database.parent / "artifacts").as_uri()
-    with _reached(), _locked(lock):
-        client = mlflow.MlflowClient(uri)
-        known = client.get_experiment_by_name(name)
-        if known is None:
-            key = client.create_experiment(name, artifact_location=artifacts)
-        elif known.lifecycle_stage != "active":
-            raise TrackerError(f"experiment {name!r} is deleted; restore it or name another")
-        else:
-            key = known.experiment_id
-        parents = client.search_runs([key], f"tags.`miho.root` = '{sha256(str(root))}'")
-        if not parents:
-            tags = {"miho.root": sha256(str(root))}
-            parents = [client.create_run(key, tags=tags, run_name=f"{root.name} (figures)")]
-            client.set_terminated(parents[0].info.run_id)
-    return MLflow(client, entities, key, parents[0].info.run_id, lock)
-
-
-@contextlib.contextmanager
-def _reached() -> Iterator[None]:
-    """Turn whatever a tracker raises into TrackerError."""
-    try:
-        yield
-    except TrackerError:
-        raise
-    except Exception as error:
-        raise TrackerError(f"mlflow: {told(error)}") from error
-
-
-def _database(uri: str) -> Path | None:
-    """The file of a SQLite URI."""
-    if not uri.startswith("sqlite:"):
-        return None
-    path = Path(uri.removeprefix("sqlite:///")).absolute()
-    if not uri.startswith("sqlite:///") or "?" in uri:
-        raise ConfigError(f"uri: is {uri!r}; expected sqlite:///PATH without '?' in it")
-    return path
-
-
-@contextlib.contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    try:
-        with FileLock(path, timeout=LOCK_SECONDS):
-            yield
-    except Timeout:
-        raise TrackerError(
-            f"{path}: another process has held it for {LOCK_SECONDS:.0f} s"
-        ) from None
-
-
-def _entry(run: Any) -> Entry:
-    tags = run.data.tags
-    return Entry(
-        key=run.info.run_id,
-        id=tags["miho.id"],
-        digest=tags.get("miho.digest", ""),
-        whole=run.info.status == "FINISHED",
-        numbers=dict(run.data.metrics),
-    )
-
-
-def _milliseconds(environment: Mapping[str, Any]) -> int:
-    """When a run started, from its stamp, in milliseconds since 1970; 1 if it has none."""
-    try:
-        start = datetime.datetime.fromisoformat(environment["time"]).timestamp()
-    except (LookupError, TypeError, ValueError):
-        return 1
-    return max(1, round(1000 * start))
-
-
-def _flat(prefix: str, node: Any) -> dict[str, str]:
-    """Settings by dotted name; those too long for MLflow are only in config.json."""
-    if isinstance(node, Mapping):
-        parts = (_flat(f"{prefix}.{name}" if prefix else str(name), node[name]) for name in node)
-        return {name: value for part in parts for name, value in part.items()}
-    text = node if isinstance(node, str) else json.dumps(node)
-    return {word(prefix): text} if len(text) <= LONGEST_PARAM else {}
-
-
-def _curve(stored: StoredRun) -> dict[str, list[float]]:
-    """Evaluations, seconds and error of each improvement, and of the end."""
-    times = {name: stored.curve[name] for name in ("evaluations", "seconds", "cpu_seconds")}
-    return {**times, "error": [error_of(loss) for loss in stored.curve["loss"]]}
-
-
-def _points(stored: StoredRun, start: int) -> list[tuple[str, float, int, int]]:
-    """Name, value, timestamp and step of each metric; one point of the curve per evaluation."""
-    numbers = numbers_of(stored)
-    last, seconds = math.ceil(numbers["evaluations"]), numbers["seconds"]
-    curve = _curve(stored)
-    rows = zip(curve["evaluations"], curve["seconds"], curve["error"], strict=True)
-    at = {math.ceil(evaluations): (second, error) for evaluations, second, error in rows}
-    at[last] = seconds, numbers.get("error", math.nan)
-    points = [
-        (name, value, start + round(1000 * second), step)
-        for step, (second, error) in sorted(at.items())
-        for name, value in (("error", error), ("seconds", second))
-        if math.isfinite(value)
-    ]
-    rest = (name for name in numbers if name not in ("error", "seconds"))
-    return points + [(name, numbers[name], start + round(1000 * seconds), last) for name in rest]
+from experiments.app.console import OK, SOME_FAILED, guarded
+from experiments.app.mirror import sync
+from experiments.app.mlflow_tracker import connect, reached
+from miho.study import load_runs
 
 
 def main() -> int:
@@ -309,19 +36,19 @@ def main() -> int:
     parser.add_argument("--uri", help="of the tracker; by default SQLite below ROOT/.mlflow")
     parser.add_argument("--experiment", help="its name there; by default that of the root")
     arguments = parser.parse_args()
-    found = load_runs(arguments.root)
+    stored = load_runs(arguments.root)
     tracker = connect(arguments.root, arguments.uri, arguments.experiment)
-    with _reached():
-        done = sync(arguments.root, tracker)
+    with reached():
+        done = sync([Path(folder) for folder in stored.runs["folder"]], tracker)
         figures = 0 if done.failed else tracker.attach(arguments.root)
     for reason, times in Counter(done.failed.values()).items():
         first = next(folder for folder in done.failed if done.failed[folder] == reason)
         more = f" (and {times - 1} more)" if times > 1 else ""
         print(f"error: {first}: {reason}{more}", file=sys.stderr)
-    for row in found.damaged.itertuples():
+    for row in stored.damaged.itertuples():
         print(f"damaged, left out: {row.folder}: {row.reason}", file=sys.stderr)
     print(
-        f"{len(found.runs)} runs: {done.there} were there, {done.added} added, "
+        f"{len(stored.runs)} runs: {done.there} were there, {done.added} added, "
         f"{done.repaired} repaired, {len(done.failed)} failed; {figures} figures and tables added"
     )
     if arguments.uri is None:
@@ -337,14 +64,5 @@ def pages_need() -> str:
     return f"pip install mlflow=={version('mlflow-skinny')} && "
 
 
-def run() -> None:
-    """Follow a sweep, or mirror a root and exit with the code that fits."""
-    if sys.argv[1:] == ["--follow"]:
-        follow(lambda settings: connect(**{**settings, "root": Path(settings["root"])}))
-        return
-    codes: list[int] = []
-    guarded(lambda: codes.append(main()), lambda: codes[0])
-
-
 if __name__ == "__main__":
-    run()
+    guarded(main)

@@ -10,7 +10,7 @@ ROOT = Path(__file__).parent.parent
 NUMERICS = {"numpy", "scipy", "numba", "llvmlite"}
 TABLES = {"pandas", "seaborn", "matplotlib"}
 
-# package: (ours it may import, third-party packages it may import)
+# package: (ours it may import, third-party packages it may import); a part before its whole
 LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "miho.compiled": ({"miho.compiled"}, NUMERICS),
     "miho.optim": ({"miho.compiled", "miho.optim"}, NUMERICS),
@@ -19,6 +19,18 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "miho.identification": (
         {"miho.identification", "miho.compiled", "miho.optim", "miho.models", "miho.data"},
         NUMERICS | TABLES,
+    ),
+    "miho.driving.assembly": (
+        {
+            "miho.driving.assembly",
+            "miho.driving",
+            "miho.identification",
+            "miho.optim",
+            "miho.models",
+            "miho.data",
+            "miho.study",
+        },
+        NUMERICS,
     ),
     "miho.driving": ({"miho.driving", "miho.compiled", "miho.models", "miho.data"}, NUMERICS),
     "miho.study": (

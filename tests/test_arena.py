@@ -12,15 +12,16 @@ import pytest
 from omegaconf import OmegaConf
 
 from experiments import compare as comparing
-from experiments.arena import plan
+from experiments.app.build import ConfigError, build, recorded_optimum
+from experiments.app.comparing import plan_arena
+from experiments.app.compose import CONF, composed
+from experiments.app.console import SOME_FAILED
+from experiments.app.execution import execution_of
+from experiments.app.runs import Runs, State
+from experiments.app.schema import register
 from experiments.arena_problems import as_configured
 from experiments.arena_results import FACTOR, PLAIN, draw_arena, pages, separated
-from experiments.build import ConfigError, build, recorded_optimum
-from experiments.cli import CONF, SOME_FAILED, composed
 from experiments.comparison import COMPARISON, Comparison
-from experiments.run import run
-from experiments.schema import register
-from experiments.sweep import Done
 from miho import load_runs
 from miho.analysis.leaderboard import family_scores, problem_scores
 from miho.analysis.pairwise import pairwise
@@ -41,15 +42,15 @@ METHODS += [
 
 def test_runs_come_problem_by_problem_and_methods_side_by_side() -> None:
     overrides = [*ARENA, *METHODS, PROBLEMS]
-    planned = plan(composed(overrides), overrides)
+    planned = plan_arena(composed(overrides), overrides)
     names = tuple(composed(overrides).comparison.methods)
-    assert [(i.problem, i.seed, i.optimizer) for i in (one.identity for one in planned.runs)] == [
+    assert [(i.problem, i.seed, i.optimizer) for i in (one.identity for one in planned.plan)] == [
         (problem, seed, name)
         for problem in ("torque_15", "brake_static")
         for seed in range(2)
         for name in names
     ]
-    assert len({one.identity.id for one in planned.runs}) == 12
+    assert len({one.identity.id for one in planned.plan}) == 12
     assert not planned.left_out
 
 
@@ -68,25 +69,27 @@ def test_what_is_too_small_for_the_tests_is_refused_before_the_first_run(
     cfg = composed(overrides)
     cfg.comparison.methods = {name: {} for name in list(KEPT)[:methods]}
     with pytest.raises(ConfigError, match=f"{found}; expected at least 3 on 2"):
-        plan(cfg, overrides)
-    assert plan(cfg, overrides, methods=1, families=1).runs
+        plan_arena(cfg, overrides)
+    assert plan_arena(cfg, overrides, methods=1, families=1).runs
 
 
 def test_runs_that_are_lost_are_named_and_nothing_is_drawn(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     overrides = [*ARENA, *METHODS, PROBLEMS]
-    planned = plan(composed(overrides), overrides)
-    lost = Done(planned.runs[0], Status.LOST, "it was lost", reason="killed by SIGKILL")
-    monkeypatch.setattr(comparing, "plan", lambda *_: planned)
-    monkeypatch.setattr(comparing, "sweep", lambda *_, **__: [lost])
-    monkeypatch.setattr(comparing, "failed", [])
-    ids, _ = comparing._on_problems(composed(ARENA), ARENA)
-    assert len(ids) == 12
-    assert comparing.summary() == SOME_FAILED
-    told = capsys.readouterr().err.splitlines()
-    assert told[0] == "it was lost"
-    assert told[1].startswith("runs missing: 1")
+    planned = plan_arena(composed(overrides), overrides)
+    assert len(planned.plan) == 12
+    lost = State(planned.plan[0], Status.LOST, "it was lost", reason="killed by SIGKILL")
+    monkeypatch.setattr("experiments.app.comparing.plan_arena", lambda *_: planned)
+    monkeypatch.setattr(comparing, "run", lambda *_, **__: Runs([lost]))
+    monkeypatch.setattr(sys, "argv", ["compare", *overrides, f"root={tmp_path / 'runs'}"])
+    with pytest.raises(SystemExit) as end:
+        comparing.main()
+    assert end.value.code == SOME_FAILED
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "it was lost"
+    assert lines[1].startswith("runs missing: 1")
+    assert not (tmp_path / "runs").exists()
 
 
 def _model(cfg: Any) -> str:
@@ -125,7 +128,7 @@ def test_errors_below_the_resolution_of_a_problem_are_equal(tmp_path: Path) -> N
 
 
 def store(root: Path, *overrides: str) -> None:
-    run(build(composed([*overrides, "optimizer=random", f"root={root}"])), quiet=True)
+    execution_of(build(composed([*overrides, "optimizer=random", f"root={root}"])), quiet=True)
 
 
 @pytest.mark.slow
@@ -159,11 +162,11 @@ def test_who_was_cut_by_seconds(tmp_path: Path) -> None:
 
 def test_runs_end_at_the_target_of_their_problem() -> None:
     overrides = [*ARENA, *METHODS, PROBLEMS, "comparison.target=1.5"]
-    planned = plan(composed(overrides), overrides)
-    for one in planned.runs:
+    planned = plan_arena(composed(overrides), overrides)
+    for one in planned.plan:
         optimum = recorded_optimum(composed([f"problem={one.identity.problem}"]))
         assert optimum is not None
-        target = OmegaConf.create(one.setting).budget.target  # of the loss, not of its root
+        target = json.loads(one.setting)["budget"]["target"]  # of the loss, not of its root
         assert target == pytest.approx((1.5 * optimum) ** 2, rel=1e-12)
 
 
@@ -182,12 +185,12 @@ def test_problems_without_data_are_left_out_and_named(
     monkeypatch.setattr("miho.data.seong.sample_file.__defaults__", nowhere)
     monkeypatch.delenv("MIHO_DATA_DIR", raising=False)
     overrides = [*ARENA, *METHODS, "comparison.problems=[sample_a_wide,torque_15,brake_static]"]
-    planned = plan(composed(overrides), overrides)
-    assert {one.identity.problem for one in planned.runs} == {"torque_15", "brake_static"}
+    planned = plan_arena(composed(overrides), overrides)
+    assert {one.identity.problem for one in planned.plan} == {"torque_15", "brake_static"}
     assert "cannot be downloaded" in planned.left_out["sample_a_wide"]
     overrides = [*ARENA, *METHODS, "comparison.problems=[sample_a_wide]"]
     with pytest.raises(ConfigError, match="cannot be downloaded"):
-        plan(composed(overrides), overrides)
+        plan_arena(composed(overrides), overrides)
 
 
 @pytest.mark.slow
@@ -197,8 +200,8 @@ def test_methods_without_their_library_are_left_out(monkeypatch: pytest.MonkeyPa
     overrides = [*ARENA, *METHODS, PROBLEMS]
     cfg = composed(overrides)
     cfg.comparison.methods = {"dehb": {}} | {name: {} for name in KEPT}
-    planned = plan(cfg, overrides)
-    assert {one.identity.optimizer for one in planned.runs} == set(KEPT)
+    planned = plan_arena(cfg, overrides)
+    assert {one.identity.optimizer for one in planned.plan} == set(KEPT)
     assert planned.left_out == {
         "dehb": "optimizer: dehb needs a library that is missing (dehb); pip install 'miho[rivals]'"
     }
@@ -207,7 +210,7 @@ def test_methods_without_their_library_are_left_out(monkeypatch: pytest.MonkeyPa
 def test_a_wrong_setting_stops_before_the_first_run() -> None:
     overrides = [*ARENA, PROBLEMS, "comparison.methods.miho.R=-1"]
     with pytest.raises(ConfigError, match="R is -1"):
-        plan(composed(overrides), overrides)
+        plan_arena(composed(overrides), overrides)
 
 
 def test_the_tests_of_the_published_arena_follow_from_its_running_times() -> None:

@@ -53,8 +53,6 @@ def _command(
 ) -> Command:
     def run(*arguments: str) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["command", *arguments, f"root={tmp_path / 'runs'}"])
-        identifying.finished.clear()
-        identifying.failed.clear()
         with pytest.raises(SystemExit) as end:
             main()
         return (int(end.value.code or 0), *capsys.readouterr())
@@ -468,7 +466,6 @@ def test_a_run_that_is_killed_leaves_the_others_and_the_comparison_undrawn(
     """The model kills its process at its 200th call, which only small batches come to."""
     model = tmp_path / "fatal.py"
     model.write_text(MODEL.format(how="kill"), encoding="utf-8")
-    monkeypatch.setattr(comparing, "failed", [])
     monkeypatch.setattr(comparing, "DEFAULT", "seed=0")
     methods = "+comparison.methods.random={batch: 1}", "+comparison.methods.pso_100={}"
     small = ["comparison.repetitions=1", "budget.evaluations=2000", "budget.seconds=null"]
@@ -486,7 +483,6 @@ def test_a_method_that_raises_leaves_the_others_and_the_comparison_undrawn(
     compare: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("nevergrad")
-    monkeypatch.setattr(comparing, "failed", [])
     monkeypatch.setattr(comparing, "DEFAULT", "seed=0")
     methods = "+comparison.methods.random={}", "+comparison.methods.ngopt={plan: null}"
     small = ["comparison.repetitions=1", "budget.seconds=0.2", "budget.evaluations=null"]
@@ -576,7 +572,7 @@ def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
 def test_sigterm_stops_what_the_shell_made_deaf_to_ctrl_c() -> None:
     """As `command &` in a script is: the shell ignores SIGINT for it."""
     program = (
-        "import signal, time; from experiments.cli import guarded;"
+        "import signal, time; from experiments.app.console import guarded;"
         "signal.signal(signal.SIGINT, signal.SIG_IGN);"
         "guarded(lambda: (print('ready', flush=True), time.sleep(60)))"
     )

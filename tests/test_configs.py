@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from experiments.arena import chosen_method
-from experiments.build import ConfigError, build, build_optimizer
+from experiments.app.build import ConfigError, build, build_optimizer
+from experiments.app.comparing import chosen_method
+from experiments.app.compose import composed
+from experiments.app.schema import register
 from experiments.check.published_problems import BOXES, files, problems
-from experiments.cli import composed
-from experiments.schema import register
 from miho.data import published_names
 from miho.identification import linear_optimum
 from miho.methods.least_squares import LeastSquares

@@ -11,12 +11,13 @@ import pandas as pd
 import pytest
 from hydra.core.global_hydra import GlobalHydra
 
-from experiments import drive as driving
-from experiments.build import ConfigError
-from experiments.cli import command, composed
-from experiments.drive import drive, prepared
-from experiments.known import PARTS, identified_part, known_car
-from experiments.schema import register
+from experiments.app.build import ConfigError
+from experiments.app.compose import composed
+from experiments.app.console import command
+from experiments.app.schema import register
+from experiments.drive import drive
+from experiments.driving.car import PARTS, identified_parts, known_car
+from experiments.driving.settings import prepared
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.driving.vehicle import Vehicle
 from miho.models import BrakeTorque
@@ -60,10 +61,9 @@ def test_a_car_that_leaves_the_road_says_so_and_has_its_own_exit_code(
     fast = ["drive.known=truth", "drive.obstacle.sight=null", "drive.start=470", "drive.speed=60"]
     fast += ["drive.top_speed=60", "drive.road_friction=0.3", "drive.distance=150"]
     monkeypatch.setattr(sys, "argv", ["drive", IMS, *fast, f"root={tmp_path}"])
-    monkeypatch.setattr(driving, "departures", [])
     GlobalHydra.instance().clear()
     with pytest.raises(SystemExit) as end:
-        command(drive, driving.summary)
+        command(drive)
     out, err = capsys.readouterr()
     assert end.value.code == 6
     assert "left the road" in out
@@ -126,7 +126,7 @@ def test_a_setting_that_was_renamed_names_the_new_ones(
     monkeypatch.setattr(sys, "argv", ["drive", IMS, "drive.mu=0.7"])
     GlobalHydra.instance().clear()
     with pytest.raises(SystemExit) as end:
-        command(drive, driving.summary)
+        command(drive)
     assert end.value.code == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: drive.mu: is now two settings: drive.performance_factor, the")
@@ -145,18 +145,37 @@ def test_a_part_comes_from_its_parameters_file(tmp_path: Path) -> None:
     path = tmp_path / "parameters.json"
     path.write_text(parameters_text(found, {}))
     cfg = composed([IMS, f"+drive.parameters.brake_torque_front={path}"])
-    _, theta = identified_part(cfg, "brake_torque_front")
+    _, theta = identified_parts(cfg, ["brake_torque_front"])["brake_torque_front"]
     assert theta.tolist() == [4e-4, 7e4]
     wrong = composed([IMS, f"+drive.parameters.brakes={path}"])
     with pytest.raises(ConfigError, match=r"drive\.parameters\.brakes: is unknown; allowed are lf"):
         known_car(wrong, Vehicle.from_settings(av21()))
 
 
+def test_parts_are_stored_and_a_second_drive_identifies_what_is_missing(tmp_path: Path) -> None:
+    """What a Ctrl-C came before is there; the parameters are those of the stored runs."""
+    few = ["optimizer=least_squares", "budget.evaluations=500", f"root={tmp_path}"]
+    cfg, names = composed([IMS, *few]), ["torque_05", "brake_torque_front", "brake_torque_rear"]
+    first = identified_parts(cfg, names[:2])
+    before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("result.json")}
+    assert len(before) == 2
+    parts = identified_parts(cfg, names)
+    after = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("result.json")}
+    assert len(after) == 3
+    assert all(after[path] == time for path, time in before.items())
+    for part, (_, theta) in first.items():
+        assert parts[part][1].tolist() == theta.tolist()
+    stored = [json.loads(path.read_text())["theta"] for path in after]
+    assert sorted(stored) == sorted(theta.tolist() for _, theta in parts.values())
+    files = sorted(path.name for path in (tmp_path / "parameters").iterdir())
+    assert files == sorted(f"{name}.json" for name in names)
+
+
 @pytest.mark.slow
-def test_the_identified_car_is_near_the_true_one() -> None:
+def test_the_identified_car_is_near_the_true_one(tmp_path: Path) -> None:
     """By least squares: the brake within 2 %, tires within their spread of 20 % in the load."""
     vehicle = Vehicle.from_settings(av21())
-    cfg = composed([IMS, "optimizer=least_squares"])
+    cfg = composed([IMS, "optimizer=least_squares", f"root={tmp_path}"])
     (known, parts), (true, _) = (
         known_car(one, vehicle) for one in (cfg, composed([IMS, "drive.known=truth"]))
     )

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from experiments import export
-from experiments.build import MissingLibraryError
+from experiments.app.build import MissingLibraryError
 from experiments.export import write_csv, write_parquet
 from miho import Budget, load_runs, minimize
 from miho.optim import RandomSearch

@@ -19,22 +19,22 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
-from experiments.build import ConfigError, MissingLibraryError
-from experiments.mirror import (
+from experiments.app.build import ConfigError, MissingLibraryError
+from experiments.app.mirror import (
     Entry,
-    Mirror,
     Tracker,
+    check_tracking,
     digest_of,
     is_right,
+    message_of,
+    mirror,
     mirrored,
-    mlflow_mirror,
     numbers_of,
-    open_mirror,
     sync,
-    told,
     word,
 )
-from experiments.sync import connect, pages_need
+from experiments.app.mlflow_tracker import connect
+from experiments.sync import pages_need
 from miho import Budget, load_runs, minimize
 from miho.optim import RandomSearch
 from miho.study import Identity, Store, StoredRun, execute
@@ -59,13 +59,18 @@ def sweep(root: Path, seeds: range) -> list[StoredRun]:
     return made
 
 
+def folders(root: Path) -> list[Path]:
+    return [Path(folder) for folder in load_runs(root).runs["folder"]]
+
+
 @dataclass
 class Remembered(Tracker):
     """A tracker in memory that refuses the runs it is told to."""
 
     held: dict[str, Entry] = field(default_factory=dict)
     refused: frozenset[int] = frozenset()
-    asked: list[int] = field(default_factory=list)
+    tried: list[int] = field(default_factory=list)
+    seconds: float = 0.0
 
     def alone(self) -> AbstractContextManager[None]:
         return nullcontext()
@@ -75,7 +80,8 @@ class Remembered(Tracker):
 
     def add(self, stored: StoredRun) -> None:
         seed = stored.result["seed"]
-        self.asked.append(seed)
+        self.tried.append(seed)
+        time.sleep(self.seconds)
         if seed in self.refused:
             raise ConnectionError("cannot reach http://me:hidden@tracker:5000/api")
         key = f"{len(self.held)}-{seed}"
@@ -121,111 +127,89 @@ def test_numbers_are_those_of_the_tables(tmp_path: Path) -> None:
 def test_a_sync_counts_and_catches_up(tmp_path: Path) -> None:
     sweep(tmp_path, range(6))
     tracker = Remembered(refused=frozenset({2}))
-    first = sync(tmp_path, tracker)
+    first = sync(folders(tmp_path), tracker)
     assert (first.there, first.added, first.repaired, len(first.failed)) == (0, 5, 0, 1)
     assert "hidden" not in str(first.failed)
     tracker.refused = frozenset()
     key = next(iter(tracker.held))
     tracker.held[key] = replace(tracker.held[key], whole=False)
-    second = sync(tmp_path, tracker)
+    second = sync(folders(tmp_path), tracker)
     assert (second.there, second.added, second.repaired, second.failed) == (4, 1, 1, {})
-    assert sync(tmp_path, tracker).there == 6
+    assert sync(folders(tmp_path), tracker).there == 6
 
 
 def test_a_dead_tracker_is_given_up(tmp_path: Path) -> None:
     sweep(tmp_path, range(8))
     tracker = Remembered(refused=frozenset(range(8)))
-    assert len(sync(tmp_path, tracker).failed) == 8
-    assert len(tracker.asked) == 3
+    assert len(sync(folders(tmp_path), tracker).failed) == 8
+    assert len(tracker.tried) == 3
 
 
-def mirror(root: Path, program: str) -> Mirror:
-    return Mirror(root, [sys.executable, "-S", "-c", program], {})
-
-
-def pushed(made: Mirror, stored: StoredRun, times: int) -> float:
-    """Seconds of the longest push."""
-    longest = 0.0
-    for _ in range(times):
-        began = time.perf_counter()
-        made.push(stored)
-        longest = max(longest, time.perf_counter() - began)
-    return longest
-
-
-def test_pushing_never_waits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """More than a pipe holds (64 KB) to a process that never reads."""
-    (stored,) = sweep(tmp_path, range(1))
-    made = mirror(tmp_path, "import time; time.sleep(60)")
-    assert pushed(made, stored, 3000) < 0.5
-    began = time.perf_counter()
-    made.close(0.0)
-    assert time.perf_counter() - began < 2
-    assert capsys.readouterr().err == (
-        "mirror: 3000 of 3000 runs are not in the tracker yet; "
-        f"run python -m experiments.sync {tmp_path}\n"
-    )
-    made.push(stored)
-    made.close()
-    assert capsys.readouterr().err == "", "said once"
-
-
-@pytest.mark.parametrize(
-    ("program", "reason"),
-    [
-        ("import sys; print('the disk is full', flush=True); sys.stdin.read()", "disk is full"),
-        ("raise SystemExit(1)", "the process that writes it has ended"),
-        ("print('Traceback of another program', flush=True)", "Traceback of another program"),
-    ],
-)
-def test_a_failure_is_said_once(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], program: str, reason: str
+def test_a_slow_tracker_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (stored,) = sweep(tmp_path, range(1))
-    made = mirror(tmp_path, program)
-    made.push(stored)
-    made.close(30.0)
-    said = capsys.readouterr().err
-    assert reason in said
-    assert said.count("\n") == 1
-    assert "1 of 1 runs are not in the tracker" in said
+    sweep(tmp_path, range(8))
+    monkeypatch.setattr("experiments.app.mirror.SLOW_SECONDS", 0.01)
+    tracker = Remembered(seconds=0.02)
+    mirror(tmp_path, folders(tmp_path), lambda: tracker)
+    assert len(tracker.held) == 3
+    assert capsys.readouterr().err == (
+        "mirror: 5 of 8 runs are not in the tracker yet (not tried after several failures or slow "
+        f"answers); run python -m experiments.sync {tmp_path}\n"
+    )
+    assert sync(folders(tmp_path), tracker).added == 5, "a sync waits"
 
 
-def test_no_process_at_all(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (stored,) = sweep(tmp_path, range(1))
-    made = Mirror(tmp_path, [str(tmp_path / "absent")], {})
-    made.push(stored)
-    made.close()
-    assert "No such file" in capsys.readouterr().err
+@pytest.mark.parametrize("error", [OSError("the disk is full"), RuntimeError("of another version")])
+def test_a_failure_is_said_once(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], error: Exception
+) -> None:
+    sweep(tmp_path, range(2))
+
+    def broken() -> Tracker:
+        raise error
+
+    mirror(tmp_path, folders(tmp_path), broken)
+    message = capsys.readouterr().err
+    assert message.startswith(f"mirror: 2 of 2 runs are not in the tracker yet ({error}); ")
+    assert message.count("\n") == 1
 
 
-def test_a_healthy_mirror_is_silent_and_is_waited_for(
+def test_an_interrupt_goes_on_and_says_what_is_missing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (stored,) = sweep(tmp_path, range(1))
-    program = (
-        "import sys, time\n"
-        "next(sys.stdin)\n"
-        "for line in sys.stdin: time.sleep(0.01); print(flush=True)"
-    )
-    made = mirror(tmp_path, program)
-    pushed(made, stored, 20)
-    made.close(30.0)
-    assert (made.done, made.reason) == (20, "")
+    sweep(tmp_path, range(2))
+
+    def interrupted() -> Tracker:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        mirror(tmp_path, folders(tmp_path), interrupted)
+    assert "2 of 2 runs are not in the tracker yet (interrupted)" in capsys.readouterr().err
+
+
+def test_a_healthy_mirror_is_silent_and_whole(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sweep(tmp_path, range(5))
+    tracker = Remembered()
+    mirror(tmp_path, folders(tmp_path), lambda: tracker)
+    assert len(tracker.held) == 5
     assert capsys.readouterr().err == ""
 
 
 def test_messages_are_short_and_hold_no_password() -> None:
-    text = told(ValueError("at  http://user:secret@host/path\nand " + "x" * 1000))
+    text = message_of(ValueError("at  http://user:secret@host/path\nand " + "x" * 1000))
     assert text.startswith("at http://host/path and x")
     assert len(text) == 200
-    assert told(KeyError()) == "KeyError"
+    assert message_of(KeyError()) == "KeyError"
     assert word("theta.mu:y/ä") == "theta.mu_y__"
 
 
 def test_mlflow_is_an_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mlflow", None)
-    for start in (lambda: mlflow_mirror(tmp_path, None, None), lambda: connect(tmp_path)):
+    chosen = {"tracker": "mlflow"}
+    for start in (lambda: check_tracking(chosen), lambda: connect(tmp_path)):
         with pytest.raises(MissingLibraryError, match=r"pip install 'miho\[mlflow\]'"):
             start()
 
@@ -240,14 +224,14 @@ def test_what_the_pages_need_is_said(flask: bool, monkeypatch: pytest.MonkeyPatc
     assert bool(pages_need()) is not flask
 
 
-def test_a_configuration_chooses(tmp_path: Path) -> None:
+def test_a_configuration_chooses() -> None:
     for path in sorted((ROOT / "conf" / "tracking").glob("*.yaml")):
         settings = OmegaConf.load(path)
         assert set(settings) == {"tracker", "uri", "experiment"}
         assert settings.tracker in (None, path.stem)
-    assert open_mirror(tmp_path, **OmegaConf.load(ROOT / "conf" / "tracking" / "none.yaml")) is None
+    assert not check_tracking(OmegaConf.load(ROOT / "conf" / "tracking" / "none.yaml"))
     with pytest.raises(ConfigError, match=r"tracking.tracker: is 'wandb'; expected mlflow"):
-        open_mirror(tmp_path, "wandb")
+        check_tracking({"tracker": "wandb"})
 
 
 @pytest.fixture
@@ -378,7 +362,7 @@ def test_mlflow_down_is_one_line(tmp_path: Path) -> None:
 @pytest.mark.slow
 @needs_mlflow
 def test_four_sweeps_on_one_fresh_database(tmp_path: Path) -> None:
-    """Four processes start on a database that is not there; then four mirrors push to it."""
+    """Four processes start on a database that is not there; then four mirrors write to it."""
     uri = f"sqlite:///{tmp_path / 'shared' / 'mlflow.db'}"
     roots = [tmp_path / f"sweep{i}" for i in range(4)]
     files = [stored for i, root in enumerate(roots) for stored in sweep(root, seeds(i, 0))]
@@ -388,14 +372,11 @@ def test_four_sweeps_on_one_fresh_database(tmp_path: Path) -> None:
     assert all("10 runs: 0 were there, 10 added" in each.stdout for each in done)
     check_database(tmp_path / "shared" / "mlflow.db", files)
 
-    mirrors = [mlflow_mirror(root, uri, SHARED[1]) for root in roots]
-    for i, (root, each) in enumerate(zip(roots, mirrors, strict=True)):
-        for stored in sweep(root, seeds(i, 1)):
-            each.push(stored)
-            files.append(stored)
-    for each in mirrors:
-        each.close(10.0)
-    assert [each.reason for each in mirrors] == [""] * 4
+    for i, root in enumerate(roots):
+        later = sweep(root, seeds(i, 1))
+        mirror(root, [run.folder for run in later], lambda r=root: connect(r, uri, SHARED[1]))
+        files += later
+    check_database(tmp_path / "shared" / "mlflow.db", files)
     with ThreadPoolExecutor(4) as pool:
         done = list(pool.map(lambda root: run_sync(root, "--uri", uri, *SHARED), roots))
     assert [each.returncode for each in done] == [0] * 4, [each.stderr for each in done]

@@ -11,12 +11,13 @@ import pandas as pd
 import pytest
 
 from experiments import report
-from experiments.build import ConfigError, build, rebuild
-from experiments.cli import composed
+from experiments.app.build import ConfigError, build, rebuild
+from experiments.app.compose import composed
+from experiments.app.execution import execution_of
+from experiments.app.schema import register
+from experiments.app.words import _ending
+from experiments.app.words import report as summary
 from experiments.optimum import OTHER_METHODS, descents_of, remedy
-from experiments.run import _ending, run
-from experiments.run import report as summary
-from experiments.schema import register
 from miho.models import Pacejka
 from miho.models.identified import read_parameters
 from miho.optim import Descents
@@ -29,7 +30,7 @@ FAST = ("optimizer=least_squares", "optimizer.rounds=1")
 
 
 def stored_run(root: Path, *overrides: str) -> StoredRun:
-    execution = run(build(composed([*FAST, f"root={root}", *overrides])))
+    execution = execution_of(build(composed([*FAST, f"root={root}", *overrides])))
     assert execution.run is not None
     return execution.run
 
@@ -149,7 +150,7 @@ def test_a_comparison_has_its_claims_and_says_what_is_missing(
     for optimizer in ("least_squares", "miho"):
         asked = [*TIRE, f"optimizer={optimizer}", "budget.evaluations=200", f"root={tmp_path}"]
         for seed in (0, 1):
-            found = run(build(composed([*asked, f"seed={seed}"]))).run
+            found = execution_of(build(composed([*asked, f"seed={seed}"]))).run
             assert found is not None
             ids.append(found.result["id"])
     about = {"command": ["python", "-m", "x"], "note": "small <b>", "runs": ids}
@@ -205,7 +206,7 @@ def test_an_optimum_in_doubt_comes_with_what_to_type(tmp_path: Path) -> None:
     space = "+space={a: {unit: N, low: 0, high: 9000}, b: {unit: 1/rad, low: 60, high: 900}}"
     poor = ["optimizer.screen=5", "optimizer.starts=2", f"root={tmp_path / 'runs'}"]
     experiment = build(composed([*FAST, *overrides, "~space", space, *poor]))
-    stored = run(experiment).run
+    stored = execution_of(experiment).run
     assert stored is not None
     told = summary(experiment, stored)
     assert "the optimum is in doubt" in told
@@ -224,7 +225,7 @@ def test_the_gap_is_of_what_is_reported_and_of_the_run(tmp_path: Path) -> None:
     """A cubic has a closed form: the report is of it, however poor the run was."""
     poor = ["dataset=torque_15", "optimizer=random", "budget.evaluations=30"]
     experiment = build(composed([*poor, f"root={tmp_path / 'runs'}"]))
-    stored = run(experiment).run
+    stored = execution_of(experiment).run
     assert stored is not None
     told = summary(experiment, stored)
     best = np.sqrt(experiment.facts["optimum"])
@@ -400,7 +401,7 @@ def test_ends_on_exact_data_agree_as_they_did_for_the_search(tmp_path: Path) -> 
     """Losses alone leave some 1e-22 of data without errors, which is more than rounding does."""
     asked = ["problem=mgh_gulf_starts", "optimizer=miho_qn", f"root={tmp_path}"]
     experiment = build(composed(asked))
-    found = run(experiment, quiet=True).run
+    found = execution_of(experiment, quiet=True).run
     assert found is not None
     assert found.result["outcome"] == "converged"
     assert found.result["loss"] > experiment.problem.rounding

@@ -8,17 +8,16 @@ from typing import Any
 import pytest
 from omegaconf import DictConfig
 
-from experiments import manifest
-from experiments.build import ConfigError
-from experiments.cli import composed
-from experiments.explain import parsed
+from experiments.app.build import ConfigError
+from experiments.app.compose import composed
+from experiments.app.explain import parsed
+from experiments.app.plan import Request, groups, requests, sweep_settings
+from experiments.app.runs import State, ended_state, known, run
+from experiments.app.schema import SweepConfig, register
 from experiments.report_sweep import read_sweep, write_sweep
-from experiments.schema import SweepConfig, register
-from experiments.sweep import Done, Wanted, _done, found, sweep, wanted
-from experiments.sweep_command import groups, sweep_settings
 from miho import load_runs
 from miho.optim import Budget, RandomSearch, minimize
-from miho.study import Status, Store, execute
+from miho.study import Status, Store, execute, manifest
 from miho.study.changes import ResumeRefused, refuse_changes
 from miho.study.workers import Ended
 from miho.testing import DecayFit
@@ -31,11 +30,11 @@ def config(root: Path, *more: str) -> DictConfig:
     return composed([*TINY, f"root={root}", *more])
 
 
-def runs_of(root: Path, *more: str, seeds: int = 2) -> list[Wanted]:
-    return wanted(config(root, *more), " ".join(more), range(seeds))
+def runs_of(root: Path, *more: str, seeds: int = 2) -> list[Request]:
+    return requests(config(root, *more), " ".join(more), range(seeds))
 
 
-def statuses(runs: list[Done]) -> list[Status]:
+def statuses(runs: list[State]) -> list[Status]:
     return [done.status for done in runs]
 
 
@@ -56,37 +55,37 @@ def test_a_bad_setting_is_one_line(tmp_path: Path, setting: str) -> None:
 
 def test_what_is_wanted_twice_is_done_once_and_then_done_before(tmp_path: Path) -> None:
     runs = [*runs_of(tmp_path), *runs_of(tmp_path)]
-    listed = sweep(runs, SweepConfig(dry_run=True))
+    listed = run(runs, SweepConfig(dry_run=True)).states
     assert statuses(listed) == [Status.TO_DO] * 2
     assert list(tmp_path.iterdir()) == []
-    assert statuses(sweep(runs, SweepConfig(processes=2))) == [Status.RAN] * 2
-    again = sweep(runs, SweepConfig())
+    assert statuses(run(runs, SweepConfig(processes=2)).states) == [Status.RAN] * 2
+    again = run(runs, SweepConfig()).states
     assert statuses(again) == [Status.DONE_BEFORE] * 2
-    assert statuses(sweep(runs, SweepConfig(dry_run=True))) == [Status.DONE_BEFORE] * 2
+    assert statuses(run(runs, SweepConfig(dry_run=True)).states) == [Status.DONE_BEFORE] * 2
     errors = load_runs(tmp_path).runs["error"].tolist()
     assert sorted(done.error or 0 for done in again) == sorted(errors)
 
 
 def test_a_run_that_was_tried_says_why_it_is_not_done(tmp_path: Path) -> None:
     (one,) = runs_of(tmp_path, seeds=1)
-    assert found(one).reason is None
+    assert known(one).reason is None
     Store(tmp_path).keep_reason(one.identity, "killed by SIGKILL", None)
-    assert found(one).reason == "killed by SIGKILL"
-    assert found(one).status is Status.TO_DO
+    assert known(one).reason == "killed by SIGKILL"
+    assert known(one).status is Status.TO_DO
 
 
 def test_a_result_that_is_gone_is_missed(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     runs = runs_of(tmp_path)
-    sweep(runs, SweepConfig())
+    run(runs, SweepConfig())
     (Store(tmp_path).folder(runs[0].identity) / "result.json").unlink()
     assert manifest.without_result(tmp_path) == ([Store(tmp_path).folder(runs[0].identity)], 2)
     page = write_sweep(read_sweep(tmp_path), tmp_path, tmp_path / "report.html", {})
     told = "1 of 2 runs of the sweeps here have no result.json"
     assert told in capsys.readouterr().err
     assert told in page.read_text()
-    again = sweep(runs, SweepConfig())
+    again = run(runs, SweepConfig()).states
     assert sorted(statuses(again)) == [Status.DONE_BEFORE, Status.RAN]
     assert "1 runs were stored before and have no result.json now" in capsys.readouterr().err
     assert manifest.without_result(tmp_path) == ([], 2)
@@ -94,9 +93,9 @@ def test_a_result_that_is_gone_is_missed(
 
 def test_runs_that_are_done_need_no_worker(tmp_path: Path, monkeypatch: Any) -> None:
     runs = runs_of(tmp_path)
-    sweep(runs, SweepConfig())
-    monkeypatch.setattr("experiments.sweep.Workers", None)
-    assert statuses(sweep(runs, SweepConfig())) == [Status.DONE_BEFORE] * 2
+    run(runs, SweepConfig())
+    monkeypatch.setattr("experiments.app.runs.Workers", None)
+    assert statuses(run(runs, SweepConfig()).states) == [Status.DONE_BEFORE] * 2
 
 
 MODEL = 'def line(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N") -> "N":\n'
@@ -110,22 +109,22 @@ def test_a_model_that_cannot_be_tried_is_lost_alone(tmp_path: Path, deed: str) -
     chosen = ("model=function", f"model.path={own}", "dataset.n=40")
     (one,) = runs_of(tmp_path / "runs", *chosen, seeds=1)
     assert one.lost is not None
-    assert statuses(sweep([one], SweepConfig())) == [Status.LOST]
+    assert statuses(run([one], SweepConfig()).states) == [Status.LOST]
     own.write_text(f"{MODEL}    return Sy - B * D * (alpha - Sx)\n")
     (one,) = runs_of(tmp_path / "runs", *chosen, seeds=1)
-    assert statuses(sweep([one], SweepConfig())) == [Status.RAN]
+    assert statuses(run([one], SweepConfig()).states) == [Status.RAN]
 
 
 def test_a_seed_below_zero_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="seed: is -3"):
-        wanted(config(tmp_path), "", [1, -3])
+        requests(config(tmp_path), "", [1, -3])
 
 
 def test_what_a_lost_run_says_keeps_secrets(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setenv("MIHO_TEST_TOKEN", "do-not-tell-this")
     register()
-    one = wanted(composed(["optimizer=random", f"root={tmp_path}"]), "", [0])[0]
-    done = _done(Ended(one, reason="no login with do-not-tell-this"))
+    one = requests(composed(["optimizer=random", f"root={tmp_path}"]), "", [0])[0]
+    done = ended_state(Ended(one, reason="no login with do-not-tell-this"))
     assert done.status is Status.LOST
     assert "no login with <MIHO_TEST_TOKEN>" in done.line
     assert "do-not-tell-this" not in f"{done.line}{done.reason}"
@@ -136,13 +135,13 @@ def test_the_words_of_a_sweep_must_mean_the_same(tmp_path: Path) -> None:
     old = {"seed 0": runs_of(tmp_path, seeds=1)[0].identity}
     new = {"seed 0": runs_of(tmp_path, "optimizer.batch=7", seeds=1)[0].identity}
     manifest.write_manifest(tmp_path, words, old)
-    manifest.refuse_other_settings(tmp_path, words, new, fresh=False)  # nothing is done yet
-    sweep(runs_of(tmp_path, seeds=1), SweepConfig(), overrides=words)
+    refuse_changes(Store(tmp_path), new, fresh=False, overrides=words)  # nothing is done yet
+    run(runs_of(tmp_path, seeds=1), SweepConfig(), overrides=words)
     manifest.write_manifest(tmp_path, words, old)
-    with pytest.raises(ResumeRefused, match=r"other settings of optimizer\.batch \(1 runs\)"):
-        manifest.refuse_other_settings(tmp_path, words, new, fresh=False)
-    manifest.refuse_other_settings(tmp_path, [*words, "seed=1"], new, fresh=False)
-    manifest.refuse_other_settings(tmp_path, words, new, fresh=True)
+    with pytest.raises(ResumeRefused, match=r"change of optimizer\.batch \(1 runs\)"):
+        refuse_changes(Store(tmp_path), new, fresh=False, overrides=words)
+    refuse_changes(Store(tmp_path), new, fresh=False, overrides=[*words, "seed=1"])
+    refuse_changes(Store(tmp_path), new, fresh=True, overrides=words)
     assert not len(load_runs(tmp_path).runs)
     assert len(list((tmp_path / ".superseded").rglob("result.json"))) == 1
 
@@ -173,10 +172,10 @@ def test_a_manifest_repeats_no_part_of_a_configuration(tmp_path: Path) -> None:
         DecayFit.space,
         {},
     )
-    manifest.refuse_other_settings(tmp_path, [], runs, fresh=False)
+    refuse_changes(Store(tmp_path), runs, fresh=False, overrides=[])
     other = {asked: replace(run, config=sized(99)) for asked, run in runs.items()}
-    with pytest.raises(ResumeRefused, match=r"other settings of optimizer\.batch \(1 runs\)"):
-        manifest.refuse_other_settings(tmp_path, [], other, fresh=False)
+    with pytest.raises(ResumeRefused, match=r"change of optimizer\.batch \(1 runs\)"):
+        refuse_changes(Store(tmp_path), other, fresh=False, overrides=[])
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"runs": 3}', '{"runs": {"a": {"place": [1]}}}'])
@@ -184,7 +183,7 @@ def test_a_damaged_manifest_is_none(tmp_path: Path, text: str) -> None:
     manifest.write_manifest(tmp_path, [], {})
     (path,) = (tmp_path / manifest.MANIFESTS).iterdir()
     path.write_text(text)
-    manifest.refuse_other_settings(tmp_path, [], {}, fresh=False)
+    refuse_changes(Store(tmp_path), {}, fresh=False, overrides=[])
 
 
 def test_a_manifest_cannot_move_what_is_outside(tmp_path: Path) -> None:
@@ -199,20 +198,20 @@ def test_a_manifest_cannot_move_what_is_outside(tmp_path: Path) -> None:
     about["configs"].append({})
     path.write_text(json.dumps(about))
     with pytest.raises(PermissionError):
-        manifest.refuse_other_settings(root, [], {"seed 0": identity}, fresh=True)
+        refuse_changes(Store(root), {"seed 0": identity}, fresh=True, overrides=[])
     assert (outside / "result.json").exists()
 
 
 def test_other_code_data_or_packages_are_refused_and_named(tmp_path: Path) -> None:
     runs = runs_of(tmp_path, seeds=2)
-    sweep(runs, SweepConfig())
+    run(runs, SweepConfig())
     store = Store(tmp_path)
-    now = [one.identity for one in runs]
+    now = {one.words: one.identity for one in runs}
     refuse_changes(store, now, fresh=False)
-    changed = [
-        replace(one, code="other", data="other", packages={**one.packages, "numpy": "9.9"})
-        for one in now
-    ]
+    changed = {
+        words: replace(one, code="other", data="other", packages={**one.packages, "numpy": "9.9"})
+        for words, one in now.items()
+    }
     told = r"code \(2 runs\), data \(2 runs\), numpy from \S+ to 9\.9 \(2 runs\); .*fresh=true"
     with pytest.raises(ResumeRefused, match=told):
         refuse_changes(store, changed, fresh=False)

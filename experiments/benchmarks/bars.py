@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.cli import BUG, OK, guarded
+from experiments.app.console import BUG, OK, guarded
 from miho.analysis import save
 from miho.study import environment_stamp, single_thread
 
@@ -68,7 +68,7 @@ def benchmark(
     arguments = parser.parse_args()
     bars: list[Bar] = []
 
-    def job() -> None:
+    def job() -> int:
         print(machine())
         started = time.perf_counter()
         with single_thread():
@@ -84,8 +84,9 @@ def benchmark(
             arguments.output.mkdir(parents=True, exist_ok=True)
             measured.tidy.to_csv(arguments.output / f"{name}.csv", index=False)
             save(draw(measured.tidy), arguments.output / name)
+        return OK if all(bar.met for bar in bars) else BUG
 
-    guarded(job, lambda: OK if all(bar.met for bar in bars) else BUG)
+    guarded(job)
 
 
 def machine() -> str:

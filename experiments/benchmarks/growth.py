@@ -19,10 +19,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from experiments.app.build import build
+from experiments.app.compose import composed
+from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
-from experiments.build import build
-from experiments.cli import composed
-from experiments.schema import register
 from miho.analysis.benchmark_figures import growth_figure
 from miho.compiled import Steps
 from miho.identification import CurveFit

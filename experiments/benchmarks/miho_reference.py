@@ -12,9 +12,10 @@ import time
 
 import numpy as np
 
-from experiments.build import build
-from experiments.cli import composed, guarded
-from experiments.schema import register
+from experiments.app.build import build
+from experiments.app.compose import composed
+from experiments.app.console import guarded
+from experiments.app.schema import register
 from miho.optim import minimize
 from miho.study import single_thread
 

@@ -23,10 +23,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from experiments.app.build import build
+from experiments.app.compose import CONF, composed
+from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
-from experiments.build import build
-from experiments.cli import CONF, composed
-from experiments.schema import register
 from miho.analysis.benchmark_figures import overhead_figure
 from miho.compiled import Block, Climb, Kernel, Rows, Steps
 from miho.optim import Budget, LeastSquaresProblem, Optimizer, Oracle, Problem, Space, minimize

@@ -12,8 +12,9 @@ import hydra
 import numpy as np
 from omegaconf import OmegaConf
 
+from experiments.app.compose import CONF
+from experiments.app.console import BUG, guarded
 from experiments.benchmarks.bars import machine
-from experiments.cli import BUG, CONF, OK, guarded
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.driving.embedded import embedded_engine, embedded_tires
 from miho.driving.known_car import KnownCar
@@ -58,4 +59,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    guarded(main, lambda: OK)
+    guarded(main)

@@ -20,8 +20,9 @@ import numpy as np
 import pandas as pd
 from omegaconf import OmegaConf
 
+from experiments.app.compose import CONF
+from experiments.app.console import BUG, OK, guarded
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, interleaved, machine
-from experiments.cli import BUG, CONF, OK, guarded
 from miho.driving.double_track import DoubleTrack
 from miho.driving.driver import Driver
 from miho.driving.embedded import embedded_plant
@@ -157,16 +158,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="fewer repeats")
     quick: bool = parser.parse_args().quick
-    bars: list[Bar] = []
 
-    def job() -> None:
+    def job() -> int:
         print(machine())
         with single_thread():
-            bars.extend(measure(quick))
+            bars = measure(quick)
         for bar in bars:
             print(bar)
+        return OK if all(bar.met for bar in bars) else BUG
 
-    guarded(job, lambda: OK if all(bar.met for bar in bars) else BUG)
+    guarded(job)
 
 
 if __name__ == "__main__":

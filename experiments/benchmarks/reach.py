@@ -40,6 +40,17 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from experiments.app.build import (
+    ConfigError,
+    build_optimizer,
+    build_problem,
+    recorded_optimum,
+)
+from experiments.app.compose import CONF, composed
+from experiments.app.console import OK, SOME_FAILED, guarded
+from experiments.app.explain import parsed, unknown
+from experiments.app.origin import our_code
+from experiments.app.schema import register
 from experiments.benchmarks.bars import machine
 from experiments.benchmarks.reach_tables import (
     Run,
@@ -51,16 +62,6 @@ from experiments.benchmarks.reach_tables import (
     stopping_shares,
     stopping_table,
 )
-from experiments.build import (
-    ConfigError,
-    build_optimizer,
-    build_problem,
-    our_code,
-    recorded_optimum,
-)
-from experiments.cli import CONF, OK, SOME_FAILED, composed, guarded
-from experiments.explain import parsed, unknown
-from experiments.schema import register
 from miho.analysis.running_time import FACTORS
 from miho.data import DataUnavailableError
 from miho.identification import CurveFit
@@ -326,9 +327,8 @@ def _arguments() -> argparse.Namespace:
 def main() -> None:
     """Read the command line, run, print."""
     arguments = _arguments()
-    failed: list[Run] = []
 
-    def job() -> None:
+    def job() -> int:
         register()
         own: dict[bool, list[str]] = {True: [], False: []}
         for text, override in zip(arguments.overrides, parsed(arguments.overrides), strict=True):
@@ -360,11 +360,11 @@ def main() -> None:
         if not report.runs:
             raise ConfigError("--problems: the data of none of them can be had here")
         report.close()
-        failed.extend(report.failed)
         if arguments.out is not None:
             _write(arguments.out, report, jobs)
+        return SOME_FAILED if report.failed else OK
 
-    guarded(job, lambda: SOME_FAILED if failed else OK)
+    guarded(job)
 
 
 if __name__ == "__main__":

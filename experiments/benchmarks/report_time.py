@@ -9,11 +9,11 @@ import tempfile
 from pathlib import Path
 from time import perf_counter
 
-from experiments.build import build
-from experiments.cli import composed
+from experiments.app.build import build
+from experiments.app.compose import composed
+from experiments.app.execution import execution_of
+from experiments.app.schema import register
 from experiments.report import report_folder, reported, write
-from experiments.run import run
-from experiments.schema import register
 
 REPEATS = 5
 
@@ -23,7 +23,7 @@ def main() -> None:
     register()
     with tempfile.TemporaryDirectory() as root:
         chosen = build(composed(["dataset=tire_lf", "optimizer=least_squares", f"root={root}"]))
-        stored = run(chosen).run
+        stored = execution_of(chosen).run
         if stored is None:
             raise RuntimeError("the run failed")
         folder = Path(report_folder(stored))

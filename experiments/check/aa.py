@@ -18,11 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.arena import plan
+from experiments.app.comparing import plan_arena
+from experiments.app.compose import composed
+from experiments.app.console import guarded
+from experiments.app.runs import run
+from experiments.app.schema import SweepConfig, register
 from experiments.arena_problems import as_configured
-from experiments.cli import composed, guarded
-from experiments.schema import SweepConfig, register
-from experiments.sweep import sweep
 from miho.analysis.anytime import area_over_curve
 from miho.analysis.leaderboard import families, family_scores, leaderboard, problem_scores
 from miho.analysis.markdown import to_markdown
@@ -43,7 +44,7 @@ def main() -> None:
         cfg = composed(overrides)
         cfg.comparison.repetitions = REPETITIONS
         cfg.comparison.methods = {method: {}}
-        sweep(plan(cfg, overrides, methods=1).runs, SweepConfig(processes=2))
+        run(plan_arena(cfg, overrides, methods=1).plan, SweepConfig(processes=2)).raise_if_stopped()
         found = load_runs(Path(root))
         runs, curves = as_configured(found.runs), found.curves
     for frame in (runs, curves):

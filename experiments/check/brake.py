@@ -18,10 +18,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from experiments.build import build
+from experiments.app.build import build
+from experiments.app.compose import composed
+from experiments.app.console import guarded
+from experiments.app.schema import register
 from experiments.check import reference_data
-from experiments.cli import composed, guarded
-from experiments.schema import register
 from miho.data import Dataset, DrivingLog, load_driving_log
 from miho.data.braking_samples import braking_samples
 from miho.data.csv import read_numbers

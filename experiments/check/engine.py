@@ -16,8 +16,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from experiments.check import reference_data
-from experiments.engine import Engine, identify_engine, truth_error
+from experiments.driving.car import identify_engine
 from miho.data.synthetic_engine import true_torque
+from miho.driving.assembly.engine import Engine, truth_error
 from miho.models import EngineMap, TorqueCubic
 from miho.models.engine import RPM
 

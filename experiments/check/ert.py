@@ -20,8 +20,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from experiments.build import ConfigError
-from experiments.cli import guarded
+from experiments.app.build import ConfigError
+from experiments.app.console import guarded
 from experiments.comparison import Comparison
 from miho.analysis import write_ioh
 from miho.analysis.running_time import hits, running_times

@@ -21,10 +21,10 @@ import scipy.optimize
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from experiments.build import build, build_space
+from experiments.app.build import build, build_space
+from experiments.app.compose import composed
+from experiments.app.schema import register
 from experiments.check import reference_data
-from experiments.cli import composed
-from experiments.schema import register
 from miho.data import embedded_tire, sample_axle, sample_lateral
 from miho.identification import CurveFit
 from miho.models import (

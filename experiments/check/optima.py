@@ -26,9 +26,10 @@ import scipy.optimize
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from experiments.build import build
-from experiments.cli import composed, guarded
-from experiments.schema import register
+from experiments.app.build import build
+from experiments.app.compose import composed
+from experiments.app.console import guarded
+from experiments.app.schema import register
 from miho.identification import CurveFit, linear_optimum
 from miho.optim.seeds import stream
 from miho.study import single_thread

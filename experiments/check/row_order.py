@@ -35,9 +35,10 @@ import numpy as np
 import scipy.optimize
 from numpy.typing import NDArray
 
-from experiments.build import build_problem
-from experiments.cli import composed, guarded
-from experiments.schema import register
+from experiments.app.build import build_problem
+from experiments.app.compose import composed
+from experiments.app.console import guarded
+from experiments.app.schema import register
 from miho.data import Dataset
 from miho.identification import CurveFit
 from miho.identification.row_order import covering_rows, merged, row_order

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from miho.study.files import DamagedRun
 from miho.study.identity import Identity
+from miho.study.manifest import other_settings
 from miho.study.store import Store, read_run
 
 
@@ -15,23 +17,31 @@ class ResumeRefused(Exception):  # noqa: N818 -- a decision for the user, no err
     """Finished runs of the same request were made of something else; says of what."""
 
 
-def refuse_changes(store: Store, identities: Iterable[Identity], *, fresh: bool) -> None:
-    """Raise ResumeRefused if a run's like is there, but of other code, data or packages.
+def refuse_changes(
+    store: Store,
+    runs: Mapping[str, Identity],
+    *,
+    fresh: bool,
+    overrides: Sequence[str] | None = None,
+) -> None:
+    """Raise ResumeRefused if finished runs are there that were asked for alike, but are of other
+    code, data or packages, or, where the same `overrides` gave them before, of other settings.
 
     Old and new runs never stand side by side as one method: with `fresh`, the old ones are set
-    aside, and nothing is deleted.
+    aside, and nothing is deleted. `runs` maps the words that each was asked in to who it is.
     """
-    changed: dict[str, int] = {}
-    for identity, folder in store.others(identities):
-        if fresh:
+    old = [(folder, _changes(who, folder)) for who, folder in store.others(runs.values())]
+    if overrides is not None:
+        old += other_settings(store.root, overrides, runs)
+    if fresh:
+        for folder, _ in old:
             store.set_aside(folder)
-            continue
-        for change in _changes(identity, folder):
-            changed[change] = changed.get(change, 0) + 1
-    if changed:
-        told = ", ".join(f"{change} ({count} runs)" for change, count in changed.items())
+        return
+    counts = Counter(change for _, changes in old for change in changes)
+    if counts:
+        text = ", ".join(f"{change} ({count} runs)" for change, count in counts.items())
         raise ResumeRefused(
-            f"{store.root}: holds finished runs made before a change of {told}; set them aside "
+            f"{store.root}: holds finished runs made before a change of {text}; set them aside "
             "and start afresh with fresh=true, or choose another root"
         )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ast
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
 
@@ -21,11 +21,12 @@ INIT = "__init__.py"
 class Sources:
     """The modules of some packages, as they were when they were first read.
 
-    `roots` maps the name of a top-level package to its folder.
+    `roots` maps the name of a top-level package to its folder; packages in `without` count for
+    nothing, like those of others.
     """
 
-    def __init__(self, roots: Mapping[str, Path]) -> None:
-        self._roots = dict(roots)
+    def __init__(self, roots: Mapping[str, Path], without: Collection[str] = ()) -> None:
+        self._roots, self._without = dict(roots), tuple(f"{name}." for name in without)
         self._modules: dict[str, Module | None] = {}
 
     def digest(self, modules: Iterable[str]) -> str:
@@ -67,7 +68,7 @@ class Sources:
 
     def _read(self, name: str) -> Module | None:
         top, *rest = name.split(".")
-        if top not in self._roots:
+        if top not in self._roots or f"{name}.".startswith(self._without):
             return None
         place = self._roots[top].joinpath(*rest)
         for path in (place / INIT, place.with_name(f"{place.name}.py")):

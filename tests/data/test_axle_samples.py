@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import butter, sosfilt
 
-from experiments.cli import composed
-from experiments.schema import register
+from experiments.app.compose import composed
+from experiments.app.schema import register
 from miho.data import Dataset, DrivingLog, load_axle_samples, load_driving_log
 from miho.data.axle_samples import axle_samples
 from miho.data.driving_log import low_pass

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.engine import identify_engine, truth_error
+from experiments.driving.car import identify_engine
 from miho.data import dyno_test, engine_driving_log, load_engine_drive
 from miho.data.synthetic_engine import CAR, DYNO_TRUSTED, HELD_THROTTLES, STEP, true_torque
+from miho.driving.assembly.engine import truth_error
 from miho.models import TorqueCubic
 from miho.models.engine import RPM
 

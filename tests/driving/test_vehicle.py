@@ -7,7 +7,7 @@ import hydra
 import pytest
 from omegaconf import OmegaConf
 
-from experiments.cli import CONF
+from experiments.app.compose import CONF
 from miho.driving.vehicle import Vehicle
 
 

@@ -8,11 +8,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.build import ConfigError, build
-from experiments.cli import composed
+from experiments.app.build import ConfigError, build
+from experiments.app.compose import composed
+from experiments.app.execution import execution_of
+from experiments.app.schema import register
 from experiments.figures import draw_axle
-from experiments.run import run
-from experiments.schema import register
 from miho.driving import Sensors, embedded_plant
 from miho.driving.proving_ground import driven, weaves
 from tests.driving.cars import car
@@ -29,10 +29,10 @@ def test_the_rest_of_a_log_is_drawn_and_judged(tmp_path: Path) -> None:
     asked = [f"dataset.path={path}", "optimizer=least_squares", f"root={root}"]
     whole = build(composed(["dataset=axle_log", *asked]))
     part = build(composed(["dataset=axle_log", "dataset.end=12", *asked]))
-    run(whole, quiet=True)
+    execution_of(whole, quiet=True)
     with pytest.raises(ConfigError, match="no run of least_squares on an axle of a driving log"):
         draw_axle(root, tmp_path, "least_squares")
-    run(part, quiet=True)
+    execution_of(part, quiet=True)
     paths = draw_axle(root, tmp_path / "figures", "least_squares")
     assert [one.name for one in paths] == ["fig4_right.png", "fig4_right.pdf", "fig4_right.json"]
     about = json.loads(paths[-1].read_text(encoding="utf-8"))

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from experiments.app.compose import composed
+from experiments.app.schema import register
 from experiments.check import brake, coverage, engine, mf61_lateral, optima, row_order
-from experiments.cli import composed
-from experiments.engine import identify_engine
-from experiments.schema import register
+from experiments.driving.car import identify_engine
 from miho.data import embedded_tire
 from miho.study import single_thread
 

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from experiments.build import ConfigError
-from experiments.cli import composed
-from experiments.compare import _set_aside_disturbed
+from experiments.app.build import ConfigError
+from experiments.app.comparing import set_aside_disturbed
+from experiments.app.compose import composed
+from experiments.app.plan import Request, requests
+from experiments.app.schema import register
 from experiments.full_size import differences
-from experiments.schema import register
-from experiments.sweep import Wanted, wanted
 from miho.optim import Budget, RandomSearch, minimize
 from miho.study import Store, load_runs
 from miho.testing import DecayFit
@@ -20,9 +20,9 @@ from miho.testing import DecayFit
 register()
 
 
-def stored(root: Path, *overrides: str, valid: bool = True, seed: int = 0) -> Wanted:
+def stored(root: Path, *overrides: str, valid: bool = True, seed: int = 0) -> Request:
     """A run that is finished without having been done: its method and data are others."""
-    (one,) = wanted(composed([*overrides, f"root={root}"]), "", [seed])
+    (one,) = requests(composed([*overrides, f"root={root}"]), "", [seed])
     record = minimize(RandomSearch(), DecayFit(), Budget(evaluations=5), seed)
     store = Store(root)
     with store.claim(one.identity):
@@ -35,7 +35,7 @@ def test_fresh_makes_room_for_what_was_disturbed_as_often_as_asked(tmp_path: Pat
     quiet = stored(tmp_path, "optimizer=random", seed=0)
     for _ in range(3):
         disturbed = stored(tmp_path, "optimizer=random", valid=False, seed=1)
-        _set_aside_disturbed([quiet, disturbed], store)
+        set_aside_disturbed([quiet, disturbed], store)
         assert load_runs(tmp_path).runs["seed"].tolist() == [0]
     assert len(list((tmp_path / ".superseded").rglob("result.json"))) == 3
 

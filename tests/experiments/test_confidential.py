@@ -4,10 +4,10 @@ import pytest
 from omegaconf import OmegaConf
 from omegaconf.errors import InterpolationResolutionError
 
-from experiments.build import ConfigError, build
-from experiments.cli import composed
-from experiments.confidential import SecretError, check_no_secret
-from experiments.schema import register
+from experiments.app.build import ConfigError, build
+from experiments.app.compose import composed
+from experiments.app.safety import SecretError, check_no_secret
+from experiments.app.schema import register
 
 register()
 SECRET = "correct-horse-battery"

@@ -8,10 +8,26 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from experiments.build import ConfigError
-from experiments.car_from_files import Wrong, engine_from, known_from
-from experiments.cli import composed
-from experiments.drive_data import (
+from experiments.app.build import ConfigError
+from experiments.app.compose import composed
+from experiments.app.origin import DRIVING, DRIVING_SOURCES
+from experiments.app.schema import register
+from experiments.drive_study import check
+from experiments.driving.laps import (
+    LAPS,
+    VARIANTS,
+    Job,
+    judged_lap,
+    lap,
+    laps_before,
+    laps_of,
+    spaces,
+)
+from miho.data import Dataset
+from miho.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.data.synthetic_engine import true_torque
+from miho.driving import Sensors, embedded_plant
+from miho.driving.assembly.from_drives import (
     LOW_OPENINGS,
     identify_parts,
     joined,
@@ -19,13 +35,7 @@ from experiments.drive_data import (
     part_of,
     problems_of,
 )
-from experiments.drive_laps import LAPS, VARIANTS, Job, judged_lap, lap, laps_before, laps_of
-from experiments.drive_study import check
-from experiments.schema import register
-from miho.data import Dataset
-from miho.data.synthetic_brake import EMBEDDED_BRAKE
-from miho.data.synthetic_engine import true_torque
-from miho.driving import Sensors, embedded_plant
+from miho.driving.assembly.from_files import Wrong, engine_from, known_from
 from miho.driving.embedded import embedded_tires
 from miho.driving.proving_ground import driven, programme
 from miho.methods.least_squares import LeastSquares
@@ -48,7 +58,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         name: tuple(driven(plant, one).log(name, Sensors(), rng) for one in runs)
         for name, runs in programme(AV21, LOW_OPENINGS).items()
     }
-    problems = problems_of(logs, AV21)
+    problems = problems_of(logs, AV21, spaces())
     identify_parts(problems, LeastSquares(), Budget(evaluations=5000), 0, folder)
     return folder
 
@@ -165,3 +175,17 @@ def test_a_seed_gives_the_same_rows_again(tmp_path: Path) -> None:
     first, second = (laps_of(job) for job in jobs)
     assert first == second == laps_before(jobs[0])
     assert [row["variant"] for row in first] == [variant.name for variant in VARIANTS]
+
+
+def test_the_code_of_a_drive_is_all_that_it_uses_and_no_plumbing() -> None:
+    used = DRIVING_SOURCES.closure([*DRIVING, LeastSquares.__module__])
+    for module in (
+        "experiments.driving.settings", "experiments.driving.laps", "miho.driving.simulation",
+        "miho.driving.assembly.from_files", "miho.methods.least_squares", "miho.models.engine_map",
+        "miho.optim.minimize",
+    ):  # fmt: skip
+        assert module in used
+    assert not [
+        name for name in used if name.startswith(("experiments.app", "miho.analysis.pages"))
+    ]
+    assert not {"miho.methods.tiktak", "miho.data.mat", "baselines.dehb"} & set(used)

@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from experiments.build import build
-from experiments.cli import composed
-from experiments.forecast import announce, forecast, seconds_of_evaluation
-from experiments.schema import register
+from experiments.app.build import build
+from experiments.app.compose import composed
+from experiments.app.forecast import announce, forecast, seconds_of_evaluation
+from experiments.app.schema import register
 from miho.optim import Budget
 
 register()

@@ -6,9 +6,9 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
-from experiments.cli import CONF
-from experiments.hydra_settings import HydraSettingError, check_arguments, check_hydra
-from experiments.schema import register
+from experiments.app.compose import CONF
+from experiments.app.safety import HydraSettingError, check_arguments, check_hydra
+from experiments.app.schema import register
 
 register()
 

@@ -7,7 +7,7 @@ import time
 import pytest
 from numba.core import event
 
-from experiments.progress import progress, spent
+from experiments.app.progress import progress, spent
 from miho import Budget, Oracle
 from miho.optim import Clock
 from miho.testing import DecayFit
@@ -60,8 +60,8 @@ def test_a_compilation_is_told_while_it_lasts(
 ) -> None:
     """Of two functions, one in the other, that numba does not find in its cache."""
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    monkeypatch.setattr("experiments.progress.REFRESH_SECONDS", 0.01)
-    monkeypatch.setattr("experiments.progress.WORTH_TELLING", 0.0)
+    monkeypatch.setattr("experiments.app.progress.REFRESH_SECONDS", 0.01)
+    monkeypatch.setattr("experiments.app.progress.WORTH_TELLING", 0.0)
     shown, deadline = "", time.monotonic() + 60
     with progress("run", Budget(evaluations=100), "V"):
         assert "compiling" not in capsys.readouterr().err

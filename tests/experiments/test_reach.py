@@ -8,6 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from experiments.app.build import ConfigError
+from experiments.app.schema import register
 from experiments.benchmarks import reach
 from experiments.benchmarks.reach import DEFAULT, problems, variants, widened
 from experiments.benchmarks.reach_tables import (
@@ -18,8 +20,6 @@ from experiments.benchmarks.reach_tables import (
     solved_by_all,
     stopping_table,
 )
-from experiments.build import ConfigError
-from experiments.schema import register
 from miho.optim import Parameter, Space
 from miho.optim.minimize import Outcome
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.received_yaml import ReceivedError, check_file, check_folder
+from experiments.app.safety import ReceivedError, check_file, check_folder
 
 LAUGHS = "\n".join(
     ["a0: &a0 [lol]", *(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]" for k in range(1, 8))]

@@ -9,8 +9,8 @@ import pytest
 from omegaconf import OmegaConf
 
 import miho.methods
-from experiments.build import ConfigError, instantiate
-from experiments.targets import HOMES, TargetError, allowed, find_target, nested_target
+from experiments.app.build import ConfigError, instantiate
+from experiments.app.safety import HOMES, TargetError, allowed, find_target, nested_target
 from miho.data import Dataset
 from miho.models import Model, Pacejka
 from miho.optim import Optimizer
@@ -69,7 +69,7 @@ def test_a_method_is_one_class_under_all_its_names() -> None:
 
 def test_the_list_is_read_without_importing_a_method() -> None:
     script = (
-        "import sys; from experiments.targets import allowed; from miho.optim import Optimizer;"
+        "import sys; from experiments.app.safety import allowed; from miho.optim import Optimizer;"
         "names = allowed(Optimizer); assert 'baselines.dehb.DEHB' in names;"
         "assert not [name for name in sys.modules if name.startswith('baselines.')], sys.modules"
     )

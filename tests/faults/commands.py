@@ -29,9 +29,9 @@ from pathlib import Path
 from typing import IO
 from unittest import mock
 
-from experiments.cli import composed
-from experiments.schema import register
-from experiments.sweep import MODULES, wanted
+from experiments.app.compose import composed
+from experiments.app.plan import MODULES, requests
+from experiments.app.schema import register
 from miho.study.workers import start_server
 
 CHECKOUT = Path(__file__).parents[2]
@@ -122,7 +122,7 @@ def prepare() -> None:
     """Serve workers, and find here what forks would find each: the digest of the code above all."""
     serve_workers()
     register()
-    wanted(composed([]), "", [0])
+    requests(composed([]), "", [0])
 
 
 @cache

@@ -217,7 +217,7 @@ def _forking() -> float:
 def _seconds(*, alone: bool) -> float:
     """The shortest time of a job that does nothing."""
     took = []
-    modules = ("experiments.sweep",)
+    modules = ("experiments.app.runs",)
     workers: Workers[int, int] = Workers(abs, 1, modules=modules, alone=bool if alone else None)
     with workers:
         for job in range(1, JOBS + 1):

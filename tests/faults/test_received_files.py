@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.cli import BAD_INPUT
+from experiments.app.console import BAD_INPUT
 from experiments.export import write_csv
 from miho import load_runs
 from miho.data import load_csv, load_mat

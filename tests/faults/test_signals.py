@@ -14,9 +14,11 @@ from pathlib import Path
 
 import pytest
 
-from experiments.cli import composed, guarded
-from experiments.schema import SweepConfig
-from experiments.sweep import Wanted, sweep, wanted
+from experiments.app.compose import composed
+from experiments.app.console import guarded
+from experiments.app.plan import Request, requests
+from experiments.app.runs import run
+from experiments.app.schema import SweepConfig
 from tests.faults.commands import alive, descendants, forked, prepare, started
 from tests.faults.conftest import Figures
 from tests.faults.misbehaviour import MODEL
@@ -61,7 +63,7 @@ def test_signals(tmp_path: Path, measured: Figures, thorough: bool) -> None:
     untouched = sum(path.read_bytes() == data for path, data in before.items())
     once, twice = (_deaf(tmp_path / str(count), [signal.SIGINT] * count) for count in (1, 2))
     place = tmp_path / "long"
-    of_a_minute = wanted(composed([*SWEEP, "budget.seconds=60", f"root={place}"]), "", [0, 1])
+    of_a_minute = requests(composed([*SWEEP, "budget.seconds=60", f"root={place}"]), "", [0, 1])
     long = _stop(partial(_sweep, of_a_minute), place, [signal.SIGTERM], 5.0)
     curves = _open_runs(place)[1]
     whole = _whole_command(tmp_path / "whole")
@@ -85,10 +87,10 @@ def test_signals(tmp_path: Path, measured: Figures, thorough: bool) -> None:
     assert untouched == len(before)
 
 
-def _at_random_times(root: Path, times: int) -> tuple[list[Stopped], int, list[Wanted]]:
+def _at_random_times(root: Path, times: int) -> tuple[list[Stopped], int, list[Request]]:
     """The sweeps that a signal stopped, how many had a wrong exit code, and all that was wanted."""
     chance = random.Random(4)
-    runs = wanted(composed([*SWEEP, f"root={root}"]), "", range((times + SPARE + 1) * SEEDS))
+    runs = requests(composed([*SWEEP, f"root={root}"]), "", range((times + SPARE + 1) * SEEDS))
     process = forked(partial(_sweep, runs[:SEEDS]))
     _wait_for(root, "lock", 1)
     began = time.monotonic()
@@ -113,12 +115,12 @@ def _deaf(root: Path, numbers: list[signal.Signals]) -> Stopped:
     model = root / "deaf.py"
     model.write_text(MODEL.format(how="deaf"), encoding="utf-8")
     own = ["model=function", f"model.path={model}", "optimizer.batch=1", f"root={root}"]
-    return _stop(partial(_sweep, wanted(composed([*SWEEP, *own]), "", [0])), root, numbers, 1.0)
+    return _stop(partial(_sweep, requests(composed([*SWEEP, *own]), "", [0])), root, numbers, 1.0)
 
 
-def _sweep(runs: Sequence[Wanted]) -> None:
+def _sweep(runs: Sequence[Request]) -> None:
     """What the command does once it is clear which runs are wanted."""
-    guarded(lambda: sweep(runs, SweepConfig(processes=2)))
+    guarded(lambda: run(runs, SweepConfig(processes=2)).raise_if_stopped())
 
 
 def _stop(

@@ -131,7 +131,7 @@ def _hang_up(folder: Path) -> bool:
 
 def _server_killed() -> bool:
     """Killed between two jobs, so that the next worker is asked of a server that is gone."""
-    workers: Workers[int, int] = Workers(abs, 2, 30.0, ("experiments.sweep",))
+    workers: Workers[int, int] = Workers(abs, 2, 30.0, ("experiments.app.runs",))
     with workers:
         server = forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]
         os.kill(server, signal.SIGKILL)

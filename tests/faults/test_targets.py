@@ -15,9 +15,9 @@ import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import DictConfig, OmegaConf
 
-from experiments.build import ConfigError, build, rebuild
-from experiments.cli import composed
-from experiments.schema import register
+from experiments.app.build import ConfigError, build, rebuild
+from experiments.app.compose import composed
+from experiments.app.schema import register
 from miho.study import StoredRun
 from tests.faults.commands import CHECKOUT
 from tests.faults.conftest import Figures

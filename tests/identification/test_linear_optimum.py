@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from experiments.build import build
-from experiments.cli import composed
-from experiments.schema import register
+from experiments.app.build import build
+from experiments.app.compose import composed
+from experiments.app.schema import register
 from miho import CurveFit, Dataset, Parameter, Space, minimize
 from miho.identification import Huber, linear_optimum
 from miho.methods.least_squares import LeastSquares

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.build import ConfigError, build
-from experiments.cli import composed
-from experiments.schema import register
+from experiments.app.build import ConfigError, build
+from experiments.app.compose import composed
+from experiments.app.schema import register
 from miho import Budget, CurveFit, Dataset, Parameter, Space, minimize
 from miho.models import FunctionModel, Model, load_function
 from miho.optim import RandomSearch

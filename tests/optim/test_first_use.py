@@ -74,9 +74,9 @@ def test_two_workers_compile_the_steps_once(tmp_path: Path) -> None:
 
 ALL_COMPILED = """
 from numba.core import event
-from experiments.build import build_optimizer, build_problem
-from experiments.cli import composed
-from experiments.schema import register
+from experiments.app.build import build_optimizer, build_problem
+from experiments.app.compose import composed
+from experiments.app.schema import register
 from miho.optim import Budget, minimize
 from miho.optim.minimize import warm_up
 

@@ -92,3 +92,17 @@ def test_a_name_leads_to_the_module_that_defines_it(tmp_path: Path) -> None:
         (tmp_path / "q.py").write_text(text)
         sources = Sources({"p": tmp_path / "p", "q": tmp_path / "q"})
         assert sources.closure(["q"]) == sorted([*used, "q"]), text
+
+
+def test_packages_that_count_for_nothing_are_not_followed(tmp_path: Path) -> None:
+    """So the plumbing of commands is no part of what a drive comes to, but the commands are."""
+    place = tmp_path / "top"
+    (place / "app").mkdir(parents=True)
+    for name, text in {
+        "__init__": "", "drive": "import top.app.console, top.car", "car": "", "other": "",
+        "app/__init__": "", "app/console": "import top.other",
+    }.items():  # fmt: skip
+        (place / f"{name}.py").write_text(text)
+    whole, without = Sources({"top": place}), Sources({"top": place}, without=["top.app"])
+    assert "top.other" in whole.closure(["top.drive"])
+    assert without.closure(["top.drive"]) == ["top.car", "top.drive"]

@@ -7,7 +7,7 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from experiments.build import Experiment
+from experiments.app.build import Experiment
 from miho.data.preview import preview
 from miho.identification import CurveFit
 from miho.models.function_model import FunctionModel

@@ -73,8 +73,8 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
             )
 
         def compiling(seconds: float | None) -> None:
-            told = "" if seconds is None else f": compiling, once on this machine, {seconds:.0f} s"
-            bar.set_description_str(f"{title}{told}")
+            stage = "" if seconds is None else f": compiling, once on this machine, {seconds:.0f} s"
+            bar.set_description_str(f"{title}{stage}")
 
         if bar.disable:
             yield observe

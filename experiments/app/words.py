@@ -1,21 +1,24 @@
-"""Run one experiment, unless the store has it, and say in words what came of it."""
+"""What a command says of the runs that it has done, and its exit code."""
 
 from __future__ import annotations
 
 import math
-import sys
-from collections.abc import Mapping
+import shlex
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from experiments.build import Experiment
-from experiments.progress import progress
+from experiments.app.build import Experiment
+from experiments.app.console import OK, SOME_FAILED
+from experiments.app.runs import State
 from miho.identification import Square, linear_optimum
 from miho.identification.evidence import kind_of
 from miho.identification.validation import root_mean_square
-from miho.optim import Descents, RunRecord, agreement, in_optimum, minimize
-from miho.study import Execution, Identity, Status, Store, StoredRun, execute
+from miho.optim import Descents, agreement, in_optimum
+from miho.study import Status, StoredRun
 
 ENDINGS = {
     "converged": "itself",
@@ -24,45 +27,45 @@ ENDINGS = {
 }
 
 
-def run(experiment: Experiment, *, quiet: bool = False) -> Execution:
-    """Run it, unless quiet with a progress bar, and store what it found."""
-    identity, problem = experiment.identity, experiment.problem
-    title = f"{identity.problem} {identity.optimizer} seed {identity.seed}"
-
-    def job() -> RunRecord:
-        settings = experiment.optimizer, problem, experiment.budget, identity.seed
-        if quiet:
-            return minimize(*settings)
-        if not sys.stderr.isatty():
-            print(f"{title}: running", file=sys.stderr, flush=True)
-        with progress(title, experiment.budget, problem.unit) as observer:
-            return minimize(*settings, observer=observer)
-
-    return execute(Store(experiment.root), identity, job, problem.space, experiment.facts)
-
-
-def line(experiment: Experiment, execution: Execution) -> str:
-    """One line: which run, its error and what it spent, or why there is none."""
-    identity = experiment.identity
-    head = f"{identity.problem} {identity.optimizer} seed {identity.seed}: "
-    if execution.run is None:
-        last = (execution.error or "").strip().splitlines()[-1:]
-        kept = f"; the next call starts it again (best so far in {execution.partial})"
-        return head + ": ".join([str(execution.status), *last]) + kept * bool(execution.partial)
-    return result_line(identity, execution.run.result, execution.status)
+def summary(states: Sequence[State]) -> int:
+    """Print what became of the runs of a sweep; gives the exit code of the command."""
+    if all(state.status in (Status.TO_DO, Status.DONE_BEFORE) for state in states):
+        print("\n".join(state.line for state in states if state.line))
+    _print_errors(states)
+    bad = [state for state in states if state.reason is not None]
+    for state in bad:
+        print(f"{state.status}: {state.request.words}: {state.reason}")
+    for root in dict.fromkeys(state.request.root for state in states if state.error is not None):
+        print(_report_of(root, states))
+    counts = Counter(state.status for state in states)
+    text = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
+    print(f"{len(states)} runs: {text}")
+    return SOME_FAILED if bad else OK
 
 
-def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -> str:
-    """One line: which run, its error and what it spent."""
-    found = "no finite value" if result["rejected"] else "no value on all rows of data"
-    if result["loss"] is not None:
-        found = f"{math.sqrt(result['loss']):.5g} {result['facts']['unit']}"
-    outside = result.get("outside", 0)
-    remark = f", at least {outside:,} of them outside of the box" if outside else ""
-    return (
-        f"{identity.problem} {identity.optimizer} seed {identity.seed}: {found}, "
-        f"{result['evaluations']:,.0f} evaluations{remark}, {result['seconds']:.2f} s ({status})"
+def _report_of(root: str, states: Sequence[State]) -> str:
+    """The command that reports on the runs of a root; --trust where their model is a file."""
+    identities = (state.request.identity for state in states if state.request.root == root)
+    models = (identity.config["model"] for identity in identities)
+    files = sorted({str(model["path"]) for model in models if "path" in model})
+    what = f" (--trust runs {', '.join(files)})" if files else ""
+    trust = " --trust" if files else ""
+    return f"how far to trust the best of them{what}: " + (
+        f"python -m experiments.report {shlex.quote(root)}{trust}"
     )
+
+
+def _print_errors(states: Sequence[State]) -> None:
+    """A line per problem and method: how many runs, and their errors."""
+    rows = [
+        (state.request.identity.problem, state.request.identity.optimizer, state.error)
+        for state in states
+        if state.error is not None
+    ]
+    if rows:
+        table = pd.DataFrame(rows, columns=["problem", "method", "error"])
+        errors = table.groupby(["problem", "method"])["error"]
+        print(errors.agg(["count", "min", "median", "max"]).to_string(float_format="%.5g"))
 
 
 def report(experiment: Experiment, stored: StoredRun) -> str:

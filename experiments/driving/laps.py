@@ -11,23 +11,29 @@ from typing import Any, cast
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
-from experiments.build import build_optimizer
-from experiments.car_from_files import Wrong, known_from
-from experiments.cli import composed
-from experiments.drive import driver_of, prepared
-from experiments.drive_data import HIGH_OPENINGS, LOW_OPENINGS, identify_parts, problems_of
-from experiments.drive_results import true_use
-from experiments.schema import register
+from experiments.app.build import build_optimizer, build_space, plain
+from experiments.app.compose import composed
+from experiments.app.schema import register
+from experiments.driving.settings import driver_of, prepared
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.driving.assembly.from_drives import (
+    HIGH_OPENINGS,
+    LOW_OPENINGS,
+    SPACES,
+    identify_parts,
+    problems_of,
+)
+from miho.driving.assembly.from_files import Wrong, known_from
 from miho.driving.driver import Driver
 from miho.driving.embedded import embedded_engine, embedded_plant, embedded_tires
 from miho.driving.known_car import KnownCar
+from miho.driving.outcome import true_use
 from miho.driving.proving_ground import Driven, driven, programme
 from miho.driving.road import road_of
 from miho.driving.sensors import Sensors
 from miho.driving.simulation import Drive, drive
 from miho.driving.vehicle import Vehicle
-from miho.optim import Budget
+from miho.optim import Budget, Optimizer, Space
 from miho.study import single_thread, write_text
 
 LAPS = "laps.json"
@@ -82,8 +88,8 @@ def laps_of(job: Job) -> list[dict[str, Any]]:
         rows = []
         for variant in VARIANTS:
             done, driver = lap(cfg, known(cfg, variant, folder, job.seed), job.seed)
-            told = {"seed": job.seed, "variant": variant.name}
-            rows.append(told | judged_lap(done, driver, cfg.drive))
+            of_lap = {"seed": job.seed, "variant": variant.name}
+            rows.append(of_lap | judged_lap(done, driver, cfg.drive))
     write_text(folder / LAPS, json.dumps({"job": asdict(job), "laps": rows}, indent=1) + "\n")
     return rows
 
@@ -91,10 +97,10 @@ def laps_of(job: Job) -> list[dict[str, Any]]:
 def laps_before(job: Job) -> list[dict[str, Any]] | None:
     """The rows of a job that was done before, by the same code and settings; else None."""
     try:
-        found = json.loads(Path(job.folder, LAPS).read_text(encoding="utf-8"))
+        stored = json.loads(Path(job.folder, LAPS).read_text(encoding="utf-8"))
     except (FileNotFoundError, ValueError):
         return None
-    return found["laps"] if found.get("job") == asdict(job) else None
+    return stored["laps"] if stored.get("job") == asdict(job) else None
 
 
 def known(cfg: DictConfig, variant: Variant, folder: Path, seed: int) -> KnownCar:
@@ -163,15 +169,28 @@ def _identify(cfg: DictConfig, seed: int, folder: Path) -> None:
     openings = LOW_OPENINGS + HIGH_OPENINGS
     rng = np.random.default_rng([seed, 0])
     logs = {
-        name: tuple(one.log(name, Sensors(), rng) for one in runs)
+        name: tuple(manoeuvre.log(name, Sensors(), rng) for manoeuvre in runs)
         for name, runs in _drives(vehicle, openings).items()
     }
-    problems = problems_of(logs, vehicle)
+    problems = problems_of(logs, vehicle, spaces())
     budget = Budget(evaluations=cfg.budget.evaluations, seconds=cfg.budget.seconds)
-    for method, settings in cfg.comparison.methods.items():
-        chosen = composed([f"optimizer={method}"])
+    for name, method in methods_of(cfg).items():
+        identify_parts(problems, method, budget, seed, folder / name)
+
+
+def methods_of(cfg: DictConfig) -> dict[str, Optimizer]:
+    """The methods of `comparison.methods`, by name."""
+    methods = {}
+    for name, settings in cfg.comparison.methods.items():
+        chosen = composed([f"optimizer={name}"])
         chosen.optimizer = OmegaConf.merge(chosen.optimizer, settings)
-        identify_parts(problems, build_optimizer(chosen), budget, seed, folder / str(method))
+        methods[str(name)] = build_optimizer(chosen)
+    return methods
+
+
+def spaces() -> dict[str, Space]:
+    """The spaces that parts are searched in which driving shows."""
+    return {name: build_space(plain(composed([f"space={name}"]))["space"]) for name in SPACES}
 
 
 @lru_cache(maxsize=1)
@@ -179,6 +198,6 @@ def _drives(vehicle: Vehicle, openings: tuple[float, ...]) -> dict[str, tuple[Dr
     """What happens on the proving ground, which no seed changes."""
     plant = embedded_plant(vehicle)
     return {
-        name: tuple(driven(plant, one) for one in runs)
+        name: tuple(driven(plant, manoeuvre) for manoeuvre in runs)
         for name, runs in programme(vehicle, openings).items()
     }

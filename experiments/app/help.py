@@ -12,7 +12,7 @@ from typing import Any
 from hydra.core.config_loader import ConfigLoader
 from hydra.core.object_type import ObjectType
 
-from experiments.explain import source
+from experiments.app.explain import source
 
 WIDTH = 100
 

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
-from functools import cache
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.constants import g
 
-import baselines
-import miho
 from miho.driving.driver import Driver
 from miho.driving.embedded import embedded_tires
 from miho.driving.friction import friction_car, uses_of
@@ -23,34 +18,11 @@ from miho.driving.simulation import Drive
 from miho.driving.track import Track
 from miho.driving.velocity_as_printed import PrintedPlanner
 from miho.driving.velocity_planner import front_share
-from miho.study import code_digest, environment_stamp
 
-LIBRARY = ("optim", "methods", "models", "data", "identification", "driving")
-EXPERIMENTS = (
-    "build", "car_from_files", "drive", "drive_data", "drive_laps", "drive_results", "engine",
-    "known",
-)  # fmt: skip
 CAR_LENGTH, CAR_WIDTH = 4.9, 1.93
 """Of the AV-21 [m]."""
 EVERY = 5
 """Of the rows of a drive every fifth, at 100 Hz some 3 m apart, is looked up on the road."""
-
-
-def regenerates(module: str) -> dict[str, Any]:
-    """What stands beside the results of a drive: its command, the code and the machine."""
-    return {
-        "command": " ".join(["python -m", module, *sys.argv[1:]]),
-        "code": driving_code(),
-        "environment": environment_stamp(),
-    }
-
-
-@cache
-def driving_code() -> str:
-    """Digest of the code that decides what a drive comes to."""
-    library, here = Path(miho.__file__).parent, Path(__file__).parent
-    ours = [*(library / name for name in LIBRARY), *(here / f"{name}.py" for name in EXPERIMENTS)]
-    return code_digest([*ours, Path(baselines.__file__).parent])
 
 
 class Room(NamedTuple):

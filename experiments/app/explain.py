@@ -20,7 +20,7 @@ from omegaconf.errors import (
 )
 from omegaconf.nodes import BooleanNode, FloatNode, IntegerNode
 
-from experiments.schema import RENAMED
+from experiments.app.schema import RENAMED
 
 EXPECTED: dict[type, str] = {
     IntegerNode: "a whole number",

@@ -10,11 +10,9 @@ from __future__ import annotations
 import inspect
 import math
 import os
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from functools import cache, lru_cache
-from importlib.metadata import version
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -22,14 +20,18 @@ import numba
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
-import baselines
-import miho
-from experiments.confidential import SecretError, check_no_secret, refuse_environment
-from experiments.explain import ConfigError as ConfigError
-from experiments.explain import unknown
-from experiments.own_code import runs_own_code
-from experiments.schema import Config
-from experiments.targets import TargetError, find_target, nested_target
+from experiments.app.explain import ConfigError as ConfigError
+from experiments.app.explain import unknown
+from experiments.app.origin import code_of, packages_of
+from experiments.app.safety import (
+    SecretError,
+    TargetError,
+    check_no_secret,
+    find_target,
+    nested_target,
+    refuse_environment,
+)
+from experiments.app.schema import Config
 from miho.data import Dataset
 from miho.identification import CurveFit, Loss, linear_optimum
 from miho.identification.irreducible import irreducible_interval
@@ -37,16 +39,15 @@ from miho.models import Model
 from miho.models.expression import Expression
 from miho.optim import Budget, Optimizer, Parameter, Space
 from miho.study import Identity, StoredRun
-from miho.study.closure import Sources
-from miho.study.identity import sha256
 
 PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
 
-NUMERICAL = {"numpy", "scipy", "numba"}
-WRAPPED = {name: name for name in ("optuna", "cmaes", "nevergrad", "dehb")} | {"dfols": "DFO-LS"}
-"""Distributions of the libraries that methods wrap, by the name that they are imported by."""
-
 T = TypeVar("T")
+Settings = DictConfig | Mapping[str, Any]
+"""A composed configuration, or what `plain` makes of it."""
+PARTS = ("model", "dataset", "space", "loss", "problem", "optimizer", "budget", "seed", "root")
+MISSING = "???"
+"""What Hydra leaves where a choice must be made."""
 
 refuse_environment()
 
@@ -95,69 +96,92 @@ def _facts(problem: CurveFit) -> Mapping[str, Any]:
     return facts
 
 
-def build(cfg: DictConfig, problem: CurveFit | None = None) -> Experiment:
-    """Check and build everything one run needs; raises ConfigError or a loader's own error.
+def plain(cfg: Settings) -> Mapping[str, Any]:
+    """What one run is made of, resolved and as plain data; what is plain stays as it is.
 
-    `problem` is what `build_problem` gave for the same configuration, if it was built before.
+    Raises ConfigError for a key that no configuration has.
     """
+    if not isinstance(cfg, DictConfig):
+        return cfg
     known = [field.name for field in fields(Config)]
     for key in cfg:
         if key not in known:
             raise ConfigError(unknown(str(key), known))
-    root = _root(cfg.root)
-    if runs_own_code(cfg):
+    setting: dict[str, Any] = {}
+    for key in PARTS:
+        node = MISSING if OmegaConf.is_missing(cfg, key) else cfg[key]
+        whole = OmegaConf.is_config(node)
+        setting[key] = OmegaConf.to_container(node, resolve=True) if whole else node
+    return setting
+
+
+def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
+    """Check and build everything one run needs; raises ConfigError or a loader's own error.
+
+    `problem` is what `build_problem` gave for the same configuration, if it was built before.
+    """
+    setting = plain(cfg)
+    root = _root(setting["root"])
+    if runs_own_code(setting):
         root = root.absolute()  # now, since the user's file may change the working directory
-    optimizer = build_optimizer(cfg)
-    optimizer_node = _plain(cfg, "optimizer")
+    optimizer = build_optimizer(setting)
+    optimizer_node = _part(setting, "optimizer")
     name = optimizer_node.pop("name")
-    if cfg.seed < 0:
-        raise ConfigError(f"seed: is {cfg.seed}; expected a whole number of at least 0")
-    problem = build_problem(cfg) if problem is None else problem
+    if setting["seed"] < 0:
+        raise ConfigError(f"seed: is {setting['seed']}; expected a whole number of at least 0")
+    problem = build_problem(setting) if problem is None else problem
     try:
-        budget = Budget(**_plain(cfg, "budget"))
-        config = {key: _plain(cfg, key) for key in ("model", "dataset", "loss", "budget")}
-        config["space"] = scaled_by(problem.dataset, _plain(cfg, "space"))
-        config["problem"] = {key: cfg.problem[key] for key in ("name", "compressed")}
+        budget = Budget(**_part(setting, "budget"))
+        config = {key: _part(setting, key) for key in ("model", "dataset", "loss", "budget")}
+        config["space"] = scaled_by(problem.dataset, _part(setting, "space"))
+        config["problem"] = {key: setting["problem"][key] for key in ("name", "compressed")}
         identity = Identity(
             problem=problem.name,
             optimizer=name,
-            seed=cfg.seed,
+            seed=setting["seed"],
             config=config | {"optimizer": optimizer_node},
-            code=_code(cfg, problem, optimizer),
+            code=code_of(setting, problem, optimizer),
             data=problem.dataset.digest,
             packages=packages_of(optimizer),
         )
     except (TypeError, ValueError) as error:
         raise ConfigError(str(error)) from None
-    return Experiment(problem, optimizer, budget, identity, root, recorded_optimum(cfg))
+    return Experiment(problem, optimizer, budget, identity, root, recorded_optimum(setting))
 
 
-def recorded_optimum(cfg: DictConfig) -> float | None:
+def runs_own_code(cfg: Settings) -> bool:
+    """Whether building this configuration runs a file of the user's."""
+    model = plain(cfg)["model"]
+    return isinstance(model, Mapping) and model.get("path") is not None
+
+
+def recorded_optimum(cfg: Settings) -> float | None:
     """The smallest error that is known of a problem, at least its resolution."""
-    known = (cfg.problem.optimum, cfg.problem.resolution)
+    known = cfg["problem"]["optimum"], cfg["problem"]["resolution"]
     return None if known[0] is None else max(float(value or 0.0) for value in known)
 
 
-def build_optimizer(cfg: DictConfig) -> Optimizer:
+def build_optimizer(cfg: Settings) -> Optimizer:
     """The method alone."""
-    node = _plain(cfg, "optimizer")
+    node = _part(plain(cfg), "optimizer")
     if not isinstance(node.pop("name", None), str):
         raise ConfigError("optimizer.name: is missing; give the method a name for its runs")
     return instantiate(node, "optimizer", Optimizer)
 
 
-def build_problem(cfg: DictConfig, dataset: Dataset | None = None) -> CurveFit:
+def build_problem(cfg: Settings, dataset: Dataset | None = None) -> CurveFit:
     """The problem alone; `dataset` is what its configuration gave, if it was built before."""
-    model = instantiate(_plain(cfg, "model"), "model", Model)
+    setting = plain(cfg)
+    model = instantiate(_part(setting, "model"), "model", Model)
     if dataset is None:
-        dataset = build_dataset(_plain(cfg, "dataset"))
+        dataset = build_dataset(_part(setting, "dataset"))
     if isinstance(model, Expression) and numba.config.DISABLE_JIT:
         raise ConfigError(
             "NUMBA_DISABLE_JIT: is set, and the loss of this model is compiled; unset it"
         )
-    space = build_space(scaled_by(dataset, _plain(cfg, "space")))
-    rho = instantiate(_plain(cfg, "loss"), "loss", Loss)
-    known = _plain(cfg, "problem")
+    space = build_space(scaled_by(dataset, _part(setting, "space")))
+    rho = instantiate(_part(setting, "loss"), "loss", Loss)
+    known = _part(setting, "problem")
     switches = {key: known[key] for key in ("threads", "compressed")}
     try:
         return CurveFit(model, dataset, space, rho, known["name"], **switches)
@@ -206,13 +230,13 @@ def build_dataset(node: Mapping[str, Any]) -> Dataset:
 
 
 SCALABLE = ("low", "high", "mean", "std", "sigma_max")
-UNSET = ("???", None)
+UNSET = (MISSING, None)
 
 
 def scaled_by(dataset: Dataset, node: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """The settings of a space as numbers, where `scaled` gave them as multiples of the data.
 
-    See `experiments.schema.ParameterConfig`. Raises ConfigError.
+    See `experiments.app.schema.ParameterConfig`. Raises ConfigError.
     """
     space: dict[str, dict[str, Any]] = {}
     for name, settings in node.items():
@@ -244,7 +268,7 @@ def build_space(node: Mapping[str, Any]) -> Space:
     for name, settings in plain.items():
         if settings.pop("scaled", None):
             raise ConfigError(f"space.{name}.scaled: needs data; give low and high")
-        missing = [key for key, value in settings.items() if value == "???"]
+        missing = [key for key, value in settings.items() if value == MISSING]
         if missing:
             raise ConfigError(f"space.{name}.{missing[0]}: is missing; expected unit, low and high")
     try:
@@ -256,7 +280,7 @@ def build_space(node: Mapping[str, Any]) -> Space:
 def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
     """The object that `node` describes.
 
-    Its target must be one of those that `experiments.targets` allows for a `kind`, and know every
+    Its target must be one of those that `safety.find_target` allows for a `kind`, and know every
     setting; all that is checked before anything is imported or called. Hydra's own `instantiate`
     is not used: it runs any target.
     """
@@ -294,7 +318,7 @@ def _target(path: object, key: str, kind: type[T]) -> Callable[..., T]:
 
 def _typed(value: Any, annotation: Any, key: str) -> Any:
     """The value, if it has the plain type that the signature declares."""
-    if value == "???":
+    if value == MISSING:
         raise ConfigError(f"{key}: is missing; give it on the command line as {key}=...")
     kind = PLAIN.get(annotation if isinstance(annotation, str) else annotation.__name__)
     if kind is None or type(value) is kind:
@@ -306,12 +330,12 @@ def _typed(value: Any, annotation: Any, key: str) -> Any:
     raise ConfigError(f"{key}: is {value!r}; expected a value of type {kind.__name__}")
 
 
-def _plain(cfg: DictConfig, key: str) -> dict[str, Any]:
-    """The resolved configuration below a key, as plain Python data."""
-    if OmegaConf.is_missing(cfg, key):
+def _part(setting: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """A copy of one part of a plain setting, checked to be a mapping without a secret."""
+    node = setting[key]
+    if node == MISSING:
         raise ConfigError(f"{key}: is missing; choose one of conf/{key}/")
-    node = OmegaConf.to_container(cfg[key], resolve=True)
-    if not isinstance(node, dict):
+    if not isinstance(node, Mapping):
         raise ConfigError(f"{key}: is {node!r}; expected a mapping")
     _check_no_secret(node, key)
     return {str(name): value for name, value in node.items()}
@@ -336,40 +360,3 @@ def _root(text: str) -> Path:
             "set LC_ALL=C.UTF-8 or choose a plain name"
         ) from None
     return Path(text)
-
-
-def packages_of(optimizer: Optimizer) -> dict[str, str]:
-    """Versions of the packages that decide what a run finds: the numerical ones, the method's."""
-    names = vars(sys.modules[type(optimizer).__module__]).values()
-    tops = {str(getattr(one, "__module__", None) or getattr(one, "__name__", "")) for one in names}
-    wrapped = {WRAPPED[name] for top in tops if (name := top.partition(".")[0]) in WRAPPED}
-    return {name: _version(name) for name in sorted(NUMERICAL | wrapped)}
-
-
-_version = cache(version)
-"""Looking a version up takes milliseconds."""
-
-
-def _code(cfg: DictConfig, problem: CurveFit, optimizer: Optimizer) -> str:
-    """Digest of the code that decides what a run finds, the model's own file included.
-
-    It is that of the parts of this run and of what they import: code that a run does not use may
-    change without making its result one of other code.
-    """
-    parts = (problem, problem.model, problem.rho, optimizer)
-    modules = {type(part).__module__ for part in parts} | {"miho.optim.minimize"}
-    for key, kind in (("model", Model), ("dataset", Dataset)):
-        modules.add(find_target(cfg[key]["_target_"], kind).__module__)
-    code, source = our_code(frozenset(modules)), problem.model.source
-    return code if source is None else sha256(code.encode() + source.read_bytes())
-
-
-@cache
-def our_code(modules: frozenset[str]) -> str:
-    """Digest of some modules of ours and of all that they use."""
-    return SOURCES.digest(modules)
-
-
-SOURCES = Sources(
-    {package.__name__: Path(str(package.__file__)).parent for package in (miho, baselines)}
-)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from importlib.metadata import version
@@ -10,10 +9,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from omegaconf import OmegaConf
 
-from experiments.build import ConfigError, build_space
-from experiments.cli import composed
 from miho.data import Dataset
 from miho.data.axle_samples import axle_samples
 from miho.data.braking_samples import braking_samples
@@ -22,34 +18,36 @@ from miho.data.synthetic_engine import DYNO_TRUSTED
 from miho.data.torque_samples import torque_samples
 from miho.driving.vehicle import Vehicle
 from miho.identification import CurveFit
-from miho.identification.refit import refit
-from miho.identification.uncertainty import linearised
+from miho.identification.parameters_file import identified
 from miho.models import Model, Pacejka, TorqueCubic
 from miho.models.brake_statics import BrakeDeceleration
 from miho.models.engine import RPM
-from miho.models.identified import Identified, Value, parameters_text
+from miho.models.identified import parameters_text
 from miho.optim import Budget, Optimizer, Space, minimize
 from miho.study import write_text
 
 Array = NDArray[np.float64]
 Logs = Mapping[str, tuple[DrivingLog, ...]]
 
+SPACES = ("axle_physical", "brake_deceleration", "torque_cubic")
+"""The spaces that its problems are searched in, as conf/space has them."""
 LOW_OPENINGS = (0.05, 0.15, 0.2)
 """What the paper learns from driving; the dyno has nothing to be trusted there."""
 HIGH_OPENINGS = (0.3, 0.4, 0.5, 0.65, 0.8, 0.9, 1.0)
 """What is learned as well when the learned region is extended, with all rows of the dyno."""
 SMOOTH = 3700 * RPM
 """From here on [rad/s], past the turbo's spool, a cubic can follow these openings."""
-MEAN_SPEED = "mean vx"
-"""A derived quantity of the axles: the speed [m/s] at whose loads the forces were measured."""
 SETTLE = 1.0
 """Seconds after which a turbocharged engine gives what the pedal asks for."""
 EVERY = 5
 """Of 100 samples a second, which a low pass of 5 Hz has made dependent, every fifth is kept."""
 
 
-def problems_of(logs: Logs, vehicle: Vehicle) -> dict[str, CurveFit]:
-    """The identification problems that the logs of a `programme` pose, by part."""
+def problems_of(logs: Logs, vehicle: Vehicle, spaces: Mapping[str, Space]) -> dict[str, CurveFit]:
+    """The identification problems that the logs of a `programme` pose, by part.
+
+    `spaces` holds those named in `SPACES`.
+    """
     weave, car = logs["weave"], vehicle.single_track
     data: dict[str, tuple[Model, str, Dataset]] = {}
     for axle in ("front", "rear"):
@@ -61,7 +59,7 @@ def problems_of(logs: Logs, vehicle: Vehicle) -> dict[str, CurveFit]:
         torques = _torques(logs[part], vehicle, opening_of(part))
         data[part] = TorqueCubic(), "torque_cubic", torques
     return {
-        part: CurveFit(model, dataset, _space(space), label=part)
+        part: CurveFit(model, dataset, spaces[space], label=part)
         for part, (model, space, dataset) in data.items()
     }
 
@@ -78,35 +76,31 @@ def opening_of(part: str) -> float:
 
 def joined(parts: Iterable[Dataset], name: str) -> Dataset:
     """Datasets below each other, every `EVERY`-th row; events keep apart."""
-    found = list(parts)
+    datasets = list(parts)
     columns = {
-        key: np.concatenate([one[key][::EVERY] for one in found]) for key in found[0].columns
+        key: np.concatenate([dataset[key][::EVERY] for dataset in datasets])
+        for key in datasets[0].columns
     }
     if "event" in columns:
-        number = np.repeat(np.arange(len(found)), [len(one[one.output][::EVERY]) for one in found])
-        columns["event"] = number.astype(float)
-    return Dataset(name, columns, found[0].units, found[0].output)
+        lengths = [len(dataset[dataset.output][::EVERY]) for dataset in datasets]
+        columns["event"] = np.repeat(np.arange(len(datasets)), lengths).astype(float)
+    return Dataset(name, columns, datasets[0].units, datasets[0].output)
 
 
 def _torques(logs: Iterable[DrivingLog], vehicle: Vehicle, opening: float) -> Dataset:
     """Torque samples at one opening, of those logs that have any."""
-    found = []
+    parts = []
     for log in logs:
         try:
             samples = torque_samples(log, vehicle.longitudinal, throttle=opening, settle=SETTLE)
         except ValueError:  # too short, or all of it too slow
             continue
-        kept = samples["omega"] >= (SMOOTH if opening >= DYNO_TRUSTED else 0.0)
-        if kept.any():
-            found.append(samples.select(kept))
-    if not found:
-        raise ConfigError(f"throttle {opening:g}: no log has a sample to learn from")
-    return joined(found, part_of(opening))
-
-
-def _space(name: str) -> Space:
-    node = composed([f"space={name}"]).space
-    return build_space({str(key): OmegaConf.to_container(node[key]) for key in node})
+        fast = samples["omega"] >= (SMOOTH if opening >= DYNO_TRUSTED else 0.0)
+        if fast.any():
+            parts.append(samples.select(fast))
+    if not parts:
+        raise ValueError(f"throttle {opening:g}: no log has a sample to learn from")
+    return joined(parts, part_of(opening))
 
 
 def identify_parts(
@@ -117,31 +111,11 @@ def identify_parts(
     for part, problem in problems.items():
         record = minimize(optimizer, problem, budget, seed)
         if record.theta is None:
-            raise ConfigError(f"optimizer: found no finite error on {part}: {record.error}")
-        found = identified(problem, record.theta)
+            raise ValueError(f"no finite error was found on {part}: {record.error}")
+        result = identified(problem, record.theta)
         about = {
             "optimizer": repr(optimizer), "seed": seed, "evaluations": record.evaluations,
             "packages": {name: version(name) for name in ("numpy", "scipy", "numba")},
         }  # fmt: skip
-        told = replace(found, provenance={**found.provenance, **about})
-        write_text(folder / f"{part}.json", parameters_text(told, {}))
-
-
-def identified(problem: CurveFit, theta: Array) -> Identified:
-    """A result with the linearised intervals of the optimum nearby, as parameters.json has it."""
-    at = linearised(problem, refit(problem, theta).theta)
-    ends, errors = at.intervals(), at.standard_errors
-    parameters = {
-        p.name: Value(float(theta[i]), p.unit, float(errors[i]), *map(float, ends[i]))
-        for i, p in enumerate(problem.space.parameters)
-    }
-    ranges = {
-        name: (float(problem.dataset[name].min()), float(problem.dataset[name].max()))
-        for name in problem.model.inputs
-    }
-    loss = float(problem.loss(theta[None])[0])
-    derived = {}
-    if "vx" in problem.dataset.columns and "vx" not in problem.model.inputs:
-        derived[MEAN_SPEED] = Value(float(problem.dataset["vx"].mean()), "m/s")
-    about = {"problem": problem.name, "data": problem.dataset.digest, "error": math.sqrt(loss)}
-    return Identified(problem.model, parameters, at.correlation, ranges, derived, about)
+        whole = replace(result, provenance={**result.provenance, **about})
+        write_text(folder / f"{part}.json", parameters_text(whole, {}))

@@ -10,15 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.build import build
-from experiments.cli import composed
-from experiments.schema import register
 from miho.data import Dataset, dyno_test
 from miho.data.synthetic_engine import DYNO_TRUSTED, true_torque
 from miho.identification import CurveFit
 from miho.models import EngineMap, TorqueCubic, TorqueCurve
 from miho.models.engine import RPM
-from miho.optim import minimize
 
 Array = NDArray[np.float64]
 
@@ -47,23 +43,6 @@ class Engine:
         return dataset["omega"], dataset["torque"]
 
 
-def identify_engine(optimizer: str = "least_squares", seed: int = 0) -> Engine:
-    """Learn the curves at 5, 15 and 20 % throttle with one method of conf/optimizer, make the map.
-
-    The same call gives the same engine. Each curve is valid between the lowest and the highest
-    engine speed of its samples.
-    """
-    register()
-    problems, thetas = {}, {}
-    for throttle, name in DATASETS.items():
-        chosen = build(composed([f"dataset={name}", f"optimizer={optimizer}", f"seed={seed}"]))
-        record = minimize(chosen.optimizer, chosen.problem, chosen.budget, seed)
-        if record.theta is None:
-            raise RuntimeError(f"{optimizer} found no finite error on {name}: {record.error}")
-        problems[throttle], thetas[throttle] = chosen.problem, record.theta
-    return engine_of(problems, thetas, seed)
-
-
 def engine_of(
     problems: Mapping[float, CurveFit], thetas: Mapping[float, Array], seed: int = 0
 ) -> Engine:
@@ -73,8 +52,10 @@ def engine_of(
         for throttle, problem in problems.items()
     }
     dyno = dyno_test(seed)
-    kept = (dyno["throttle"] == 0) | (dyno["throttle"] >= DYNO_TRUSTED)
-    trusted = EngineMap.from_points(*(dyno[name][kept] for name in ("throttle", "omega", "torque")))
+    trusted_rows = (dyno["throttle"] == 0) | (dyno["throttle"] >= DYNO_TRUSTED)
+    trusted = EngineMap.from_points(
+        *(dyno[name][trusted_rows] for name in ("throttle", "omega", "torque"))
+    )
     integrated = trusted.integrate(list(curves.values()))
     return Engine(problems, curves, dyno, trusted, integrated)
 

@@ -7,14 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.drive_data import HIGH_OPENINGS, LOW_OPENINGS, MEAN_SPEED, part_of
 from miho.data import dyno_test
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.data.synthetic_engine import DYNO_TRUSTED
+from miho.driving.assembly.from_drives import HIGH_OPENINGS, LOW_OPENINGS, part_of
 from miho.driving.grip import Grip
 from miho.driving.known_car import KnownCar
 from miho.driving.load_transfer import LoadTransfer
 from miho.driving.vehicle import Vehicle
+from miho.identification.parameters_file import MEAN_SPEED
 from miho.models import Axle, Brake, EngineMap, Pacejka, TorqueCubic, TorqueCurve, read_parameters
 from miho.models.brake_statics import BrakeDeceleration
 from miho.models.identified import Identified
@@ -77,9 +78,11 @@ def engine_from(
     """The integrated map of the learned curves in a folder; settings as in `known_from`."""
     test = dyno_test(seed)
     throttle, high = test["throttle"], test["throttle"] >= DYNO_TRUSTED
-    kept = (throttle == 0) | high
+    trusted_rows = (throttle == 0) | high
     torque = test["torque"] * np.where(high, dyno, 1.0)
-    trusted = EngineMap.from_points(throttle[kept], test["omega"][kept], torque[kept])
+    trusted = EngineMap.from_points(
+        throttle[trusted_rows], test["omega"][trusted_rows], torque[trusted_rows]
+    )
     openings = LOW_OPENINGS + (HIGH_OPENINGS if extended else ())
     curves = [
         _curve(read_parameters(folder / f"{part_of(opening)}.json", TorqueCubic()), opening)
@@ -88,26 +91,26 @@ def engine_from(
     return trusted.integrate(curves, fade=BEYOND_THE_MAP) if extended else trusted.integrate(curves)
 
 
-def _curve(found: Identified, opening: float) -> TorqueCurve:
-    p0, p1, p2, p3 = found.theta.tolist()
-    return TorqueCurve((p0, p1, p2, p3), TorqueCubic().omega_max, opening, found.ranges["omega"])
+def _curve(part: Identified, opening: float) -> TorqueCurve:
+    p0, p1, p2, p3 = part.theta.tolist()
+    return TorqueCurve((p0, p1, p2, p3), TorqueCubic().omega_max, opening, part.ranges["omega"])
 
 
-def _axle(found: Identified, off: Wrong) -> Axle:
+def _axle(part: Identified, off: Wrong) -> Axle:
     """Two tires that share the force of the axle evenly: one curve cannot tell them apart."""
-    B, C, D, Sx, Sy = found.theta
+    B, C, D, Sx, Sy = part.theta
     half = np.array([off.stiffness * B, C, off.grip * D / 2, Sx, off.grip * Sy / 2])
     return Axle(half, half)
 
 
-def _brake(found: Identified, vehicle: Vehicle, off: Wrong) -> Brake:
+def _brake(part: Identified, vehicle: Vehicle, off: Wrong) -> Brake:
     """The brake whose force over the pressure is the identified one.
 
     Braking in neutral, the wheels' inertia is slowed as well. The axles' torques over their
     pressures are taken to be equal, as driving shows only their sum; the pads touch at the
     pressure that c_0, less rolling resistance, says. Bench data are those of `EMBEDDED_BRAKE`.
     """
-    c_p, _, c_0 = found.theta
+    c_p, _, c_0 = part.theta
     moved = vehicle.mass + vehicle.wheel_inertia / vehicle.wheel_radius**2
     rear = (1 - EMBEDDED_BRAKE.bias) / EMBEDDED_BRAKE.bias
     per_torque = 1 / vehicle.wheel_radius_front + rear / vehicle.wheel_radius

@@ -15,10 +15,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from miho.study import Identity, Store, write_text
-from miho.study.changes import ResumeRefused
-from miho.study.files import CURVE, RESULT
-from miho.study.identity import canonical, sha256
+from miho.study.files import CURVE, RESULT, write_text
+from miho.study.identity import Identity, canonical, sha256
 from miho.study.places import inside
 from miho.study.store import SUPERSEDED
 
@@ -30,12 +28,15 @@ def write_manifest(root: Path, overrides: Sequence[str], runs: Mapping[str, Iden
     """Keep the settings of the runs that these overrides asked for, by what each was asked in."""
     path = _path(root, overrides)
     path.parent.mkdir(parents=True, exist_ok=True)
-    parts, configs, found = _Numbered(), _Numbered(), {}
-    for asked, one in runs.items():
-        config = {name: parts.number(part) for name, part in one.config.items()}
+    parts, configs, entries = _Numbered(), _Numbered(), {}
+    numbers: dict[int, int] = {}  # of a configuration's object, which all seeds share
+    for words, one in runs.items():
+        if id(one.config) not in numbers:
+            config = {name: parts.number(part) for name, part in one.config.items()}
+            numbers[id(one.config)] = configs.number(config)
         place = [one.problem, one.optimizer, one.id]
-        found[asked] = {"place": place, "config": configs.number(config)}
-    about = {"parts": parts.values, "configs": configs.values, "runs": found}
+        entries[words] = {"place": place, "config": numbers[id(one.config)]}
+    about = {"parts": parts.values, "configs": configs.values, "runs": entries}
     write_text(path, canonical({"overrides": list(overrides), **about}) + "\n")
 
 
@@ -45,32 +46,20 @@ def some(names: Sequence[str]) -> str:
     return ", ".join(names[:SHOWN]) + more
 
 
-def refuse_other_settings(
-    root: Path, overrides: Sequence[str], runs: Mapping[str, Identity], *, fresh: bool
-) -> None:
-    """Raise ResumeRefused if the same overrides once gave other settings, of which runs are done.
+def other_settings(
+    root: Path, overrides: Sequence[str], runs: Mapping[str, Identity]
+) -> Iterator[tuple[Path, list[str]]]:
+    """Finished runs that the same words once gave with other settings, and the keys that differ.
 
-    So it is after an edit of a file in conf/. With `fresh` the old runs are set aside.
+    So it is after an edit of a file in conf/.
     """
-    changed: dict[str, int] = {}
-    for asked, entry in _read(_path(root, overrides)).items():
-        identity = runs.get(asked)
+    for words, entry in _read(_path(root, overrides)).items():
+        identity = runs.get(words)
         if identity is None or entry["config"] == dict(identity.config):
             continue
         folder = inside(root, *entry["place"])
-        if not (folder / RESULT).is_file():
-            continue
-        if fresh:
-            Store(root).set_aside(folder)
-            continue
-        for key in _different(entry["config"], dict(identity.config)):
-            changed[key] = changed.get(key, 0) + 1
-    if changed:
-        told = ", ".join(f"{key} ({count} runs)" for key, count in changed.items())
-        raise ResumeRefused(
-            f"{root}: the same sweep was made with other settings of {told}; set its runs aside "
-            "and start afresh with fresh=true, or choose another root"
-        )
+        if (folder / RESULT).is_file():
+            yield folder, list(_different(entry["config"], dict(identity.config)))
 
 
 def without_result(root: Path) -> tuple[list[Path], int]:
@@ -95,10 +84,10 @@ def missing_runs(root: Path) -> str | None:
         return None
     gone = sum((folder / CURVE).is_file() for folder in missing)
     named = some(sorted(map(str, missing)))
-    told = f"{len(missing):,} of {count:,} runs of the sweeps here have no {RESULT}: {named}"
+    text = f"{len(missing):,} of {count:,} runs of the sweeps here have no {RESULT}: {named}"
     if gone:
-        told += f"; {gone:,} of them had one, or were killed while they stored it"
-    return f"{told}; the same sweep runs them again"
+        text += f"; {gone:,} of them had one, or were killed while they stored it"
+    return f"{text}; the same sweep runs them again"
 
 
 def _path(root: Path, overrides: Sequence[str]) -> Path:
@@ -114,9 +103,9 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
             for config in about["configs"]
         ]
         return {
-            asked: {"place": [*map(str, one["place"])], "config": configs[one["config"]]}
-            for asked, one in about["runs"].items()
-            if len(one["place"]) == 3
+            words: {"place": [*map(str, run["place"])], "config": configs[run["config"]]}
+            for words, run in about["runs"].items()
+            if len(run["place"]) == 3
         }
     except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
         return {}

@@ -1,0 +1,59 @@
+"""Do one run, unless it is stored, and say in a line what came of it."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping
+from typing import Any
+
+from experiments.app.build import Experiment
+from experiments.app.progress import progress
+from miho.optim import RunRecord, minimize
+from miho.study import Execution, Identity, Status, Store, execute
+
+
+def execution_of(experiment: Experiment, *, quiet: bool = False) -> Execution:
+    """Do one run, unless it is stored; with a progress bar, unless `quiet`."""
+    identity, problem = experiment.identity, experiment.problem
+    title = f"{identity.problem} {identity.optimizer} seed {identity.seed}"
+
+    def job() -> RunRecord:
+        settings = experiment.optimizer, problem, experiment.budget, identity.seed
+        if quiet:
+            return minimize(*settings)
+        if not sys.stderr.isatty():
+            print(f"{title}: running", file=sys.stderr, flush=True)
+        with progress(title, experiment.budget, problem.unit) as observer:
+            return minimize(*settings, observer=observer)
+
+    return execute(Store(experiment.root), identity, job, problem.space, experiment.facts)
+
+
+def line_of(identity: Identity, execution: Execution) -> str:
+    """One line: which run, its error and what it spent, or why there is none."""
+    if execution.run is not None:
+        return result_line(identity, execution.run.result, execution.status)
+    last = (execution.error or "").strip().splitlines()[-1:]
+    again = f"; the next call starts it again (best so far in {execution.partial})"
+    why = ": ".join([str(execution.status), *last]) + again * bool(execution.partial)
+    return f"{identity.problem} {identity.optimizer} seed {identity.seed}: {why}"
+
+
+def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -> str:
+    """One line: which run, its error and what it spent."""
+    error = "no finite value" if result["rejected"] else "no value on all rows of data"
+    if result["loss"] is not None:
+        error = f"{math.sqrt(result['loss']):.5g} {result['facts']['unit']}"
+    outside = result.get("outside", 0)
+    remark = f", at least {outside:,} of them outside of the box" if outside else ""
+    return (
+        f"{identity.problem} {identity.optimizer} seed {identity.seed}: {error}, "
+        f"{result['evaluations']:,.0f} evaluations{remark}, {result['seconds']:.2f} s ({status})"
+    )
+
+
+def error_of(result: Mapping[str, Any] | None) -> float | None:
+    """The root of the loss, in the problem's unit; None without one."""
+    loss = None if result is None else result["loss"]
+    return None if loss is None else math.sqrt(loss)

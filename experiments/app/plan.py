@@ -1,0 +1,213 @@
+"""A plan: the runs that are asked for, each a configuration with a seed, and who they are."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any
+
+from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+from hydra.core.override_parser.types import Override
+from omegaconf import DictConfig
+
+from experiments.app.build import (
+    Experiment,
+    Settings,
+    build,
+    build_dataset,
+    build_problem,
+    plain,
+    runs_own_code,
+)
+from experiments.app.compose import composed
+from experiments.app.explain import ConfigError, one_line
+from experiments.app.schema import SweepConfig
+from miho.data import Dataset
+from miho.identification import CurveFit
+from miho.study import Identity
+from miho.study.identity import sha256
+from miho.study.workers import Ended, Workers
+
+PROBLEM = ("model", "dataset", "space", "loss", "problem")
+HOW = ("seed", "fresh", "sweep")
+"""What says how to go through the runs, or which repetition, but not what they are."""
+NAMELESS = "model"
+POLL = 0.2
+MODULES = ("experiments.app.runs",)
+"""What a worker process imports before its first run."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """One run that is asked for: in the user's words, as a configuration in JSON, and who it is.
+
+    `own`: its model is code of the user's. `lost`: why it cannot even begin. `compile_only`: it is
+    not done, but what it needs is compiled. `experiment`: what was built of it, where it is to be
+    done in this process.
+    """
+
+    words: str
+    setting: str
+    identity: Identity
+    root: str
+    own: bool = False
+    lost: str | None = None
+    compile_only: bool = False
+    experiment: Experiment | None = field(default=None, compare=False)
+
+
+def request_of(experiment: Experiment, cfg: Settings, words: str = "") -> Request:
+    """The run that was built of a configuration, to be done in this process."""
+    root = str(experiment.root)
+    return Request(words, _text(plain(cfg)), experiment.identity, root, experiment=experiment)
+
+
+def requests(
+    cfg: Settings, words: str, seeds: Sequence[int], time_limit: float | None = None
+) -> list[Request]:
+    """The runs of one configuration with several seeds; raises ConfigError for a bad one.
+
+    A model of the user's is tried in a process of its own, within the time limit of a run: what
+    ends that process loses these runs alone.
+    """
+    for seed in seeds:
+        if seed < 0:
+            raise ConfigError(f"seed: is {seed}; expected a whole number of at least 0")
+    setting = plain(cfg)
+    text, root, own, lost = _text(setting), str(setting["root"]), runs_own_code(setting), None
+    if own:
+        identity, lost = _tried(text, _code_of(setting), time_limit)
+    else:
+        identity = experiment_of(text).identity
+    return [
+        Request(f"{words} seed={s}".strip(), text, replace(identity, seed=s), root, own, lost)
+        for s in seeds
+    ]
+
+
+def planned(cfg: DictConfig, overrides: Sequence[Override]) -> list[Request]:
+    """The runs that the overrides of -m ask for, by setting and then by seed."""
+    limit = sweep_settings(cfg).time_limit
+    return [
+        request
+        for group, seeds in groups(overrides)
+        for request in requests(composed(group), " ".join(group), seeds, limit)
+    ]
+
+
+def sweep_settings(cfg: DictConfig) -> SweepConfig:
+    """The checked settings of `sweep`; raises ConfigError."""
+    settings = SweepConfig(**{str(key): value for key, value in cfg.sweep.items()})
+    if settings.processes < 1:
+        raise ConfigError(f"sweep.processes: is {settings.processes}; expected at least 1")
+    if settings.time_limit is not None and not settings.time_limit > 0:
+        raise ConfigError(f"sweep.time_limit: is {settings.time_limit}; expected seconds above 0")
+    return settings
+
+
+def groups(overrides: Sequence[Override]) -> list[tuple[tuple[str, ...], list[int]]]:
+    """The settings of a sweep but for the seed, each with its seeds, in the order asked."""
+    jobs = BasicSweeper.split_arguments(list(overrides), max_batch_size=None)[0]
+    seeds_of: dict[tuple[str, ...], dict[int, None]] = {}
+    for job in jobs:
+        rest = tuple(text for text in job if not is_of(text.partition("=")[0].lstrip("+~"), HOW))
+        seeds = [text.partition("=")[2] for text in job if text.startswith("seed=")]
+        seeds_of.setdefault(rest, {})[_whole(seeds[-1]) if seeds else 0] = None
+    return [(rest, list(seeds)) for rest, seeds in seeds_of.items()]
+
+
+def is_of(key: str, keys: Sequence[str]) -> bool:
+    """Whether a key, such as sweep.processes, is one of these or below one."""
+    return key.partition(".")[0] in keys
+
+
+def _whole(seed: str) -> int:
+    if not seed.isdecimal():
+        raise ConfigError(f"seed: is {seed}; expected a whole number of at least 0")
+    return int(seed)
+
+
+def _text(setting: Mapping[str, Any]) -> str:
+    try:
+        return json.dumps(setting)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"configuration: {error}") from None
+
+
+@lru_cache(maxsize=32)
+def setting_of(text: str) -> Mapping[str, Any]:
+    """A configuration from its JSON; not to be changed."""
+    setting: Mapping[str, Any] = json.loads(text)
+    return setting
+
+
+@lru_cache(maxsize=32)
+def experiment_of(text: str) -> Experiment:
+    """What all seeds of a configuration share; building it takes longer than a small run."""
+    setting = setting_of(text)
+    if runs_own_code(setting):
+        return build(setting, build_problem(setting, dataset_of(text)))
+    return build(setting, problem_of(setting))
+
+
+def problem_of(setting: Mapping[str, Any]) -> CurveFit:
+    """The problem of a configuration, which all methods share."""
+    return _problem(json.dumps({key: setting[key] for key in PROBLEM}))
+
+
+@lru_cache(maxsize=2)
+def _problem(text: str) -> CurveFit:
+    return build_problem(json.loads(text))
+
+
+@lru_cache(maxsize=2)
+def dataset_of(text: str) -> Dataset:
+    """The data of a configuration in JSON."""
+    return build_dataset(setting_of(text)["dataset"])
+
+
+@cache
+def _tried(text: str, code: str, time_limit: float | None) -> tuple[Identity, str | None]:
+    """Who a run of the user's model is; or, with the reason, who it would be if it could be tried.
+
+    `code` is that of the model, so that what is tried once is tried again after an edit. Raises
+    ConfigError for what the user can correct.
+    """
+    with Workers(_identity, 1, time_limit, MODULES, alone=bool) as workers:
+        workers.start(text)
+        ended: list[Ended[str, Identity | str]] = []
+        while not ended:
+            ended = workers.wait(POLL)
+    identity = ended[0].result
+    if isinstance(identity, str):
+        raise ConfigError(identity)
+    if identity is not None:
+        return identity, None
+    return _named_only(setting_of(text), code), ended[0].reason
+
+
+def _identity(text: str) -> Identity | str:
+    """In a worker: who a run of this configuration is, or what is wrong with it."""
+    try:
+        return build(setting_of(text)).identity
+    except Exception as error:  # noqa: BLE001 -- whatever the user's file raises, they can correct
+        return one_line(error)
+
+
+def _code_of(setting: Mapping[str, Any]) -> str:
+    """SHA-256 of the model's file; of nothing if there is none."""
+    path = Path(setting["model"]["path"])
+    return sha256(path.read_bytes() if path.is_file() else b"")
+
+
+def _named_only(setting: Mapping[str, Any], code: str) -> Identity:
+    """Who a run is whose model cannot be asked for its name: the file's stands for it."""
+    optimizer = setting["optimizer"]["name"]
+    about = {"optimizer": optimizer, "seed": 0, "config": setting, "code": code, "data": ""}
+    try:
+        return Identity(Path(setting["model"]["path"]).stem, **about)
+    except ValueError:  # a name that no folder can have
+        return Identity(NAMELESS, **about)

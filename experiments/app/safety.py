@@ -1,0 +1,319 @@
+"""What a configuration may say, since it may come from somebody else: checked before it acts.
+
+Four doors lead from text to code or memory. A target names what is called: allowed are the public
+classes and functions of our own packages, decided before anything is imported. A setting of Hydra
+itself runs targets too: Hydra makes its launcher, sweeper, callbacks and loggers from what is
+configured, sets environment variables and reads pickles. A file of YAML can stand for more than any
+memory holds. And what is stored with a run must hold no secret.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib
+import inspect
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NoReturn, TypeVar, cast
+
+import yaml
+from hydra.core.plugins import Plugins
+from hydra.plugins.launcher import Launcher
+from omegaconf import DictConfig, OmegaConf
+
+import baselines
+import miho.data
+import miho.identification
+import miho.methods
+import miho.models
+import miho.optim
+from miho.data import Dataset
+from miho.identification import Loss
+from miho.models import Model
+from miho.optim import AskTell, Optimizer
+from miho.study.redaction import holds_secret
+
+T = TypeVar("T")
+
+HOMES: Mapping[type, tuple[ModuleType, ...]] = {
+    Model: (miho.models,),
+    Dataset: (miho.data,),
+    Loss: (miho.identification,),
+    Optimizer: (miho.optim, miho.methods),
+}
+"""Where targets of each kind come from: what `__all__` of these packages names."""
+
+METHODS = Path(baselines.__file__).parent
+OURS = miho.methods.__name__
+BASES = {Optimizer.__name__, AskTell.__name__}
+SHOWN = 80
+
+
+class TargetError(ValueError):
+    """What is wrong with a target and which are allowed, in one line."""
+
+
+def find_target(path: object, kind: type[T]) -> Callable[..., T]:
+    """The class or function at a dotted path that makes a `kind`.
+
+    Allowed are the public names of our packages and the methods in `baselines`, those that it has
+    from `miho.methods` included, found by reading their source; only what is allowed is imported.
+    Raises TargetError for any other path, and ImportError where the library that a method wraps is
+    missing.
+    """
+    home, _, name = path.rpartition(".") if isinstance(path, str) else ("", "", "")
+    for package in HOMES[kind]:
+        if home == package.__name__ and name in _public(package, kind):
+            return cast(Callable[..., T], getattr(package, name))
+    parent, _, module = home.rpartition(".")
+    if kind is Optimizer and parent == baselines.__name__ and name in _methods(module):
+        return cast(Callable[..., T], getattr(importlib.import_module(home), name))
+    raise TargetError(
+        f"{_shown(path)} is not a class or function that gives a {kind.__name__}; "
+        f"allowed are {', '.join(allowed(kind))}"
+    )
+
+
+def allowed(kind: type) -> list[str]:
+    """Every dotted path that a configuration may name for this kind."""
+    names = [f"{home.__name__}.{name}" for home in HOMES[kind] for name in _public(home, kind)]
+    if kind is Optimizer:
+        for file in sorted(METHODS.glob("*.py")):
+            names += [f"{baselines.__name__}.{file.stem}.{name}" for name in _methods(file.stem)]
+    return names
+
+
+def nested_target(value: Any, place: str) -> str | None:
+    """The key path of a target inside of a setting, where none belongs; None if there is none."""
+    if isinstance(value, Mapping):
+        if "_target_" in value:
+            return f"{place}._target_"
+        inner = [(f"{place}.{key}", part) for key, part in value.items()]
+    elif isinstance(value, list):
+        inner = [(f"{place}[{index}]", part) for index, part in enumerate(value)]
+    else:
+        return None
+    inside = (nested_target(part, key) for key, part in inner)
+    return next((key for key in inside if key), None)
+
+
+def _public(home: ModuleType, kind: type) -> list[str]:
+    return [name for name in home.__all__ if _gives(getattr(home, name), kind)]
+
+
+def _gives(member: Any, kind: type) -> bool:
+    if inspect.isclass(member):
+        return issubclass(member, kind) and not inspect.isabstract(member)
+    return inspect.isfunction(member) and (
+        inspect.get_annotations(member).get("return") == kind.__name__
+    )
+
+
+def _methods(module: str) -> list[str]:
+    """The methods in one module of `baselines`, read from its source and not imported."""
+    file = METHODS / f"{module}.py"
+    if not (module.isascii() and module.isidentifier() and file.is_file()):
+        return []
+    names: list[str] = []
+    for node in ast.parse(file.read_bytes()).body:
+        if isinstance(node, ast.ClassDef) and BASES & {_base(base) for base in node.bases}:
+            names.append(node.name)
+        elif isinstance(node, ast.ImportFrom) and node.module == f"{OURS}.{module}":
+            names += [alias.name for alias in node.names if alias.name in miho.methods.__all__]
+    return [name for name in names if not name.startswith("_")]
+
+
+def _base(node: ast.expr) -> str:
+    """The bare name of a base class: `AskTell` of `AskTell[State]` or `miho.AskTell`."""
+    if isinstance(node, ast.Subscript):
+        return _base(node.value)
+    return node.attr if isinstance(node, ast.Attribute) else getattr(node, "id", "")
+
+
+def _shown(path: object) -> str:
+    text = repr(path)
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+
+
+FREE = {"launcher", "mode", "verbose", "overrides", "runtime", "job"}
+FREE_OF_JOB = {"name", "override_dirname", "id", "num", "config_name"}
+SHELL = ("setup", "teardown", "srun_args", "additional_parameters", "python")
+"""Settings of launchers that become shell commands on a cluster."""
+OPTIONS = {
+    "config_path": "name a folder of further options with --config-dir",
+    "config_name": "choose an experiment=... instead",
+    "experimental_rerun": "it reads a pickle, which can run anything; type the overrides again",
+}
+
+
+class HydraSettingError(ValueError):
+    """One line naming the setting of Hydra that is refused."""
+
+
+def check_arguments(arguments: argparse.Namespace) -> None:
+    """Refuse options that replace our configuration, or load code to find another one."""
+    for option, remedy in OPTIONS.items():
+        if getattr(arguments, option) is not None:
+            name = option.replace("_", "-")
+            raise HydraSettingError(f"--{name}: cannot be used here; {remedy}")
+    if arguments.config_dir is not None:
+        check_folder(Path(arguments.config_dir))
+    for override in arguments.overrides:
+        if "searchpath" in override:
+            raise HydraSettingError(
+                "hydra.searchpath: cannot be changed here, since it can import packages; name a "
+                "folder of further options with --config-dir"
+            )
+
+
+def check_hydra(chosen: DictConfig, usual: DictConfig, overrides: Sequence[str]) -> None:
+    """Refuse settings of Hydra other than a choice of a launcher and its plain settings.
+
+    `chosen` and `usual` are the nodes `hydra` of the composed configuration and of the one
+    without overrides. What a launcher passes to a shell must be typed in `overrides`.
+    """
+    new, old = _plain(chosen), _plain(usual)
+    _check_same(new, old, "hydra", FREE)
+    for key in ("job", "launcher"):
+        if not isinstance(new.get(key), Mapping):
+            raise HydraSettingError(f"hydra.{key}: is not a mapping; leave it as it is")
+    _check_same(new["job"], old["job"], "hydra.job", FREE_OF_JOB)
+    node = dict(new["launcher"])
+    target = node.pop("_target_", None)
+    launchers = Plugins.instance().discover(Launcher)
+    names = sorted(f"{launcher.__module__}.{launcher.__name__}" for launcher in launchers)
+    if target not in names:
+        raise HydraSettingError(
+            f"hydra.launcher._target_: {str(target)[:80]!r} is not a plugin of Hydra that is "
+            f"installed; allowed are {', '.join(names)}"
+        )
+    inner = nested_target(node, "hydra.launcher")
+    if inner:
+        raise HydraSettingError(f"{inner}: hydra.launcher holds a target of its own; remove it")
+    for key in SHELL:
+        typed = any(text.lstrip("+").startswith(f"hydra.launcher.{key}") for text in overrides)
+        if new["launcher"].get(key) and not typed:
+            raise HydraSettingError(
+                f"hydra.launcher.{key}: reaches a shell, so it must be typed on the command line"
+            )
+
+
+def _check_same(new: Mapping[str, Any], old: Mapping[str, Any], place: str, free: set[str]) -> None:
+    for key in (new.keys() | old.keys()) - free:
+        if new.get(key) != old.get(key):
+            raise HydraSettingError(f"{place}.{key}: cannot be changed here; leave it as it is")
+
+
+def _plain(node: DictConfig) -> dict[str, Any]:
+    """As it is written: interpolations are compared, not what they stand for."""
+    plain = OmegaConf.to_container(node, resolve=False)
+    if not isinstance(plain, dict):
+        raise HydraSettingError("hydra: is not a mapping; leave it as it is")
+    return {str(key): value for key, value in plain.items()}
+
+
+LARGEST = 1 << 20
+"""No configuration is larger, in bytes."""
+DEEPEST = 50
+MOST_ALIASES = 1000
+MOST_NODES = 100_000
+"""How many nodes a file may stand for, once its aliases are replaced by what they name."""
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+
+class ReceivedError(ValueError):
+    """One line naming the file and what is wrong with it."""
+
+
+def check_folder(folder: Path) -> None:
+    """Raise ReceivedError for the first file in a folder of options that must not be composed."""
+    for path in sorted((*folder.rglob("*.yaml"), *folder.rglob("*.yml"))):
+        check_file(path)
+
+
+def check_file(path: Path) -> None:
+    """Raise ReceivedError if a file is none, is large, deep, expands to much or holds itself."""
+    if not path.is_file():
+        raise ReceivedError(f"{path}: is not a regular file; remove it")
+    if path.stat().st_size > LARGEST:
+        raise ReceivedError(f"{path}: is larger than {LARGEST >> 20} MiB; no configuration is")
+    try:
+        _check_events(path)
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        line = " ".join(str(error).split())
+        raise ReceivedError(f"{path}: is not YAML: {line}; correct it") from None
+
+
+def _check_events(path: Path) -> None:
+    """Count what the file stands for without building it: an alias counts as what it names."""
+    sizes: dict[str, int] = {}
+    open_nodes: list[tuple[str | None, int]] = []
+    aliases = total = 0
+    with path.open("rb") as file:
+        for event in yaml.parse(file, Loader=LOADER):
+            size = 0
+            if isinstance(event, yaml.CollectionStartEvent):
+                open_nodes.append((event.anchor, total))
+                total += 1
+                if len(open_nodes) > DEEPEST:
+                    raise ReceivedError(f"{path}: is nested deeper than {DEEPEST}; flatten it")
+            elif isinstance(event, yaml.CollectionEndEvent):
+                anchor, start = open_nodes.pop()
+                if anchor is not None:
+                    sizes[anchor] = total - start
+            elif isinstance(event, yaml.ScalarEvent):
+                size = 1
+                if event.anchor is not None:
+                    sizes[event.anchor] = 1
+            elif isinstance(event, yaml.AliasEvent):
+                if event.anchor in {anchor for anchor, _ in open_nodes}:
+                    raise ReceivedError(f"{path}: {event.anchor!r} holds itself; remove the alias")
+                aliases += 1
+                size = sizes.get(event.anchor, 1)
+            total += size
+            if total > MOST_NODES or aliases > MOST_ALIASES:
+                raise ReceivedError(
+                    f"{path}: stands for more than {MOST_NODES:,} values or {MOST_ALIASES:,} "
+                    "aliases; no configuration does"
+                )
+
+
+class SecretError(ValueError):
+    """Names where a secret stands, and does not show it."""
+
+
+def check_no_secret(value: Any, key: str) -> None:
+    """Raise SecretError if a text in this resolved part of a configuration holds a secret."""
+    texts = list(_texts(value, key))
+    if holds_secret("\n".join(text for _, text in texts)):
+        place = next((place for place, text in texts if holds_secret(text)), key)
+        raise SecretError(
+            f"{place}: holds a password or token, which would be stored with the run; remove it"
+        )
+
+
+def refuse_environment() -> None:
+    """Make `${oc.env:NAME}` an error in every configuration of this process, Hydra's included."""
+    OmegaConf.register_new_resolver("oc.env", _no_environment, replace=True)
+
+
+def _no_environment(name: str, *_: object) -> NoReturn:
+    raise SecretError(
+        f"a configuration cannot read the environment variable {name}, which would be stored "
+        "with the run; give the value itself"
+    )
+
+
+def _texts(value: Any, key: str) -> Iterator[tuple[str, str]]:
+    """Every text, names included, with its key path."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            yield key, str(name)
+            yield from _texts(part, f"{key}.{name}")
+    elif isinstance(value, list):
+        for index, part in enumerate(value):
+            yield from _texts(part, f"{key}[{index}]")
+    elif isinstance(value, str):
+        yield key, value

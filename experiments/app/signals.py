@@ -1,0 +1,111 @@
+"""How a signal ends a command: the first asks what runs to stop, and what was found is kept."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from types import FrameType
+from typing import Any
+
+from miho.study.workers import Workers
+
+HANG_UP = getattr(signal, "SIGHUP", None)
+"""What a closed terminal sends; Windows has none."""
+STOPPING = tuple(
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGUSR1", "SIGHUP")
+    if hasattr(signal, name)
+)
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal ended what was going on; `number` is its number."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
+@dataclass
+class Stop:
+    """Which signal asked to stop, and when."""
+
+    number: int | None = None
+    at: float = 0.0
+    repeated: bool = False
+
+    def overdue(self, seconds: float) -> bool:
+        """Whether the runs had so many seconds to stop."""
+        return self.number is not None and time.monotonic() > self.at + seconds
+
+
+def name_of(number: int) -> str:
+    """Of a signal, such as SIGINT."""
+    return signal.Signals(number).name
+
+
+def ignores_hang_up() -> bool:
+    """Whether this process was told to go on when its terminal closes, as nohup does."""
+    return HANG_UP is None or signal.getsignal(HANG_UP) is signal.SIG_IGN
+
+
+@contextlib.contextmanager
+def stopping_signal() -> Iterator[Callable[[], int | None]]:
+    """Meanwhile SIGTERM and a closed terminal interrupt like Ctrl-C; gives which signal came first.
+
+    Python writes the number of each signal that this process handles into a socket, so that it is
+    known even where a library swallowed the interrupt; None if none came.
+    """
+    signal.signal(signal.SIGTERM, _as_interrupt)
+    if HANG_UP is not None and not ignores_hang_up():
+        signal.signal(HANG_UP, _as_interrupt)
+    numbers, write = socket.socketpair()
+    with numbers, write:
+        for end in (numbers, write):
+            end.setblocking(False)
+        before = signal.set_wakeup_fd(write.fileno(), warn_on_full_buffer=False)
+
+        def first() -> int | None:
+            with contextlib.suppress(BlockingIOError):
+                arrived = numbers.recv(1 << 12)
+                return next((n for n in arrived if n in STOPPING), None)
+            return None
+
+        try:
+            yield first
+        finally:
+            signal.set_wakeup_fd(before)
+
+
+def _as_interrupt(number: int, frame: FrameType | None) -> None:
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a shell's background jobs begin so
+        raise KeyboardInterrupt
+    signal.raise_signal(signal.SIGINT)
+
+
+@contextlib.contextmanager
+def stopping(workers: Workers[Any, Any]) -> Iterator[Stop]:
+    """While this lasts, the first signal asks the workers to stop, the second ends all at once."""
+    stop = Stop()
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        if stop.number is not None:
+            raise Stopped(number)
+        stop.number, stop.at = number, time.monotonic()
+        workers.interrupt()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield stop
+        return
+    heeded = [number for number in STOPPING if number != HANG_UP or not ignores_hang_up()]
+    before = {number: signal.signal(number, on_signal) for number in heeded}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

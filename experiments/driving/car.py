@@ -1,0 +1,122 @@
+"""The car as planner and controllers know it: identified from the embedded data, or true."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from omegaconf import DictConfig
+
+from experiments.app.build import ConfigError, build, plain
+from experiments.app.compose import composed
+from experiments.app.plan import request_of
+from experiments.app.runs import HERE, run
+from experiments.app.schema import SweepConfig, register
+from miho.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.driving.assembly.bench import TIRES, assembled
+from miho.driving.assembly.engine import DATASETS, Engine, engine_of
+from miho.driving.embedded import embedded_engine, embedded_tires
+from miho.driving.known_car import KnownCar
+from miho.driving.vehicle import Vehicle
+from miho.identification import CurveFit
+from miho.identification.parameters_file import identified
+from miho.models import read_parameters
+from miho.models.identified import parameters_text
+from miho.optim import minimize
+from miho.study import write_text
+
+Array = NDArray[np.float64]
+
+PARAMETERS = "parameters"
+"""Folder of the parameters files of a drive, below its root."""
+PARTS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        **{tire: (f"dataset=tire_{tire}",) for tire in TIRES},
+        **{f"torque_{part}": (f"dataset=torque_{part}",) for part in ("05", "15", "20")},
+        "brake_pressure": ("dataset=brake_pressure",),
+        "brake_torque_front": ("dataset=brake_torque", "dataset.axle=front"),
+        "brake_torque_rear": ("dataset=brake_torque", "dataset.axle=rear"),
+        "brake_step": ("dataset=brake_step",),
+    }
+)
+"""What is identified of a car, and the overrides that describe each problem."""
+Parts = Mapping[str, tuple[CurveFit, Array]]
+"""The problem of each part of `PARTS` with the parameters that were found."""
+
+
+def known_car(cfg: DictConfig, vehicle: Vehicle) -> tuple[KnownCar, Parts]:
+    """What `drive.known` asks for, and what of it was identified."""
+    if cfg.drive.known == "truth":
+        tires, engine = embedded_tires(), embedded_engine()
+        return KnownCar.of_tires(vehicle, tires, engine, EMBEDDED_BRAKE), {}
+    if cfg.drive.known != "identified":
+        raise ConfigError(f"drive.known: is {cfg.drive.known!r}; expected identified or truth")
+    unknown = sorted(set(cfg.drive.parameters) - set(PARTS))
+    if unknown:
+        raise ConfigError(
+            f"drive.parameters.{unknown[0]}: is unknown; allowed are {', '.join(PARTS)}"
+        )
+    parts = identified_parts(cfg)
+    problems = {part: problem for part, (problem, _) in parts.items()}
+    thetas = {part: theta for part, (_, theta) in parts.items()}
+    return assembled(vehicle, problems, thetas, cfg.drive.sensitivity), parts
+
+
+def identified_parts(cfg: DictConfig, names: Sequence[str] = tuple(PARTS)) -> Parts:
+    """Parts of the car, each from a parameters file: one that `drive.parameters` names, or its own.
+
+    What has none named is identified by the configured method, unless that run is in the store of
+    `root`, and its file written to ROOT/parameters.
+    """
+    experiments = {part: build(part_setting(cfg, part)) for part in names}
+    files = {part: Path(path) for part, path in cfg.drive.parameters.items()}
+    plan = [
+        request_of(experiment, part_setting(cfg, part), part)
+        for part, experiment in experiments.items()
+        if part not in files
+    ]
+    runs = run(plan, SweepConfig(), processes=HERE, fresh=cfg.fresh)
+    runs.raise_if_stopped()
+    for state in runs.states:
+        part, problem = state.request.words, experiments[state.request.words].problem
+        if state.run is None:
+            raise ConfigError(f"optimizer: {part} is not identified: {state.line}")
+        if state.run.result["theta"] is None:
+            raise ConfigError(f"optimizer: found no finite error on {part}: {state.line}")
+        files[part] = Path(cfg.root) / PARAMETERS / f"{part}.json"
+        files[part].parent.mkdir(parents=True, exist_ok=True)
+        part_result = identified(problem, np.array(state.run.result["theta"]))
+        write_text(files[part], parameters_text(part_result, state.run.config["model"]))
+    return {
+        part: (experiment.problem, read_parameters(files[part], experiment.problem.model).theta)
+        for part, experiment in experiments.items()
+    }
+
+
+def part_setting(cfg: DictConfig, part: str) -> Mapping[str, Any]:
+    """One problem of `PARTS` with the method, the budget, the seed and the root of a drive."""
+    ours = plain(cfg)
+    budget = {**ours["budget"], "target": None}
+    how = {key: ours[key] for key in ("optimizer", "seed", "root")}
+    return {**plain(composed([*PARTS[part]])), **how, "budget": budget}
+
+
+def identify_engine(optimizer: str = "least_squares", seed: int = 0) -> Engine:
+    """Learn the curves at 5, 15 and 20 % throttle with one method of conf/optimizer, make the map.
+
+    The same call gives the same engine. Each curve is valid between the lowest and the highest
+    engine speed of its samples.
+    """
+    register()
+    problems, thetas = {}, {}
+    for throttle, name in DATASETS.items():
+        chosen = build(composed([f"dataset={name}", f"optimizer={optimizer}", f"seed={seed}"]))
+        record = minimize(chosen.optimizer, chosen.problem, chosen.budget, seed)
+        if record.theta is None:
+            raise RuntimeError(f"{optimizer} found no finite error on {name}: {record.error}")
+        problems[throttle], thetas[throttle] = chosen.problem, record.theta
+    return engine_of(problems, thetas, seed)

@@ -1,0 +1,105 @@
+"""What the node `drive` of a configuration describes: road, line, vehicle and driver."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import fields
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from experiments.app.build import ConfigError
+from experiments.app.schema import RENAMED, DriveConfig
+from miho.data import CSVError
+from miho.driving.centre_line import track_from_csv
+from miho.driving.driver import Driver, Pace, Sighting
+from miho.driving.known_car import KnownCar
+from miho.driving.lines import beside, constant
+from miho.driving.local_plan import LocalPlanner, Obstacle
+from miho.driving.ovals import ims, lvms
+from miho.driving.path_tracking import Weights
+from miho.driving.speed_control import SpeedSettings
+from miho.driving.track import Track
+from miho.driving.vehicle import Vehicle
+
+OVALS = {"ims": ims, "lvms": lvms}
+FACTORS = {
+    "performance_factor": "the share of the tires' grip that the plan uses",
+    "road_friction": "what the road gives, over the road on which the tires were measured",
+}
+LEAST_FACTOR, LARGEST_FACTOR = 0.05, 1.5
+"""A car on wet ice, and one on tires half as good again as they are known."""
+
+
+def prepared(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
+    """The road, the line that is driven on it, and the vehicle."""
+    known = [field.name for field in fields(DriveConfig)]
+    for key in cfg.drive:
+        if key not in known:
+            allowed = f"is unknown; allowed are {', '.join(known)}"
+            raise ConfigError(f"drive.{key!s}: {RENAMED.get(f'drive.{key!s}', allowed)}")
+    if not cfg.drive.track or not cfg.drive.vehicle or not cfg.drive.controller:
+        raise ConfigError("drive: is incomplete; choose experiment=ims_obstacle or lvms_laps")
+    if cfg.drive.figure not in ("fig7", "fig8"):
+        raise ConfigError(f"drive.figure: is {cfg.drive.figure!r}; expected fig7 or fig8")
+    for key, meaning in FACTORS.items():
+        if not LEAST_FACTOR <= cfg.drive[key] <= LARGEST_FACTOR:
+            raise ConfigError(
+                f"drive.{key}: is {cfg.drive[key]:g}; expected {LEAST_FACTOR:g} to "
+                f"{LARGEST_FACTOR:g}, {meaning}"
+            )
+    with one_line():
+        vehicle = Vehicle.from_settings(_mapping(cfg.drive.vehicle))
+        settings = _mapping(cfg.drive.track)
+        name, offset = settings.pop("name", None), settings.pop("offset", 0.0)
+        if name in OVALS:
+            road = OVALS[name](**settings)
+        elif name == "csv":
+            road = track_from_csv(**settings)
+        else:
+            raise ConfigError(f"drive.track.name: is {name!r}; expected ims, lvms or csv")
+        line = road if offset == 0 else beside(road, constant(float(offset)))
+    return road, line, vehicle
+
+
+def driver_of(cfg: DictConfig, known: KnownCar, line: Track) -> Driver:
+    """The driver that `drive` describes, for a line and what is known of the car."""
+    settings = _mapping(cfg.drive.controller)
+    planner = known.planner(cfg.drive.performance_factor, cfg.drive.top_speed)
+    steering = known.steering_controller(Weights(**settings["weights"]), settings["period"])
+    speed = known.speed_controller(SpeedSettings(**settings["speed"]))
+    tops = tuple(cfg.drive.top_speeds)
+    pace = Pace(tops, cfg.drive.ramp) if tops else None
+    box = cfg.drive.obstacle
+    sighting = None
+    if box.sight is not None:
+        obstacle = Obstacle(s=box.s, e=box.e, length=box.length, width=box.width)
+        sighting = Sighting((obstacle,), box.sight, LocalPlanner(), planner)
+    return Driver(planner.plan(line), speed, steering, pace, sighting)
+
+
+def factors(cfg: DictConfig) -> str:
+    """The two factors of `drive` in words, for figures."""
+    return (
+        f"performance factor {cfg.drive.performance_factor:g}, "
+        f"road friction {cfg.drive.road_friction:g}"
+    )
+
+
+def _mapping(node: DictConfig) -> dict[str, Any]:
+    plain = OmegaConf.to_container(node, resolve=True)
+    if not isinstance(plain, Mapping):
+        raise ConfigError(f"{node!r} is not a mapping; expected settings by name")
+    return {str(key): value for key, value in plain.items()}
+
+
+@contextmanager
+def one_line() -> Iterator[None]:
+    """What the library finds wrong with settings is bad input, in its own words."""
+    try:
+        yield
+    except (ConfigError, CSVError):
+        raise
+    except (ValueError, TypeError) as error:
+        raise ConfigError(f"drive: {error}") from None
