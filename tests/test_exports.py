@@ -10,7 +10,8 @@ import pytest
 
 import miho
 
-PACKAGES = ["miho", "miho.data", "miho.identification", "miho.models", "miho.study"]
+PACKAGES = ["miho", *(f"miho.{name}" for name in (
+    "data", "driving", "identification", "methods", "models", "study"))]  # fmt: skip
 HEAVY = ["matplotlib", "numba", "pandas", "scipy.constants", "scipy.optimize", "scipy.special"]
 
 

@@ -59,21 +59,21 @@ def as_tuple(theta: Array, d: int) -> tuple[float, ...]:
     return parameters
 
 
-def store_columns(values: Any, found: Any) -> None:
-    """Put columns, or numbers for a whole column, into the first ones of `found` (d, .)."""
+def store_columns(values: Any, out: Any) -> None:
+    """Put columns, or numbers for a whole column, into the first ones of `out` (d, .)."""
     for k, value in enumerate(values):
-        put(value, found[k])
+        put(value, out[k])
 
 
 @overload(store_columns)
-def _unrolled_columns(values: Any, found: Any) -> Callable[..., None]:
+def _unrolled_columns(values: Any, out: Any) -> Callable[..., None]:
     last = len(values) - 1
 
-    def store(values: Any, found: Any) -> None:
-        store_columns(values[:last], found)
-        put(values[last], found[last])
+    def store(values: Any, out: Any) -> None:
+        store_columns(values[:last], out)
+        put(values[last], out[last])
 
-    def nothing(values: Any, found: Any) -> None:
+    def nothing(values: Any, out: Any) -> None:
         pass
 
     return nothing if last < 0 else store
@@ -101,22 +101,22 @@ def _put_compiled(values: Any, to: Any) -> Callable[..., None]:
     return each if isinstance(values, types.Array) else same
 
 
-def store_row(values: Any, found: Array, row: int) -> None:
+def store_row(values: Any, out: Array, row: int) -> None:
     """Put the values into a row of columns (d, .)."""
     for k, value in enumerate(values):
-        found[k, row] = value
+        out[k, row] = value
 
 
 @overload(store_row)
-def _unrolled(values: Any, found: Array, row: int) -> Callable[..., None]:
+def _unrolled(values: Any, out: Array, row: int) -> Callable[..., None]:
     """One value after the other, known to the compiler, so that it can do many rows at once."""
     last = len(values) - 1
 
-    def store(values: Any, found: Array, row: int) -> None:
-        found[last, row] = values[last]
-        store_row(values[:last], found, row)
+    def store(values: Any, out: Array, row: int) -> None:
+        out[last, row] = values[last]
+        store_row(values[:last], out, row)
 
-    def nothing(values: Any, found: Array, row: int) -> None:
+    def nothing(values: Any, out: Array, row: int) -> None:
         pass
 
     return nothing if last < 0 else store

@@ -71,13 +71,13 @@ class CompressedLoss:
 
     @cached_property
     def _data(self) -> _Data:
-        found = panels(self.x, self.y)
+        tree = panels(self.x, self.y)
         N = self.y.size
         size = math.sqrt(float(np.mean(self.y**2)))
-        scatter = SCATTER * math.sqrt(found.unexplained / N)
+        scatter = SCATTER * math.sqrt(tree.unexplained / N)
         accurate = 2 * ROUNDING * (scatter + 2 * size) <= 0.2 * self.tolerance * scatter
         goal = math.log(TRUNCATION * self.tolerance) if accurate else -math.inf
-        return _Data(panel_terms(found, N, size), goal, scatter)
+        return _Data(panel_terms(tree, N, size), goal, scatter)
 
     @cached_property
     def climb(self) -> Climb:
@@ -100,8 +100,8 @@ class CompressedLoss:
         thetas, limits = read_only(thetas), read_only(limits)
 
         def part(rows: slice) -> None:
-            given, found = (thetas[rows], limits[rows]), (losses[rows], counts[rows])
-            self._compiled.losses(*given, self._data, self._room(), *found)
+            given, out = (thetas[rows], limits[rows]), (losses[rows], counts[rows])
+            self._compiled.losses(*given, self._data, self._room(), *out)
 
         parts = min(self.threads, len(thetas) // SHARE)
         if parts <= 1:
@@ -145,30 +145,30 @@ def _compile(formulas: Signed, d: int) -> _Compiled:
             return limit, count
         if data.goal > -np.inf:
             rough = ROUGH * scatter
-            found, more = over_panels(parameters, math.log(rough), np.inf, scratch, terms)
+            square, more = over_panels(parameters, math.log(rough), np.inf, scratch, terms)
             count += more
-            least = max(math.sqrt(found) - WITHIN * rough, scatter)
+            least = max(math.sqrt(square) - WITHIN * rough, scatter)
             goal = data.goal + math.log(least)
-            found, more = over_panels(parameters, goal, limit, scratch, terms)
+            square, more = over_panels(parameters, goal, limit, scratch, terms)
             count += more
-            if found >= min(limit, scatter**2):
-                return found, count
-        found, more = over_panels(parameters, -np.inf, limit, scratch, terms)
-        return found, count + more
+            if square >= min(limit, scatter**2):
+                return square, count
+        square, more = over_panels(parameters, -np.inf, limit, scratch, terms)
+        return square, count + more
 
     @register_jitable(error_model="numpy", forceinline=True)
     @named
     def loss(theta: Array, limit: float, data: _Data, scratch: Scratch) -> float:
-        found: float = counted(theta, limit, data, scratch)[0]
-        return found
+        square: float = counted(theta, limit, data, scratch)[0]
+        return square
 
     @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
     @named
     def losses(
-        thetas: Array, limits: Array, data: _Data, scratch: Scratch, found: Array,
+        thetas: Array, limits: Array, data: _Data, scratch: Scratch, out: Array,
         counts: NDArray[np.int64],
     ) -> None:  # fmt: skip
         for i in range(len(thetas)):
-            found[i], counts[i] = counted(thetas[i], limits[i], data, scratch)
+            out[i], counts[i] = counted(thetas[i], limits[i], data, scratch)
 
     return _Compiled(losses, compiled_climb(loss, formulas.signature, allocates=False))

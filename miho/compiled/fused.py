@@ -190,25 +190,25 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
 
     @njit(cache=True, nogil=True, error_model="numpy")
     @own
-    def losses(thetas: Array, data: _Data, found: Array) -> None:
+    def losses(thetas: Array, data: _Data, out: Array) -> None:
         for i in range(len(thetas)):
-            found[i] = loss(thetas[i], np.inf, data)
+            out[i] = loss(thetas[i], np.inf, data)
 
     @njit(cache=True, nogil=True, error_model="numpy")
     @own
-    def residuals(theta: Array, X: Array, y: Array, found: Array) -> None:
+    def residuals(theta: Array, X: Array, y: Array, out: Array) -> None:
         parameters = as_tuple(theta, d)
         for start in range(0, y.size, BLOCK):
             end = min(start + BLOCK, y.size)
-            put(value(columns(X, start, end), parameters) - y[start:end], found[start:end])
+            put(value(columns(X, start, end), parameters) - y[start:end], out[start:end])
 
     @njit(cache=True, nogil=True, error_model="numpy")
     @own
-    def jacobian(theta: Array, X: Array, found: Array) -> None:
+    def jacobian(theta: Array, X: Array, out: Array) -> None:
         parameters = as_tuple(theta, d)
         for start in range(0, X.shape[1], BLOCK):
             end = min(start + BLOCK, X.shape[1])
-            store_columns(derivatives(columns(X, start, end), parameters), found[:, start:end])
+            store_columns(derivatives(columns(X, start, end), parameters), out[:, start:end])
 
     return _Compiled(losses, residuals, jacobian)
 
@@ -226,17 +226,17 @@ def _compile_rows(formulas: Signed, p: int, d: int) -> tuple[Any, Any]:
 
     @cfunc(types.void(VECTOR, DATA, OUTPUT, types.int64, types.int64, VECTOR), **CALLED)
     @own
-    def residuals(theta: Array, X: Array, y: Array, i: int, j: int, found: Array) -> None:
+    def residuals(theta: Array, X: Array, y: Array, i: int, j: int, out: Array) -> None:
         parameters, parts, output = as_tuple(theta, d), columns(X, i, j), y[i:j]
-        for row in range(found.size):
-            found[row] = value(inputs(parts, row), parameters) - output[row]
+        for row in range(out.size):
+            out[row] = value(inputs(parts, row), parameters) - output[row]
 
     @cfunc(types.void(VECTOR, DATA, types.int64, types.int64, COLUMNS_OUT), **CALLED)
     @own
-    def slopes(theta: Array, X: Array, i: int, j: int, found: Array) -> None:
+    def slopes(theta: Array, X: Array, i: int, j: int, out: Array) -> None:
         parameters, parts = as_tuple(theta, d), columns(X, i, j)
         for row in range(parts[0].size):
-            store_row(derivatives(inputs(parts, row), parameters), found, row)
+            store_row(derivatives(inputs(parts, row), parameters), out, row)
 
     return Callee(residuals), Callee(slopes)
 
@@ -251,8 +251,8 @@ def _compile_steps(formulas: Signed, p: int, d: int) -> Callable[..., tuple[int,
     @register_jitable(error_model="numpy")
     @own
     def of_rows(theta: Array, limit: float, data: Any, scratch: Any) -> float:
-        found: float = loss(theta, limit, data[0])
-        return found
+        total: float = loss(theta, limit, data[0])
+        return total
 
     if not bound:
         return compiled_climb(of_rows, formulas.signature)
@@ -263,8 +263,8 @@ def _compile_steps(formulas: Signed, p: int, d: int) -> Callable[..., tuple[int,
     def panels_first(theta: Array, limit: float, data: Any, scratch: Any) -> float:
         if limit < np.inf and beaten(as_tuple(theta, d), limit, scratch, data[1])[0]:
             return limit
-        found: float = of_rows(theta, limit, data, scratch)
-        return found
+        total: float = of_rows(theta, limit, data, scratch)
+        return total
 
     return compiled_climb(panels_first, formulas.signature)
 
