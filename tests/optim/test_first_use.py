@@ -29,10 +29,11 @@ from decays import fit
 method = MIHOGN(brackets=3)
 with event.install_recorder("numba:compile") as compiled:
     given = minimize(method, fit(linear=("a", "c")), Budget(evaluations=500))
+STEPS = "miho.compiled.advance", "miho.compiled.from_outside", "miho.compiled.gauss_newton"
 names = set()
 for _, one in compiled.buffer:
     function = one.data["dispatcher"]
-    if function.py_func.__module__.startswith("miho.compiled") and function.stats.cache_path:
+    if function.py_func.__module__.startswith(STEPS) and function.stats.cache_path:
         names.add(function.py_func.__qualname__.split(".")[0])
 from miho.compiled.gauss_newton import _distinct
 from miho.compiled.advance import advance
