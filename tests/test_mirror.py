@@ -265,6 +265,24 @@ def run_sync(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(line, cwd=ROOT, capture_output=True, text=True, timeout=170, check=False)
 
 
+MIRROR = """\
+import sys
+from functools import partial
+from pathlib import Path
+from experiments.app.mirror import mirror
+from experiments.app.mlflow_tracker import connect
+root, uri, name, *folders = sys.argv[1:]
+mirror(Path(root), list(map(Path, folders)), partial(connect, Path(root), uri, name))
+"""
+
+
+def run_mirror(root: Path, uri: str, runs: list[StoredRun]) -> subprocess.CompletedProcess[str]:
+    """What a sweep does at its end, in a process of its own."""
+    line = [sys.executable, "-c", MIRROR, str(root), uri, SHARED[1]]
+    line += [str(stored.folder) for stored in runs]
+    return subprocess.run(line, cwd=ROOT, capture_output=True, text=True, timeout=170, check=False)
+
+
 def check_database(database: Path, files: list[StoredRun]) -> dict[str, Path]:
     """Compare the tables of MLflow, read without MLflow, to the files; artifacts by run id."""
     with sqlite3.connect(database) as connection:
@@ -372,10 +390,11 @@ def test_four_sweeps_on_one_fresh_database(tmp_path: Path) -> None:
     assert all("10 runs: 0 were there, 10 added" in each.stdout for each in done)
     check_database(tmp_path / "shared" / "mlflow.db", files)
 
-    for i, root in enumerate(roots):
-        later = sweep(root, seeds(i, 1))
-        mirror(root, [run.folder for run in later], lambda r=root: connect(r, uri, SHARED[1]))
-        files += later
+    later = [sweep(root, seeds(i, 1)) for i, root in enumerate(roots)]
+    with ThreadPoolExecutor(4) as pool:
+        done = list(pool.map(lambda root, runs: run_mirror(root, uri, runs), roots, later))
+    assert [(each.returncode, each.stderr) for each in done] == [(0, "")] * 4
+    files += [stored for runs in later for stored in runs]
     check_database(tmp_path / "shared" / "mlflow.db", files)
     with ThreadPoolExecutor(4) as pool:
         done = list(pool.map(lambda root: run_sync(root, "--uri", uri, *SHARED), roots))
