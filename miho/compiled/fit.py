@@ -120,18 +120,18 @@ def difference(loss: FusedLoss, kind: str, thetas: Array) -> str:
     said likewise.
     """
     compiled, by_numpy = KINDS[kind](loss)
-    for theta in thetas:
-        expected = by_numpy(theta)
-        try:
-            given = compiled(theta)
-        except NumbaError as error:
-            return f"cannot be compiled: {cause(error)}"
-        with np.errstate(invalid="ignore", over="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):  # of values that count for nothing here
+        for theta in thetas:
+            expected = by_numpy(theta)
+            try:
+                given = compiled(theta)
+            except NumbaError as error:
+                return f"cannot be compiled: {cause(error)}"
             close = np.abs(given - expected) <= _tolerance(by_numpy, theta)
-        wrong = np.isfinite(expected) & ~close
-        if wrong.any():
-            at = tuple(np.argwhere(wrong)[0])
-            return f"compiled {given[at]:.9g} where NumPy gives {expected[at]:.9g}, at {theta}"
+            wrong = np.isfinite(expected) & ~close
+            if wrong.any():
+                at = tuple(np.argwhere(wrong)[0])
+                return f"compiled {given[at]:.9g} where NumPy gives {expected[at]:.9g}, at {theta}"
     return ""
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import ctypes
 import datetime
+import importlib
 import json
 import os
 import runpy
@@ -203,6 +204,7 @@ def _drop_capabilities() -> None:
 
 def _set_clock(now: float) -> None:
     """Let the wall clock of this process go on from `now`."""
+    importlib.import_module("pandas")  # whose compiled parts must meet datetime as it is
     behind = time.time_ns() / 1e9 - now
     real_time, real_datetime = time.time, datetime.datetime
 
