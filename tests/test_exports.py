@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import pkgutil
 import subprocess
 import sys
 
@@ -21,6 +22,14 @@ def test_all_that_a_package_lists_can_be_had(name: str) -> None:
     assert set(package.__all__) <= set(dir(package))
     for exported in package.__all__:
         assert hasattr(package, exported), exported
+
+
+@pytest.mark.parametrize("name", PACKAGES)
+def test_what_a_package_passes_on_is_not_called_as_a_module_of_it(name: str) -> None:
+    """Once such a module is imported, by whomever, it would stand where the name did."""
+    package = importlib.import_module(name)
+    modules = {module.name for module in pkgutil.iter_modules(package.__path__)}
+    assert not modules & set(package.__all__)
 
 
 def test_modules_are_attributes_and_nothing_else_is() -> None:

@@ -5,9 +5,9 @@ from typing import TYPE_CHECKING
 from miho.exports import at_first_use
 
 if TYPE_CHECKING:
+    from miho.identification.closed_form import linear_optimum
     from miho.identification.curve_fit import CurveFit
     from miho.identification.irreducible import irreducible_error
-    from miho.identification.linear_optimum import linear_optimum
     from miho.identification.loss import Cauchy, Huber, Loss, Square
     from miho.identification.report import Report, make_report
     from miho.identification.uncertainty import Linearised, linearised

@@ -15,6 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from miho.identification.bootstrap import bootstrap, percentile_intervals
+from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
 from miho.identification.derived import delta_method, derived
 from miho.identification.evidence import Standing, standing
@@ -31,7 +32,6 @@ from miho.identification.flags import (
     zeros,
 )
 from miho.identification.irreducible import Irreducible, irreducible_interval
-from miho.identification.linear_optimum import linear_optimum
 from miho.identification.profile import Profile, profile
 from miho.identification.refit import Deadline, OutOfTimeError, Refit, refit
 from miho.identification.uncertainty import Linearised, linearised
