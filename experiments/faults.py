@@ -14,6 +14,7 @@ missed, missing or broken. It needs pytest and pytest-xdist, which `make test` i
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import sys
 import tempfile
 import textwrap
@@ -21,13 +22,15 @@ import time
 from collections.abc import Sequence
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
-import pytest
 
 from experiments.app.console import BY_SIGNAL, OK, SOME_FAILED
 from miho.analysis import to_markdown
+
+if TYPE_CHECKING:
+    import pytest
 
 FOLDER = Path(__file__).parents[1] / "tests" / "faults"
 ROWS = [f"R{number}" for number in range(1, 27)]
@@ -87,6 +90,11 @@ def faults(arguments: Sequence[str] | None = None) -> int:
     for row in rows:
         if row not in ROWS:
             parser.error(f"there is no row {row}; rows are {ROWS[0]} to {ROWS[-1]}")
+    missing = [name for name in ("pytest", "xdist") if importlib.util.find_spec(name) is None]
+    if missing:
+        parser.error(f"needs a library that is missing ({', '.join(missing)}); run make test first")
+    import pytest  # of the extra dev, which a checkout that only runs has not
+
     selection = " or ".join(f"fault(row='{row}')" for row in rows) or "fault"
     if chosen.quick:
         selection = f"({selection}) and fault(quick=True)"

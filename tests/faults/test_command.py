@@ -84,7 +84,7 @@ def test_rows_that_judge_seconds_come_first_and_one_by_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     calls: list[list[str]] = []
-    monkeypatch.setattr(command.pytest, "main", lambda arguments, plugins: calls.append(arguments))
+    monkeypatch.setattr(pytest, "main", lambda arguments, plugins: calls.append(arguments))
     assert faults(["R7", "R10"]) == 3, "nothing was run"
     selections = [(call[call.index("-n") + 1], call[call.index("-m") + 1]) for call in calls]
     rows = "(fault(row='R7') or fault(row='R10'))"
@@ -126,7 +126,7 @@ def test_exit_codes_and_output(
             for row in ("R18", "R7"):
                 plugins[0].pytest_runtest_logreport(report(row, outcome, measured))
 
-    monkeypatch.setattr(command.pytest, "main", run)
+    monkeypatch.setattr(pytest, "main", run)
     page = tmp_path / "faults.md"
     assert faults(["r18", "R7", "--output", str(page)]) == code
     lines = page.read_text().splitlines()
