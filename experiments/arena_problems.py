@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from experiments.app import schema
 from experiments.app.build import recorded_optimum
 from experiments.app.compose import CONF, composed
-from miho.analysis.mean_curve import ENDED_BY_ITSELF
+from miho.analysis.compare.bootstrap import ENDED_BY_ITSELF
 from miho.study import StoredRun, read_run
 
 SAME = ("model", "dataset", "space", "loss")

@@ -11,28 +11,33 @@ from matplotlib.figure import Figure
 
 from experiments.app.build import ConfigError
 from experiments.arena_problems import as_configured
-from experiments.comparison import Comparison
+from experiments.comparison import read_comparison, write_origin, write_tables
 from miho.analysis import save
-from miho.analysis.anytime import area_over_curve
-from miho.analysis.arena_figures import ecdf_figure, error_curves, profiles_figure
-from miho.analysis.curves import Axis
-from miho.analysis.ert_figure import ert_table
-from miho.analysis.leaderboard import (
+from miho.analysis.compare.leaderboard import (
     best_rivals,
     families,
     family_scores,
     leaderboard,
     problem_scores,
 )
-from miho.analysis.pairwise import pairwise, pairwise_speed_up
-from miho.analysis.profiles import data_profile, ecdf, performance_profile
-from miho.analysis.ranking_figures import (
+from miho.analysis.compare.profiles import area_over_curve, data_profile, ecdf, performance_profile
+from miho.analysis.compare.running_time import at_factor, expected_running_time, hits, references
+from miho.analysis.compare.significance import (
+    FriedmanTest,
+    cliques,
+    critical_difference,
+    friedman,
+    pairwise,
+    pairwise_speed_up,
+    ranks,
+)
+from miho.analysis.curves import Axis
+from miho.analysis.figures.arena import ecdf_figure, error_curves, ert_table, profiles_figure
+from miho.analysis.figures.ranking import (
     area_figure,
     critical_difference_diagram,
     speed_up_figure,
 )
-from miho.analysis.ranks import FriedmanTest, cliques, critical_difference, friedman, ranks
-from miho.analysis.running_time import at_factor, expected_running_time, hits, references
 from miho.analysis.timing import Clock, clock_of, undisturbed
 from miho.study import write_text
 
@@ -85,8 +90,8 @@ def draw_arena(root: Path, output: Path) -> list[Path]:
 
     Raises ConfigError where it is too small for its tests.
     """
-    found = Comparison.read(root)
-    runs, curves, rng = as_configured(found.runs), found.curves, np.random.default_rng(0)
+    comparison = read_comparison(root)
+    runs, curves, rng = as_configured(comparison.runs), comparison.curves, np.random.default_rng(0)
     reached = hits(runs, curves)
     clock = clock_of(runs)
     timed = _on_the_clock(clock, reached)
@@ -122,13 +127,13 @@ def draw_arena(root: Path, output: Path) -> list[Path]:
     facts |= {"problems": len(solved), "families": len(by_family), "least": least}
     facts["timed"], facts["runs"] = int(undisturbed(runs).sum()), len(runs)
     captions = {name: CAPTIONS[name].format(**facts) for name in tables}
-    paths = found.write_tables(tables, captions, output)
+    paths = write_tables(comparison, tables, captions, output)
     for what, test in tests.items():
         print(_friedman(test, what))
     whole = pd.concat([frame.assign(axis=axis) for axis, frame in ert.items()])
     for name, frame in {"ert": whole, "speed_up": speed_ups, "aocc": areas}.items():
         write_text(output / f"{name}.csv", frame.to_csv(index=False))
-    note = found.note
+    note = comparison.note
     evaluations = ecdf(reached, "evaluations")
     seconds = ecdf(timed, clock.axis)
     data = data_profile(reached, dimensions, FACTOR)
@@ -148,7 +153,7 @@ def draw_arena(root: Path, output: Path) -> list[Path]:
     for name, figure in figures.items():
         paths += save(figure, output / name)
     csv = [output / f"{name}.csv" for name in ("ert", "speed_up", "aocc")]
-    return [*paths, *csv, found.write_provenance(output)]
+    return [*paths, *csv, write_origin(comparison, output)]
 
 
 def _error_curves(runs: pd.DataFrame, curves: pd.DataFrame, note: str) -> dict[str, Figure]:

@@ -24,7 +24,7 @@ from experiments.app.comparing import planned
 from experiments.app.console import OK, SOME_FAILED, command
 from experiments.app.plan import sweep_settings
 from experiments.app.runs import run
-from experiments.comparison import COMPARISON
+from miho.analysis.compare.comparison import COMPARISON
 from miho.study import write_text
 
 DEFAULT = "experiment=compare"

@@ -24,7 +24,7 @@ from experiments.app.origin import regenerates
 from experiments.driving.car import Parts, known_car
 from experiments.driving.settings import driver_of, factors, one_line, prepared
 from miho.analysis import save
-from miho.analysis.driving_figures import fig7, fig8
+from miho.analysis.figures.driving import fig7, fig8
 from miho.driving.driver import Driver
 from miho.driving.embedded import embedded_plant
 from miho.driving.outcome import Departure, Room, departure, judged, plans

@@ -27,7 +27,7 @@ from experiments.app.origin import driving_code, regenerates
 from experiments.driving.laps import VARIANTS, Job, laps_before, laps_of, methods_of
 from experiments.driving.settings import factors, prepared
 from miho.analysis import save
-from miho.analysis.laps import lap_figure, lap_table, lap_text
+from miho.analysis.figures.driving import lap_figure, lap_table, lap_text
 from miho.study import write_text
 from miho.study.workers import Workers
 

@@ -11,7 +11,6 @@ python -m experiments.figures fig5   # torque curves and engine map (after `iden
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import sys
 from collections.abc import Sequence
@@ -22,18 +21,19 @@ import numpy as np
 from experiments.app.build import ConfigError, build_dataset, rebuild
 from experiments.app.console import guarded
 from experiments.arena_results import draw_arena
-from experiments.comparison import Comparison
+from experiments.comparison import read_comparison, write_origin, write_tables
 from experiments.full_size import differences
 from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save
-from miho.analysis.axle_figure import AxleCurve, fig4_right
+from miho.analysis.compare.claims import MIHO, is_on_a_tire
+from miho.analysis.figures.paper import AxleCurve, fig4_right
 from miho.analysis.timing import clock_of
 from miho.data import Dataset
 from miho.driving.assembly.engine import DATASETS, engine_of, fig5_data
 from miho.models import Axle
-from miho.study import StoredRun, load_runs, read_run, write_text
+from miho.study import StoredRun, load_runs, read_run
+from miho.study.provenance import IDENTITY, command_line, write_provenance
 
 TIRES = ("lf", "rf", "lr", "rr")
-MIHO = "miho"
 HALF = np.array([1.0, 1.0, 0.5, 1.0, 0.5])
 """From the curve (B, C, D, Sx, Sy) of an axle to that of either of two equal tires."""
 CAPTIONS = {
@@ -48,18 +48,17 @@ def draw_comparison(root: Path, output: Path) -> list[Path]:
 
     The claims are about MIHO on a tire: without either there is no table of them.
     """
-    found = Comparison.read(root)
-    runs, curves, note = found.runs, found.curves, found.note
+    comparison = read_comparison(root)
+    runs, curves, note = comparison.runs, comparison.curves, comparison.note
     paths = save(fig6(runs, curves, note=note), output / "fig6")
     tables = {"results": results_table(runs, curves)}
-    on_a_tire = runs["problem"].str.startswith("pacejka-tire_").all()
-    if on_a_tire and MIHO in set(runs["optimizer"]):
+    if is_on_a_tire(runs):
         tables["claims"] = claims_table(runs, curves, MIHO, differences=differences(runs))
-    paths += found.write_tables(tables, CAPTIONS, output)
-    command = " ".join(word for word in found.command if not word.startswith("fresh="))
+    paths += write_tables(comparison, tables, CAPTIONS, output)
+    command = " ".join(word for word in comparison.command if not word.startswith("fresh="))
     if advice := clock_of(runs).advice(command):
         print(advice, file=sys.stderr)
-    return [*paths, found.write_provenance(output)]
+    return [*paths, write_origin(comparison, output)]
 
 
 def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:
@@ -76,7 +75,7 @@ def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:
         errors[tire.upper()] = math.sqrt(stored.result["loss"]) / 1000
     note = f"{len(dataset)} samples per tire; curves learned by {optimizer}; ISO-W signs"
     figure = fig4(samples, curves, errors=errors, note=note)
-    return [*save(figure, output / "fig4"), _write_provenance(output / "fig4.json", runs)]
+    return [*save(figure, output / "fig4"), _write_origin(output / "fig4.json", runs)]
 
 
 def draw_axle(root: Path, output: Path, optimizer: str) -> list[Path]:
@@ -107,7 +106,7 @@ def draw_axle(root: Path, output: Path, optimizer: str) -> list[Path]:
     figure = fig4_right(points, curves, note=note)
     return [
         *save(figure, output / "fig4_right"),
-        _write_provenance(output / "fig4_right.json", runs),
+        _write_origin(output / "fig4_right.json", runs),
     ]
 
 
@@ -143,7 +142,7 @@ def draw_engine(root: Path, output: Path, optimizer: str) -> list[Path]:
         for throttle, run in zip(DATASETS, runs, strict=True)
     }
     figure = fig5(**fig5_data(engine_of(problems, thetas)))
-    return [*save(figure, output / "fig5"), _write_provenance(output / "fig5.json", runs)]
+    return [*save(figure, output / "fig5"), _write_origin(output / "fig5.json", runs)]
 
 
 def _best_runs(root: Path, model: str, datasets: Sequence[str], optimizer: str) -> list[StoredRun]:
@@ -161,20 +160,10 @@ def _best_runs(root: Path, model: str, datasets: Sequence[str], optimizer: str) 
     return best
 
 
-def _write_provenance(path: Path, stored: Sequence[StoredRun]) -> Path:
+def _write_origin(path: Path, stored: Sequence[StoredRun]) -> Path:
     """What regenerates a figure of single runs, and what they ran on."""
-    about = {
-        "command": " ".join(["python -m experiments.figures", *sys.argv[1:]]),
-        "runs": [
-            {key: run.result[key] for key in ("problem", "optimizer", "seed", "code", "data")}
-            for run in stored
-        ],
-        "environment": {
-            k: v for k, v in stored[0].environment.items() if k not in ("load", "timing")
-        },
-    }
-    write_text(path, json.dumps(about, indent=1) + "\n")
-    return path
+    facts = {"runs": [{key: run.result[key] for key in IDENTITY} for run in stored]}
+    return write_provenance(path, command_line("experiments.figures"), stored, facts)
 
 
 def main() -> None:

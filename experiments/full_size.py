@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from experiments.app.build import stored_part
 from experiments.app.compose import CONF
-from miho.analysis.claims import Differences
+from miho.analysis.compare.claims import Differences
 from miho.study import read_run
 
 FULL_SIZE = "paper_fig6"

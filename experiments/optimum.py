@@ -1,12 +1,18 @@
-"""What can be done about an optimum in doubt: what to type, and a check by name."""
+"""The report of a stored run, and what can be done about an optimum in doubt."""
 
 from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.app.progress import progress
-from miho.identification import CurveFit
+from experiments.app.progress import at_work, progress
+from miho.analysis.pages.run import report_folder, save_report
+from miho.identification import CurveFit, Report, make_report
+from miho.identification.report import SECONDS
 from miho.methods.variable_projection import VariableProjection
 from miho.optim import Budget, Descents, Outcome, Parameter, RunRecord, minimize
 from miho.study import StoredRun, single_thread
@@ -26,13 +32,39 @@ DECADES = 100.0
 MOST_HINTS = 3
 
 
+LEAST_SECONDS = 10.0
+"""A report may take as long as the run's budget, but this at least and `SECONDS` at most."""
+
+
+def reported(problem: CurveFit, stored: StoredRun, **settings: Any) -> Report:
+    """The report on a finished run of a problem; `settings` are those of `make_report`."""
+    if not sys.stderr.isatty():
+        print(f"report of {problem.name}: running", file=sys.stderr, flush=True)
+    result = stored.result
+    budget = stored.config["budget"].get("seconds")
+    known = {
+        "seconds": SECONDS if budget is None else min(SECONDS, max(LEAST_SECONDS, budget)),
+        "descents": descents_of(stored),
+        "best_known": result.get("facts", {}).get("optimum"),
+        "remedy": remedy(problem, stored, checked="check" in settings),
+    }
+    with at_work("report") as each, single_thread():
+        return make_report(problem, np.array(result["theta"]), each=each, **known | settings)
+
+
+def save_run(report: Report, stored: StoredRun, folder: Path | None = None) -> Path:
+    """Write the report of a stored run, by default below its root; the path of its page."""
+    with at_work("report") as each:
+        return save_report(report, folder or report_folder(stored), stored, each)
+
+
 def descents_of(stored: StoredRun) -> Descents | None:
     """Where the descents of a stored run ended; None if it made none, or is of an older version."""
-    kept = stored.result.get("descents")
-    if not kept:
+    record = stored.result.get("descents")
+    if not record:
         return None
     try:
-        return Descents(**{**kept, "ends": tuple(kept["ends"])})
+        return Descents(**{**record, "ends": tuple(record["ends"])})
     except (TypeError, LookupError):
         return None
 

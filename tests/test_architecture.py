@@ -37,6 +37,16 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         {"miho.study", "miho.optim"},
         {"pandas", "filelock", "numpy", "orjson", "threadpoolctl"},
     ),
+    "miho.analysis.pages": (
+        {
+            "miho.analysis",
+            "miho.analysis.pages",
+            "miho.study",
+            "miho.identification",
+            "miho.models",
+        },
+        NUMERICS | TABLES | {"jinja2", "markupsafe", "pooch", "vl_convert"},
+    ),
     "miho.analysis": ({"miho.analysis", "miho.study"}, NUMERICS | TABLES),
     "miho.methods": ({"miho.methods", "miho.optim"}, NUMERICS),
     "miho.testing": ({"miho.optim", "miho.models"}, NUMERICS),
@@ -89,6 +99,8 @@ def test_layers_hold(path: Path) -> None:
         top = module.partition(".")[0]
         if top in sys.stdlib_module_names:
             continue
+        if path.name == "__init__.py" and module.startswith(f"{own}."):
+            continue  # the front of a package names what lies in any of its rooms
         if top in {"miho", "baselines"}:
             assert layer_of(module) in ours, f"{own} imports {module}"
             if layer == "miho.study":

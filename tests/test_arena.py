@@ -21,10 +21,11 @@ from experiments.app.runs import Runs, State
 from experiments.app.schema import register
 from experiments.arena_problems import as_configured
 from experiments.arena_results import FACTOR, PLAIN, draw_arena, pages, separated
-from experiments.comparison import COMPARISON, Comparison
+from experiments.comparison import read_comparison
 from miho import load_runs
-from miho.analysis.leaderboard import family_scores, problem_scores
-from miho.analysis.pairwise import pairwise
+from miho.analysis.compare.comparison import COMPARISON
+from miho.analysis.compare.leaderboard import family_scores, problem_scores
+from miho.analysis.compare.significance import pairwise
 from miho.study import Status
 
 ROOT = Path(__file__).parent.parent
@@ -277,7 +278,7 @@ def test_an_arena_draws_resumes_and_exports(tmp_path: Path) -> None:
     assert len(after) == 12
     assert sum(before[path] == after[path] for path in after) == 11
 
-    found = Comparison.read(root)
+    found = read_comparison(root)
     assert set(found.runs["dimension"]) == {4}
     ending = "at most 300 evaluations per run, runs end at 1.0001 times the optimum"
     assert found.note.endswith(ending)

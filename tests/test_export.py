@@ -12,9 +12,8 @@ import pandas as pd
 import pytest
 
 from experiments import export
-from experiments.app.build import MissingLibraryError
-from experiments.export import write_csv, write_parquet
 from miho import Budget, load_runs, minimize
+from miho.analysis.export import write_csv, write_parquet
 from miho.optim import RandomSearch
 from miho.study import Identity, Store, execute
 from miho.testing import DecayFit
@@ -100,7 +99,7 @@ def test_parquet_round_trips_and_finds_a_damaged_page(tmp_path: Path) -> None:
 
 def test_parquet_names_its_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(MissingLibraryError, match=r"pip install 'miho\[parquet\]'"):
+    with pytest.raises(ModuleNotFoundError, match=r"pip install 'miho\[parquet\]'"):
         write_parquet(pd.DataFrame(), pd.DataFrame(), tmp_path)
 
 

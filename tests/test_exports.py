@@ -12,8 +12,16 @@ import pytest
 import miho
 
 PACKAGES = ["miho", *(f"miho.{name}" for name in (
-    "data", "driving", "identification", "methods", "models", "study"))]  # fmt: skip
-HEAVY = ["matplotlib", "numba", "pandas", "scipy.constants", "scipy.optimize", "scipy.special"]
+    "analysis", "data", "driving", "identification", "methods", "models", "study"))]  # fmt: skip
+HEAVY = [
+    "matplotlib",
+    "numba",
+    "pandas",
+    "seaborn",
+    "scipy.constants",
+    "scipy.optimize",
+    "scipy.special",
+]
 
 
 @pytest.mark.parametrize("name", PACKAGES)
@@ -44,6 +52,7 @@ def test_modules_are_attributes_and_nothing_else_is() -> None:
     "program",
     [
         "import miho",
+        "import miho.analysis",
         "from miho import MIHO, MIHOGN, CurveFit, Dataset, Space, minimize",
         "import miho.data, miho.models; [getattr(p, n) for p in (miho.data, miho.models) "
         "for n in p.__all__]",

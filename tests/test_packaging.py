@@ -38,7 +38,10 @@ def test_the_wheel_contains_only_miho(wheel: Path) -> None:
     assert "miho/py.typed" in names
     assert {f"miho/data/tires/{tire}.tir" for tire in ("lf", "rf", "lr", "rr")} <= set(names)
     assert {f"miho/data/published/{name}.txt" for name in published_names()} <= set(names)
-    pages = {path.relative_to(ROOT).as_posix() for path in (ROOT / "miho/analysis/web").iterdir()}
+    pages = {
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "miho/analysis/pages/templates").iterdir()
+    }
     assert pages
     assert pages <= set(names)
 

@@ -17,7 +17,8 @@ from experiments.app.execution import execution_of
 from experiments.app.schema import register
 from experiments.app.words import _ending
 from experiments.app.words import report as summary
-from experiments.optimum import OTHER_METHODS, descents_of, remedy
+from experiments.optimum import OTHER_METHODS, descents_of, remedy, reported, save_run
+from miho.analysis.pages.run import report_folder
 from miho.models import Pacejka
 from miho.models.identified import read_parameters
 from miho.optim import Descents
@@ -49,16 +50,16 @@ def test_a_report_writes_through_no_link_that_was_left_there(tmp_path: Path) -> 
     outside.mkdir()
     (outside / "private.png").write_text("mine")
     problem = rebuild(stored)
-    folder = report.report_folder(stored)
+    folder = report_folder(stored)
     folder.mkdir(parents=True)
     (folder / "fit.png").symlink_to(outside / "private.png")
-    report.write(report.reported(problem, stored), stored, folder)
+    save_run(reported(problem, stored), stored, folder)
     assert (outside / "private.png").read_text() == "mine"
     assert (folder / "fit.png").read_bytes().startswith(b"\x89PNG")
     folder.rename(tmp_path / "moved")
     folder.symlink_to(outside)
     with pytest.raises(PermissionError, match="leads out of the folder of results"):
-        report.report_folder(stored)
+        report_folder(stored)
 
 
 def called(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
@@ -216,7 +217,7 @@ def test_an_optimum_in_doubt_comes_with_what_to_type(tmp_path: Path) -> None:
     assert "of this local optimum" in told
     for blame in ("wrong shape", "check units", "not identifiable", "told from 0"):
         assert blame not in told
-    page = (report.report_folder(stored) / "report.html").read_text(encoding="utf-8")
+    page = (report_folder(stored) / "report.html").read_text(encoding="utf-8")
     assert "optimizer.screen=50 optimizer.starts=10" in page
     assert "wrong shape" not in page
 

@@ -12,9 +12,9 @@ from experiments.app.build import ConfigError
 from experiments.app.compose import composed
 from experiments.app.explain import parsed
 from experiments.app.plan import Request, groups, requests, sweep_settings
+from experiments.app.reports import read_sweep, save_sweep
 from experiments.app.runs import State, ended_state, known, run
 from experiments.app.schema import SweepConfig, register
-from experiments.report_sweep import read_sweep, write_sweep
 from miho import load_runs
 from miho.optim import Budget, RandomSearch, minimize
 from miho.study import Status, Store, execute, manifest
@@ -81,7 +81,7 @@ def test_a_result_that_is_gone_is_missed(
     run(runs, SweepConfig())
     (Store(tmp_path).folder(runs[0].identity) / "result.json").unlink()
     assert manifest.without_result(tmp_path) == ([Store(tmp_path).folder(runs[0].identity)], 2)
-    page = write_sweep(read_sweep(tmp_path), tmp_path, tmp_path / "report.html", {})
+    page = save_sweep(read_sweep(tmp_path), tmp_path, tmp_path / "report.html", {})
     told = "1 of 2 runs of the sweeps here have no result.json"
     assert told in capsys.readouterr().err
     assert told in page.read_text()

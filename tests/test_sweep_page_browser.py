@@ -9,7 +9,9 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from miho.analysis.sweep_page import Best, Told, sweep_page
+from miho.analysis.pages.sweep import Best, sweep_page
+from miho.analysis.pages.sweep_contents import Contents
+from miho.analysis.styles import STYLES
 from tests.analysis.sweep_synthetic import sweep_of
 from tests.analysis.synthetic import like_fig6
 from tests.chromium import Page, browser, chromium
@@ -19,14 +21,29 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(PATH is None, reason="there is no Chromium or Chrome on this machine"),
 ]
-LINES = "document.querySelectorAll('#plot path[data-method]').length"
-LABELS = "[...document.querySelectorAll('#plot text')].slice(-2).map(e => e.textContent)"
-TICKS = "[...document.querySelectorAll('#plot text')].slice(0, -2).map(e => e.textContent)"
+LINES = "document.querySelectorAll('#plot .curves_marks path').length"
+COLORS = (
+    "[...document.querySelectorAll('#plot .curves_marks path')].map(e => e.getAttribute('stroke'))"
+)
+LABELS = "[...document.querySelectorAll('#plot .role-axis-title text')].map(e => e.textContent)"
+TICKS = "[...document.querySelectorAll('#plot .role-axis-label text')].map(e => e.textContent)"
 VALUES = "[...document.querySelectorAll('#legend .value')].map(e => e.textContent)"
 PRESSED = "document.activeElement.getAttribute('aria-pressed')"
 WIDTHS = "[document.documentElement.scrollWidth, document.documentElement.clientWidth]"
 
+SETTLED = """new Promise(done => {
+  const look = () => document.querySelector('#plot').getAttribute('aria-busy') === 'false'
+    ? done() : requestAnimationFrame(look);
+  look();
+})"""
+"""Until the chart is drawn."""
+
 Opened = Callable[[int], Page]
+
+
+def press(page: Page, selector: str) -> None:
+    page.click(selector)
+    page.run(SETTLED)
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +60,7 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     runs.loc[runs["problem"] != "other", "timing_valid"] = True
     values = pd.DataFrame({"parameter": ["B"], "value": ["17.4"], "unit": ["1/rad"]})
     wide = pd.DataFrame([["x" * 30] * 12], columns=[f"column {n}" for n in range(12)])
-    told = Told("Runs of a test", [("Command", "python -m " + "x" * 80)], claims=wide,
+    told = Contents("Runs of a test", [("Command", "python -m " + "x" * 80)], claims=wide,
                 references={"pacejka-tire_lf": 391.4, "other": 782.8},
                 unrecorded={"other"})  # fmt: skip
     page = tmp_path_factory.mktemp("page") / "report.html"
@@ -66,6 +83,7 @@ def opened(tab: Page, path: Path) -> Iterator[Opened]:
 
     def at(width: int) -> Page:
         tab.open(path, width)
+        tab.run(SETTLED)
         return tab
 
     yield at
@@ -86,16 +104,17 @@ def test_it_opens_at_once_and_names_its_axes(opened: Opened) -> None:
 
 def test_methods_toggle_by_pointer_and_by_keys(opened: Opened) -> None:
     page = opened(1280)
-    page.click("#legend li:nth-child(1) button")
+    press(page, "#legend li:nth-child(1) button")
     assert page.run(LINES) == 7
-    assert page.run("document.querySelector('#plot path[data-method=miho]')") is None
+    assert STYLES["miho"].color not in page.run(COLORS)
     for key, count, pressed in ((" ", 8, "true"), (" ", 7, "false")):
         page.run("document.querySelector('#legend li:nth-child(1) button').focus()")
         page.press(key)
+        page.run(SETTLED)
         assert (page.run(LINES), page.run(PRESSED)) == (count, pressed)
-    page.click("#none")
+    press(page, "#none")
     assert page.run(LINES) == 0
-    page.click("#all")
+    press(page, "#all")
     assert page.run(LINES) == 8
 
 
@@ -110,37 +129,39 @@ def test_the_name_of_a_row_leaves_a_phone_room_for_its_values(opened: Opened) ->
 def test_axes_switch(opened: Opened) -> None:
     page = opened(1280)
     logarithmic = page.run(TICKS)
-    page.click("[data-set=axis][data-to=seconds]")
+    press(page, "[data-set=axis][data-to=seconds]")
     assert page.run(LABELS)[0] == "CPU seconds [s]"  # the runs of the other problem are disturbed
     assert page.run("document.querySelector('[data-to=seconds]').textContent") == "CPU seconds"
-    page.click("[data-set=x][data-to=linear]")
+    press(page, "[data-set=x][data-to=linear]")
     assert page.run(TICKS)[0] == "0"
-    page.click("[data-set=y][data-to=linear]")
+    press(page, "[data-set=y][data-to=linear]")
     linear = page.run(TICKS)
     assert linear != logarithmic
-    page.click("[data-set=quantity][data-to=gap]")
+    press(page, "[data-set=quantity][data-to=gap]")
     assert page.run(LABELS)[1] == "gap to the best known error [-]"
     page.run("((picker) => { picker.value = 1;"
              "  picker.dispatchEvent(new Event('change', { bubbles: true })); })"
              "(document.querySelector('#problem'))")  # fmt: skip
+    page.run(SETTLED)
     assert page.run(LABELS)[1] == "gap to the best of these runs [-]"
     assert page.run("document.querySelectorAll('[data-set=x][aria-pressed=true]').length") == 1
 
 
 def test_bands_and_seeds(opened: Opened) -> None:
     page = opened(1280)
-    page.click("[data-set=mode][data-to=band]")
-    assert page.run("document.querySelectorAll('#plot path[fill-opacity]').length") == 8
-    page.click("[data-set=mode][data-to=seeds]")
-    assert page.run("document.querySelectorAll('#plot path[stroke-opacity]').length") == 40
+    press(page, "[data-set=mode][data-to=band]")
+    assert page.run("document.querySelectorAll('#plot .bands_marks path').length") == 8
+    press(page, "[data-set=mode][data-to=seeds]")
+    assert page.run(LINES) == 40
     assert "NaN" not in page.run("document.querySelector('#plot').innerHTML")
 
 
 def test_what_is_not_there_cannot_be_chosen(opened: Opened) -> None:
     page = opened(1280)
-    page.click("[data-set=quantity][data-to=gap]")
+    press(page, "[data-set=quantity][data-to=gap]")
     page.run("(s => { s.value = '2'; s.dispatchEvent(new Event('change')) })"
              "(document.querySelector('#problem'))")  # fmt: skip
+    page.run(SETTLED)
     assert page.run(LABELS) == ["evaluations of the loss [-]", "error [kN]"]
     assert page.run("document.querySelector('[data-to=gap]').disabled")
 
@@ -151,7 +172,7 @@ def test_the_pointer_reads_values(opened: Opened) -> None:
     middle = page.middle("#plot")
     page.move(middle["x"], middle["y"])
     assert "after" in page.run("document.querySelector('#readout').textContent")
-    assert page.run("document.querySelectorAll('#plot line.cross').length") == 1
+    assert page.run("document.querySelectorAll('#plot .cross_marks line').length") == 1
     values = page.run(VALUES)
     assert values != at_the_end
     position = int(page.run("document.querySelector('#plot').getAttribute('aria-valuenow')"))

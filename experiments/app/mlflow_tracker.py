@@ -37,6 +37,7 @@ from miho.study import StoredRun
 from miho.study.compaction import error_of
 from miho.study.identity import sha256
 from miho.study.places import inside
+from miho.study.provenance import flat
 
 PLACE = ".mlflow"
 """Folder of a root's own database; readers of runs skip names that begin with a dot."""
@@ -103,7 +104,7 @@ class MLflow(Tracker):
             tags={**tags, "mlflow.parentRunId": self.parent},
             run_name=f"{result['problem']} {result['optimizer']} {result['seed']}",
         ).info.run_id
-        params = [self.entities.Param(k, v) for k, v in _flat("", stored.config).items()]
+        params = [self.entities.Param(k, v) for k, v in _settings(stored.config).items()]
         metrics = [self.entities.Metric(*point) for point in _points(stored, start)]
         while params or metrics:
             self.client.log_batch(
@@ -251,13 +252,13 @@ def _milliseconds(environment: Mapping[str, Any]) -> int:
     return max(1, round(1000 * start))
 
 
-def _flat(prefix: str, node: Any) -> dict[str, str]:
+def _settings(config: Mapping[str, Any]) -> dict[str, str]:
     """Settings by dotted name; those too long for MLflow are only in config.json."""
-    if isinstance(node, Mapping):
-        parts = (_flat(f"{prefix}.{name}" if prefix else str(name), node[name]) for name in node)
-        return {name: value for part in parts for name, value in part.items()}
-    text = node if isinstance(node, str) else json.dumps(node)
-    return {word(prefix): text} if len(text) <= LONGEST_PARAM else {}
+    texts = {
+        word(name): value if isinstance(value, str) else json.dumps(value)
+        for name, value in flat(config).items()
+    }
+    return {name: text for name, text in texts.items() if len(text) <= LONGEST_PARAM}
 
 
 def _curve(stored: StoredRun) -> dict[str, list[float]]:

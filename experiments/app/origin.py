@@ -19,6 +19,7 @@ from miho.optim import Optimizer
 from miho.study import environment_stamp
 from miho.study.closure import Sources
 from miho.study.identity import sha256
+from miho.study.provenance import command_line
 
 NUMERICAL = {"numpy", "scipy", "numba"}
 WRAPPED = {name: name for name in ("optuna", "cmaes", "nevergrad", "dehb")} | {"dfols": "DFO-LS"}
@@ -69,7 +70,7 @@ DRIVING = ("experiments.drive", "experiments.driving.laps")
 def regenerates(module: str, methods: Iterable[Optimizer]) -> dict[str, Any]:
     """What stands beside the results of a drive: its command, the code and the machine."""
     return {
-        "command": " ".join(["python -m", module, *sys.argv[1:]]),
+        "command": command_line(module),
         "code": driving_code(methods),
         "environment": environment_stamp(),
     }

@@ -71,9 +71,8 @@ def _print_errors(states: Sequence[State]) -> None:
 def report(experiment: Experiment, stored: StoredRun) -> str:
     """The identified parameters, how far to trust them and how good they are; writes the page."""
     # Here, because figures take longer to import than a small run takes: only who draws them waits.
-    from experiments.optimum import descents_of, larger_budget
-    from experiments.report import report_folder, reported, write
-    from experiments.report_tables import error_rows, text
+    from experiments.optimum import descents_of, larger_budget, reported, save_run
+    from miho.analysis.pages.run_tables import error_rows, report_text
 
     problem, result = experiment.problem, stored.result
     if result["theta"] is None:
@@ -97,7 +96,7 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
         error = root_mean_square(problem.errors(theta))
         rows.append(("error", f"{error:.5g} {unit} (root mean square)"))
     else:
-        theta, findings = of_run.at.theta, text(of_run)
+        theta, findings = of_run.at.theta, report_text(of_run)
         rows += error_rows(of_run)
         rows.append(("optimum", of_run.standing.evidence))
     loss = float(problem.loss(theta[None])[0])
@@ -124,7 +123,7 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
         rows.append(("outside", f"at least {result['outside']:,} evaluations, beyond the box"))
     rows.append(("run", str(stored.folder)))
     if of_run is not None:
-        rows.append(("report", str(write(of_run, stored, report_folder(stored)))))
+        rows.append(("report", str(save_run(of_run, stored))))
     return findings + "\n\n" + "\n".join(f"{name:<12} {value}" for name, value in rows)
 
 

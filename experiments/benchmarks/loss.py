@@ -31,7 +31,7 @@ from experiments.benchmarks.bars import (
     interleaved,
     turns,
 )
-from miho.analysis.benchmark_figures import loss_figure
+from miho.analysis.figures.benchmark import loss_figure
 from miho.compiled.fused import FusedLoss
 from miho.models import Pacejka
 

@@ -62,7 +62,7 @@ from experiments.benchmarks.reach_tables import (
     stopping_shares,
     stopping_table,
 )
-from miho.analysis.running_time import FACTORS
+from miho.analysis.compare.running_time import FACTORS
 from miho.data import DataUnavailableError
 from miho.identification import CurveFit
 from miho.optim import Budget, Optimizer, Space, minimize

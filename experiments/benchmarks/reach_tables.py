@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from miho.analysis.running_time import FACTORS, running_times
+from miho.analysis.compare.running_time import FACTORS, running_times
 from miho.optim.minimize import Outcome
 
 Array = NDArray[np.float64]
@@ -69,7 +69,7 @@ class Run:
 
 
 def hits(runs: Sequence[Run]) -> pd.DataFrame:
-    """A row per run and factor, as `miho.analysis.running_time.hits` gives them."""
+    """A row per run and factor, as `miho.analysis.compare.running_time.hits` gives them."""
     rows = []
     for run, factor in itertools.product(runs, FACTORS):
         evaluations, seconds = run.first((factor * run.optimum) ** 2)

@@ -6,14 +6,13 @@ python -m experiments.benchmarks.report_time
 from __future__ import annotations
 
 import tempfile
-from pathlib import Path
 from time import perf_counter
 
 from experiments.app.build import build
 from experiments.app.compose import composed
 from experiments.app.execution import execution_of
 from experiments.app.schema import register
-from experiments.report import report_folder, reported, write
+from experiments.optimum import reported, save_run
 
 REPEATS = 5
 
@@ -26,12 +25,11 @@ def main() -> None:
         stored = execution_of(chosen).run
         if stored is None:
             raise RuntimeError("the run failed")
-        folder = Path(report_folder(stored))
         for repeat in range(REPEATS):
             start = perf_counter()
             report = reported(chosen.problem, stored)
             computed = perf_counter()
-            write(report, stored, folder)
+            save_run(report, stored)
             print(
                 f"report {repeat}: computed in {computed - start:.2f} s, with tables, page and "
                 f"parameters.json in {perf_counter() - start:.2f} s"

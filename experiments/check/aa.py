@@ -24,11 +24,11 @@ from experiments.app.console import guarded
 from experiments.app.runs import run
 from experiments.app.schema import SweepConfig, register
 from experiments.arena_problems import as_configured
-from miho.analysis.anytime import area_over_curve
-from miho.analysis.leaderboard import families, family_scores, leaderboard, problem_scores
-from miho.analysis.markdown import to_markdown
-from miho.analysis.pairwise import pairwise, pairwise_speed_up
-from miho.analysis.running_time import hits, running_times
+from miho.analysis.compare.leaderboard import families, family_scores, leaderboard, problem_scores
+from miho.analysis.compare.profiles import area_over_curve
+from miho.analysis.compare.running_time import hits, running_times
+from miho.analysis.compare.significance import pairwise, pairwise_speed_up
+from miho.analysis.text import to_markdown
 from miho.study import load_runs
 
 REPETITIONS, EVALUATIONS, FACTOR, LEVEL = 20, 10_000, 1.01, 0.05

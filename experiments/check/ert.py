@@ -22,9 +22,10 @@ import numpy as np
 
 from experiments.app.build import ConfigError
 from experiments.app.console import guarded
-from experiments.comparison import Comparison
+from experiments.comparison import read_comparison
 from miho.analysis import write_ioh
-from miho.analysis.running_time import hits, running_times
+from miho.analysis.compare.comparison import Comparison
+from miho.analysis.compare.running_time import hits, running_times
 
 TOLERANCE = 1e-12
 PAIRS = (("ert", "ERT"), ("success", "success_ratio"))
@@ -37,7 +38,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     def job() -> None:
-        largest, count = differences(Comparison.read(arguments.root))
+        largest, count = differences(read_comparison(arguments.root))
         print(
             f"{count} expected running times and success rates, a failed run charged as much as "
             f"the longest on its problem (the leaderboard: what it spent): largest difference "

@@ -23,7 +23,7 @@ from miho.driving.embedded import embedded_engine, embedded_tires
 from miho.driving.known_car import KnownCar
 from miho.driving.vehicle import Vehicle
 from miho.identification import CurveFit
-from miho.identification.parameters_file import identified
+from miho.identification.parameters_file import identified_at
 from miho.models import read_parameters
 from miho.models.identified import parameters_text
 from miho.optim import minimize
@@ -89,7 +89,7 @@ def identified_parts(cfg: DictConfig, names: Sequence[str] = tuple(PARTS)) -> Pa
             raise ConfigError(f"optimizer: found no finite error on {part}: {state.line}")
         files[part] = Path(cfg.root) / PARAMETERS / f"{part}.json"
         files[part].parent.mkdir(parents=True, exist_ok=True)
-        part_result = identified(problem, np.array(state.run.result["theta"]))
+        part_result = identified_at(problem, np.array(state.run.result["theta"]))
         write_text(files[part], parameters_text(part_result, state.run.config["model"]))
     return {
         part: (experiment.problem, read_parameters(files[part], experiment.problem.model).theta)

@@ -1,14 +1,27 @@
-"""Curves, statistics, claims and figures: functions of the tidy frames of runs and curves."""
+"""Curves, statistics, claims, figures and pages: functions of the tidy frames of runs and curves.
 
-from miho.analysis.claims import claims_table
-from miho.analysis.engine_figures import fig5
-from miho.analysis.figures import fig4, fig6, plot_error_over, plot_tires, save
-from miho.analysis.ioh import write_ioh
-from miho.analysis.leaderboard import leaderboard
-from miho.analysis.markdown import to_markdown
-from miho.analysis.results import results_table
+The names below are loaded where they are used, as their modules need pandas, SciPy or matplotlib.
+"""
+
+from typing import TYPE_CHECKING
+
+from miho.exports import at_first_use
+
+if TYPE_CHECKING:
+    from miho.analysis.compare.claims import claims_table
+    from miho.analysis.compare.leaderboard import leaderboard, results_table
+    from miho.analysis.export import write_csv, write_ioh, write_parquet
+    from miho.analysis.figures.engine import fig5
+    from miho.analysis.figures.house import save
+    from miho.analysis.figures.paper import fig4, fig6, plot_error_over, plot_tires
+    from miho.analysis.pages.run import save_report
+    from miho.analysis.pages.sweep import save_sweep_page
+    from miho.analysis.text import to_markdown
 
 __all__ = [
     "claims_table", "fig4", "fig5", "fig6", "leaderboard", "plot_error_over", "plot_tires",
-    "results_table", "save", "to_markdown", "write_ioh",
+    "results_table", "save", "save_report", "save_sweep_page", "to_markdown", "write_csv",
+    "write_ioh", "write_parquet",
 ]  # fmt: skip
+
+__getattr__, __dir__ = at_first_use(__name__)

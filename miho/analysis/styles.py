@@ -12,9 +12,8 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-import seaborn as sns
-
-_BLUE, _ORANGE, _GREEN, _RED, _PINK, _TAN, _, _, _, _SKY = sns.color_palette("colorblind").as_hex()
+_BLUE, _ORANGE, _GREEN, _RED = "#0173b2", "#de8f05", "#029e73", "#d55e00"
+_PINK, _TAN, _SKY = "#cc78bc", "#ca9161", "#56b4e9"  # seaborn's palette "colorblind"
 _BLACK, _GREY, _MUTED, _PURPLE = "#222222", "#6e6e6e", "#8a8a8a", "#6a3d9a"
 _BROWN = "#6b3e12"
 

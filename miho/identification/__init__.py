@@ -9,12 +9,13 @@ if TYPE_CHECKING:
     from miho.identification.curve_fit import CurveFit
     from miho.identification.irreducible import irreducible_error
     from miho.identification.loss import Cauchy, Huber, Loss, Square
+    from miho.identification.parameters_file import identified
     from miho.identification.report import Report, make_report
     from miho.identification.uncertainty import Linearised, linearised
 
 __all__ = [
-    "Cauchy", "CurveFit", "Huber", "Linearised", "Loss", "Report", "Square", "irreducible_error",
-    "linear_optimum", "linearised", "make_report",
+    "Cauchy", "CurveFit", "Huber", "Linearised", "Loss", "Report", "Square", "identified",
+    "irreducible_error", "linear_optimum", "linearised", "make_report",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

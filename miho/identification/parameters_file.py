@@ -1,32 +1,72 @@
-"""From an identified problem to what `parameters.json` holds."""
+"""What `parameters.json` holds: the identified model with what is known of it."""
 
 from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import refit
 from miho.identification.uncertainty import linearised
 from miho.models.identified import Identified, Value
+from miho.quantities import Array
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    import pandas as pd
 
-NAN = math.nan
+    from miho.identification.report import Report
+
+KINDS = ("profile", "bootstrap", "linearised")
+"""Kinds of intervals, the best first."""
 MEAN_SPEED = "mean vx"
 """A derived quantity of an axle: the speed [m/s] at whose loads its forces were measured."""
 
 
-def identified(problem: CurveFit, theta: Array) -> Identified:
-    """A result with the linearised intervals of the optimum nearby, as parameters.json has it.
+def interval_kind(table: pd.DataFrame) -> str:
+    """The best kind of interval that a table of a report has, "" if it has none."""
+    return next((kind for kind in KINDS if f"{kind} low" in table.columns), "")
+
+
+def identified(report: Report, origin: Mapping[str, Any]) -> Identified:
+    """What a user of the model needs to know; `origin` says what regenerates the run."""
+    kind = interval_kind(report.parameters)
+    doubt = report.standing.doubt
+    return Identified(
+        model=report.problem.model,
+        parameters={
+            row["parameter"]: _value(row, kind) for row in report.parameters.to_dict("records")
+        },
+        correlation=report.at.correlation,
+        ranges=_ranges(report.problem),
+        derived={
+            row["quantity"]: _value(row, "linearised")
+            for row in report.derived.to_dict("records")
+            if math.isfinite(row["value"])
+        },
+        provenance={
+            "error": report.error,
+            "residual_standard_deviation": report.residual_standard_deviation,
+            "degrees_of_freedom": report.freedom,
+            "optimum": f"in doubt: {doubt}" if doubt else report.standing.evidence,
+            **origin,
+            "interval": kind,
+        },
+        level=report.level,
+    )
+
+
+def identified_at(problem: CurveFit, theta: Array) -> Identified:
+    """The same without a report: `theta` with the linearised intervals of the optimum nearby.
 
     Without them, as of parameters that the data do not tell apart, errors are NaN.
     """
     size = len(theta)
-    errors, ends, correlation = np.full(size, NAN), np.full((size, 2), NAN), np.eye(size)
+    errors, ends = np.full(size, math.nan), np.full((size, 2), math.nan)
+    correlation = np.eye(size)
     with contextlib.suppress(ValueError):
         at = linearised(problem, refit(problem, theta).theta)
         errors, ends, correlation = at.standard_errors, at.intervals(), at.correlation
@@ -34,13 +74,22 @@ def identified(problem: CurveFit, theta: Array) -> Identified:
         p.name: Value(float(theta[i]), p.unit, float(errors[i]), *map(float, ends[i]))
         for i, p in enumerate(problem.space.parameters)
     }
-    ranges = {
-        name: (float(problem.dataset[name].min()), float(problem.dataset[name].max()))
-        for name in problem.model.inputs
-    }
     loss = float(problem.loss(theta[None])[0])
     derived = {}
     if "vx" in problem.dataset.columns and "vx" not in problem.model.inputs:
         derived[MEAN_SPEED] = Value(float(problem.dataset["vx"].mean()), "m/s")
     about = {"problem": problem.name, "data": problem.dataset.digest, "error": math.sqrt(loss)}
-    return Identified(problem.model, parameters, correlation, ranges, derived, about)
+    return Identified(problem.model, parameters, correlation, _ranges(problem), derived, about)
+
+
+def _ranges(problem: CurveFit) -> dict[str, tuple[float, float]]:
+    """Of each input of the model, the smallest and largest value in the data."""
+    return {
+        name: (float(problem.dataset[name].min()), float(problem.dataset[name].max()))
+        for name in problem.model.inputs
+    }
+
+
+def _value(row: Mapping[Any, Any], kind: str) -> Value:
+    ends = row[f"{kind} low"], row[f"{kind} high"]
+    return Value(row["value"], row["unit"], row["standard error"], *ends)

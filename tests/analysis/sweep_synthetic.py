@@ -7,8 +7,7 @@ from collections.abc import Mapping
 
 import pandas as pd
 
-from miho.analysis.sweep_origins import Origin, flat
-from miho.analysis.sweep_runs import Sweep, named
+from miho.analysis.pages.sweep_runs import Origin, Sweep, json_leaves, named
 
 ENVIRONMENT = {
     "time": "2026-11-21T18:44:25+00:00",
@@ -31,7 +30,7 @@ def origin(
         "loss": {"_target_": "miho.identification.Square"},
         **(config or {}),
     }
-    return Origin(code, data, flat(asked), flat(ENVIRONMENT | environment))
+    return Origin(code, data, json_leaves(asked), json_leaves(ENVIRONMENT | environment))
 
 
 def sweep_of(runs: pd.DataFrame, curves: pd.DataFrame, **folders: Origin) -> Sweep:

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from miho.analysis.anytime import area_over_curve
+from miho.analysis.compare.profiles import area_over_curve
 from tests.analysis.several_problems import random_runs, several
 from tests.analysis.synthetic import Steps
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from miho.analysis.axle_figure import AxleCurve, fig4_right
+from miho.analysis.figures.paper import AxleCurve, fig4_right
 
 
 def test_curves_are_solid_where_they_were_learned() -> None:

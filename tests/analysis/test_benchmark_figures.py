@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from miho.analysis.benchmark_figures import (
+from miho.analysis.figures.benchmark import (
     growth_figure,
     loss_figure,
     overhead_figure,

@@ -6,10 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from miho.analysis.claims import Differences, claims_table
-from miho.analysis.markdown import number, to_markdown, with_interval
-from miho.analysis.results import results_table
-from miho.analysis.statistics import Interval
+from miho.analysis.compare.bootstrap import Interval
+from miho.analysis.compare.claims import Differences, claims_table
+from miho.analysis.compare.leaderboard import results_table
+from miho.analysis.text import number, to_markdown, with_interval
 from tests.analysis.synthetic import Steps, frames, like_fig6
 
 PAPER: dict[str, list[Steps]] = {

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from miho.analysis.driving_figures import fig7, fig8
+from miho.analysis.figures.driving import fig7, fig8
 
 N = 50
 NAMES = ("distance", "vx", "v_des", "ay", "ay_plan", "ay_limit", "steering", "u_steering", "e_y",

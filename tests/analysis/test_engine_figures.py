@@ -10,7 +10,7 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from miho.analysis.engine_figures import fig5
+from miho.analysis.figures.engine import fig5
 
 RPM = np.linspace(1000, 7000, 13)
 THROTTLE = np.array([0.0, 5.0, 15.0, 30.0, 100.0])

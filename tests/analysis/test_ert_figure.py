@@ -6,7 +6,7 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from miho.analysis.ert_figure import ert_table, plot_ert, short
+from miho.analysis.figures.arena import ert_table, plot_ert, short
 from tests.analysis.arena_synthetic import methods, running_times
 
 COLUMNS = ["problem", "optimizer", "factor", "success", "ert"]

@@ -8,8 +8,8 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from miho.analysis.end_labels import spread
-from miho.analysis.figures import fig4, fig6, plot_error_over, save
+from miho.analysis.figures.house import save, spread
+from miho.analysis.figures.paper import fig4, fig6, plot_error_over
 from miho.analysis.styles import STYLES, styles_of
 from tests.analysis.synthetic import frames, like_fig6
 

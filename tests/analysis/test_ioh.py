@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from miho.analysis.anytime import area_over_curve
-from miho.analysis.ioh import write_ioh
-from miho.analysis.running_time import hits, running_times
+from miho.analysis.compare.profiles import area_over_curve
+from miho.analysis.compare.running_time import hits, running_times
+from miho.analysis.export import write_ioh
 from tests.analysis.several_problems import random_runs, several
 
 

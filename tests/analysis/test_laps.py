@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from miho.analysis.laps import MEASURES, lap_figure, lap_table, lap_text
+from miho.analysis.figures.driving import MEASURES, lap_figure, lap_table, lap_text
 
 
 @pytest.fixture

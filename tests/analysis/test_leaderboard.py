@@ -6,16 +6,16 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from miho.analysis.anytime import area_over_curve
-from miho.analysis.leaderboard import (
+from miho.analysis.compare.leaderboard import (
     best_rivals,
     families,
     family_scores,
     leaderboard,
     problem_scores,
 )
-from miho.analysis.markdown import to_markdown
-from miho.analysis.running_time import hits, running_times
+from miho.analysis.compare.profiles import area_over_curve
+from miho.analysis.compare.running_time import hits, running_times
+from miho.analysis.text import to_markdown
 from tests.analysis.several_problems import several
 
 

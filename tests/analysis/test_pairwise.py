@@ -7,9 +7,14 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from miho.analysis.pairwise import holm, pairwise, pairwise_speed_up, signed_rank
-from miho.analysis.ranks import friedman
-from miho.analysis.running_time import running_times
+from miho.analysis.compare.running_time import running_times
+from miho.analysis.compare.significance import (
+    friedman,
+    holm,
+    pairwise,
+    pairwise_speed_up,
+    signed_rank,
+)
 
 
 def rng() -> np.random.Generator:

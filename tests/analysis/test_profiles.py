@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from miho.analysis.profiles import data_profile, ecdf, performance_profile
-from miho.analysis.running_time import hits, running_times
+from miho.analysis.compare.profiles import data_profile, ecdf, performance_profile
+from miho.analysis.compare.running_time import hits, running_times
 from tests.analysis.several_problems import random_runs
 
 

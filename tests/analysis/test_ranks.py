@@ -7,8 +7,13 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from miho.analysis.pairwise import signed_rank
-from miho.analysis.ranks import cliques, critical_difference, friedman, ranks
+from miho.analysis.compare.significance import (
+    cliques,
+    critical_difference,
+    friedman,
+    ranks,
+    signed_rank,
+)
 
 # Demšar 2006, Table 6: AUC of four variants of C4.5 on 14 data sets. The paper ranks voting by
 # unrounded values (2 and 3 where 0.975 is printed twice), hence the 0.9749.

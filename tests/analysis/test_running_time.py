@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from miho.analysis.curves import to_target
-from miho.analysis.running_time import (
+from miho.analysis.compare.running_time import (
     at_factor,
     expected_running_time,
     hits,
@@ -13,6 +12,7 @@ from miho.analysis.running_time import (
     resampled,
     running_times,
 )
+from miho.analysis.curves import to_target
 from tests.analysis.several_problems import random_runs, several
 from tests.analysis.synthetic import SECONDS_PER_EVALUATION
 

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from miho.analysis.mean_curve import MeanCurve
-from miho.analysis.statistics import (
+from miho.analysis.compare.bootstrap import (
     Interval,
+    MeanCurve,
     improvement,
     interval,
     mean_error,

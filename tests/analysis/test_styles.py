@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+import seaborn as sns
 
 from miho.analysis.styles import MAIN, STYLES, styles_of, with_emphasis
 
@@ -47,3 +48,8 @@ def test_by_default_the_main_methods_stand_out() -> None:
 def test_only_methods_with_runs_can_be_highlighted() -> None:
     with pytest.raises(ValueError, match="highlight names mihoo"):
         with_emphasis(["miho"], ["mihoo"])
+
+
+def test_the_colours_are_those_that_seaborn_calls_colorblind() -> None:
+    palette = set(sns.color_palette("colorblind").as_hex())
+    assert {STYLES[name].color for name in ("miho", "cma_es", "pso_100", "optuna_tpe")} <= palette

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from miho.analysis.curves import on_grid, summary
-from miho.analysis.sweep_curves import (
+from miho.analysis.pages.sweep_curves import (
     QUANTILES,
     Detail,
     final_order,

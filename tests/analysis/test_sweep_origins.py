@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from miho import Budget, load_runs, minimize
-from miho.analysis.sweep_origins import MANY, environment_table, flat, read_origins
-from miho.analysis.sweep_runs import Sweep
+from miho.analysis.pages.sweep_runs import MANY, Sweep, environment_table, json_leaves, read_origins
 from miho.optim import RandomSearch, RunRecord
 from miho.study import Identity, Store, execute
 from miho.study.identity import canonical, sha256
@@ -101,4 +100,4 @@ def test_few_values_are_counted_and_many_are_a_range() -> None:
 
 def test_leaves_of_a_configuration() -> None:
     tree = {"a": {"b": 1, "c": {"d": "x"}}, "e": [1], "f": {}, "g": None}
-    assert flat(tree) == {"a.b": "1", "a.c.d": '"x"', "e": "[1]", "f": "{}", "g": "null"}
+    assert json_leaves(tree) == {"a.b": "1", "a.c.d": '"x"', "e": "[1]", "f": "{}", "g": "null"}

@@ -5,16 +5,20 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
+import sys
 from collections.abc import Collection
 from dataclasses import replace
 from html.parser import HTMLParser
 from itertools import pairwise
+from pathlib import Path
 
 import pandas as pd
 import pytest
 
-from miho.analysis.sweep_markup import table
-from miho.analysis.sweep_page import Best, Told, sweep_page
+from miho.analysis.pages.html import environment
+from miho.analysis.pages.sweep import Best, sweep_page
+from miho.analysis.pages.sweep_contents import Contents
+from miho.analysis.pages.vega import vega
 from tests.analysis.arena_synthetic import arena, methods
 from tests.analysis.sweep_synthetic import embedded, origin, sweep_of
 from tests.analysis.synthetic import like_fig6
@@ -49,8 +53,17 @@ class Checker(HTMLParser):
         assert self.open.pop() == tag
 
 
+def without_library(html: str) -> str:
+    """What of a page is our own."""
+    library = vega()
+    assert library is not None
+    assert html.count(library) == 1
+    return html.replace(library, "")
+
+
 def page_of_fig6(seeds: int = 3) -> str:
-    told = Told("Runs", [("Command", "a < b")], ["a & b"], claims=pd.DataFrame({"claim": ["x"]}),
+    about = [("Command", "a < b")]
+    told = Contents("Runs", about, ["a & b"], claims=pd.DataFrame({"claim": ["x"]}),
                 references={"pacejka-tire_lf": 391.4})  # fmt: skip
     best = {"pacejka-tire_lf": Best("miho", 0, VALUES, ["note"], "reports/a b/report.html")}
     return sweep_page(sweep_of(*like_fig6(seeds)), told, best)
@@ -81,10 +94,10 @@ def test_only_its_own_script_runs_and_nothing_is_loaded() -> None:
         digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
         assert f"{tag}-src 'sha256-{digest}'" in policy[1]
         assert html.index("Content-Security-Policy") < html.index(f"<{tag}>")
-    assert not re.search(r"(src|href)=\"(?!data:|#|reports/)", html)
-    assert not re.search(r"\son\w+=|\sstyle=", html)
-    assert "http://" not in html.replace("http://www.w3.org/2000/svg", "")
-    assert "https://" not in html
+    own = without_library(html)
+    assert not re.search(r"(src|href)=\"(?!data:|#|reports/)", own)
+    assert not re.search(r"\son\w+=|\sstyle=", own)
+    assert "://" not in own
 
 
 def test_what_comes_from_files_is_text() -> None:
@@ -96,7 +109,7 @@ def test_what_comes_from_files_is_text() -> None:
     sweep = sweep_of(runs, curves, **dict.fromkeys(runs["id"], evil))
     sweep = replace(sweep, damaged=pd.DataFrame({"folder": [EVIL], "reason": [EVIL]}))
     frame = pd.DataFrame({EVIL: [EVIL], "method": [EVIL]})
-    told = Told(EVIL, [(EVIL, EVIL)], [EVIL], frame, EVIL, frame, EVIL)
+    told = Contents(EVIL, [(EVIL, EVIL)], [EVIL], frame, EVIL, frame, EVIL)
     name = str(sweep.runs["problem"].iloc[0])
     best = {name: Best(EVIL, 0, frame, [EVIL], f"javascript:{EVIL}")}
     html = sweep_page(sweep, told, best)
@@ -111,7 +124,7 @@ def test_what_comes_from_files_is_text() -> None:
 
 def test_many_methods_open_with_the_best() -> None:
     runs, curves = arena(methods(14), problems=2, seeds=3)
-    html = sweep_page(sweep_of(runs, curves), Told("Arena"), {})
+    html = sweep_page(sweep_of(runs, curves), Contents("Arena"), {})
     Checker(html)
     assert "Of 14 methods the best 10 are shown at first" in html
     assert len(embedded(html, "about")["shown"]) == 10  # type: ignore[arg-type]
@@ -127,22 +140,64 @@ def test_seeds_are_thinned_and_the_page_says_so() -> None:
     assert "Of 40 seeds at most 30 are drawn one by one" in html
     axes: dict[str, dict[str, list[dict[str, list[str]]]]] = embedded(html, "curves-0")["axes"]  # type: ignore[assignment]
     assert len(axes["seconds"]["curves"][0]["seeds"]) == 30
-    assert len(html) < 500_000
+    assert len(without_library(html)) < 500_000
 
 
 def test_numbers_are_read_from_the_right() -> None:
     frame = pd.DataFrame({"m": ["a"], "x": [1.23456], "n": ["1,234"], "i": ["[1, 2]"], "w": ["b"]})
-    html = table(frame, "c")
+    html = environment().get_template("table.html").module.of(frame, "c")  # type: ignore[attr-defined]
     assert "<td>1.23</td><td>1,234</td><td>[1, 2]</td>" in html
     assert '<td class="text">b</td>' in html
     assert '<th scope="row" class="text">a</th>' in html
+
+
+def test_no_text_in_the_chart_library_ends_the_script_and_a_page_stays_light() -> None:
+    library = vega()
+    assert library is not None
+    assert "</script" not in library
+    assert len(library.encode()) < 1_000_000
+
+
+def test_the_chart_library_is_bundled_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    snippets = []
+
+    def bundle(snippet: str) -> str:
+        snippets.append(snippet)
+        return "'</script>'"
+
+    monkeypatch.setattr("vl_convert.javascript_bundle", bundle)
+    assert vega(tmp_path / "cache") == vega(tmp_path / "cache") == "'<\\/script>'"
+    assert len(snippets) == 1
+    (path,) = (tmp_path / "cache").iterdir()
+    for damaged in (path.read_bytes()[:-1], b"\xff", b""):
+        path.write_bytes(damaged)
+        assert vega(tmp_path / "cache") == "'<\\/script>'"
+    assert len(snippets) == 4
+    (tmp_path / "file").touch()
+    assert vega(tmp_path / "file") == "'<\\/script>'"
+
+
+def test_without_the_chart_library_the_page_has_figures_and_no_script(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "vl_convert", None)
+    html = page_of_fig6()
+    checker = Checker(html)
+    tags = [tag for tag, _ in checker.tags]
+    assert "script" not in tags
+    assert "script-src" not in html
+    assert "default-src 'none'; img-src data:" in html
+    (picture,) = [at["src"] for tag, at in checker.tags if tag == "img"]
+    assert str(picture).startswith("data:image/png;base64,iVBOR")
+    assert "pip install vl-convert-python and report again" in html
+    assert "://" not in html
 
 
 @pytest.mark.parametrize(("unrecorded", "recorded"), [((), True), ({"pacejka-tire_lf"}, False)])
 def test_the_best_of_the_runs_is_not_called_the_best_known(
     unrecorded: Collection[str], recorded: bool
 ) -> None:
-    told = Told("Runs", references={"pacejka-tire_lf": 391.4}, unrecorded=unrecorded)
+    told = Contents("Runs", references={"pacejka-tire_lf": 391.4}, unrecorded=unrecorded)
     html = sweep_page(sweep_of(*like_fig6(3)), told, {})
     assert embedded(html, "curves-0")["recorded"] is recorded
     assert "gap to best known" not in html

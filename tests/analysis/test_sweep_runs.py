@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from miho.analysis.sweep_runs import Sweep
+from miho.analysis.pages.sweep_runs import Sweep
 from tests.analysis.sweep_synthetic import origin, sweep_of
 from tests.analysis.synthetic import frames
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from miho.analysis.sweep_tables import (
-    digits,
+from miho.analysis.pages.sweep_tables import (
     final_errors,
     methods_table,
     problems_table,
-    seeds_told,
+    seeds_text,
     warnings,
 )
+from miho.analysis.text import significant
 from tests.analysis.sweep_synthetic import origin, sweep_of
 from tests.analysis.synthetic import frames, like_fig6
 
@@ -48,12 +48,12 @@ def test_a_median_has_the_interval_of_its_resamples() -> None:
 
 
 def test_numbers() -> None:
-    assert digits(50111.93) == "50,112"
-    assert digits(0.00012345678) == "0.00012346"
-    assert digits(2.5e12) == "2.5e+12"
-    assert digits(np.inf) == "∞"
-    assert seeds_told(pd.Series([2, 0, 1, 1])) == "0 to 2"
-    assert seeds_told(pd.Series([4, 0, 1])) == "0, 1, 4"
+    assert significant(50111.93) == "50,112"
+    assert significant(0.00012345678) == "0.00012346"
+    assert significant(2.5e12) == "2.5e+12"
+    assert significant(np.inf) == "∞"
+    assert seeds_text(pd.Series([2, 0, 1, 1])) == "0 to 2"
+    assert seeds_text(pd.Series([4, 0, 1])) == "0, 1, 4"
 
 
 def test_what_is_behind_the_names() -> None:

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from experiments.app.console import BAD_INPUT
-from experiments.export import write_csv
 from miho import load_runs
+from miho.analysis.export import write_csv
 from miho.data import load_csv, load_mat
 from miho.models import Pacejka, load_function, load_tir, read_parameters
 from miho.models.identified import Identified, UncheckedWarning, Value, parameters_text

@@ -18,7 +18,7 @@ from miho.data.synthetic_engine import DYNO_TRUSTED
 from miho.data.torque_samples import torque_samples
 from miho.driving.vehicle import Vehicle
 from miho.identification import CurveFit
-from miho.identification.parameters_file import identified
+from miho.identification.parameters_file import identified_at
 from miho.models import Model, Pacejka, TorqueCubic
 from miho.models.brake_statics import BrakeDeceleration
 from miho.models.engine import RPM
@@ -112,7 +112,7 @@ def identify_parts(
         record = minimize(optimizer, problem, budget, seed)
         if record.theta is None:
             raise ValueError(f"no finite error was found on {part}: {record.error}")
-        result = identified(problem, record.theta)
+        result = identified_at(problem, record.theta)
         about = {
             "optimizer": repr(optimizer), "seed": seed, "evaluations": record.evaluations,
             "packages": {name: version(name) for name in ("numpy", "scipy", "numba")},

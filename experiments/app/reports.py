@@ -1,0 +1,154 @@
+"""Reports on stored runs as commands make them: with progress, and with what conf/ knows."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from experiments.app.build import ConfigError, rebuild
+from experiments.app.console import OK, SOME_FAILED
+from experiments.app.explain import one_line
+from experiments.app.progress import at_work
+from experiments.arena_problems import as_configured
+from experiments.full_size import differences
+from experiments.optimum import check, reported, save_run
+from miho.analysis.pages.html import PAGE
+from miho.analysis.pages.run import report_folder
+from miho.analysis.pages.run_tables import (
+    error_table,
+    parameter_table,
+    report_text,
+    values_table,
+)
+from miho.analysis.pages.sweep import Best, save_sweep_page
+from miho.analysis.pages.sweep_contents import Configured, best_runs
+from miho.analysis.pages.sweep_runs import Sweep
+from miho.identification import Report
+from miho.study import StoredRun, load_runs, read_run
+from miho.study.manifest import missing_runs
+from miho.study.places import inside
+
+NO_INTERVALS = "Intervals were not computed; without --quick they are, and a page of their own."
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to report: `bootstrap` replicates, `profile` likelihood (None: as many as are quick),
+    `level` of the intervals, a `check` for a better optimum of so many seconds, at most `seconds`
+    for what is not asked for by name, whether to `trust` models in files, none of it (`quick`), and
+    the folder to write to (None: the root).
+    """
+
+    bootstrap: int
+    profile: bool | None
+    level: float
+    check: float | None
+    seconds: float | None
+    trust: bool
+    quick: bool
+    output: Path | None
+
+
+def read_sweep(root: Path) -> Sweep:
+    """All runs of a root; folders are given from the root on."""
+    stored = load_runs(root)
+    if stored.runs.empty:
+        raise ConfigError(f"{root}: holds no finished run; run python -m experiments.identify")
+    count = len(stored.runs)
+    if not sys.stderr.isatty():
+        print(f"report of {count:,} runs: running", file=sys.stderr, flush=True)
+    with tqdm(total=count, desc="reading runs", leave=False, disable=None) as bar:
+
+        def each() -> None:
+            bar.update()
+
+        sweep = Sweep.of(stored, each)
+    if sweep.runs.empty:
+        raise ConfigError(f"{root}: none of its {count} runs can be read; identify again")
+    inside = sweep.damaged.map(lambda text: str(text).replace(f"{root}{os.sep}", ""))
+    return replace(sweep, damaged=inside)
+
+
+def save_sweep(sweep: Sweep, root: Path, path: Path, best: Mapping[str, Best]) -> Path:
+    """Write the page of the runs of a root, judged by what conf/ has; its path."""
+    missing = missing_runs(root)
+    warnings = []
+    if missing is not None:
+        print(missing, file=sys.stderr)
+        warnings.append(f"{missing}.".replace(f"{root}{os.sep}", ""))
+    options = [argument for argument in sys.argv[1:] if argument.startswith("--")]
+    made_by = " ".join(["python -m experiments.report", root.resolve().name, *options])
+    configured = Configured(as_configured, differences)
+    with at_work("report") as each:
+        each("page of all runs")
+        return save_sweep_page(
+            root, path, sweep=sweep, best=best, configured=configured, warnings=warnings,
+            made_by=made_by,
+        )  # fmt: skip
+
+
+def report_on_root(root: Path, options: Options) -> int:
+    """Write the page of all runs of a root, with reports on the best ones; the exit code."""
+    sweep = read_sweep(root)
+    reports = {
+        problem: report_on_run(read_run(folder), options)
+        for problem, folder in best_runs(sweep).items()
+    }
+    best = {problem: entry for problem, (entry, _) in reports.items()}
+    path = (options.output or root) / PAGE
+    print(f"all runs {save_sweep(sweep, root, path, best)}")
+    return SOME_FAILED if any(failed for _, failed in reports.values()) else OK
+
+
+def report_on_run(stored: StoredRun, options: Options) -> tuple[Best, bool]:
+    """Report on one run; what a page of all runs says of it, and whether that failed."""
+    result = stored.result
+    folder = report_folder(stored)
+    if options.output is not None:
+        folder = inside(options.output, folder.parent.name, folder.name)
+    start = folder.parent.parent.parent if options.output is None else options.output
+    name = str(result["optimizer"]), int(result["seed"])
+    page = (folder / PAGE).relative_to(start).as_posix()
+    earlier = page if (folder / PAGE).is_file() else ""
+    if options.quick:
+        return Best(*name, values_table(stored), [NO_INTERVALS], earlier), False
+    try:
+        report = _report(stored, options)
+    except (ConfigError, ValueError) as error:
+        print(f"error: {stored.folder}: {one_line(error)}", file=sys.stderr)
+        return Best(
+            *name, values_table(stored), [f"No intervals: {one_line(error)}."], earlier
+        ), True
+    errors = error_table(report).to_string(index=False, header=False)
+    path = save_run(report, stored, folder)
+    print(
+        f"{result['problem']}: {stored.folder}\n\n{report_text(report)}\n\n{errors}\n"
+        f"optimum: {report.standing.evidence}\nreport {path}\n"
+    )
+    return Best(*name, parameter_table(report), report.notes, page), False
+
+
+def _report(stored: StoredRun, options: Options) -> Report:
+    if stored.result["theta"] is None:
+        raise ConfigError("the run found no finite value, so there is nothing to report")
+    problem = rebuild(stored, trusted=options.trust)
+    settings: dict[str, Any] = {}
+    if options.seconds is not None:
+        settings["seconds"] = options.seconds
+    if options.check is not None:
+        record = check(problem, options.check, int(stored.result["seed"]))
+        settings |= {"check": record.descents, "better": record.theta}
+    return reported(
+        problem,
+        stored,
+        replicates=options.bootstrap,
+        profiles=options.profile,
+        level=options.level,
+        **settings,
+    )

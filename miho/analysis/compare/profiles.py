@@ -1,0 +1,166 @@
+"""Shares of targets reached over the effort: runtime distributions, profiles, and the area (AOCC).
+
+A share is over what the method was run on; a target that it never reached counts, a run that was
+never made does not. All are step functions of their column, to be drawn without interpolation. The
+area over the convergence curve says of each run how good it is over all budgets up to a given one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from miho.analysis.compare.running_time import at_factor, references
+from miho.analysis.curves import Axis, positions
+from miho.analysis.tidy import comparison, require_columns
+
+Array = NDArray[np.float64]
+
+POINTS = 400
+
+
+def ecdf(
+    hits: pd.DataFrame,
+    axis: Axis,
+    grid: Array | None = None,
+    dimensions: Mapping[str, int] | None = None,
+) -> pd.DataFrame:
+    """Share of all (problem, seed, factor) reached within each budget: optimizer, axis, share.
+
+    The runtime distribution of COCO (Hansen et al. 2021) over the runs as they are, without its
+    simulated restarts: a curve ends at the share that was reached. With `dimensions` (problem to
+    number of parameters) the axis is per parameter, as COCO draws it.
+    """
+    require_columns(hits, ["problem", "optimizer", axis], "hits")
+    spent = hits[axis].astype(float)
+    if dimensions is not None:
+        spent = spent / _of_problems(dimensions, hits["problem"])
+    return _shares(spent, hits["optimizer"], axis, grid)
+
+
+def data_profile(
+    hits: pd.DataFrame, dimensions: Mapping[str, int], factor: float, grid: Array | None = None
+) -> pd.DataFrame:
+    """Share of (problem, seed) solved to a factor within kappa (d + 1) evaluations.
+
+    Columns: optimizer, kappa, share. Moré and Wild 2009, "Benchmarking derivative-free
+    optimization algorithms"; solved means an error of at most factor times the best
+    known one, not their reduction from the starting point.
+    """
+    rows = at_factor(hits, factor)
+    kappa = rows["evaluations"] / (_of_problems(dimensions, rows["problem"]) + 1)
+    return _shares(kappa, rows["optimizer"], "kappa", grid)
+
+
+def performance_profile(
+    ert: pd.DataFrame, factor: float, grid: Array | None = None
+) -> pd.DataFrame:
+    """Share of problems whose expected running time is within tau times the best method's.
+
+    Columns: optimizer, tau, share. Dolan and Moré 2002, "Benchmarking optimization software with
+    performance profiles". The share at tau = 1 is that of problems on which the method is the
+    fastest. A problem that nobody solves stays in the count. The ratios depend on who takes part:
+    take no order but the best from it (Gould and Scott 2016).
+    """
+    rows = at_factor(ert, factor)
+    best = rows.groupby("problem")["ert"].transform("min")
+    tau = (rows["ert"] / best.where(np.isfinite(best))).fillna(np.inf)
+    return _shares(tau, rows["optimizer"], "tau", grid)
+
+
+def _shares(
+    values: pd.Series[float], optimizers: pd.Series[str], name: str, grid: Array | None
+) -> pd.DataFrame:
+    """Share of each method's values that are at most each grid position."""
+    grid = _log_grid(np.asarray(values, dtype=float)) if grid is None else grid
+    pieces = []
+    for optimizer, mine in values.groupby(optimizers):
+        within = np.searchsorted(np.sort(mine.to_numpy(dtype=float)), grid, side="right")
+        share = within / len(mine)
+        pieces.append(pd.DataFrame({"optimizer": optimizer, name: grid, "share": share}))
+    return pd.concat(pieces, ignore_index=True)
+
+
+def _log_grid(values: Array) -> Array:
+    """From the smallest to the largest finite value above zero; [1] if there is none."""
+    values = values[np.isfinite(values) & (values > 0)]
+    if not values.size:
+        return np.ones(1)
+    grid = np.geomspace(values.min(), values.max(), POINTS)
+    grid[[0, -1]] = values.min(), values.max()
+    return grid
+
+
+def _of_problems(dimensions: Mapping[str, int], problems: pd.Series[str]) -> Array:
+    missing = sorted(set(problems) - set(dimensions))
+    if missing:
+        raise ValueError(f"dimensions lack the problem {missing[0]}; give one for each problem")
+    return np.asarray(problems.map(dict(dimensions)), dtype=float)
+
+
+GAPS = (1e-3, 10.0)
+"""Relative gaps to the best known error that score 1 and 0. The lower one is the tightest target
+(factor 1.001): what lies beyond is numerics, not identification. The upper one is where random
+starts are: within it every target (0.5, 0.1, 0.01, 0.001) is a rise of the score."""
+
+
+def area_over_curve(
+    runs: pd.DataFrame,
+    curves: pd.DataFrame,
+    budget: float | Mapping[str, float] | None = None,
+    axis: Axis = "evaluations",
+    gaps: tuple[float, float] = GAPS,
+) -> pd.DataFrame:
+    """The area of each run in [0, 1], more is better: problem, optimizer, seed, budget, aocc.
+
+    The mean over [0, budget], linear in the axis, of
+
+        1 - (log10(clip(gap, low, high)) - log10(low)) / (log10(high) - log10(low)),
+
+    gap = error / best known error - 1 (`running_time.references`), error the best so far, and 0
+    before the first value. It is the exact integral of the step function; after its end a run
+    keeps its answer. This is the AOCC of van Stein, Vermetten, Kononova and Bäck (2024,
+    "Explainable benchmarking for iterative optimization heuristics") for a relative gap: their sum
+    over evaluations 1 to budget also counts the last value once, a difference of 1 / budget
+    at most.
+
+    `budget` is one number, one for each problem, or by default the most that any run of the
+    problem spent.
+    """
+    low, high = gaps
+    if not 0 < low < high:
+        raise ValueError(f"gaps is {gaps!r}; expected two rising numbers above zero")
+    runs, curves = comparison(runs, curves)
+    budgets = _budgets(runs, axis, budget)
+    ends = curves["problem"].map(budgets).to_numpy(dtype=float)
+    at = np.minimum(positions(curves, axis), ends)
+    run = pd.Index(runs["id"]).get_indexer(curves["id"])
+    last = np.append(run[1:] != run[:-1], True)
+    until = np.where(last, ends, np.append(at[1:], 0.0))
+    best = curves["problem"].map(references(runs)["error"]).to_numpy(dtype=float)
+    gap = np.clip(curves["error"].to_numpy(dtype=float) / best - 1, low, high)
+    score = np.nan_to_num(np.log(high / gap) / np.log(high / low), nan=0.0)
+    area = np.bincount(run, weights=(until - at) * score, minlength=len(runs))
+    table = runs[["problem", "optimizer", "seed"]].reset_index(drop=True)
+    table["budget"] = runs["problem"].map(budgets).to_numpy(dtype=float)
+    return table.assign(aocc=area / table["budget"])
+
+
+def _budgets(
+    runs: pd.DataFrame, axis: Axis, budget: float | Mapping[str, float] | None
+) -> dict[str, float]:
+    spent = runs.groupby("problem")[axis].max()
+    if budget is None:
+        budget = {str(problem): float(value) for problem, value in spent.items()}
+    elif not isinstance(budget, Mapping):
+        budget = dict.fromkeys(map(str, spent.index), float(budget))
+    for problem in spent.index:
+        if not budget.get(problem, 0.0) > 0:
+            raise ValueError(
+                f"budget of {problem} is {budget.get(problem)}; expected a number above zero for "
+                f"each problem, in the unit of {axis}"
+            )
+    return dict(budget)

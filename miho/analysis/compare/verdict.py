@@ -1,0 +1,201 @@
+"""Whether a measured interval supports a printed figure: the rules, and nothing else.
+
+A printed figure stands for everything that rounds to it: 13x means 12.5 to 13.5. Each rule is
+tried in order, and the first that applies decides. Both outcomes need the same evidence: an
+interval that leaves room for one of them only, from runs that a larger budget would not change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from miho.analysis.compare.bootstrap import Interval
+
+REPRODUCED = "reproduced"
+NOT_REPRODUCED = "not reproduced"
+ON_REPETITIONS = "depends on the repetitions"
+ON_BUDGET = "depends on the budget"
+ON_DATA = "depends on the data"
+NOT_TESTED = "not tested at this size"
+
+LEAST_REPETITIONS = 3
+WIDEST_LEVEL = 0.2
+TAIL = 0.025
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """`word` is reproduced, not reproduced, depends on ... or not tested at this size.
+
+    `reason` says why in a clause.
+    """
+
+    word: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Printed:
+    """A figure of the paper and half a unit of its last printed digit."""
+
+    value: float
+    half_digit: float
+
+    @property
+    def low(self) -> float:
+        """The smallest value that rounds to the figure."""
+        return self.value - self.half_digit
+
+    @property
+    def high(self) -> float:
+        """The largest value that rounds to the figure."""
+        return self.value + self.half_digit
+
+
+def of_advantage(
+    ours: Interval,
+    paper: Printed,
+    repetitions: int,
+    *,
+    no_advantage: float,
+    miho_falling: bool = False,
+    rival_falling: bool = False,
+) -> Verdict:
+    """Of "at least this much better": a speed-up (no_advantage 1) or a relative gain (0).
+
+    1. Fewer than three repetitions: depends on the repetitions.
+    2. The interval is wholly below the figure: not reproduced; but depends on the budget if
+       MIHO was cut while its error still fell.
+    3. The interval is wholly at or above it: reproduced; but depends on the budget if the
+       rival was cut while its error still fell.
+    4. The interval holds the figure, but is known within bounds only in more than 2.5 % of the
+       resamples, because runs were cut before the target: depends on the budget.
+    5. It holds the figure and no advantage as well: depends on the repetitions.
+    6. It holds the figure: reproduced; or depends on the budget as in 3.
+    """
+    if repetitions < LEAST_REPETITIONS:
+        return _too_few(repetitions)
+    if ours.high < paper.low:
+        if miho_falling:
+            return Verdict(ON_BUDGET, "below the paper, but MIHO was cut while its error fell")
+        return Verdict(NOT_REPRODUCED, "the whole interval is below the paper's figure")
+    if ours.low < paper.low:
+        if ours.censored > TAIL:
+            return Verdict(ON_BUDGET, "runs were cut before they reached the target")
+        if ours.low <= no_advantage:
+            return Verdict(
+                ON_REPETITIONS, "the interval holds the paper's figure and no advantage as well"
+            )
+    if rival_falling:
+        return Verdict(ON_BUDGET, "as printed, but the rival was cut while its error fell")
+    if ours.low > paper.high:
+        return Verdict(REPRODUCED, "the whole interval is above the paper's figure")
+    return Verdict(REPRODUCED, "the interval holds the paper's figure or more")
+
+
+def of_level(
+    ours: Interval,
+    paper: Printed,
+    repetitions: int,
+    *,
+    falling: bool,
+    at_floor: bool,
+) -> Verdict:
+    """Of "ends at this error", equality in both directions.
+
+    1. Fewer than three repetitions: depends on the repetitions.
+    2. The interval does not touch the figure: depends on the data if the method ended within
+       1 % of the best that any other method found (the floor of these data is not the paper's,
+       so its figure could not appear); depends on the budget if it is above the figure and was
+       cut while its error still fell; else not reproduced.
+    3. It touches the figure, but is wider than 20 % of it: depends on the repetitions.
+    4. It touches the figure, but runs were cut while the error still fell: depends on the budget.
+    5. It touches the figure: reproduced.
+    """
+    if repetitions < LEAST_REPETITIONS:
+        return _too_few(repetitions)
+    if ours.high < paper.low or ours.low > paper.high:
+        if at_floor:
+            return Verdict(ON_DATA, "it is the floor of these data, which is not the paper's")
+        if falling and ours.low > paper.high:
+            return Verdict(ON_BUDGET, "above the paper, but cut while its error fell")
+        side = "above" if ours.low > paper.high else "below"
+        return Verdict(NOT_REPRODUCED, f"the whole interval is {side} the paper's figure")
+    if ours.high - ours.low > WIDEST_LEVEL * paper.value:
+        return Verdict(
+            ON_REPETITIONS, f"the interval is wider than {WIDEST_LEVEL * 100:g} % of the figure"
+        )
+    if falling:
+        return Verdict(ON_BUDGET, "as printed, but cut while its error fell")
+    return Verdict(REPRODUCED, "the interval holds the paper's figure")
+
+
+def of_flatness(fall: Interval, limit: float, repetitions: int) -> Verdict:
+    """Of "negligible improvement": the relative fall of the error stays below `limit`.
+
+    Fewer than three repetitions: depends on the repetitions. Reproduced if the interval is
+    wholly below the limit, not reproduced if wholly at or above it, else depends on the
+    repetitions.
+    """
+    if repetitions < LEAST_REPETITIONS:
+        return _too_few(repetitions)
+    if fall.high < limit:
+        return Verdict(REPRODUCED, f"it improves by less than {limit * 100:g} % of its first error")
+    if fall.low >= limit:
+        return Verdict(
+            NOT_REPRODUCED, f"it improves by {limit * 100:g} % of its first error or more"
+        )
+    return Verdict(ON_REPETITIONS, f"the interval holds {limit * 100:g} %, the limit of negligible")
+
+
+def missing(methods: list[str]) -> Verdict:
+    """Of a claim about methods without runs."""
+    return Verdict(f"depends on {', '.join(methods)}", "there are no runs to compare with")
+
+
+def with_missing_rivals(verdict: Verdict, methods: list[str]) -> Verdict:
+    """A rival that is not there could only lower "faster than the fastest"."""
+    if not methods or verdict.word == NOT_REPRODUCED:
+        return verdict
+    return Verdict(
+        f"depends on {', '.join(methods)}", f"{verdict.word} against the others; no runs of these"
+    )
+
+
+def at_this_size(verdict: Verdict, differences: Sequence[str]) -> Verdict:
+    """Of a claim that is about the full size: not tested where something of it differs.
+
+    `differences` say what, each in words. Repetitions are none: intervals and their rules account
+    for them.
+    """
+    return Verdict(NOT_TESTED, "; ".join(differences)) if differences else verdict
+
+
+def of_both_axes(
+    seconds: Verdict, evaluations: Verdict, unit: str = "seconds"
+) -> tuple[Verdict, Verdict]:
+    """A speed claim that holds on one axis only depends on the axis, and both rows say so."""
+    definite = {REPRODUCED, NOT_REPRODUCED}
+    if seconds.word == evaluations.word or not {seconds.word, evaluations.word} <= definite:
+        return seconds, evaluations
+    both = Verdict(
+        "depends on the axis",
+        f"{seconds.word} in {unit}, {evaluations.word} in evaluations",
+    )
+    return both, both
+
+
+def without_claim(ours: Interval, repetitions: int) -> Verdict:
+    """Of a speed ratio the paper does not print: which side is faster, if the interval says so."""
+    if repetitions < LEAST_REPETITIONS:
+        return Verdict("-", f"only {repetitions} repetitions")
+    if ours.low > 1:
+        return Verdict("-", "MIHO is faster")
+    if ours.high < 1:
+        return Verdict("-", "MIHO is slower")
+    return Verdict("-", "undecided: the interval holds 1")
+
+
+def _too_few(repetitions: int) -> Verdict:
+    return Verdict(ON_REPETITIONS, f"only {repetitions}; a verdict needs {LEAST_REPETITIONS}")

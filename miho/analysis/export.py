@@ -1,0 +1,216 @@
+"""Runs in formats that other tools read: CSV, Parquet, and IOHprofiler's."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import math
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from miho.analysis.tidy import comparison, dimensions
+from miho.study import read_run, write_text
+from miho.study.identity import sha256
+
+FORMAT = "0.3.22"
+"""Version of IOHexperimenter (PyPI: ioh) whose output this layout was compared with."""
+COLUMNS = "columns.json"
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""What a formula begins with in a spreadsheet (OWASP, "CSV Injection")."""
+MEANING = {
+    "id": ("", "hash of configuration, code, data and seed"),
+    "problem": ("", "model and data"),
+    "optimizer": ("", "method"),
+    "seed": ("", "repetition; one seed gives all methods the same start"),
+    "outcome": ("", "how the run ended: budget, converged, brackets or no_finite_value"),
+    "error": ("see column unit of the runs", "root of the loss, best so far"),
+    "unit": ("", "of the error"),
+    "evaluations": ("evaluations of the loss", "used so far; parts of the data count as parts"),
+    "seconds": ("s", "wall clock of the method alone"),
+    "cpu_seconds": ("s", "processor time of the method alone"),
+    "setup_seconds": ("s", "imports, compilation and warm-up, not in seconds"),
+    "irreducible": ("see column unit", "estimate of the error no model of the same inputs beats"),
+    "irreducible_low": ("see column unit", "lower end of that estimate's 95 % interval"),
+    "irreducible_high": ("see column unit", "upper end of it"),
+    "optimum": ("see column unit", "smallest error in the space, where it is known"),
+    "dimension": ("", "number of parameters"),
+    "timing_valid": ("", "whether the machine was quiet enough for the seconds to be compared"),
+    "folder": ("", "where the run lies"),
+}
+"""Unit and meaning of the columns of `miho.load_runs`."""
+
+
+def write_csv(runs: pd.DataFrame, curves: pd.DataFrame, folder: Path) -> None:
+    """Write runs.csv and curves.csv: UTF-8, numbers as the shortest text that gives them back.
+
+    Python's `float` returns them bit for bit, and so does `pandas.read_csv` from pandas 3.1 on; an
+    older one needs `float_precision="round_trip"`. An empty field is a number that is not known.
+    Text that a spreadsheet would run as a formula gets an apostrophe before it, since results can
+    come from others.
+    """
+
+    def written(table: pd.DataFrame, path: Path) -> str:
+        text = _without_formulas(table).to_csv(index=False, lineterminator="\n")
+        write_text(path, text)
+        return sha256(text)
+
+    reader = 'pandas.read_csv(path), before pandas 3.1 with float_precision="round_trip"'
+    _write({"runs.csv": runs, "curves.csv": curves}, folder, reader, written)
+
+
+def _without_formulas(table: pd.DataFrame) -> pd.DataFrame:
+    """Names and text that begin as a formula does, behind an apostrophe; a lone "-" is a unit."""
+
+    def quoted(cell: object) -> object:
+        formula = isinstance(cell, str) and cell != "-" and cell.startswith(FORMULA)
+        return f"'{cell}" if formula else cell
+
+    plain = table.rename(columns=quoted)
+    for place, kind in enumerate(table.dtypes):
+        if not pd.api.types.is_numeric_dtype(kind):
+            name = plain.columns[place]
+            plain[name] = table.iloc[:, place].map(quoted)
+    return plain
+
+
+def write_parquet(runs: pd.DataFrame, curves: pd.DataFrame, folder: Path) -> None:
+    """Write runs.parquet and curves.parquet, with a checksum on every page.
+
+    `pyarrow.parquet.read_table(path, page_checksum_verification=True)` raises on a damaged page;
+    readers that do not verify them return wrong numbers. Raises ModuleNotFoundError without
+    pyarrow.
+    """
+    if importlib.util.find_spec("pyarrow") is None:
+        raise ModuleNotFoundError("parquet: pyarrow is not installed; pip install 'miho[parquet]'")
+
+    def written(table: pd.DataFrame, path: Path) -> str:
+        temporary = path.with_name(f".{path.name}.{os.getpid()}")
+        try:
+            table.to_parquet(temporary, engine="pyarrow", index=False, write_page_checksum=True)
+            digest = sha256(temporary.read_bytes())
+            temporary.replace(path)
+        finally:
+            temporary.unlink(missing_ok=True)
+        return digest
+
+    reader = "pyarrow.parquet.read_table(path, page_checksum_verification=True)"
+    _write({"runs.parquet": runs, "curves.parquet": curves}, folder, reader, written)
+
+
+def _write(
+    tables: Mapping[str, pd.DataFrame],
+    folder: Path,
+    reader: str,
+    written: Callable[[pd.DataFrame, Path], str],
+) -> None:
+    """Write the tables, that of the runs first, and last of all what they hold."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / COLUMNS).unlink(missing_ok=True)
+    files: dict[str, Any] = {}
+    units = _units(next(iter(tables.values())))
+    for name, table in tables.items():
+        columns = {str(key): _column(str(key), kind, units) for key, kind in table.dtypes.items()}
+        digest = written(table, folder / name)
+        files[name] = {"sha256": digest, "rows": len(table), "columns": columns}
+    write_text(folder / COLUMNS, json.dumps({"read with": reader, "files": files}, indent=1) + "\n")
+
+
+def _column(name: str, kind: object, units: dict[str, dict[str, str]]) -> dict[str, Any]:
+    if name.startswith("theta."):
+        meaning = "value of the parameter in the best point, empty where a problem has none"
+        return {"type": str(kind), "unit": units.get(name, {}), "meaning": meaning}
+    unit, meaning = MEANING.get(name, ("", ""))
+    return {"type": str(kind), "unit": unit, "meaning": meaning}
+
+
+def _units(runs: pd.DataFrame) -> dict[str, dict[str, str]]:
+    """The unit of each parameter by problem, from one run of each."""
+    units: dict[str, dict[str, str]] = {}
+    for problem, folder in runs.drop_duplicates("problem")[["problem", "folder"]].to_numpy():
+        for parameter in read_run(Path(folder)).result["parameters"]:
+            units.setdefault(f"theta.{parameter['name']}", {})[problem] = parameter["unit"]
+    return units
+
+
+def write_ioh(runs: pd.DataFrame, curves: pd.DataFrame, folder: str | Path) -> list[Path]:
+    """Write one folder per method below `folder`; returns them, sorted by name.
+
+    Layout (de Nobel et al. 2024, "IOHexperimenter"): per problem a JSON file with a row of facts
+    per run, and a .dat file with the improvements, runs one after the other. Problems are numbered
+    from 1 in the order of their names; the instance is the seed; `raw_y` is the error (root of the
+    loss, in the problem's unit), not the loss. Evaluations on a part of the data count as that
+    part of one, the format knows whole ones: they are rounded up. A run's file begins at
+    evaluation 1, with inf where nothing finite was seen yet, and ends with what was spent.
+
+    Raises FileExistsError if `folder` holds anything: readers take every JSON file they find.
+    """
+    runs, curves = comparison(runs, curves)
+    folder = Path(folder)
+    if folder.exists() and any(folder.iterdir()):
+        raise FileExistsError(f"{folder} is not empty; pass a new folder")
+    numbers = {problem: place for place, problem in enumerate(sorted(runs["problem"].unique()), 1)}
+    sizes = dimensions(runs)
+    steps = {str(run): rows for run, rows in curves.groupby("id")}
+    for key, group in runs.sort_values("seed").groupby(["optimizer", "problem"]):
+        optimizer, problem = map(str, key)
+        records = [_steps(steps[run["id"]], run["evaluations"]) for _, run in group.iterrows()]
+        name = f"f{numbers[problem]}_{problem}"
+        data = Path(f"data_{name}") / f"IOHprofiler_f{numbers[problem]}_DIM{sizes[problem]}.dat"
+        facts = {
+            "version": FORMAT,
+            "suite": "miho",
+            "function_id": numbers[problem],
+            "function_name": problem,
+            "maximization": False,
+            "algorithm": {"name": optimizer, "info": f"error in {group['unit'].iloc[0]}"},
+            "attributes": ["evaluations", "raw_y"],
+            "scenarios": [
+                {
+                    "dimension": sizes[problem],
+                    "path": data.as_posix(),
+                    "runs": [
+                        _facts(run, record)
+                        for (_, run), record in zip(group.iterrows(), records, strict=True)
+                    ],
+                }
+            ],
+        }
+        path = folder / optimizer / data
+        path.parent.mkdir(parents=True)
+        path.write_text("".join(map(_text, records)), encoding="utf-8")
+        path.parents[1].joinpath(f"IOHprofiler_{name}.json").write_text(
+            json.dumps(facts, indent=1, allow_nan=False), encoding="utf-8"
+        )
+    return sorted(folder.iterdir())
+
+
+def _steps(curve: pd.DataFrame, spent: float) -> dict[int, float]:
+    """Error by whole evaluation, the last one of each; from 1 to what was spent."""
+    errors = curve["error"].fillna(math.inf)
+    at = np.maximum(np.ceil(curve["evaluations"]), 1).astype(int)
+    steps = {1: math.inf} | dict(zip(at.tolist(), errors.tolist(), strict=True))
+    return steps | {max(1, math.ceil(spent)): float(errors.iloc[-1])}
+
+
+def _facts(run: pd.Series[Any], steps: dict[int, float]) -> dict[str, Any]:
+    best = min(steps.values())
+    reached = next(at for at, error in steps.items() if error == best)
+    theta = run.filter(regex=r"^theta\.").dropna()
+    return {
+        "instance": int(run["seed"]),
+        "evals": max(steps),
+        "best": {
+            "evals": reached,
+            "y": best if math.isfinite(best) else None,
+            "x": [float(value) for value in theta],
+        },
+    }
+
+
+def _text(steps: dict[int, float]) -> str:
+    return "evaluations raw_y\n" + "".join(f"{at} {error!r}\n" for at, error in steps.items())

@@ -1,0 +1,337 @@
+"""Many methods on many problems: errors, shares of targets reached, and expected running times."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.axis import XAxis, YAxis
+from matplotlib.collections import QuadMesh
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter, PercentFormatter
+from numpy.typing import NDArray
+
+from miho.analysis.compare.running_time import at_factor, references
+from miho.analysis.compare.significance import ranks
+from miho.analysis.curves import Array, Axis, log_grid, positions, step
+from miho.analysis.figures.house import (
+    AXIS_LABELS,
+    WIDTH,
+    EndLabel,
+    caption,
+    draw_end_labels,
+    house_style,
+    time_label,
+)
+from miho.analysis.styles import MethodStyle, styles_of, with_emphasis
+from miho.analysis.tidy import comparison, require_columns
+from miho.analysis.timing import Clock
+
+COLUMNS = 4
+GAP_FLOOR = 1e-6
+GAP_CEILING = 1e3
+"""Range of the relative gap that is drawn: below it sums of the loss differ between methods, above
+it a curve says only that it has not begun."""
+QUANTILES = (0.1, 0.5, 0.9)
+
+
+def error_curves(
+    runs: pd.DataFrame,
+    curves: pd.DataFrame,
+    *,
+    axis: Axis = "evaluations",
+    highlight: Collection[str] | None = None,
+    note: str = "",
+) -> Figure:
+    """Relative gap to the best known error over the axis: a panel per problem, all on one scale.
+
+    Lines are medians over repetitions; those to highlight (default: `styles.MAIN`) are in colour
+    and have a band from the 10 % to the 90 % quantile, the others are grey. A problem without a
+    known optimum is measured against the best error of all its runs (`running_time.references`)
+    and has a star.
+    """
+    runs, curves = comparison(runs, curves)
+    best_known = references(runs)
+    starred = set(best_known.index[best_known["source"] != "known"])
+    styles = with_emphasis(runs["optimizer"], highlight)
+    problems = list(dict.fromkeys(runs["problem"]))
+    grid = log_grid(curves, axis, 200)
+    columns = min(COLUMNS, len(problems))
+    rows = -(-len(problems) // columns)
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 1.45 * rows + 1.1), layout="constrained")
+        panels = np.ravel(figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True))
+        for ax, problem in zip(panels, problems, strict=False):
+            mine = runs[runs["problem"] == problem]
+            best = float(best_known.loc[problem, "error"])
+            plot_gap(mine, curves[curves["problem"] == problem], axis, ax, best, grid, styles)
+            title = textwrap.fill(f"{problem} *" if problem in starred else problem, 27)
+            ax.set_title(title, loc="left", fontsize=8)
+        for ax in panels[len(problems) :]:
+            ax.remove()
+        for ax in panels[len(problems) - columns : len(problems)]:
+            ax.tick_params(labelbottom=True)
+        for ax in panels[(rows - 1) * columns : len(problems)]:
+            ax.set_xlabel(textwrap.fill(AXIS_LABELS[axis], 20), fontsize=8)
+        figure.supylabel("relative gap", fontsize=9)
+        _legend(figure, styles)
+        text = "error / best known error - 1, gaps below $10^{-6}$ are drawn there"
+        lines = "lines: median over repetitions, bands: 10 to 90 %"
+        caption(figure, text, lines, "*: best of all runs" if starred else "", note)
+        figure.draw_without_rendering()
+    return figure
+
+
+def plot_gap(
+    runs: pd.DataFrame,
+    curves: pd.DataFrame,
+    axis: Axis,
+    ax: Axes,
+    best: float,
+    grid: Array,
+    styles: dict[str, MethodStyle],
+) -> Axes:
+    """error / `best` - 1 of one problem on `grid`, on two logarithmic scales, clipped to the range.
+
+    A run without a value counts as infinitely bad, so a median begins where more than half of
+    the runs have one, and a band where more than 90 % have. A line ends where the method's last
+    run ended.
+    """
+    gaps = {key: rows / best - 1 for key, rows in _errors(runs, curves, axis, grid).items()}
+    ends = runs.groupby("optimizer")[axis].max()
+    for order, (method, style) in enumerate(styles.items()):
+        if method not in gaps:
+            continue
+        low, median, high = np.quantile(gaps[method], QUANTILES, axis=0, method="higher")
+        low, median, high = (
+            np.where((grid <= ends[method]) & np.isfinite(one), one.clip(GAP_FLOOR), np.nan)
+            for one in (low, median, high)
+        )
+        ax.plot(grid, median, zorder=2 + 0.01 * order, **style.line)
+        if style != style.muted:
+            ax.fill_between(grid, low, high, color=style.color, alpha=0.15, linewidth=0)
+    ax.set(xscale="log", yscale="log", xlim=(grid[0], grid[-1]))
+    ax.set_ylim(GAP_FLOOR / 2, GAP_CEILING)
+    _powers_of_ten(ax.xaxis)
+    _powers_of_ten(ax.yaxis)
+    return ax
+
+
+def ecdf_figure(
+    over_evaluations: pd.DataFrame,
+    over_time: pd.DataFrame,
+    clock: Clock,
+    *,
+    highlight: Collection[str] | None = None,
+    note: str = "",
+) -> Figure:
+    """Share of all (problem, repetition, target) reached, over evaluations and over time.
+
+    Frames hold optimizer, the axis and share (runtime distributions as in COCO). The share of
+    each method at the end of its evaluations stands at the right. The axis of `over_time` is that
+    of the clock, which says which runs are left out.
+    """
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 4.3), layout="constrained")
+        left, right = figure.subplots(1, 2, sharey=True)
+        plot_shares(over_evaluations, "evaluations", left, highlight=highlight)
+        left.set(xlabel=AXIS_LABELS["evaluations"], ylabel="targets reached")
+        plot_shares(over_time, clock.axis, right, highlight=highlight)
+        right.set_xlabel(time_label(clock))
+        said = "a target is one problem, repetition and distance to the optimum"
+        caption(figure, said, clock.note if clock.axis == "seconds" else "", note)
+        label_shares(over_evaluations, "evaluations", right, highlight=highlight)
+    return figure
+
+
+def profiles_figure(
+    data_profile: pd.DataFrame,
+    performance_profile: pd.DataFrame,
+    *,
+    highlight: Collection[str] | None = None,
+    note: str = "",
+) -> Figure:
+    """Data profile (More and Wild 2009) and performance profile (Dolan and More 2002).
+
+    Frames hold optimizer, kappa or tau, and share. kappa counts evaluations per (d + 1); tau is
+    the ratio to the best method of each problem. The shares at the right end are written out.
+    """
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 4.3), layout="constrained")
+        left, right = figure.subplots(1, 2, sharey=True)
+        plot_shares(data_profile, "kappa", left, highlight=highlight)
+        plot_shares(performance_profile, "tau", right, highlight=highlight)
+        left.set_title("data profile", loc="left")
+        left.set(xlabel="evaluations / (dimension + 1)", ylabel="share solved")
+        right.set_title("performance profile", loc="left")
+        right.set_xlabel("expected running time / best method's")
+        caption(figure, "left: share of runs, right: share of problems", note)
+        label_shares(performance_profile, "tau", right, highlight=highlight)
+    return figure
+
+
+def plot_shares(
+    frame: pd.DataFrame, x: str, ax: Axes, *, highlight: Collection[str] | None = None
+) -> Axes:
+    """The step function `share` over column `x` of each method, on a logarithmic scale of x."""
+    require_columns(frame, ["optimizer", x, "share"], "frame")
+    for order, (method, style) in enumerate(with_emphasis(frame["optimizer"], highlight).items()):
+        one = frame[frame["optimizer"] == method].sort_values(x)
+        ax.step(one[x], one["share"], where="post", zorder=2 + 0.01 * order, **style.line)
+    at = frame[x].to_numpy(dtype=float)
+    at = at[np.isfinite(at) & (at > 0)]
+    ax.set(xscale="log", ylim=(0, 1.02))
+    if at.size and at.min() < at.max():
+        ax.set_xlim(at.min(), at.max())
+    ax.yaxis.set_major_formatter(PercentFormatter(1.0, symbol=" %"))
+    _powers_of_ten(ax.xaxis)
+    return ax
+
+
+def label_shares(
+    frame: pd.DataFrame, x: str, ax: Axes, *, highlight: Collection[str] | None = None
+) -> None:
+    """The last share of each method, with its name, beside the right edge of its panel.
+
+    Of equal ones the method with the larger mean share, which was there earlier, stands higher.
+    """
+    shares = frame.sort_values(x, kind="stable").groupby("optimizer")["share"]
+    last, mean = shares.last(), shares.mean()
+    styles = with_emphasis(frame["optimizer"], highlight)
+    labels = [
+        EndLabel(last[one], f"{100 * last[one]:3.0f} %  {styles[one].name}", styles[one])
+        for one in sorted(styles, key=lambda method: (last[method], mean[method]))
+    ]
+    draw_end_labels(ax, labels)
+
+
+def _errors(
+    runs: pd.DataFrame, curves: pd.DataFrame, axis: Axis, grid: Array
+) -> dict[str, NDArray[np.float64]]:
+    """Errors (n, g) of each method's n runs on the grid; inf where a run has no value yet."""
+    at, errors = positions(curves, axis), curves["error"].to_numpy(dtype=float)
+    rows = curves.groupby("id").indices
+    none = np.full(grid.size, np.inf)
+    found: dict[str, list[Array]] = {}
+    for method, run in zip(runs["optimizer"], runs["id"], strict=True):
+        index = rows.get(run)
+        one = none if index is None else step(at[index], errors[index], grid)
+        found.setdefault(method, []).append(np.where(np.isnan(one), np.inf, one))
+    return {method: np.array(ones) for method, ones in found.items()}
+
+
+def _legend(figure: Figure, styles: dict[str, MethodStyle]) -> None:
+    """One legend above the panels: the methods in the foreground, and the rest as one."""
+    front = [style for style in styles.values() if style != style.muted]
+    back = [style for style in styles.values() if style == style.muted]
+    handles = [Line2D([], [], label=style.name, **style.line) for style in front]
+    if back:
+        handles.append(Line2D([], [], label=f"{len(back)} others", **back[0].line))
+    figure.legend(handles=handles, loc="outside upper left", ncols=5, handlelength=2.6)
+
+
+def _powers_of_ten(axis: XAxis | YAxis) -> None:
+    """At most six labelled ticks, none between powers of ten."""
+    axis.set_major_locator(LogLocator(numticks=6))
+    axis.set_minor_formatter(NullFormatter())
+
+
+ROW = 0.27  # inches per method, two lines of text
+LETTER = 0.075  # inches of 8 pt text
+PALEST = 3.15  # log10 of the ratio, so that 1000 is still told from white
+DARK_UP_TO = 16.0
+
+
+def ert_table(
+    ert: pd.DataFrame,
+    *,
+    factor: float = 1.01,
+    axis: str = "evaluations",
+    order: pd.DataFrame | None = None,
+    note: str = "",
+) -> Figure:
+    """Expected running time to `factor` times the optimum, by method and problem.
+
+    Frame: as from `expected_running_time`. `order` (optimizer, rank) orders the methods and is
+    printed, such as the ranks of the leaderboard; by default the ranks of the running times, of
+    which all that are infinite on a problem share the last. Darker is faster, and the last line is
+    what the best method of each problem needs, in the unit of `axis`.
+    """
+    rows = at_factor(ert, factor)
+    methods = rows["optimizer"].nunique()
+    with house_style():
+        height = ROW * methods + LETTER * rows["problem"].str.len().max() + 1.2
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        ax = figure.subplots()
+        mesh = plot_ert(rows, ax, axis=axis, order=order)
+        bar = figure.colorbar(mesh, ax=ax, orientation="horizontal", aspect=50, pad=0.02)
+        bar.set_label(f"expected {axis} to {factor:g} times the optimum / the best method's")
+        bar.set_ticks([0, 1, 2, 3], labels=["1", "10", "100", "1000 or more"])
+        text = "small: share of runs that arrived, if not all; -: never"
+        caption(figure, text, note)
+        figure.draw_without_rendering()
+    return figure
+
+
+def plot_ert(
+    rows: pd.DataFrame, ax: Axes, *, axis: str, order: pd.DataFrame | None = None
+) -> QuadMesh:
+    """The cells of `ert_table`, for the rows of one factor; returns the coloured mesh.
+
+    Its values (methods, problems) are log10 of the ratio to the best method's running time, NaN
+    where there is none. A pair without runs stays empty and ranks as one that never arrives.
+    """
+    require_columns(rows, ["problem", "optimizer", "success", "ert"], "ert")
+    cost = rows.pivot(index="optimizer", columns="problem", values="ert")
+    order = ranks(cost.fillna(np.inf).T) if order is None else order
+    rank = order.set_index("optimizer")["rank"].sort_values(kind="stable")
+    cost = cost.loc[rank.index, list(dict.fromkeys(rows["problem"]))]
+    success = rows.pivot(index="optimizer", columns="problem", values="success")
+    success = success.loc[cost.index, cost.columns]
+    best = cost.min().where(lambda value: np.isfinite(value))
+    ratio = (cost / best).replace(np.inf, np.nan).to_numpy(dtype=float)
+    mesh = ax.pcolormesh(np.log10(ratio), cmap="Blues_r", vmin=0, vmax=PALEST,
+                         edgecolors="white", linewidth=1)  # fmt: skip
+    for (row, column), share in np.ndenumerate(success.to_numpy(dtype=float)):
+        if not np.isnan(share):
+            _write(ax, column + 0.5, row, float(ratio[row, column]), share)
+    styles = styles_of(rank.index)
+    names = [f"{styles[str(method)].name}  {value:4.1f}" for method, value in rank.items()]
+    ax.set_yticks(np.arange(len(names)) + 0.5, labels=names)
+    places = np.arange(len(best)) + 0.5
+    ax.set_xticks(places, labels=[short(value) for value in best])
+    ax.set_xlabel(f"expected {axis} of the best method", fontsize=8)
+    top = ax.secondary_xaxis("top")
+    top.set_xticks(places, labels=list(cost.columns), rotation=90)
+    ax.text(-0.01, 1.01, "mean rank", transform=ax.transAxes, ha="right", va="bottom", fontsize=8)
+    for side in (ax, top):
+        side.tick_params(length=0)
+        side.spines[:].set_visible(False)
+    ax.grid(visible=False)
+    ax.invert_yaxis()
+    return mesh
+
+
+def _write(ax: Axes, x: float, row: int, ratio: float, share: float) -> None:
+    """The text of one cell: the ratio, and below it the share of successes if that is not 1."""
+    partly = 0 < share < 1
+    place: dict[str, Any] = {"ha": "center", "va": "center"}
+    place["color"] = "white" if ratio < DARK_UP_TO else "black"
+    ax.text(x, row + (0.32 if partly else 0.5), short(ratio), fontsize=8, **place)
+    if partly:
+        ax.text(x, row + 0.73, f"{100 * share:.0f} %", fontsize=7, **place)
+
+
+def short(value: float) -> str:
+    """Two or three significant digits with k, M or G: four characters below 1e12; "-" for NaN."""
+    if np.isnan(value):
+        return "-"
+    scales = ((1.0, ""), (1e3, "k"), (1e6, "M"), (1e9, "G"))
+    scale, suffix = next((one for one in scales if value < 999.5 * one[0]), scales[-1])
+    shown = value / scale
+    return f"{shown:.1f}{suffix}" if shown < 9.95 else f"{shown:.0f}{suffix}"

@@ -1,0 +1,106 @@
+"""Figures of what evaluations and runs cost: functions of the benchmarks' tidy frames."""
+
+from __future__ import annotations
+
+import pandas as pd
+import seaborn as sns
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from miho.analysis.figures.house import WIDTH, house_style
+from miho.analysis.tidy import require_columns
+
+BLUE, ORANGE, GREEN, RED = sns.color_palette("colorblind").as_hex()[:4]
+BLACK = "#222222"
+LOSS_COLOURS = {"NumPy": ORANGE, "one thread": BLUE, "two threads": GREEN}
+GROWTH_COLOURS = {
+    "fused": BLUE, "stopped": GREEN, "compressed": RED, "compressed, stopped": ORANGE,
+}  # fmt: skip
+BAR_HEIGHT = 0.22  # inches
+LABEL_ROOM = 2.2
+"""A logarithmic axis ends this factor beyond its longest bar, so that its number fits."""
+
+
+def loss_figure(frame: pd.DataFrame) -> Figure:
+    """Nanoseconds per point over the rows, for batches of one and for the largest ones.
+
+    Frame: rows, batch, method, ns; the method `limit` is the processor's own, whatever the batch.
+    """
+    require_columns(frame, {"rows", "batch", "method", "ns"}, "frame")
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
+        left, right = figure.subplots(1, 2, sharey=True)
+        measured = frame[frame["method"] != "limit"]
+        largest = measured.groupby("rows")["batch"].transform("max")
+        panels = (
+            (left, measured[measured["batch"] == 1], "one configuration at a time"),
+            (right, measured[measured["batch"] == largest], "the largest batch"),
+        )
+        for ax, part, title in panels:
+            limit = frame[frame["method"] == "limit"]
+            _lines(part, ax, "method", "ns", LOSS_COLOURS)
+            ax.plot(limit["rows"], limit["ns"], color=BLACK, linestyle="dashed", label="limit")
+            ax.set_title(title, loc="left")
+        left.set_ylabel("time per point [ns]")
+        right.legend()
+        figure.draw_without_rendering()
+    return figure
+
+
+def growth_figure(frame: pd.DataFrame) -> Figure:
+    """Microseconds per evaluation over the rows. Frame: rows, method, us."""
+    require_columns(frame, {"rows", "method", "us"}, "frame")
+    with house_style():
+        figure = Figure(figsize=(WIDTH / 2, 3.0), layout="constrained")
+        ax = figure.subplots()
+        _lines(frame, ax, "method", "us", GROWTH_COLOURS)
+        ax.set_ylabel("time per evaluation [µs]")
+        ax.legend()
+        figure.draw_without_rendering()
+    return figure
+
+
+def run_figure(frame: pd.DataFrame) -> Figure:
+    """Seconds of a run by its form, with how many times faster than the first. Frame: form,
+    seconds, speedup."""
+    require_columns(frame, {"form", "seconds", "speedup"}, "frame")
+    texts = [f"{s:.3g} s, {x:.3g} times" for s, x in zip(frame["seconds"], frame["speedup"],
+             strict=True)]  # fmt: skip
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 1 + BAR_HEIGHT * len(frame)), layout="constrained")
+        ax = _bars(figure.subplots(), frame["form"], frame["seconds"], texts)
+        ax.set_xlabel("time of one run [s]")
+        figure.draw_without_rendering()
+    return figure
+
+
+def overhead_figure(frame: pd.DataFrame) -> Figure:
+    """Microseconds per evaluation that each method takes itself. Frame: kind, name, us."""
+    require_columns(frame, {"kind", "name", "us"}, "frame")
+    rows = frame[(frame["kind"] == "method") & frame["us"].gt(0)].sort_values("us")
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 1 + BAR_HEIGHT * len(rows)), layout="constrained")
+        texts = [f"{us:.3g}" for us in rows["us"]]
+        ax = _bars(figure.subplots(), rows["name"], rows["us"], texts)
+        ax.set_xlabel("time per evaluation besides the loss [µs]")
+        figure.draw_without_rendering()
+    return figure
+
+
+def _lines(frame: pd.DataFrame, ax: Axes, by: str, value: str, colours: dict[str, str]) -> None:
+    for name, colour in colours.items():
+        one = frame[frame[by] == name].sort_values("rows")
+        ax.plot(one["rows"], one[value], color=colour, marker="o", markersize=3, label=name)
+    ax.set(xscale="log", yscale="log", xlabel="rows of the data")
+
+
+def _bars(ax: Axes, names: pd.Series, values: pd.Series, texts: list[str]) -> Axes:
+    """Horizontal bars on a logarithmic axis, the first on top, each with its text."""
+    bars = ax.barh(range(len(names)), values, color=BLUE, height=0.7)
+    ax.set_yticks(range(len(names)), labels=list(names))
+    ax.invert_yaxis()
+    ax.set_xscale("log")
+    ax.set_xlim(right=LABEL_ROOM**2 * float(values.max()))
+    ax.bar_label(bars, labels=texts, padding=3, fontsize=8)
+    ax.grid(False, axis="y")
+    return ax

@@ -1,0 +1,241 @@
+"""The field tests: obstacle avoidance and laps at speed, and what laps on other knowledge take."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+
+import numpy as np
+import pandas as pd
+import seaborn as sns
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from miho.analysis.compare.bootstrap import mean_error
+from miho.analysis.figures.house import WIDTH, caption, house_style
+
+BLUE, _, GREEN, RED = sns.color_palette("colorblind").as_hex()[:4]
+ALARM = "#b00020"
+DASHED = (0, (4, 2))
+KMH = 3.6
+LEAST_RANGE = 20.0
+"""Of the axis of velocities [km/h], so that noise does not fill it."""
+
+
+def fig7(
+    log: pd.DataFrame, *, steering_ratio: float, obstacle: float | None = None,
+    departure: tuple[float, str] | None = None, note: str = "",
+) -> Figure:  # fmt: skip
+    """Fig. 7: velocity, lateral acceleration within its limits, and steering, over time.
+
+    `log` has the columns of `miho.driving.simulation.Drive`. steering_ratio: steering wheel over
+    road wheel [-]. obstacle: the time [s] at which the car is beside it, marked in all panels.
+    departure: the same for when it left the road, and what to write of that above them.
+    """
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
+        velocity, lateral, steering = figure.subplots(3, 1, sharex=True)
+        plot_velocity(log, velocity, over="time")
+        plot_lateral(log, lateral)
+        plot_steering(log, steering, steering_ratio)
+        for ax in (velocity, lateral, steering):
+            ax.margins(x=0)
+            if obstacle is not None:
+                ax.axvline(obstacle, color="#888888", linewidth=0.9, linestyle=":")
+        if departure is not None:
+            _mark_departure(figure, *departure)
+        steering.set_xlabel("time [s]")
+        caption(figure, "" if obstacle is None else "dotted: beside the obstacle", note)
+        figure.draw_without_rendering()
+    return figure
+
+
+def fig8(
+    log: pd.DataFrame, *, laps: list[float] | None = None,
+    departure: tuple[float, str] | None = None, note: str = "",
+) -> Figure:  # fmt: skip
+    """Fig. 8: errors of position and heading, velocity, throttle and brake, over the distance.
+
+    `laps`: distances [m] at which laps begin, marked in all panels. departure: the same for where
+    the car left the road, and what to write of that above them.
+    """
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 5.8), layout="constrained")
+        position, heading, velocity, pedals = figure.subplots(4, 1, sharex=True)
+        plot_error(log, "e_y", 1.0, "position\nerror [m]", position)
+        plot_error(log, "e_psi", 180 / math.pi, "heading\nerror [deg]", heading)
+        plot_velocity(log, velocity, over="distance")
+        plot_pedals(log, pedals)
+        for ax in (position, heading, velocity, pedals):
+            ax.margins(x=0)
+            for start in laps or []:
+                ax.axvline(start / 1000, color="#bbbbbb", linewidth=0.7, linestyle=":", zorder=0)
+        if departure is not None:
+            _mark_departure(figure, departure[0] / 1000, departure[1])
+        pedals.set_xlabel("distance [km]")
+        caption(figure, "dotted: start of a lap" if laps else "", note)
+        figure.draw_without_rendering()
+    return figure
+
+
+def plot_velocity(log: pd.DataFrame, ax: Axes, *, over: str) -> Axes:
+    """Measured and desired velocity [km/h] over the time [s] or the distance [km]."""
+    at = log["time"] if over == "time" else log["distance"] / 1000
+    ax.plot(at, KMH * log["v_des"], color="black", linewidth=1.0, linestyle=DASHED, label="desired")
+    ax.plot(at, KMH * log["vx"], color=BLUE, linewidth=1.4, label="driven")
+    low, high = ax.get_ylim()
+    spare = max(LEAST_RANGE - (high - low), 0.0) / 2
+    ax.set(ylabel="velocity\n[km/h]", ylim=(low - spare, high + spare))
+    _legend(ax)
+    return ax
+
+
+def plot_lateral(log: pd.DataFrame, ax: Axes) -> Axes:
+    """Lateral acceleration [m/s^2], driven and planned, between the planned limits, over time."""
+    t = log["time"]
+    ax.plot(t, log["ay_plan"], color="black", linewidth=1.0, linestyle=DASHED, label="planned")
+    ax.plot(t, log["ay"], color=BLUE, linewidth=1.4, label="driven")
+    ax.plot(t, log["ay_limit"], color=RED, linewidth=1.0, label="limit")
+    ax.plot(t, -log["ay_limit"], color=RED, linewidth=1.0)
+    ax.set_ylabel("lateral accel.\n[m/s²]")
+    _legend(ax)
+    return ax
+
+
+def plot_steering(log: pd.DataFrame, ax: Axes, ratio: float) -> Axes:
+    """Angle of the steering wheel [deg], commanded and driven, over time."""
+    degrees = ratio * 180 / math.pi
+    t = log["time"]
+    ax.plot(
+        t, degrees * log["u_steering"], color="black", linewidth=1.0, linestyle=DASHED,
+        label="command",
+    )  # fmt: skip
+    ax.plot(t, degrees * log["steering"], color=BLUE, linewidth=1.4, label="driven")
+    ax.set_ylabel("steering wheel\n[deg]")
+    _legend(ax)
+    return ax
+
+
+def plot_error(log: pd.DataFrame, column: str, factor: float, label: str, ax: Axes) -> Axes:
+    """A column times a factor over the distance [km], with its largest magnitude written in."""
+    values = factor * log[column]
+    ax.plot(log["distance"] / 1000, values, color=BLUE, linewidth=0.9)
+    ax.axhline(0.0, color="black", linewidth=0.6)
+    most = float(values.abs().max())
+    ax.set_ylim(-1.45 * most, 1.45 * most)
+    ax.set_title(f"largest {most:.2f}", loc="right", pad=2, fontsize=8)
+    ax.set_ylabel(label)
+    return ax
+
+
+def plot_pedals(log: pd.DataFrame, ax: Axes) -> Axes:
+    """Throttle [%] and brake pressure [bar], as commanded, over the distance [km]."""
+    at = log["distance"] / 1000
+    ax.plot(at, 100 * log["u_throttle"], color=GREEN, linewidth=0.9, label="throttle [%]")
+    ax.plot(at, log["u_brake"] / 1e5, color=RED, linewidth=0.9, label="brake [bar]")
+    ax.set(ylabel="throttle, brake", ylim=(0, 105))
+    _legend(ax)
+    return ax
+
+
+def _mark_departure(figure: Figure, at: float, text: str) -> None:
+    """A red line in all panels, and above them what it stands for."""
+    for ax in figure.axes:
+        ax.axvline(at, color=ALARM, linewidth=1.4)
+    figure.suptitle(f"red line: {text}", color=ALARM, fontsize=9, x=0.01, ha="left")
+
+
+def _legend(ax: Axes) -> None:
+    """In a row above the panel, where no line is."""
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, borderpad=0.1)
+
+
+MEASURES = {
+    "lap_time": ("lap time [s]", 1.0, 2),
+    "e_y": ("largest offset |e_y| [m]", 1.0, 3),
+    "e_psi": ("largest heading error |e_ψ| [deg]", 180 / math.pi, 2),
+    "speed_error": ("speed error, RMS [m/s]", 1.0, 3),
+    "part_throttle": ("speed error, 40-95 % throttle [m/s]", 1.0, 3),
+    "margin": ("margin to the friction limit [%]", 100.0, 1),
+}
+"""By column: what it is called, its factor from SI, and how many decimals tell enough."""
+
+
+def lap_table(laps: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
+    """Means over seeds with 95 % bootstrap intervals, a row per variant.
+
+    `laps` has a row per variant and seed: variant, seed, and the columns of `MEASURES` in SI units,
+    lap_time NaN where the car did not finish. Columns of the table: variant, seeds, finished, and
+    of each measure, in the unit that it is shown in, its mean, `_low` and `_high`; laps that were
+    not finished count in `finished` alone.
+    """
+    rows = []
+    for variant, group in laps.groupby("variant", observed=True, sort=False):
+        done = group[group["lap_time"].notna()]
+        row: dict[str, object] = {"variant": variant, "seeds": len(group), "finished": len(done)}
+        for column, (_, factor, _) in MEASURES.items():
+            values = factor * done[column].to_numpy(dtype=float)
+            if values.size:
+                found = mean_error(values, rng)
+                ends = found.estimate, found.low, found.high
+            else:
+                ends = math.nan, math.nan, math.nan
+            row |= dict(zip((column, f"{column}_low", f"{column}_high"), ends, strict=True))
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def lap_text(table: pd.DataFrame) -> str:
+    """The table as text: mean and interval, "-" where no lap was finished."""
+    shown = pd.DataFrame({"knows": table["variant"].astype(str)})
+    shown["finished"] = [f"{row.finished} of {row.seeds}" for row in table.itertuples()]
+    for column, (name, _, digits) in MEASURES.items():
+        shown[name] = [
+            "-" if math.isnan(mean) else f"{mean:.{digits}f} ({low:.{digits}f}, {high:.{digits}f})"
+            for mean, low, high in zip(
+                table[column], table[f"{column}_low"], table[f"{column}_high"], strict=True
+            )
+        ]
+    return shown.to_string(index=False)
+
+
+def lap_figure(laps: pd.DataFrame, table: pd.DataFrame, *, note: str = "") -> Figure:
+    """A panel per measure: seeds as light points, means with intervals, a line per variant."""
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 1.2 + 0.36 * len(table)), layout="constrained")
+        panels = figure.subplots(1, len(MEASURES), sharey=True)
+        for ax, column in zip(panels, MEASURES, strict=True):
+            plot_measure(laps, table, column, ax)
+        panels[0].set_yticks(range(len(table)), table["variant"].astype(str))
+        panels[0].invert_yaxis()
+        told = "points: seeds; bars: mean and 95 % bootstrap interval"
+        lost = table[table["finished"] < table["seeds"]]
+        fates = ", ".join(
+            f"{row.variant}: {row.finished} of {row.seeds} laps finished"
+            for row in lost.itertuples()
+        )
+        caption(figure, told, fates, note)
+        figure.draw_without_rendering()
+    return figure
+
+
+def plot_measure(laps: pd.DataFrame, table: pd.DataFrame, column: str, ax: Axes) -> Axes:
+    """One measure of finished laps over the variants, which are lines 0, 1, ... of the table."""
+    name, factor, _ = MEASURES[column]
+    color = sns.color_palette("colorblind")[0]
+    for line, row in enumerate(table.to_dict("records")):
+        seeds = laps[(laps["variant"] == row["variant"]) & laps["lap_time"].notna()]
+        if seeds.empty:
+            ax.text(0.5, line, "-", transform=ax.get_yaxis_transform(), ha="center", va="center")
+            continue
+        below = np.full(len(seeds), line + 0.22)
+        ax.scatter(factor * seeds[column], below, s=6, color=color, alpha=0.25)
+        ends = row[f"{column}_low"], row[f"{column}_high"]
+        ax.plot(ends, (line, line), color="black", linewidth=2.0, solid_capstyle="butt")
+        ax.plot(row[column], line, "o", color="black", markersize=4)
+    words, unit = name.split(" [")
+    ax.set_xlabel(f"{textwrap.fill(words, 14)}\n[{unit}", fontsize=8)
+    ax.xaxis.set_major_locator(MaxNLocator(2))
+    ax.grid(axis="y", visible=False)
+    return ax

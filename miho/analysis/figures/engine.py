@@ -1,0 +1,128 @@
+"""The paper's figure of the engine: learned torque curves and the map they are part of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import seaborn as sns
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from miho.analysis.figures.house import WIDTH, caption, house_style
+from miho.analysis.figures.paper import Points
+
+Array = NDArray[np.float64]
+
+LEVELS = np.arange(-200, 801, 50)
+DASHED = (0, (4, 2))
+LEGEND: dict[str, Any] = {"frameon": True, "framealpha": 0.85, "edgecolor": "none"}
+
+
+def fig5(
+    samples: Mapping[float, Points],
+    curves: Mapping[float, Points],
+    *,
+    rpm: Array,
+    throttle: Array,
+    torque: Array,
+    learned: Array,
+    truth: Mapping[float, Points] | None = None,
+    dyno: Mapping[float, Points] | None = None,
+    errors: Mapping[float, float] | None = None,
+    note: str = "",
+) -> Figure:
+    """Fig. 5: samples and learned torque curves (left), the integrated engine map (right).
+
+    Keys are throttle openings in percent; each value is (engine speed in rpm, torque in Nm), both
+    (n,). `truth` draws the curves the data were made from, `dyno` what a dyno measured, `errors`
+    [Nm] go into the legend. The map is `torque` (K, M) in Nm over `throttle` (K,) in percent and
+    `rpm` (M,); `learned` (K, M) is the weight of the learned curves in it, and blue is where the
+    interpolation uses them. `note` is printed small below.
+    """
+    shape = (throttle.size, rpm.size)
+    for name, table in (("torque", torque), ("learned", learned)):
+        if table.shape != shape:
+            raise ValueError(
+                f"{name} of the map has shape {table.shape}; expected {shape}, throttle by speed"
+            )
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 3.3), layout="constrained")
+        left, right = figure.subplots(1, 2)
+        plot_torque_curves(
+            samples, curves, left, truth=truth or {}, dyno=dyno or {}, errors=errors or {}
+        )
+        left.set_title("learned torque curves", loc="left")
+        plot_engine_map(rpm, throttle, torque, learned, right)
+        right.set_title("integrated engine map, torque [Nm]", loc="left")
+        caption(figure, note)
+        figure.draw_without_rendering()
+    return figure
+
+
+def plot_torque_curves(
+    samples: Mapping[float, Points],
+    curves: Mapping[float, Points],
+    ax: Axes,
+    *,
+    truth: Mapping[float, Points],
+    dyno: Mapping[float, Points],
+    errors: Mapping[float, float],
+) -> Axes:
+    """Samples as light points, dyno points as crosses and learned curves as lines, as in `fig5`."""
+    palette = sns.color_palette("colorblind")
+    openings = sorted(set(samples) | set(curves))
+    for opening, color in zip(openings, palette, strict=False):
+        label = f"{opening:g} %"
+        if opening in errors:
+            label += f", error {errors[opening]:.1f} Nm"
+        if opening in samples:
+            ax.scatter(
+                *samples[opening], s=3, color=color, alpha=0.16, linewidths=0, rasterized=True
+            )
+        if opening in dyno:
+            ax.scatter(*dyno[opening], s=9, marker="x", color=color, linewidths=0.6, alpha=0.7)
+        if opening in curves:
+            ax.plot(*curves[opening], color="white", linewidth=3.2)
+            ax.plot(*curves[opening], color=color, linewidth=1.8, label=label)
+        if opening in truth:
+            ax.plot(*truth[opening], color="black", linewidth=0.9, linestyle=DASHED)
+    handles, _ = ax.get_legend_handles_labels()
+    if truth:
+        handles.append(Line2D([], [], color="black", linewidth=0.9, linestyle=DASHED, label="true"))
+    if dyno:
+        cross = Line2D([], [], color="#444444", linestyle="", marker="x", markersize=3)
+        cross.set_label("dyno")
+        handles.append(cross)
+    low, high = ax.get_ylim()
+    ax.set_ylim(low - 0.3 * (high - low), high)  # room for the legend below falling curves
+    ax.legend(handles=handles, loc="lower left", handlelength=1.6, **LEGEND)
+    ax.set(xlabel="engine speed [rpm]", ylabel="engine torque [Nm]")
+    return ax
+
+
+def plot_engine_map(rpm: Array, throttle: Array, torque: Array, learned: Array, ax: Axes) -> Axes:
+    """Contours of the torque over engine speed and throttle; blue where learned curves count."""
+    blue = sns.color_palette("colorblind")[0]
+    inside = np.logical_and(torque.min() < LEVELS, torque.max() > LEVELS)
+    ax.contourf(rpm, throttle, learned, levels=[1e-6, 1.5], colors=[blue], alpha=0.3)
+    lines = ax.contour(
+        rpm, throttle, torque, levels=LEVELS[inside], cmap="Greys", vmin=-400, linewidths=0.9
+    )
+    ax.clabel(lines, fontsize=7, colors="black", fmt="%g")
+    for row, weight in zip(throttle, learned, strict=True):
+        known = weight > 0.999
+        if known.any():
+            ax.plot(rpm[known], np.full(known.sum(), row), color=blue, linewidth=1.4)
+    handles = [
+        Patch(facecolor=blue, alpha=0.3, label="interpolated with\nlearned curves"),
+        Line2D([], [], color=blue, linewidth=1.4, label="learned curve"),
+    ]
+    ax.legend(handles=handles, loc="upper left", handlelength=1.2, **LEGEND)
+    ax.set(xlabel="engine speed [rpm]", ylabel="throttle [%]", ylim=(0, 100))
+    ax.grid(visible=False)
+    return ax

@@ -1,0 +1,157 @@
+"""What all figures share: style, sizes, captions, files, and labels at the ends of curves."""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import seaborn as sns
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from scipy.optimize import isotonic_regression
+
+from miho.analysis.curves import Array
+from miho.analysis.styles import MethodStyle
+from miho.analysis.timing import Clock
+from miho.study import write_bytes
+
+WIDTH = 180 / 25.4
+CAPTION_WIDTH = 110  # characters of 8 pt text that fit into WIDTH
+TIME_LABEL_WIDTH = 44  # characters of 9 pt text below a panel of half WIDTH
+AXIS_LABELS = {
+    "seconds": "time [s]",
+    "cpu_seconds": "CPU seconds",
+    "evaluations": "evaluations of the full loss",
+}
+
+
+def house_style() -> AbstractContextManager[None]:
+    """Matplotlib settings of all figures: seaborn's ticks with a light grid, 8 to 9 pt text.
+
+    Ticks read the settings when they are first drawn, so draw within it as well.
+    """
+    style: Any = sns.axes_style("ticks") | {
+        "axes.grid": True,
+        "grid.color": "#e4e4e4",
+        "grid.linewidth": 0.6,
+        "axes.linewidth": 0.8,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.axisbelow": True,
+        "font.size": 9,
+        "axes.titlesize": 9,
+        "axes.labelsize": 9,
+        "xtick.labelsize": 8,
+        "ytick.labelsize": 8,
+        "legend.fontsize": 8,
+        "legend.frameon": False,
+        "pdf.fonttype": 42,
+    }
+    return mpl.rc_context(style)
+
+
+def save(figure: Figure, path_without_suffix: str | Path) -> list[Path]:
+    """Write `<path>.png` (200 dpi) and `<path>.pdf`, making the folder; returns both paths."""
+    stem = Path(path_without_suffix)
+    stem.parent.mkdir(parents=True, exist_ok=True)
+    paths = [stem.with_name(f"{stem.name}.{suffix}") for suffix in ("png", "pdf")]
+    with house_style():
+        for path in paths:
+            metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
+            drawn = io.BytesIO()
+            figure.savefig(drawn, format=path.suffix[1:], dpi=200, metadata=metadata)
+            write_bytes(path, drawn.getvalue())
+    return paths
+
+
+def time_label(clock: Clock) -> str:
+    """The label of an axis over time: a clock other than the wall's says why it is there."""
+    if clock.axis == "seconds":
+        return AXIS_LABELS["seconds"]
+    why = textwrap.fill(f"({clock.disturbed})", TIME_LABEL_WIDTH)
+    return f"{AXIS_LABELS[clock.axis]}\n{why}"
+
+
+def caption(figure: Figure, *parts: str) -> None:
+    """Small print below the panels: the parts that are not empty, in as many lines as needed."""
+    lines = textwrap.fill("; ".join(part for part in parts if part), CAPTION_WIDTH)
+    if lines:
+        figure.supxlabel(lines, fontsize=8, color="#444444", x=0.01, ha="left")
+
+
+def png(figure: Figure) -> bytes:
+    """The figure as a picture for a page."""
+    buffer = io.BytesIO()
+    with house_style():
+        figure.savefig(buffer, format="png", dpi=120)
+    return buffer.getvalue()
+
+
+@dataclass(frozen=True)
+class EndLabel:
+    """`value` is where the curve ends, in data units; NaN labels a curve that has no end value."""
+
+    value: float
+    text: str
+    style: MethodStyle
+
+
+def draw_end_labels(ax: Axes, labels: Sequence[EndLabel], size: float = 8.0) -> None:
+    """Write the labels beside the right edge, each joined to its curve by a line in its style.
+
+    Call it last: limits and scale of the axis must be final. `size` is the font size in points.
+    """
+    figure = ax.get_figure(root=True)
+    if figure is None or not labels:
+        return
+    figure.draw_without_rendering()
+    height = ax.get_window_extent().height / figure.dpi * 72
+    ends = np.array([1.0 if np.isnan(one.value) else _fraction(ax, one.value) for one in labels])
+    spots = spread(ends, 1.45 * size / height)
+    for label, end, spot in zip(labels, ends, spots, strict=True):
+        if not np.isnan(label.value):
+            xs, ys = [1.0, 1.04, 1.11], [end, spot, spot]
+            line = Line2D(xs, ys, transform=ax.transAxes, clip_on=False)
+            line.set(color=label.style.color, linestyle=label.style.dashes)
+            line.set_linewidth(label.style.width)
+            ax.add_artist(line)
+        ax.text(
+            1.13,
+            spot,
+            label.text,
+            transform=ax.transAxes,
+            color=label.style.color,
+            fontsize=size,
+            verticalalignment="center_baseline",
+        )
+
+
+def spread(wanted: Array, gap: float, low: float = 0.0, high: float = 1.0) -> Array:
+    """Positions (n,) at least `gap` apart in the order of `wanted`, as near to it as possible.
+
+    Least squares under the constraint, which is an isotonic regression of wanted_i - i gap. If
+    they cannot fit between `low` and `high`, the gap shrinks until they do.
+    """
+    count = len(wanted)
+    if count > 1:
+        gap = min(gap, (high - low) / (count - 1))
+    order = np.argsort(wanted, kind="stable")
+    shifts = gap * np.arange(count)
+    fitted = isotonic_regression(wanted[order] - shifts).x
+    placed = np.empty(count)
+    placed[order] = np.clip(fitted, low, max(low, high - shifts[-1])) + shifts
+    return placed
+
+
+def _fraction(ax: Axes, value: float) -> float:
+    """Height of a data value in the panel, 0 at the bottom to 1 at the top."""
+    pixel = ax.transData.transform((ax.get_xlim()[0], value))
+    return float(np.clip(ax.transAxes.inverted().transform(pixel)[1], 0, 1))

@@ -1,0 +1,244 @@
+"""The paper's figures of identification, for print at about 180 mm width: 4 and 6."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import seaborn as sns
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import NDArray
+
+from miho.analysis.curves import Array, Axis, log_grid, on_grid, summary
+from miho.analysis.figures.house import (
+    AXIS_LABELS,
+    WIDTH,
+    EndLabel,
+    caption,
+    draw_end_labels,
+    house_style,
+    time_label,
+)
+from miho.analysis.styles import styles_of
+from miho.analysis.text import number
+from miho.analysis.tidy import one_problem, shown_unit
+from miho.analysis.timing import clock_of
+
+Points = tuple[NDArray[np.float64], NDArray[np.float64]]
+TIRE_NAMES = {"LF": "left front", "RF": "right front", "LR": "left rear", "RR": "right rear"}
+TIRE_PANELS = (("LF", "RF"), ("LR", "RR"))
+
+
+def fig4(
+    samples: Mapping[str, Points],
+    curves: Mapping[str, Points],
+    *,
+    errors: Mapping[str, float] | None = None,
+    note: str = "",
+) -> Figure:
+    """Fig. 4, left and middle: samples and learned curves of front and rear tires.
+
+    Keys are LF, RF, LR, RR; each value is (slip angle in degrees, lateral force in kN), both
+    (n,). `errors` in kN (root mean square over the samples) go into the legends. Tires without
+    a curve show samples only, and the other way round.
+    """
+    unknown = sorted((set(samples) | set(curves)) - set(TIRE_NAMES))
+    if unknown:
+        raise ValueError(f"tires {', '.join(unknown)} are unknown; expected LF, RF, LR or RR")
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 3.1), layout="constrained")
+        panels = figure.subplots(1, 2, sharey=True)
+        for ax, tires, title in zip(panels, TIRE_PANELS, ("front", "rear"), strict=True):
+            plot_tires(samples, curves, ax, tires=tires, errors=errors or {})
+            ax.set_title(f"{title} tires", loc="left")
+        panels[1].set_ylabel("")
+        caption(figure, note)
+        figure.draw_without_rendering()
+    return figure
+
+
+def plot_tires(
+    samples: Mapping[str, Points],
+    curves: Mapping[str, Points],
+    ax: Axes,
+    *,
+    tires: Sequence[str],
+    errors: Mapping[str, float],
+) -> Axes:
+    """Samples as light points and learned curves as lines, of one or two tires, as in `fig4`."""
+    palette = sns.color_palette("colorblind")
+    for tire, color, dashes in zip(tires, (palette[0], palette[3]), ("-", "--"), strict=False):
+        label = TIRE_NAMES[tire]
+        if tire in errors:
+            label += f", error {errors[tire]:.2f} kN"
+        if tire in samples:
+            alpha, force = samples[tire]
+            ax.scatter(
+                alpha, force, s=3, color=color, alpha=0.16, linewidths=0, rasterized=True, zorder=1
+            )
+        if tire in curves:
+            alpha, force = curves[tire]
+            ax.plot(alpha, force, dashes, color="white", linewidth=3.2, zorder=2)
+            ax.plot(alpha, force, dashes, color=color, linewidth=1.8, label=label, zorder=3)
+            rises = np.cov(alpha, force)[0, 1] > 0
+            ax.legend(loc="upper left" if rises else "upper right", handlelength=1.6)
+    ax.set(xlabel="slip angle [deg]", ylabel="lateral force [kN]")
+    return ax
+
+
+def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
+    """Fig. 6: mean error over time, and over evaluations, which no machine changes.
+
+    Time is that of the wall clock, or the processor's where other work disturbed the runs, as
+    `timing.clock_of` decides for the whole figure; the axis says which.
+
+    The mean final error of each method stands at the right in its colour; "-" where a run saw
+    nothing finite, which leaves the mean undefined. The grey band is the interval
+    of the estimated irreducible error.
+    `note` is printed small below: sizes, repetitions, budget.
+    """
+    runs, curves = one_problem(runs, curves)
+    unit = str(runs["unit"].iloc[0])
+    shown, factor = shown_unit(unit)
+    low, high = (float(runs[f"irreducible_{end}"].mean()) for end in ("low", "high"))
+    irreducible = (low, high) if np.isfinite(low) else None
+    clock = clock_of(runs)
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 3.3), layout="constrained")
+        left, right = figure.subplots(1, 2, sharey=True)
+        timed = curves[curves["id"].isin(clock.runs["id"])]
+        plot_error_over(timed, clock.axis, left, unit=unit, irreducible=irreducible)
+        left.set_xlabel(time_label(clock))
+        plot_error_over(curves, "evaluations", right, unit=unit, irreducible=irreducible)
+        right.set_ylabel("")
+        wall = clock.axis == "seconds"
+        left.set_title("as in the paper: over time" if wall else "over CPU time", loc="left")
+        right.set_title("the same over evaluations", loc="left")
+        _plain_log_ticks(left)
+        caption(
+            figure,
+            "lines: mean over repetitions, bands: 10 to 90 %",
+            clock.note if wall else "",
+            note,
+        )
+        if irreducible is not None:
+            left.annotate(
+                f"irreducible: {low * factor:.2f} to {high * factor:.2f} {shown}",
+                (0.02, high * factor),
+                xycoords=("axes fraction", "data"),
+                xytext=(0, 2),
+                textcoords="offset points",
+                fontsize=8,
+                verticalalignment="bottom",
+            )
+        draw_end_labels(right, _final_labels(runs, factor))
+    return figure
+
+
+def plot_error_over(
+    curves: pd.DataFrame,
+    axis: Axis,
+    ax: Axes,
+    *,
+    unit: str = "N",
+    irreducible: tuple[float, float] | None = None,
+    grid: Array | None = None,
+) -> Axes:
+    """Mean error of each method over the axis, with a band from the 10 % to the 90 % quantile.
+
+    Both scales are logarithmic. Beyond the last row of a method's runs the line goes on thin:
+    the answer is kept, nothing runs. `irreducible` is the interval that holds the
+    error no method undercuts, a grey band. `unit` is that of `curves` and `irreducible`; forces are
+    drawn in kN. Runs without rows are unknown here: see `tidy.with_silent_runs`.
+    """
+    grid = log_grid(curves, axis) if grid is None else grid
+    shown, factor = shown_unit(unit)
+    found = summary(on_grid(curves, axis, grid), axis)
+    ends = curves.groupby("optimizer")[axis].max()
+    for order, (method, style) in enumerate(styles_of(found["optimizer"]).items()):
+        one = found[found["optimizer"] == method]
+        at = one[axis].to_numpy(dtype=float)
+        mean, low, high = (one[c].to_numpy(dtype=float) * factor for c in ("mean", "low", "high"))
+        running = at <= ends[method]
+        layer = 3 - 0.01 * order
+        ax.fill_between(at, low, high, where=running, color=style.color, alpha=0.13, linewidth=0)
+        ax.plot(at[running], mean[running], label=style.name, zorder=layer, **style.line)
+        ax.plot(at[~running], mean[~running], color=style.color, linewidth=0.6, zorder=layer)
+    ax.set(xscale="log", yscale="log", xlim=(grid[0], grid[-1]))
+    ax.set(xlabel=AXIS_LABELS[axis], ylabel=f"error [{shown}]")
+    if irreducible is not None:
+        low_end, high_end = (end * factor for end in irreducible)
+        ax.axhspan(low_end, high_end, color="black", alpha=0.1, linewidth=0, zorder=0)
+    ax.margins(y=0.06)
+    return ax
+
+
+def _final_labels(runs: pd.DataFrame, factor: float) -> list[EndLabel]:
+    """Mean final error per method; NaN if a run saw nothing finite."""
+    labels = []
+    for method, style in styles_of(runs["optimizer"]).items():
+        errors = runs.loc[runs["optimizer"] == method, "error"].to_numpy(dtype=float) * factor
+        final = float(errors.mean()) if np.isfinite(errors).all() else float("nan")
+        printed = f"{final:.2f}" if final < 10 else number(final)
+        labels.append(EndLabel(final, f"{printed}  {style.name}", style))
+    return labels
+
+
+def _plain_log_ticks(ax: Axes) -> None:
+    """Ticks at 1, 2, 5 times powers of ten, written as plain numbers."""
+    ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.yaxis.set_minor_formatter(NullFormatter())
+
+
+COLORS = sns.color_palette("colorblind")
+MARGIN = 1.5
+"""How far beyond the driving data curves are drawn, in their range of slip angles."""
+
+
+@dataclass(frozen=True)
+class AxleCurve:
+    """A curve: slip angles [deg] and forces [kN], and its root mean square error [kN] on the data.
+
+    seen: the slip angles [deg] between which it was learned; beyond them it is dashed.
+    """
+
+    points: Points
+    error: float
+    seen: tuple[float, float]
+
+
+def fig4_right(data: Points, curves: Mapping[str, AxleCurve], *, note: str = "") -> Figure:
+    """Fig. 4, right: driving data as light points, and curves by name.
+
+    data: slip angles [deg] and lateral forces [kN] of the axle, both tires, (n,) each, which no
+    curve was learned from.
+    """
+    with house_style():
+        figure = Figure(figsize=(4.6, 3.6), layout="constrained")
+        plot_axle(data, curves, figure.subplots())
+        figure.supxlabel(note, fontsize=7, color="#444444", x=0.01, ha="left")
+        figure.draw_without_rendering()
+    return figure
+
+
+def plot_axle(data: Points, curves: Mapping[str, AxleCurve], ax: Axes) -> Axes:
+    """Driving data and curves of an axle, as in `fig4_right`."""
+    alpha, force = data
+    ax.scatter(alpha, force, s=3, color=COLORS[0], alpha=0.12, linewidths=0, rasterized=True)
+    for (name, curve), color in zip(curves.items(), (COLORS[3], "black"), strict=False):
+        at, known = curve.points
+        inside = (at >= curve.seen[0]) & (at <= curve.seen[1])
+        label = f"{name}, error {curve.error:.2f} kN"
+        ax.plot(at, known, color=color, linewidth=0.9, linestyle=(0, (4, 2)))
+        ax.plot(at[inside], known[inside], color=color, linewidth=1.8, label=label)
+    reach = MARGIN * float(np.abs(alpha).max())
+    most = 1.3 * float(np.abs(force).max())
+    ax.set(xlim=(-reach, reach), ylim=(-most, most))
+    ax.set(xlabel="slip angle [deg]", ylabel="lateral force, both tires [kN]")
+    ax.legend(loc="upper right", handlelength=1.6)
+    return ax

@@ -1,0 +1,212 @@
+"""Figures with a row per method: areas, ranks, and speed-ups over rivals."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullFormatter
+
+from miho.analysis.curves import Array
+from miho.analysis.figures.house import WIDTH, caption, house_style
+from miho.analysis.styles import MethodStyle, styles_of
+from miho.analysis.text import number
+from miho.analysis.tidy import require_columns
+
+ROW = 0.19  # inches per method where a row is one line of 8 pt text
+DARK, LIGHT, GUIDE = "#222222", "#9a9a9a", "#d8d8d8"
+
+
+def area_figure(areas: pd.DataFrame, *, note: str = "") -> Figure:
+    """Area over the convergence curve of each method, best mean first.
+
+    Frame: problem, optimizer, aocc, a row per run. Grey points are the means of the problems, the
+    box their quartiles and median, the diamond their mean, all problems weighing the same.
+    """
+    with house_style():
+        height = ROW * areas["optimizer"].nunique() + 0.9
+        figure = Figure(figsize=(WIDTH, height), layout="constrained")
+        plot_areas(areas, figure.subplots())
+        text = "points: problems (mean over runs), boxes: quartiles, diamonds and numbers: means"
+        caption(figure, text, note)
+        figure.draw_without_rendering()
+    return figure
+
+
+def plot_areas(areas: pd.DataFrame, ax: Axes) -> Axes:
+    """The rows of `area_figure`."""
+    require_columns(areas, ["problem", "optimizer", "aocc"], "areas")
+    table = areas.groupby(["optimizer", "problem"])["aocc"].mean().unstack()
+    mean = table.mean(axis="columns").sort_values(ascending=False, kind="stable")
+    styles = method_rows(ax, mean.index)
+    for row, method in enumerate(mean.index):
+        values, color = table.loc[method].dropna().to_numpy(dtype=float), styles[method].color
+        ax.boxplot(
+            values, positions=[row], orientation="horizontal", widths=0.55, manage_ticks=False,
+            showfliers=False, patch_artist=True, medianprops={"color": color, "linewidth": 1.4},
+            boxprops={"facecolor": "white", "edgecolor": color, "linewidth": 0.9},
+            whiskerprops={"color": color, "linewidth": 0.9}, showcaps=False,
+        )  # fmt: skip
+        ax.scatter(values, np.full(values.size, row), s=5, color="#777777", linewidths=0, zorder=3)
+        ax.scatter(mean[method], row, s=26, marker="D", color=color, edgecolors="white", zorder=4)
+        ax.text(1.01, row, f"{mean[method]:.2f}", transform=ax.get_yaxis_transform(),
+                fontsize=8, va="center_baseline")  # fmt: skip
+    ax.set(xlim=(0, 1), xlabel="area over the convergence curve (1: at the optimum at once)")
+    return ax
+
+
+def critical_difference_diagram(
+    ranks: pd.DataFrame,
+    cd: float,
+    cliques: Sequence[Collection[str]],
+    *,
+    sample: str = "",
+    note: str = "",
+) -> Figure:
+    """Mean ranks and what they do not separate (Demsar 2006, Fig. 1), with a row per method.
+
+    Frame: optimizer, rank (1 is best). `cd` is the critical difference, drawn to scale at the
+    top; a bar beside the rows joins the methods of one clique, between which the test finds no
+    difference. Methods without a common bar differ. `sample` says what the ranks are means over,
+    such as "12 problems".
+    """
+    with house_style():
+        figure = Figure(figsize=(WIDTH, ROW * len(ranks) + 1.1), layout="constrained")
+        wide = min(0.4, 0.05 + 0.025 * len(cliques))
+        left, right = figure.subplots(1, 2, sharey=True, width_ratios=[1 - wide, wide])
+        plot_ranks(ranks, cd, left)
+        plot_cliques(ranks, cliques, right)
+        over = f" over {sample}" if sample else ""
+        left.set_xlabel(f"mean rank{over} (1: best)")
+        caption(figure, "bars at the right join methods that the test does not separate", note)
+        figure.draw_without_rendering()
+    return figure
+
+
+def plot_ranks(ranks: pd.DataFrame, cd: float, ax: Axes) -> Axes:
+    """Mean ranks as dots in rows, best first, with the critical difference from the best one."""
+    require_columns(ranks, ["optimizer", "rank"], "ranks")
+    rank = ranks.set_index("optimizer")["rank"].sort_values(kind="stable")
+    styles = method_rows(ax, rank.index)
+    for row, (method, value) in enumerate(rank.items()):
+        color = styles[str(method)].color
+        ax.axhline(row, color=GUIDE, linewidth=0.6, zorder=1)
+        ax.scatter(value, row, s=24, color=color, zorder=3)
+        ax.annotate(f"{value:.1f}", (value, row), xytext=(5, 0), textcoords="offset points",
+                    fontsize=8, va="center_baseline")  # fmt: skip
+    first = float(rank.iloc[0])
+    ax.axvspan(first, first + cd, color="#e8eef5", zorder=0, linewidth=0)
+    ax.plot([first, first + cd], [-1, -1], color=DARK, linewidth=1.2, marker="|", markersize=6)
+    ax.text(first, -1.3, f"critical difference {cd:.2f}", fontsize=8, va="bottom")
+    ax.set_ylim(len(rank) - 0.5, -2.2)
+    most = max(len(rank), first + cd)
+    ax.set_xlim(1 - 0.02 * most, 1.04 * most)
+    spacing = 5 if len(rank) > 9 else 1
+    ticks = [place for place in range(1, len(rank) + 1) if place == 1 or place % spacing == 0]
+    ax.xaxis.set_major_locator(FixedLocator(ticks))
+    return ax
+
+
+def plot_cliques(ranks: pd.DataFrame, cliques: Sequence[Collection[str]], ax: Axes) -> Axes:
+    """A vertical bar per clique, on the rows of `plot_ranks`, a dot at each of its members."""
+    rank = ranks.set_index("optimizer")["rank"].sort_values(kind="stable")
+    spans = sorted(
+        sorted(rank.index.get_indexer(pd.Index(list(one)))) for one in cliques if len(one) > 1
+    )
+    for column, rows in enumerate(spans):
+        if rows[0] < 0:
+            raise ValueError(
+                f"a clique holds a method without a rank; expected some of {', '.join(rank.index)}"
+            )
+        ax.plot([column] * len(rows), rows, color=DARK, linewidth=1.3, marker="o", markersize=3)
+    for row in range(len(rank)):
+        ax.axhline(row, color=GUIDE, linewidth=0.6, zorder=0)
+    ax.set_xlim(-0.7, max(1, len(spans)) - 0.3)
+    ax.tick_params(left=False, labelleft=False, bottom=False, labelbottom=False)
+    ax.spines[:].set_visible(False)
+    ax.grid(visible=False)
+    return ax
+
+
+def speed_up_figure(
+    speed_ups: pd.DataFrame, *, method: str = "miho", axis: str = "evaluations", note: str = ""
+) -> Figure:
+    """How many times less `method` spends than each rival, with 95 % intervals.
+
+    Frame: method, rival, ratio (rival's expected running time / mine), low, high, problems (both
+    arrive), only_method and only_rival. Above 1 `method` is faster; grey and hollow where the
+    interval holds 1.
+    """
+    with house_style():
+        rivals = int((speed_ups["method"] == method).sum())
+        figure = Figure(figsize=(WIDTH, ROW * rivals + 1.1), layout="constrained")
+        plot_speed_up(speed_ups, figure.subplots(), method=method, axis=axis)
+        caption(figure, "hollow and grey: undecided, the 95 % interval holds 1", note)
+        figure.draw_without_rendering()
+    return figure
+
+
+def plot_speed_up(speed_ups: pd.DataFrame, ax: Axes, *, method: str, axis: str) -> Axes:
+    """The rows of `speed_up_figure`, largest ratio first."""
+    require_columns(
+        speed_ups,
+        ["method", "rival", "ratio", "low", "high", "problems", "only_method", "only_rival"],
+        "speed_ups",
+    )
+    rows = speed_ups[speed_ups["method"] == method].sort_values("ratio", ascending=False)
+    if rows.empty:
+        known = ", ".join(sorted(speed_ups["method"].unique()))
+        raise ValueError(f"method is {method!r}; expected one of {known}")
+    method_rows(ax, rows["rival"])
+    values = rows[["ratio", "low", "high"]].to_numpy(dtype=float)
+    shown = values[np.isfinite(values) & (values > 0)]
+    low, high = min(0.5, shown.min(initial=1)) / 1.3, max(2, shown.max(initial=1)) * 1.3
+    solved = rows[["problems", "only_method", "only_rival"]].to_numpy(dtype=int)
+    beside: dict[str, Any] = {"transform": ax.get_yaxis_transform(), "fontsize": 8, "ha": "right"}
+    for row, (interval, counts) in enumerate(zip(values, solved, strict=True)):
+        _speed_up_row(ax, row, interval, (low, high))
+        text = "-" if np.isnan(interval[0]) else f"{number(interval[0])}×"
+        for x, words in ((1.11, text), (1.28, " / ".join(map(str, counts)))):
+            ax.text(x, row, words, va="center_baseline", **beside)
+    name = styles_of([method])[method].name
+    ax.text(1.28, -0.7, f"solved by both /\n{name} / rival only", va="bottom", **beside)
+    ax.axvline(1, color=DARK, linewidth=1)
+    ax.set(xscale="log", xlim=(low, high))
+    ax.set_xlabel(f"expected {axis} of the rival / of {name} (right of 1: {name} is faster)")
+    ax.xaxis.set_major_locator(LogLocator(subs=(1.0,) if high > 100 * low else (1.0, 2.0, 5.0)))
+    ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.xaxis.set_minor_formatter(NullFormatter())
+    return ax
+
+
+def _speed_up_row(ax: Axes, row: int, interval: Array, limits: tuple[float, float]) -> None:
+    """A ratio with its low and high end (3,); a triangle where it goes on beyond the panel."""
+    ratio, low, high = interval
+    if np.isnan(ratio):
+        return
+    undecided = low <= 1 <= high
+    color = LIGHT if undecided else DARK
+    ends = np.clip([low, high], *limits)
+    ax.plot(ends, [row, row], color=color, linewidth=1.6, solid_capstyle="butt", zorder=2)
+    face = "white" if undecided else color
+    ax.scatter(ratio, row, s=26, color=face, edgecolors=color, linewidths=1.2, zorder=3)
+    for value, end, marker in ((low, limits[0], "<"), (high, limits[1], ">")):
+        if not limits[0] <= value <= limits[1]:
+            ax.scatter(end, row, s=22, marker=marker, color=color, clip_on=False, zorder=3)
+
+
+def method_rows(ax: Axes, methods: Collection[str]) -> dict[str, MethodStyle]:
+    """A row per method, first at the top, its name in its colour; returns their styles."""
+    styles = styles_of(methods)
+    ax.yaxis.set_major_locator(FixedLocator(list(range(len(methods)))))
+    ax.set_yticklabels([styles[method].name for method in methods])
+    for tick, method in zip(ax.get_yticklabels(), methods, strict=True):
+        tick.set_color(styles[method].color)
+    ax.set_ylim(len(methods) - 0.4, -0.6)
+    ax.grid(visible=False, axis="y")
+    ax.tick_params(axis="y", length=0)
+    return styles

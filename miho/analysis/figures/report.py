@@ -1,0 +1,201 @@
+"""Figures of one identification: the fit, its descents, what errors follow, and its profiles."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import seaborn as sns
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+from numpy.typing import NDArray
+
+from miho.analysis.figures.house import WIDTH, house_style
+
+Array = NDArray[np.float64]
+
+BINS = 10
+PANELS = 3
+LOGARITHMIC = 5.0
+LEAST_RANGE = 0.1
+
+
+def _opacity(points: int) -> float:
+    """Few points stand out, many show their density."""
+    return float(np.clip(150 / points, 0.15, 0.7))
+
+
+@dataclass(frozen=True)
+class Column:
+    """Values (N,) with what to write on their axis."""
+
+    name: str
+    unit: str
+    values: Array
+
+    @property
+    def label(self) -> str:
+        """Name and unit, as on an axis."""
+        return f"{self.name} [{self.unit}]"
+
+
+def fit_figure(
+    measured: Column, predicted: Array, x: Column | None, band: tuple[Array, Array, Array] | None
+) -> Figure:
+    """Data and fit: over the single input `x` with the curve's `band` (x, curve, half width).
+
+    Without `x`, measured over predicted values (N,), on which a perfect model is a diagonal.
+    """
+    with house_style():
+        figure = Figure(figsize=(WIDTH * 0.75, 3.0), layout="constrained")
+        ax = figure.subplots()
+        blue, red = sns.color_palette("colorblind")[0], sns.color_palette("colorblind")[3]
+        opacity = _opacity(len(measured.values))
+        style = {"s": 4, "color": blue, "alpha": opacity, "linewidths": 0, "rasterized": True}
+        if x is not None and band is not None:
+            ax.scatter(x.values, measured.values, label="data", **style)
+            at, curve, half = band
+            ax.fill_between(at, curve - half, curve + half, color=red, alpha=0.3, linewidth=0)
+            ax.plot(at, curve, color=red, linewidth=1.5, label="fit, with the curve's interval")
+            ax.set(xlabel=x.label, ylabel=measured.label)
+        else:
+            ax.scatter(predicted, measured.values, label="rows of data", **style)
+            ends = [min(predicted.min(), measured.values.min()),
+                    max(predicted.max(), measured.values.max())]  # fmt: skip
+            ax.plot(ends, ends, color=red, linewidth=1, label="prediction = measurement")
+            ax.set(xlabel=f"predicted {measured.label}", ylabel=f"measured {measured.label}")
+        for handle in ax.legend(loc="best", markerscale=2).legend_handles:
+            if handle is not None:
+                handle.set_alpha(1)
+    return figure
+
+
+def waterfall_figure(
+    errors: Array,
+    here: NDArray[np.bool_],
+    unit: str,
+    known: float | None,
+    rounding: float,
+    kind: str = "descents",
+    dropped: int = 0,
+) -> Figure:
+    """Errors (n,) where the descents of a run ended, ascending: in an optimum each is a step.
+
+    `kind` is what they are, such as brackets; the legend counts those that were `dropped` on fewer
+    rows, whose errors nobody knows.
+
+    Filled are those that ended `here` (n,), in the optimum in question; `known` is the error of the
+    best known one. Errors up to `rounding` are drawn as that. The axis is logarithmic where errors
+    differ by a factor of LOGARITHMIC; else it spans LEAST_RANGE of them at least, on which those
+    that agree lie level.
+    """
+    shown = np.maximum(errors, rounding)
+    number = np.arange(1, len(errors) + 1)
+    with house_style():
+        figure = Figure(figsize=(WIDTH * 0.75, 2.4), layout="constrained")
+        ax = figure.subplots()
+        ax.plot(number, shown, color="#999999", linewidth=0.8, zorder=1)
+        blue, red = sns.color_palette("colorblind")[0], sns.color_palette("colorblind")[3]
+        size = float(np.clip(900 / len(errors), 6, 24))
+        for part, label, color, filled in ((here, "ended here", blue, True),
+                                           (~here, "elsewhere", red, False)):  # fmt: skip
+            if part.any():
+                ax.scatter(
+                    number[part], shown[part], s=size, edgecolors=[color], linewidths=0.8,
+                    color=[color] if filled else "white", label=f"{label}: {part.sum():,}",
+                )  # fmt: skip
+        if dropped:
+            ax.plot([], [], " ", label=f"dropped on fewer rows: {dropped:,}")
+        low, high = float(shown[0]), float(shown[-1])
+        if known is not None:
+            low = min(low, max(known, rounding))
+            ax.axhline(max(known, rounding), color="#222222", linewidth=0.9, linestyle="--",
+                       zorder=0, label="best known optimum")  # fmt: skip
+        if high > LOGARITHMIC * low > 0:
+            ax.set_yscale("log")
+            ax.yaxis.set_major_locator(LogLocator(subs=(1,) if high > 100 * low else (1, 2, 5)))
+            ax.yaxis.set_major_formatter("{x:g}")
+            ax.yaxis.set_minor_formatter(NullFormatter())
+        else:
+            middle, half = (low + high) / 2, 0.6 * max(high - low, LEAST_RANGE * high)
+            ax.set_ylim(middle - half, middle + half)
+        ax.set(xlabel=f"{kind}, the best first", ylabel=f"error [{unit}]")
+        ax.set_xlim(0.5, len(errors) + 0.5)
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1, steps=[1, 2, 5, 10]))
+        figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=3)
+    return figure
+
+
+def residual_figure(errors: Column, columns: Sequence[Column]) -> Figure:
+    """Errors (model minus data) over each column, with means of groups of rows.
+
+    The rows with the first column below and above its median are drawn apart: what a load does
+    to a force has the sign of the slip, and cancels in the mean over both.
+    """
+    first = columns[0].values
+    above = first > np.median(first)
+    with house_style():
+        rows = -(-len(columns) // PANELS)
+        width = WIDTH if len(columns) > 1 else WIDTH * 0.6
+        figure = Figure(figsize=(width, 2.3 * rows), layout="constrained")
+        across = min(PANELS, len(columns))
+        panels = np.ravel(figure.subplots(rows, across, squeeze=False, sharey=True))
+        for ax, column in zip(panels, columns, strict=False):
+            plot_errors_over(errors, column, above, ax)
+        for ax in panels[len(columns) :]:
+            ax.remove()
+        for place in range(1, len(columns)):
+            if place % PANELS:
+                panels[place].set_ylabel("")
+        if len(columns) > 1:
+            name = columns[0].name
+            labels = [f"{name} below its median", f"{name} above it"]
+            figure.legend(panels[0].lines[:2], labels, loc="outside upper right", ncols=2)
+    return figure
+
+
+def plot_errors_over(errors: Column, column: Column, above: NDArray[np.bool_], ax: Axes) -> Axes:
+    """Errors over one column as points, in two parts (N,), each with means of equally many rows."""
+    opacity = _opacity(len(errors.values))
+    for part, index in ((~above, 0), (above, 3)):
+        color = sns.color_palette("colorblind")[index]
+        rows = np.flatnonzero(part)
+        rows = rows[np.argsort(column.values[rows], kind="stable")]
+        groups = [group for group in np.array_split(rows, BINS) if group.size]
+        x = [column.values[group].mean() for group in groups]
+        y = [errors.values[group].mean() for group in groups]
+        ax.plot(x, y, color=color, marker="o", markersize=2.5, linewidth=1, zorder=3)
+        ax.scatter(
+            column.values[rows], errors.values[rows], s=3, color=color, alpha=opacity,
+            linewidths=0, rasterized=True,
+        )  # fmt: skip
+    ax.axhline(0, color="#444444", linewidth=0.6)
+    ax.set(xlabel=column.label, ylabel=errors.label)
+    return ax
+
+
+def profile_figure(
+    profiles: Mapping[str, tuple[Array, Array]], units: Mapping[str, str], quantile: float
+) -> Figure:
+    """Signed root of the likelihood ratio over each parameter; straight lines: linear model.
+
+    `profiles` maps names to (values, tau); between the lines at +-`quantile` lies the interval.
+    """
+    with house_style():
+        rows = -(-len(profiles) // PANELS)
+        figure = Figure(figsize=(WIDTH, 1.9 * rows), layout="constrained")
+        panels = np.ravel(figure.subplots(rows, PANELS, squeeze=False, sharey=True))
+        blue = sns.color_palette("colorblind")[0]
+        for ax, (name, (values, tau)) in zip(panels, profiles.items(), strict=False):
+            ax.axhline(-quantile, color="#888888", linewidth=0.7, linestyle="--")
+            ax.axhline(quantile, color="#888888", linewidth=0.7, linestyle="--")
+            ax.plot(values, tau, color=blue, marker="o", markersize=2.5, linewidth=1.2)
+            ax.set(xlabel=f"{name} [{units[name]}]")
+            ax.locator_params(axis="x", nbins=4)
+        for ax in panels[len(profiles) :]:
+            ax.remove()
+        for ax in panels[: len(profiles) : PANELS]:
+            ax.set_ylabel("signed root")
+    return figure

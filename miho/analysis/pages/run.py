@@ -1,0 +1,277 @@
+"""The report of one run in a folder: page, tables, figures and `parameters.json`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from markupsafe import Markup
+
+from miho.analysis.figures.house import png
+from miho.analysis.figures.report import (
+    Column,
+    fit_figure,
+    profile_figure,
+    residual_figure,
+    waterfall_figure,
+)
+from miho.analysis.pages.html import PAGE, asset, render
+from miho.analysis.pages.run_tables import (
+    correlation_table,
+    derived_table,
+    error_table,
+    parameter_table,
+)
+from miho.analysis.text import ends, significant
+from miho.identification import Report, identified
+from miho.identification.evidence import kind_of
+from miho.models.identified import parameters_text
+from miho.study import StoredRun, write_bytes, write_text
+from miho.study.places import inside
+from miho.study.provenance import flat, provenance
+
+GRID = 200
+PARAMETERS = "parameters.json"
+
+
+@dataclass(frozen=True)
+class Section:
+    """A heading with what stands below it, in this order; empty parts are left out.
+
+    `figure` is a picture as `png` makes it.
+    """
+
+    heading: str
+    sentences: Sequence[str] = ()
+    table: pd.DataFrame | None = None
+    figure: bytes | None = None
+    caption: str = ""
+
+
+def save_report(
+    report: Report,
+    folder: str | Path,
+    stored: StoredRun | None = None,
+    each: Callable[[str], None] = lambda step: None,
+) -> Path:
+    """Write the page, the tables as CSV, the figures and parameters.json; the page's path.
+
+    `stored` is the run in the store that the report is of, where there is one: page and
+    parameters.json then say what regenerates it. `each` is called with the name of every step.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    each("tables")
+    for name, table in report.tables.items():
+        write_text(folder / f"{name}.csv", table.to_csv(index=False))
+    settings = {} if stored is None else stored.config["model"]
+    model = identified(report, _origin(report, stored))
+    write_text(folder / PARAMETERS, parameters_text(model, settings))
+    each("figures")
+    figures = figures_of(report)
+    for name, picture in figures.items():
+        write_bytes(folder / f"{name}.png", picture)
+    write_text(folder / PAGE, page_of(report, stored, figures))
+    return folder / PAGE
+
+
+def report_folder(stored: StoredRun) -> Path:
+    """Where a run's report goes: reports/ beside the problems of its root.
+
+    Raises PermissionError where a link leads out of the root.
+    """
+    result = stored.result
+    root = stored.folder.parent.parent.parent
+    return inside(root, "reports", result["problem"], f"{result['optimizer']}-{result['id'][:12]}")
+
+
+def page(title: str, subtitle: str, sections: Sequence[Section]) -> str:
+    """The page's HTML. All text is escaped; nothing is loaded, and no script runs."""
+    widths = {len(section.table.columns) for section in sections if section.table is not None}
+    columns = Markup("").join(f".columns-{n} {{ --columns: {n}; }}\n" for n in sorted(widths))
+    style = asset("run.css") + columns
+    return render("run.html", title=title, subtitle=subtitle, sections=sections, style=style)
+
+
+def figures_of(report: Report) -> dict[str, bytes]:
+    """The pictures by name."""
+    problem = report.problem
+    dataset, model = problem.dataset, problem.model
+    errors = Column("error", problem.unit, problem.errors(report.at.theta))
+    measured = Column(dataset.output, problem.unit, dataset[dataset.output])
+    columns = [
+        Column(name, dataset.units[name], values)
+        for name, values in dataset.columns.items()
+        if name != dataset.output
+    ]
+    # Only over a single input is the fit a curve, and its uncertainty a band around it.
+    x = band = None
+    if len(model.inputs) == 1:
+        (name,) = model.inputs
+        x = Column(name, model.inputs[name], dataset[name])
+        grid = np.linspace(x.values.min(), x.values.max(), GRID)
+        band = (grid, *report.band(grid))
+    profiles = {
+        name: (curve.values, curve.tau)
+        for name, curve in zip(problem.space.names, report.profiles, strict=True)
+        if curve is not None
+    }
+    figures = {
+        "fit": fit_figure(measured, measured.values + errors.values, x, band),
+        "residuals": residual_figure(errors, columns),
+    }
+    # What there is not always: several ends of descents, and profiles that were computed.
+    if len(report.descents) > 1:
+        figures["descents"] = waterfall_figure(
+            report.descents["error"].to_numpy(),
+            (report.descents["ended here"] == "yes").to_numpy(),
+            problem.unit,
+            None if report.best_known is None else math.sqrt(report.best_known),
+            math.sqrt(problem.rounding),
+            kind_of(report.searches),
+            sum(each.dropped for each in report.searches),
+        )
+    if profiles:
+        quantile = report.at.quantile(report.level)
+        figures["profiles"] = profile_figure(profiles, model.parameters, quantile)
+    return {name: png(figure) for name, figure in figures.items()}
+
+
+def page_of(report: Report, stored: StoredRun | None, figures: Mapping[str, bytes]) -> str:
+    """The page's HTML, with the pictures that `figures_of` made."""
+    problem = report.problem
+    kinds = [k for k in ("linearised", "profile", "bootstrap") if f"{k} low" in report.parameters]
+    # First what was identified and whether it is the optimum, since all else hangs on that; then
+    # how good it is, what the errors still follow, and at the end where it comes from.
+    sections = [
+        Section("Parameters", table=_all_intervals(report, kinds), caption=_explained(report)),
+        Section(
+            "What these numbers mean",
+            report.notes
+            if report.standing.doubt
+            else [f"optimum: {report.standing.evidence}.", *report.notes],
+        ),
+        Section(
+            f"Where the {kind_of(report.searches)} ended",
+            figure=figures.get("descents"),
+            caption=_searched(report),
+        ),
+        Section(
+            "Fit",
+            figure=figures["fit"],
+            caption=f"{len(problem.dataset)} rows of {problem.dataset.name}.",
+        ),
+        Section("Derived quantities", table=derived_table(report)),
+        Section(
+            "Errors",
+            table=error_table(report),
+            caption="Root mean squares; the residual standard deviation is the root of the sum of "
+            "squares by the degrees of freedom.",
+        ),
+        Section(
+            "Errors by group, left out and seen",
+            table=_rounded(report.left_out),
+            caption="Each group in turn is left out of the fit, and predicted.",
+        ),
+        Section(
+            "What the errors still follow",
+            table=_rounded(report.trends),
+            figure=figures["residuals"],
+            caption="explained: share of the errors' variance that the means of groups of rows "
+            "explain, those of a condition together with the first input; p: how often chance "
+            "alone explains as much. Errors are model minus data; lines are means over rows with "
+            "the first input below and above its median.",
+        ),
+        Section("Correlation of the estimates", table=correlation_table(report)),
+        Section(
+            "Profiles",
+            figure=figures.get("profiles"),
+            caption="Signed root of the likelihood ratio; a straight line where the linearised "
+            "interval is right. The interval lies between the dashed lines.",
+        ),
+        Section("Origin", table=_origin_table(report, stored)),
+    ]
+    by = ""
+    if stored is not None:
+        by = f", identified by {stored.result['optimizer']}, seed {stored.result['seed']}"
+    subtitle = (
+        f"{type(problem.model).__name__} on {problem.dataset.name}{by}: error "
+        f"{significant(report.error)} {problem.unit} (root mean square)."
+    )
+    full = [section for section in sections if _full(section)]
+    return page(f"Identification of {problem.name}", subtitle, full)
+
+
+def _full(section: Section) -> bool:
+    has_rows = section.table is not None and len(section.table) > 0
+    return bool(section.sentences or has_rows or section.figure)
+
+
+def _all_intervals(report: Report, kinds: list[str]) -> pd.DataFrame:
+    table = parameter_table(report).iloc[:, :4]
+    for kind in kinds:
+        table[kind] = [
+            ends(row[f"{kind} low"], row[f"{kind} high"], row["standard error"])
+            for row in report.parameters.to_dict("records")
+        ]
+    return table
+
+
+def _explained(report: Report) -> str:
+    return (
+        f"{100 * report.level:g} % intervals{_where(report)}: linearised (Student's t with "
+        f"{report.at.freedom} degrees of freedom), by profile likelihood"
+        + (f", by {len(report.replicates)} bootstrap replicates." if report.replicates is not None
+           else ".")
+    )  # fmt: skip
+
+
+def _searched(report: Report) -> str:
+    """What the picture of the descents shows."""
+    dropped = sum(each.dropped for each in report.searches)
+    finished = sum(each.finished for each in report.searches) - dropped
+    kind = kind_of(report.searches)
+    screened = sum(each.screened for each in report.searches)
+    which = f"the best {len(report.descents):,} " * (finished > len(report.descents))
+    starts = f", from the best of {screened:,} configurations" * bool(screened)
+    caption = (
+        f"Errors (roots of the loss) at which {which and which + 'of '}{finished:,} {kind} "
+        f"ended{starts}, sorted: a level stretch is one optimum."
+    )
+    if kind == "brackets":
+        caption += (
+            " A bracket looks at several starts, halves them as they descend, and ends where the "
+            "last one does."
+        )
+    if dropped:
+        caption += (
+            f" {dropped:,} more came to an end on fewer rows, as no better there than an optimum "
+            "that was known; their errors on all rows are not known."
+        )
+    return caption
+
+
+def _where(report: Report) -> str:
+    return " of this local optimum, which is in doubt" * bool(report.standing.doubt)
+
+
+def _rounded(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame.map(lambda value: significant(value, 4) if isinstance(value, float) else value)
+
+
+def _origin(report: Report, stored: StoredRun | None) -> dict[str, Any]:
+    """What regenerates the run, or what is known without one that is stored."""
+    if stored is not None:
+        return provenance(stored)
+    return {"problem": report.problem.name, "data": report.problem.dataset.digest}
+
+
+def _origin_table(report: Report, stored: StoredRun | None) -> pd.DataFrame:
+    place = {} if stored is None else {"run": str(stored.folder)}
+    facts = flat(place | _origin(report, stored))
+    return pd.DataFrame({"what": list(facts), "value": [str(value) for value in facts.values()]})

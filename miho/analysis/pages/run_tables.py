@@ -1,0 +1,130 @@
+"""The tables of a report as text, with the digits their errors leave, in handy units."""
+
+from __future__ import annotations
+
+import math
+
+import pandas as pd
+
+from miho.analysis.text import ends, scaled, significant, to_error, with_error
+from miho.identification import Report
+from miho.identification.parameters_file import interval_kind
+from miho.study import StoredRun
+
+
+def parameter_table(report: Report) -> pd.DataFrame:
+    """The parameters as text, with their digits cut to what their errors leave."""
+    kinds = [interval_kind(report.parameters)]
+    kinds += ["bootstrap"] * (report.replicates is not None and "bootstrap" not in kinds)
+    rows = []
+    for row in report.parameters.to_dict("records"):
+        error = row["standard error"]
+        cells = {
+            "parameter": row["parameter"],
+            "value": to_error(row["value"], error),
+            "unit": row["unit"],
+            "standard error": "held" if math.isnan(error) else to_error(error, error),
+        }
+        for kind in kinds:
+            low, high = row[f"{kind} low"], row[f"{kind} high"]
+            cells[_heading(report, kind)] = ends(low, high, error)
+        rows.append(cells)
+    return pd.DataFrame(rows)
+
+
+def _heading(report: Report, kind: str) -> str:
+    """Of the column of intervals of a kind."""
+    local = " of this local optimum" * bool(report.standing.doubt)
+    return f"{100 * report.level:g} % interval ({kind}){local}"
+
+
+def values_table(stored: StoredRun) -> pd.DataFrame:
+    """The parameters of a run as it stored them, without errors or intervals."""
+    pairs = zip(stored.result["parameters"], stored.result["theta"], strict=True)
+    rows = [(each["name"], significant(value, 6), each["unit"]) for each, value in pairs]
+    return pd.DataFrame(rows, columns=["parameter", "value", "unit"])
+
+
+def derived_table(report: Report) -> pd.DataFrame:
+    """The derived quantities as text, in handy units."""
+    rows = []
+    chosen = interval_kind(report.derived)
+    for row in report.derived.to_dict("records"):
+        if math.isnan(row["value"]):
+            continue
+        factor, unit = scaled(row["value"], row["unit"])
+        value, error = row["value"] * factor, row["standard error"] * factor
+        low, high = (row[f"{chosen} {end}"] * factor for end in ("low", "high"))
+        rows.append(
+            {
+                "derived": row["quantity"],
+                "value": with_error(value, error) if error > 0 else "-",
+                "unit": unit,
+                _heading(report, chosen): ends(low, high, error),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def error_table(report: Report) -> pd.DataFrame:
+    """The errors as text; of the irreducible one the range, and whether this fit is in it."""
+    rows = []
+    for row in report.errors.to_dict("records"):
+        error, remark = significant(row["error"]), ""
+        if not math.isnan(row["low"]):
+            error = f"{significant(row['low'], 4)} to {significant(row['high'], 4)}"
+            remark = "estimated from neighbouring points"
+            if not report.irreducible.resolved:
+                remark += ", which lie too far apart to tell"
+            elif report.error <= row["high"]:
+                inside = "within the uncertainty of the estimate"
+                remark += f"; this fit is {inside if report.error >= row['low'] else 'below it'}"
+        rows.append(
+            {
+                "on": row["on"].removesuffix(", about"),
+                "rows": row["rows"],
+                "error": error,
+                "unit": row["unit"],
+                "remark": remark,
+            }
+        )
+    table = pd.DataFrame(rows)
+    return table if table["remark"].any() else table.drop(columns="remark")
+
+
+def error_rows(report: Report) -> list[tuple[str, str]]:
+    """What a terminal says of the errors: the name of each row, and its text."""
+    table = error_table(report).set_index("on")
+    unit = report.problem.unit
+    rows = [
+        ("error", f"{significant(report.error)} {unit} (root mean square)"),
+        (
+            "deviation",
+            f"{significant(report.residual_standard_deviation)} {unit} "
+            f"(residual standard deviation, {report.freedom} degrees of freedom)",
+        ),
+    ]
+    if "held out" in table.index:
+        row = table.loc["held out"]
+        rows.append(("held out", f"{row['error']} {unit} ({row['rows']} rows)"))
+    if "irreducible" in table.index:
+        row = table.loc["irreducible"]
+        rows.append(("irreducible", f"{row['error']} {unit}, {row['remark']}"))
+    return rows
+
+
+def correlation_table(report: Report) -> pd.DataFrame:
+    """The correlation matrix as text."""
+    text = report.correlation.map(lambda r: "-" if math.isnan(r) else f"{r:+.2f}")
+    return text.rename_axis("").reset_index()
+
+
+def report_text(report: Report) -> str:
+    """The report for a terminal: parameters, derived quantities and what the numbers mean."""
+    parts = [parameter_table(report).to_string(index=False)]
+    quantities = derived_table(report)
+    if len(quantities):
+        parts.append(quantities.to_string(index=False))
+    if report.notes:
+        parts.append("\n".join(f"- {sentence}" for sentence in report.notes))
+    return "\n\n".join(parts)

@@ -1,0 +1,229 @@
+"""One self-contained HTML page of a sweep: tables, and curves that answer the pointer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from markupsafe import Markup
+from matplotlib.figure import Figure
+
+from miho.analysis.figures.house import house_style, png
+from miho.analysis.figures.paper import plot_error_over
+from miho.analysis.pages.html import PAGE, asset, render
+from miho.analysis.pages.run_tables import values_table
+from miho.analysis.pages.sweep_contents import (
+    NOTHING_CONFIGURED,
+    Configured,
+    Contents,
+    best_runs,
+    contents,
+)
+from miho.analysis.pages.sweep_curves import CHART, Detail, overall_order, problem_curves
+from miho.analysis.pages.sweep_runs import Sweep, environment_table
+from miho.analysis.pages.sweep_tables import (
+    final_errors,
+    methods_table,
+    printed,
+    problems_table,
+    warnings,
+)
+from miho.analysis.pages.vega import PACKAGE, vega
+from miho.analysis.styles import MethodStyle, styles_of
+from miho.analysis.text import rounded
+from miho.analysis.timing import clock_of
+from miho.study import StoredRun, load_runs, read_run, write_text
+
+MANY_METHODS = 12
+"""With more methods than this the page opens with the first ten only."""
+FIRST = 10
+BANDS = 4
+"""Up to so many methods the page opens with bands."""
+STILL = (
+    f"Lines are means over seeds, bands reach from 10 to 90 %. For curves that answer the pointer, "
+    f"pip install {PACKAGE} and report again."
+)
+PIXELS = 4 / 3
+"""CSS pixels of a point, the unit of line widths."""
+
+
+@dataclass(frozen=True)
+class Best:
+    """The best run of a problem: its parameters, what to say of them, and the page with the rest.
+
+    `page` is a path from the folder of the sweep's page, empty if there is none.
+    """
+
+    method: str
+    seed: int
+    parameters: pd.DataFrame
+    notes: Sequence[str]
+    page: str = ""
+
+
+def save_sweep_page(
+    root: str | Path,
+    path: Path | None = None,
+    *,
+    sweep: Sweep | None = None,
+    best: Mapping[str, Best] | None = None,
+    configured: Configured = NOTHING_CONFIGURED,
+    warnings: Sequence[str] = (),
+    made_by: str = "miho.analysis.save_sweep_page",
+) -> Path:
+    """Write the page of all runs of a root, by default its report.html; the page's path.
+
+    `sweep` are the runs, if they are read already, `best` what is said of the best run of each
+    problem, by default its values. `warnings` stand before those that the runs give rise to,
+    `made_by` in the head of the page. Raises ValueError where there is no finished run.
+    """
+    root = Path(root)
+    path = root / PAGE if path is None else path
+    sweep = Sweep.of(load_runs(root)) if sweep is None else sweep
+    if sweep.runs.empty:
+        raise ValueError(f"{root}: holds no finished run that can be read")
+    if best is None:
+        best = {name: _values(read_run(folder)) for name, folder in best_runs(sweep).items()}
+    page = sweep_page(sweep, contents(sweep, root, configured, warnings, made_by), best)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text(path, page)
+    return path
+
+
+def _values(stored: StoredRun) -> Best:
+    result = stored.result
+    return Best(str(result["optimizer"]), int(result["seed"]), values_table(stored), ())
+
+
+def sweep_page(sweep: Sweep, about: Contents, best: Mapping[str, Best]) -> str:
+    """The page's HTML; `best` by the names of the problems, which may be fewer than all."""
+    runs = sweep.runs
+    order = overall_order(runs)
+    detail = Detail.fitting(runs.groupby(["problem", "optimizer"]).ngroups)
+    # With many methods the chart opens with the best of them, and without bands.
+    most = int(runs.groupby(["problem", "optimizer"]).size().max())
+    shown = order if len(order) <= MANY_METHODS else order[:FIRST]
+    board = about.leaderboard
+    if board is not None:
+        board = board.assign(method=board["method"].map(printed(board["method"])))
+    # Without the chart library a figure of each problem stands there, and no script.
+    library = vega()
+    script = None if library is None else library + Markup("\n") + asset("sweep.js")
+    # What the template shows, from the top of the page to its end.
+    return render(
+        "sweep.html",
+        about=about,
+        style=asset("sweep.css"),
+        script=script,
+        counts=[
+            ("runs", len(runs)),
+            ("problems", runs["problem"].nunique()),
+            ("methods", runs["optimizer"].nunique()),
+            ("seeds", runs["seed"].nunique()),
+        ],
+        warnings=[*warnings(sweep), *about.warnings],
+        leaderboard=board,
+        shared={
+            "methods": {name: _look(style) for name, style in styles_of(order).items()},
+            "problems": [str(name) for name in runs["problem"].unique()],
+            "shown": shown,
+            "time": clock_of(runs).unit,
+            "chart": CHART,
+        },
+        mode="median" if most == 1 or len(shown) > BANDS else "band",
+        drawn=[] if script is None else _curves(sweep, about, detail),
+        stills=_stills(sweep) if script is None else [],
+        explanation=STILL if script is None else _explained(len(order), len(shown), most, detail),
+        problems=_problems(sweep, best),
+        origin={
+            "problems": problems_table(sweep),
+            "methods": methods_table(sweep),
+            "environment": environment_table(sweep.origins.values()),
+        },
+        damaged=sweep.damaged,
+    )
+
+
+def _curves(sweep: Sweep, about: Contents, detail: Detail) -> list[dict[str, Any]]:
+    """What is drawn of each problem, in the order of the runs."""
+    finite = sweep.curves[sweep.curves["error"].notna()]
+    curves = dict(iter(finite.groupby("problem", sort=False)))
+    clock = clock_of(sweep.runs)
+    drawn = []
+    for name, runs in sweep.runs.groupby("problem", sort=False):
+        best = about.references.get(str(name), math.nan)
+        steps = curves.get(str(name), finite.iloc[:0])
+        recorded = {"recorded": name not in about.unrecorded}
+        drawn.append(problem_curves(runs, clock, steps, best, detail) | recorded)
+    return drawn
+
+
+def _stills(sweep: Sweep) -> list[tuple[str, bytes]]:
+    """Of each problem that logarithmic axes can show, its name and a figure of its errors."""
+    finite = sweep.curves[sweep.curves["error"].notna() & (sweep.curves["evaluations"] > 0)]
+    stills = []
+    for name, curves in finite.groupby("problem", sort=False):
+        if curves["evaluations"].nunique() == 1 or not curves["error"].any():
+            continue
+        runs = sweep.runs[sweep.runs["problem"] == name]
+        with house_style():
+            figure = Figure(figsize=(7.0, 3.6), layout="constrained")
+            ax = figure.subplots()
+            plot_error_over(curves, "evaluations", ax, unit=str(runs["unit"].iloc[0]))
+            figure.legend(loc="outside right upper")
+        stills.append((str(name), png(figure)))
+    return stills
+
+
+def _explained(methods: int, shown: int, most: int, detail: Detail) -> str:
+    sentences = [
+        "Best error so far, as steps; after its end (dot) a method keeps its answer. Methods stand "
+        "in the order of their final median. Move over the figure, or give it the focus and use "
+        "the arrow keys, to read the values; press a method to hide or show it."
+    ]
+    if most > 1:
+        sentences.append("The line is the median over seeds, the band reaches from 10 to 90 %.")
+    if most > detail.seeds:
+        sentences.append(
+            f"Of {most} seeds at most {detail.seeds} are drawn one by one, evenly over their final "
+            f"errors; median and band are of all."
+        )
+    if shown < methods:
+        sentences.append(f"Of {methods} methods the best {shown} are shown at first.")
+    sentences.append(f"Curves are kept at {detail.positions} positions of an axis.")
+    return " ".join(sentences)
+
+
+def _look(style: MethodStyle) -> dict[str, Any]:
+    width = style.width * PIXELS
+    return {
+        "name": style.name,
+        "color": style.color,
+        "dash": [rounded(width * length, 3) for length in style.dashes[1] or ()],
+        "width": round(width, 2),
+    }
+
+
+def _problems(sweep: Sweep, best: Mapping[str, Best]) -> list[dict[str, Any]]:
+    """The tables of each problem: final errors, and what is said of its best run."""
+    methods = printed(sweep.runs["optimizer"])
+    problems = []
+    for name, runs in sweep.runs.groupby("problem", sort=False):
+        errors, first = final_errors(runs), best.get(str(name))
+        method = "" if first is None else methods.get(first.method, first.method)
+        problems.append(
+            {"name": str(name), "summary": _summary(errors), "errors": errors, "best": first,
+             "method": method}
+        )  # fmt: skip
+    return problems
+
+
+def _summary(errors: pd.DataFrame) -> str:
+    first = errors.iloc[0]
+    median = next(name for name in errors.columns if name.startswith("median error"))
+    unit = median.partition("[")[2].rstrip("]")
+    return f"{first['method']} {first[median]} {unit}".replace(" -", "")
