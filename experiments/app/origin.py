@@ -58,8 +58,10 @@ def our_code(modules: frozenset[str]) -> str:
     return SOURCES.digest(modules)
 
 
+CACHE = Path(__file__).parent / "__pycache__" / "closure.json"
 SOURCES = Sources(
-    {package.__name__: Path(str(package.__file__)).parent for package in (miho, baselines)}
+    {package.__name__: Path(str(package.__file__)).parent for package in (miho, baselines)},
+    cache=CACHE,
 )
 
 
@@ -86,4 +88,5 @@ DRIVING_SOURCES = Sources(
     {package.__name__: Path(str(package.__file__)).parent for package in (miho, baselines)}
     | {"experiments": Path(__file__).parents[1]},
     without=("experiments.app", "miho.analysis", "miho.study"),
+    cache=CACHE,
 )

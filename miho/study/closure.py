@@ -3,16 +3,24 @@
 A name that a package passes on, as in `from miho.models import Pacejka`, leads to the module that
 defines it and not to all that the package imports: its __init__ is a table of contents, and decides
 nothing that a run finds. Imports inside of functions count; those by name at run time are not seen.
+
+What was read of a file can be kept for other processes: by the digest of its bytes, so that it is
+never what another text said.
 """
 
 from __future__ import annotations
 
 import ast
+import contextlib
 import hashlib
+import json
+import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
+from miho.study.files import write_bytes
 from miho.study.meaning import meaning_of
 
 INIT = "__init__.py"
@@ -22,12 +30,19 @@ class Sources:
     """The modules of some packages, as they were when they were first read.
 
     `roots` maps the name of a top-level package to its folder; packages in `without` count for
-    nothing, like those of others.
+    nothing, like those of others. `cache` is a file that keeps what was read; where it cannot be
+    written, or Python writes no bytecode either, all is read again.
     """
 
-    def __init__(self, roots: Mapping[str, Path], without: Collection[str] = ()) -> None:
+    def __init__(
+        self,
+        roots: Mapping[str, Path],
+        without: Collection[str] = (),
+        cache: Path | None = None,
+    ) -> None:
         self._roots, self._without = dict(roots), tuple(f"{name}." for name in without)
         self._modules: dict[str, Module | None] = {}
+        self._cache = cache
 
     def digest(self, modules: Iterable[str]) -> str:
         """SHA-256 over the names and the meaning of these modules and of all that they use."""
@@ -48,6 +63,7 @@ class Sources:
             if module is not None and name not in reached:
                 reached[name] = module
                 waiting |= {self._defining(*source) for source in module.imports}
+        self._write_records()
         return reached
 
     def _defining(self, module: str, name: str | None) -> str:
@@ -73,41 +89,86 @@ class Sources:
         place = self._roots[top].joinpath(*rest)
         for path in (place / INIT, place.with_name(f"{place.name}.py")):
             if path.is_file():
-                return Module(name, path)
+                return Module(name, path, self._records.get(name))
         return None
+
+    @cached_property
+    def _records(self) -> dict[str, Any]:
+        """What the cache has of each module; nothing if it is damaged, or of another reader."""
+        if self._cache is None:
+            return {}
+        try:
+            head, _, body = self._cache.read_bytes().partition(b"\n")
+        except OSError:
+            return {}
+        return dict(json.loads(body)) if head == _head(body) else {}
+
+    def _write_records(self) -> None:
+        """Write the cache, if it has not all of this."""
+        if self._cache is None or sys.dont_write_bytecode:
+            return
+        records = {name: module.record for name, module in self._modules.items() if module}
+        if records.items() <= self._records.items():
+            return
+        body = json.dumps(self._records | records, sort_keys=True).encode()
+        with contextlib.suppress(OSError):
+            self._cache.parent.mkdir(exist_ok=True)
+            write_bytes(self._cache, _head(body) + b"\n" + body)
+
+
+def _head(body: bytes) -> bytes:
+    """The digest of what is kept and of the code that read it."""
+    here = Path(__file__)
+    code = here.read_bytes() + here.with_name("meaning.py").read_bytes()
+    return hashlib.sha256(code + body).hexdigest().encode()
 
 
 class Module:
-    """One file: what it imports, as (module, name in it or None for the module itself)."""
+    """One file: what it imports, as (module, name in it or None for the module itself).
 
-    def __init__(self, name: str, path: Path) -> None:
+    `record` is what was read before of a module of this name.
+    """
+
+    def __init__(self, name: str, path: Path, record: dict[str, Any] | None = None) -> None:
         self.name, self.is_package = name, path.name == INIT
-        self._tree = ast.parse(path.read_bytes())
+        source = path.read_bytes()
+        digest = hashlib.sha256(source).hexdigest()
+        if record is None or record["file"] != [self.is_package, digest]:
+            tree = ast.parse(source)
+            record = {
+                "file": [self.is_package, digest],
+                "meaning": hashlib.sha256(meaning_of(tree).encode()).hexdigest(),
+                "bound": [list(binding) for binding in self._bound(tree)],
+            }
+        self.record = record
 
-    @cached_property
+    @property
     def meaning(self) -> str:
-        """What Python makes of the text."""
-        return meaning_of(self._tree)
+        """The digest of what Python makes of the text."""
+        return str(self.record["meaning"])
 
     @cached_property
     def imports(self) -> frozenset[tuple[str, str | None]]:
         """All that it imports, wherever in the file."""
-        return frozenset(source for _, source in self._bound())
+        return frozenset((module, name) for _, module, name in self.record["bound"])
 
     @cached_property
     def passed_on(self) -> dict[str, tuple[str, str | None]]:
         """What a package imports only to pass it on, by the name under which it does."""
-        return dict(self._bound()) if self.is_package else {}
+        if not self.is_package:
+            return {}
+        return {alias: (module, name) for alias, module, name in self.record["bound"]}
 
-    def _bound(self) -> Iterator[tuple[str, tuple[str, str | None]]]:
-        for node in ast.walk(self._tree):
+    def _bound(self, tree: ast.AST) -> Iterator[tuple[str, str, str | None]]:
+        """Each name that an import binds, with the module and the name in it that it is."""
+        for node in ast.walk(tree):
             if isinstance(node, ast.Import):
                 for alias in node.names:
-                    yield alias.asname or alias.name, (alias.name, None)
+                    yield alias.asname or alias.name, alias.name, None
             elif isinstance(node, ast.ImportFrom):
                 module = self._absolute(node)
                 for alias in node.names:
-                    yield alias.asname or alias.name, (module, alias.name)
+                    yield alias.asname or alias.name, module, alias.name
 
     def _absolute(self, node: ast.ImportFrom) -> str:
         if not node.level:

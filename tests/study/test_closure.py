@@ -1,5 +1,6 @@
 """Which code a run uses: found by reading imports, in copies that may be changed."""
 
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -57,6 +58,30 @@ def test_one_constant_of_what_it_uses_may_not(roots: dict[str, Path], place: str
     before = Sources(roots).digest(RUN)
     with appended(roots["miho"] / place, "\nCHANGED = 1\n"):
         assert Sources(roots).digest(RUN) != before
+
+
+def test_what_was_read_is_kept_and_never_of_another_text(
+    roots: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.dont_write_bytecode", False)
+    cache, place = tmp_path / "cache" / "closure.json", roots["miho"] / "optim" / "oracle.py"
+    before = Sources(roots).digest(RUN)
+    assert Sources(roots, cache=cache).digest(RUN) == before
+    written = cache.read_bytes()
+    with monkeypatch.context() as context:
+        context.setattr("miho.study.closure.ast.parse", None)
+        assert Sources(roots, cache=cache).digest(RUN) == before
+    times = place.stat()
+    with appended(place, "\nCHANGED = 1\n"):
+        os.utime(place, ns=(times.st_atime_ns, times.st_mtime_ns))
+        changed = Sources(roots).digest(RUN)
+        assert changed != before
+        assert Sources(roots, cache=cache).digest(RUN) == changed
+    for damaged in (written[:-1], b"", written.replace(b"oracle", b"orache")):
+        cache.write_bytes(damaged)
+        assert Sources(roots, cache=cache).digest(RUN) == before
+        assert cache.read_bytes() == written
+    assert Sources(roots, cache=place / "closure.json").digest(RUN) == before
 
 
 def test_comments_and_docstrings_may_change(roots: dict[str, Path]) -> None:
