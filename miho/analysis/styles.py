@@ -12,8 +12,13 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
 
-_BLUE, _ORANGE, _GREEN, _RED = "#0173b2", "#de8f05", "#029e73", "#d55e00"
-_PINK, _TAN, _SKY = "#cc78bc", "#ca9161", "#56b4e9"  # seaborn's palette "colorblind"
+COLORS = (
+    "#0173b2", "#de8f05", "#029e73", "#d55e00", "#cc78bc",
+    "#ca9161", "#fbafe4", "#949494", "#ece133", "#56b4e9",
+)  # fmt: skip
+"""Seaborn's palette "colorblind"."""
+BLUE, ORANGE, GREEN, RED = COLORS[:4]
+_PINK, _TAN, _SKY = COLORS[4], COLORS[5], COLORS[9]
 _BLACK, _GREY, _MUTED, _PURPLE = "#222222", "#6e6e6e", "#8a8a8a", "#6a3d9a"
 _BROWN = "#6b3e12"
 
@@ -50,15 +55,15 @@ class MethodStyle:
 
 
 STYLES = {
-    "miho_gn": MethodStyle("MIHO-GN", _RED, SHORT_DASHES, 2.2),
+    "miho_gn": MethodStyle("MIHO-GN", RED, SHORT_DASHES, 2.2),
     "miho_qn": MethodStyle("MIHO-QN", _PINK, SHORT_DASHES, 1.8),
-    "miho": MethodStyle("MIHO", _RED, SOLID, 2.2),
+    "miho": MethodStyle("MIHO", RED, SOLID, 2.2),
     "miho_reference": MethodStyle("MIHO, public code", _PINK, DASHED, 1.6),
-    "miho_no_mutation": MethodStyle("MIHO, no mutation", _RED, DOTTED, 1.6),
+    "miho_no_mutation": MethodStyle("MIHO, no mutation", RED, DOTTED, 1.6),
     "hyperband": MethodStyle("Hyperband", _PINK, SOLID),
     "successive_halving": MethodStyle("successive halving", _PINK, DOTTED),
     "optuna_hyperband": MethodStyle("Optuna Hyperband", _PINK, DASH_DOT_DOT),
-    "dehb": MethodStyle("DEHB", _RED, DASH_DOT),
+    "dehb": MethodStyle("DEHB", RED, DASH_DOT),
     "gbo_small": MethodStyle("GBO-small", _TAN, DOTTED),
     "gbo_large": MethodStyle("GBO-large", _TAN, DASH_DOT),
     "lbfgsb": MethodStyle("L-BFGS-B", _TAN, SOLID),
@@ -66,12 +71,12 @@ STYLES = {
     "pso_100": MethodStyle("PSO-100", _SKY, DASHED),
     "pso_500": MethodStyle("PSO-500", _SKY, DASH_DOT_DOT),
     "pso_constriction": MethodStyle("PSO constriction", _SKY, DOTTED, 1.6),
-    "cma_es": MethodStyle("CMA-ES", _BLUE, SOLID, 1.6),
-    "optuna_cmaes": MethodStyle("Optuna CMA-ES", _BLUE, DASHED),
-    "differential_evolution": MethodStyle("differential evolution", _BLUE, DASH_DOT),
-    "dual_annealing": MethodStyle("dual annealing", _BLUE, DOTTED, 1.6),
-    "ngopt": MethodStyle("NGOpt", _BLUE, DASH_DOT_DOT),
-    "optuna_tpe": MethodStyle("Optuna TPE", _GREEN, DOTTED, 1.6),
+    "cma_es": MethodStyle("CMA-ES", BLUE, SOLID, 1.6),
+    "optuna_cmaes": MethodStyle("Optuna CMA-ES", BLUE, DASHED),
+    "differential_evolution": MethodStyle("differential evolution", BLUE, DASH_DOT),
+    "dual_annealing": MethodStyle("dual annealing", BLUE, DOTTED, 1.6),
+    "ngopt": MethodStyle("NGOpt", BLUE, DASH_DOT_DOT),
+    "optuna_tpe": MethodStyle("Optuna TPE", GREEN, DOTTED, 1.6),
     "random": MethodStyle("random search", _GREY, SHORT_DASHES),
     "least_squares": MethodStyle("least squares", _BLACK, SOLID, 1.0),
     "least_squares_lm": MethodStyle("least squares LM", _BLACK, DASHED, 1.0),
@@ -90,7 +95,7 @@ STYLES = {
 _SPARE = [
     (color, dashes)
     for dashes in (DASH_DOT, SHORT_DASHES, DASHED, DASH_DOT_DOT)
-    for color in (_PURPLE, _ORANGE, _GREEN)
+    for color in (_PURPLE, ORANGE, GREEN)
 ]
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import seaborn as sns
 
-from miho.analysis.styles import MAIN, STYLES, styles_of, with_emphasis
+from miho.analysis.styles import COLORS, MAIN, STYLES, styles_of, with_emphasis
 
 ROOT = Path(__file__).parents[2]
 
@@ -51,5 +51,5 @@ def test_only_methods_with_runs_can_be_highlighted() -> None:
 
 
 def test_the_colours_are_those_that_seaborn_calls_colorblind() -> None:
-    palette = set(sns.color_palette("colorblind").as_hex())
-    assert {STYLES[name].color for name in ("miho", "cma_es", "pso_100", "optuna_tpe")} <= palette
+    assert list(COLORS) == sns.color_palette("colorblind").as_hex()
+    assert {STYLES[name].color for name in ("miho", "cma_es", "pso_100", "optuna_tpe")} <= {*COLORS}

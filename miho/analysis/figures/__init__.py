@@ -1,1 +1,1 @@
-"""Figures as functions of tidy data. Importing one of these modules loads matplotlib, seaborn."""
+"""Figures as functions of tidy data. Importing one loads matplotlib; all but the report's, seaborn."""

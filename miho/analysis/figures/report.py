@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from miho.analysis.figures.house import WIDTH, house_style
+from miho.analysis.styles import BLUE, COLORS, RED
 
 Array = NDArray[np.float64]
 
@@ -51,20 +52,20 @@ def fit_figure(
     with house_style():
         figure = Figure(figsize=(WIDTH * 0.75, 3.0), layout="constrained")
         ax = figure.subplots()
-        blue, red = sns.color_palette("colorblind")[0], sns.color_palette("colorblind")[3]
         opacity = _opacity(len(measured.values))
-        style = {"s": 4, "color": blue, "alpha": opacity, "linewidths": 0, "rasterized": True}
+        style: dict[str, Any] = {"s": 4, "color": BLUE, "alpha": opacity}
+        style |= {"linewidths": 0, "rasterized": True}
         if x is not None and band is not None:
             ax.scatter(x.values, measured.values, label="data", **style)
             at, curve, half = band
-            ax.fill_between(at, curve - half, curve + half, color=red, alpha=0.3, linewidth=0)
-            ax.plot(at, curve, color=red, linewidth=1.5, label="fit, with the curve's interval")
+            ax.fill_between(at, curve - half, curve + half, color=RED, alpha=0.3, linewidth=0)
+            ax.plot(at, curve, color=RED, linewidth=1.5, label="fit, with the curve's interval")
             ax.set(xlabel=x.label, ylabel=measured.label)
         else:
             ax.scatter(predicted, measured.values, label="rows of data", **style)
             ends = [min(predicted.min(), measured.values.min()),
                     max(predicted.max(), measured.values.max())]  # fmt: skip
-            ax.plot(ends, ends, color=red, linewidth=1, label="prediction = measurement")
+            ax.plot(ends, ends, color=RED, linewidth=1, label="prediction = measurement")
             ax.set(xlabel=f"predicted {measured.label}", ylabel=f"measured {measured.label}")
         for handle in ax.legend(loc="best", markerscale=2).legend_handles:
             if handle is not None:
@@ -97,10 +98,9 @@ def waterfall_figure(
         figure = Figure(figsize=(WIDTH * 0.75, 2.4), layout="constrained")
         ax = figure.subplots()
         ax.plot(number, shown, color="#999999", linewidth=0.8, zorder=1)
-        blue, red = sns.color_palette("colorblind")[0], sns.color_palette("colorblind")[3]
         size = float(np.clip(900 / len(errors), 6, 24))
-        for part, label, color, filled in ((here, "ended here", blue, True),
-                                           (~here, "elsewhere", red, False)):  # fmt: skip
+        for part, label, color, filled in ((here, "ended here", BLUE, True),
+                                           (~here, "elsewhere", RED, False)):  # fmt: skip
             if part.any():
                 ax.scatter(
                     number[part], shown[part], s=size, edgecolors=[color], linewidths=0.8,
@@ -160,7 +160,7 @@ def plot_errors_over(errors: Column, column: Column, above: NDArray[np.bool_], a
     """Errors over one column as points, in two parts (N,), each with means of equally many rows."""
     opacity = _opacity(len(errors.values))
     for part, index in ((~above, 0), (above, 3)):
-        color = sns.color_palette("colorblind")[index]
+        color = COLORS[index]
         rows = np.flatnonzero(part)
         rows = rows[np.argsort(column.values[rows], kind="stable")]
         groups = [group for group in np.array_split(rows, BINS) if group.size]
@@ -187,11 +187,10 @@ def profile_figure(
         rows = -(-len(profiles) // PANELS)
         figure = Figure(figsize=(WIDTH, 1.9 * rows), layout="constrained")
         panels = np.ravel(figure.subplots(rows, PANELS, squeeze=False, sharey=True))
-        blue = sns.color_palette("colorblind")[0]
         for ax, (name, (values, tau)) in zip(panels, profiles.items(), strict=False):
             ax.axhline(-quantile, color="#888888", linewidth=0.7, linestyle="--")
             ax.axhline(quantile, color="#888888", linewidth=0.7, linestyle="--")
-            ax.plot(values, tau, color=blue, marker="o", markersize=2.5, linewidth=1.2)
+            ax.plot(values, tau, color=BLUE, marker="o", markersize=2.5, linewidth=1.2)
             ax.set(xlabel=f"{name} [{units[name]}]")
             ax.locator_params(axis="x", nbins=4)
         for ax in panels[len(profiles) :]:
