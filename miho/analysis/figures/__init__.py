@@ -1,1 +1,1 @@
-"""Figures as functions of tidy data. Importing one loads matplotlib; all but the report's, seaborn."""
+"""Figures as functions of tidy data, by matplotlib; those of comparisons load seaborn as well."""
