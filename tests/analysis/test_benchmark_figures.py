@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 
 from miho.analysis.figures.benchmark import (
+    arrival_figure,
     growth_figure,
     loss_figure,
     overhead_figure,
@@ -50,6 +51,12 @@ def test_growth_figure_is_logarithmic_in_both() -> None:
     (ax,) = growth_figure(GROWTH).axes
     assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
     assert list(ax.get_lines()[2].get_ydata()) == [0.6, 0.7]
+
+
+def test_arrival_figure_shows_medians_over_runs() -> None:
+    runs = pd.DataFrame({"rows": 3000, "method": "miho_gn", "ms": [1.0, 2.0, 6.0]})
+    (ax,) = arrival_figure(runs).axes
+    assert list(ax.get_lines()[0].get_ydata()) == [2.0]
 
 
 def test_a_frame_of_another_benchmark_is_refused() -> None:

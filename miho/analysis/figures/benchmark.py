@@ -16,6 +16,9 @@ LOSS_COLOURS = {"NumPy": ORANGE, "one thread": BLUE, "two threads": GREEN}
 GROWTH_COLOURS = {
     "fused": BLUE, "stopped": GREEN, "compressed": RED, "compressed, stopped": ORANGE,
 }  # fmt: skip
+ARRIVAL_COLOURS = {
+    "miho_gn": RED, "miho_qn": ORANGE, "least_squares": BLUE, "one look": BLACK,
+}  # fmt: skip
 BAR_HEIGHT = 0.22  # inches
 LABEL_ROOM = 2.2
 """A logarithmic axis ends this factor beyond its longest bar, so that its number fits."""
@@ -55,6 +58,20 @@ def growth_figure(frame: pd.DataFrame) -> Figure:
         ax = figure.subplots()
         _lines(frame, ax, "method", "us", GROWTH_COLOURS)
         ax.set_ylabel("time per evaluation [µs]")
+        ax.legend()
+        figure.draw_without_rendering()
+    return figure
+
+
+def arrival_figure(frame: pd.DataFrame) -> Figure:
+    """Median milliseconds to the optimum over the rows. Frame: rows, method, ms; a row per run."""
+    require_columns(frame, {"rows", "method", "ms"}, "frame")
+    with house_style():
+        figure = Figure(figsize=(WIDTH / 2, 3.0), layout="constrained")
+        ax = figure.subplots()
+        median = frame.groupby(["rows", "method"], as_index=False)["ms"].median()
+        _lines(median, ax, "method", "ms", ARRIVAL_COLOURS)
+        ax.set_ylabel("time to within 1 % of the optimum [ms]")
         ax.legend()
         figure.draw_without_rendering()
     return figure

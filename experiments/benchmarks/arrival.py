@@ -1,0 +1,66 @@
+"""Milliseconds to within 1 % of a tire's optimum, over the rows of its data.
+
+python -m experiments.benchmarks.arrival [--quick] [--output FOLDER]
+
+The methods take turns, seed by seed, compiled before; figures are medians over seeds. `one look` is
+the loss of one configuration on all rows, which a run cannot do without: it is how an arrival is
+recorded. Below the methods' lines stands how much of `miho_gn` is values of the model.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pandas as pd
+
+from experiments.app.build import build_optimizer, build_problem
+from experiments.app.compose import composed
+from experiments.app.schema import register
+from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
+from miho.analysis.figures.benchmark import arrival_figure
+from miho.optim import MIHOGN, Budget, minimize
+
+ROWS = (3000, 30_000, 300_000, 3_000_000)
+SEEDS = {3000: 20, 30_000: 20, 300_000: 10, 3_000_000: 5}
+METHODS = ("miho_gn", "miho_qn", "least_squares")
+LOOK = "one look"
+
+
+def measure(quick: bool) -> Measured:
+    """Milliseconds of a run that ends at 1.01 times the optimum, by method and rows."""
+    register()
+    methods = {name: build_optimizer(composed([f"optimizer={name}"])) for name in METHODS}
+    tidy = []
+    for rows in ROWS[:2] if quick else ROWS:
+        problem = build_problem(composed(["dataset=tire_lf", f"dataset.n={rows}"]))
+        optimum = minimize(MIHOGN(), problem, Budget(evaluations=10_000))
+        if optimum.theta is None:
+            raise RuntimeError("the search for the optimum found nothing")
+        budget = Budget(evaluations=40_000, target=1.01**2 * optimum.loss)
+        at = optimum.theta[None]
+        look = interleaved({LOOK: partial(problem.loss, at)}, 10)[LOOK]
+        tidy.append({"rows": rows, "method": LOOK, "seed": 0, "ms": 1e3 * look, "evaluations": 1.0})
+        for seed in range(SEEDS[rows] // (4 if quick else 1)):
+            for name, method in methods.items():
+                run = minimize(method, problem, budget, seed)
+                arrived = run.loss <= budget.target
+                tidy.append(
+                    {"rows": rows, "method": name, "seed": seed, "evaluations": run.evaluations,
+                     "ms": 1e3 * run.seconds if arrived else np.inf}
+                )  # fmt: skip
+    frame = pd.DataFrame(tidy)
+    median = frame.groupby(["rows", "method"])[["ms", "evaluations"]].median().unstack("method")
+    ms, evaluations = median["ms"], median["evaluations"]
+    table = ms[[LOOK, *METHODS]].add_suffix(" [ms]")
+    table["miho_gn: evaluations"] = evaluations["miho_gn"]
+    table["of its time, model values [%]"] = 100 * ms[LOOK] * evaluations["miho_gn"] / ms["miho_gn"]
+    bars = [Bar("miho_gn at 3,000 rows", ms.loc[3000, "miho_gn"], AT_MOST, 3.0, "ms")]
+    if not quick:
+        times = ms.loc[3_000_000, "miho_gn"] / ms.loc[30_000, "miho_gn"]
+        bars.append(Bar("miho_gn, 3,000,000 rows against 30,000", times, AT_MOST, 6.0, "times"))
+    return Measured(table.reset_index(), frame, bars)
+
+
+if __name__ == "__main__":
+    benchmark(__doc__, measure, arrival_figure, "arrival")
