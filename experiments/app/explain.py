@@ -99,6 +99,11 @@ def explained(error: Exception, overrides: Sequence[Override], loader: ConfigLoa
         values = [o.value() for o in overrides if o.key_or_group == cause.full_key]
         if expected and values:
             return f"{cause.full_key}: is {values[-1]!r}; expected {expected}"
+    added = [o.key_or_group for o in overrides if o.is_add() and o.key_or_group[:6] == "space."]
+    if isinstance(cause, ValidationError) and added:
+        name = added[0].split(".")[1]
+        whole = f"'space={{{name}: {{unit: ..., low: ..., high: ...}}, ...}}'"
+        return f"{added[0]}: a parameter cannot be added alone; write the whole space, {whole}"
     message = one_line(error)
     if isinstance(cause, OmegaConfBaseException):
         message += f": {one_line(cause)}"

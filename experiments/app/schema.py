@@ -160,7 +160,7 @@ class Config:
 
     model: dict[str, Any] = MISSING
     dataset: dict[str, Any] = MISSING
-    space: dict[str, ParameterConfig] = MISSING
+    space: dict[str, ParameterConfig] = field(default_factory=dict)
     loss: dict[str, Any] = MISSING
     problem: ProblemConfig = field(default_factory=ProblemConfig)
     optimizer: dict[str, Any] = MISSING
