@@ -17,7 +17,7 @@ from miho.validate import one_of, positive, whole
 
 RESTARTS = ("ipop", "bipop")
 LEVEL = 1e3
-"""Of the first loss: the library's 1e-12 is then 1e-15 of it, just above its rounding."""
+"""The first loss is scaled to this: the library's 1e-12 is then 1e-15 of it, above its rounding."""
 
 
 @dataclass
@@ -98,7 +98,7 @@ class CMAES(AskTell[CMAESState]):
         state.strategy = strategy
 
     def done(self, state: CMAESState) -> bool:
-        """Never."""
+        """False: only the budget ends it."""
         return False
 
     def _strategy(self, mean: Array, sigma: float, population: int | None) -> cmaes.CMA:
@@ -112,7 +112,7 @@ class CMAES(AskTell[CMAESState]):
         )
 
     def _restart(self, state: CMAESState) -> cmaes.CMA:
-        """A fresh strategy, large or small by what either kind has spent."""
+        """A new strategy, of the kind, large or small, that has spent less so far."""
         d, rng = len(state.space), state.rng
         default = 4 + math.floor(3 * math.log(d))
         if state.is_large:

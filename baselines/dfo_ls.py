@@ -64,7 +64,7 @@ class DFOLS(Optimizer):
         def solve(theta: Array) -> bool:
             with _quiet(rng):
                 solution = dfols.solve(
-                    _Scaled(oracle, box),
+                    _ScaledResiduals(oracle, box),
                     box.x(theta),
                     bounds=(np.zeros(d), np.ones(d)),
                     rhobeg=self.radius,
@@ -77,8 +77,8 @@ class DFOLS(Optimizer):
         multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
 
 
-class _Scaled:
-    """Residuals (m,) over the unit cube in no unit, usable everywhere but at the first look."""
+class _ScaledResiduals:
+    """Scaled residuals (m,) over the unit cube, finite everywhere if they are at the first look."""
 
     def __init__(self, oracle: Oracle, box: UnitBox) -> None:
         self._oracle = oracle

@@ -23,7 +23,7 @@ except ModuleNotFoundError as error:
     ) from error
 
 LEVEL = 1e3
-"""Of the first loss: the CMA-ES among its methods then restarts at differences of 1e-14 of it."""
+"""The first loss is scaled to this: the CMA-ES among its methods restarts at 1e-14 of it."""
 
 
 def _number(value: object) -> float:
@@ -73,9 +73,9 @@ class NGOpt(Optimizer):
                     method.tell(candidate, float(losses(candidate.value[None])[0]))
                 start = losses.fresh(1, rng)[0]
 
-    def _planned(self, left: float) -> int:
-        """How many evaluations to plan for when the run has this many left."""
-        evaluations = left if self.plan is None else min(self.plan, left)
+    def _planned(self, remaining: float) -> int:
+        """How many evaluations to plan for in a run with so many remaining."""
+        evaluations = remaining if self.plan is None else min(self.plan, remaining)
         if math.isinf(evaluations):
             raise ValueError(
                 "plan is None in a run without a limit of evaluations; "
@@ -87,12 +87,12 @@ class NGOpt(Optimizer):
 @contextlib.contextmanager
 def _global_generator(seed: int) -> Iterator[None]:
     """Seed NumPy's global generator, which some of the methods draw from, and put it back after."""
-    before = np.random.get_state()  # noqa: NPY002
+    state = np.random.get_state()  # noqa: NPY002
     np.random.seed(seed)  # noqa: NPY002
     try:
         yield
     finally:
-        np.random.set_state(before)  # noqa: NPY002
+        np.random.set_state(state)  # noqa: NPY002
 
 
 @contextlib.contextmanager

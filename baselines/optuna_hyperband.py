@@ -18,6 +18,7 @@ optuna.logging.set_verbosity(optuna.logging.WARNING)
 
 
 DRAWN_AT_ONCE = 1000
+"""Initial configurations of one draw."""
 
 
 @dataclass(frozen=True)
@@ -81,12 +82,12 @@ class OptunaHyperband(Optimizer):
 def _climbed(
     P: Array, L: float, sigma: Array, oracle: Oracle, rng: np.random.Generator
 ) -> tuple[Array, float]:
-    """P (1, d) and its loss after a mutation for each row of sigma (k, d); compiled if possible."""
+    """P (1, d) and its loss after one mutation for each row of sigma (k, d)."""
     space, climb = oracle.space, climb_of(oracle)
     if climb is not None:
         return _climbed_at_once(climb, P, L, sigma, oracle, rng)
-    for each in sigma:
-        mutant = mutate(P, each, space, rng, "box")
+    for step_sigma in sigma:
+        mutant = mutate(P, step_sigma, space, rng, "box")
         loss = float(oracle(space.decode(mutant))[0])
         if loss < L:
             P, L = mutant, loss
@@ -96,6 +97,7 @@ def _climbed(
 def _climbed_at_once(
     climb: Climb, P: Array, L: float, sigma: Array, oracle: Oracle, rng: np.random.Generator
 ) -> tuple[Array, float]:
+    """`_climbed` in compiled blocks."""
     space, k = oracle.space, 0
     P, losses = P.copy(), np.array([L])
 

@@ -1,4 +1,4 @@
-"""What a package passes on, imported at its first use: a package is a table of contents."""
+"""Lazy imports: the names that a package passes on are imported at their first use."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What all rooms share: arrays of numbers, and gravity."""
+"""What all packages share: the types of arrays, and gravity."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 
 g = 9.80665
 """Standard acceleration of gravity [m/s^2]."""

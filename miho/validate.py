@@ -1,4 +1,4 @@
-"""Sentences for settings that cannot be used: which field, which value, what was expected."""
+"""Checks of settings; their errors name the field, the value and what was expected."""
 
 from __future__ import annotations
 

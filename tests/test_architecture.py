@@ -49,7 +49,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     ),
     "miho.analysis": ({"miho.analysis", "miho.study"}, NUMERICS | TABLES),
     "miho.methods": ({"miho.methods", "miho.optim"}, NUMERICS),
-    "miho.testing": ({"miho.optim", "miho.models"}, NUMERICS),
+    "miho.testing": ({"miho.testing", "miho.optim", "miho.models"}, NUMERICS),
     "baselines": (
         {"baselines", "miho.compiled", "miho.methods", "miho.optim"},
         NUMERICS | {"optuna", "cmaes", "nevergrad", "dehb", "dfols", "loguru"},

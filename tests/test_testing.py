@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-import miho.testing
 from miho import AskTell, Budget, Optimizer, Oracle, Space, minimize
 from miho.models import Model, Pacejka
 from miho.testing import (
@@ -77,7 +76,7 @@ class Boasts(Optimizer):
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         losses = oracle(oracle.space.decode(oracle.space.initial(10)))
-        oracle.ended(float(losses[0]), 0.9 * float(losses.min()))
+        oracle.record_descent(float(losses[0]), 0.9 * float(losses.min()))
 
 
 @dataclass(frozen=True)
@@ -162,14 +161,14 @@ def test_a_method_that_asks_for_nothing_is_ended(
     monkeypatch: pytest.MonkeyPatch, asks: int, check: str
 ) -> None:
     """Directly, and in a run whose warm-up and whose failures are caught."""
-    monkeypatch.setattr(miho.testing, "PATIENCE", 0.2)
+    monkeypatch.setattr("miho.testing.patience.PATIENCE", 0.2)
     with pytest.raises(ConformanceError, match=f"{check}: NoEvaluation: it (computed|waited) for"):
         run_check(check, Silent(asks), {})
     assert signal.getitimer(signal.ITIMER_VIRTUAL) == (0.0, 0.0)
 
 
 def test_a_method_that_only_waits_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(miho.testing, "PATIENCE", 0.2)
+    monkeypatch.setattr("miho.testing.patience.PATIENCE", 0.2)
     with pytest.raises(ConformanceError, match="NoEvaluation: it waited for"):
         run_check("keeps_the_budget_exactly", Waits(), {})
     assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
@@ -178,12 +177,12 @@ def test_a_method_that_only_waits_is_ended(monkeypatch: pytest.MonkeyPatch) -> N
 def test_where_a_method_raises_is_said() -> None:
     lines = Path(__file__).read_text(encoding="utf-8").splitlines()
     (line,) = (i for i, text in enumerate(lines, 1) if text.endswith("# the line of the mistake"))
-    said = f"LinAlgError: Singular matrix (test_testing.py:{line})"
-    with pytest.raises(ConformanceError, match=re.escape(f"keeps_the_budget_exactly: {said}")):
+    message = f"LinAlgError: Singular matrix (test_testing.py:{line})"
+    with pytest.raises(ConformanceError, match=re.escape(f"keeps_the_budget_exactly: {message}")):
         check_optimizer(Raises())
     record = minimize(Raises(), DecayFit(), Budget(evaluations=10))
     assert record.error is not None
-    assert record.error.splitlines()[-1] == f"numpy.linalg.{said}"
+    assert record.error.splitlines()[-1] == f"numpy.linalg.{message}"
 
 
 def test_a_method_outside_of_the_box_is_counted() -> None:

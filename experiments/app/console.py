@@ -40,7 +40,7 @@ from experiments.app.safety import HydraSettingError, ReceivedError, check_argum
 from experiments.app.signals import Stopped, name_of, stopping_signal
 from miho.data import CSVError, DataUnavailableError
 from miho.models import TirError
-from miho.optim.oracle import UNSENT
+from miho.optim.meter import SPURIOUS_INTERRUPT
 from miho.regular_file import NotAFileError
 from miho.study import DamagedRun
 from miho.study.changes import ResumeRefused
@@ -162,7 +162,9 @@ def guarded(job: Callable[[], int | None]) -> NoReturn:
         except KeyboardInterrupt as error:
             number = error.number if isinstance(error, Stopped) else arrived()
             if number is None:
-                code = _say(RuntimeError(f"{_place(error)}: raises {UNSENT}"), SOME_FAILED)
+                code = _say(
+                    RuntimeError(f"{_place(error)}: raises {SPURIOUS_INTERRUPT}"), SOME_FAILED
+                )
             else:
                 print(f"interrupted by {name_of(number)}", file=sys.stderr)
                 code = BY_SIGNAL + number

@@ -64,9 +64,9 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
             bar.n, left = spent(budget, oracle.evaluations, oracle.meter.seconds)
             error = math.sqrt(max(0.0, oracle.best))
             most = f", at most {left:.0f} s left" if math.isfinite(left) else ""
-            agreed = oracle.agreement
-            kind = "brackets" if oracle.meter.starts.brackets else "descents"
-            agreeing = f", {agreed.here} of {agreed.finished} {kind} agree" * bool(agreed.finished)
+            agreement = oracle.agreement
+            n, kind = agreement.finished, "brackets" if oracle.meter.starts.brackets else "descents"
+            agreeing = f", {agreement.agreeing} of {n} {kind} agree" if n else ""
             bar.set_description_str(
                 f"{title}: {error:.5g} {unit}{agreeing}, {oracle.evaluations:,.0f} evaluations, "
                 f"{oracle.meter.seconds:.1f} s{most}"

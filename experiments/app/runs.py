@@ -27,8 +27,8 @@ from experiments.app.plan import MODULES, POLL, Request, dataset_of, experiment_
 from experiments.app.schema import SweepConfig
 from experiments.app.signals import Stopped, stopping
 from miho.identification import CurveFit
+from miho.optim.meter import SPURIOUS_INTERRUPT
 from miho.optim.minimize import warm_up
-from miho.optim.oracle import UNSENT
 from miho.study import Execution, Status, Store, StoredRun, environment_stamp, single_thread
 from miho.study.changes import refuse_changes
 from miho.study.files import RESULT
@@ -267,7 +267,7 @@ def ended_state(ended: Ended[Request, State | None]) -> State:
     if ended.result is not None:
         if interrupted or ended.result.status is not Status.INTERRUPTED:
             return replace(ended.result, request=request)
-        reason = UNSENT
+        reason = SPURIOUS_INTERRUPT
     reason = redacted(reason or "no answer")
     status, identity = Status.INTERRUPTED if interrupted else Status.LOST, request.identity
     if ended.result is None:  # else it has kept its curve

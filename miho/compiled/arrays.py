@@ -1,4 +1,4 @@
-"""What compiled code needs of arrays: tuples of rows and columns, copies, a sum of squares."""
+"""Arrays in compiled code: tuples of rows and columns, copies, a sum of squares."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ CAUSES = (
 
 
 class Callee:
-    """A compiled function to be passed to compiled code, with its type worked out once.
+    """A compiled function to be passed to compiled code, with its numba type worked out once.
 
-    numba does so at each call, in 15 us: as long as a step on a hundred rows takes.
+    numba works it out at each call, in 15 us: as long as a step on a hundred rows takes.
     """
 
     def __init__(self, function: Any) -> None:
@@ -62,7 +62,7 @@ def as_tuple(theta: Array, d: int) -> tuple[float, ...]:
 def store_columns(values: Any, out: Any) -> None:
     """Put columns, or numbers for a whole column, into the first ones of `out` (d, .)."""
     for k, value in enumerate(values):
-        put(value, out[k])
+        assign(value, out[k])
 
 
 @overload(store_columns)
@@ -71,7 +71,7 @@ def _unrolled_columns(values: Any, out: Any) -> Callable[..., None]:
 
     def store(values: Any, out: Any) -> None:
         store_columns(values[:last], out)
-        put(values[last], out[last])
+        assign(values[last], out[last])
 
     def nothing(values: Any, out: Any) -> None:
         pass
@@ -79,26 +79,26 @@ def _unrolled_columns(values: Any, out: Any) -> Callable[..., None]:
     return nothing if last < 0 else store
 
 
-def put(values: Any, to: Any) -> None:
-    """Copy values (n,), or the same one n times."""
-    to[:] = values
+def assign(values: Any, out: Any) -> None:
+    """Copy values (n,) or (1,), or one number, into out (n,)."""
+    out[:] = values
 
 
-@overload(put)
-def _put_compiled(values: Any, to: Any) -> Callable[..., None]:
-    """Element by element: numba's own copy takes seconds to compile, for what it says of shapes."""
+@overload(assign)
+def _assign_compiled(values: Any, out: Any) -> Callable[..., None]:
+    """Element by element: numba's own copy takes seconds to compile, for its checks of shapes."""
 
-    def each(values: Any, to: Any) -> None:
-        if values.size != to.size and values.size != 1:
+    def from_array(values: Any, out: Any) -> None:
+        if values.size != out.size and values.size != 1:
             raise ValueError("as many values are needed as there are rows")
-        for i in range(to.size):
-            to[i] = values[i if values.size > 1 else 0]
+        for i in range(out.size):
+            out[i] = values[i if values.size > 1 else 0]
 
-    def same(values: Any, to: Any) -> None:
-        for i in range(to.size):
-            to[i] = values
+    def from_number(values: Any, out: Any) -> None:
+        for i in range(out.size):
+            out[i] = values
 
-    return each if isinstance(values, types.Array) else same
+    return from_array if isinstance(values, types.Array) else from_number
 
 
 def store_row(values: Any, out: Array, row: int) -> None:
@@ -109,7 +109,7 @@ def store_row(values: Any, out: Array, row: int) -> None:
 
 @overload(store_row)
 def _unrolled(values: Any, out: Array, row: int) -> Callable[..., None]:
-    """One value after the other, known to the compiler, so that it can do many rows at once."""
+    """Unrolled, value by value: the compiler can then work on many rows at once."""
     last = len(values) - 1
 
     def store(values: Any, out: Array, row: int) -> None:
@@ -123,14 +123,17 @@ def _unrolled(values: Any, out: Array, row: int) -> Callable[..., None]:
 
 
 @register_jitable
-def _add(to: Array, what: Array) -> None:
-    for i in range(what.size):
-        to[i] += what[i]
+def _add(total: Array, terms: Array) -> None:
+    for i in range(terms.size):
+        total[i] += terms[i]
 
 
 @register_jitable
 def sum_of_squares(r: Array) -> float:
-    """The sum of r^2, in pairs from both halves, which the processor adds side by side."""
+    """The sum of r^2: the second half is added to the first until few are left. Overwrites r.
+
+    The processor adds the halves side by side, and the order of the sum does not depend on it.
+    """
     r *= r
     n = r.size
     while n > 8:
@@ -143,19 +146,19 @@ def sum_of_squares(r: Array) -> float:
     return total
 
 
-def columns_of(p: int) -> Any:
+def columns_getter(p: int) -> Any:
     """(X, i, j) -> rows i to j of columns (p, N) as a tuple: compiled code needs its length."""
     k = p - 1
     if not k:
         return register_jitable(lambda X, i, j: (X[k, i:j],))
-    before = columns_of(k)
-    return register_jitable(lambda X, i, j: (*before(X, i, j), X[k, i:j]))
+    first_columns = columns_getter(k)
+    return register_jitable(lambda X, i, j: (*first_columns(X, i, j), X[k, i:j]))
 
 
-def inputs_of(p: int) -> Any:
-    """(columns, row) -> one row of p columns as a tuple, likewise."""
+def row_getter(p: int) -> Any:
+    """(columns, row) -> one row of p columns as a tuple."""
     k = p - 1
     if not k:
         return register_jitable(lambda columns, row: (columns[k][row],))
-    before = inputs_of(k)
-    return register_jitable(lambda columns, row: (*before(columns, row), columns[k][row]))
+    first_inputs = row_getter(k)
+    return register_jitable(lambda columns, row: (*first_inputs(columns, row), columns[k][row]))

@@ -16,18 +16,20 @@ from miho.compiled.kernel import INFINITE, NAN, Block, Climb, Steps
 from miho.quantities import Array
 
 WORTH_THREADS = 1
-"""Steps after the first that a block must have to be shared out."""
+"""A block with at least so many steps after the first is shared out among threads."""
 
 
 def compiled_climb(
     loss: Callable[..., float], signature: str, *, allocates: bool = True
 ) -> Callable[..., tuple[int, int, int, int]]:
-    """The compiled loop around `loss(theta, limit, data, scratch)`, which numba can compile.
+    """The compiled loop of mutation steps around `loss(theta, limit, data, scratch)`.
 
-    `loss` may return any number that is not below `limit` as soon as it knows that the loss is not.
-    `signature` tells this loss from all others: numba and its linker know the loop by its name.
-    One that `allocates` no arrays goes without the counting of references to them, a quarter of the
-    time of a loss of a microsecond.
+    `loss` is a function that numba can compile; it may return any number that is not below `limit`
+    once it knows that the loss is not. `signature` tells this loss from all others: numba and its
+    linker know the loop by its name. One that allocates no arrays (`allocates` false) goes without
+    reference counting, which takes a quarter of the time of a loss of a microsecond. The loop gives
+    (steps made, improvements, losses that are NaN, and infinite), and fills `at`, `losses` and
+    `thetas` with the improvements, as in `Block`.
     """
 
     def climb(
@@ -52,18 +54,21 @@ def compiled_climb(
         improvements = nans = infinities = evaluations = 0
         for k in range(noise.shape[0] + 1):
             for i in range(n):
+                # Mutate row i of P (Eq. 2); the mutants of the first step are given.
                 for j in range(d):
                     if k == 0:
                         mutant[j] = first[i, j]
                     else:
-                        moved = noise[k - 1, i, j] * sigma[k - 1, j] + P[i, j]
-                        mutant[j] = min(max(moved, low[j]), high[j])
+                        mutated = noise[k - 1, i, j] * sigma[k - 1, j] + P[i, j]
+                        mutant[j] = min(max(mutated, low[j]), high[j])
+                # A mutant that is better than its parent replaces it.
                 value = loss(mutant, L[i] if early_stopping else np.inf, data, scratch)
                 evaluations += 1
                 if value < L[i]:
                     for j in range(d):
                         P[i, j] = mutant[j]
                     L[i] = value
+                    # List it if it is better than all before.
                     if value < best:
                         best = value
                         at[improvements] = evaluations
@@ -90,12 +95,11 @@ def climb_on(
     room: Callable[[], Any],
     threads: int = 1,
 ) -> Climb:
-    """The compiled loop on one problem's data, its rows shared out among threads.
+    """The compiled loop on one problem's data, with the rows of P shared out among threads.
 
-    `room` makes the arrays that a thread works in.
-
-    A row climbs by itself, so that the result is the same however many there are. A run with a
-    target has one: where it ends, all rows must.
+    `room` makes the arrays that a thread works in. Rows do not depend on each other, so that the
+    result is the same however many threads there are. A run with a target has only one, since all
+    rows end with the step that reaches it.
     """
     pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
@@ -104,12 +108,12 @@ def climb_on(
         most = (len(steps.noise) + 1) * n
         at, losses, thetas = np.empty(most, np.int64), np.empty(most), np.empty((most, d))
         *arrays, bounds, early_stopping = steps
-        taken, improvements, nans, infinities = compiled(
+        count, improvements, nans, infinities = compiled(
             data, room(), np.empty(d), *arrays, *bounds, best, target, early_stopping,
             at, losses, thetas,
         )  # fmt: skip
         return Block(
-            taken * n,
+            count * n,
             at[:improvements].astype(float),
             losses[:improvements],
             thetas[:improvements],
@@ -127,7 +131,7 @@ def climb_on(
             return climb_rows(steps._replace(first=first, P=P, L=L, noise=noise), best, target)
 
         parts = equal_parts(n, threads)
-        return _together(list(pool.map(part, parts)), parts, best)
+        return _merged(list(pool.map(part, parts)), parts, best)
 
     return climb
 
@@ -137,8 +141,8 @@ def equal_parts(n: int, count: int) -> list[slice]:
     return [slice(i, j) for i, j in pairwise(np.linspace(0, n, count + 1).astype(int).tolist())]
 
 
-def _together(blocks: list[Block], parts: list[slice], best: float) -> Block:
-    """What the parts of the rows did, with improvements in the order of a loop over all rows."""
+def _merged(blocks: list[Block], parts: list[slice], best: float) -> Block:
+    """The parts' blocks as one, with improvements in the order of a loop over all rows."""
     n = parts[-1].stop
     numbers = []
     for block, rows in zip(blocks, parts, strict=True):

@@ -33,17 +33,17 @@ from miho.compiled.panel_sums import (
     scratch_for,
 )
 from miho.compiled.panels import panels
-from miho.compiled.signature import Signed, signed, signed_formulas
+from miho.compiled.signature import Signed, signed_formulas, signing
 from miho.quantities import Array
 
 TRUNCATION = 0.15
-"""Share of the tolerance that E is of the root of L: 0.7 of it, two times WITHIN."""
+"""E as a share of the tolerance times the root of the loss: 2 WITHIN times this is 0.7 of that."""
 ROUGH = 3
 """E in units of the scatter for a first sum, which tells how large the loss is."""
 SCATTER = 0.5
-"""Part of the leaves' scatter that a loss is expected to have at least."""
+"""A loss is expected to have at least this share of the scatter that is left on the leaves."""
 SHARE = 100
-"""Candidates that are worth a thread of their own."""
+"""A batch of so many candidates is worth a further thread."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,16 +92,18 @@ class CompressedLoss:
         return self.counted(thetas, np.full(len(thetas), np.inf))[0]
 
     def counted(self, thetas: Array, limits: Array) -> tuple[Array, NDArray[np.int64]]:
-        """Losses (n,) of rows (n, d), given up once known not to be below limits (n,).
+        """Losses (n,) of rows (n, d), and how often each evaluated the model (n,).
 
-        Besides, how often each evaluated the model (n,).
+        A loss is given up, and any number not below it given, once it is known not to be below its
+        limit, `limits` (n,).
         """
         losses, counts = np.empty(len(thetas)), np.empty(len(thetas), np.int64)
         thetas, limits = read_only(thetas), read_only(limits)
 
         def part(rows: slice) -> None:
-            given, out = (thetas[rows], limits[rows]), (losses[rows], counts[rows])
-            self._compiled.losses(*given, self._data, self._room(), *out)
+            self._compiled.losses(
+                thetas[rows], limits[rows], self._data, self._room(), losses[rows], counts[rows]
+            )
 
         parts = min(self.threads, len(thetas) // SHARE)
         if parts <= 1:
@@ -131,18 +133,20 @@ class _Compiled:
 
 @cache
 def _compile(formulas: Signed, d: int) -> _Compiled:
-    named = signed(formulas.signature)
+    sign = signing(formulas.signature)
     value, bound = map(register_jitable, formulas.copies())
-    over_panels, beaten = panel_sums(value, bound, named)
+    over_panels, beaten = panel_sums(value, bound, sign)
 
     @register_jitable(error_model="numpy", forceinline=True)
-    @named
+    @sign
     def counted(theta: Array, limit: float, data: _Data, scratch: Scratch) -> tuple[float, int]:
         """The loss, or a number not below `limit` once it is known not to be, and model values."""
+        # Coarse sums show whether it is beaten.
         parameters, terms, scatter = as_tuple(theta, d), data.terms, data.scatter
-        given_up, count = beaten(parameters, limit, scratch, terms)
-        if given_up:
+        is_beaten, count = beaten(parameters, limit, scratch, terms)
+        if is_beaten:
             return limit, count
+        # A rough sum tells the size of the loss, and so how accurate the next has to be.
         if data.goal > -np.inf:
             rough = ROUGH * scatter
             square, more = over_panels(parameters, math.log(rough), np.inf, scratch, terms)
@@ -153,17 +157,18 @@ def _compile(formulas: Signed, d: int) -> _Compiled:
             count += more
             if square >= min(limit, scatter**2):
                 return square, count
+        # Below the scatter only a sum over all points is accurate.
         square, more = over_panels(parameters, -np.inf, limit, scratch, terms)
         return square, count + more
 
     @register_jitable(error_model="numpy", forceinline=True)
-    @named
+    @sign
     def loss(theta: Array, limit: float, data: _Data, scratch: Scratch) -> float:
         square: float = counted(theta, limit, data, scratch)[0]
         return square
 
     @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
-    @named
+    @sign
     def losses(
         thetas: Array, limits: Array, data: _Data, scratch: Scratch, out: Array,
         counts: NDArray[np.int64],

@@ -1,7 +1,8 @@
 """Compiled forms of a curve fit, each used only where it gives what NumPy gives.
 
-It need not: an expression that is not element by element takes a block for the column, a function
-may have another form for compiled code, and a cache on disk may serve what was edited since.
+Three causes why it might not: an expression that is not element by element gives another value for
+a block than for the whole column; a function may have another form for compiled code; and numba's
+cache on disk may hold code that was edited since.
 """
 
 from __future__ import annotations
@@ -24,16 +25,16 @@ from miho.compiled.kernel import Climb, Formulas, Rows
 from miho.quantities import Array
 
 Values = Callable[[Array], Array]
-"""Of one configuration (d,)."""
+"""(theta (d,)) -> losses, residuals or derivatives (..., rows) at one configuration."""
 
 COMPARED = 1000
 """Rows on which compiled values are compared with NumPy's."""
 CLOSE = 1e-9
-"""Of the largest value: elementary functions that differ by a few roundings may be in large terms
-that cancel."""
+"""Values may differ by this share of the largest: elementary functions differ by a few roundings,
+and may be in large terms that cancel."""
 MOVED, ROUNDINGS = 4 * float(np.finfo(float).eps), 100.0
-"""Where more cancels than that: values that a parameter moves by its last bits, by so much of the
-parameter, may differ by so many times that."""
+"""Where terms cancel more than that, the conditioning says how far rounding goes: values may differ
+by ROUNDINGS times what they change when a parameter changes by the share MOVED, its last bits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +56,7 @@ class FitKernel:
 
     @cached_property
     def few_nodes(self) -> CompressedLoss | None:
-        """The loss from few nodes, if it is wanted and the model allows it."""
+        """The compressed loss, if it is switched on and the model allows it."""
         if not self.compressed or len(self.X) != 1 or self.model.bound is None:
             return None
         return CompressedLoss(self.model, self.X[0], self.y, threads=self.threads)
@@ -93,56 +94,55 @@ class FitKernel:
         return FusedLoss(self.model, self.X, self.y, self.order, self.threads)
 
     def _agrees(self, kind: str) -> bool:
-        if kind not in self._differences:
-            some = self.order[:COMPARED]
-            part = FusedLoss(self.model, self.X[:, some], self.y[some], np.arange(some.size))
-            self._differences[kind] = difference(part, kind, self.thetas)
-            if self._differences[kind]:
+        if kind not in self._disagreements:
+            rows = self.order[:COMPARED]
+            part = FusedLoss(self.model, self.X[:, rows], self.y[rows], np.arange(rows.size))
+            self._disagreements[kind] = reason = disagreement(part, kind, self.thetas)
+            if reason:
                 warnings.warn(
-                    f"{self.name}: {kind}: {self._differences[kind]}; NumPy's are used, which are "
+                    f"{self.name}: {kind}: {reason}; NumPy's are used, which are "
                     "slower: write it element by element with NumPy's functions of numbers, or "
                     "derive from Model",
                     UserWarning,
                     stacklevel=4,
                 )
-        return not self._differences[kind]
+        return not self._disagreements[kind]
 
     @cached_property
-    def _differences(self) -> dict[str, str]:
-        """What is known of compiled values that are not NumPy's, by kind; empty where they are."""
+    def _disagreements(self) -> dict[str, str]:
+        """Where compiled values of each kind compared so far are not NumPy's, "" where they are."""
         return {}
 
 
-def difference(loss: FusedLoss, kind: str, thetas: Array) -> str:
-    """Where compiled losses, residuals, derivatives or rows are not NumPy's; empty if they are.
+def disagreement(loss: FusedLoss, kind: str, thetas: Array) -> str:
+    """Where compiled values of a kind (see KINDS) are not NumPy's, or why there are none; else "".
 
-    Compared at configurations (n, d), where NumPy's values are finite; what cannot be compiled is
-    said likewise.
+    Compared at configurations (n, d), wherever NumPy's values are finite.
     """
     compiled, by_numpy = KINDS[kind](loss)
-    with np.errstate(invalid="ignore", over="ignore"):  # of values that count for nothing here
+    with np.errstate(invalid="ignore", over="ignore"):  # of values that are not compared
         for theta in thetas:
             expected = by_numpy(theta)
             try:
-                given = compiled(theta)
+                values = compiled(theta)
             except NumbaError as error:
                 return f"cannot be compiled: {cause(error)}"
-            close = np.abs(given - expected) <= _tolerance(by_numpy, theta)
+            close = np.abs(values - expected) <= _tolerance(by_numpy, theta)
             wrong = np.isfinite(expected) & ~close
             if wrong.any():
                 at = tuple(np.argwhere(wrong)[0])
-                return f"compiled {given[at]:.9g} where NumPy gives {expected[at]:.9g}, at {theta}"
+                return f"compiled {values[at]:.9g} where NumPy gives {expected[at]:.9g}, at {theta}"
     return ""
 
 
 def _tolerance(values: Values, theta: Array) -> Array:
     """How far rounding may move values, (..., 1): one number for each column of rows."""
-    here = values(theta)
-    tolerance = CLOSE * _largest(here)
+    unmoved = values(theta)
+    tolerance = CLOSE * _largest(unmoved)
     for k in np.flatnonzero(theta):
         moved = theta.copy()
         moved[k] *= 1 + MOVED
-        tolerance = np.maximum(tolerance, ROUNDINGS * _largest(values(moved) - here))
+        tolerance = np.maximum(tolerance, ROUNDINGS * _largest(values(moved) - unmoved))
     return tolerance
 
 
@@ -157,7 +157,7 @@ def _mean_square(values: Array) -> Array:
 
 
 def _losses(loss: FusedLoss) -> tuple[Values, Values]:
-    """With the mean square of the model beside it: a loss may be the small rest of that."""
+    """Losses, with the mean square of the model for scale: a much smaller loss may be rounding."""
     model, X, y = loss.model, loss.X, loss.y
 
     def by_numpy(theta: Array) -> Array:
@@ -168,14 +168,17 @@ def _losses(loss: FusedLoss) -> tuple[Values, Values]:
 
 
 def _residuals(loss: FusedLoss) -> tuple[Values, Values]:
+    """Residuals, compiled and by NumPy."""
     return loss.residuals, lambda theta: loss.model.predict(theta[None], *loss.X)[0] - loss.y
 
 
 def _jacobian(loss: FusedLoss) -> tuple[Values, Values]:
+    """Derivatives of the residuals, compiled and by NumPy, (d, N)."""
     return lambda theta: loss.jacobian(theta).T, lambda theta: loss.model.jacobian(theta, *loss.X).T
 
 
 def _rows(loss: FusedLoss) -> tuple[Values, Values]:
+    """Residuals and their derivatives row by row, compiled and by NumPy, (d + 1, N)."""
     model, order = loss.model, loss.order
     X, y = loss.X[:, order], loss.y[order]
 

@@ -1,4 +1,4 @@
-"""The loss of a model written as an expression, compiled: data in, one number out, one pass.
+"""The mean square of a model written as an expression, compiled: one pass over the data.
 
 The rows of the data go through the expression in blocks of 512, whose temporaries stay in the
 first-level cache. The mean square is summed in a fixed order, so that a loss is the same bits
@@ -25,11 +25,11 @@ import miho.compiled.polynomials  # noqa: F401 -- registers the elementary funct
 from miho.compiled.arrays import (
     Callee,
     as_tuple,
+    assign,
     cause,
-    columns_of,
-    inputs_of,
-    put,
+    columns_getter,
     read_only,
+    row_getter,
     store_columns,
     store_row,
     sum_of_squares,
@@ -38,18 +38,18 @@ from miho.compiled.climb import climb_on, compiled_climb, equal_parts
 from miho.compiled.kernel import Climb, Formula, Formulas, Rows
 from miho.compiled.panel_sums import Sign, panel_sums, panel_terms, scratch_for
 from miho.compiled.panels import panels
-from miho.compiled.signature import Signed, signed, signed_formulas
+from miho.compiled.signature import Signed, signed_formulas, signing
 from miho.quantities import Array
 
 BLOCK = 512
-"""Rows at a time: a handful of temporaries of 4 KiB."""
+"""Rows at a time: temporaries of 4 KiB each."""
 SHARE = 50_000
-"""Model values that are worth a thread of their own."""
+"""A batch of so many model values is worth a further thread."""
 FIRST_BLOCK = 64
-"""Rows before the first look whether a candidate is beaten; doubles up to BLOCK. Where panels come
-before rows, there is nothing to win by an early look."""
+"""Rows before the first test whether a candidate is beaten; then twice as many each, up to BLOCK.
+Where panels are tested first, an early test on rows gains nothing."""
 WORTH_PANELS = 1000
-"""Rows from which sums over panels tell sooner than the rows that a candidate is beaten."""
+"""From so many rows on, sums over panels show sooner than the rows that a candidate is beaten."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +57,9 @@ class FusedLoss:
     """Mean square of model minus data, its residuals and their derivatives.
 
     X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which the loss
-    goes through them: one whose first part tells what the rest is like (`row_order`). `losses`
-    and `climb` use `threads` threads, and give the same however many. `climb` gives a mutant up as
-    soon as it is beaten by sums over panels, if the model has a bound, or by a part of the rows.
+    goes through them: one whose first part is like the whole (`row_order`). `losses` and `climb`
+    use `threads` threads, and give the same however many. `climb` gives a mutant up as soon as sums
+    over panels, if the model has a bound, or over a part of the rows show that it is not better.
     """
 
     model: Formulas
@@ -183,27 +183,27 @@ class _Compiled:
 
 @cache
 def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
-    columns = columns_of(p)
-    own = signed(formulas.signature)
+    columns = columns_getter(p)
+    sign = signing(formulas.signature)
     value, derivatives = map(register_jitable, formulas.copies())
-    loss = _mean_square(value, own, p, d)
+    loss = _mean_square(value, sign, p, d)
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    @own
+    @sign
     def losses(thetas: Array, data: _Data, out: Array) -> None:
         for i in range(len(thetas)):
             out[i] = loss(thetas[i], np.inf, data)
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    @own
+    @sign
     def residuals(theta: Array, X: Array, y: Array, out: Array) -> None:
         parameters = as_tuple(theta, d)
         for start in range(0, y.size, BLOCK):
             end = min(start + BLOCK, y.size)
-            put(value(columns(X, start, end), parameters) - y[start:end], out[start:end])
+            assign(value(columns(X, start, end), parameters) - y[start:end], out[start:end])
 
     @njit(cache=True, nogil=True, error_model="numpy")
-    @own
+    @sign
     def jacobian(theta: Array, X: Array, out: Array) -> None:
         parameters = as_tuple(theta, d)
         for start in range(0, X.shape[1], BLOCK):
@@ -215,24 +215,24 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
 
 @cache
 def _compile_rows(formulas: Signed, p: int, d: int) -> tuple[Any, Any]:
-    """Residuals and derivatives of rows i to j, as compiled code calls them.
+    """Residuals and derivatives of rows i to j, to be called from compiled code (see `Rows`).
 
-    Row by row, which the compiler turns into several at once: the temporaries of a block would cost
-    more than a few rows do.
+    Row by row, from which the compiler makes several at once: for a few rows, the temporaries of a
+    block would cost more than the rows do.
     """
-    columns, inputs = columns_of(p), inputs_of(p)
-    own = signed(formulas.signature)
+    columns, inputs = columns_getter(p), row_getter(p)
+    sign = signing(formulas.signature)
     value, derivatives = map(register_jitable, formulas.copies())
 
     @cfunc(types.void(VECTOR, DATA, OUTPUT, types.int64, types.int64, VECTOR), **CALLED)
-    @own
+    @sign
     def residuals(theta: Array, X: Array, y: Array, i: int, j: int, out: Array) -> None:
         parameters, parts, output = as_tuple(theta, d), columns(X, i, j), y[i:j]
         for row in range(out.size):
             out[row] = value(inputs(parts, row), parameters) - output[row]
 
     @cfunc(types.void(VECTOR, DATA, types.int64, types.int64, COLUMNS_OUT), **CALLED)
-    @own
+    @sign
     def slopes(theta: Array, X: Array, i: int, j: int, out: Array) -> None:
         parameters, parts = as_tuple(theta, d), columns(X, i, j)
         for row in range(parts[0].size):
@@ -244,22 +244,22 @@ def _compile_rows(formulas: Signed, p: int, d: int) -> tuple[Any, Any]:
 @cache
 def _compile_steps(formulas: Signed, p: int, d: int) -> Callable[..., tuple[int, int, int, int]]:
     """Mutation steps on the value of a model, and with its bound on sums over panels first."""
-    own = signed(formulas.signature)
+    sign = signing(formulas.signature)
     value, *bound = map(register_jitable, formulas.copies())
-    loss = _mean_square(value, own, p, d)
+    loss = _mean_square(value, sign, p, d)
 
     @register_jitable(error_model="numpy")
-    @own
+    @sign
     def of_rows(theta: Array, limit: float, data: Any, scratch: Any) -> float:
         total: float = loss(theta, limit, data[0])
         return total
 
     if not bound:
         return compiled_climb(of_rows, formulas.signature)
-    _, beaten = panel_sums(value, bound[0], own)
+    _, beaten = panel_sums(value, bound[0], sign)
 
     @register_jitable(error_model="numpy")
-    @own
+    @sign
     def panels_first(theta: Array, limit: float, data: Any, scratch: Any) -> float:
         if limit < np.inf and beaten(as_tuple(theta, d), limit, scratch, data[1])[0]:
             return limit
@@ -270,15 +270,15 @@ def _compile_steps(formulas: Signed, p: int, d: int) -> Callable[..., tuple[int,
 
 
 def _mean_square(
-    value: Formula, own: Sign, p: int, d: int
+    value: Formula, sign: Sign, p: int, d: int
 ) -> Callable[[Array, float, _Data], float]:
-    """The loss, which numba can compile: given up as soon as it is not below the limit."""
-    columns = columns_of(p)
+    """The mean square, as a function to compile: it ends early once it is not below its limit."""
+    columns = columns_getter(p)
 
     @register_jitable(error_model="numpy")
-    @own
+    @sign
     def loss(theta: Array, limit: float, data: _Data) -> float:
-        X, y, size = data  # y may be the first part of X's rows
+        X, y, size = data  # y may hold the first of X's rows only
         parameters = as_tuple(theta, d)
         total = 0.0
         start = 0

@@ -1,9 +1,10 @@
-"""Levenberg-Marquardt steps of many configurations side by side, compiled.
+"""Levenberg-Marquardt steps of many candidates side by side, compiled.
 
-A step is what follows from the evaluation that a configuration needs at its stage. So one set of
-rules serves a model that is compiled, whose steps are made without Python in between (`advance`),
-and any other, whose residuals and derivatives come from outside (`from_outside`); and whatever is
-cut off between two evaluations goes on as if it had not been.
+The functions here are what happens between two evaluations: each takes a candidate from one stage
+to the next. So the same steps serve a model that is compiled, where a loop makes them without
+Python in between (`gauss_newton_loop`), and any other, whose residuals and derivatives come from
+Python (`gauss_newton_parts`); and a run that is cut off between two evaluations resumes as if it
+had not been.
 """
 
 from __future__ import annotations
@@ -13,28 +14,26 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.compiled.gauss_newton_state import (
+from miho.compiled.gauss_newton_candidates import (
+    AT_KNOWN,
     COPY,
     COPY_LOSS,
     DONE,
     ENTER,
-    KNOWN,
     READY,
     RECORD,
     SLOPES,
     TRIED,
     UNUSABLE,
-    Box,
-    Candidates,
+    GNBox,
+    GNCandidates,
+    GNRules,
     Minima,
-    Rules,
     views,
 )
 from miho.compiled.triangular import compiled, entry, fold, norm, solve_in_box
 from miho.compiled.workspace import CHUNK, Work, clear, copy
-from miho.quantities import Array
-
-Whole = NDArray[np.int64]
+from miho.quantities import Array, Integers
 
 ACCEPTED, GOOD, POOR = 1e-4, 0.75, 0.25
 """Gain over predicted gain: above the first a trial is taken; above the second the damping falls,
@@ -49,23 +48,24 @@ SECANT = 0.7
 """Where the gain is more than this share of the predicted one the next derivatives are Broyden's,
 a few times running: they cost nothing."""
 DONE_DAMPING, DONE_LESS = 1e-3, 1e-3
-"""A step that promises too little is the last one if it is hardly damped, or promises so little of
-the tolerance; else the damping may be why, and falls."""
+"""Where the predicted gain is below the tolerance, a candidate is done if the damping is no more
+than the first, or the gain no more than the second share of the tolerance; else the damping may be
+the reason, and falls."""
 TRIES = 12
-"""Steps with less and less damping before one is tried that promises too little."""
+"""Steps with less and less damping, before the last is tried although it promises too little."""
 RESTART_DAMPING = 1e-6
-"""What a failed step grows from, at least."""
+"""The least damping after a step that failed."""
 SMALLEST_SCALE = 1e-10
-"""Of the largest scale: a parameter that derivatives do not see is held by so much."""
+"""The least scale, as a share of the largest: for parameters without effect on the residuals."""
 INSIDE = 1e-12
-"""A share of a width: nearer, a linear parameter is at its bound."""
+"""A linear parameter that is nearer to a bound than this share of the width is at it."""
 
 compiled(views)
 
 
 @compiled
-def to_units(x: Array, box: Box, theta: Array) -> None:
-    """The configuration in units at unit coordinates (d,)."""
+def to_units(x: Array, box: GNBox, theta: Array) -> None:
+    """Write the configuration at unit coordinates x (d,) into theta (d,), in units."""
     for k in range(x.size):
         value = box.origin[k] + box.width[k] * x[k]
         if box.log[k]:
@@ -74,20 +74,23 @@ def to_units(x: Array, box: Box, theta: Array) -> None:
 
 
 @compiled
-def factored(c: Candidates, i: int, box: Box, w: Work) -> None:
-    """Take the factor of the derivatives and residuals where a configuration is, from w.T.
+def take_factor(c: GNCandidates, i: int, box: GNBox, w: Work) -> None:
+    """Set R, q and D of a candidate from w.T, the triangular factor of derivatives and residuals.
 
-    Its columns are the parameters and the residuals, or, where the linear ones are projected out,
-    first those of them that are free: what is left of the others is Kaufman's (1975) Jacobian.
+    The columns of w.T are the d parameters and the residuals; or, where the linear parameters are
+    projected out, first the free linear ones, then the nonlinear ones and the residuals. The rows
+    below the first are then Kaufman's (1975) Jacobian of the reduced problem.
     """
+    # The columns that are projected out come first: skip so many rows and columns.
     d = c.x.shape[1]
     n, first = d, 0
     if c.projects[i]:
         n = box.nonlinear.size
         for k in box.linear:
             first += is_free(c.x[i, k])
+    # Copy the triangle; a scale is the norm of its column, and falls slowly.
     R, q, D = c.R[i], c.q[i], c.D[i]
-    fine, largest = True, 0.0
+    finite, largest = True, 0.0
     for k in range(n):
         square = 0.0
         for j in range(n):
@@ -96,11 +99,11 @@ def factored(c: Candidates, i: int, box: Box, w: Work) -> None:
         q[k] = w.T[first + k, first + n]
         D[k] = max(math.sqrt(square), FADING * D[k])
         largest = max(largest, D[k])
-        fine = fine and math.isfinite(D[k]) and math.isfinite(q[k])
+        finite = finite and math.isfinite(D[k]) and math.isfinite(q[k])
     for k in range(n):
         D[k] = max(D[k], SMALLEST_SCALE * largest)
-    c.stage[i] = READY if fine else UNUSABLE
-    if fine and n and largest == 0:
+    c.stage[i] = READY if finite else UNUSABLE
+    if finite and n and largest == 0:
         c.stage[i] = DONE
 
 
@@ -111,30 +114,36 @@ def is_free(x: float) -> bool:
 
 
 @compiled
-def looked(c: Candidates, i: int, loss: float, box: Box, m: int, rules: Rules, w: Work) -> None:
-    """What follows from the loss of a configuration's trial, whose residuals are in w."""
+def judge_trial(
+    c: GNCandidates, i: int, loss: float, box: GNBox, m: int, rules: GNRules, w: Work
+) -> None:
+    """Accept or refuse the trial of a candidate by its loss; its residuals are in w."""
     d = c.x.shape[1]
+    # A first look is no trial: it gives the loss that later ones are compared with.
     if c.stage[i] == ENTER:
         copy(c.trial[i], c.x[i])
         c.loss[i] = loss
         c.stage[i] = SLOPES if math.isfinite(loss) else UNUSABLE
-        c.marked[i], c.mark[i] = loss, c.spent[i]
+        c.loss_at_mark[i], c.spent_at_mark[i] = loss, c.spent[i]
         keep_residuals(c, i, m, w)
         return
-    c.steps[i] += 1
-    actual = (c.loss[i] - loss) * m
-    rho = actual / c.gain[i] if c.gain[i] > 0 and math.isfinite(loss) else -1.0
+    # rho is the gain over the predicted gain.
+    c.trials[i] += 1
+    actual, predicted = (c.loss[i] - loss) * m, c.predicted_gain[i]
+    rho = actual / predicted if predicted > 0 and math.isfinite(loss) else -1.0
     if rho > ACCEPTED:
+        # The next derivatives are Broyden's where the linear model holds well.
         secant = (
             rho > SECANT
             and c.secants[i] < rules.secants
-            and c.rows.shape[2] > 0
+            and c.derivatives.shape[2] > 0
             and not c.projects[i]
         )
         if secant:
             broyden(c, i, m, w)
         else:
             keep_residuals(c, i, m, w)
+        # Move there, and trust the linear model more or less.
         copy(c.trial[i], c.x[i])
         c.loss[i] = loss
         if rho > GOOD:
@@ -145,13 +154,14 @@ def looked(c: Candidates, i: int, loss: float, box: Box, m: int, rules: Rules, w
         c.stage[i] = SLOPES
         if secant:
             c.secants[i] += 1
-            refold(c.rows[i], d, d, m, w)
-            factored(c, i, box, w)
+            refold(c.derivatives[i], d, d, m, w)
+            take_factor(c, i, box, w)
             if c.stage[i] == UNUSABLE:
                 c.stage[i], c.secants[i] = SLOPES, 0
-        if loss <= rules.nothing:
+        if loss <= rules.rounding:
             c.stage[i] = DONE
     elif c.secants[i]:
+        # Refused: updated derivatives may be the reason, so evaluate them; else damp more.
         c.stage[i], c.secants[i] = SLOPES, 0
     else:
         c.damping[i] = max(c.damping[i] * c.growth[i], RESTART_DAMPING)
@@ -160,91 +170,94 @@ def looked(c: Candidates, i: int, loss: float, box: Box, m: int, rules: Rules, w
 
 
 @compiled
-def keep_residuals(c: Candidates, i: int, m: int, w: Work) -> None:
-    """Keep the residuals where a configuration is, if there is room."""
-    if c.rows.shape[2]:
+def keep_residuals(c: GNCandidates, i: int, m: int, w: Work) -> None:
+    """Store the residuals of a candidate beside its derivatives, if there is room for them."""
+    if c.derivatives.shape[2]:
         d = c.x.shape[1]
         for row in range(m):
-            c.rows[i, d, row] = w.residuals[row]
+            c.derivatives[i, d, row] = w.residuals[row]
 
 
 @compiled
-def broyden(c: Candidates, i: int, m: int, w: Work) -> None:
-    """Broyden's update of the derivatives, in the metric of the scales, for the accepted trial."""
+def broyden(c: GNCandidates, i: int, m: int, w: Work) -> None:
+    """Broyden's update of the derivatives after a trial, in the metric of the scales D."""
     d = c.x.shape[1]
-    rows, x, trial, D = c.rows[i], c.x[i], c.trial[i], c.D[i]
+    columns, x, trial, D = c.derivatives[i], c.x[i], c.trial[i], c.D[i]
     total = 0.0
     for k in range(d):
         w.step[k] = trial[k] - x[k]
         total += (D[k] * w.step[k]) ** 2
     for row in range(m):
-        missing = w.residuals[row] - rows[d, row]
+        missing = w.residuals[row] - columns[d, row]
         for k in range(d):
-            missing -= rows[k, row] * w.step[k]
+            missing -= columns[k, row] * w.step[k]
         missing /= total
         for k in range(d):
-            rows[k, row] += missing * D[k] * D[k] * w.step[k]
-        rows[d, row] = w.residuals[row]
+            columns[k, row] += missing * D[k] * D[k] * w.step[k]
+        columns[d, row] = w.residuals[row]
 
 
 @compiled
-def refold(rows: Array, count: int, last: int, m: int, w: Work) -> None:
-    """The factor of the first columns of rows (., m) and of the last one, into w.T."""
+def refold(columns: Array, count: int, last: int, m: int, w: Work) -> None:
+    """The triangular factor of the first `count` columns (., m) and number `last`, into w.T."""
     clear(w.T)
     for start in range(0, m, CHUNK):
         size = min(CHUNK, m - start)
         for k in range(count + 1):
-            column = rows[k if k < count else last]
+            column = columns[k if k < count else last]
             for row in range(size):
                 w.chunk[k, row] = column[start + row]
         fold(w.T, w.chunk, size, count + 1)
 
 
 @compiled
-def step(c: Candidates, i: int, box: Box, m: int, rules: Rules, w: Work) -> None:
-    """The next trial of a configuration whose derivatives are known; or it is done."""
+def propose_trial(c: GNCandidates, i: int, box: GNBox, m: int, rules: GNRules, w: Work) -> None:
+    """Set the next trial of a candidate whose derivatives are known; or it is done."""
     d = c.x.shape[1]
     n = box.nonlinear.size if c.projects[i] else d
     x, trial = c.x[i], c.trial[i]
     if n == 0:
-        c.stage[i], c.gain[i] = DONE, 0.0
+        c.stage[i], c.predicted_gain[i] = DONE, 0.0
         return
+    # The step stays in the box, and within reach.
     low, high, scale = w.low, w.high, w.scale
     for k in range(n):
         at = x[box.nonlinear[k]] if c.projects[i] else x[k]
         low[k], high[k] = max(-at, -rules.reach), min(1 - at, rules.reach)
+    # Solve with less and less damping until the linear model promises enough.
     total = c.loss[i] * m
-    before = 0.0
+    square = 0.0
     for k in range(n):
-        before += c.q[i, k] * c.q[i, k]
+        square += c.q[i, k] * c.q[i, k]
     for _ in range(TRIES):
         root = math.sqrt(c.damping[i])
         for k in range(n):
             scale[k] = root * c.D[i, k]
-        solve_in_box(c.R[i], c.q[i], scale, low, high, n, w.step, w.room)
-        c.gain[i] = before - norm(c.R[i], c.q[i], n, w.step)
-        predicted = c.gain[i] / total if total > 0 else 0.0
+        solve_in_box(c.R[i], c.q[i], scale, low, high, n, w.step, w.solver)
+        c.predicted_gain[i] = square - norm(c.R[i], c.q[i], n, w.step)
+        predicted = c.predicted_gain[i] / total if total > 0 else 0.0
         if predicted > rules.tolerance:
             break
         if c.damping[i] <= DONE_DAMPING or predicted <= DONE_LESS * rules.tolerance:
             c.stage[i] = DONE
-            if c.secants[i] and rules.last:  # true derivatives have the last word
+            if c.secants[i] and rules.last:  # by updated derivatives: evaluate them and see
                 c.stage[i], c.secants[i] = SLOPES, 0
             return
         c.damping[i] *= LESS
+    # A step that rounding makes none ends the descent.
     for k in range(d):
         trial[k] = x[k]
-    moved = False
+    differs = False
     for k in range(n):
         at = box.nonlinear[k] if c.projects[i] else k
         trial[at] = min(max(x[at] + w.step[k], 0.0), 1.0)
-        moved = moved or trial[at] != x[at]
-    c.stage[i] = TRIED if moved else DONE
+        differs = differs or trial[at] != x[at]
+    c.stage[i] = TRIED if differs else DONE
 
 
 @compiled
-def square_distance(c: Candidates, i: int, x: Array, box: Box) -> float:
-    """|R (x_i - x)|^2: what the linear model at a configuration says of the way to x (d,)."""
+def square_distance(c: GNCandidates, i: int, x: Array, box: GNBox) -> float:
+    """|R (x_i - x)|^2: by how much the linear model of a candidate changes on the way to x (d,)."""
     n, total = box.nonlinear.size if c.projects[i] else x.size, 0.0
     for row in range(n):
         value = 0.0
@@ -256,8 +269,10 @@ def square_distance(c: Candidates, i: int, x: Array, box: Box) -> float:
 
 
 @compiled
-def known(c: Candidates, i: int, box: Box, m: int, minima: Minima, rules: Rules) -> bool:
-    """Whether a configuration is on its way to a minimum that is known, and no better."""
+def nears_known_minimum(
+    c: GNCandidates, i: int, box: GNBox, m: int, minima: Minima, rules: GNRules
+) -> bool:
+    """Whether a candidate is on its way to a minimum that is known, and no better."""
     near = rules.near * c.loss[i] * m
     for k in range(minima.loss.size):
         worse = c.loss[i] >= minima.loss[k] * (1 - rules.better)
@@ -267,36 +282,39 @@ def known(c: Candidates, i: int, box: Box, m: int, minima: Minima, rules: Rules)
 
 
 @compiled
-def prepare(c: Candidates, i: int, box: Box, m: int, minima: Minima, rules: Rules, w: Work) -> bool:
-    """Bring a configuration to its next evaluation; false where it needs none in this block."""
+def prepare(
+    c: GNCandidates, i: int, box: GNBox, m: int, minima: Minima, rules: GNRules, w: Work
+) -> bool:
+    """Bring a candidate to its next evaluation; false where it needs none in this block."""
     while c.stage[i] == SLOPES or c.stage[i] == READY:
-        if c.stage[i] == READY and known(c, i, box, m, minima, rules):
-            c.stage[i] = KNOWN
-        elif c.steps[i] >= rules.steps or crawls(c, i, rules):
+        if c.stage[i] == READY and nears_known_minimum(c, i, box, m, minima, rules):
+            c.stage[i] = AT_KNOWN
+        elif c.trials[i] >= rules.steps or crawls(c, i, rules):
             return False
         elif c.stage[i] == SLOPES:
             return True
         else:
-            step(c, i, box, m, rules, w)
+            propose_trial(c, i, box, m, rules, w)
     return bool(c.stage[i] < DONE)
 
 
 @compiled
-def crawls(c: Candidates, i: int, rules: Rules) -> bool:
-    """Whether a configuration gains little for what it costs, and has had its share."""
-    if rules.patience == 0 or c.spent[i] - c.mark[i] < rules.patience:
+def crawls(c: GNCandidates, i: int, rules: GNRules) -> bool:
+    """Whether a candidate gains too little for the rows it costs, and has spent its allowance."""
+    if rules.patience == 0 or c.spent[i] - c.spent_at_mark[i] < rules.patience:
         return False
-    if c.loss[i] > (1 - rules.progress) * c.marked[i]:
-        return bool(c.spent[i] >= rules.share)
-    c.mark[i], c.marked[i] = c.spent[i], c.loss[i]
+    if c.loss[i] > (1 - rules.progress) * c.loss_at_mark[i]:
+        return bool(c.spent[i] >= rules.allowance)
+    c.spent_at_mark[i], c.loss_at_mark[i] = c.spent[i], c.loss[i]
     return False
 
 
 @compiled
-def solve_linear(c: Candidates, i: int, box: Box, m: int, w: Work) -> float:
-    """Move a trial to its best linear parameters; the loss there, by algebra.
+def solve_linear(c: GNCandidates, i: int, box: GNBox, m: int, w: Work) -> float:
+    """Move a trial to its best linear parameters, and give the loss there, by algebra.
 
-    w.T is the factor of their columns, in box widths, and of the residuals at w.theta.
+    w.T is the triangular factor of their columns, in box widths, and of the residuals at w.theta.
+    The loss is infinite where that is not finite.
     """
     p = box.linear.size
     for j in range(p + 1):
@@ -310,8 +328,8 @@ def solve_linear(c: Candidates, i: int, box: Box, m: int, w: Work) -> float:
         w.scale[j] = 0.0
         w.low[j] = (box.low[k] - w.theta[k]) / width
         w.high[j] = (box.high[k] - w.theta[k]) / width
-    solve_in_box(w.T, q, w.scale, w.low, w.high, p, w.step, w.room)
-    rest = w.T[p, p] * w.T[p, p] + norm(w.T, q, p, w.step)
+    solve_in_box(w.T, q, w.scale, w.low, w.high, p, w.step, w.solver)
+    square = w.T[p, p] * w.T[p, p] + norm(w.T, q, p, w.step)
     for j in range(p):
         k = box.linear[j]
         value = w.theta[k] + (box.high[k] - box.low[k]) * w.step[j]
@@ -319,35 +337,35 @@ def solve_linear(c: Candidates, i: int, box: Box, m: int, w: Work) -> float:
         if box.log[k]:
             value = math.log(value)
         c.trial[i, k] = min(max((value - box.origin[k]) / box.width[k], 0.0), 1.0)
-    return float(rest / m)
+    return float(square / m)
 
 
 @compiled
-def evaluated(
-    c: Candidates, i: int, loss: float, box: Box, m: int, rules: Rules, best: float, w: Work
+def after_evaluation(
+    c: GNCandidates, i: int, loss: float, box: GNBox, m: int, rules: GNRules, best: float, w: Work
 ) -> None:
-    """What follows from the residuals of a trial, with the loss that they or algebra gave.
+    """Take a candidate on after an evaluation, with the loss that residuals or algebra gave.
 
-    A solution for the linear parameters on all rows is known by algebra only: an improvement is
-    looked at once more, and so recorded.
+    The loss at solved linear parameters is known by algebra only: on all rows an improvement is
+    evaluated once more (RECORD), so that what the run records was evaluated.
     """
     if c.stage[i] == RECORD:
-        c.stage[i] = c.after[i]
+        c.stage[i] = c.stage_after_record[i]
         copy(w.sums, c.sums[i])
         return
-    before = c.loss[i]
-    looked(c, i, loss, box, m, rules, w)
+    previous = c.loss[i]
+    judge_trial(c, i, loss, box, m, rules, w)
     if c.projects[i]:
-        if rules.last and c.loss[i] < before and c.loss[i] < best:
-            c.after[i] = c.stage[i]
+        if rules.last and c.loss[i] < previous and c.loss[i] < best:
+            c.stage_after_record[i] = c.stage[i]
             c.stage[i] = RECORD
-    elif c.loss[i] < before:
+    elif c.loss[i] < previous:
         copy(w.sums, c.sums[i])
 
 
 @compiled
-def same(c: Candidates, i: int, j: int, box: Box) -> bool:
-    """Whether two configurations are one, as far as the rows can tell; j is the worse one."""
+def is_copy(c: GNCandidates, i: int, j: int, box: GNBox) -> bool:
+    """Whether candidate j, the worse of two, is a copy of i as far as the rows can tell."""
     modelled = c.stage[i] == READY or c.stage[i] == DONE
     close = c.loss[j] - c.loss[i] <= COPY_LOSS * c.loss[i]
     if not (modelled and close):
@@ -355,22 +373,27 @@ def same(c: Candidates, i: int, j: int, box: Box) -> bool:
     return bool(square_distance(c, i, c.x[j], box) <= COPY * c.x.shape[1] * c.loss[i])
 
 
-def distinct(c: Candidates, box: Box) -> NDArray[np.intp]:
-    """Which of configurations, in ascending order of their losses, are no copies of better ones."""
-    kept = np.empty(c.loss.size, np.intp)
-    return kept[: _distinct(*c[:4], box, kept)]
+def distinct(c: GNCandidates, box: GNBox) -> NDArray[np.intp]:
+    """Positions of the candidates, sorted by loss, that are no copies of better ones."""
+    originals = np.empty(c.loss.size, np.intp)
+    return originals[: _distinct(*c[:4], box, originals)]
 
 
 @entry
 def _distinct(
-    numbers: Array, counts: Whole, R: Array, rows: Array, box: Box, kept: NDArray[np.intp]
+    numbers: Array,
+    counts: Integers,
+    R: Array,
+    derivatives: Array,
+    box: GNBox,
+    originals: NDArray[np.intp],
 ) -> int:
-    c, count = views(numbers, counts, R, rows), 0
+    c, count = views(numbers, counts, R, derivatives), 0
     for j in range(c.loss.size):
         new = True
-        for i in kept[:count]:
-            new = new and not same(c, i, j, box)
+        for i in originals[:count]:
+            new = new and not is_copy(c, i, j, box)
         if new:
-            kept[count] = j
+            originals[count] = j
             count += 1
     return count

@@ -10,7 +10,7 @@ from numba.core import event
 
 
 def stopping_compilation(interrupts: Sequence[object]) -> AbstractContextManager[object]:
-    """Within it, KeyboardInterrupt is raised before a function is compiled if there are any."""
+    """Within this context, compiling raises KeyboardInterrupt once `interrupts` is not empty."""
     listener = _Stop(interrupts)
     return cast(AbstractContextManager[object], event.install_listener("numba:compile", listener))
 

@@ -1,4 +1,4 @@
-"""What compiled code can do for a problem, in the words of those who use it; needs no compiler."""
+"""What compiled code can do for a problem, as its users see it: importing this imports no numba."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ Formula = Callable[[tuple[Any, ...], tuple[Any, ...]], Any]
 
 
 NAN, INFINITE = "loss is nan", "loss is inf"
-"""Reasons why a value was rejected that was computed and is not finite."""
+"""Reasons for rejecting losses that were computed, but are not finite."""
 
 
 class Block(NamedTuple):
-    """What a block of compiled code did: evaluations spent, and its improvements of the best loss.
+    """What a block of compiled code did: the evaluations it spent, and its improvements.
 
-    `at` (k,) counts the evaluations up to each improvement, which has `losses` (k,) at `thetas`
-    (k, d). `rejected` counts values that could not be used, by reason. `finished` unless it stopped
-    before an evaluation that was not allowed.
+    Improvement k came with evaluation `at[k]` of the block, at `thetas[k]` (d,) with `losses[k]`.
+    `rejected` counts values that could not be used, by reason. `finished` unless it stopped before
+    an evaluation that it was not allowed.
     """
 
     evaluations: float
@@ -58,7 +58,7 @@ class Steps(NamedTuple):
 
 
 Climb = Callable[[Steps, float, float], Block]
-"""(steps, best, target) -> what they did, with the improvements of `best`; it ends after the step
+"""(steps, best, target) -> what they did, with their improvements of `best`; ends after the step
 that reaches `target`. Each step counts one evaluation for each row, stopped early or not."""
 
 
@@ -88,7 +88,7 @@ class Kernel(Protocol):
 
 
 class Formulas(Protocol):
-    """What compiled code needs of a model: `miho.models.expression.Expression` says what it is."""
+    """What compiled code needs of a model; `miho.models.expression.Expression` documents it."""
 
     @property
     def parameters(self) -> Mapping[str, str]:
@@ -96,15 +96,15 @@ class Formulas(Protocol):
 
     @property
     def value(self) -> Formula:
-        """The output."""
+        """The formula of the output."""
 
     @property
     def derivatives(self) -> Formula:
-        """A tuple of its derivatives."""
+        """The formula of its derivatives with respect to theta, a tuple."""
 
     @property
     def bound(self) -> Formula | None:
-        """Its growth off the real axis."""
+        """The formula of a bound of the output in the complex plane, None without one."""
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) by NumPy."""
@@ -124,12 +124,12 @@ def kernel_for(
     threads: int = 1,
     compressed: bool = False,
 ) -> FitKernel:
-    """Compiled forms of the mean square of a model minus data, each compared with NumPy's first.
+    """Compiled forms of the mean square of a model minus data, checked against NumPy's.
 
     X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which a loss goes
-    through them. Compared at `thetas` (n, d), at the first use of each; `name` is the model's in a
-    warning. `compressed` takes the loss from few nodes instead of all points. numba is imported
-    here, and not before.
+    through them. Each form is checked at `thetas` (n, d), at its first use; `name` is the model's
+    in a warning. `compressed` takes the loss from few nodes instead of all points. numba is
+    imported here, and not before.
     """
     from miho.compiled.fit import FitKernel
 

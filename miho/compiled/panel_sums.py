@@ -45,7 +45,7 @@ of one for rounding of the nodes."""
 LOOKS = (0.015, 0.0005)
 """Looks at a candidate: E is this part of the root of the loss it has to beat."""
 QUAD = 4
-"""What the processor works on side by side."""
+"""Numbers that the processor works on side by side."""
 ROOM = 512
 
 
@@ -85,45 +85,46 @@ class Scratch(NamedTuple):
     groups: NDArray[np.int64]
 
 
-def panel_terms(found: Panels, N: int, size: float) -> PanelTerms:
-    """The terms of N points of the root mean square `size`."""
+def panel_terms(tree: Panels, N: int, size: float) -> PanelTerms:
+    """The terms of a tree over N points whose values have the root mean square `size`."""
     rhos = np.append(FLAT, RHOS)
-    each = (
-        np.broadcast_to(found.centre, (rhos.size, found.half.size)),
-        ((rhos + 1 / rhos) / 2)[:, None] * np.maximum(found.half, TINY),
-        ((rhos - 1 / rhos) / 2)[:, None] * np.maximum(found.half, TINY),
+    axes = (
+        np.broadcast_to(tree.centre, (rhos.size, tree.half.size)),
+        ((rhos + 1 / rhos) / 2)[:, None] * np.maximum(tree.half, TINY),
+        ((rhos - 1 / rhos) / 2)[:, None] * np.maximum(tree.half, TINY),
     )
-    grouped = np.stack(each).reshape(len(each), rhos.size, -1, SIDE_BY_SIDE)
-    ellipses = grouped.transpose(2, 0, 1, 3).reshape(-1, len(each), rhos.size * SIDE_BY_SIDE)
-    beyond = np.zeros((3, QUAD))  # read, but not used
+    grouped = np.stack(axes).reshape(len(axes), rhos.size, -1, SIDE_BY_SIDE)
+    ellipses = grouped.transpose(2, 0, 1, 3).reshape(-1, len(axes), rhos.size * SIDE_BY_SIDE)
+    padding = np.zeros((3, QUAD))  # for quads that begin at the last points
     return PanelTerms(
         ellipses=np.ascontiguousarray(ellipses),
         degrees=np.stack([np.log(2 / (RHOS - 1)), 1 / np.log(RHOS)]),
-        places=np.stack([found.first, found.last, found.below], axis=1),
-        **dict(zip("xwu", np.hstack([found.points, *found.nodes, beyond]), strict=True)),
-        nodes=found.points.shape[1],
-        rests=found.rests,
-        rounding=_rounding(found),
+        places=np.stack([tree.first, tree.last, tree.below], axis=1),
+        **dict(zip("xwu", np.hstack([tree.points, *tree.nodes, padding]), strict=True)),
+        nodes=tree.points.shape[1],
+        rests=tree.rests,
+        rounding=_rounding(tree),
         N=float(N),
-        rest=found.rest,
+        rest=tree.rest,
         size=size,
     )
 
 
-def _rounding(found: Panels) -> Array:
-    """`PanelTerms.rounding`.
+def _rounding(tree: Panels) -> Array:
+    """`PanelTerms.rounding`: how far rounding of the nodes allows each order on each panel.
 
-    A polynomial q of degree n within [-1, 1] there has a slope of at most n / sqrt(1 - t^2) and of
-    at most n^2 (Bernstein, Markov). What rounding of the nodes does is the root mean square of
-    that, with the rule's weights, times the error of a node.
+    A polynomial of degree n with values in [-1, 1] on [-1, 1] has a slope of at most n /
+    sqrt(1 - t^2) and of at most n^2 (Bernstein, Markov). Rounding of the nodes changes the root of
+    the mean square by at most the root mean square of that slope, with the rule's weights, times
+    the error of a node.
     """
-    half = np.maximum(found.half, TINY)
-    error = NODE_ROUNDING * (1 + np.abs(found.centre) / half)
+    half = np.maximum(tree.half, TINY)
+    error = NODE_ROUNDING * (1 + np.abs(tree.centre) / half)
     largest = np.full((half.size, len(ORDERS) + 1), -np.inf)
     for o, degree in enumerate(DEGREES):
-        has = found.orders > o
-        x, w, _ = found.nodes[has, :, STARTS[o] : STARTS[o + 1]].transpose(1, 0, 2)
-        t = np.clip((x - found.centre[has, None]) / half[has, None], -1, 1)
+        has = tree.orders > o
+        x, w, _ = tree.nodes[has, :, STARTS[o] : STARTS[o + 1]].transpose(1, 0, 2)
+        t = np.clip((x - tree.centre[has, None]) / half[has, None], -1, 1)
         slopes = np.minimum(degree / np.sqrt(np.maximum(1 - t**2, TINY)), degree**2)
         slope = np.sqrt(((w * slopes) ** 2).sum(axis=1) / (w**2).sum(axis=1))
         largest[has, o] = -np.log(3 * (error[has] * slope + ROUNDING))
@@ -138,12 +139,15 @@ def scratch_for(terms: PanelTerms) -> Scratch:
     return Scratch(exponents, least, x, w, u, squares, groups)
 
 
-def panel_sums(value: Formula, bound: Formula, named: Sign) -> tuple[Any, Any]:
-    """Compiled functions of a model: its mean square over panels, and whether it is beaten."""
-    needed, squared = _needed(bound, named), _squared(value, named)
+def panel_sums(value: Formula, bound: Formula, sign: Sign) -> tuple[Any, Any]:
+    """Two functions of a model, to be compiled: its mean square over panels, and `beaten`.
+
+    `sign` puts the model's signature into their names.
+    """
+    needed, squared = _needed(bound, sign), _squared(value, sign)
 
     @register_jitable(error_model="numpy")
-    @named
+    @sign
     def over_panels(
         parameters: Any, goal: float, enough: float, scratch: Scratch, terms: PanelTerms
     ) -> tuple[float, int]:
@@ -151,6 +155,7 @@ def panel_sums(value: Formula, bound: Formula, named: Sign) -> tuple[Any, Any]:
 
         Its root is within WITHIN exp(goal) of that over all points, rounding of values apart.
         """
+        # Go down the tree, group by group: `last` groups are listed, the next is number `group`.
         excess = math.log(bound((0.0, 0.0, 0.0), parameters)[0]) - goal
         total, most = terms.rest, enough * terms.N
         count = filled = group = 0
@@ -159,6 +164,9 @@ def panel_sums(value: Formula, bound: Formula, named: Sign) -> tuple[Any, Any]:
             g = scratch.groups[group]
             group += 1
             needed(parameters, excess, terms.ellipses[g], terms.degrees, scratch)
+            # For each panel of the group find the terms that stand for it: the nodes of the least
+            # order that is accurate enough; else its quarters, in a group of their own; else, of a
+            # leaf, all points.
             for i in range(SIDE_BY_SIDE):
                 k = SIDE_BY_SIDE * g + i
                 o = CHOSEN[int(scratch.least[i])]
@@ -172,9 +180,10 @@ def panel_sums(value: Formula, bound: Formula, named: Sign) -> tuple[Any, Any]:
                     continue
                 else:
                     start, end = terms.places[k, 0], terms.places[k, 1]
+                # Collect the terms of several panels, so that the model is evaluated on many.
                 while start < end:
                     size = min(end - start, ROOM - QUAD - filled)
-                    _put(terms, start, size, scratch, filled)
+                    _copy_terms(terms, start, size, scratch, filled)
                     start, filled, count = start + size, filled + size, count + size
                     if filled == ROOM - QUAD:
                         total += squared(parameters, scratch, filled)
@@ -183,53 +192,63 @@ def panel_sums(value: Formula, bound: Formula, named: Sign) -> tuple[Any, Any]:
             filled = 0
         return total / terms.N, count
 
+    return over_panels, _beaten(over_panels, sign)
+
+
+def _beaten(over_panels: Any, sign: Sign) -> Any:
+    """The test whether a candidate is beaten, on the mean square over panels."""
+
     @register_jitable(error_model="numpy", forceinline=True)
-    @named
+    @sign
     def beaten(
         parameters: Any, limit: float, scratch: Scratch, terms: PanelTerms
     ) -> tuple[bool, int]:
-        """Whether the loss is known not to be below `limit`, and model values.
+        """Whether the loss is known not to be below `limit`, and the model values that it took.
 
         The margin is far above what rounding does to the loss over panels or over points.
         """
+        # A coarse look is cheap and beats most candidates; a finer one follows where it is close.
         root, count = math.sqrt(limit), 0
         if not 0 < limit < np.inf:
             return False, count
         for look in LOOKS:
             enough = (root * (1 + 1e-8 + WITHIN * look) + 4 * ROUNDING * terms.size) ** 2
-            found, more = over_panels(parameters, math.log(look * root), enough, scratch, terms)
+            square, more = over_panels(parameters, math.log(look * root), enough, scratch, terms)
             count += more
-            if found >= enough:
+            if square >= enough:
                 return True, count
-            if found < limit:
+            if square < limit:
                 break
         return False, count
 
-    return over_panels, beaten
+    return beaten
 
 
 @register_jitable(forceinline=True)
-def _put(terms: PanelTerms, start: int, size: int, scratch: Scratch, filled: int) -> None:
-    """Copy terms to the scratch arrays in quads; indices without a sign need no test for one."""
-    at, to = np.uint64(start), np.uint64(filled)
+def _copy_terms(terms: PanelTerms, start: int, size: int, scratch: Scratch, filled: int) -> None:
+    """Copy `size` terms from `start` on to the scratch arrays from `filled` on, four at a time.
+
+    Indices are unsigned: signed ones would be tested for being negative at each access.
+    """
+    i, k = np.uint64(start), np.uint64(filled)
     for j in range(np.uint64(0), np.uint64(size), np.uint64(QUAD)):
-        _put_quad(terms.x, at + j, scratch.x, to + j)
-        _put_quad(terms.w, at + j, scratch.w, to + j)
-        _put_quad(terms.u, at + j, scratch.u, to + j)
+        _copy_quad(terms.x, i + j, scratch.x, k + j)
+        _copy_quad(terms.w, i + j, scratch.w, k + j)
+        _copy_quad(terms.u, i + j, scratch.u, k + j)
 
 
 @register_jitable(forceinline=True)
-def _put_quad(source: Array, at: Any, room: Array, to: Any) -> None:
+def _copy_quad(source: Array, i: Any, target: Array, k: Any) -> None:
     one, two, three = np.uint64(1), np.uint64(2), np.uint64(3)
-    a, b, c, d = source[at], source[at + one], source[at + two], source[at + three]
-    room[to], room[to + one], room[to + two], room[to + three] = a, b, c, d
+    a, b, c, d = source[i], source[i + one], source[i + two], source[i + three]
+    target[k], target[k + one], target[k + two], target[k + three] = a, b, c, d
 
 
-def _needed(bound: Formula, named: Sign) -> Any:
-    """What degree keeps to E on the panels of a group, LAST + 1 for none, and v on them."""
+def _needed(bound: Formula, sign: Sign) -> Any:
+    """What degree keeps to E on the panels of a group, LAST + 1 for none, and log(bound / E), v."""
 
     @register_jitable(error_model="numpy", forceinline=True)
-    @named
+    @sign
     def needed(
         parameters: Any, excess: float, ellipses: Array, degrees: Array, scratch: Scratch
     ) -> None:
@@ -250,11 +269,11 @@ def _needed(bound: Formula, named: Sign) -> Any:
     return needed
 
 
-def _squared(value: Formula, named: Sign) -> Any:
+def _squared(value: Formula, sign: Sign) -> Any:
     """The sum of squares of the terms in the scratch arrays."""
 
     @register_jitable(error_model="numpy", forceinline=True)
-    @named
+    @sign
     def squared(parameters: Any, scratch: Scratch, filled: int) -> float:
         x, w, u, squares = scratch.x, scratch.w, scratch.u, scratch.squares
         for i in range(filled, filled + QUAD):

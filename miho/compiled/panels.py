@@ -19,12 +19,9 @@ from itertools import accumulate, pairwise
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dstev
 
-from miho.quantities import Array
-
-Whole = NDArray[np.int64]
+from miho.quantities import Array, Integers
 
 ORDERS = (4, 8, 12, 16, 20, 24, 28, 32, 40, 48, 56, 64, 80, 96)
 """Numbers of nodes a panel can be replaced by, all whole quads."""
@@ -35,8 +32,9 @@ SIDE_BY_SIDE = 4
 LEAF = 64
 """A panel of more points is divided."""
 HIGH, FEW = 32, 10_000
-"""Orders above HIGH are for at most FEW points: they take long to find."""
+"""Orders above HIGH are for at most FEW points: they take long to compute."""
 LEAVES = 1024
+"""A leaf has at most one in so many of all points, or LEAF if that is more."""
 SMALLEST = 1e-12
 """A vector this much shorter than its parts is rounding."""
 
@@ -57,10 +55,10 @@ class Panels:
     rest: float
     centre: Array
     half: Array
-    first: Whole
-    last: Whole
-    below: Whole
-    orders: Whole
+    first: Integers
+    last: Integers
+    below: Integers
+    orders: Integers
     nodes: Array
     rests: Array
 
@@ -85,23 +83,24 @@ def panels(x: Array, y: Array) -> Panels:
         low, high = points[0, first[k]], points[0, last[k] - 1]
         centre[k], half[k] = (low + high) / 2, (high - low) / 2
         if below[k] < 0:
-            given, before = points[:, first[k] : last[k]], 0.0
+            terms, omitted = points[:, first[k] : last[k]], 0.0
         else:
             quarters = SIDE_BY_SIDE * below[k] + np.arange(SIDE_BY_SIDE)
             parts = [exact.pop(q) for q in quarters.tolist() if q in exact]
-            given, before = np.hstack([part for part, _ in parts]), sum(left for _, left in parts)
-        orders[k] = _rules(given, centre[k], half[k], highest, nodes[k], rests[k])
-        rests[k] += before
+            terms, omitted = np.hstack([part for part, _ in parts]), sum(rest for _, rest in parts)
+        orders[k] = _rules(terms, centre[k], half[k], highest, nodes[k], rests[k])
+        rests[k] += omitted
+        # What stands for the panel in the one above: its rule of the highest order, or its terms.
         o = int(orders[k]) - 1
         if o >= 0 and ORDERS[o] == highest:
             exact[k] = nodes[k, :, STARTS[o] : STARTS[o + 1]], float(rests[k, o])
         else:
-            exact[k] = given, before
+            exact[k] = terms, omitted
     return Panels(points, rest, centre, half, first, last, below, orders, nodes, rests)
 
 
 def _distinct(x: Array, y: Array) -> tuple[Array, float]:
-    """Points with the same input as one, and the sum of squares within them."""
+    """The points (3, m), one for each input, and the sum of squares that this leaves out."""
     order = np.argsort(x, kind="stable")
     x, y = x[order], y[order]
     starts = np.flatnonzero(np.r_[True, x[1:] != x[:-1]])
@@ -112,7 +111,7 @@ def _distinct(x: Array, y: Array) -> tuple[Array, float]:
     return np.stack([x[starts], roots, roots * means]), float(within @ within)
 
 
-def _divide(x: Array, leaf: int) -> tuple[Whole, Whole, Whole]:
+def _divide(x: Array, leaf: int) -> tuple[Integers, Integers, Integers]:
     """First and last point of each panel and the group that divides it, from the whole down."""
     spans, below = _quarters(x, 0, x.size), []
     for i, j in spans:  # which grows
@@ -131,41 +130,42 @@ def _quarters(x: Array, i: int, j: int) -> list[tuple[int, int]]:
 
 
 def _rules(
-    given: Array, centre: float, half: float, highest: int, nodes: Array, rests: Array
+    terms: Array, centre: float, half: float, highest: int, nodes: Array, rests: Array
 ) -> int:
-    """Write the rules of points `given` (3, m) into `nodes` and `rests`; how many there are."""
-    x, w, y = (given[0] - centre) / (half or 1.0), given[1], given[2].copy()
+    """Write the rules of terms (3, m) into `nodes` and `rests`; how many there are."""
+    x, w, y = (terms[0] - centre) / (half or 1.0), terms[1], terms[2].copy()
     most = max((p for p in ORDERS if p < x.size and p <= highest), default=0)
-    diagonal, beside, coefficients, lefts, made = _lanczos(x, w, y, most)
+    diagonal, beside, coefficients, squares, count = _lanczos(x, w, y, most)
     size = math.sqrt(w @ w)
-    orders = [p for p in ORDERS if p <= made]
+    orders = [p for p in ORDERS if p <= count]
     for o, p in enumerate(orders):
         start = STARTS[o]
         places, vectors, _ = dstev(diagonal[:p], beside[: p - 1])
         nodes[0, start : start + p] = centre + half * np.minimum(np.maximum(places, -1), 1)
         nodes[1, start : start + p] = size * vectors[0]
         nodes[2, start : start + p] = coefficients[:p] @ vectors
-        rests[o] = lefts[p - 1]
+        rests[o] = squares[p - 1]
     return len(orders)
 
 
 @njit(cache=True, error_model="numpy")
-def _lanczos(x: Array, w: Array, left: Array, most: int) -> tuple[Array, Array, Array, Array, int]:
-    """Recurrence of the orthonormal polynomials at x (m,) with squared weights w^2, up to `most`.
+def _lanczos(x: Array, w: Array, y: Array, most: int) -> tuple[Array, Array, Array, Array, int]:
+    """The recurrence of up to `most` orthonormal polynomials at x (m,) with squared weights w^2.
 
-    Its diagonal and what is beside it, the coefficients of `left` (m,), which is overwritten, and
-    the sum of squares left after each; and how many there are before rounding takes over. Each is
-    made orthogonal once more to all before it, so that they are so however the points lie.
+    Gives its diagonal and subdiagonal, the coefficients of y (m,) in these polynomials, the sum of
+    squares of y that remains after each, and how many polynomials there are before rounding takes
+    over. Overwrites y by what remains of it. Each polynomial is orthogonalised once more against
+    all before it, so that they are orthogonal however the points lie.
     """
     basis = np.empty((most, x.size))
     diagonal, beside = np.zeros(most), np.zeros(most)
-    coefficients, lefts = np.zeros(most), np.zeros(most)
+    coefficients, squares = np.zeros(most), np.zeros(most)
     vector, length = w.copy(), math.sqrt(np.dot(w, w))
     for j in range(most):
         basis[j] = vector / length
-        coefficients[j] = np.dot(basis[j], left)
-        left -= coefficients[j] * basis[j]
-        lefts[j] = np.dot(left, left)
+        coefficients[j] = np.dot(basis[j], y)
+        y -= coefficients[j] * basis[j]
+        squares[j] = np.dot(y, y)
         vector = x * basis[j]
         diagonal[j] = np.dot(basis[j], vector)
         vector -= diagonal[j] * basis[j]
@@ -175,5 +175,5 @@ def _lanczos(x: Array, w: Array, left: Array, most: int) -> tuple[Array, Array, 
         length = math.sqrt(np.dot(vector, vector))
         beside[j] = length
         if length < SMALLEST:
-            return diagonal, beside, coefficients, lefts, j + 1
-    return diagonal, beside, coefficients, lefts, most
+            return diagonal, beside, coefficients, squares, j + 1
+    return diagonal, beside, coefficients, squares, most

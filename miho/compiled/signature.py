@@ -35,7 +35,7 @@ class Signed:
 
     def copies(self) -> list[Formula]:
         """Copies of the formulas under names of their own; the originals stay as they are."""
-        sign = signed(self.signature)
+        sign = signing(self.signature)
         return [
             cast(Formula, sign(FunctionType(f.__code__, f.__globals__, f.__name__, None,
                                             f.__closure__)))
@@ -49,7 +49,7 @@ def signed_formulas(formulas: tuple[Formula, ...], shape: tuple[int, ...]) -> Si
 
 
 def signature_of(*functions: Callable[..., object], shape: tuple[int, ...] = ()) -> str:
-    """16 hexadecimal digits for some functions, all that they call, and the code of this package.
+    """16 hexadecimal digits of functions, of all that they call, and of the code of this package.
 
     Functions are told apart by their code, the files it stands in, the values that they close over
     and the numbers, functions and classes among their globals, whose own code counts likewise.
@@ -57,25 +57,27 @@ def signature_of(*functions: Callable[..., object], shape: tuple[int, ...] = ())
     digest = hashlib.sha256(repr(shape).encode())
     for path in sorted(Path(__file__).parent.glob("*.py")):
         digest.update(_text(str(path)))
-    waiting: list[Any] = list(functions)
-    for function in waiting:  # which grows
+    queue: list[Any] = list(functions)
+    for function in queue:  # which grows
         code = function.__code__
         closed_over = [cell.cell_contents for cell in function.__closure__ or ()]
         names = [*_names(code), *map(str, function.__annotations__.values())]
-        named = [function.__globals__.get(name) for name in names]
-        called = [getattr(value, "py_func", value) for value in (*closed_over, *named)]
-        waiting += [f for f in called if isinstance(f, FunctionType) and f not in waiting]
-        held = [value for value in closed_over if not isinstance(value, FunctionType)]
-        numbers = [value for value in named if isinstance(value, int | float | tuple)]
-        digest.update(code.co_code + repr((code.co_consts, names, held, numbers)).encode())
+        values = [function.__globals__.get(name) for name in names]
+        # What it calls is read in its turn; a compiled function holds its Python one.
+        callees = [getattr(value, "py_func", value) for value in (*closed_over, *values)]
+        queue += [f for f in callees if isinstance(f, FunctionType) and f not in queue]
+        # What is compiled in: the code, and the values that it closes over or takes from globals.
+        constants = [value for value in closed_over if not isinstance(value, FunctionType)]
+        numbers = [value for value in values if isinstance(value, int | float | tuple)]
+        digest.update(code.co_code + repr((code.co_consts, names, constants, numbers)).encode())
         digest.update(_text(code.co_filename))
-        for value in named:
+        for value in values:
             if isinstance(value, type):  # a record whose fields the code reads
                 digest.update(_text(getattr(sys.modules[value.__module__], "__file__", "")))
     return digest.hexdigest()[:16]
 
 
-def signed(signature: str) -> Callable[[Function], Function]:
+def signing(signature: str) -> Callable[[Function], Function]:
     """A decorator that puts the signature into a function's name."""
 
     def sign(function: Function) -> Function:
@@ -88,7 +90,7 @@ def signed(signature: str) -> Callable[[Function], Function]:
 def compiled_when_called(**options: Any) -> Callable[[Function], Function]:
     """A decorator as numba's njit, cached on disk: numba is imported at the function's first call.
 
-    It is signed then, when all that it calls is defined.
+    The signature is made then too, when all that the function calls is defined.
     """
 
     def decorate(function: Function) -> Function:
@@ -98,7 +100,7 @@ def compiled_when_called(**options: Any) -> Callable[[Function], Function]:
 
             import miho.compiled.polynomials  # noqa: F401 -- registers the elementary functions
 
-            sign = signed(signature_of(function))
+            sign = signing(signature_of(function))
             return cast(Callable[..., object], numba.njit(cache=True, **options)(sign(function)))
 
         @wraps(function)

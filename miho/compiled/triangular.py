@@ -10,34 +10,34 @@ from typing import Any, NamedTuple, TypeVar, cast
 from numba import njit
 from numba.extending import register_jitable
 
-from miho.compiled.signature import signature_of, signed
+from miho.compiled.signature import signature_of, signing
 from miho.quantities import Array
 
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
-"""No array is made here: without the counting of references to them, which costs more than a step
-of a few rows does."""
+"""No array is allocated here, so there is no reference counting (nrt): it costs more than a step of
+a few rows does."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_signed = signed(signature_of())
+_signed = signing(signature_of())
 
 
 def entry(function: Function) -> Function:
-    """Compiled and cached, to be called from Python.
+    """A decorator: compiled and cached, to be called from Python.
 
-    Each one costs seconds to compile, since it is translated with all that it calls: they are few,
-    and take arrays whose type is always the same (a view of one row is another type than of two).
+    Each takes seconds to compile, since it is compiled with all that it calls. So they are few, and
+    take arrays of always the same type (a row as a view is of another type than an array of rows).
     """
     return cast(Function, njit(cache=True, **OPTIONS)(_signed(function)))
 
 
 def in_cache(function: Any) -> bool:
-    """Whether numba has compiled an entry before; then it need not now."""
+    """Whether numba's cache on disk holds an entry, so that it need not be compiled."""
     name = function.py_func.__qualname__
     return any(Path(function.stats.cache_path).glob(f"*.{name}-*.nbi"))
 
 
 def _part(**options: Any) -> Callable[[Function], Function]:
-    """Compiled as a part of those that call it, without an entry and a place in the cache.
+    """A decorator: compiled as a part of the entries that call it, and cached with them.
 
     Called from Python it is the Python function, and slow.
     """
@@ -50,13 +50,13 @@ def _part(**options: Any) -> Callable[[Function], Function]:
 
 compiled = _part()
 summing = _part(fastmath={"reassoc", "contract", "nsz"})
-"""Parts; the second for sums over rows in any order, so that the processor adds side by side."""
+"""Parts; the second kind may sum in any order, so that the processor adds side by side."""
 
 SINGULAR = 1e-14
-"""A pivot below this share of the largest one, or of its column, is 0: its parameter is left where
-it is, as long as the same others are free."""
-LEFT = 0.5
-"""Marks such a parameter, among those that are free (1) and those at a bound (0)."""
+"""A pivot below this share of the largest one, or of its column, is taken for 0: its parameter
+depends on those before it, and stays where it is as long as the same others are free."""
+DEPENDENT = 0.5
+"""Marks such a parameter, beside those that are free (1) and those at a bound (0)."""
 
 
 @summing
@@ -70,10 +70,10 @@ def square_sum(r: Array, count: int) -> float:
 
 @summing
 def fold(T: Array, columns: Array, count: int, n: int) -> None:
-    """Take `count` rows, given as n columns, into the triangular factor T of all rows before.
+    """Update T, the triangular factor of all rows so far, by `count` more, given as n columns.
 
-    Householder reflections of T stacked on the rows (Golub and Van Loan, Matrix Computations,
-    section 5.2): the factor of any number of rows, chunk by chunk. The columns are used up.
+    By Householder reflections of T stacked on the rows (Golub and Van Loan, Matrix Computations,
+    section 5.2): the factor of any number of rows, chunk by chunk. Overwrites the columns.
     """
     for k in range(n):
         v = columns[k]
@@ -98,35 +98,45 @@ def fold(T: Array, columns: Array, count: int, n: int) -> None:
                 other[i] -= product * v[i]
 
 
-class Room(NamedTuple):
-    """Where a solution of at most d parameters is made: what it holds is of no account after."""
+class SolverScratch(NamedTuple):
+    """Arrays in which `solve_in_box` works, for at most d parameters.
+
+    free (d,): 1, 0 or DEPENDENT; solution (d,); columns (d + 1, 2 d); T (d + 1, d + 1).
+    """
 
     free: Array
-    found: Array
+    solution: Array
     columns: Array
     T: Array
 
 
 @compiled
 def solve_in_box(
-    R: Array, q: Array, scale: Array, low: Array, high: Array, n: int, s: Array, room: Room
+    R: Array,
+    q: Array,
+    scale: Array,
+    low: Array,
+    high: Array,
+    n: int,
+    s: Array,
+    scratch: SolverScratch,
 ) -> None:
     """Minimise |R s + q|^2 + |scale s|^2 within low <= s <= high, into s, by an active set.
 
     R is triangular in its first n rows and columns; q, scale, low and high are (n,) or longer, low
-    <= 0 <= high. Parameters that a solution would take out of the box are held at its bounds, all
-    at once as long as none was let go again. Then the one with the steepest gradient inwards is let
-    go, and the way to the solution ends at the first bound, so that each makes the sum of squares
-    less, until Karush's, Kuhn's and Tucker's conditions hold (Stark and Parker, Computational
-    Statistics 10, 1995), or n have been let go three times.
+    <= 0 <= high. First, all parameters that a solution would take out of the box are fixed at its
+    bounds at once, and the others solved for again. Then the fixed one with the steepest gradient
+    inwards is freed, and the way to the new solution ends at the first bound, so that each step
+    lowers the sum of squares, until the Karush-Kuhn-Tucker conditions hold (Stark and Parker,
+    Computational Statistics 10, 1995), or 3 n have been freed.
     """
-    free = room.free
+    free = scratch.free
     for k in range(n):
         s[k], free[k] = 0.0, 1.0
-    while _minimise_free(R, q, scale, low, high, n, s, False, room):
+    while _minimise_free(R, q, scale, low, high, n, s, False, scratch):
         pass
     for _ in range(3 * n):
-        steepest, which = 0.0, -1
+        steepest, candidate = 0.0, -1
         for k in range(n):
             if free[k]:
                 continue
@@ -135,11 +145,11 @@ def solve_in_box(
                 slope += R[row, k] * row_of(R, q, n, s, row)
             inward = slope < 0 if s[k] <= low[k] else slope > 0
             if inward and abs(slope) > steepest:
-                steepest, which = abs(slope), k
-        if which < 0:
+                steepest, candidate = abs(slope), k
+        if candidate < 0:
             return
-        free[which] = 1.0
-        while _minimise_free(R, q, scale, low, high, n, s, True, room):
+        free[candidate] = 1.0
+        while _minimise_free(R, q, scale, low, high, n, s, True, scratch):
             pass
 
 
@@ -162,9 +172,11 @@ def norm(R: Array, q: Array, n: int, s: Array) -> float:
 
 
 @compiled
-def factor_of_free(R: Array, q: Array, scale: Array, n: int, s: Array, room: Room) -> int:
-    """The factor of the free parameters with the others held, into room.T; how many are free."""
-    free, columns, T = room.free, room.columns, room.T
+def factor_of_free(
+    R: Array, q: Array, scale: Array, n: int, s: Array, scratch: SolverScratch
+) -> int:
+    """The factor of the free parameters, the others fixed, into scratch.T; how many are free."""
+    free, columns, T = scratch.free, scratch.columns, scratch.T
     count = 0
     for k in range(n):
         if free[k] == 1.0:
@@ -186,22 +198,22 @@ def factor_of_free(R: Array, q: Array, scale: Array, n: int, s: Array, room: Roo
 
 
 @compiled
-def independent(n: int, count: int, room: Room) -> bool:
-    """Whether no free parameter depends on those before it; the first that does is free no more.
+def independent(n: int, count: int, scratch: SolverScratch) -> bool:
+    """Whether no free parameter depends on those before it; the first that does is marked.
 
-    Its column cannot just be skipped: what is left of it is rounding, but takes a row of the
-    factor.
+    The factor has to be made anew without it: what remains of its column is rounding, but takes up
+    a row of the factor.
     """
-    T, largest, j = room.T, 0.0, 0
+    T, largest, j = scratch.T, 0.0, 0
     for k in range(count):
         largest = max(largest, abs(T[k, k]))
     for k in range(n):
-        if room.free[k] == 1.0:
+        if scratch.free[k] == 1.0:
             norm = 0.0
             for row in range(j + 1):
                 norm = max(norm, abs(T[row, j]))
             if abs(T[j, j]) <= SINGULAR * max(largest, norm):
-                room.free[k] = LEFT
+                scratch.free[k] = DEPENDENT
                 return False
             j += 1
     return True
@@ -217,41 +229,47 @@ def _minimise_free(
     n: int,
     s: Array,
     stop: bool,
-    room: Room,
+    scratch: SolverScratch,
 ) -> bool:
     """Move the free parameters to their minimum, those that leave the box to its bounds.
 
-    Or, where they are to `stop`, on the straight way to it as far as the first bound. Gives whether
-    any came to a bound, and is free no longer.
+    With `stop` they move on the straight way to it as far as the first bound. Gives whether any
+    came to a bound; those are fixed there.
     """
-    free, found, T = room.free, room.found, room.T
+    free, solution, T = scratch.free, scratch.solution, scratch.T
+    # The factor of the free parameters, without those that depend on others.
     for k in range(n):
-        if free[k] == LEFT:
+        if free[k] == DEPENDENT:
             free[k] = 1.0
-    count = factor_of_free(R, q, scale, n, s, room)
-    while not independent(n, count, room):
-        count = factor_of_free(R, q, scale, n, s, room)
+    count = factor_of_free(R, q, scale, n, s, scratch)
+    while not independent(n, count, scratch):
+        count = factor_of_free(R, q, scale, n, s, scratch)
+    # Their minimum, by back substitution.
     for j in range(count - 1, -1, -1):
         right = -T[j, count]
         for other in range(j + 1, count):
-            right -= T[j, other] * found[other]
-        found[j] = right / T[j, j]
+            right -= T[j, other] * solution[other]
+        solution[j] = right / T[j, j]
+    # The share of the way to it that ends at the first bound.
     share, j = 1.0, 0
     for k in range(n):
         if free[k] == 1.0:
-            bound = min(max(found[j], low[k]), high[k])
-            if stop and bound != found[j]:
-                share = min(share, (bound - s[k]) / (found[j] - s[k]))
+            bound = min(max(solution[j], low[k]), high[k])
+            if stop and bound != solution[j]:
+                share = min(share, (bound - s[k]) / (solution[j] - s[k]))
             j += 1
-    left, j = False, 0
+    # Go there; what comes to a bound is fixed.
+    fixed, j = False, 0
     for k in range(n):
         if free[k] == 1.0:
-            bound = min(max(found[j], low[k]), high[k])
-            if bound != found[j] and (not stop or (bound - s[k]) / (found[j] - s[k]) <= share):
-                s[k], free[k], left = bound, 0.0, True
+            bound = min(max(solution[j], low[k]), high[k])
+            if bound != solution[j] and (
+                not stop or (bound - s[k]) / (solution[j] - s[k]) <= share
+            ):
+                s[k], free[k], fixed = bound, 0.0, True
             elif share < 1.0:
-                s[k] = min(max(s[k] + share * (found[j] - s[k]), low[k]), high[k])
+                s[k] = min(max(s[k] + share * (solution[j] - s[k]), low[k]), high[k])
             else:
-                s[k] = found[j]
+                s[k] = solution[j]
             j += 1
-    return left
+    return fixed

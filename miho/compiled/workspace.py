@@ -1,10 +1,10 @@
-"""Room in which Gauss-Newton steps are worked out, as parts of one array."""
+"""The arrays in which Gauss-Newton steps are worked out, as parts of one array."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-from miho.compiled.triangular import Room, compiled
+from miho.compiled.triangular import SolverScratch, compiled
 from miho.quantities import Array
 
 CHUNK = 512
@@ -12,7 +12,12 @@ CHUNK = 512
 
 
 class Work(NamedTuple):
-    """Room for one configuration: residuals (m,), rows of a chunk, factors, a step."""
+    """Arrays for the steps of one candidate with d parameters, m rows and some levels.
+
+    theta, step, low, high, scale (d,): the configuration in units, a step, its bounds and damping.
+    sums (levels,): sums of squares. T (d + 1, d + 1): a triangular factor. chunk (d + 1, CHUNK):
+    columns to fold into it. slopes (d, CHUNK), residuals (m,): as the problem gives them.
+    """
 
     theta: Array
     step: Array
@@ -24,33 +29,33 @@ class Work(NamedTuple):
     chunk: Array
     slopes: Array
     residuals: Array
-    room: Room
+    solver: SolverScratch
 
 
 def room_for(d: int, m: int, levels: int) -> int:
-    """Numbers that `work` needs."""
+    """How many numbers `work` needs."""
     return levels + (d + 1) * (d + 1) + (2 * d + 1) * CHUNK + m + 7 * d + (d + 1) * (3 * d + 1)
 
 
 @compiled
 def work(room: Array, d: int, m: int, levels: int) -> Work:
-    """Room for d parameters, m residuals and levels of rows; the factor and the sums are 0."""
-    n, at = d + 1, 7 * d
-    sums = room[at : at + levels]
+    """Parts of `room` for d parameters, m residuals and levels of rows; factor and sums are 0."""
+    n, start = d + 1, 7 * d
+    sums = room[start : start + levels]
     for k in range(levels):
         sums[k] = 0.0
-    at += levels
-    T = room[at : at + n * n].reshape((n, n))
+    start += levels
+    T = room[start : start + n * n].reshape((n, n))
     clear(T)
-    at += n * n
-    chunk = room[at : at + n * CHUNK].reshape((n, CHUNK))
-    at += n * CHUNK
-    slopes = room[at : at + d * CHUNK].reshape((d, CHUNK))
-    at += d * CHUNK
-    residuals = room[at : at + m]
-    at += m
-    columns = room[at : at + n * 2 * d].reshape((n, 2 * d))
-    at += n * 2 * d
+    start += n * n
+    chunk = room[start : start + n * CHUNK].reshape((n, CHUNK))
+    start += n * CHUNK
+    slopes = room[start : start + d * CHUNK].reshape((d, CHUNK))
+    start += d * CHUNK
+    residuals = room[start : start + m]
+    start += m
+    columns = room[start : start + n * 2 * d].reshape((n, 2 * d))
+    start += n * 2 * d
     return Work(
         room[:d],
         room[d : 2 * d],
@@ -62,11 +67,11 @@ def work(room: Array, d: int, m: int, levels: int) -> Work:
         chunk,
         slopes,
         residuals,
-        Room(
+        SolverScratch(
             room[5 * d : 6 * d],
             room[6 * d : 7 * d],
             columns,
-            room[at : at + n * n].reshape((n, n)),
+            room[start : start + n * n].reshape((n, n)),
         ),
     )
 
@@ -80,7 +85,7 @@ def clear(T: Array) -> None:
 
 
 @compiled
-def copy(these: Array, to: Array) -> None:
-    """Copy numbers."""
-    for k in range(these.size):
-        to[k] = these[k]
+def copy(source: Array, target: Array) -> None:
+    """Copy all numbers of one array to another."""
+    for k in range(source.size):
+        target[k] = source[k]

@@ -61,7 +61,7 @@ def standing(
     kind = kind_of(searches)
     ends = [end for each in searches for end in each.ends]
     agreed = agreement(ends, rounding, best=loss, finished=finished, dropped=dropped)
-    here = agreed.here
+    here = agreed.agreeing
     verb = "was" if dropped == 1 else "were"
     elsewhere = f", {dropped} {verb} dropped on fewer rows as no better" * bool(dropped)
     ended = f"{here or 'none'} of {finished} {kind} ended here{elsewhere}"

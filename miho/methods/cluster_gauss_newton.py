@@ -58,7 +58,7 @@ class ClusterGaussNewton(Optimizer):
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         """Move one cluster after the other."""
-        look = _Look(oracle)
+        look = _Residuals(oracle)
         common: Array | None = oracle.space.decode(oracle.space.initial(1))[0]
         for _ in count() if self.rounds is None else range(self.rounds):
             X, Y = self._first(look, rng, common)
@@ -67,14 +67,13 @@ class ClusterGaussNewton(Optimizer):
                 self._move(look, X, Y)
 
     def _first(
-        self, look: _Look, rng: np.random.Generator, common: Array | None
+        self, look: _Residuals, rng: np.random.Generator, common: Array | None
     ) -> tuple[Array, Array]:
         """Points (N, d) drawn until all have usable residuals (N, m); none if no draw of N has."""
         X: list[Array] = []
         Y: list[Array] = []
         while len(X) < self.N:
-            before = len(X)
-            for x in rng.random((self.N - before, len(look.space))):
+            for x in rng.random((self.N - len(X), len(look.space))):
                 theta = look.box.theta(x)
                 if common is not None:
                     theta, common = common, None
@@ -86,7 +85,7 @@ class ClusterGaussNewton(Optimizer):
                 break
         return np.array(X), np.array(Y)
 
-    def _move(self, look: _Look, X: Array, Y: Array) -> None:
+    def _move(self, look: _Residuals, X: Array, Y: Array) -> None:
         """The main iteration from the cluster X (N, d) with residuals Y (N, m)."""
         squares = np.einsum("nm,nm->n", Y, Y)
         first = self.damping * float(np.median(squares))
@@ -106,7 +105,7 @@ class ClusterGaussNewton(Optimizer):
                     damping[i] *= 10
 
 
-class _Look:
+class _Residuals:
     """Residuals (m,) at parameters (d,), None where they are not usable."""
 
     def __init__(self, oracle: Oracle) -> None:
@@ -126,7 +125,7 @@ def cluster_steps(
     X: Array, Y: Array, damping: Array, gamma: float, moving: NDArray[np.intp]
 ) -> Array:
     """Steps (k, d) of the k points `moving` of a cluster X (N, d) with residuals Y (N, m)."""
-    # Without the unit of the residuals, whose square may not be a number.
+    # In units of the largest residual: in theirs, a square may overflow.
     scale = float(np.abs(Y).max()) or 1.0
     Y, damping = Y / scale, damping[moving, None] / scale / scale
     if Y.shape[1] > len(Y):
@@ -137,7 +136,7 @@ def cluster_steps(
     squared = np.einsum("kjd,kjd->kj", between, between)
     apart = squared > 0
     nearest = np.min(squared, axis=1, initial=np.inf, where=apart)
-    # Of the nearest point's weight, which changes no fit, so that none is infinite.
+    # Relative to the nearest point's weight, which changes no fit: so none is infinite.
     relative = np.divide(nearest[:, None], squared, out=np.zeros_like(squared), where=apart)
     weights = relative**gamma
     # (k, d, N) @ (N, m): the fit is linear in the differences of residuals.
@@ -151,7 +150,7 @@ def cluster_steps(
 
 
 def within(x: Array, step: Array) -> Array:
-    """The step (d,) from x in the unit cube, with components that cross a bound half way to it."""
+    """The step (d,) from x in the unit cube; components that cross a bound go half way to it."""
     bound = np.where(step > 0, 1.0, 0.0)
     crosses = np.abs(step) > np.abs(bound - x)
     return np.where(crosses, (bound - x) / 2, step)

@@ -40,7 +40,10 @@ def descend(
 
 
 class Lowest:
-    """Residuals that remember where their mean square, `loss`, was smallest: `theta` (d,)."""
+    """Residuals that remember where their mean square was smallest: `theta` (d,), with `loss`.
+
+    Before any is evaluated these are the start and infinity.
+    """
 
     def __init__(self, residuals: Vector, start: Array) -> None:
         self._residuals = residuals
@@ -57,8 +60,8 @@ class Lowest:
 
 
 @contextlib.contextmanager
-def given_up() -> Iterator[None]:
-    """A descent that comes to unusable residuals or derivatives ends there."""
+def ending_where_unusable() -> Iterator[None]:
+    """Within this context, unusable residuals or derivatives end the descent without an error."""
     with contextlib.suppress(UnusableValueError, ValueError, np.linalg.LinAlgError):
         yield
 
@@ -66,9 +69,9 @@ def given_up() -> Iterator[None]:
 def local_search(
     oracle: Oracle, start: Array, tolerance: float, method: str, looks: int | None = None
 ) -> Lowest:
-    """One descent of the run from `start` (d,): where it was lowest, +inf where nowhere."""
+    """One descent of the run from `start` (d,), and the lowest of its configurations."""
     lowest = Lowest(oracle.residuals, start)
-    with given_up(), oracle.descent() as descent:
+    with ending_where_unusable(), oracle.descent() as descent:
         descent.converged = descend(
             lowest, oracle.jacobian, start, oracle.space, tolerance, method, looks
         )
@@ -83,21 +86,22 @@ def _trust_region(
     tolerance: float,
     looks: int | None,
 ) -> bool:
-    """Moves the parameters that the residuals depend on: those with a derivative that is not zero.
+    """SciPy's trust-region reflective solver over the parameters that the residuals depend on.
 
-    On a Jacobian without full rank SciPy takes only steps as long as its trust region, and spends
-    all its looks on them. The other parameters are held, and move too if they have derivatives
-    where the first ones end.
+    Those are the parameters with a derivative that is not zero; the others are fixed, and freed if
+    they have one where the search ends. On a Jacobian without full rank SciPy takes only steps as
+    long as its trust region, and spends all its looks on them.
     """
-    theta, moved = start.copy(), np.zeros(start.size, dtype=bool)
+    theta, free = start.copy(), np.zeros(start.size, dtype=bool)
     converged = True
-    while not moved.all():
-        known, slopes = residuals(theta), jacobian(theta)
-        if not (slopes.any(axis=0) & ~moved).any():
+    while not free.all():
+        start_values = residuals(theta), jacobian(theta)
+        matters = start_values[1].any(axis=0)
+        if not (matters & ~free).any():
             break
-        moved |= slopes.any(axis=0)
+        free |= matters
         theta, converged = _solve(
-            residuals, jacobian, theta, (known, slopes), moved, space, tolerance, looks
+            residuals, jacobian, theta, start_values, free, space, tolerance, looks
         )
     return converged
 
@@ -106,37 +110,37 @@ def _solve(
     residuals: Vector,
     jacobian: Vector,
     theta: Array,
-    known: tuple[Array, Array],
-    moved: NDArray[np.bool_],
+    start_values: tuple[Array, Array],
+    free: NDArray[np.bool_],
     space: Space,
     tolerance: float,
     looks: int | None,
 ) -> tuple[Array, bool]:
-    """The solution from `theta`, and whether it is one.
+    """Where the solver ends over the `free` parameters (d,) from `theta`, and whether it converged.
 
-    The residuals and the Jacobian of `theta` are `known`, and not paid for again.
+    `start_values` are the residuals and the Jacobian at `theta`, which are not paid for again.
     """
 
-    def at(part: Array) -> Array:
+    def configuration(values: Array) -> Array:
         whole = theta.copy()
-        whole[moved] = part
+        whole[free] = values
         return whole
 
-    def look(part: Array) -> Array:
-        here = at(part)
-        return known[0] if np.array_equal(here, theta) else residuals(here)
+    def look(values: Array) -> Array:
+        point = configuration(values)
+        return start_values[0] if np.array_equal(point, theta) else residuals(point)
 
-    def slopes(part: Array) -> Array:
-        here = at(part)
-        columns = known[1] if np.array_equal(here, theta) else jacobian(here)
+    def slopes(values: Array) -> Array:
+        point = configuration(values)
+        columns = start_values[1] if np.array_equal(point, theta) else jacobian(point)
         # A selection of all columns would be stored, and so rounded, in another order.
-        return columns if moved.all() else columns[:, moved]
+        return columns if free.all() else columns[:, free]
 
     solution = scipy.optimize.least_squares(
         look,
-        theta[moved],
+        theta[free],
         jac=slopes,
-        bounds=(space.low[moved], space.high[moved]),
+        bounds=(space.low[free], space.high[free]),
         method="trf",
         x_scale="jac",
         ftol=tolerance,
@@ -144,7 +148,7 @@ def _solve(
         gtol=None,  # it is absolute, and no unit of the residuals is known here
         max_nfev=looks,
     )
-    return at(solution.x), solution.status > 0
+    return configuration(solution.x), solution.status > 0
 
 
 def _levenberg_marquardt(
@@ -155,15 +159,15 @@ def _levenberg_marquardt(
     tolerance: float,
     looks: int | None,
 ) -> bool:
-    """Moves angles u with x = (1 + sin u) / 2 in the unit cube, the transformation of MINUIT.
+    """MINPACK's solver over angles u with x = (1 + sin u) / 2 in the unit cube.
 
-    James and Roos (Computer Physics Communications 10, 1975): no look leaves the box, a start on a
-    bound cannot leave it, and towards a solution on a bound progress is slow. Where residuals are
-    fewer than parameters, which MINPACK refuses, residuals of zero are added.
+    The transformation of MINUIT (James and Roos, Computer Physics Communications 10, 1975): no look
+    leaves the box, a start on a bound cannot leave it, and towards a solution on a bound progress
+    is slow. Where residuals are fewer than parameters, which MINPACK refuses, zeros are added.
     """
     box = UnitBox(space)
 
-    def at(u: Array) -> Array:
+    def configuration(u: Array) -> Array:
         return box.theta((1 + np.sin(u)) / 2)
 
     def tall(rows: Array) -> Array:
@@ -171,10 +175,10 @@ def _levenberg_marquardt(
         return np.concatenate((rows, np.zeros((lacking, *rows.shape[1:]))))
 
     def look(u: Array) -> Array:
-        return tall(residuals(at(u)))
+        return tall(residuals(configuration(u)))
 
     def slopes(u: Array) -> Array:
-        theta = at(u)
+        theta = configuration(u)
         return tall(jacobian(theta) * box.slope(theta) * np.cos(u) / 2)
 
     solution = scipy.optimize.least_squares(

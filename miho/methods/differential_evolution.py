@@ -14,7 +14,7 @@ from miho.quantities import Array
 from miho.validate import at_least, one_of, whole
 
 LEVEL = 1e12
-"""Of the first loss: the polish then ends by its relative tolerance."""
+"""The first loss is scaled to this, so that the polish ends by its relative tolerance."""
 
 STRATEGIES = tuple(
     f"{base}{crossover}"

@@ -14,7 +14,7 @@ from miho.quantities import Array
 from miho.validate import whole
 
 LEVEL = 1e3
-"""Of the first loss: about what a step may be worse by at SciPy's first temperature, 5230 / 6."""
+"""The first loss is scaled to this: by about as much a step may be worse at first (5230 / 6)."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from miho.methods.descent import (
     SMALLEST_TOLERANCE,
     Lowest,
     descend,
-    given_up,
+    ending_where_unusable,
     local_search,
 )
 from miho.methods.sobol import Sobol
@@ -89,12 +89,12 @@ class HickernellYuan(Optimizer):
             common = None
             for _ in range(self.major):
                 self._iterate(oracle, sample)
-                if self.ended(sample.stationary, sample.worse):
+                if self.converged(sample.stationary, sample.worse):
                     break
             if math.isfinite(sample.best_loss):
                 local_search(oracle, sample.best, self.tolerance, "trf", 1 + self.final)
 
-    def ended(self, stationary: int, worse: int) -> bool:
+    def converged(self, stationary: int, worse: int) -> bool:
         """Whether NSP `stationary` points and NWSP `worse` ones since the last are enough."""
         return stationary >= self.least and worse > self.r + math.sqrt(self.r) * stationary
 
@@ -128,7 +128,7 @@ class HickernellYuan(Optimizer):
         record: AbstractContextManager[Descent],
     ) -> tuple[Lowest, _Slopes]:
         lowest, slopes = Lowest(oracle.residuals, start), _Slopes(oracle)
-        with given_up(), record as descent:
+        with ending_where_unusable(), record as descent:
             descent.converged = descend(
                 lowest, slopes, start, oracle.space, self.tolerance, "trf", 1 + iterations
             )
@@ -202,8 +202,8 @@ class _Sample:
         low, high = space.bounds
         new = np.flatnonzero(self.retained == 0)
         coordinates = low + (high - low) * self._sobol.points(len(new))
-        drawn = towards_zero(coordinates, low, high, self.power)
-        self.thetas[new] = space.clip(space.decode(drawn))
+        coordinates = towards_zero(coordinates, low, high, self.power)
+        self.thetas[new] = space.clip(space.decode(coordinates))
         if self.common is not None:
             self.thetas[0], self.common = self.common, None
 

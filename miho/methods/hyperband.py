@@ -76,10 +76,10 @@ def _repeat(rungs: Sequence[Rung], R: int, oracle: Oracle, rng: np.random.Genera
     """Run the rungs over and over; each bracket draws afresh."""
     space = oracle.space
     coordinates, losses = space.initial(rungs[0].n), np.zeros(rungs[0].n)
-    for round_ in count():
+    for repetition in count():
         for rung in rungs:
             if rung.j > 0:
                 coordinates = coordinates[np.argsort(losses, kind="stable")[: rung.n]]
-            elif round_ > 0 or rung is not rungs[0]:
+            elif repetition > 0 or rung is not rungs[0]:
                 coordinates = space.sample(rung.n, rng)
             losses = oracle(space.decode(coordinates), rung.mutations / R)

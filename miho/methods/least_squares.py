@@ -9,14 +9,14 @@ from itertools import count
 
 import numpy as np
 
-from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, descend, given_up
+from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, descend, ending_where_unusable
 from miho.optim import Optimizer, Oracle
 from miho.optim.space import LARGEST_BATCH
 from miho.quantities import Array
 from miho.validate import at_least, one_of, whole
 
 SCREENING = 0.2
-"""Of what is left of the budget, a round of screening takes this at most."""
+"""A round of screening takes at most this share of the budget that is left."""
 TICK = 1e-6
 """Seconds: shorter batches are not timed."""
 
@@ -84,20 +84,20 @@ def multi_start(
     coordinates = space.initial(screen)
     for _ in count() if rounds is None else range(rounds):
         thetas = space.decode(coordinates)
-        losses = screened(oracle, thetas)
-        oracle.screened(losses.size)
+        losses = screening_losses(oracle, thetas)
+        oracle.record_screened(losses.size)
         for i in np.argsort(losses, kind="stable")[:starts]:
             if not np.isfinite(losses[i]):
                 break
-            with given_up(), oracle.descent() as descent:
+            with ending_where_unusable(), oracle.descent() as descent:
                 descent.converged = solve(thetas[i])
         coordinates = space.sample(screen, rng)
 
 
-def screened(oracle: Oracle, thetas: Array) -> Array:
-    """Losses of the first of `thetas` (n, d): of all that SCREENING of the budget pays for.
+def screening_losses(oracle: Oracle, thetas: Array) -> Array:
+    """Losses of the first of `thetas` (n, d), as many as SCREENING of the budget pays for.
 
-    With a limit in seconds in batches that grow, because only those before tell how long one takes.
+    With a limit in seconds they come in growing batches: only those before tell how long one takes.
     """
     most = len(thetas)
     if math.isfinite(oracle.remaining):

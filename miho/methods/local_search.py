@@ -19,6 +19,7 @@ from miho.validate import positive, whole
 Slope = Callable[[Array], tuple[float, Array]]
 
 LARGE = 1e12
+"""What the loss at the start of a descent is scaled to."""
 STEP = math.sqrt(np.finfo(float).eps)
 """Of the range: the forward difference that balances truncation and rounding."""
 
@@ -56,7 +57,7 @@ class LBFGSB(Optimizer):
 
         def solve(theta: Array) -> bool:
             solution = scipy.optimize.minimize(
-                _Scaled(slope),
+                _ScaledLoss(slope),
                 box.x(theta),
                 jac=True,
                 method="L-BFGS-B",
@@ -131,8 +132,8 @@ class NelderMead(Optimizer):
         multi_start(oracle, rng, self.screen, self.starts, self.rounds, solve)
 
 
-class _Scaled:
-    """Loss and gradient for one descent: large where it starts, and finite everywhere."""
+class _ScaledLoss:
+    """Loss and gradient for one descent, scaled to be LARGE where it starts, finite everywhere."""
 
     def __init__(self, slope: Slope) -> None:
         self._slope = slope

@@ -68,7 +68,7 @@ class PSO(AskTell[PSOState]):
         )
 
     def ask(self, state: PSOState) -> Array:
-        """The positions."""
+        """The particles' positions."""
         return state.space.decode(state.positions)
 
     def tell(self, state: PSOState, thetas: Array, losses: Array) -> None:
@@ -85,13 +85,13 @@ class PSO(AskTell[PSOState]):
         v += self.c2 * rng.random(x.shape) * (leader - x)
         limit = self.velocity_limit * (high - low)
         v = np.minimum(np.maximum(v, -limit), limit)
-        moved = x + v
-        state.positions = np.minimum(np.maximum(moved, low), high)
-        state.velocities = np.where(moved == state.positions, v, 0.0)
+        unbounded = x + v
+        state.positions = np.minimum(np.maximum(unbounded, low), high)
+        state.velocities = np.where(unbounded == state.positions, v, 0.0)
         state.iteration += 1
 
     def done(self, state: PSOState) -> bool:
-        """Never."""
+        """False: only the budget ends it."""
         return False
 
     def _inertia(self, iteration: int) -> float:

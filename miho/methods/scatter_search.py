@@ -94,19 +94,19 @@ class ScatterSearch(Optimizer):
             lowest = local_search(oracle, members.box.theta(start), self.tolerance, self.method)
             starts.append(start)
             solution = members.box.x(lowest.theta)
-            new = all(np.abs(solution - other).max() > SAME for other in solutions)
+            new = all(np.abs(solution - earlier).max() > SAME for earlier in solutions)
             if new and math.isfinite(lowest.loss):
                 solutions.append(solution)
                 if lowest.loss < members.losses[parent]:
-                    members.put(parent, solution, lowest.loss)
+                    members.replace(parent, solution, lowest.loss)
 
-    def choice(self, children: Array, losses: Array, known: list[Array]) -> tuple[int, int]:
+    def choice(self, children: Array, losses: Array, searched: list[Array]) -> tuple[int, int]:
         """Parent and number of the child to search from, of children (b, b - 1, d).
 
-        By the rank of its loss (b, b - 1) and of its distance to what is known.
+        By the rank of its loss (b, b - 1), and of its distance to the points `searched` before.
         """
         d = children.shape[-1]
-        apart = np.linalg.norm(children.reshape(-1, 1, d) - np.array(known), axis=2).min(axis=1)
+        apart = np.linalg.norm(children.reshape(-1, 1, d) - np.array(searched), axis=2).min(axis=1)
         quality, diversity = np.empty(losses.size), np.empty(losses.size)
         quality[np.argsort(losses.ravel(), kind="stable")] = np.arange(losses.size)
         diversity[np.argsort(-apart, kind="stable")] = np.arange(losses.size)
@@ -132,12 +132,12 @@ class _ReferenceSet:
         losses = oracle(np.concatenate((common, thetas)))
         order = np.argsort(losses, kind="stable")
         best = -(-b // 2)
-        kept = np.concatenate((order[:best], rng.permutation(order[best:])[: b - best]))
-        self.x, self.losses = x[kept], losses[kept]
+        members = np.concatenate((order[:best], rng.permutation(order[best:])[: b - best]))
+        self.x, self.losses = x[members], losses[members]
         self.stuck = np.zeros(b, np.int64)
 
-    def put(self, i: int, x: Array, loss: float) -> None:
-        """Another member in the place of the i-th."""
+    def replace(self, i: int, x: Array, loss: float) -> None:
+        """Replace the i-th member."""
         self.x[i], self.losses[i], self.stuck[i] = x, loss, 0
 
     def replace_twins(self, twins: float) -> None:
@@ -162,7 +162,7 @@ class _ReferenceSet:
         """Members give way to better children, and to uniform draws where none was for long."""
         for i, best in enumerate(np.argmin(losses, axis=1)):
             if losses[i, best] < self.losses[i]:
-                self.put(i, *self._beyond(i, children[i, best], float(losses[i, best])))
+                self.replace(i, *self._beyond(i, children[i, best], float(losses[i, best])))
             else:
                 self.stuck[i] += 1
                 if self.stuck[i] >= patience:
@@ -170,22 +170,22 @@ class _ReferenceSet:
 
     def _renew(self, i: int) -> None:
         x = self._rng.random(self.x.shape[1])
-        self.put(i, x, self._look(x))
+        self.replace(i, x, self._look(x))
 
     def _look(self, x: Array) -> float:
         return float(self._oracle(self.box.theta(x)[None])[0])
 
     def _beyond(self, i: int, child: Array, loss: float) -> tuple[Array, float]:
         """The last improvement on a child better than its parent, the i-th (Algorithm 1)."""
-        parent, before = self.x[i], float(self.losses[i])
+        parent, parent_loss = self.x[i], float(self.losses[i])
         reach, improvements = 1.0, 1
         best, least = child, loss
-        while loss < before:
+        while loss < parent_loss:
             best, least = child, loss
             corner = np.clip(child + reach * (child - parent), 0.0, 1.0)
-            drawn = child + (corner - child) * self._rng.random(child.size)
-            parent, before = child, loss
-            child, loss = drawn, self._look(drawn)
+            draw = child + (corner - child) * self._rng.random(child.size)
+            parent, parent_loss = child, loss
+            child, loss = draw, self._look(draw)
             improvements += 1
             if improvements == 2:
                 reach, improvements = 2 * reach, 0
@@ -200,7 +200,7 @@ def rectangles(x: Array) -> tuple[Array, Array]:
     """
     b = len(x)
     i = np.arange(b)[:, None]
-    j = np.array([[k for k in range(b) if k != own] for own in range(b)])
+    j = np.array([[k for k in range(b) if k != member] for member in range(b)])
     half = (x[j] - x[i]) / 2
     bias = (np.sign(j - i) * (np.abs(j - i) - 1) / (b - 2))[:, :, None]
     low, high = x[i] - half * (1 + bias), x[i] + half * (1 - bias)

@@ -9,7 +9,7 @@ from itertools import count
 import numpy as np
 
 from miho.methods.descent import METHODS, SMALLEST_TOLERANCE, local_search
-from miho.methods.least_squares import screened
+from miho.methods.least_squares import screening_losses
 from miho.methods.sobol import Sobol
 from miho.methods.unit_box import UnitBox
 from miho.optim import Optimizer, Oracle
@@ -55,14 +55,14 @@ class TikTak(Optimizer):
         at_least("tolerance", self.tolerance, SMALLEST_TOLERANCE)
         one_of("method", self.method, METHODS)
 
-    def weight(self, i: int, kept: int) -> float:
-        """Of the lowest point so far in the start of the i-th local search, from 1."""
+    def weight(self, i: int, K: int) -> float:
+        """The weight of the lowest point so far in the start of the i-th of K searches, from 1."""
         if i == 1:
             return 0.0
-        return min(max(self.lowest_weight, math.sqrt(i / kept)), self.highest_weight)
+        return min(max(self.lowest_weight, math.sqrt(i / K)), self.highest_weight)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
-        """Look, keep and descend, `rounds` times."""
+        """Screen Sobol points and descend from the best, `rounds` times."""
         space = oracle.space
         box = UnitBox(space)
         n = self.points * len(space)
@@ -71,18 +71,17 @@ class TikTak(Optimizer):
             thetas = box.theta(Sobol(len(space), rng).points(n))
             if common is not None:
                 thetas[0], common = common, None
-            losses = screened(oracle, thetas)
+            losses = screening_losses(oracle, thetas)
             order = np.argsort(losses, kind="stable")[: max(1, int(self.share * len(losses)))]
-            kept = thetas[order[np.isfinite(losses[order])]]
-            self._descend(oracle, box, kept)
+            self._descend(oracle, box, thetas[order[np.isfinite(losses[order])]])
 
-    def _descend(self, oracle: Oracle, box: UnitBox, kept: Array) -> None:
-        """The local searches of a round from its `kept` points (K, d), the best first."""
-        best, least = kept[:1].ravel(), math.inf
-        for i, theta in enumerate(kept, start=1):
+    def _descend(self, oracle: Oracle, box: UnitBox, points: Array) -> None:
+        """The local searches of a round from its best points (K, d), the best first."""
+        best, least = points[:1].ravel(), math.inf
+        for i, theta in enumerate(points, start=1):
             start = theta
             if math.isfinite(least):
-                weight = self.weight(i, len(kept))
+                weight = self.weight(i, len(points))
                 start = box.theta((1 - weight) * box.x(theta) + weight * box.x(best))
             lowest = local_search(oracle, start, self.tolerance, self.method)
             if lowest.loss < least:

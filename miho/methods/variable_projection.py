@@ -78,11 +78,12 @@ class _Reduced:
         self._part: LinearPart | None = None
         self._rows = 1
 
-    def look(self) -> Array:
-        """Residuals (m,) with the best linear parameters for the present nonlinear ones.
+    def residuals(self, nonlinear: Array) -> Array:
+        """Residuals (m,) of the reduced problem, with the best linear parameters for these others.
 
-        Not finite where the linear parameters cannot be solved for: the solver steps back.
+        Infinite where the linear parameters cannot be solved for, so that the solver steps back.
         """
+        self._theta[self._nonlinear] = nonlinear
         oracle = self._oracle
         self._part = solve_linear_part(oracle.residuals, self._theta, self._linear, oracle.space)
         if self._part is None:
@@ -91,13 +92,8 @@ class _Reduced:
         self._rows = self._part.basis.shape[0]
         return self._part.residuals
 
-    def residuals(self, nonlinear: Array) -> Array:
-        """Residuals (m,) of the reduced problem."""
-        self._theta[self._nonlinear] = nonlinear
-        return self.look()
-
     def jacobian(self, nonlinear: Array) -> Array:
-        """Kaufman's derivatives (m, d - p): what the basis of the linear part leaves of them."""
+        """Kaufman's derivatives (m, d - p): the part orthogonal to the basis of the linear part."""
         if not np.array_equal(self._theta[self._nonlinear], nonlinear):
             self.residuals(nonlinear)
         if self._part is None:

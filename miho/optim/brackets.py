@@ -1,4 +1,7 @@
-"""What brackets of successive halving over rows of data need, whatever the step of a method is."""
+"""Brackets of successive halving over rows of data: settings, sizes, phases and starts.
+
+What `MIHOGN` and `MIHOQN` share, whose descents differ in their steps.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,12 @@ from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 from miho.validate import positive_settings, whole, whole_settings
 
+SCREEN, RUNG, LEAD, FINISH, REVIVE, POLISH, CLOSED = range(7)
+"""Phases of a bracket: first looks at its starts; steps of a rung; more steps of the rung's best;
+the last candidate to its end on all rows; a stalled candidate of an earlier bracket, which goes on;
+more digits for the best of all brackets; and none, the bracket has ended."""
+UNLIMITED = 1 << 40
+"""Steps of a candidate that goes on as long as it makes progress."""
 KINDS = "own", "scale", "uniform"
 DRAWS = "thirds", *KINDS
 DECADES = 3
@@ -43,56 +52,57 @@ def luby(k: int) -> int:
         k -= 2 ** (digits - 1) - 1
 
 
-def levels(
+def rows_by_level(
     rows: int, d: int, *, per_parameter: float, eta: int, jump: float, enough: float = math.inf
 ) -> tuple[int, ...]:
-    """How many of the first rows each level looks at: `eta` times those before, and in the end all.
+    """How many of the first rows each level looks at: `eta` times those before, the last at all.
 
-    The first has `per_parameter` rows for each of d parameters. All rows follow on a level that
-    has `enough` of them for each parameter, and where the next one would have more than the
-    share `jump` of all.
+    The first has `per_parameter` rows for each of d parameters. The last follows on a level with
+    more than `enough` rows for each parameter, or where the next one would have more than the share
+    `jump` of all.
     """
-    ends = [min(rows, max(1, math.ceil(per_parameter * d)))]
-    while ends[-1] < rows:
-        further = eta * ends[-1]
-        last = further > jump * rows or ends[-1] > enough * d
-        ends.append(rows if last else further)
-    return tuple(ends)
+    level_rows = [min(rows, max(1, math.ceil(per_parameter * d)))]
+    while level_rows[-1] < rows:
+        larger = eta * level_rows[-1]
+        last = larger > jump * rows or level_rows[-1] > enough * d
+        level_rows.append(rows if last else larger)
+    return tuple(level_rows)
 
 
 def draw_starts(
     space: Space, n: int, rng: np.random.Generator, first: bool, draws: str = "thirds"
 ) -> Array:
-    """Starts of a bracket in search coordinates, (n, d); of the `first` one the common start leads.
+    """Starts of a bracket in search coordinates, (n, d), led in the `first` by the common one.
 
-    By the space's `own` distribution, which says where an answer is expected; by `scale` (see
-    `by_scale`), for ranges that say no more than an order of magnitude; `uniform`ly; or in `thirds`
-    of each.
+    `draws` is the distribution: the space's `own`, which says where an answer is expected; `scale`
+    (see `by_scale`), for ranges that say no more than an order of magnitude; `uniform`; or `thirds`
+    for each of them in turn.
     """
     low, high = space.bounds
     kinds = KINDS if draws == "thirds" else (draws,)
     starts, u = np.empty((n, len(space))), rng.random((n, len(space)))
     for k, kind in enumerate(kinds):
-        of = slice(k, None, len(kinds))
-        shares = u[of]
+        every = slice(k, None, len(kinds))
+        shares = u[every]
         if kind == "own":
-            starts[of] = space.sample(len(shares), rng)
+            starts[every] = space.sample(len(shares), rng)
             continue
         if kind == "scale":
             columns = [by_scale(shares[:, i], p) for i, p in enumerate(space.parameters)]
             shares = np.stack(columns, axis=1)
-        starts[of] = low + (high - low) * shares
+        starts[every] = low + (high - low) * shares
     if first:
         starts[0] = space.initial(1)[0]
     return np.minimum(np.maximum(starts, low), high)
 
 
 def by_scale(u: Array, parameter: Parameter) -> Array:
-    """Shares u (n,) of a range, as shares of it that make the parameter's size even in logarithm.
+    """Uniform shares u (n,) of a range as shares whose sizes are log-uniform.
 
-    So on the linear scale where the range reaches to zero, to less than a tenth of its end or
-    across: the last DECADES of each of its sides are as likely each, and both sides are. Other
-    ranges stay as they are, and those on the log scale are even already.
+    That is for parameters on the linear scale whose range spans zero, or more than a decade next to
+    it: sizes are then drawn from the last DECADES below each end, and both signs are equally
+    likely. Shares of any other range are given back as they are; so are those on the log scale,
+    which are log-uniform already.
     """
     low, high = parameter.low, parameter.high
     if parameter.scale == "log":
@@ -110,6 +120,6 @@ def by_scale(u: Array, parameter: Parameter) -> Array:
 
 
 def _size(u: Array, low: float, high: float) -> Array:
-    """Sizes that are even in logarithm, from low, or from the last DECADES, to high."""
+    """Log-uniform sizes for uniform u (n,), from `low`, or DECADES below `high`, to `high`."""
     low = max(low, high * 10.0**-DECADES)
     return np.asarray(low * (high / low) ** np.clip(u, 0.0, 1.0))

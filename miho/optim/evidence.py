@@ -44,13 +44,13 @@ BETTER = 0.025
 class Agreement:
     """How the ends of `finished` descents agree.
 
-    `best` is the loss of the optimum in question, math.inf if there is none; `here` of the descents
+    `best` is the loss of the optimum in question, math.inf if there is none; `agreeing` descents
     ended in it, and all together in `optima` different ones at most. `unseen` is the probability
     that one more ends in an optimum that none has ended in, 1 if nothing is known of it.
     """
 
     best: float
-    here: int
+    agreeing: int
     finished: int
     optima: int
     unseen: float
@@ -58,7 +58,7 @@ class Agreement:
     @property
     def returned(self) -> bool:
         """Whether descents came back to the optimum often enough."""
-        return self.here >= max(ENOUGH, SHARE * self.finished)
+        return self.agreeing >= max(ENOUGH, SHARE * self.finished)
 
     @property
     def enough(self) -> bool:
@@ -95,10 +95,10 @@ def agreement(
         if not in_optimum(least, end, rounding):
             optima, least = optima + 1, end
     optima += dropped
-    here = sum(in_optimum(best, end, rounding) for end in ends)
+    agreeing = sum(in_optimum(best, end, rounding) for end in ends)
     pairs = finished * (finished - 1)
     unseen = min(1.0, optima * (optima + 1) / pairs) if pairs else 1.0
-    return Agreement(best, here, finished, optima, unseen)
+    return Agreement(best, agreeing, finished, optima, unseen)
 
 
 def in_optimum(best: float, end: float, rounding: float = 0.0) -> bool:

@@ -14,11 +14,11 @@ from miho.quantities import Array
 
 @dataclass(frozen=True, eq=False)
 class LinearPart:
-    """The best configuration (d,) with the other parameters held, and what it was found from.
+    """The best configuration theta (d,) with the other parameters fixed, and its linear model.
 
     `residuals` (m,) are those at `theta`. `basis` (m, p) holds the derivatives of the residuals
     with respect to those linear parameters that are not at a bound, each divided by its norm: the
-    directions in which nothing can be gained.
+    residuals are orthogonal to it.
     """
 
     theta: Array
@@ -37,41 +37,44 @@ def solve_linear_part(
 ) -> LinearPart | None:
     """Minimise the sum of squared residuals over the parameters at the positions `linear`.
 
-    `theta` (d,) is in the space, and so is every configuration asked for. They are, for p linear
-    parameters, p + 2: it, one more for each of them, which is as far away as the box allows,
-    because differences of a linear function are the more exact the wider they are, and the
-    solution. That is of ordinary least squares if the box holds it, else of bounded-variable least
+    `theta` (d,) is in the space, and so is every configuration evaluated. For p linear parameters
+    these are p + 2: theta; one more for each of them, as far away as the box allows, because
+    differences of a linear function are the more exact the wider they are; and the solution. That
+    is the one of ordinary least squares if it lies in the box, else of bounded-variable least
     squares (SciPy, bvls), after one step of iterative refinement (Björck, Numerical Methods for
-    Least Squares Problems, 1996, section 2.9): what the differences have lost to rounding comes
-    back from the residuals at the solution. None if a residual is not finite.
+    Least Squares Problems, 1996, section 2.9), which regains from the residuals at the solution
+    what the differences lost to rounding. None if a residual is not finite.
     """
+    # The residuals as an offset plus a combination of the columns of the basis.
     theta = theta.copy()
-    at = np.asarray(linear)
+    index = np.asarray(linear)
     offset = residuals(theta)
-    basis = np.empty((offset.size, at.size))
-    for column, k in enumerate(at):
-        moved = theta.copy()
+    basis = np.empty((offset.size, index.size))
+    for column, k in enumerate(index):
+        probe = theta.copy()
         above, below = space.high[k] - theta[k], theta[k] - space.low[k]
-        moved[k] = space.high[k] if above >= below else space.low[k]
-        basis[:, column] = (residuals(moved) - offset) / (moved[k] - theta[k])
-    offset = offset - basis @ theta[at]
+        probe[k] = space.high[k] if above >= below else space.low[k]
+        basis[:, column] = (residuals(probe) - offset) / (probe[k] - theta[k])
+    offset = offset - basis @ theta[index]
     if not (np.isfinite(offset).all() and np.isfinite(basis).all()):
         return None
+    # Solve with columns of norm 1.
     largest = np.abs(basis).max(axis=0, initial=0.0)
     largest[largest == 0] = 1.0
     norm = largest * np.linalg.norm(basis / largest, axis=0)  # of 1e200 too, without overflow
     norm[norm == 0] = 1.0
-    low, high = space.low[at], space.high[at]
+    low, high = space.low[index], space.high[index]
     basis = basis / norm
     solution = scipy.optimize.lsq_linear(basis, -offset, (low * norm, high * norm), method="bvls")
-    theta[at] = np.clip(solution.x / norm, low, high)
+    theta[index] = np.clip(solution.x / norm, low, high)
 
+    # Refine the parameters that are not at a bound, from the residuals at the solution.
     free = solution.active_mask == 0
-    basis, at, norm = basis[:, free], at[free], norm[free]
-    rest = residuals(theta)
-    if not np.isfinite(rest).all():
+    basis, index, norm = basis[:, free], index[free], norm[free]
+    solved = residuals(theta)
+    if not np.isfinite(solved).all():
         return None
-    before = theta[at]
-    correction = np.linalg.lstsq(basis, -rest)[0] / norm
-    theta[at] = np.clip(before + correction, space.low[at], space.high[at])
-    return LinearPart(theta, rest + basis @ ((theta[at] - before) * norm), basis)
+    unrefined = theta[index]
+    correction = np.linalg.lstsq(basis, -solved)[0] / norm
+    theta[index] = np.clip(unrefined + correction, space.low[index], space.high[index])
+    return LinearPart(theta, solved + basis @ ((theta[index] - unrefined) * norm), basis)

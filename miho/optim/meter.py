@@ -1,4 +1,4 @@
-"""What a run may spend, what it has spent and seen, and how it is told that it is over."""
+"""What a run may spend, what it has spent and seen, and the exceptions that end it."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from miho.optim.trace import Starts, Trace
 from miho.validate import positive, whole
 
 REASONS = 20
+"""Reasons for rejected values that are counted one by one."""
+SPURIOUS_INTERRUPT = "KeyboardInterrupt, though nobody interrupted it"
+"""What ends a run whose model or method raises what only a signal should."""
 
 
 class BudgetExhausted(Exception):  # noqa: N818 -- the signal that ends every run, not an error
@@ -51,8 +54,8 @@ class Budget:
 class Meter:
     """What a run has spent and seen; with the method's state, all that a resumed run needs.
 
-    `unfinished` holds the losses of a batch that was cut: the same batch, asked again, goes on
-    behind them. `rejected` counts the values that could not be used, by reason. `outside` counts
+    `unfinished` holds the losses of a batch that was cut off: the same batch, evaluated again, goes
+    on after them. `rejected` counts the values that could not be used, by reason. `outside` counts
     configurations outside of the space's box: their values are used, but a method is to stay in it.
     `starts` are those of a method that descends from several.
     """
@@ -68,9 +71,9 @@ class Meter:
     starts: Starts = field(default_factory=Starts)
 
     def reject(self, reason: str, count: int = 1) -> None:
-        """Count values that cannot be used; beyond some kinds of reason, together."""
-        known = reason in self.rejected or len(self.rejected) < REASONS
-        self.rejected[reason if known else "other reasons"] += count
+        """Count values that cannot be used, by reason; beyond REASONS of them, together."""
+        counted = reason in self.rejected or len(self.rejected) < REASONS
+        self.rejected[reason if counted else "other reasons"] += count
 
 
 @dataclass(frozen=True)

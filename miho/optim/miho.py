@@ -26,9 +26,9 @@ PROPOSALS = ("mutation", "fresh")
 class MIHOState:
     """Where Alg. 1 stands: P (n, d) in search coordinates with losses L (n,) on rung `position`.
 
-    `step` counts the mutations done on this rung, -1 while fresh configurations are evaluated;
-    `sigma` (mutations, d) anneals over them; `batch` (n, d) is what is being evaluated, and its
-    first `row` rows have been.
+    `step` counts the mutations made on this rung, -1 while fresh configurations are evaluated;
+    `sigma` (mutations, d) anneals over them. `batch` (n, d) is being evaluated, its first `row`
+    rows are already.
     """
 
     space: Space
@@ -120,28 +120,28 @@ class MIHO(Resumable[MIHOState]):
 
     def _evaluate(self, state: MIHOState, oracle: Oracle) -> None:
         """Keep each configuration that is better than its parent, then prepare the next batch."""
-        rest = slice(state.row, None)
-        losses = oracle(state.space.decode(state.batch[rest]))
+        rows = slice(state.row, None)
+        losses = oracle(state.space.decode(state.batch[rows]))
         if state.step < 0:
             state.L = losses.copy()
         else:
-            better = losses < state.L[rest]
+            better = losses < state.L[rows]
             if better.any():
-                state.P[rest][better] = state.batch[rest][better]
-                state.L[rest][better] = losses[better]
+                state.P[rows][better] = state.batch[rows][better]
+                state.L[rows][better] = losses[better]
         state.row = 0
         self._count(state, 1)
 
     def _climb(
         self, climb: Climb, state: MIHOState, most: float, best: float, target: float
     ) -> Block:
-        """So many evaluations at most: whole steps of all rows, or one step of some of them."""
+        """At most `most` evaluations in compiled code: whole steps of all rows, or one of some."""
         evaluations, n, space, rng = int(most), len(state.P), state.space, state.rng
         whole = evaluations >= n and state.row == 0
         count = min(evaluations // n, state.rung.mutations - state.step) if whole else 1
         rows = slice(state.row, min(state.row + evaluations, n))
         low, high = space.bounds
-        before, shape = rng.bit_generator.state, (count - 1, *state.P.shape)
+        generator, shape = rng.bit_generator.state, (count - 1, *state.P.shape)
         steps = Steps(
             state.batch[rows],
             state.P[rows],
@@ -152,13 +152,13 @@ class MIHO(Resumable[MIHOState]):
             self.early_stopping,
         )
         block = climb(steps, best, target)
-        taken = round(block.evaluations) // (rows.stop - rows.start)
-        if taken < count:  # the target was reached: nothing was drawn for the steps after it
-            rng.bit_generator.state = before
-            rng.standard_normal((taken - 1, *shape[1:]))
+        steps_made = round(block.evaluations) // (rows.stop - rows.start)
+        if steps_made < count:  # the target was reached: draw again only what these steps used
+            rng.bit_generator.state = generator
+            rng.standard_normal((steps_made - 1, *shape[1:]))
         state.row = rows.stop % n
         if state.row == 0:
-            self._count(state, taken)
+            self._count(state, steps_made)
         return block
 
     def rehearsals(
@@ -210,14 +210,15 @@ class MIHO(Resumable[MIHOState]):
         return self._clipped(fresh, state.space)
 
     def _clipped(self, P: Array, space: Space) -> Array:
+        """P (n, d) clipped as `clip` says, in search coordinates."""
         low, high = space.bounds
         P = np.maximum(P, low)
         return np.minimum(P, high) if self.clip == "box" else P
 
 
 def _climb_once(problem: Problem, theta: Array) -> None:
-    """Compile the steps of the problem's kernel."""
+    """Compile the steps of the problem's kernel, by one step of one row."""
     climb = climb_of(Oracle(problem, Budget()))
     if climb is not None:
-        P, none, L = theta[None].copy(), np.empty((0, 1, theta.size)), np.array([np.inf])
-        climb(Steps(P, P.copy(), L, none, none[:, 0], problem.space.bounds), np.inf, -np.inf)
+        P, noise, L = theta[None].copy(), np.empty((0, 1, theta.size)), np.array([np.inf])
+        climb(Steps(P, P.copy(), L, noise, noise[:, 0], problem.space.bounds), np.inf, -np.inf)

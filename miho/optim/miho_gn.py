@@ -9,34 +9,34 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from miho.compiled.gauss_newton_state import (
+from miho.compiled.gauss_newton_candidates import (
+    AT_KNOWN,
     COPY_LOSS,
     DONE,
-    ENTER,
-    KNOWN,
     UNUSABLE,
-    Box,
-    Candidates,
+    GNBox,
+    GNCandidates,
+    GNRules,
     Minima,
-    Rules,
 )
-from miho.optim.brackets import DRAWS, check_brackets, draw_starts, levels, luby
-from miho.optim.evidence import in_optimum
-from miho.optim.meter import Budget, UnusableValueError
-from miho.optim.miho_gn_state import (
-    CLIMB,
+from miho.optim.brackets import (
+    CLOSED,
+    DRAWS,
     FINISH,
     LEAD,
-    OVER,
     POLISH,
+    REVIVE,
+    RUNG,
     SCREEN,
-    SHARE,
-    MIHOGNState,
-    box_of,
-    sound,
-    square_distances,
-    usable,
+    UNLIMITED,
+    check_brackets,
+    draw_starts,
+    luby,
+    rows_by_level,
 )
+from miho.optim.evidence import in_optimum
+from miho.optim.meter import Budget, UnusableValueError
+from miho.optim.miho_gn_state import MIHOGNState, box_of, square_distances, usable
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
@@ -44,54 +44,53 @@ from miho.optim.seeds import stream
 from miho.quantities import Array
 from miho.validate import one_of, positive_settings, whole, whole_settings
 
-ALONE = 1 << 40
-"""Steps of a configuration that goes on as long as it makes progress."""
 NEAR, NEAR_LAST = 9.0, 0.1
-"""At a known minimum within 3 standard deviations: squared, in units of d / rows of the loss; on
-all rows the second, if it is less."""
+"""A candidate is at a known minimum within this squared distance, in shares of its sum of squares
+and units of d / rows: the first is 3 standard deviations. On all rows it is at most the second, a
+share alone."""
 BETTER = 4.0
-"""But not if its loss is lower than there by so many d / rows: more than a few rows may tell."""
+"""But not if its loss is lower than there by so many d / rows: more than fewer rows may explain."""
 ENTERING = 1e-3
-"""The damping with which one begins a level that was done with the one before."""
+"""The largest damping at the start of a level, for a candidate that was done on the one before."""
 SOLVED_FIRST = 9
 """A problem that is linear in all parameters is solved on one row in so many, then on all."""
-ROOM = 1 << 22
-"""Numbers that the derivatives of a rung may hold; beyond, each step pays for its own, and where
-nothing is compiled for the residuals again."""
 POLISHING = 50
-"""Steps for more digits at most: valleys have no end."""
-TRIALS = 1000
-"""Looks for one usable configuration of a problem that does not say how many rows it has."""
+"""Steps for more digits at most: in a narrow valley they would go on for long."""
+ATTEMPTS = 1000
+"""Looks for a usable configuration of a problem that does not say how many rows it has."""
 
 
 @dataclass(frozen=True)
 class MIHOGN(Resumable[MIHOGNState]):
-    """Brackets of successive halving in which what survives has descended, on ever more rows.
+    """Brackets of successive halving whose survivors descend, on ever more rows of the data.
 
     A bracket looks at configurations on the first rows of the data, `rows` for each parameter, and
-    keeps the best. Each rung gives the survivors `steps` Levenberg-Marquardt steps, its best one up
-    to `lead`, and `eta` times as many rows, until the last one goes to its end on all rows. A level
-    with more than the share `jump` of all rows, or after `enough` rows for each parameter, is all
-    of them; so are all levels of a problem that gives no fewer. Brackets have rungs of `base`
-    (d + 1) evaluations times Luby's sequence, at most `largest`; `least` to `most` configurations.
+    keeps the best. Each rung gives its candidates `steps` Levenberg-Marquardt steps, the best of
+    them up to `lead`, and hands the best one in `eta` on to the next, with `eta` times as many
+    rows, until the last candidate goes to its end on all rows. A level that would have more than
+    the share `jump` of all rows has all of them; so has one after more than `enough` rows for each
+    parameter, and so have all levels of a problem that cannot be evaluated on fewer. A rung costs
+    about `base` (d + 1) evaluations times Luby's sequence, at most `largest` (d + 1); a bracket
+    begins with `least` to `most` configurations.
 
-    Steps are damped by `damping` at first, no longer than `reach` of the widths, and over where
-    they promise less than `tolerance` of the loss; on fewer rows, m of them, `level_tolerance`
-    d / m, which m rows cannot tell. Up to `secants` steps running take Broyden's derivatives. One
-    bracket in `projecting` (0: none) solves for the linear parameters at each look (variable
-    projection). `draws` says how starts are drawn, see `draw_starts`. A descent that gains less
-    than the share `progress` of its loss in `patience` (d + 1) evaluations is set aside; the best
-    of those gets as much as the next bracket has spent. What comes to a known minimum ends.
+    Steps are damped by `damping` at first, and no longer than `reach` of the widths. A descent is
+    done where its linear model predicts a gain below the share `tolerance` of the loss; on m rows,
+    fewer than all, below `level_tolerance` d / m, which so few do not tell from noise. Up to
+    `secants` steps running update the derivatives (Broyden) instead of evaluating them. One bracket
+    in `projecting` (0: none) solves for the linear parameters at each look (variable projection).
+    `draws` is the distribution of starts, see `draw_starts`. A descent that gains less than the
+    share `progress` of its loss in `patience` (d + 1) evaluations is set aside; the best of those
+    may spend as much as the next bracket has. A descent that comes to a known minimum ends.
 
     The search ends when the ends of its brackets are evidence enough (`miho.optim.evidence`).
-    Searches get stuck at bounds, where the data leave a parameter open in all of its range, and
-    where the loss is more than their noise explains: at such an optimum `doubtful` brackets must
-    have ended, in a search that has become `longer` times as long as when it was found. `brackets`
-    are the most: a search that makes them all ends as `Outcome.BRACKETS`. Then the run's best is
-    descended from to a tolerance of `digits`. A problem that is linear in all parameters is solved.
+    Searches get stuck at bounds, where the data leave a parameter undetermined, and where the loss
+    is more than noise explains: such an optimum needs the ends of `doubtful` brackets, and a search
+    `longer` times as long as it took to find it. After `brackets` brackets the search ends in any
+    case, as `Outcome.BRACKETS`. At last it descends from the run's best to a tolerance of `digits`.
+    A problem that is linear in all parameters is solved.
 
-    Needs a least-squares problem; of its residuals and derivatives those of the first rows, if it
-    gives them, and compiled, if it has them.
+    Needs a least-squares problem. Uses residuals and derivatives of its first rows, if it can give
+    them, and compiled ones, if it has them.
     """
 
     eta: int = 3
@@ -129,76 +128,79 @@ class MIHOGN(Resumable[MIHOGNState]):
         """The state before the first look."""
         space, N = oracle.space, oracle.rows
         box = box_of(space, oracle.linear)
-        ends: tuple[int, ...] = (0,)
+        level_rows: tuple[int, ...] = (0,)
         if N is not None:
-            ends = self._levels(N, box)
-            if oracle.cost(ends[0] / N) >= 1:  # fewer rows are not cheaper
-                ends = ends[-1:]
+            level_rows = self._levels(N, box)
+            if oracle.cost(level_rows[0] / N) >= 1:  # fewer rows are not cheaper
+                level_rows = level_rows[-1:]
         oracle.meter.starts.brackets = True
-        none = np.empty((0, len(space)))
+        no_points = np.empty((0, len(space)))
         return MIHOGNState(
             space,
             box,
             rng,
-            np.array(ends),
+            np.array(level_rows),
             _has_rows(oracle),
             oracle.jacobian_cost,
-            live=Candidates.at(none, len(ends), self.damping, False),
-            minima=none,
-            losses=np.empty(0),
-            sums=np.empty((0, len(ends))),
-            sound=np.empty(0, bool),
+            candidates=GNCandidates.at(no_points, len(level_rows), self.damping, False),
+            minima=no_points,
+            minima_losses=np.empty(0),
+            minima_sums=np.empty((0, len(level_rows))),
+            determined=np.empty(0, bool),
         )
 
-    def _levels(self, N: int, box: Box) -> tuple[int, ...]:
+    def _levels(self, N: int, box: GNBox) -> tuple[int, ...]:
         d = box.low.size
         if not box.nonlinear.size:
             first = max(math.ceil(N / SOLVED_FIRST), d + 1)
             return (first, N) if first < N else (N,)
-        return levels(
+        return rows_by_level(
             N, d, per_parameter=self.rows, eta=self.eta, jump=self.jump, enough=self.enough
         )
 
     def done(self, state: MIHOGNState) -> bool:
         """After brackets whose ends are evidence enough, or after the last."""
-        return state.over
+        return state.finished
 
     def step(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """The evaluations of one phase, and what follows from them."""
-        if not state.ends[-1]:
+        """Make the evaluations of one phase, and go on to the next."""
+        if not state.level_rows[-1]:
             self._count_rows(state, oracle)
             return
-        if state.phase == OVER:
+        if state.phase == CLOSED:
             self._draw(state, oracle)
-        if (state.live.stage < DONE).any():
-            from miho.optim.steps import give_steps  # which needs numba
+        if (state.candidates.stage < DONE).any():
+            from miho.optim.gauss_newton_steps import give_steps  # which needs numba
 
-            known = state.sound & (state.phase != POLISH)
-            minima = Minima(state.minima[known], state.level_losses[known])
+            # Only determined minima end a descent: elsewhere it may come past and go on.
+            ending = state.determined & (state.phase != POLISH)
+            minima = Minima(state.minima[ending], state.level_losses[ending])
             rules = self._rules(state, oracle)
-            give_steps(oracle, state.live, state.box, state.ends, minima, rules)
+            give_steps(oracle, state.candidates, state.box, state.level_rows, minima, rules)
         phases = {
-            SCREEN: self._screened,
-            CLIMB: self._climbed,
-            LEAD: self._led,
-            FINISH: self._finished,
-            SHARE: self._shared,
-            POLISH: self._polished,
+            SCREEN: self._after_screen,
+            RUNG: self._after_rung,
+            LEAD: self._after_lead,
+            FINISH: self._after_finish,
+            REVIVE: self._after_revival,
+            POLISH: self._after_polish,
         }
         phases[state.phase](state, oracle)
 
     def rehearsals(
         self, problem: Problem, toy: LeastSquaresProblem, theta: Array
     ) -> Sequence[Callable[[], object]]:
-        """A first bracket, where the problem is compiled: the toy, which is not, would make all
-        compile a second time. Else residuals, derivatives and the toy."""
+        """A first bracket of a compiled problem; else residuals, derivatives and the toy.
+
+        The toy is not compiled: with it, a compiled problem would have other steps compiled too.
+        """
 
         def rehearse() -> None:
             oracle = Oracle(problem, Budget(evaluations=len(theta) + 2))
             from miho.compiled.gauss_newton import distinct
 
-            none = Candidates.at(np.empty((0, len(theta))), 1, self.damping, False)
-            distinct(none, box_of(oracle.space, oracle.linear))
+            nobody = GNCandidates.at(np.empty((0, len(theta))), 1, self.damping, False)
+            distinct(nobody, box_of(oracle.space, oracle.linear))
             if _has_rows(oracle):
                 self.run(oracle, stream())
                 return
@@ -215,241 +217,228 @@ class MIHOGN(Resumable[MIHOGNState]):
     @property
     def uncompiled(self) -> bool:
         """Whether the steps are not in numba's cache."""
-        from miho.compiled.advance import advance
+        from miho.compiled.gauss_newton_loop import advance
         from miho.compiled.triangular import in_cache
 
         return not in_cache(advance)
 
     def _count_rows(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Look once at all residuals of a problem that does not say how many there are."""
-        theta = state.space.decode(state.space.initial(state.tried + 1))[-1]
+        theta = state.space.decode(state.space.initial(state.attempts + 1))[-1]
         with contextlib.suppress(UnusableValueError):
-            state.ends[:] = oracle.residuals(theta).size
-        state.tried += 1
-        state.over = not state.ends[-1] and state.tried == TRIALS
+            state.level_rows[:] = oracle.residuals(theta).size
+        state.attempts += 1
+        state.finished = not state.level_rows[-1] and state.attempts == ATTEMPTS
 
-    def _rules(self, state: MIHOGNState, oracle: Oracle) -> Rules:
-        """What the configurations of this phase may do."""
-        share, alone = state.d / state.rows, state.phase in (LEAD, FINISH, SHARE)
+    def _rules(self, state: MIHOGNState, oracle: Oracle) -> GNRules:
+        """What the candidates of this phase may do."""
+        share = state.d / state.rows  # of a loss, which so many rows do not tell from noise
+        alone = state.phase in (LEAD, FINISH, REVIVE)
         polishes = state.phase == POLISH
         steps = {
             SCREEN: 0,
-            CLIMB: self.steps,
+            RUNG: self.steps,
             LEAD: self.lead - self.steps,
             POLISH: POLISHING,
         }
         tolerance = self.digits if polishes else self.tolerance
-        return Rules(
+        return GNRules(
             level=state.level,
             last=state.last,
-            steps=steps.get(state.phase, ALONE),
+            steps=steps.get(state.phase, UNLIMITED),
             reach=self.reach,
             secants=self.secants,
             tolerance=tolerance if state.last else self.level_tolerance * share,
             patience=int(self.patience * (state.d + 1) * state.rows) if alone else 0,
-            share=state.share if state.phase == SHARE else 0,
+            allowance=state.allowance if state.phase == REVIVE else 0,
             progress=self.progress,
             near=min(NEAR * share, NEAR_LAST) if state.last else NEAR * share,
             better=0.0 if state.last else BETTER * share,
-            nothing=0.0 if polishes else oracle.rounding,
+            rounding=0.0 if polishes else oracle.rounding,
         )
 
     # The phases of a bracket.
 
     def _draw(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Begin a bracket."""
+        """Begin a bracket: draw its starts, to be looked at on the first level."""
         state.bracket += 1
         state.projects = state.linear or self._projects(state)
-        state.size = (state.d + 1) * min(self.base * luby(state.bracket), self.largest)
-        state.level, state.phase, state.begun = 0, SCREEN, oracle.evaluations
-        n = min(max(round(state.size / state.look_cost), self.least), self.most)
+        state.rung_budget = (state.d + 1) * min(self.base * luby(state.bracket), self.largest)
+        state.level, state.phase, state.spent_before = 0, SCREEN, oracle.evaluations
+        n = min(max(round(state.rung_budget / state.look_cost), self.least), self.most)
         n = 1 if state.linear else n
         starts = draw_starts(state.space, n, state.rng, state.bracket == 1, self.draws)
-        oracle.screened(n * (not state.linear))
+        oracle.record_screened(n * (not state.linear))
         x = (starts - state.box.origin) / state.box.width
-        state.live = Candidates.at(x, state.ends.size, self.damping, state.projects)
-        self._make_room(state)
+        state.candidates = GNCandidates.at(x, state.level_rows.size, self.damping, state.projects)
+        state.make_room()
 
     def _projects(self, state: MIHOGNState) -> bool:
         every = self.projecting and state.bracket % self.projecting == 0
         return bool(every and state.box.linear.size)
 
-    def _screened(self, state: MIHOGNState, oracle: Oracle) -> None:
-        state.live = usable(state.live)
+    def _after_screen(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Keep the best starts; a linear problem is solved already, so look on more rows."""
+        state.candidates = usable(state.candidates)
         if not state.linear:
             self._rung(state, oracle, entering=False)
-        elif not state.live.loss.size:
+        elif not state.candidates.loss.size:
             self._close(state, oracle)
         elif state.last:
-            state.over = True  # solved: nothing descended, and nothing has to agree
+            state.finished = True  # solved: nothing descended, and nothing has to agree
         else:
             state.level += 1
             self._enter(state)
 
     def _rung(self, state: MIHOGNState, oracle: Oracle, entering: bool) -> None:
-        """Give the best of the live ones their steps on this level; the last one, all it needs."""
-        before = state.live.loss.size
-        if not before:
+        """Give the best candidates their steps on this level; the last one, all that it needs."""
+        size = state.candidates.loss.size
+        if not size:
             self._close(state, oracle)
             return
-        n = min(max(state.size / (self.steps * state.step_cost), 1), max(1, before // self.eta))
-        state.live = state.live.take(slice(int(n)))
+        affordable = max(state.rung_budget / (self.steps * state.step_cost), 1)
+        n = int(min(affordable, max(1, size // self.eta)))
+        state.candidates = state.candidates.take(slice(n))
         if entering:
             self._enter(state)
-        self._begin(state, FINISH if state.last and int(n) == 1 else CLIMB)
+        state.begin(FINISH if state.last and n == 1 else RUNG)
 
     def _enter(self, state: MIHOGNState) -> None:
-        """Look at the live ones anew, on the rows of another level."""
-        c = state.live
+        """Have the candidates evaluated on the rows of the next level."""
+        c = state.candidates
         done = c.stage == DONE
         c.projects[:] = state.projects & (state.linear | ~done | (not state.last))
         c.damping[done] = np.minimum(c.damping[done], ENTERING)
-        self._look_again(state)
+        state.look_again()
 
-    def _look_again(self, state: MIHOGNState) -> None:
-        """Have the residuals and derivatives of the live ones evaluated where they are."""
-        c = state.live
-        c.loss[:] = c.gain[:] = np.inf
-        c.stage[:], c.growth[:], c.secants[:], c.trial[:] = ENTER, 2.0, 0, c.x
-        self._make_room(state)
-
-    def _begin(self, state: MIHOGNState, phase: int) -> None:
-        c = state.live
-        c.steps[:] = c.spent[:] = c.mark[:] = 0
-        c.marked[:] = c.loss
-        state.phase = phase
-
-    def _climbed(self, state: MIHOGNState, oracle: Oracle) -> None:
-        state.live = usable(state.live)
-        if state.last or not state.live.loss.size:
+    def _after_rung(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Give the best one more steps, while the others wait."""
+        state.candidates = usable(state.candidates)
+        if state.last or not state.candidates.loss.size:
             self._prune(state, oracle)
             return
-        state.rest = state.live.take(slice(1, None))
-        state.live = state.live.take(slice(1))
-        self._begin(state, LEAD)
+        state.waiting = state.candidates.take(slice(1, None))
+        state.candidates = state.candidates.take(slice(1))
+        state.begin(LEAD)
 
-    def _led(self, state: MIHOGNState, oracle: Oracle) -> None:
-        if state.rest is not None:
-            state.live, state.rest = usable(state.live.beside(state.rest)), None
+    def _after_lead(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Go on with all of the rung."""
+        if state.waiting is not None:
+            state.candidates, state.waiting = usable(state.candidates.joined(state.waiting)), None
         self._prune(state, oracle)
 
     def _prune(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Go on with what may lead to something new, on more rows."""
-        c = state.live
-        over = (c.stage == KNOWN) | ((c.stage == DONE) & (c.loss >= self._best(state)))
-        if over.all():
+        """Go on, on more rows, with the candidates that may lead to a minimum that is not known."""
+        c = state.candidates
+        least = float(state.level_losses.min(initial=math.inf))
+        ended = (c.stage == AT_KNOWN) | ((c.stage == DONE) & (c.loss >= least))
+        if ended.all():
             if c.loss.size:
-                self._returned(state, oracle, c)
+                self._record_return(state, oracle)
             self._close(state, oracle)
             return
         from miho.compiled.gauss_newton import distinct
 
-        c = c.take(~over)
-        state.live = c.take(distinct(c, state.box))
+        c = c.take(~ended)
+        state.candidates = c.take(distinct(c, state.box))
         entering = not state.last
         state.level += entering
         self._rung(state, oracle, entering)
 
-    def _finished(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Give what crawls as much as this bracket has spent, if there is any from before."""
-        earlier = state.aside.copy()
-        self._settle(state, oracle)
-        self._close(state, oracle)
-        if earlier and state.phase == OVER:
-            best = min(range(len(earlier)), key=lambda k: float(earlier[k].loss[0]))
-            state.live = state.aside.pop(best)
-            self._look_again(state)
-            state.share = int((oracle.evaluations - state.begun) * int(state.ends[-1]))
-            self._begin(state, SHARE)
+    def _after_finish(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Revive the best candidate that stalled in an earlier bracket, if there is any.
 
-    def _shared(self, state: MIHOGNState, oracle: Oracle) -> None:
-        self._settle(state, oracle)
-        self._close(state, oracle)
-
-    def _settle(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Keep what became of the last one of a bracket."""
-        c = state.live
-        loss = float(c.loss[0])
-        if c.stage[0] == KNOWN:
-            self._returned(state, oracle, c)
-        elif c.stage[0] == DONE:
-            oracle.ended(math.inf, loss)
-            best = float(state.losses.min(initial=math.inf))
-            if loss < best or not in_optimum(best, loss, oracle.resolution):
-                sums = c.sums if c.sums[0, -1] > 0 else loss * state.ends[None]
-                if not in_optimum(loss, best, oracle.resolution):
-                    state.found = oracle.evaluations
-                state.minima = np.vstack([state.minima, c.x])
-                state.losses = np.append(state.losses, loss)
-                state.sums = np.vstack([state.sums, sums])
-                state.sound = np.append(state.sound, sound(c, state.box, state.rows))
-        elif c.stage[0] != UNUSABLE:
-            state.aside.append(c.with_rows(0))
-
-    def _returned(self, state: MIHOGNState, oracle: Oracle, c: Candidates) -> None:
-        """The best of a bracket has come to a known minimum, or is done and no better.
-
-        What is done on fewer rows than all has come to a minimum that is not sound if, as far as
-        these rows can tell, it is there; else nobody knows where it would have ended.
+        It may spend as much as this bracket has.
         """
-        loss, rules = float(c.loss[0]), self._rules(state, oracle)
+        earlier = state.stalled.copy()
+        self._record_end(state, oracle)
+        self._close(state, oracle)
+        if earlier and state.phase == CLOSED:
+            best = min(range(len(earlier)), key=lambda k: float(earlier[k].loss[0]))
+            state.candidates = state.stalled.pop(best)
+            state.look_again()
+            spent = oracle.evaluations - state.spent_before
+            state.allowance = int(spent * int(state.level_rows[-1]))
+            state.begin(REVIVE)
+
+    def _after_revival(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Record its end, as that of a bracket."""
+        self._record_end(state, oracle)
+        self._close(state, oracle)
+
+    def _record_end(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Record how the last candidate of a bracket has ended: known, new, stalled or unusable."""
+        c = state.candidates
+        loss = float(c.loss[0])
+        if c.stage[0] == AT_KNOWN:
+            self._record_return(state, oracle)
+        elif c.stage[0] == DONE:
+            oracle.record_descent(math.inf, loss)
+            best = float(state.minima_losses.min(initial=math.inf))
+            if loss < best or not in_optimum(best, loss, oracle.resolution):
+                if not in_optimum(loss, best, oracle.resolution):
+                    state.best_found_after = oracle.evaluations
+                state.add_minimum(c)
+        elif c.stage[0] != UNUSABLE:
+            state.stalled.append(c.with_room_for(0))
+
+    def _record_return(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Record the end of a bracket whose best candidate leads to nothing new.
+
+        It came to a known minimum, or is done and no better than one. On fewer rows than all, one
+        that is done is at a minimum that the data do not determine if it is near it, as far as
+        these rows can tell; else it is not known where it would have ended on all rows.
+        """
+        c, rules = state.candidates, self._rules(state, oracle)
+        loss = float(c.loss[0])
         if state.last and c.stage[0] == DONE:
-            oracle.ended(math.inf, loss)
+            oracle.record_descent(math.inf, loss)
             return
         distances = square_distances(c, state.minima, state.box)
-        there = loss >= (1 - rules.better) * state.level_losses
-        if c.stage[0] == KNOWN:
-            there &= state.sound
+        matches = loss >= (1 - rules.better) * state.level_losses
+        if c.stage[0] == AT_KNOWN:
+            matches &= state.determined
         else:
-            there &= ~state.sound & (loss <= (1 + COPY_LOSS) * state.level_losses)
-            there &= distances <= rules.near * loss * state.rows
-        if there.any():
-            nearest = np.argmin(np.where(there, distances, math.inf))
-            oracle.ended(math.inf, float(state.losses[nearest]))
+            matches &= ~state.determined & (loss <= (1 + COPY_LOSS) * state.level_losses)
+            matches &= distances <= rules.near * loss * state.rows
+        if matches.any():
+            nearest = np.argmin(np.where(matches, distances, math.inf))
+            oracle.record_descent(math.inf, float(state.minima_losses[nearest]))
         else:
-            oracle.dropped()
+            oracle.record_dropped()
 
     def _close(self, state: MIHOGNState, oracle: Oracle) -> None:
         """End the bracket, and the search if the ends of its brackets are evidence enough."""
-        state.phase = OVER
+        state.phase = CLOSED
         agreement = oracle.agreement
-        searched = oracle.evaluations >= self.longer * state.found
-        returned = searched and agreement.here >= self.doubtful
-        enough = agreement.enough and (returned or self._likely(state, oracle))
+        # A doubtful optimum asks for more ends, and for a longer search.
+        long_enough = oracle.evaluations >= self.longer * state.best_found_after
+        confirmed = long_enough and agreement.agreeing >= self.doubtful
+        enough = agreement.enough and (confirmed or self._plausible(state, oracle))
         if enough or state.bracket >= self.brackets:
             oracle.meter.starts.exhausted = not enough
             self._polish(state, oracle)
 
-    def _likely(self, state: MIHOGNState, oracle: Oracle) -> bool:
-        """Whether the best minimum so far is none where searches get stuck."""
-        best = int(np.argmin(state.losses))
-        return bool(state.sound[best] and state.losses[best] <= oracle.noise)
+    def _plausible(self, state: MIHOGNState, oracle: Oracle) -> bool:
+        """Whether the data determine the best minimum so far, and noise explains its loss."""
+        best = int(np.argmin(state.minima_losses))
+        return bool(state.determined[best] and state.minima_losses[best] <= oracle.noise)
 
     def _polish(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Go on from the run's best, for the digits that a descent needs not to be told apart."""
-        state.over = not math.isfinite(oracle.best)
-        if state.over:
+        """Descend from the run's best for more digits than it took to tell minima apart."""
+        state.finished = not math.isfinite(oracle.best)
+        if state.finished:
             return
         best = state.space.encode(oracle.trace.theta[-1][None])
         x = np.clip((best - state.box.origin) / state.box.width, 0.0, 1.0)
-        state.level = state.ends.size - 1
-        state.live = Candidates.at(x, state.ends.size, ENTERING, False)
-        self._make_room(state)
-        self._begin(state, POLISH)
+        state.level = state.level_rows.size - 1
+        state.candidates = GNCandidates.at(x, state.level_rows.size, ENTERING, False)
+        state.make_room()
+        state.begin(POLISH)
 
-    def _polished(self, state: MIHOGNState, oracle: Oracle) -> None:
-        state.over = True
-
-    def _best(self, state: MIHOGNState) -> float:
-        """The least loss of a known minimum over the rows of this level."""
-        return float(state.level_losses.min(initial=math.inf))
-
-    def _make_room(self, state: MIHOGNState) -> None:
-        """Room for the derivatives of the live ones on this level, where they are kept."""
-        c = state.live
-        kept = c.loss.size * (state.d + 1) * state.rows <= ROOM
-        kept &= not (state.compiled and c.projects.all())
-        state.live = c.with_rows(state.rows if kept else 0)
+    def _after_polish(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """End the search."""
+        state.finished = True
 
 
 def _has_rows(oracle: Oracle) -> bool:

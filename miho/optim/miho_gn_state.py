@@ -1,4 +1,4 @@
-"""Where a search of `MIHOGN` stands, and what its configurations tell of each other."""
+"""Where a search of `MIHOGN` stands, and how its candidates compare with known minima."""
 
 from __future__ import annotations
 
@@ -8,53 +8,55 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.compiled.gauss_newton_state import UNUSABLE, Box, Candidates
+from miho.compiled.gauss_newton_candidates import ENTER, UNUSABLE, GNBox, GNCandidates
+from miho.optim.brackets import CLOSED
 from miho.optim.space import Space
 from miho.quantities import Array
 
-SCREEN, CLIMB, LEAD, FINISH, SHARE, POLISH, OVER = range(7)
-"""Phases of a bracket: first looks, steps of a rung and more of its best, the last one on all rows,
-one that was set aside before; more digits for the best of all; and the end."""
 BOUND = 1e-9
-"""A share of a width: nearer, a parameter is at its bound."""
+"""A parameter that is nearer to a bound than this share of its width is at it."""
+ROOM = 1 << 22
+"""Numbers that the derivatives of a rung may hold; beyond, each step pays for its own, and where
+nothing is compiled for the residuals again."""
 
 
 @dataclass
 class MIHOGNState:
-    """Where the search stands: a bracket's phase and level, and its `live` configurations.
+    """Where the search stands: a bracket's phase and level, and its `candidates`.
 
-    `ends` are the rows of the levels, all of them last (0 as long as nobody said how many).
-    `minima` (k, d) in unit coordinates are those known, with their sums of squares over the rows
-    of each level, `sums` (k, levels); `sound` (k,) where the data determine all parameters there.
-    `found` is what was spent when the best of them was.
-    `rest` waits for the best of its rung, `aside` are configurations that crawl, one each. `size`
-    is what a rung of the bracket may cost, `begun` what was spent before it, `share` the rows that
-    one set aside may have.
+    `level_rows` (levels,): how many rows each level looks at, all of them on the last (0 as long as
+    that is not known, after so many `attempts` to find out). `minima` (k, d): known minima in unit
+    coordinates, with `minima_losses` (k,) on all rows, `minima_sums` (k, levels) of squares over
+    each level's rows, and whether the data determine all parameters there, `determined` (k,). The
+    best of them was found after `best_found_after` evaluations. `waiting` are candidates that wait
+    while the best of their rung goes on, `stalled` those that made too little progress, one each.
+    `rung_budget` is what a rung of the bracket may cost in evaluations, `spent_before` what the
+    brackets before it have; `allowance` is what a revived candidate may spend, in rows.
     """
 
     space: Space
-    box: Box
+    box: GNBox
     rng: np.random.Generator
-    ends: NDArray[np.int64]
+    level_rows: NDArray[np.int64]
     compiled: bool
     slope_cost: int
-    live: Candidates
+    candidates: GNCandidates
     minima: Array
-    losses: Array
-    sums: Array
-    sound: NDArray[np.bool_]
-    rest: Candidates | None = None
-    aside: list[Candidates] = field(default_factory=list)
+    minima_losses: Array
+    minima_sums: Array
+    determined: NDArray[np.bool_]
+    waiting: GNCandidates | None = None
+    stalled: list[GNCandidates] = field(default_factory=list)
     bracket: int = 0
     projects: bool = False
-    phase: int = OVER
+    phase: int = CLOSED
     level: int = 0
-    size: float = 0.0
-    begun: float = 0.0
-    share: int = 0
-    found: float = 0.0
-    tried: int = 0
-    over: bool = False
+    rung_budget: float = 0.0
+    spent_before: float = 0.0
+    allowance: int = 0
+    best_found_after: float = 0.0
+    attempts: int = 0
+    finished: bool = False
 
     @property
     def d(self) -> int:
@@ -64,12 +66,12 @@ class MIHOGNState:
     @property
     def rows(self) -> int:
         """How many rows this level looks at."""
-        return int(self.ends[self.level])
+        return int(self.level_rows[self.level])
 
     @property
     def last(self) -> bool:
         """Whether that is all rows."""
-        return self.level == self.ends.size - 1
+        return self.level == self.level_rows.size - 1
 
     @property
     def linear(self) -> bool:
@@ -79,24 +81,54 @@ class MIHOGNState:
     @property
     def look_cost(self) -> float:
         """What one look on this level costs, in evaluations."""
-        return self.rows / int(self.ends[-1]) * (1 + self.projects * self.box.linear.size)
+        return self.rows / int(self.level_rows[-1]) * (1 + self.projects * self.box.linear.size)
 
     @property
     def step_cost(self) -> float:
         """What a step costs: derivatives and a look."""
-        return self.look_cost + self.slope_cost * self.rows / int(self.ends[-1])
+        return self.look_cost + self.slope_cost * self.rows / int(self.level_rows[-1])
 
     @property
     def level_losses(self) -> Array:
         """The losses of the known minima over the rows of this level, (k,)."""
-        return np.asarray(self.sums[:, self.level] / self.rows)
+        return np.asarray(self.minima_sums[:, self.level] / self.rows)
+
+    def add_minimum(self, c: GNCandidates) -> None:
+        """Remember where the first candidate has ended as a known minimum."""
+        loss = float(c.loss[0])
+        sums = c.sums if c.sums[0, -1] > 0 else loss * self.level_rows[None]
+        self.minima = np.vstack([self.minima, c.x])
+        self.minima_losses = np.append(self.minima_losses, loss)
+        self.minima_sums = np.vstack([self.minima_sums, sums])
+        self.determined = np.append(self.determined, determines(c, self.box, self.rows))
+
+    def begin(self, phase: int) -> None:
+        """Begin a phase: steps and progress are counted from here."""
+        c = self.candidates
+        c.trials[:] = c.spent[:] = c.spent_at_mark[:] = 0
+        c.loss_at_mark[:] = c.loss
+        self.phase = phase
+
+    def look_again(self) -> None:
+        """Have residuals and derivatives of the candidates evaluated where they are."""
+        c = self.candidates
+        c.loss[:] = c.predicted_gain[:] = np.inf
+        c.stage[:], c.growth[:], c.secants[:], c.trial[:] = ENTER, 2.0, 0, c.x
+        self.make_room()
+
+    def make_room(self) -> None:
+        """Make room for the candidates' derivatives on this level, where they are to be stored."""
+        c = self.candidates
+        stores = c.loss.size * (self.d + 1) * self.rows <= ROOM
+        stores &= not (self.compiled and c.projects.all())
+        self.candidates = c.with_room_for(self.rows if stores else 0)
 
 
-def box_of(space: Space, linear: tuple[str, ...]) -> Box:
+def box_of(space: Space, linear: tuple[str, ...]) -> GNBox:
     """The box of a space whose residuals are linear in these parameters."""
     low, high = space.bounds
     names = space.names
-    return Box(
+    return GNBox(
         space.low,
         space.high,
         low,
@@ -107,26 +139,28 @@ def box_of(space: Space, linear: tuple[str, ...]) -> Box:
     )
 
 
-def usable(c: Candidates) -> Candidates:
+def usable(c: GNCandidates) -> GNCandidates:
     """Those with finite losses, the best first."""
     order = np.argsort(c.loss, kind="stable")
     return c.take(order[(c.stage[order] != UNUSABLE) & np.isfinite(c.loss[order])])
 
 
-def square_distances(c: Candidates, minima: Array, box: Box) -> Array:
-    """From the first configuration to minima (k, d), in the metric by which steps know them, (k,).
+def square_distances(c: GNCandidates, minima: Array, box: GNBox) -> Array:
+    """|R (x - x*)|^2 from the first candidate to minima x* (k, d), (k,).
 
-    |R (x - x*)|^2: what the linear model where it is says of the way there.
+    That is the metric in which steps recognise a known minimum: by how much the residuals of the
+    candidate's linear model change on the way there.
     """
-    which = box.nonlinear if c.projects[0] else np.arange(c.x.shape[1])
-    R = c.R[0, : which.size, : which.size]
-    return np.asarray((((c.x[0] - minima)[:, which] @ R.T) ** 2).sum(axis=1))
+    coordinates = box.nonlinear if c.projects[0] else np.arange(c.x.shape[1])
+    R = c.R[0, : coordinates.size, : coordinates.size]
+    return np.asarray((((c.x[0] - minima)[:, coordinates] @ R.T) ** 2).sum(axis=1))
 
 
-def sound(c: Candidates, box: Box, m: int) -> bool:
-    """Whether the data determine each parameter within its range, off the bounds.
+def determines(c: GNCandidates, box: GNBox, m: int) -> bool:
+    """Whether m rows of data determine each parameter where the first candidate is.
 
-    Its standard deviation, by the factor of the derivatives there, is less than the range.
+    They do if it is off the bounds, and its standard deviation, by the linear model there, is less
+    than its range.
     """
     if (c.x < BOUND).any() or (c.x > 1 - BOUND).any():
         return False

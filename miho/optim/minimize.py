@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from miho.optim.meter import Budget, BudgetExhausted, Meter, RunInterrupted
+from miho.optim.meter import SPURIOUS_INTERRUPT, Budget, BudgetExhausted, Meter, RunInterrupted
 from miho.optim.optimizer import Optimizer, Resumable
-from miho.optim.oracle import UNSENT, Oracle
+from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
@@ -112,38 +112,15 @@ def minimize(
 
     meter = None if checkpoint is None else checkpoint.meter
     oracle = Oracle(problem, budget or Budget(), space=space, meter=meter, observer=observer)
-    outcome, error = Outcome.CONVERGED, None
-    try:
-        with _ctrl_c_waits(partial(setattr, oracle, "interrupted", True)):
-            if checkpoint is not None and isinstance(optimizer, Resumable):
-                optimizer.resume(oracle, checkpoint.state)
-            else:
-                rng = stream("own", problem.name, seed, type(optimizer).__name__)
-                optimizer.run(oracle, rng)
-    except BudgetExhausted:
-        outcome = Outcome.BUDGET
-    except RunInterrupted:
-        outcome = Outcome.INTERRUPTED
-    except KeyboardInterrupt:
-        outcome, oracle.state = Outcome.INTERRUPTED, None
-    except BaseException as raised:  # noqa: BLE001 -- a failed run is a result: its curve is kept
-        outcome, oracle.state = Outcome.FAILED, None
-        error = f"{traceback.format_exc().rstrip()} ({raised_at(raised, optimizer)})\n"
+    outcome, error = _search(optimizer, oracle, checkpoint, (problem.name, seed))
     oracle.stop()
+
     meter = oracle.meter
-    target = oracle.budget.target
-    if outcome is Outcome.CONVERGED and meter.starts.exhausted:
-        outcome = Outcome.BRACKETS
-    by_itself = outcome in (Outcome.CONVERGED, Outcome.BRACKETS)
-    if by_itself and target is not None and meter.best <= target:
-        outcome = Outcome.BUDGET
-    if (by_itself or outcome is Outcome.BUDGET) and math.isinf(meter.best):
-        outcome = Outcome.NO_FINITE_VALUE
     resumable = None
     if oracle.state is not None:
         resumable = Checkpoint(optimizer, problem.name, seed, oracle.state, meter)
     return RunRecord(
-        outcome=outcome,
+        outcome=_final(outcome, oracle),
         theta=meter.trace.theta[-1].copy() if len(meter.trace) else None,
         loss=meter.best,
         evaluations=meter.evaluations,
@@ -159,14 +136,54 @@ def minimize(
     )
 
 
+def _search(
+    optimizer: Optimizer, oracle: Oracle, checkpoint: Checkpoint | None, run: tuple[str, int]
+) -> tuple[Outcome, str | None]:
+    """Run or resume the method; what ended it, and the traceback if it failed.
+
+    `run` is the problem's name and the seed. `oracle.state` is None where it cannot be resumed.
+    """
+    error = None
+    try:
+        with _ctrl_c_waits(partial(setattr, oracle, "interrupted", True)):
+            if checkpoint is not None and isinstance(optimizer, Resumable):
+                optimizer.resume(oracle, checkpoint.state)
+            else:
+                optimizer.run(oracle, stream("own", *run, type(optimizer).__name__))
+        outcome = Outcome.CONVERGED
+    except BudgetExhausted:
+        outcome = Outcome.BUDGET
+    except RunInterrupted:
+        outcome = Outcome.INTERRUPTED
+    except KeyboardInterrupt:
+        outcome, oracle.state = Outcome.INTERRUPTED, None
+    except BaseException as raised:  # noqa: BLE001 -- a failed run is a result: its curve is kept
+        outcome, oracle.state = Outcome.FAILED, None
+        error = f"{traceback.format_exc().rstrip()} ({raised_at(raised, optimizer)})\n"
+    return outcome, error
+
+
+def _final(outcome: Outcome, oracle: Oracle) -> Outcome:
+    """The outcome in the light of what was found: brackets used up, target reached, or nothing."""
+    best, target = oracle.best, oracle.budget.target
+    if outcome is Outcome.CONVERGED and oracle.meter.starts.exhausted:
+        outcome = Outcome.BRACKETS
+    by_itself = outcome in (Outcome.CONVERGED, Outcome.BRACKETS)
+    if by_itself and target is not None and best <= target:
+        outcome = Outcome.BUDGET
+    if (by_itself or outcome is Outcome.BUDGET) and math.isinf(best):
+        outcome = Outcome.NO_FINITE_VALUE
+    return outcome
+
+
 def raised_at(error: BaseException, optimizer: Optimizer) -> str:
     """File and line of what a method raised: the last line of its own file, else the last of all.
 
     The last line of all may be deep in a library that the method calls.
     """
     lines = traceback.extract_tb(error.__traceback__)
-    own = getattr(sys.modules.get(type(optimizer).__module__), "__file__", None)
-    line = ([line for line in lines if line.filename == own] or lines)[-1]
+    file = getattr(sys.modules.get(type(optimizer).__module__), "__file__", None)
+    line = ([line for line in lines if line.filename == file] or lines)[-1]
     return f"{Path(line.filename).name}:{line.lineno}"
 
 
@@ -178,24 +195,22 @@ def _resumable(
         raise ValueError(
             f"{type(optimizer).__name__} cannot be resumed; only Resumable methods can"
         )
-    here, there = (
-        (optimizer, problem.name, seed),
-        (checkpoint.optimizer, checkpoint.problem, checkpoint.seed),
-    )
-    if here != there:
-        raise ValueError(f"the checkpoint is of {there}, not of {here}; resume the same run")
+    run = (optimizer, problem.name, seed)
+    origin = (checkpoint.optimizer, checkpoint.problem, checkpoint.seed)
+    if run != origin:
+        raise ValueError(f"the checkpoint is of {origin}, not of {run}; resume the same run")
     return copy.deepcopy(checkpoint)
 
 
 @contextlib.contextmanager
-def _ctrl_c_waits(heard: Callable[[], object]) -> Iterator[None]:
-    """Let whoever `heard` of the first Ctrl-C choose its moment; the second one acts at once.
+def _ctrl_c_waits(on_first: Callable[[], object]) -> Iterator[None]:
+    """The first Ctrl-C calls `on_first` and raises nothing; the second raises KeyboardInterrupt.
 
-    In a run that is the oracle, where the method's state is whole. In a callback of a library, such
-    as Numba's while it compiles, what an interrupt raises would be lost.
+    So a run ends at an evaluation, where the method's state is whole, and not anywhere: in a
+    callback of a library, such as Numba's while it compiles, what is raised would be lost.
 
-    Only in the main thread and where nobody else handles the signal. There a KeyboardInterrupt that
-    no Ctrl-C sent is what model or method raise by themselves: a RuntimeError.
+    Only in the main thread and where nobody else handles the signal. There a KeyboardInterrupt
+    without a Ctrl-C comes from the model or the method, and becomes a RuntimeError.
     """
     default = signal.default_int_handler
     if (
@@ -205,48 +220,48 @@ def _ctrl_c_waits(heard: Callable[[], object]) -> Iterator[None]:
         yield
         return
 
-    sent = False
+    interrupted = False
 
     def on_interrupt(number: int, frame: FrameType | None) -> None:
-        nonlocal sent
-        if sent:
+        nonlocal interrupted
+        if interrupted:
             raise KeyboardInterrupt
-        sent = True
-        heard()
+        interrupted = True
+        on_first()
 
     signal.signal(signal.SIGINT, on_interrupt)
     try:
         yield
     except KeyboardInterrupt as error:
-        if sent:
+        if interrupted:
             raise
-        raise RuntimeError(UNSENT).with_traceback(error.__traceback__) from None
+        raise RuntimeError(SPURIOUS_INTERRUPT).with_traceback(error.__traceback__) from None
     finally:
         signal.signal(signal.SIGINT, default)
 
 
-class _Warm(NamedTuple):
-    """The method and the problem that were warmed up last, while they live."""
+class _WarmedUp(NamedTuple):
+    """Weak references to the method and the problem that were warmed up last."""
 
     optimizer: Callable[[], Optimizer | None] = lambda: None
     problem: Callable[[], Problem | None] = lambda: None
 
 
-_warm = _Warm()
+_last = _WarmedUp()
 
 
 def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     """Let problem and method import, compile and allocate before the clock starts.
 
     The method says how (`rehearsals`): by default the problem evaluates one configuration, and the
-    method searches a paraboloid over the same space, so that it learns nothing of the problem.
-    What ran last is warm. A Ctrl-C is raised after the evaluation in progress, or before the next
-    function is compiled.
+    method searches a paraboloid over the same space, so that it learns nothing of the problem. The
+    method and problem of the last run need none. A Ctrl-C is raised after the evaluation in
+    progress, or before the next function is compiled.
     """
     from miho.compiled.interrupts import stopping_compilation
 
-    global _warm
-    if _warm.optimizer() is optimizer and _warm.problem() is problem:
+    global _last
+    if _last.optimizer() is optimizer and _last.problem() is problem:
         return
     theta = problem.space.decode(problem.space.initial(1))
     theta.setflags(write=False)  # as the oracle gives it, which is another type to compiled code
@@ -265,7 +280,7 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
             pass
         if interrupts:
             raise KeyboardInterrupt
-    _warm = _Warm(weakref.ref(optimizer), weakref.ref(problem))
+    _last = _WarmedUp(weakref.ref(optimizer), weakref.ref(problem))
 
 
 class _Paraboloid(LeastSquaresProblem):

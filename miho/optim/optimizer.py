@@ -46,7 +46,7 @@ class Optimizer(ABC):
 
     @property
     def uncompiled(self) -> bool:
-        """Whether it has code of its own that this machine has yet to compile, for many seconds."""
+        """Whether the method has compiled code of its own that is not cached: it takes seconds."""
         return False
 
     def search_toy(self, toy: LeastSquaresProblem) -> None:
@@ -71,7 +71,7 @@ class Resumable(Optimizer, Generic[State]):
 
     @abstractmethod
     def done(self, state: State) -> bool:
-        """Whether the method has nothing left to ask."""
+        """Whether the method has ended by itself."""
 
     @final
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:

@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,24 +23,20 @@ from miho.optim.meter import (
     UnusableValueError,
 )
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
+from miho.optim.recorder import Recorder
 from miho.optim.space import Space
 from miho.optim.trace import Descent, Trace
 from miho.quantities import Array
 
 CHUNK_SECONDS = 0.02
-OBSERVE_SECONDS = 0.1
-CHECKED_AT_ONCE = 1024
-OFF_A_ROW, ROUNDED = 1e-6, 1e-15
-"""How far a sum of fractions may be off a whole number of rows, besides a few roundings of it."""
+"""Seconds of evaluations between two looks at the clock."""
 NOT_FINITE = "loss is"
-"""So begins the reason why a value was rejected that was computed and is not finite."""
-NONE, NOWHERE = np.empty(0), np.empty(0, np.int64)
-UNSENT = "KeyboardInterrupt, though nobody interrupted it"
-"""What ends a run whose model or method raises what only a signal should."""
+"""How the reason begins for which a value is rejected that was computed, but is not finite."""
+NO_LOSSES, NOWHERE = np.empty(0), np.empty(0, np.int64)
 
 
 class Oracle:
-    """Counts, times, limits and records every evaluation of one run.
+    """Makes every evaluation of one run, within its budget, and has it recorded.
 
     Calling it evaluates a batch in order; an improvement inside a batch is recorded at its own
     evaluation. Values that are not finite numbers come back as +inf and never become best.
@@ -65,19 +62,19 @@ class Oracle:
         self.meter.starts.rounding = max(problem.rounding, problem.resolution)
         self.state: Any = None
         self.interrupted = False
-        self._box = self.space.rounded
         self._problem = problem
         self._limit = math.inf if budget.evaluations is None else budget.evaluations
         self._deadline = math.inf if budget.seconds is None else budget.seconds
         self._target = -math.inf if budget.target is None else budget.target
-        self._observer = observer
-        self._clock = Clock() if clock is None else clock
-        self._unchecked: list[Array] = []
-        self._rows_unchecked = 0
-        self._observed = -math.inf
         self._descent: Descent | None = None
-        self._wall = self._clock.wall() - self.meter.seconds
-        self._cpu = self._clock.cpu() - self.meter.cpu_seconds
+        self._recorder = Recorder(  # last of all, since its clock starts here
+            self.meter,
+            self.space,
+            self._limit,
+            self.rows,
+            Clock() if clock is None else clock,
+            None if observer is None else partial(observer, self),
+        )
 
     @property
     def evaluations(self) -> float:
@@ -87,7 +84,7 @@ class Oracle:
     @property
     def seconds(self) -> float:
         """Seconds of the method's clock: the run without set-up and recording."""
-        return self._clock.wall() - self._wall
+        return self._recorder.seconds
 
     @property
     def remaining(self) -> float:
@@ -121,7 +118,7 @@ class Oracle:
             raise ValueError(f"fidelity is {fidelity!r}; expected a fraction above 0, at most 1")
         cost = self._problem.cost(fidelity)
         unfinished = self.meter.unfinished
-        losses = np.array(unfinished) if unfinished else NONE
+        losses = np.array(unfinished) if unfinished else NO_LOSSES
         n = len(thetas)
         try:
             while losses.size < n:
@@ -129,7 +126,7 @@ class Oracle:
                 if not len(rows):
                     raise BudgetExhausted
                 started = self.seconds
-                self._count_outside(rows)
+                self._recorder.count_outside(rows)
                 chunk = self._losses(rows, fidelity)
                 self._record(rows, chunk, cost, started)
                 losses = np.concatenate((losses, chunk)) if losses.size else chunk
@@ -148,7 +145,7 @@ class Oracle:
 
     @property
     def order(self) -> NDArray[np.intp] | None:
-        """The order in which a fidelity takes the rows of all residuals, None if it is theirs."""
+        """Positions of all residuals in the order of a fidelity, None if they stand in it."""
         return self._least_squares.order
 
     @property
@@ -159,12 +156,12 @@ class Oracle:
 
     @property
     def rounding(self) -> float:
-        """A loss up to this is 0: its digits are rounding."""
+        """A loss up to this counts as 0: its digits are rounding."""
         return self._problem.rounding
 
     @property
     def resolution(self) -> float:
-        """Losses that differ by no more than this are one."""
+        """Losses that differ by no more than this count as equal."""
         return self.meter.starts.rounding
 
     @property
@@ -174,7 +171,7 @@ class Oracle:
 
     def affords(self, evaluations: float) -> bool:
         """Whether the budget can pay for so many more evaluations, whatever their rounding."""
-        return self._after(evaluations) <= self._limit
+        return self._recorder.count_after(evaluations) <= self._limit
 
     def cost(self, fidelity: float) -> float:
         """What one evaluation at a fidelity costs, in full evaluations."""
@@ -183,22 +180,23 @@ class Oracle:
     def residuals(self, theta: Array, fidelity: float = 1.0, *, goes_on: bool = False) -> Array:
         """Residuals (m,) of one configuration (d,) in units: one evaluation of so many rows.
 
-        A run ends before an evaluation, never between it and the use of its value; nor before one
-        that `goes_on` with the one before, unless it cannot pay for it.
+        A run ends before an evaluation, never between it and the use of its value. One that
+        `goes_on` with the evaluation before it, of which it is a part, is made even if the run is
+        over, unless the budget cannot pay for it.
 
         Raises UnusableValueError if the problem raises; residuals that are not finite are
         returned as they are, for solvers that know what to do with them.
         """
         problem = self._least_squares
-        some, cost = self._of_rows(fidelity)
+        part, cost = self._part(fidelity)
         if not goes_on:
             self._check_open()
         if not self.affords(cost):
             raise BudgetExhausted
         started = self.seconds
-        self._count_outside(theta[None])
+        self._recorder.count_outside(theta[None])
         try:
-            residuals = _real(problem.residuals(_read_only(theta), *some))
+            residuals = _real(problem.residuals(_read_only(theta), *part))
             loss = self._usable(mean_square(residuals)[None])
         except Exception as error:
             self.meter.reject(f"{type(error).__name__}: {error}")
@@ -213,34 +211,35 @@ class Oracle:
         As many as fit between two looks at the clock, and as the budget pays for; with none left it
         is exhausted. A row is NaN where the problem raises.
         """
-        some, cost = self._of_rows(fidelity)
+        part, cost = self._part(fidelity)
         self._check_open()
         rows = thetas[: self._chunk(len(thetas), cost)]
         if not len(rows):
             raise BudgetExhausted
         started = self.seconds
-        self._count_outside(rows)
+        self._recorder.count_outside(rows)
         try:
-            residuals = _real(self._least_squares.residual_rows(_read_only(rows), *some))
+            residuals = _real(self._least_squares.residual_rows(_read_only(rows), *part))
             losses = self._usable(mean_square(residuals))
         except Exception:  # noqa: BLE001 -- whatever a model raises, or it has no such rows
-            residuals, losses = self._one_by_one(rows, some)
+            residuals, losses = self._one_by_one(rows, part)
         self._record(rows, losses, cost, started)
         return residuals
 
-    def _one_by_one(self, rows: Array, some: tuple[float, ...]) -> tuple[Array, Array]:
+    def _one_by_one(self, rows: Array, part: tuple[float, ...]) -> tuple[Array, Array]:
         """Residuals (n, m), NaN where the problem raises, and losses (n,)."""
-        found: dict[int, Array] = {}
+        computed: dict[int, Array] = {}
         losses = np.full(len(rows), math.inf)
         for k, theta in enumerate(rows):
             try:
-                values = _real(self._least_squares.residuals(_read_only(theta), *some))
+                values = _real(self._least_squares.residuals(_read_only(theta), *part))
                 losses[k] = self._usable(mean_square(values)[None])[0]
-                found[k] = values.copy()
+                computed[k] = values.copy()
             except Exception as error:  # noqa: BLE001 -- as for residuals
                 self.meter.reject(f"{type(error).__name__}: {error}")
-        residuals = np.full((len(rows), max((r.size for r in found.values()), default=1)), math.nan)
-        for k, values in found.items():
+        m = max((values.size for values in computed.values()), default=1)
+        residuals = np.full((len(rows), m), math.nan)
+        for k, values in computed.items():
             residuals[k] = values
         return residuals, losses
 
@@ -251,26 +250,26 @@ class Oracle:
         UnusableValueError if the problem raises or a derivative is not finite.
         """
         problem = self._least_squares
-        some, cost = self._of_rows(fidelity)
+        part, cost = self._part(fidelity)
         cost *= self.jacobian_cost
         self._check_open()
         if not self.affords(cost):
             raise BudgetExhausted
         reason = "derivative is not finite"
         try:
-            jacobian = _real(problem.jacobian(_read_only(theta), *some))
+            jacobian = _real(problem.jacobian(_read_only(theta), *part))
             usable = bool(np.isfinite(jacobian).all())
         except Exception as error:  # noqa: BLE001 -- as for residuals
             reason, usable = f"{type(error).__name__}: {error}", False
-        self._spend(cost)
+        self._recorder.charge(cost)
         self.meter.seconds = self.seconds
         if not usable:
             self.meter.reject(reason)
             raise UnusableValueError(reason)
         return jacobian
 
-    def _of_rows(self, fidelity: float) -> tuple[tuple[float, ...], float]:
-        """A fidelity as a problem takes it, which need not know of any, and its cost."""
+    def _part(self, fidelity: float) -> tuple[tuple[float, ...], float]:
+        """The arguments by which a problem takes a fidelity, none for all rows, and its cost."""
         if fidelity == 1.0:
             return (), 1.0
         return (fidelity,), self._problem.cost(fidelity)
@@ -290,7 +289,7 @@ class Oracle:
             most = min(self.remaining, max(CHUNK_SECONDS * rate, least))
             started = self.seconds
             report = block(most, meter.best, self._target)
-            self._take(report, started)
+            self._record_block(report, started)
             self._check_end()
             if report.finished:
                 return
@@ -299,10 +298,10 @@ class Oracle:
 
     @contextmanager
     def descent(self) -> Iterator[Descent]:
-        """Keep what is evaluated inside as one descent of this run, and say how it ended.
+        """Record what is evaluated inside as one descent of this run.
 
-        For methods that descend from several starts of their own: how many ends agree is what a
-        run can tell of its optimum. The method sets `converged`.
+        For methods that descend from several starts of their own: how many ends agree is the
+        evidence for a run's optimum. The method sets `converged`.
         """
         self._descent = descent = Descent()
         self.meter.starts.descents.append(descent)
@@ -312,22 +311,22 @@ class Oracle:
         finally:
             self._descent = None
 
-    def ended(
+    def record_descent(
         self, start: float, end: float, *, converged: bool = True, finished: bool = True
     ) -> None:
-        """Keep a descent that `descent` cannot enclose, since its steps were made between others'.
+        """Record a descent that `descent` cannot enclose, since other descents' steps lie between.
 
         `start` and `end` are losses over all rows, `start` math.inf where it was not looked at on
         all of them. A descent that came back to an optimum ended at the loss of that one.
         """
-        self.meter.starts.ended(start, end, converged=converged, finished=finished)
+        self.meter.starts.add(start, end, converged=converged, finished=finished)
 
-    def dropped(self) -> None:
-        """Keep a descent that came to its end on fewer rows, where a known optimum is no worse."""
+    def record_dropped(self) -> None:
+        """Record a descent that ended on fewer rows, where a known optimum is no worse."""
         self.meter.starts.dropped += 1
 
-    def screened(self, configurations: int) -> None:
-        """Count configurations that were looked at to choose from which to descend."""
+    def record_screened(self, configurations: int) -> None:
+        """Record how many configurations were looked at to choose from which to descend."""
         self.meter.starts.screened += configurations
 
     @property
@@ -339,10 +338,8 @@ class Oracle:
         return self.meter.starts.agreement(self.best)
 
     def stop(self) -> None:
-        """Read the clocks for the last time, and look at what was not looked at yet."""
-        self.meter.seconds = self.seconds
-        self.meter.cpu_seconds = self._clock.cpu() - self._cpu
-        self._check_box()
+        """Read the clocks for the last time: no evaluation follows."""
+        self._recorder.stop()
 
     @property
     def _least_squares(self) -> LeastSquaresProblem:
@@ -376,27 +373,6 @@ class Oracle:
             rows += self.affords((rows + 1) * cost)
         return rows
 
-    def _count_outside(self, rows: Array) -> None:
-        """Count the rows outside of the box; of a compiled block only those that improve.
-
-        Many at once, since looking at ten costs as much as looking at a thousand.
-        """
-        if rows.shape[1:] != self._box[0].shape:
-            raise ValueError(
-                f"configurations have the shape {rows.shape}; expected (n, {len(self.space)})"
-            )
-        self._unchecked.append(rows.copy())
-        self._rows_unchecked += len(rows)
-        if self._rows_unchecked >= CHECKED_AT_ONCE:
-            self._check_box()
-
-    def _check_box(self) -> None:
-        if self._unchecked:
-            rows = np.concatenate(self._unchecked)
-            within = (rows >= self._box[0]) & (rows <= self._box[1])
-            self.meter.outside += len(rows) - int(np.count_nonzero(within.all(axis=1)))
-            self._unchecked, self._rows_unchecked = [], 0
-
     def _losses(self, rows: Array, fidelity: float) -> Array:
         """The problem's losses; +inf, with its reason counted, for a row that has none."""
         try:
@@ -423,80 +399,31 @@ class Oracle:
         return np.where(finite, losses, math.inf)
 
     def _record(self, rows: Array, losses: Array, cost: float, started: float) -> None:
-        """Count the rows and keep their improvements."""
+        """Record a batch of losses (n,) with its improvements."""
         least = np.minimum.reduce(losses)
         if self._descent is not None and cost == 1.0:
             self._descent.see(losses[0], least)
         if cost == 1.0 and least < self.meter.best:
             lower = losses < np.minimum.accumulate(np.append(self.meter.best, losses[:-1]))
             improving = np.flatnonzero(lower)
-            found, thetas = losses[improving], rows[improving]
+            improved, thetas = losses[improving], rows[improving]
         else:
-            improving, found, thetas = NOWHERE, NONE, rows[:0]
-        self._keep((improving + 1).astype(float), found, thetas, losses.size * cost, started)
+            improving, improved, thetas = NOWHERE, NO_LOSSES, rows[:0]
+        at = (improving + 1).astype(float)
+        self._recorder.record(at, improved, thetas, losses.size * cost, started)
 
-    def _take(self, block: Block, started: float) -> None:
-        """Count what compiled code did, and keep its improvements."""
+    def _record_block(self, block: Block, started: float) -> None:
+        """Record what compiled code did, with its improvements."""
         for reason, count in block.rejected.items():
             if count:
                 self.meter.reject(reason, count)
         if block.losses.size:
-            self._count_outside(block.thetas)
-        self._keep(block.at, block.losses, block.thetas, block.evaluations, started)
-
-    def _keep(
-        self, at: Array, losses: Array, thetas: Array, evaluations: float, started: float
-    ) -> None:
-        """Count evaluations, record the improvements among them and hold the clock meanwhile.
-
-        `at` (k,) counts the evaluations up to each improvement. The clock is taken to run evenly,
-        so each improvement has its own time.
-        """
-        meter = self.meter
-        meter.seconds = now = self._clock.wall() - self._wall
-        if at.size:
-            meter.cpu_seconds = self._clock.cpu() - self._cpu
-            per_evaluation = (now - started) / evaluations
-            for count, loss, theta in zip(at.tolist(), losses.tolist(), thetas, strict=True):
-                meter.trace.add(
-                    self._after(count),
-                    now - per_evaluation * (evaluations - count),
-                    meter.cpu_seconds,
-                    loss,
-                    theta,
-                )
-            meter.best = meter.trace.loss[-1]
-            self._wall = self._clock.wall() - now
-            self._cpu = self._clock.cpu() - meter.cpu_seconds
-        self._spend(evaluations)
-        if self._observer is not None and now - self._observed >= OBSERVE_SECONDS:
-            self._observed = now
-            cpu = self._clock.cpu()
-            self._observer(self)
-            self._cpu += self._clock.cpu() - cpu
-            self._wall = self._clock.wall() - now
-
-    def _spend(self, evaluations: float) -> None:
-        """Count what was allowed: a sum of fractions is beyond the limit by its rounding only."""
-        self.meter.evaluations = min(self._after(evaluations), self._limit)
-
-    def _after(self, evaluations: float) -> float:
-        """The count after so many more, which does not depend on the blocks that they came in.
-
-        On rows of data it is a whole number of them, divided once: sums of fractions would differ
-        in their last bits.
-        """
-        count = self.meter.evaluations + evaluations
-        if self.rows is None:
-            return count
-        rows = count * self.rows
-        whole = round(rows)
-        near = abs(rows - whole) <= OFF_A_ROW + ROUNDED * rows
-        return whole / self.rows if near else count
+            self._recorder.count_outside(block.thetas)  # of a block, only those that improve
+        self._recorder.record(block.at, block.losses, block.thetas, block.evaluations, started)
 
 
 def _read_only(array: Array) -> Array:
-    """A view that a problem cannot edit: the method still works with what it asked."""
+    """A view that a problem cannot edit: the method goes on working with the array itself."""
     view = array.view()
     view.flags.writeable = False
     return view

@@ -18,12 +18,12 @@ class Problem(ABC):
 
     `name` identifies the problem in seeds, stores and figures: two problems with one name are the
     same problem. `kernel` holds compiled forms of this very loss, for methods that know what to do
-    with them. A loss up to `rounding` is 0: its digits are rounding. Losses closer than
-    `resolution` are not told apart: whoever sees only losses ends so far above a minimum at 0. A
-    loss above `noise` is more than the noise of the data explains, as far as a problem can tell:
-    its model is another one than that of the data, or a better optimum exists. `rows` is the number
-    of rows of data, and says that a fidelity of m / rows takes the first m of them, in the
-    problem's own order; a problem without it has no cheaper versions of itself.
+    with them. A loss up to `rounding` counts as 0: its digits are rounding. Losses that differ by
+    less than `resolution` count as equal: a method that sees only losses may end so far above a
+    minimum whose loss is 0. A loss above `noise` is more than the noise of the data explains, as
+    far as the problem can tell: the model is wrong, or a better optimum exists. `rows` is the
+    number of rows of data, where a fidelity of m / rows takes the first m of them in the problem's
+    own order; it is None for a problem that has no cheaper versions of itself.
     """
 
     name: str
@@ -43,9 +43,9 @@ class Problem(ABC):
         """
 
     def cost(self, fidelity: float) -> float:
-        """What one evaluation at a fidelity costs, in full evaluations; 1 means it is one.
+        """What one evaluation at a fidelity costs, in full evaluations; at 1 it is a full one.
 
-        A problem that does not use just this fraction of its data says what it uses.
+        To be overridden by a problem that uses another fraction of its data than the fidelity.
         """
         return fidelity
 
@@ -53,14 +53,15 @@ class Problem(ABC):
 class LeastSquaresProblem(Problem):
     """A problem whose loss is the mean of squared residuals, with derivatives of the residuals.
 
-    Their number is `rows`, if those of the first rows can be had: a fidelity takes so many of them
-    in the problem's own order. A problem without it is asked for all of them only. `order` numbers
-    the rows of all residuals in that order, None if they stand in it.
+    Their number is `rows`, if the residuals of the first rows can be computed alone: a fidelity
+    takes so many of them in the problem's own order. If `rows` is None, all are computed always.
+    `order` (N,) gives the positions of the rows of all residuals in that order, None if they stand
+    in it already.
 
-    `jacobian_cost` is what one Jacobian costs in evaluations; a problem without it pays the
-    number of parameters, as forward differences would. `linear` names parameters in which the
-    residuals are jointly linear: with all others held, they are an offset plus a fixed
-    combination of these, a (x + b) thus in a or in b but not in both.
+    `jacobian_cost` is what one Jacobian costs in evaluations; if None, the number of parameters, as
+    by forward differences. `linear` names parameters in which the residuals are jointly linear:
+    with all others fixed, they are an offset plus a fixed combination of these. So a (x + b) is
+    linear in a or in b, but not in both.
     """
 
     jacobian_cost: int | None = None
@@ -72,9 +73,10 @@ class LeastSquaresProblem(Problem):
         """Model minus data, (m,), of one configuration (d,), over a fidelity of the rows."""
 
     def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """Those of each of some configurations (n, d), (n, m).
+        """Residuals (n, m) of several configurations (n, d), over a fidelity of the rows.
 
-        For problems that are quicker with several at once; others are asked one at a time.
+        For problems that are faster with several at once; others leave this, and `residuals` is
+        called for each.
         """
         raise NotImplementedError
 

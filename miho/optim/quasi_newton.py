@@ -22,9 +22,10 @@ FLAT = 1e-8
 def newton_steps(B: Array, g: Array, low: Array, high: Array) -> tuple[Array, Array]:
     """Minimise g s + s B s / 2 within low <= s <= high; steps (n, d) and what they gain (n,).
 
-    An active set: what leaves the box is held at its bound, and let go where the model would
-    gain from it (Nocedal and Wright, Numerical Optimization, 2006, Alg. 16.3 for a box). Solved
-    where the diagonal of B is one: what ranges do to its condition is no reason to lose digits.
+    By an active set: what leaves the box is fixed at its bound, and freed where the model would
+    gain from it (Nocedal and Wright, Numerical Optimization, 2006, Alg. 16.3 for a box). In
+    coordinates in which the diagonal of B is one, so that parameters of unequal ranges cost no
+    digits.
     """
     n, d = g.shape
     scale = np.sqrt(np.maximum(np.abs(diagonal(B)), np.finfo(float).tiny))
@@ -32,12 +33,14 @@ def newton_steps(B: Array, g: Array, low: Array, high: Array) -> tuple[Array, Ar
     steps, free = np.zeros((n, d)), np.ones((n, d), bool)
     todo, eye = np.arange(n), np.eye(d)
     for _ in range(3 * d):
+        # Minimise over the free coordinates of all that are not solved yet, the others fixed.
         F = free[todo]
         s, b, slope = steps[todo], B[todo], g[todo]
         lo, hi = low[todo], high[todo]
-        held = np.where(F, 0.0, s)
-        rhs = np.where(F, -slope - _times(b, held), s)
+        fixed = np.where(F, 0.0, s)
+        rhs = np.where(F, -slope - _times(b, fixed), s)
         s = _solve(np.where(F[:, :, None] & F[:, None, :], b, eye), rhs)
+        # Fix what leaves the box; where nothing does, free what would gain most inwards.
         outside = F & ((s < lo) | (s > hi))
         s = np.minimum(np.maximum(s, lo), hi)
         F &= ~outside
@@ -45,13 +48,13 @@ def newton_steps(B: Array, g: Array, low: Array, high: Array) -> tuple[Array, Ar
         wrong = ~F & (((s <= lo) & (push < 0)) | ((s >= hi) & (push > 0)))
         hit: NDArray[np.bool_] = np.asarray(outside.any(axis=1), bool)
         wrong &= ~hit[:, None]
-        let_go = np.flatnonzero(wrong.any(axis=1))
-        if let_go.size:
-            F[let_go, np.argmax(np.where(wrong, np.abs(push), -1.0), axis=1)[let_go]] = True
+        freed = np.flatnonzero(wrong.any(axis=1))
+        if freed.size:
+            F[freed, np.argmax(np.where(wrong, np.abs(push), -1.0), axis=1)[freed]] = True
         steps[todo], free[todo] = s, F
-        again = hit.copy()
-        again[let_go] = True
-        todo = todo[again]
+        unsolved = hit.copy()
+        unsolved[freed] = True
+        todo = todo[unsolved]
         if not todo.size:
             break
     gains = -np.einsum("ni,ni->n", steps, g + 0.5 * _times(B, steps))
@@ -76,7 +79,7 @@ def bfgs(B: Array, s: Array, y: Array) -> Array:
 
 
 def curve_along(B: Array, s: Array, curvature: Array) -> Array:
-    """B changed so that s B s is the curvature (n,) that losses show along steps s (n, d)."""
+    """B changed so that s B s is the `curvature` (n,) measured along steps s (n, d)."""
     Bs = _times(B, s)
     sBs = np.einsum("ni,ni->n", s, Bs)
     with np.errstate(all="ignore"):
@@ -86,11 +89,11 @@ def curve_along(B: Array, s: Array, curvature: Array) -> Array:
 
 
 def convex(H: Array, g: Array) -> Array:
-    """Hessians with their curvatures made positive: a step then goes down along each of them.
+    """Hessians H (n, d, d) with positive curvatures, so that a Newton step goes down along each.
 
-    Eigenvalues are taken by their size, in coordinates where the diagonal is one: a valley is
-    narrow by what parameters do to each other, not by their ranges. Where there is no curvature,
-    slopes g (n, d) give a size to the little that is put there, so that steps have an end.
+    Eigenvalues are replaced by their absolute values, in coordinates in which the diagonal is one:
+    there they do not depend on the parameters' ranges. Small ones are raised to FLAT of the
+    largest, which, where there is no curvature, the slopes g (n, d) give: so steps stay finite.
     """
     curvature = np.abs(diagonal(H))
     largest = np.maximum(curvature, np.abs(g)).max(axis=1, keepdims=True)
@@ -111,24 +114,25 @@ class Parabola(NamedTuple):
 
 
 def parabolas(loss: Array, a: Array, at_a: Array, b: Array, at_b: Array) -> Parabola:
-    """Through the losses (n,), and those (n, d) at offsets a and b (n, d) along each coordinate.
+    """Parabolas through losses (n,) and those, at_a and at_b (n, d), at offsets a, b (n, d).
 
-    Where one of them is not finite, the straight line through the other; where both, zero.
+    One for each coordinate. Where one of the losses is not finite, the straight line through the
+    other; where both, zero.
     """
     with np.errstate(all="ignore"):
         to_a, to_b = (at_a - loss[:, None]) / a, (at_b - loss[:, None]) / b
         curvature = 2 * (to_a - to_b) / (a - b)
         slope = to_a - curvature * a / 2
-    known = np.isfinite(curvature) & np.isfinite(slope)
+    finite = np.isfinite(curvature) & np.isfinite(slope)
     line = np.where(np.isfinite(to_a), to_a, np.where(np.isfinite(to_b), to_b, 0.0))
-    return Parabola(np.where(known, slope, line), np.where(known, curvature, 0.0))
+    return Parabola(np.where(finite, slope, line), np.where(finite, curvature, 0.0))
 
 
 def mixed(loss: Array, a: Array, at_a: Array, at_both: Array, curvature: Array) -> Array:
     """Hessians (n, d, d) from the curvatures (n, d) and the losses at offsets a (n, d).
 
-    `at_a` (n, d) are those at each of the offsets alone, `at_both` (n, d (d - 1) / 2) at two of
-    them together, in the order of the upper triangle. What is not finite is taken for zero.
+    `at_a` (n, d) are the losses at each of the offsets alone, `at_both` (n, d (d - 1) / 2) at two
+    of them together, in the order of the upper triangle. Entries that are not finite become zero.
     """
     n, d = a.shape
     i, j = np.triu_indices(d, 1)

@@ -37,7 +37,7 @@ class RandomSearch(AskTell[RandomSearchState]):
         return RandomSearchState(space, rng, space.initial(self.batch, self.sampling))
 
     def ask(self, state: RandomSearchState) -> Array:
-        """The drawn batch."""
+        """The batch drawn last."""
         return state.space.decode(state.batch)
 
     def tell(self, state: RandomSearchState, thetas: Array, losses: Array) -> None:
@@ -45,5 +45,5 @@ class RandomSearch(AskTell[RandomSearchState]):
         state.batch = state.space.sample(self.batch, state.rng, self.sampling)
 
     def done(self, state: RandomSearchState) -> bool:
-        """Never."""
+        """False: only the budget ends it."""
         return False

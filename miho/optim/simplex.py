@@ -9,9 +9,10 @@ import numpy as np
 from miho.quantities import Array
 
 FLAT, SMALL = 1e-9, 1e-8
-"""It ends where its losses differ by less than this fraction, or its corners by less than this."""
-WAIT = 10
-"""Or where its best corner is the same after so many (d + 1) evaluations."""
+"""It is done where its losses differ by less than the first, as a fraction, or its corners by less
+than the second."""
+PATIENCE = 10
+"""Or where its best corner is the same after so many times (d + 1) evaluations."""
 
 
 @dataclass
@@ -19,10 +20,10 @@ class Simplex:
     """A simplex in the unit box: corners (d + 1, d) with losses (d + 1,), and what it needs next.
 
     `batch` holds points whose losses are needed: all corners, those of a shrunken simplex, or one
-    trial; `reflected` (d,) is the worst corner's reflection, with its `loss`. Of its `evaluations`
-    those until `improved` led to the best corner. The coefficients depend on d as Gao and Han
-    propose (Computational Optimization and Applications 51, 2012), without which it fails to
-    descend beyond a few parameters.
+    trial; `trial` says which. `reflected` (d,) is the worst corner's reflection, with its loss.
+    The best corner is from evaluation number `improved`. The coefficients depend on d as Gao and
+    Han propose (Computational Optimization and Applications 51, 2012); without that it fails to
+    descend in more than a few parameters.
     """
 
     corners: Array
@@ -30,13 +31,13 @@ class Simplex:
     batch: Array
     trial: str = "corners"
     reflected: Array = field(default_factory=lambda: np.empty(0))
-    loss: float = np.inf
+    reflected_loss: float = np.inf
     evaluations: int = 0
     improved: int = 0
 
     @classmethod
     def around(cls, point: Array, loss: float, edge: float) -> Simplex:
-        """Edges along the coordinates, into the box."""
+        """A simplex with a corner at `point` (d,) and edges along the coordinates, into the box."""
         d = point.size
         steps = np.where(point + edge <= 1.0, edge, -edge)
         corners = np.vstack([point, point + np.diag(steps)])
@@ -52,9 +53,9 @@ class Simplex:
     def done(self) -> bool:
         """Whether it has become flat or small, or gets no further."""
         least, spread = self.losses.min(), np.ptp(self.losses)
-        waits = self.evaluations - self.improved >= WAIT * len(self.corners)
+        stalls = self.evaluations - self.improved >= PATIENCE * len(self.corners)
         small = np.ptp(self.corners, axis=0).max() < SMALL
-        return bool(waits or small or spread <= FLAT * abs(least))
+        return bool(stalls or small or spread <= FLAT * abs(least))
 
     def tell(self, losses: Array) -> None:
         """Move on, given the losses of the batch."""
@@ -69,9 +70,9 @@ class Simplex:
         if self.trial == "reflect":
             self._judge(point, loss)
         elif self.trial == "expand":
-            better = loss < self.loss
-            self._replace(point if better else self.reflected, min(loss, self.loss))
-        elif loss < min(self.loss, self.losses[-1]):
+            better = loss < self.reflected_loss
+            self._replace(point if better else self.reflected, min(loss, self.reflected_loss))
+        elif loss < min(self.reflected_loss, self.losses[-1]):
             self._replace(point, loss)
         else:
             first = self.corners[0]
@@ -79,8 +80,8 @@ class Simplex:
             self.trial, self.batch = "shrink", self.corners[1:].copy()
 
     def _judge(self, point: Array, loss: float) -> None:
-        """After the reflection of the worst corner."""
-        self.reflected, self.loss = point, loss
+        """Expand, accept or contract the reflection of the worst corner by its loss."""
+        self.reflected, self.reflected_loss = point, loss
         if loss < self.losses[0]:
             self._ask("expand", self._middle + self._expand * (self._middle - self.corners[-1]))
         elif loss < self.losses[-2]:
@@ -90,6 +91,7 @@ class Simplex:
             self._ask("contract", self._middle + self._contract * (outer - self._middle))
 
     def _reflect(self) -> None:
+        """Sort the corners, and ask for the reflection of the worst one."""
         order = np.argsort(self.losses, kind="stable")
         self.corners, self.losses = self.corners[order], self.losses[order]
         self._ask("reflect", 2 * self._middle - self.corners[-1])

@@ -42,22 +42,22 @@ class Parameter:
     sigma_min: float = 0.0
 
     def __post_init__(self) -> None:
-        where = f"parameter {self.name!r}"
-        one_of(f"{where}: scale", self.scale, SCALES)
+        label = f"parameter {self.name!r}"
+        one_of(f"{label}: scale", self.scale, SCALES)
         if not (self.low < self.high and math.isfinite(self.high - self.low)):
             raise ValueError(
-                f"{where}: low is {self.low!r} and high is {self.high!r}; "
+                f"{label}: low is {self.low!r} and high is {self.high!r}; "
                 "expected finite bounds with low < high"
             )
         if self.scale == "log" and self.low <= 0:
-            raise ValueError(f"{where}: low is {self.low!r}; expected above 0 on the log scale")
+            raise ValueError(f"{label}: low is {self.low!r}; expected above 0 on the log scale")
         if self.mean is not None and not self.low <= self.mean <= self.high:
-            raise ValueError(f"{where}: mean is {self.mean!r}; expected within the range")
+            raise ValueError(f"{label}: mean is {self.mean!r}; expected within the range")
         if self.std is not None and not 0 < self.std < math.inf:
-            raise ValueError(f"{where}: std is {self.std!r}; expected above 0")
+            raise ValueError(f"{label}: std is {self.std!r}; expected above 0")
         if not 0 <= self.sigma_min <= self.largest_sigma < math.inf:
             raise ValueError(
-                f"{where}: sigma_min is {self.sigma_min!r} and sigma_max is "
+                f"{label}: sigma_min is {self.sigma_min!r} and sigma_max is "
                 f"{self.largest_sigma!r}; expected 0 <= sigma_min <= sigma_max, finite"
             )
 
@@ -150,14 +150,14 @@ class Space:
         return np.minimum(np.maximum(thetas, self.low), self.high)
 
     @cached_property
-    def rounded(self) -> tuple[Array, Array]:
-        """The bounds in units, wider by one rounding of the log scale."""
+    def widened(self) -> tuple[Array, Array]:
+        """The bounds in units, (d,) each, widened by the rounding of the log scale."""
         slack = 4 * np.finfo(float).eps * np.maximum(np.abs(self.low), np.abs(self.high))
         return self.low - slack, self.high + slack
 
     def contains(self, thetas: Array) -> NDArray[np.bool_]:
         """Which rows lie in the box, up to one rounding of the log scale, (n,)."""
-        low, high = self.rounded
+        low, high = self.widened
         inside = (thetas >= low) & (thetas <= high)
         return np.asarray(inside.all(axis=-1))
 
@@ -188,6 +188,10 @@ class Space:
 
     @cached_property
     def _normal(self) -> tuple[Array, Array]:
+        """Mean and standard deviation of the initial distribution in search coordinates, (d,) each.
+
+        By default the middle of the range and a quarter of it.
+        """
         low, high = self.bounds
         middle = self.decode((low + high) / 2)
         mean = [

@@ -1,4 +1,4 @@
-"""What one run leaves: its error over time, a row per improvement, and where its descents ended."""
+"""What a run records: its error over time, a row per improvement, and where its descents ended."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ class Trace:
 
 @dataclass
 class Descent:
-    """One descent of a method that makes several: the loss where it started, and its smallest.
+    """One descent of a method that makes several: the losses where it started and where it ended.
 
-    `finished` unless the budget, an interrupt or values that are no numbers cut it off;
-    `converged` if its solver says that nothing more is to be gained. Losses are those over all
-    rows; `start` is math.inf where its start was looked at on fewer only.
+    `end` is its smallest loss. `finished` unless the budget, an interrupt or values that are no
+    numbers cut it off; `converged` if its solver says so. Losses are those over all rows; `start`
+    is math.inf where the start was evaluated on fewer only.
     """
 
     start: float = math.inf
@@ -57,8 +57,8 @@ class Descent:
     converged: bool = False
 
     @property
-    def moved(self) -> bool:
-        """Whether it found anything better than its start."""
+    def improved(self) -> bool:
+        """Whether it ended better than it started."""
         return self.end < self.start
 
     def see(self, first: float, least: float) -> None:
@@ -73,12 +73,12 @@ class Descent:
 class Starts:
     """The starts of a run so far: how many were `screened`, and the descents from the best of them.
 
-    A configuration is screened if it is looked at, on few rows or on all, to choose whether it is
-    followed; `descents` are in their order. `dropped` counts further ones that came to an end on
-    fewer rows than all, where a known optimum is no worse: nobody knows their losses. With
-    `brackets` a descent is what a bracket of successive halving kept to its last. `exhausted` if
-    the method ended at the largest number of them, not by its evidence. Losses closer
-    than `rounding`, what the problem does not resolve, are one.
+    A configuration is screened if it is looked at, on few rows or on all, to decide whether to
+    descend from it. `descents` are in their order. `dropped` counts further ones that ended on
+    fewer rows than all, where a known optimum is no worse: their losses over all rows are not
+    known. With `brackets` a descent is the last candidate of a bracket of successive halving.
+    `exhausted` if the method ended at its largest number of brackets, not by its evidence. Losses
+    that differ by less than `rounding` count as equal.
     """
 
     screened: int = 0
@@ -88,7 +88,7 @@ class Starts:
     brackets: bool = False
     exhausted: bool = False
 
-    def ended(
+    def add(
         self, start: float, end: float, *, converged: bool = True, finished: bool = True
     ) -> None:
         """Add a descent from a loss to a loss, as `Descent` describes them."""
@@ -97,34 +97,35 @@ class Starts:
     def agreement(self, best: float) -> Agreement:
         """How the ends of the finished descents agree on the run's `best` loss.
 
-        A method may stop if it is `enough`. Where something that was looked at in passing is better
-        than all ends, none has come back to it.
+        A method may stop if it is `enough`. Where the best was seen elsewhere than at an end, no
+        descent agrees with it.
         """
         return agreement(self.ends, self.rounding, best=best, dropped=self.dropped)
 
     @property
     def finished(self) -> list[Descent]:
         """The descents that came to an end, with a finite loss."""
-        return [each for each in self.descents if each.finished and math.isfinite(each.end)]
+        return [
+            descent for descent in self.descents if descent.finished and math.isfinite(descent.end)
+        ]
 
     @property
     def ends(self) -> list[float]:
         """The losses where those ended, in the order of the descents."""
-        return [float(each.end) for each in self.finished]
+        return [float(descent.end) for descent in self.finished]
 
 
 @dataclass(frozen=True)
 class Descents:
-    """What is kept of the descents of one run: how many there were, and where they ended.
+    """The summary of a run's descents, as it is stored: how many there were, where they ended.
 
-    `ends` are the losses of those that finished, ascending, the best MOST_ENDS of them, but for the
-    `dropped` ones: those came to their end on fewer rows than all, as no better than an optimum
-    that was known, and nobody knows their losses. `converged` counts those of the finished whose
-    solver had nothing more to gain, `stayed` those that found nothing better than their start.
-    `screened` counts the configurations from which the starts were chosen, `agreeing` the descents
-    that ended in the optimum of the run's best loss (None: not counted). With `brackets` each is
-    what a bracket of successive halving kept to its last. Runs of older versions lack what has a
-    default.
+    `ends` are the losses of those that finished, ascending, the best MOST_ENDS of them, without the
+    `dropped` ones: those ended on fewer rows than all, no better than a known optimum, so that
+    their losses over all rows are not known. `converged` counts the finished ones whose solver says
+    so, `stayed` those that ended no better than they started. `screened` counts the configurations
+    from which the starts were chosen, `agreeing` the descents that ended in the optimum of the
+    run's best loss (None: not counted). With `brackets` a descent is the last candidate of a
+    bracket of successive halving. Runs of older versions lack the fields that have a default.
     """
 
     started: int
@@ -146,11 +147,11 @@ class Descents:
         return cls(
             started=len(starts.descents) + dropped,
             finished=len(finished) + dropped,
-            converged=sum(each.converged for each in finished) + dropped,
-            stayed=sum(not each.moved for each in finished),
+            converged=sum(descent.converged for descent in finished) + dropped,
+            stayed=sum(not descent.improved for descent in finished),
             ends=tuple(sorted(starts.ends)[:MOST_ENDS]),
             screened=starts.screened,
-            agreeing=starts.agreement(best).here,
+            agreeing=starts.agreement(best).agreeing,
             dropped=dropped,
             brackets=starts.brackets,
         )

@@ -18,7 +18,7 @@ from multiprocessing.process import BaseProcess
 from types import FrameType, TracebackType
 from typing import Any, Generic, NoReturn, TypeVar
 
-from miho.optim.oracle import UNSENT
+from miho.optim.meter import SPURIOUS_INTERRUPT
 from miho.study.processes import adopt_orphans, child_has_ended, end_child, end_family, end_of
 
 Job = TypeVar("Job")
@@ -202,7 +202,7 @@ class Workers(Generic[Job, Result]):
                     continue
                 worker.job, worker.deadline = None, float("inf")
                 if answer[1] == INTERRUPTED and not worker.interrupted:
-                    answer = None, UNSENT, answer[2]
+                    answer = None, SPURIOUS_INTERRUPT, answer[2]
                 result, reason, detail = answer
                 return Ended(job, result, reason, detail, worker.interrupted)
         except (EOFError, OSError):

@@ -67,17 +67,17 @@ def test_pso_moves_by_its_formula() -> None:
     state.best, state.best_losses = positions + 1.0, np.array([5.0, 0.5, 0.9])
     losses = np.array([4.0, 2.0, 1.0])
 
-    own = np.array([[1.0, 2.0], [4.0, -3.0], [-7.0, 10.9]])  # only the first improved
-    leader = own[1]
+    own_best = np.array([[1.0, 2.0], [4.0, -3.0], [-7.0, 10.9]])  # only the first improved
+    leader = own_best[1]
     rng = stream("pso")
-    expected = 0.9 * 0.5 + 2.0 * rng.random((3, 2)) * (own - positions)
+    expected = 0.9 * 0.5 + 2.0 * rng.random((3, 2)) * (own_best - positions)
     expected += 1.0 * rng.random((3, 2)) * (leader - positions)
     expected = np.clip(expected, -4.0, 4.0)
-    moved = np.clip(positions + expected, -10, 10)
+    expected_positions = np.clip(positions + expected, -10, 10)
     optimizer.tell(state, optimizer.ask(state), losses)
-    assert state.positions == pytest.approx(moved)
+    assert state.positions == pytest.approx(expected_positions)
     assert (np.abs(expected) == 4.0).any(), "the limit is met"
-    stopped = positions + expected != moved
+    stopped = positions + expected != expected_positions
     assert state.velocities == pytest.approx(np.where(stopped, 0.0, expected))
     assert state.best_losses.tolist() == [4.0, 0.5, 0.9]
 
@@ -122,7 +122,7 @@ def test_optuna_prunes_as_its_own_pruner_says(monkeypatch: pytest.MonkeyPatch) -
     R, eta = 27, 3
 
     def lengths() -> list[int]:
-        told: list[int] = []
+        counts: list[int] = []
         tell = OptunaHyperband._evaluate
 
         def counted(self, p, trial, oracle, rng):  # type: ignore[no-untyped-def]
@@ -130,17 +130,17 @@ def test_optuna_prunes_as_its_own_pruner_says(monkeypatch: pytest.MonkeyPatch) -
             try:
                 return tell(self, p, trial, oracle, rng)
             finally:
-                told.append(int(oracle.evaluations - before))
+                counts.append(int(oracle.evaluations - before))
 
         with monkeypatch.context() as patch:
             patch.setattr(OptunaHyperband, "_evaluate", counted)
             minimize(OptunaHyperband(R=R, eta=eta), DecayFit(), Budget(evaluations=3000), seed=2)
-        return told[:-1]  # the budget cuts the last one
+        return counts[:-1]  # the budget cuts the last one
 
-    found = lengths()
-    assert set(found) <= {1, 3, 9, 27}
-    assert 1 in found
-    assert 27 in found
-    assert found.count(1) > found.count(27)
+    counted_lengths = lengths()
+    assert set(counted_lengths) <= {1, 3, 9, 27}
+    assert 1 in counted_lengths
+    assert 27 in counted_lengths
+    assert counted_lengths.count(1) > counted_lengths.count(27)
     monkeypatch.setattr("optuna.Trial.should_prune", lambda self: False)
     assert set(lengths()[30:]) == {27}

@@ -105,8 +105,8 @@ def test_the_unit_of_the_residuals_changes_no_step(unit: float) -> None:
     rng = np.random.default_rng(3)
     X, Y, damping = rng.random((8, 2)), rng.normal(size=(8, 20)), rng.random(8)
     steps = cluster_steps(X, Y, damping, 2.0, np.arange(8))
-    other = cluster_steps(X, Y * unit, damping * unit * unit, 2.0, np.arange(8))
-    np.testing.assert_allclose(other, steps, rtol=1e-9)
+    scaled = cluster_steps(X, Y * unit, damping * unit * unit, 2.0, np.arange(8))
+    np.testing.assert_allclose(scaled, steps, rtol=1e-9)
 
 
 def test_points_on_one_another_have_no_weight() -> None:
@@ -125,21 +125,21 @@ def test_steps_across_a_bound_go_half_way_to_it() -> None:
 
 def test_damping_follows_success_and_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     """A tenth of it after a step that helped, ten times after one that did not, until all rest."""
-    seen: list[Array] = []
+    dampings: list[Array] = []
     goal = UnitBox(DecayFit.space).x(np.array([2.0, 1.5]))
 
     def steps(X: Array, Y: Array, damping: Array, gamma: float, moving: Array) -> Array:
-        seen.append(damping.copy())
-        helps = (np.arange(len(moving)) == 0) & (len(seen) == 1)
+        dampings.append(damping.copy())
+        helps = (np.arange(len(moving)) == 0) & (len(dampings) == 1)
         return np.where(helps[:, None], goal - X[moving], np.nan)
 
     monkeypatch.setattr("miho.methods.cluster_gauss_newton.cluster_steps", steps)
     problem = DecayFit()
     oracle = Oracle(problem, Budget())
     ClusterGaussNewton(N=4, iterations=25, damping=2.0).run(oracle, np.random.default_rng(1))
-    assert len(seen) == 12, "the one that was helped rests two iterations after the others"
+    assert len(dampings) == 12, "the one that was helped rests two iterations after the others"
     first = 2.0 * 17 * np.median(problem.losses[:4])
-    for k, damping in enumerate(seen):
+    for k, damping in enumerate(dampings):
         np.testing.assert_allclose(damping[0], first * 10.0 ** (k - 2 * (k > 0)))
         np.testing.assert_allclose(damping[1:], first * 10.0 ** min(k, 10))
 

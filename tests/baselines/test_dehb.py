@@ -19,10 +19,10 @@ class Fidelities(DecayFit):
 
     def __init__(self) -> None:
         super().__init__()
-        self.seen: list[float] = []
+        self.fidelities: list[float] = []
 
     def loss(self, thetas: np.ndarray, fidelity: float = 1.0) -> np.ndarray:
-        self.seen += [fidelity] * len(thetas)
+        self.fidelities += [fidelity] * len(thetas)
         return super().loss(thetas, fidelity)
 
 
@@ -41,9 +41,9 @@ def test_it_comes_close_to_the_optimum(optimum: float) -> None:
 
 def test_rungs_are_those_of_hyperband() -> None:
     """R = 9, eta = 3: brackets of 9, 3, 1 from 1/9 of the data; 3, 1 from 1/3; then 3 on all."""
-    seen = np.array(watched(DEHB(R=9, eta=3), 10).seen) * 9
+    fidelities = np.array(watched(DEHB(R=9, eta=3), 10).fidelities) * 9
     first = [9] + [1] * 9 + [3] * 3 + [9] + [3] * 3 + [9] + [9] * 3
-    assert np.round(seen[: len(first)], 9).tolist() == first
+    assert np.round(fidelities[: len(first)], 9).tolist() == first
 
 
 def test_it_writes_nothing(

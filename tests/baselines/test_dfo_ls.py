@@ -57,8 +57,8 @@ def test_derivatives_are_not_asked_for_and_units_change_nothing() -> None:
 def test_it_takes_fewer_residuals_than_parameters() -> None:
     """There the library draws directions, from NumPy's global generator, which is left alone."""
     before = str(np.random.get_state())  # noqa: NPY002
-    first, again = (path(OnePoint(), 60) for _ in range(2))
-    np.testing.assert_array_equal(first, again)
+    first, second = (path(OnePoint(), 60) for _ in range(2))
+    np.testing.assert_array_equal(first, second)
     assert str(np.random.get_state()) == before  # noqa: NPY002
 
 

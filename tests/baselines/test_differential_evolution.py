@@ -38,16 +38,16 @@ def test_a_converged_population_is_replaced_until_the_budget_ends() -> None:
 
 
 def test_settings_are_the_defaults_of_scipy() -> None:
-    ours = DifferentialEvolution()
-    theirs = {
+    method = DifferentialEvolution()
+    defaults = {
         name: parameter.default
         for name, parameter in inspect.signature(
             scipy.optimize.differential_evolution
         ).parameters.items()
     }
     for name in ("strategy", "popsize", "maxiter", "tol", "atol", "recombination", "polish"):
-        assert getattr(ours, name) == theirs[name], name
-    assert (ours.mutation_low, ours.mutation_high) == theirs["mutation"]
+        assert getattr(method, name) == defaults[name], name
+    assert (method.mutation_low, method.mutation_high) == defaults["mutation"]
 
 
 def test_unusable_settings_are_refused() -> None:

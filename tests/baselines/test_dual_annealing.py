@@ -31,11 +31,11 @@ def test_it_anneals_anew_until_the_budget_ends() -> None:
 
 
 def test_settings_are_the_defaults_of_scipy() -> None:
-    ours = DualAnnealing()
-    theirs = inspect.signature(scipy.optimize.dual_annealing).parameters
+    method = DualAnnealing()
+    parameters = inspect.signature(scipy.optimize.dual_annealing).parameters
     for name in ("maxiter", "initial_temp", "restart_temp_ratio", "visit", "accept"):
-        assert getattr(ours, name) == theirs[name].default, name
-    assert ours.local_search is not theirs["no_local_search"].default
+        assert getattr(method, name) == parameters[name].default, name
+    assert method.local_search is not parameters["no_local_search"].default
 
 
 def test_unusable_settings_are_refused() -> None:

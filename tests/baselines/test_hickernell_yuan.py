@@ -28,25 +28,25 @@ def test_it_ends_by_itself_at_the_certified_minimum(
 def test_it_ends_as_gslnls_says() -> None:
     """NSP >= mstart_minsp and NWSP > mstart_r + sqrt(mstart_r) NSP."""
     method = HickernellYuan(r=4.0, least=1)
-    assert [method.ended(1, worse) for worse in (0, 6, 7)] == [False, False, True]
-    assert [method.ended(3, worse) for worse in (10, 11)] == [False, True]
-    assert not method.ended(0, 1000)
-    assert not HickernellYuan(least=2).ended(1, 1000)
+    assert [method.converged(1, worse) for worse in (0, 6, 7)] == [False, False, True]
+    assert [method.converged(3, worse) for worse in (10, 11)] == [False, True]
+    assert not method.converged(0, 1000)
+    assert not HickernellYuan(least=2).converged(1, 1000)
 
 
 def test_a_run_ends_when_it_has_counted_enough(monkeypatch: pytest.MonkeyPatch) -> None:
     counts: list[tuple[int, int]] = []
-    ended = HickernellYuan.ended
+    converged = HickernellYuan.converged
 
     def watched(self: HickernellYuan, stationary: int, worse: int) -> bool:
         counts.append((stationary, worse))
-        return ended(self, stationary, worse)
+        return converged(self, stationary, worse)
 
-    monkeypatch.setattr(HickernellYuan, "ended", watched)
+    monkeypatch.setattr(HickernellYuan, "converged", watched)
     method = HickernellYuan()
     record = minimize(method, misra1a(), seed=2)
     assert record.descents is not None
-    assert [ended(method, *pair) for pair in counts] == [False] * (len(counts) - 1) + [True]
+    assert [converged(method, *pair) for pair in counts] == [False] * (len(counts) - 1) + [True]
     assert counts[0] == (0, 0), "nothing is retained twice in the first iteration"
     stationary, worse = counts[-1]
     assert stationary >= 1
@@ -61,8 +61,8 @@ def test_starts_are_drawn_to_the_smallest_values() -> None:
     """
     low, high = np.array([10.0, -8.0, -26.0]), np.array([26.0, 8.0, -10.0])
     coordinates = np.array([[25.0, 8.0, -25.0], [10.0, -3.0, -10.0]])
-    drawn = towards_zero(coordinates, low, high, np.full(3, 0.5))
-    np.testing.assert_allclose(drawn, [[16.0, 4.0, -16.0], [10.0, -2.0, -10.0]])
+    transformed = towards_zero(coordinates, low, high, np.full(3, 0.5))
+    np.testing.assert_allclose(transformed, [[16.0, 4.0, -16.0], [10.0, -2.0, -10.0]])
     np.testing.assert_allclose(towards_zero(coordinates, low, high, np.ones(3)), coordinates)
 
 
@@ -80,16 +80,16 @@ def test_retained_points_are_concentrated_again() -> None:
 
     class Watched(HickernellYuan):
         def _search(self, oracle, start, iterations, record):  # type: ignore[no-untyped-def]
-            found = super()._search(oracle, start, iterations, record)
+            result = super()._search(oracle, start, iterations, record)
             starts.append(start.copy())
-            ends.append(found[0].theta)
-            return found
+            ends.append(result[0].theta)
+            return result
 
     ends: list[Array] = []
     oracle = Oracle(DecayFit(), Budget())
     Watched(N=10, q=3, major=2).run(oracle, np.random.default_rng(1))
-    again = {tuple(start) for start in starts[10:20]} & {tuple(end) for end in ends[:10]}
-    assert len(again) == 3
+    continued = {tuple(start) for start in starts[10:20]} & {tuple(end) for end in ends[:10]}
+    assert len(continued) == 3
 
 
 def test_unusable_settings_are_refused() -> None:

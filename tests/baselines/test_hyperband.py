@@ -52,10 +52,10 @@ def run(method: Optimizer, evaluations: int) -> tuple[Batches, float]:
 def test_hyperband_goes_through_the_published_table() -> None:
     """Two rungs that follow each other at one fidelity, 1 and 5 at R, are one batch here."""
     problem, _ = run(Hyperband(R=81, eta=3), 60)
-    found = [(len(x), round(f * 81)) for f, x in problem.batches[: 5 + 4 + 3 + 2]]
+    batches = [(len(x), round(f * 81)) for f, x in problem.batches[: 5 + 4 + 3 + 2]]
     expected = [rung for bracket in PUBLISHED for rung in bracket][:13]
-    assert found[:13] == expected
-    assert found[13] == (2 + 5, 81)
+    assert batches[:13] == expected
+    assert batches[13] == (2 + 5, 81)
 
 
 @pytest.mark.parametrize(
@@ -86,9 +86,9 @@ def test_a_run_of_hyperband_costs_its_table_in_fractions() -> None:
     """Whole brackets only: the sum of n r over the table, to the rounding of 1 / 81."""
     total = sum(n * r for bracket in PUBLISHED for n, r in bracket)
     problem, evaluations = run(Hyperband(R=81, eta=3), math.ceil(total / 81))
-    spent = sum(len(x) * Fraction(round(f * 81), 81) for f, x in problem.batches)
-    assert evaluations == pytest.approx(float(spent), rel=1e-12)
-    assert spent <= math.ceil(total / 81)
+    cost = sum(len(x) * Fraction(round(f * 81), 81) for f, x in problem.batches)
+    assert evaluations == pytest.approx(float(cost), rel=1e-12)
+    assert cost <= math.ceil(total / 81)
 
 
 def test_only_all_rows_can_become_best() -> None:

@@ -59,7 +59,7 @@ class OnePoint(DecayFit):
 
 def test_solvers_agree_on_one_optimum() -> None:
     """Four ways to one certified minimum: losses to 1e-8, and so parameters to its root, 1e-4."""
-    found = [
+    records = [
         minimize(method, separable(), Budget(evaluations=100_000), seed=1)
         for method in (
             LeastSquares(screen=50, starts=3, rounds=1),
@@ -68,7 +68,7 @@ def test_solvers_agree_on_one_optimum() -> None:
             LBFGSB(screen=50, starts=3, rounds=1, tolerance=1e-14),
         )
     ]
-    for record in found:
+    for record in records:
         assert record.outcome is Outcome.CONVERGED
         assert record.loss * 14 == pytest.approx(1.2455138894e-1, rel=1e-8)
         assert record.theta == pytest.approx([2.3894212918e2, 5.5015643181e-4], rel=1e-4)
@@ -104,8 +104,8 @@ def test_parameters_without_effect_do_not_hold_a_descent_up(method: str) -> None
     descend(free.residuals, free.jacobian, start[1:3], free.space, 1e-10, "trf")
     assert min(problem.inner.losses) == pytest.approx(min(free.losses), rel=1e-9)
     assert problem.looks <= 20
-    held = np.array(problem.inner.thetas)
-    assert problem.space.contains(np.insert(held, [0, 2], 0.5, axis=1)).all()
+    thetas = np.array(problem.inner.thetas)
+    assert problem.space.contains(np.insert(thetas, [0, 2], 0.5, axis=1)).all()
 
 
 def test_a_parameter_that_matters_later_is_moved_then() -> None:
@@ -123,11 +123,11 @@ def test_a_parameter_that_matters_later_is_moved_then() -> None:
             return jacobian
 
     problem = Later()
-    seen: list[float] = []
+    losses: list[float] = []
 
     def residuals(theta: Array) -> Array:
         values = problem.residuals(theta)
-        seen.append(float(mean_square(values)))
+        losses.append(float(mean_square(values)))
         return values
 
     start = np.array([0.3, 1.0, 1.0, 1.5])
@@ -138,7 +138,7 @@ def test_a_parameter_that_matters_later_is_moved_then() -> None:
         lambda q: np.hstack([problem.inner.jacobian(q[:2]), np.ones((17, 1))]),
         xtol=1e-12,
     )
-    assert min(seen) == pytest.approx(np.mean(free.fun**2), rel=1e-8)
+    assert min(losses) == pytest.approx(np.mean(free.fun**2), rel=1e-8)
 
 
 def test_settings_are_checked() -> None:
@@ -181,18 +181,20 @@ def test_a_small_budget_is_not_spent_on_screening(method: Optimizer) -> None:
 
 def test_screening_takes_a_fifth_of_the_seconds() -> None:
     """A model of 0.2 s an evaluation and 10 s: ten configurations are screened, not 500."""
-    now = [0.0]
+    seconds = [0.0]
 
     class Slow(DecayFit):
         def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
-            now[0] += 0.2 * len(thetas)
+            seconds[0] += 0.2 * len(thetas)
             return super().loss(thetas, fidelity)
 
         def residuals(self, theta: Array) -> Array:
-            now[0] += 0.2
+            seconds[0] += 0.2
             return super().residuals(theta)
 
-    oracle = Oracle(Slow(), Budget(seconds=10.0), clock=Clock(lambda: now[0], lambda: now[0]))
+    oracle = Oracle(
+        Slow(), Budget(seconds=10.0), clock=Clock(lambda: seconds[0], lambda: seconds[0])
+    )
     with pytest.raises(BudgetExhausted):
         LeastSquares().run(oracle, np.random.default_rng(0))
     assert oracle.meter.starts.descents[0].finished

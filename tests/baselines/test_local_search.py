@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from miho import Budget, Optimizer, Oracle, Parameter, Problem, Space, minimize
-from miho.methods.local_search import LBFGSB, NelderMead, _analytic, _differenced, _Scaled
+from miho.methods.local_search import LBFGSB, NelderMead, _analytic, _differenced, _ScaledLoss
 from miho.methods.unit_box import UnitBox
 from miho.optim import Outcome
 from miho.testing import DecayFit
@@ -87,12 +87,12 @@ def test_gradients_are_those_of_the_loss() -> None:
 
 def test_a_descent_is_large_where_it_starts_and_finite_everywhere() -> None:
     losses = iter([4.0, 2.0, np.inf, 8.0])
-    scaled = _Scaled(lambda x: (next(losses), np.ones(2)))
-    found = [scaled(np.zeros(2)) for _ in range(4)]
-    assert [value for value, _ in found] == pytest.approx([1e12, 0.5e12, 2e12, 2e12])
-    assert [gradient[0] for _, gradient in found] == pytest.approx([2.5e11, 2.5e11, 0.0, 2.5e11])
+    scaled = _ScaledLoss(lambda x: (next(losses), np.ones(2)))
+    pairs = [scaled(np.zeros(2)) for _ in range(4)]
+    assert [value for value, _ in pairs] == pytest.approx([1e12, 0.5e12, 2e12, 2e12])
+    assert [gradient[0] for _, gradient in pairs] == pytest.approx([2.5e11, 2.5e11, 0.0, 2.5e11])
     with pytest.raises(ValueError, match="cannot start where"):
-        _Scaled(lambda x: (np.inf, np.ones(2)))(np.zeros(2))
+        _ScaledLoss(lambda x: (np.inf, np.ones(2)))(np.zeros(2))
 
 
 @pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])

@@ -26,15 +26,15 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[int]:
 
     The last plan, of 1, meets the end of the budget.
     """
-    told = []
+    budgets = []
     method = nevergrad.optimizers.NGOpt
 
     def watched(parametrization: object, budget: int) -> object:
-        told.append(budget)
+        budgets.append(budget)
         return method(parametrization=parametrization, budget=budget)
 
     monkeypatch.setattr(nevergrad.optimizers, "NGOpt", watched)
-    return told
+    return budgets
 
 
 def test_it_plans_for_what_it_is_told_and_then_for_what_is_left(plans: list[int]) -> None:

@@ -10,22 +10,22 @@ from miho.testing import DecayFit
 def test_tpe_starts_at_the_common_configurations_and_then_beats_them(optimum: float) -> None:
     problem = DecayFit()
     record = minimize(OptunaTPE(n_startup_trials=10), problem, Budget(evaluations=120), seed=2)
-    own = DecayFit()
-    space = own.space.seeded(own.name, 2)
+    reference = DecayFit()
+    space = reference.space.seeded(reference.name, 2)
     start = space.decode(space.initial(10))
     assert np.array_equal(problem.thetas[-120:-110], start)
     assert optimum < record.loss < 1.5 * optimum
-    assert record.loss < 0.1 * own.loss(start).min()
+    assert record.loss < 0.1 * reference.loss(start).min()
 
 
 def test_tpe_writes_down_the_defaults_of_the_library() -> None:
     """A new default would change what the name stands for."""
-    ours, theirs = OptunaTPE(), optuna.samplers.TPESampler()
-    assert ours.n_startup_trials == theirs._n_startup_trials
-    assert ours.n_ei_candidates == theirs._n_ei_candidates
-    assert ours.constant_liar == theirs._constant_liar
-    assert ours.group == theirs._group
-    assert ours.multivariate == theirs._is_multivariate(optuna.create_study())
+    method, sampler = OptunaTPE(), optuna.samplers.TPESampler()
+    assert method.n_startup_trials == sampler._n_startup_trials
+    assert method.n_ei_candidates == sampler._n_ei_candidates
+    assert method.constant_liar == sampler._constant_liar
+    assert method.group == sampler._group
+    assert method.multivariate == sampler._is_multivariate(optuna.create_study())
 
 
 def test_cmaes_reaches_the_optimum_and_restarts_with_a_larger_population(

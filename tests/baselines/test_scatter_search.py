@@ -133,11 +133,11 @@ def test_a_start_is_chosen_by_quality_and_diversity() -> None:
     """Two parents with two children each; what is known is at 0."""
     children = np.array([[[0.1], [0.9]], [[0.2], [0.8]]])
     losses = np.array([[1.0, 4.0], [2.0, 3.0]])
-    known = [np.zeros(1)]
-    assert ScatterSearch(balance=0.0).choice(children, losses, known) == (0, 0)
-    assert ScatterSearch(balance=1.0).choice(children, losses, known) == (0, 1)
+    searched = [np.zeros(1)]
+    assert ScatterSearch(balance=0.0).choice(children, losses, searched) == (0, 0)
+    assert ScatterSearch(balance=1.0).choice(children, losses, searched) == (0, 1)
     better = np.array([[1.0, 4.0], [2.0, 1.5]])
-    assert ScatterSearch(balance=0.5).choice(children, better, known) == (1, 1)
+    assert ScatterSearch(balance=0.5).choice(children, better, searched) == (1, 1)
 
 
 def test_unusable_settings_are_refused() -> None:

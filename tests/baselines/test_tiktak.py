@@ -46,13 +46,13 @@ def test_searches_start_between_the_next_point_and_the_lowest_so_far(
     problem = DecayFit()
     TikTak(points=15, share=0.1).run(Oracle(problem, Budget()), np.random.default_rng(5))
     order = np.argsort(problem.losses)
-    kept = np.array(problem.thetas)[order[:3]]
+    best_points = np.array(problem.thetas)[order[:3]]
     assert len(starts) == 3
-    assert starts[0] == pytest.approx(kept[0])
+    assert starts[0] == pytest.approx(best_points[0])
     for i, best in ((1, ends[0]), (2, ends[1])):
         w = np.sqrt((i + 1) / 3) if i < 2 else 0.995
-        assert starts[i][0] == pytest.approx((1 - w) * kept[i][0] + w * best[0])
-        assert starts[i][1] == pytest.approx(kept[i][1] ** (1 - w) * best[1] ** w)
+        assert starts[i][0] == pytest.approx((1 - w) * best_points[i][0] + w * best[0])
+        assert starts[i][1] == pytest.approx(best_points[i][1] ** (1 - w) * best[1] ** w)
 
 
 def test_rounds_are_counted_and_draw_new_points() -> None:

@@ -35,12 +35,12 @@ def test_it_reaches_a_certified_optimum() -> None:
 
 
 def test_its_starts_are_those_of_least_squares() -> None:
-    found = [
+    records = [
         minimize(method(screen=60, starts=2, rounds=2), DecayFit(), seed=3)
         for method in (LeastSquares, VariableProjection)
     ]
-    assert found[0].loss == pytest.approx(found[1].loss, rel=1e-9)
-    first = [record.trace.theta[0].tolist() for record in found]
+    assert records[0].loss == pytest.approx(records[1].loss, rel=1e-9)
+    first = [record.trace.theta[0].tolist() for record in records]
     assert first[0] == first[1]
 
 
@@ -77,9 +77,9 @@ def test_residuals_and_gradient_are_those_of_the_reduced_problem(
 def test_derivatives_are_those_of_the_place_asked_for() -> None:
     reduced = _Reduced(Oracle(DecayFit(), Budget()), [0], [1], np.array([0.1, 9.0]))
     reduced.residuals(np.array([1.0]))
-    here = reduced.jacobian(np.array([1.0]))
+    derivatives = reduced.jacobian(np.array([1.0]))
     reduced.residuals(np.array([3.0]))
-    assert reduced.jacobian(np.array([1.0])) == pytest.approx(here, rel=1e-9, abs=1e-12)
+    assert reduced.jacobian(np.array([1.0])) == pytest.approx(derivatives, rel=1e-9, abs=1e-12)
 
 
 def test_a_linear_problem_is_one_solve() -> None:
@@ -92,9 +92,9 @@ def test_a_linear_problem_is_one_solve() -> None:
 
 
 def test_without_linear_parameters_it_is_least_squares() -> None:
-    mine = minimize(VariableProjection(rounds=1), misra1a()).trace
-    theirs = minimize(LeastSquares(rounds=1), misra1a()).trace
-    assert (mine.evaluations, mine.loss) == (theirs.evaluations, theirs.loss)
+    projected = minimize(VariableProjection(rounds=1), misra1a()).trace
+    unprojected = minimize(LeastSquares(rounds=1), misra1a()).trace
+    assert (projected.evaluations, projected.loss) == (unprojected.evaluations, unprojected.loss)
 
 
 def test_settings_are_checked() -> None:
@@ -109,26 +109,26 @@ def test_bounds_hold_as_in_nonnegative_least_squares() -> None:
     for _ in range(20):
         basis = rng.standard_normal((40, 6)) * 10.0 ** rng.integers(-3, 3, 6)
         data = rng.standard_normal(40)
-        found = solve_linear_part(
+        part = solve_linear_part(
             lambda c, A=basis, y=data: A @ c - y, rng.uniform(0, 1e3, 6), range(6), space
         )
         expected = nnls(basis, data)[0]
         if (expected > 1e3).any():
             continue
-        assert found is not None
-        assert found.theta == pytest.approx(expected, rel=1e-8, abs=1e-8)
-        assert found.basis.shape == (40, np.count_nonzero(expected))
+        assert part is not None
+        assert part.theta == pytest.approx(expected, rel=1e-8, abs=1e-8)
+        assert part.basis.shape == (40, np.count_nonzero(expected))
 
 
 def test_a_column_of_zeros_does_not_matter() -> None:
     x = np.linspace(0, 1, 9)
     space = Space((Parameter("a", "-", -1, 1), Parameter("b", "-", 1, 2)))
-    found = solve_linear_part(
+    part = solve_linear_part(
         lambda c: c[0] * x + 0 * c[1] - 0.5 * x, np.array([1.0, 2.0]), [0, 1], space
     )
-    assert found is not None
-    assert found.theta[0] == pytest.approx(0.5, rel=1e-12)
-    assert 1 <= found.theta[1] <= 2
+    assert part is not None
+    assert part.theta[0] == pytest.approx(0.5, rel=1e-12)
+    assert 1 <= part.theta[1] <= 2
 
 
 def test_residuals_that_are_not_finite_have_no_linear_part() -> None:
@@ -140,6 +140,6 @@ def test_a_linear_part_of_any_size_is_solved() -> None:
     """The squares of a column of 1e160 are no numbers; the best factor is 3e-160."""
     x = np.linspace(0.5, 1, 9)
     space = Space((Parameter("a", "-", 0, 1e-140),))
-    found = solve_linear_part(lambda c: c[0] * 1e160 * x - 3 * x, np.array([0.0]), [0], space)
-    assert found is not None
-    assert found.theta[0] == pytest.approx(3e-160, rel=1e-12)
+    part = solve_linear_part(lambda c: c[0] * 1e160 * x - 3 * x, np.array([0.0]), [0], space)
+    assert part is not None
+    assert part.theta[0] == pytest.approx(3e-160, rel=1e-12)

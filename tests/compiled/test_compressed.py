@@ -78,8 +78,8 @@ def test_a_coarse_tolerance_holds_too_and_takes_fewer_values(tolerance: float) -
     thetas = candidates(1000)
     expected = full(x, y, thetas)
     unlimited = np.full(len(thetas), np.inf)
-    found, counts = CompressedLoss(Pacejka(), x, y, tolerance).counted(thetas, unlimited)
-    error = np.abs(found / expected - 1).max()
+    losses, counts = CompressedLoss(Pacejka(), x, y, tolerance).counted(thetas, unlimited)
+    error = np.abs(losses / expected - 1).max()
     assert 1e-15 < error <= tolerance
     assert counts.sum() < CompressedLoss(Pacejka(), x, y).counted(thetas, unlimited)[1].sum()
     assert counts[-1] < 300
@@ -135,10 +135,10 @@ def test_a_cubic_takes_four_values_of_each_quarter() -> None:
 
 def test_equal_models_share_one_compilation() -> None:
     x = np.linspace(50, 700, 100)
-    first, again, other = (
+    first, second, other = (
         CompressedLoss(TorqueCubic(omega_max), x, x)._compiled for omega_max in (650, 650, 600)
     )
-    assert first is again
+    assert first is second
     assert first is not other
 
 
@@ -203,8 +203,8 @@ def test_every_rule_keeps_the_sum_of_squares_of_polynomials() -> None:
                     else np.polynomial.Chebyshev.basis(degree, [-0.2, 0.2])
                 )
                 t, w, u = tree.nodes[k, :, STARTS[o] : STARTS[o + 1]]
-                found = np.sum((w * 100 * q(t) - u) ** 2) + tree.rests[k, o]
-                assert found == pytest.approx(np.sum((100 * q(x[rows]) - y[rows]) ** 2), rel=1e-11)
+                square = np.sum((w * 100 * q(t) - u) ** 2) + tree.rests[k, o]
+                assert square == pytest.approx(np.sum((100 * q(x[rows]) - y[rows]) ** 2), rel=1e-11)
 
 
 def test_a_batch_equals_its_rows_bit_for_bit() -> None:
@@ -221,10 +221,10 @@ def test_limits_change_no_decision() -> None:
     losses = loss.losses(thetas)
     factors = np.random.default_rng(1).uniform(0.9, 1.1, len(thetas))
     for limits in (losses * factors, losses, np.nextafter(losses, np.inf), losses / 10):
-        found, _ = loss.counted(thetas, limits)
+        limited, _ = loss.counted(thetas, limits)
         better = losses < limits
-        assert found[better].tolist() == losses[better].tolist()
-        assert (found[~better] >= limits[~better]).all()
+        assert limited[better].tolist() == losses[better].tolist()
+        assert (limited[~better] >= limits[~better]).all()
 
 
 def test_compiled_steps_give_the_trace_of_single_batches(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -240,9 +240,9 @@ def test_compiled_steps_give_the_trace_of_single_batches(monkeypatch: pytest.Mon
 
 
 def test_residuals_and_fidelities_are_of_the_points() -> None:
-    few, all_points = problem(3000, compressed=True), problem(3000, compressed=False)
-    assert few.residuals(TRUE).tolist() == all_points.residuals(TRUE).tolist()
-    assert few.loss(TRUE[None], 0.5).tolist() == all_points.loss(TRUE[None], 0.5).tolist()
+    compressed, all_points = problem(3000, compressed=True), problem(3000, compressed=False)
+    assert compressed.residuals(TRUE).tolist() == all_points.residuals(TRUE).tolist()
+    assert compressed.loss(TRUE[None], 0.5).tolist() == all_points.loss(TRUE[None], 0.5).tolist()
 
 
 def test_what_cannot_be_compressed_is_told() -> None:
@@ -283,9 +283,11 @@ def test_two_models_compiled_apart_are_not_taken_for_each_other(tmp_path: Path) 
     def run(*models: str) -> list[int]:
         command = [sys.executable, "-c", TWO_MODELS, *models]
         environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "0"}
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        return [int(count) for count in done.stdout.split()]
+        process = subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=False
+        )
+        assert process.returncode == 0, process.stderr
+        return [int(count) for count in process.stdout.split()]
 
     run("Pacejka")
     run("PacejkaCurvature")

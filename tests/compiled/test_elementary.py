@@ -34,9 +34,9 @@ def all_three(x: Array, sines: Array, cosines: Array, angles: Array) -> None:
 
 
 def compiled(x: Array) -> dict[str, Array]:
-    found = [np.empty_like(x) for _ in NAMES]
-    all_three(x, *found)
-    return dict(zip(NAMES, found, strict=True))
+    values = [np.empty_like(x) for _ in NAMES]
+    all_three(x, *values)
+    return dict(zip(NAMES, values, strict=True))
 
 
 def error(name: str, x: Array) -> tuple[Array, Array]:
@@ -45,7 +45,7 @@ def error(name: str, x: Array) -> tuple[Array, Array]:
     with mpmath.workdps(40):
         exact = [function(mpmath.mpf(value)) for value in x.tolist()]
         pairs = zip(exact, compiled(x)[name].tolist(), strict=True)
-        off = [abs(float(mpmath.mpf(got) - value)) for value, got in pairs]
+        off = [abs(float(mpmath.mpf(computed) - value)) for value, computed in pairs]
         return np.array(off), np.spacing(np.abs([float(value) for value in exact]))
 
 
@@ -111,16 +111,16 @@ def test_arctangent_rises_across_its_branches() -> None:
 
 
 def test_ends_and_zeros() -> None:
-    found = compiled(np.array([0.0, -0.0, np.inf, -np.inf, np.nan, 5e-324, -5e-324]))
-    assert found["atan"].tolist()[:4] == [0.0, 0.0, math.pi / 2, -math.pi / 2]
-    assert np.signbit(found["atan"]).tolist()[:4] == [False, True, False, True]
-    assert found["sin"].tolist()[:2] == [0.0, 0.0]
-    assert found["cos"].tolist()[:2] == [1.0, 1.0]
+    values = compiled(np.array([0.0, -0.0, np.inf, -np.inf, np.nan, 5e-324, -5e-324]))
+    assert values["atan"].tolist()[:4] == [0.0, 0.0, math.pi / 2, -math.pi / 2]
+    assert np.signbit(values["atan"]).tolist()[:4] == [False, True, False, True]
+    assert values["sin"].tolist()[:2] == [0.0, 0.0]
+    assert values["cos"].tolist()[:2] == [1.0, 1.0]
     for name in ("sin", "cos"):
-        assert np.isnan(found[name][2:5]).all()
-    assert np.isnan(found["atan"][4])
+        assert np.isnan(values[name][2:5]).all()
+    assert np.isnan(values["atan"][4])
     for name in ("sin", "atan"):
-        assert found[name].tolist()[5:] == [5e-324, -5e-324]
+        assert values[name].tolist()[5:] == [5e-324, -5e-324]
 
 
 def test_beyond_the_largest_argument_there_is_no_sine() -> None:

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import warnings
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -84,9 +80,9 @@ def test_residuals_and_derivatives_are_numpys(
         residuals = model.predict(theta[None], *loss.X)[0] - loss.y
         scale = np.abs(residuals).max() + np.abs(loss.y).max()
         np.testing.assert_allclose(loss.residuals(theta), residuals, rtol=0, atol=RELATIVE * scale)
-        expected, found = model.jacobian(theta, *loss.X), loss.jacobian(theta)
-        assert found.shape == expected.shape
-        assert (np.abs(found - expected) <= RELATIVE * np.abs(expected).max(axis=0)).all()
+        expected, derivatives = model.jacobian(theta, *loss.X), loss.jacobian(theta)
+        assert derivatives.shape == expected.shape
+        assert (np.abs(derivatives - expected) <= RELATIVE * np.abs(expected).max(axis=0)).all()
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 5])
@@ -131,10 +127,10 @@ def test_what_is_not_finite_stays_so() -> None:
     huge[0, 2] = 1e200
     huge[1, 0] = np.nan
     huge[2, 1] = np.inf
-    found = good.losses(huge)
-    assert found[0] == np.inf
-    assert np.isnan(found[1:3]).all()
-    assert found[3] == good.losses(theta)[0]
+    losses = good.losses(huge)
+    assert losses[0] == np.inf
+    assert np.isnan(losses[1:3]).all()
+    assert losses[3] == good.losses(theta)[0]
 
 
 @dataclass(frozen=True)
@@ -247,7 +243,7 @@ def test_a_model_that_is_no_expression_goes_the_way_of_numpy() -> None:
     np.testing.assert_allclose(compiled.residuals(theta), plain.residuals(theta), atol=1e-8)
     np.testing.assert_allclose(compiled.jacobian(theta), plain.jacobian(theta), atol=1e-6)
     short = Budget(evaluations=300)
-    records = [minimize(MIHO(R=30, eta=3), one, short) for one in (plain, compiled)]
+    records = [minimize(MIHO(R=30, eta=3), fit, short) for fit in (plain, compiled)]
     assert records[0].evaluations == records[1].evaluations
     assert records[0].loss == pytest.approx(records[1].loss, rel=1e-9)
 
@@ -255,13 +251,13 @@ def test_a_model_that_is_no_expression_goes_the_way_of_numpy() -> None:
 def test_equal_models_share_one_compilation() -> None:
     x = np.linspace(50, 700, 100)
     thetas = np.random.default_rng(4).uniform(-100, 100, (5, 4))
-    first, again, other = (
+    first, second, other = (
         FusedLoss(TorqueCubic(omega_max), x[None], x, np.arange(100))
         for omega_max in (650.0, 650.0, 600.0)
     )
-    assert first._compiled is again._compiled
+    assert first._compiled is second._compiled
     assert first._compiled is not other._compiled
-    for loss in (first, again):  # another compilation would take a second
+    for loss in (first, second):  # another compilation would take a second
         np.testing.assert_allclose(loss.losses(thetas), by_numpy(loss, thetas), rtol=RELATIVE)
 
 
@@ -284,142 +280,6 @@ def test_the_first_rows_are_numpys_and_compile_nothing(
         np.testing.assert_allclose(loss.losses(thetas, rows), expected, rtol=RELATIVE)
     assert loss.losses(thetas, 1500).tolist() == whole.tolist()
     assert loss._compiled.losses.signatures == compiled
-
-
-MODEL = """
-from types import MappingProxyType
-import numpy as np
-from numba.extending import register_jitable
-from miho.compiled import Steps
-from miho.compiled.fused import FusedLoss
-from miho.compiled.elementary import sin
-from miho.models.expression import Expression
-
-
-@register_jitable
-def scaled(x):
-    return FACTOR * x
-
-
-def formula(inputs, theta):
-    return theta[0] * sin(scaled(inputs[0]))
-
-
-def derivatives(inputs, theta):
-    return (sin(scaled(inputs[0])),)
-
-
-class Wave(Expression):
-    inputs = MappingProxyType({"x": "1"})
-    parameters = MappingProxyType({"a": "1"})
-    output = "1"
-    value = property(lambda self: formula)
-    derivatives = property(lambda self: derivatives)
-
-
-if __name__ == "__main__":
-    import wave_model
-
-    x = np.linspace(0, 1, 100)
-    loss = FusedLoss(wave_model.Wave(), x[None], np.zeros(100), np.arange(100))
-    theta = np.array([1.0])
-    found = loss.losses(theta[None])[0]
-    loss.residuals(theta)
-    loss.jacobian(theta)
-    best, none = np.array([np.inf]), np.empty((0, 1, 1))
-    loss.climb(Steps(theta[None], theta[None].copy(), best, none, none[:, 0],
-                     (theta - 1, theta + 1)), np.inf, -np.inf)
-    compiled = loss._compiled
-    each = (compiled.losses, compiled.residuals, compiled.jacobian, loss._steps)
-    misses = sum(sum(one.stats.cache_misses.values()) for one in each)
-    print(misses, float(found), float(best[0]))
-"""
-
-
-@pytest.mark.slow
-def test_a_second_process_compiles_nothing_and_an_edited_model_anew(tmp_path: Path) -> None:
-    def run(factor: int) -> tuple[int, float]:
-        path = tmp_path / "wave_model.py"
-        path.write_text(MODEL.replace("FACTOR", str(factor)), encoding="utf-8")
-        environment = os.environ | {
-            "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-            "NUMBA_OPT": "0",  # what is compiled need not be fast
-            "PYTHONPATH": os.pathsep.join([str(tmp_path), str(Path(__file__).parents[2])]),
-            "PYTHONDONTWRITEBYTECODE": "1",
-        }
-        done = subprocess.run([sys.executable, str(path)], capture_output=True, text=True,
-                              env=environment, check=True)  # fmt: skip
-        misses, loss, climbed = done.stdout.split()
-        assert loss == climbed
-        x = np.linspace(0, 1, 100)
-        assert float(loss) == pytest.approx(np.mean(np.sin(factor * x) ** 2), rel=1e-12)
-        return int(misses), float(loss)
-
-    assert run(2)[0] == 4
-    assert run(2)[0] == 0
-    assert run(3)[0] == 4
-
-
-TWO_MODELS = """
-import sys
-from dataclasses import dataclass
-from types import MappingProxyType
-import numpy as np
-from miho.compiled import Steps
-from miho.compiled.fused import FusedLoss
-from miho.compiled.elementary import atan, cos, sin
-from miho.models.expression import Expression
-
-
-@dataclass(frozen=True)
-class Wave(Expression):
-    factor: float
-
-    inputs = MappingProxyType({"x": "1"})
-    parameters = MappingProxyType({"a": "1", "b": "1"})
-    output = "1"
-
-    @property
-    def value(self):
-        factor = self.factor
-        return lambda x, t: t[0] * sin(factor * atan(t[1] * cos(factor * x[0]))) + factor
-
-    @property
-    def derivatives(self):
-        factor = self.factor
-        return lambda x, t: (sin(factor * x[0]), cos(factor * x[0]) * atan(factor * x[0]))
-
-
-x, theta = np.linspace(0, 1, 2000), np.array([2.0, 3.0])
-none = np.empty((0, 1, 2))
-for model in map(Wave, map(float, sys.argv[1:])):
-    loss = FusedLoss(model, x[None], np.zeros(2000), np.arange(2000))
-    found, climbed = loss.losses(theta[None]).tolist(), np.array([np.inf])
-    loss.climb(Steps(theta[None], theta[None].copy(), climbed, none, none[:, 0],
-                     (theta - 1, theta + 1)), np.inf, -np.inf)
-    residuals, jacobian = loss.residuals(theta), loss.jacobian(theta)
-    values = model.predict(theta[None], x)[0]
-    expected = np.mean(values**2)
-    assert np.allclose(found, expected, rtol=1e-12), ("losses", found, expected)
-    assert np.allclose(climbed, expected, rtol=1e-12), ("climb", climbed, expected)
-    assert np.allclose(residuals, values, rtol=1e-9), "residuals"
-    assert np.allclose(jacobian, model.jacobian(theta, x), rtol=1e-9, atol=1e-12), "jacobian"
-"""
-
-
-@pytest.mark.slow
-def test_models_that_differ_in_a_number_are_told_apart_in_the_cache(tmp_path: Path) -> None:
-    """Compiled in two processes and read by a third, they must not be taken for each other."""
-    (tmp_path / "two_models.py").write_text(TWO_MODELS, encoding="utf-8")
-    environment = os.environ | {
-        "NUMBA_CACHE_DIR": str(tmp_path / "cache"),
-        "NUMBA_OPT": "0",  # what is compiled need not be fast
-        "PYTHONPATH": str(Path(__file__).parents[2]),
-    }
-    for arguments in (["2"], ["3"], ["2", "3"], ["3", "2"]):
-        command = [sys.executable, str(tmp_path / "two_models.py"), *arguments]
-        done = subprocess.run(command, capture_output=True, text=True, env=environment)
-        assert done.returncode == 0, done.stderr
 
 
 def shifted(x: Any) -> Any:
@@ -478,8 +338,10 @@ def test_compiled_values_that_are_not_numpys_are_not_used(wrong: str) -> None:
             "jacobian": lambda: problem.model.jacobian(theta, x),
         }[kind]
         with pytest.warns(UserWarning, match=f"Shifted: {kind}: compiled"):
-            given = problem.loss(theta[None]) if kind == "losses" else getattr(problem, kind)(theta)
-        np.testing.assert_allclose(given, of_numpy(), rtol=1e-14)
+            values = (
+                problem.loss(theta[None]) if kind == "losses" else getattr(problem, kind)(theta)
+            )
+        np.testing.assert_allclose(values, of_numpy(), rtol=1e-14)
     truth, _ = curve_fit(lambda x, a, b: a * np.exp(-b * x), x, y, [2, 1.5])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)

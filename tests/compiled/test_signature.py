@@ -85,24 +85,24 @@ def of(f: Formula, shape: tuple[int, ...] = (1, 1)) -> str:
 
 def test_formulas_count_by_their_code_and_the_numbers_they_use() -> None:
     line = "def f(x, t): return a * t[0] * x[0]"
-    same = [of(formula(line, a=2.0)) for _ in range(2)]
-    others = [
+    equal = [of(formula(line, a=2.0)) for _ in range(2)]
+    different = [
         of(formula(line, a=3.0)),
         of(formula(line, a=2.0), (2, 1)),
         of(formula(line.replace("*", "+"), a=2.0)),
         of(TorqueCubic(2.0).value),
         of(TorqueCubic(3.0).value),
     ]
-    assert same[0] == same[1]
-    assert len({same[0], *others}) == 6
+    assert equal[0] == equal[1]
+    assert len({equal[0], *different}) == 6
 
 
 def test_functions_that_a_formula_calls_count_by_their_code() -> None:
     line = "def f(x, t): return g(x[0])"
-    once, again, other = (
+    first, second, other = (
         of(formula(line, g=formula(f"def f(x): return {body}"))) for body in ("x", "x", "-x")
     )
-    assert once == again != other
+    assert first == second != other
 
 
 def test_a_function_that_calls_itself_ends() -> None:
@@ -110,11 +110,11 @@ def test_a_function_that_calls_itself_ends() -> None:
 
 
 def test_formulas_are_equal_by_their_signature_alone() -> None:
-    first, again, other = (
+    first, second, other = (
         signed_formulas((TorqueCubic(w).value,), (1, 4)) for w in (700.0, 700.0, 600.0)
     )
-    assert first == again
-    assert hash(first) == hash(again)
+    assert first == second
+    assert hash(first) == hash(second)
     assert first != other
     (copy,), (original,) = first.copies(), first.formulas
     assert copy.__qualname__ == f"{original.__qualname__}.{first.signature}"

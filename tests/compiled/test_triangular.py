@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from miho.compiled import triangular
-from miho.compiled.triangular import Room, entry
+from miho.compiled.triangular import SolverScratch, entry
 
 Array = NDArray[np.float64]
 
@@ -27,10 +27,17 @@ def square_sum(r: Array, count: int) -> float:
 
 @entry
 def solve_in_box(
-    R: Array, q: Array, scale: Array, low: Array, high: Array, n: int, s: Array, room: Room
+    R: Array,
+    q: Array,
+    scale: Array,
+    low: Array,
+    high: Array,
+    n: int,
+    s: Array,
+    scratch: SolverScratch,
 ) -> None:
     """Likewise."""
-    triangular.solve_in_box(R, q, scale, low, high, n, s, room)
+    triangular.solve_in_box(R, q, scale, low, high, n, s, scratch)
 
 
 BACKWARD = 1e-13
@@ -43,9 +50,9 @@ def factor(rows: Array, ends: list[int]) -> Array:
     n = rows.shape[1]
     T, start = np.zeros((n, n)), 0
     for end in ends:
-        room = np.full((n, end - start + 3), np.nan)
-        room[:, : end - start] = rows[start:end].T
-        fold(T, room, end - start, n)
+        scratch = np.full((n, end - start + 3), np.nan)
+        scratch[:, : end - start] = rows[start:end].T
+        fold(T, scratch, end - start, n)
         start = end
     return T
 
@@ -75,8 +82,8 @@ def test_the_last_column_is_turned_with_the_others() -> None:
     np.testing.assert_allclose(R.T @ R / np.outer(norms, norms), A.T @ A / np.outer(norms, norms),
                                rtol=0, atol=BACKWARD)  # fmt: skip
     np.testing.assert_allclose(R.T @ q / norms, A.T @ r / norms, rtol=0, atol=BACKWARD * 300)
-    left = r - A / norms @ np.linalg.lstsq(A / norms, r)[0]
-    assert abs(T[4, 4]) == pytest.approx(np.linalg.norm(left), rel=1e-12)
+    orthogonal = r - A / norms @ np.linalg.lstsq(A / norms, r)[0]
+    assert abs(T[4, 4]) == pytest.approx(np.linalg.norm(orthogonal), rel=1e-12)
 
 
 @pytest.mark.parametrize("zero", [0, 1, 2])
@@ -125,14 +132,16 @@ def test_the_solution_in_a_box_is_scipys(kind: str) -> None:
         n = len(low)
         T = factor(np.column_stack([A, r]), [len(r)])
         s = np.full(n, np.nan)
-        room = Room(*(np.full(shape, np.nan) for shape in (n, n, (n + 1, 2 * n), (n + 1, n + 1))))
-        solve_in_box(T, T[:, n].copy(), scale, low, high, n, s, room)
+        scratch = SolverScratch(
+            *(np.full(shape, np.nan) for shape in (n, n, (n + 1, 2 * n), (n + 1, n + 1)))
+        )
+        solve_in_box(T, T[:, n].copy(), scale, low, high, n, s, scratch)
         assert ((low <= s) & (s <= high)).all()
 
         M, right = np.vstack([A, np.diag(scale)]), np.append(-r, np.zeros(n))
         scipys = lsq_linear(M, right, (low, high), method="bvls", tol=1e-15).x
-        ours, theirs = (((M @ x - right) ** 2).sum() for x in (s, scipys))
-        assert ours - theirs <= 1e-10 * (r @ r)
+        square, scipys_square = (((M @ x - right) ** 2).sum() for x in (s, scipys))
+        assert square - scipys_square <= 1e-10 * (r @ r)
 
         slopes = M.T @ (M @ s - right)
         slopes[(s == low) & (slopes > 0)] = 0.0
@@ -146,7 +155,7 @@ def test_what_the_rows_do_not_tell_stays_where_it_is() -> None:
     a, b, r = rng.standard_normal((3, 40))
     rows = np.column_stack([a, np.zeros(40), 0.3 * a, b, r])
     T, s = factor(rows, [40]), np.empty(4)
-    room = Room(np.empty(4), np.empty(4), np.empty((5, 8)), np.empty((5, 5)))
-    solve_in_box(T, T[:, 4].copy(), np.zeros(4), np.full(4, -9.0), np.full(4, 9.0), 4, s, room)
+    scratch = SolverScratch(np.empty(4), np.empty(4), np.empty((5, 8)), np.empty((5, 5)))
+    solve_in_box(T, T[:, 4].copy(), np.zeros(4), np.full(4, -9.0), np.full(4, 9.0), 4, s, scratch)
     assert s[1] == s[2] == 0.0
     np.testing.assert_allclose(s[[0, 3]], np.linalg.lstsq(rows[:, [0, 3]], -r)[0], rtol=1e-12)

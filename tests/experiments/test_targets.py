@@ -47,7 +47,7 @@ def test_anything_else_is_refused_in_one_line(path: object) -> None:
     assert len(str(caught.value)) < 1000
 
 
-@pytest.mark.parametrize("name", ["unit_box.UnitBox", "local_search._Scaled", "pso.np", "pso"])
+@pytest.mark.parametrize("name", ["unit_box.UnitBox", "local_search._ScaledLoss", "pso.np", "pso"])
 def test_only_methods_come_from_the_baselines(name: str) -> None:
     with pytest.raises(TargetError):
         find_target(f"baselines.{name}", Optimizer)

@@ -34,8 +34,9 @@ TARGETS = [
     "omegaconf.OmegaConf.save", CANARY, f"{CANARY}.Pacejka", f"{CANARY}.inner.Pacejka",
     "miho.study.files.os.system", "miho.models.function_model.Path.unlink",
     "miho.models.function_model.ast.literal_eval", "miho.models.Pacejka.__init__.__globals__",
-    "baselines.dehb.os.system", "baselines.canary_of_targets.Pacejka", "miho.testing.pickle.loads",
-    "baselines...os.system", "miho.models.\uff30acejka", "__main__.Pacejka", "",
+    "baselines.dehb.os.system", "baselines.canary_of_targets.Pacejka",
+    "miho.testing.optimizers.pickle.loads", "baselines...os.system", "miho.models.\uff30acejka",
+    "__main__.Pacejka", "",
 ]  # fmt: skip
 """What does harm by a call or by being imported, some of it behind names of ours."""
 

@@ -72,19 +72,19 @@ def fit(
 
 
 class Outside(LeastSquaresProblem):
-    """A problem as it is, but not compiled, which counts what it is asked in rows.
+    """A problem as it is, but not compiled, which counts the rows it evaluates.
 
-    `rows_said` is False for one that does not say how many there are. `asked` lists the
+    `says_rows` is False for one that does not say how many there are. `requests` lists the
     configurations and the numbers of rows of all residuals.
     """
 
-    def __init__(self, problem: LeastSquaresProblem, rows_said: bool = True) -> None:
+    def __init__(self, problem: LeastSquaresProblem, says_rows: bool = True) -> None:
         self.problem, self.name, self.space = problem, problem.name, problem.space
         self.linear, self.rounding, self.noise = problem.linear, problem.rounding, problem.noise
         self.resolution = problem.resolution
-        self.rows = problem.rows if rows_said else None
+        self.rows = problem.rows if says_rows else None
         self.residual_rows = self.jacobian_rows = 0
-        self.asked: list[tuple[Array, int]] = []
+        self.requests: list[tuple[Array, int]] = []
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         return self.problem.loss(thetas, fidelity)
@@ -95,7 +95,7 @@ class Outside(LeastSquaresProblem):
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
         residuals = self.problem.residuals(theta, fidelity)
         self.residual_rows += residuals.size
-        self.asked.append((theta.copy(), residuals.size))
+        self.requests.append((theta.copy(), residuals.size))
         return residuals
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:

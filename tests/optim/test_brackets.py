@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from miho.optim import Parameter, Space
-from miho.optim.brackets import by_scale, draw_starts, levels, luby
+from miho.optim.brackets import by_scale, draw_starts, luby, rows_by_level
 
 
 def test_luby_is_the_published_sequence() -> None:
@@ -24,7 +24,7 @@ def test_luby_is_the_published_sequence() -> None:
     ],
 )
 def test_levels_grow_to_all_rows(rows: int, d: int, expected: tuple[int, ...]) -> None:
-    assert levels(rows, d, per_parameter=4, eta=3, jump=0.5, enough=200) == expected
+    assert rows_by_level(rows, d, per_parameter=4, eta=3, jump=0.5, enough=200) == expected
 
 
 def test_the_common_start_leads_and_all_are_in_the_box() -> None:
@@ -40,8 +40,8 @@ def test_the_common_start_leads_and_all_are_in_the_box() -> None:
     np.testing.assert_array_equal(starts[0], space.initial(1)[0])
     low, high = space.bounds
     assert ((starts >= low) & (starts <= high)).all()
-    other = draw_starts(space, 30, np.random.default_rng(0), first=False)
-    assert not (starts[0] == other[0]).any()
+    later = draw_starts(space, 30, np.random.default_rng(0), first=False)
+    assert not (starts[0] == later[0]).any()
 
 
 @pytest.mark.parametrize(

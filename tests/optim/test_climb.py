@@ -115,16 +115,16 @@ def both(
     return climbed, minimize(optimizer, Watched(fit, False, space), budget, seed)
 
 
-def same(one: RunRecord, other: RunRecord) -> None:
+def same(record: RunRecord, reference: RunRecord) -> None:
     """Outcome, count, best and every improvement, bit for bit."""
-    assert one.outcome is other.outcome, one.error or other.error
-    assert one.evaluations == other.evaluations
-    assert one.loss == other.loss
-    assert one.trace.evaluations == other.trace.evaluations
-    assert one.trace.loss == other.trace.loss
-    assert np.array_equal(one.trace.theta, other.trace.theta)
-    assert len(one.trace) > 3
-    assert one.trace.seconds == sorted(one.trace.seconds)
+    assert record.outcome is reference.outcome, record.error or reference.error
+    assert record.evaluations == reference.evaluations
+    assert record.loss == reference.loss
+    assert record.trace.evaluations == reference.trace.evaluations
+    assert record.trace.loss == reference.trace.loss
+    assert np.array_equal(record.trace.theta, reference.trace.theta)
+    assert len(record.trace) > 3
+    assert record.trace.seconds == sorted(record.trace.seconds)
 
 
 @pytest.mark.parametrize("early_stopping", [False, True])
@@ -162,12 +162,12 @@ def test_cut_anywhere_and_resumed_from_a_pickle(
         cut = minimize(optimizer, Watched(fit, compiled), Budget(evaluations=evaluations), 3)
         assert cut.evaluations == evaluations
         assert cut.outcome is Outcome.BUDGET
-        shown = [n for n in whole.trace.evaluations if n <= evaluations]
-        assert cut.trace.evaluations == shown
-        kept = pickle.loads(pickle.dumps(cut.checkpoint))
+        improvements = [n for n in whole.trace.evaluations if n <= evaluations]
+        assert cut.trace.evaluations == improvements
+        checkpoint = pickle.loads(pickle.dumps(cut.checkpoint))
         for goes_on in (True, False):
             resumed = minimize(optimizer, Watched(fit, goes_on), Budget(evaluations=900), 3,
-                               checkpoint=kept)  # fmt: skip
+                               checkpoint=checkpoint)  # fmt: skip
             same(resumed, whole)
 
 
@@ -232,17 +232,17 @@ def climb_by(fit: FusedLoss, P: Array, L: Array, noise: Array, early_stopping: b
 @settings(max_examples=60, deadline=None)
 def test_early_stopping_changes_no_decision(seed: int, rows: int, size: float) -> None:
     fit, rng = FITS[rows], np.random.default_rng(seed)
-    found = []
+    results = []
     P = SPACE.sample(4, rng)
     L, noise = fit.losses(P), size * rng.standard_normal((10, *P.shape))
     L[0], L[1] = np.inf, fit.losses(np.clip(P + noise[0], *SPACE.bounds))[1]
     for early_stopping in (False, True):
         p, losses = P.copy(), L.copy()
         block = climb_by(fit, p, losses, noise, early_stopping)
-        found.append((p.tolist(), losses.tolist(), block.at.tolist(), block.losses.tolist(),
+        results.append((p.tolist(), losses.tolist(), block.at.tolist(), block.losses.tolist(),
                       block.thetas.tolist(), block.evaluations))  # fmt: skip
-    assert found[0] == found[1]
-    assert found[0][5] == 10 * len(P)
+    assert results[0] == results[1]
+    assert results[0][5] == 10 * len(P)
 
 
 FITS = {rows: torque(rows) for rows in (1, 63, 64, 65, 200, 1500)}
@@ -321,9 +321,9 @@ def test_ctrl_c_between_blocks_leaves_a_state_that_goes_on(fit: FusedLoss) -> No
     assert record.outcome is Outcome.INTERRUPTED
     assert record.evaluations < whole.evaluations
     assert record.trace.loss == whole.trace.loss[: len(record.trace)]
-    kept = pickle.loads(pickle.dumps(record.checkpoint))
+    checkpoint = pickle.loads(pickle.dumps(record.checkpoint))
     for compiled in (True, False):
-        same(minimize(optimizer, Watched(fit, compiled), seed=3, checkpoint=kept), whole)
+        same(minimize(optimizer, Watched(fit, compiled), seed=3, checkpoint=checkpoint), whole)
 
 
 def test_a_step_makes_no_more_evaluations_than_the_budget_allows(fit: FusedLoss) -> None:

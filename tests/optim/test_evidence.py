@@ -71,7 +71,7 @@ def test_ends_that_agree_are_evidence(
 
 
 def test_an_optimum_from_elsewhere_is_compared_with_the_ends() -> None:
-    assert agreement([1.0, 1.0, 2.0], best=0.5).here == 0
+    assert agreement([1.0, 1.0, 2.0], best=0.5).agreeing == 0
     assert agreement([1.0] * 1000, finished=5000).enough is False, "the best 1,000 of 5,000"
 
 
@@ -87,11 +87,11 @@ def test_ends_agree_on_the_best_of_the_run() -> None:
     oracle = Oracle(Constant(), Budget())
     oracle(oracle.space.decode(oracle.space.initial(1)))
     for _ in range(9):
-        oracle.ended(math.inf, 1.001)
-    assert (oracle.agreement.here, oracle.agreement.finished) == (0, 9)
+        oracle.record_descent(math.inf, 1.001)
+    assert (oracle.agreement.agreeing, oracle.agreement.finished) == (0, 9)
     for _ in range(9):
-        oracle.ended(math.inf, 1.00001)
-    assert (oracle.agreement.here, oracle.agreement.finished) == (9, 18)
+        oracle.record_descent(math.inf, 1.00001)
+    assert (oracle.agreement.agreeing, oracle.agreement.finished) == (9, 18)
     descents = Descents.of(oracle.meter.starts, oracle.best)
     assert descents is not None
     assert descents.agreeing == 9
@@ -104,11 +104,11 @@ class Returning(Optimizer):
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         best = math.inf
         while not oracle.agreement.enough:
-            oracle.screened(10)
-            oracle.ended(5.0, 4.0, finished=False)
+            oracle.record_screened(10)
+            oracle.record_descent(5.0, 4.0, finished=False)
             losses = oracle(oracle.space.decode(oracle.space.sample(10, rng)))
             best = min(best, float(losses.min()))
-            oracle.ended(math.inf, best if best < 1 else 1.0, converged=True)
+            oracle.record_descent(math.inf, best if best < 1 else 1.0, converged=True)
 
 
 def test_a_method_stops_by_its_evidence_and_the_run_keeps_it() -> None:
@@ -182,7 +182,7 @@ class InTurns(AskTell[Brackets]):
     def tell(self, state: Brackets, thetas: Array, losses: Array) -> None:
         DecayFit.space.sample(10, state.rng)
         state.starts.screened += len(losses)
-        state.starts.ended(float(losses[0]), float(losses.min()), converged=False)
+        state.starts.add(float(losses[0]), float(losses.min()), converged=False)
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> Brackets:
         return Brackets(rng, oracle.meter.starts)

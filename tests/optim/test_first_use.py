@@ -29,14 +29,14 @@ from decays import fit
 method = MIHOGN(brackets=3)
 with event.install_recorder("numba:compile") as compiled:
     given = minimize(method, fit(linear=("a", "c")), Budget(evaluations=500))
-STEPS = "miho.compiled.advance", "miho.compiled.from_outside", "miho.compiled.gauss_newton"
+STEPS = "miho.compiled.gauss_newton"
 names = set()
 for _, one in compiled.buffer:
     function = one.data["dispatcher"]
     if function.py_func.__module__.startswith(STEPS) and function.stats.cache_path:
         names.add(function.py_func.__qualname__.split(".")[0])
 from miho.compiled.gauss_newton import _distinct
-from miho.compiled.advance import advance
+from miho.compiled.gauss_newton_loop import advance
 assert given.error is None, given.error
 print(*sorted(names), len(advance.signatures), len(_distinct.signatures))
 """
@@ -51,9 +51,9 @@ def test_a_compiled_problem_compiles_its_own_steps_once(tmp_path: Path) -> None:
         "PYTHONPATH": os.pathsep.join([str(ROOT), str(Path(__file__).parent)]),
     }
     command = [sys.executable, "-c", FIRST_RUN]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["_distinct", "advance", "1", "1"]
+    process = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
+    assert process.returncode == 0, process.stderr
+    assert process.stdout.split() == ["_distinct", "advance", "1", "1"]
 
 
 @pytest.mark.slow
@@ -66,10 +66,10 @@ def test_two_workers_compile_the_steps_once(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "experiments.identify", "-m", "model=torque_cubic",
                "dataset=torque_15", "seed=range(4)", "sweep.processes=2",
                f"root={tmp_path / 'runs'}"]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
-    saved = [line for line in done.stdout.splitlines() if "data saved to" in line]
-    assert sum("advance.advance." in line for line in saved) == 1, saved
+    process = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
+    assert process.returncode == 0, process.stderr
+    saved = [line for line in process.stdout.splitlines() if "data saved to" in line]
+    assert sum("gauss_newton_loop.advance." in line for line in saved) == 1, saved
     assert len(saved) == len(set(saved))
 
 
@@ -99,9 +99,9 @@ def test_nothing_is_compiled_while_the_clock_runs(tmp_path: Path) -> None:
     """Models of expressions and of arrays, with and without linear parameters, a simulation."""
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "NUMBA_OPT": "0"}
     command = [sys.executable, "-c", ALL_COMPILED]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == ""
+    process = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
+    assert process.returncode == 0, process.stderr
+    assert process.stdout == ""
 
 
 @register_jitable

@@ -36,13 +36,13 @@ SUMS = 1e-9
 valley make more of: ten thousand roundings of 1e-16 are 1e-12, and three digits are to spare."""
 
 
-def same_steps(one: Trace, other: Trace) -> None:
+def same_steps(trace: Trace, reference: Trace) -> None:
     """Improvements at the same evaluations, of the same loss at the same place, to rounding."""
-    assert one.evaluations == other.evaluations
-    np.testing.assert_allclose(one.loss, other.loss, rtol=SUMS)
-    theirs = np.array(other.theta)
-    scale = np.abs(theirs).max(axis=0)
-    np.testing.assert_allclose(np.array(one.theta) / scale, theirs / scale, rtol=0, atol=1e-6)
+    assert trace.evaluations == reference.evaluations
+    np.testing.assert_allclose(trace.loss, reference.loss, rtol=SUMS)
+    expected = np.array(reference.theta)
+    scale = np.abs(expected).max(axis=0)
+    np.testing.assert_allclose(np.array(trace.theta) / scale, expected / scale, rtol=0, atol=1e-6)
 
 
 def finished(problem: LeastSquaresProblem, method: MIHOGN, seed: int) -> RunRecord:
@@ -56,8 +56,8 @@ def test_compiled_steps_are_those_from_outside(linear: tuple[str, ...]) -> None:
     """To rounding, as long as rounding decides nothing: the first brackets of a run."""
     problem = fit(linear=linear)
     for seed in range(4):
-        few = MIHOGN(brackets=4, digits=1e-8)  # the last digits are those of rounding
-        for method in (few, replace(few, secants=0, projecting=1)):
+        short = MIHOGN(brackets=4, digits=1e-8)  # the last digits are those of rounding
+        for method in (short, replace(short, secants=0, projecting=1)):
             compiled = finished(problem, method, seed)
             outside = finished(Outside(problem), method, seed)
             same_steps(compiled.trace, outside.trace)
@@ -67,11 +67,11 @@ def test_compiled_steps_are_those_from_outside(linear: tuple[str, ...]) -> None:
             assert compiled.descents.ends == pytest.approx(outside.descents.ends, rel=SUMS)
 
 
-@pytest.mark.parametrize("rows_said", [True, False])
+@pytest.mark.parametrize("says_rows", [True, False])
 @pytest.mark.parametrize("budget", [1, 2, 3, 5, 8, 13, 21, 34])
-def test_a_budget_is_kept_to_the_row(rows_said: bool, budget: int) -> None:
+def test_a_budget_is_kept_to_the_row(says_rows: bool, budget: int) -> None:
     """What the oracle counts is what the problem was asked, in rows; a Jacobian costs d of them."""
-    problem = Outside(fit(1000), rows_said)
+    problem = Outside(fit(1000), says_rows)
     oracle = Oracle(problem, Budget(evaluations=budget))
     with pytest.raises(BudgetExhausted):
         MIHOGN().run(oracle, np.random.default_rng(1))
@@ -107,8 +107,8 @@ def test_steps_stay_in_the_box() -> None:
     )
     problem = Outside(fit(space=space))
     record = minimize(MIHOGN(brackets=10), problem)
-    asked = np.array([theta for theta, _ in problem.asked])
-    assert space.contains(asked).all()
+    thetas = np.array([theta for theta, _ in problem.requests])
+    assert space.contains(thetas).all()
     assert record.theta is not None
     assert record.theta[2] == 0.6
 
@@ -123,8 +123,8 @@ def test_the_optimum_is_scipys_with_and_without_secants_and_projection() -> None
 
     def projected(b: float) -> float:
         basis = np.column_stack([np.exp(-b * t), np.ones_like(t)])
-        rest = basis @ np.linalg.lstsq(basis, y)[0] - y
-        return float(rest @ rest) / t.size
+        residuals = basis @ np.linalg.lstsq(basis, y)[0] - y
+        return float(residuals @ residuals) / t.size
 
     least = minimize_scalar(projected, (0.5, 0.7, 1.0), tol=1e-10).fun
     for settings in ({}, {"secants": 0}, {"projecting": 0}, {"projecting": 1}):
@@ -158,8 +158,8 @@ def test_a_linear_problem_is_solved_in_the_evaluations_of_its_solutions() -> Non
         norms = np.linalg.norm(A, axis=0)
         sides = space.low * norms, space.high * norms
         scipys = lsq_linear(A / norms, torque, sides, method="bvls", tol=1e-15).x / norms
-        for same in (problem, Outside(problem)):
-            record = minimize(MIHOGN(), same)
+        for variant in (problem, Outside(problem)):
+            record = minimize(MIHOGN(), variant)
             assert record.outcome is Outcome.CONVERGED
             assert record.evaluations == pytest.approx(5 / 9 + 5 + 1, abs=1e-9)
             expected = float(np.mean((A @ scipys - torque) ** 2))
@@ -245,11 +245,11 @@ def test_a_run_interrupted_in_an_evaluation_goes_on_behind_it(last: int) -> None
     with pytest.raises(RunInterrupted):
         method.run(cut, np.random.default_rng(1))
     state, meter = pickle.loads(pickle.dumps((cut.state, cut.meter)))
-    rest = Oracle(Stopping(0), Budget(), meter=meter)
-    method.resume(rest, state)
-    assert rest.trace.loss == whole.trace.loss
-    assert rest.trace.evaluations == whole.trace.evaluations
-    assert rest.evaluations == whole.evaluations
+    resumed = Oracle(Stopping(0), Budget(), meter=meter)
+    method.resume(resumed, state)
+    assert resumed.trace.loss == whole.trace.loss
+    assert resumed.trace.evaluations == whole.trace.evaluations
+    assert resumed.evaluations == whole.evaluations
 
 
 def test_compiled_steps_end_in_time_and_when_interrupted() -> None:

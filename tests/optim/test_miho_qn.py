@@ -181,7 +181,7 @@ def test_first_looks_are_at_few_rows_in_one_batch() -> None:
     oracle = Oracle(problem, Budget(), space=problem.space)
     optimizer = MIHOQN()
     state = optimizer.start(oracle, stream("levels"))
-    assert state.ends == (8, 24, 72, 216, 648, 2000)
+    assert state.level_rows == (8, 24, 72, 216, 648, 2000)
     assert optimizer.fidelity(state) == 8 / 2000
     assert len(optimizer.ask(state)) == 243
     optimizer.step(state, oracle)

@@ -37,25 +37,25 @@ class Broken(Optimizer):
 class Counted(Optimizer):
     """Remembers the problems that it was run on."""
 
-    seen: list[str]
+    problems: list[str]
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
         oracle(oracle.space.decode(oracle.space.initial(1)))
-        self.seen.append(oracle.space.seed[0] if oracle.space.seed else "toy")
+        self.problems.append(oracle.space.seed[0] if oracle.space.seed else "toy")
 
 
 def test_only_what_ran_last_is_warm() -> None:
     problem, optimizer = DecayFit(), Counted([])
     for seed in (0, 1):
         minimize(optimizer, problem, seed=seed)
-    assert optimizer.seen.count("toy") == 1
+    assert optimizer.problems.count("toy") == 1
     minimize(optimizer, DecayFit())
-    assert optimizer.seen.count("toy") == 2, "another problem"
+    assert optimizer.problems.count("toy") == 2, "another problem"
     minimize(optimizer, problem)
-    assert optimizer.seen.count("toy") == 3, "the first one is not what ran last"
+    assert optimizer.problems.count("toy") == 3, "the first one is not what ran last"
     other = Counted([])
     minimize(other, problem)
-    assert other.seen.count("toy") == 1, "another method"
+    assert other.problems.count("toy") == 1, "another method"
 
 
 def test_ctrl_c_keeps_what_was_found() -> None:
@@ -122,19 +122,19 @@ def test_the_record_is_the_end_of_the_trace() -> None:
 
 def test_methods_of_one_repetition_share_their_start() -> None:
     budget = Budget(evaluations=5)
-    one = minimize(RandomSearch(batch=5), DecayFit(), budget, seed=2)
-    other = minimize(MIHO(R=20, eta=2), DecayFit(), budget, seed=2)
-    assert one.trace.loss == other.trace.loss
+    random = minimize(RandomSearch(batch=5), DecayFit(), budget, seed=2)
+    miho = minimize(MIHO(R=20, eta=2), DecayFit(), budget, seed=2)
+    assert random.trace.loss == miho.trace.loss
 
 
 def test_an_observer_costs_no_time_and_changes_nothing() -> None:
-    seen = []
+    losses = []
     budget = Budget(evaluations=3000)
     watched = minimize(
-        MIHO(R=100, eta=3), DecayFit(), budget, observer=lambda o: seen.append(o.best)
+        MIHO(R=100, eta=3), DecayFit(), budget, observer=lambda o: losses.append(o.best)
     )
     alone = minimize(MIHO(R=100, eta=3), DecayFit(), budget)
-    assert seen
+    assert losses
     assert watched.trace.loss == alone.trace.loss
 
 
@@ -170,12 +170,12 @@ def test_ctrl_c_at_any_time_resumes_bit_exactly(call: int, delay: float) -> None
         if next(calls) == call:
             signal.setitimer(signal.ITIMER_REAL, delay)
 
-    before = signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
+    handler = signal.signal(signal.SIGALRM, lambda *_: signal.raise_signal(signal.SIGINT))
     try:
         cut = minimize(optimizer, Upset(deed), budget)
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, handler)
     assert cut.outcome is Outcome.INTERRUPTED
     checkpoint = pickle.loads(pickle.dumps(cut.checkpoint))
     resumed = minimize(optimizer, DecayFit(), budget, checkpoint=checkpoint)

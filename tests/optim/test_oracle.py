@@ -2,16 +2,15 @@
 
 import math
 from collections.abc import Callable
-from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from miho import Budget, LeastSquaresProblem, Oracle, Parameter, Problem, Space
+from miho import Budget, Oracle, Parameter, Problem, Space
 from miho.compiled import Block
-from miho.optim import BudgetExhausted, Clock, Meter, RunInterrupted, Trace, UnusableValueError
+from miho.optim import BudgetExhausted, Clock, Meter, RunInterrupted, Trace
 from miho.testing import DecayFit
 
 Array = NDArray[np.float64]
@@ -20,7 +19,7 @@ SPACE = Space((Parameter("x", "m", -10.0, 10.0),))
 
 
 class Watch:
-    """A clock that moves only when told to."""
+    """A clock that moves only when it is set."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -29,7 +28,7 @@ class Watch:
         return Clock(wall=lambda: self.now, cpu=lambda: self.now / 2)
 
 
-class Given(Problem):
+class FunctionProblem(Problem):
     """The loss of x is `loss(x)`, one second each on `watch`."""
 
     name = "given"
@@ -54,7 +53,7 @@ def column(*values: float) -> Array:
 
 def test_improvements_inside_a_batch_are_recorded_at_their_own_evaluation() -> None:
     watch = Watch()
-    oracle = Oracle(Given(watch=watch), Budget(), clock=watch.clock())
+    oracle = Oracle(FunctionProblem(watch=watch), Budget(), clock=watch.clock())
     losses = oracle(column(5, 7, 3, 3, 4, 1, 2))
     assert losses.tolist() == [5, 7, 3, 3, 4, 1, 2]
     assert oracle.trace.evaluations == [1, 3, 6]
@@ -69,7 +68,7 @@ def test_the_clock_stops_while_recording_and_observing() -> None:
     def slow(oracle: Oracle) -> None:
         watch.now += 1000
 
-    oracle = Oracle(Given(watch=watch), Budget(), clock=watch.clock(), observer=slow)
+    oracle = Oracle(FunctionProblem(watch=watch), Budget(), clock=watch.clock(), observer=slow)
     for x in (3, 2, 1):
         oracle(column(x))
     assert oracle.trace.seconds == [1, 2, 3]
@@ -87,7 +86,7 @@ def test_a_slow_record_costs_the_method_nothing() -> None:
             watch.now += 1000
 
     oracle = Oracle(
-        Given(watch=watch), Budget(), clock=watch.clock(), meter=Meter(trace=SlowTrace())
+        FunctionProblem(watch=watch), Budget(), clock=watch.clock(), meter=Meter(trace=SlowTrace())
     )
     for x in (3, 2, 1):
         oracle(column(x))
@@ -98,7 +97,7 @@ def test_a_slow_record_costs_the_method_nothing() -> None:
 
 
 def test_the_budget_is_exact_in_the_middle_of_a_batch() -> None:
-    problem = Given()
+    problem = FunctionProblem()
     oracle = Oracle(problem, Budget(evaluations=4))
     oracle(column(9, 8))
     with pytest.raises(BudgetExhausted):
@@ -112,7 +111,7 @@ def test_the_budget_is_exact_in_the_middle_of_a_batch() -> None:
 
 def test_seconds_end_a_run_within_a_chunk() -> None:
     watch = Watch()
-    problem = Given(watch=watch)
+    problem = FunctionProblem(watch=watch)
     oracle = Oracle(problem, Budget(seconds=3), clock=watch.clock())
     with pytest.raises(BudgetExhausted):
         oracle(column(*range(9, 0, -1)))
@@ -123,7 +122,7 @@ def test_a_compiled_block_lasts_no_longer_than_a_chunk() -> None:
     """At 6 ms an evaluation, 20 ms hold three; before anything was timed, what is needed."""
     watch, allowed = Watch(), []
 
-    class Slow(Given):
+    class Slow(FunctionProblem):
         def loss(self, thetas: Array, fidelity: float = 1.0) -> Any:
             watch.now += 0.006 * len(thetas)
             return np.abs(thetas[:, 0])
@@ -144,7 +143,7 @@ def test_a_compiled_block_lasts_no_longer_than_a_chunk() -> None:
 
 
 def test_the_target_ends_a_run() -> None:
-    oracle = Oracle(Given(), Budget(target=2.5))
+    oracle = Oracle(FunctionProblem(), Budget(target=2.5))
     oracle(column(5))
     with pytest.raises(BudgetExhausted):
         oracle(column(2))
@@ -167,13 +166,13 @@ def test_the_target_ends_a_run() -> None:
 def test_unusable_values_are_counted_with_their_reason(
     loss: Callable[[float], Any], reason: str
 ) -> None:
-    oracle = Oracle(Given(lambda x: loss(x) if x > 0 else 4.0), Budget())
+    oracle = Oracle(FunctionProblem(lambda x: loss(x) if x > 0 else 4.0), Budget())
     assert oracle(column(1)).tolist() == [math.inf]
     assert oracle(column(0)).tolist() == [4.0]
     assert oracle.best == 4.0
     assert oracle.evaluations == 2
-    ((found, count),) = oracle.meter.rejected.items()
-    assert found.startswith(reason)
+    ((message, count),) = oracle.meter.rejected.items()
+    assert message.startswith(reason)
     assert count == 1
 
 
@@ -183,7 +182,7 @@ def test_one_bad_row_does_not_spoil_its_batch() -> None:
             raise ArithmeticError("no two")
         return x
 
-    oracle = Oracle(Given(loss), Budget())
+    oracle = Oracle(FunctionProblem(loss), Budget())
     assert oracle(column(3, 2, 1)).tolist() == [3, math.inf, 1]
     assert oracle.trace.evaluations == [1, 3]
     assert oracle.meter.rejected == {"ArithmeticError: no two": 1}
@@ -191,20 +190,20 @@ def test_one_bad_row_does_not_spoil_its_batch() -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_huge_and_tiny_losses_are_usable() -> None:
-    oracle = Oracle(Given(lambda x: x), Budget())
+    oracle = Oracle(FunctionProblem(lambda x: x), Budget())
     assert oracle(column(1e308, 1e308, 5e-324)).tolist() == [1e308, 1e308, 5e-324]
     assert not oracle.meter.rejected
 
 
 def test_a_fidelity_costs_its_fraction_and_never_becomes_best() -> None:
-    oracle = Oracle(Given(), Budget(evaluations=2))
+    oracle = Oracle(FunctionProblem(), Budget(evaluations=2))
     oracle(column(1, 1, 1, 1), fidelity=0.25)
     assert oracle.evaluations == 1
     assert oracle.best == math.inf
     oracle(column(5))
     assert oracle.trace.evaluations == [2]
     with pytest.raises(ValueError, match="fidelity is 0"):
-        Oracle(Given(), Budget())(column(1), fidelity=0.0)
+        Oracle(FunctionProblem(), Budget())(column(1), fidelity=0.0)
 
 
 @pytest.mark.parametrize("N", [3, 600, 701, 1_000_003])
@@ -216,25 +215,25 @@ def test_the_count_of_rows_does_not_depend_on_how_they_are_cut(N: int, seed: int
     limit = -(-int(parts.sum()) // N)
 
     def blocks(most: float, best: float, target: float) -> Block:
-        rows = parts[done[0]]
-        done[0] += 1
-        return Block(rows / N, NOTHING, NOTHING, NOTHING[:, None], {}, done[0] == parts.size)
+        rows = parts[blocks_made[0]]
+        blocks_made[0] += 1
+        return Block(rows / N, NOTHING, NOTHING, NOTHING[:, None], {}, blocks_made[0] == parts.size)
 
-    problem = Given()
+    problem = FunctionProblem()
     problem.rows = N
     compiled, batches = (Oracle(problem, Budget(evaluations=limit)) for _ in range(2))
-    done = [0]
+    blocks_made = [0]
     compiled.spend(blocks, 0.0)
     for rows in parts:
         batches(column(1), fidelity=rows / N)
     assert compiled.evaluations == batches.evaluations == int(parts.sum()) / N
-    rest = limit * N - int(parts.sum())
-    assert batches.affords(rest / N)
-    assert not batches.affords((rest + 1) / N)
+    rows_left = limit * N - int(parts.sum())
+    assert batches.affords(rows_left / N)
+    assert not batches.affords((rows_left + 1) / N)
 
 
 def test_a_problem_may_reuse_its_buffer() -> None:
-    class Reuses(Given):
+    class Reuses(FunctionProblem):
         buffer = np.empty(8)
 
         def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
@@ -249,15 +248,15 @@ def test_a_problem_may_reuse_its_buffer() -> None:
 
 
 def test_a_problem_cannot_edit_what_it_is_asked() -> None:
-    class Edits(Given):
+    class Edits(FunctionProblem):
         def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
             thetas *= 2
             return thetas[:, 0]
 
-    asked = column(1, 2)
+    batch = column(1, 2)
     oracle = Oracle(Edits(), Budget())
-    assert oracle(asked).tolist() == [math.inf, math.inf]
-    assert asked.tolist() == [[1], [2]]
+    assert oracle(batch).tolist() == [math.inf, math.inf]
+    assert batch.tolist() == [[1], [2]]
     assert oracle.meter.rejected == {"ValueError: output array is read-only": 2}
 
 
@@ -265,145 +264,19 @@ def test_reasons_without_end_are_counted_together() -> None:
     def loss(x: float) -> float:
         raise ValueError(f"bad {x}")
 
-    oracle = Oracle(Given(loss), Budget())
+    oracle = Oracle(FunctionProblem(loss), Budget())
     oracle(column(*range(100)))
     assert len(oracle.meter.rejected) == 21
     assert oracle.meter.rejected["other reasons"] == 80
 
 
 def test_after_ctrl_c_the_run_ends_between_two_evaluations() -> None:
-    oracle = Oracle(Given(), Budget())
+    oracle = Oracle(FunctionProblem(), Budget())
     oracle(column(3))
     oracle.interrupted = True
     with pytest.raises(RunInterrupted):
         oracle(column(2))
     assert oracle.evaluations == 1
-
-
-class Line(LeastSquaresProblem):
-    """Residuals of y = x t at t = 1, 2."""
-
-    name = "line"
-    space = SPACE
-    jacobian_cost = 3
-
-    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        return 2.5 * thetas[:, 0] ** 2
-
-    def residuals(self, theta: Array) -> Array:
-        return theta[0] * np.array([1.0, 2.0])
-
-    def jacobian(self, theta: Array) -> Array:
-        return np.array([[1.0], [2.0]])
-
-
-def test_residuals_and_jacobians_are_paid_for() -> None:
-    oracle = Oracle(Line(), Budget(evaluations=6))
-    oracle.residuals(np.array([2.0]))
-    assert oracle.evaluations == 1
-    assert oracle.best == 10.0
-    oracle.jacobian(np.array([2.0]))
-    assert oracle.evaluations == 4
-    with pytest.raises(BudgetExhausted):
-        oracle.jacobian(np.array([2.0]))
-    assert oracle.evaluations == 4
-
-
-class Broken(Line):
-    """Residuals and derivatives that cannot be used."""
-
-    def residuals(self, theta: Array) -> Array:
-        raise ArithmeticError("no residuals")
-
-    def jacobian(self, theta: Array) -> Array:
-        return np.array([[np.nan], [1.0]])
-
-
-def test_unusable_residuals_and_derivatives_are_counted() -> None:
-    oracle = Oracle(Broken(), Budget())
-    with pytest.raises(UnusableValueError, match="no residuals"):
-        oracle.residuals(np.array([2.0]))
-    with pytest.raises(UnusableValueError, match="not finite"):
-        oracle.jacobian(np.array([2.0]))
-    assert oracle.evaluations == 4
-    assert oracle.meter.rejected == {
-        "ArithmeticError: no residuals": 1,
-        "derivative is not finite": 1,
-    }
-
-
-class Partly(Line):
-    """Counts configurations, and raises where x is above 1."""
-
-    count = 0
-
-    def residuals(self, theta: Array) -> Array:
-        self.count += 1
-        if theta[0] > 1:
-            raise ZeroDivisionError("above 1")
-        return super().residuals(theta)
-
-
-class InBatches(Partly):
-    """Raises in any batch that holds such a row."""
-
-    def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        return np.stack([self.residuals(theta) for theta in thetas])
-
-
-@pytest.mark.parametrize(("bad", "budget"), [((), 7), ((2, 3), 7), ((0,), 20), (range(9), 9)])
-def test_residuals_of_several_are_those_of_each_and_counted_alike(
-    bad: tuple[int, ...], budget: int
-) -> None:
-    thetas = np.linspace(-1, 0.9, 9)[:, None]
-    thetas[list(bad), 0] = 2.0
-    problem, limit = InBatches(), Budget(evaluations=budget)
-    together, alone = Oracle(problem, limit), Oracle(problem, limit)
-    rows: list[Array] = []
-    with pytest.raises(BudgetExhausted) if budget < 9 else nullcontext():
-        while len(rows) < len(thetas):
-            rows += list(together.residual_rows(thetas[len(rows) :]))
-    assert len(rows) == min(budget, 9)
-    for theta, row in zip(thetas, rows, strict=False):
-        try:
-            expected = alone.residuals(theta)
-        except UnusableValueError:
-            assert np.isnan(row).all()
-        else:
-            assert np.array_equal(row, expected)
-    assert together.meter.evaluations == alone.meter.evaluations == len(rows)
-    assert together.meter.rejected == alone.meter.rejected
-    assert together.trace.loss == alone.trace.loss
-    assert together.trace.evaluations == alone.trace.evaluations
-
-
-def test_no_configuration_is_evaluated_twice_where_there_are_no_batches() -> None:
-    problem, thetas = Partly(), np.array([[0.5], [2.0], [0.1]])
-    oracle = Oracle(problem, Budget())
-    rows: list[Array] = []
-    while len(rows) < len(thetas):
-        rows += list(oracle.residual_rows(thetas[len(rows) :]))
-    assert problem.count == oracle.meter.evaluations == 3
-    assert oracle.meter.rejected == {"ZeroDivisionError: above 1": 1}
-
-
-class OfOtherShape(Line):
-    """Residuals (2, 2) where x is above 1."""
-
-    def residuals(self, theta: Array) -> Array:
-        return np.ones((2, 2)) if theta[0] > 1 else super().residuals(theta)
-
-
-def test_residuals_of_another_shape_are_unusable_as_if_the_problem_raised() -> None:
-    oracle = Oracle(OfOtherShape(), Budget())
-    assert np.isnan(oracle.residual_rows(np.array([[2.0]]))).all()
-    assert oracle.meter.evaluations == sum(oracle.meter.rejected.values()) == 1
-    assert oracle.best == math.inf
-
-
-def test_a_problem_without_residuals_says_so() -> None:
-    with pytest.raises(TypeError, match=r"gives no residuals; .* \(optimizer=miho_qn\)"):
-        Oracle(Given(), Budget()).residuals(np.array([1.0]))
 
 
 @pytest.mark.parametrize(

@@ -67,17 +67,17 @@ def test_differences_are_exact_on_quadratics() -> None:
     a[1], b[1] = -0.1, -0.05
     eye = np.eye(d)
     ahead, behind = loss(a[:, :, None] * eye), loss(b[:, :, None] * eye)
-    at = np.ones(n)
-    slope, curvature = parabolas(at, a, ahead, b, behind)
+    losses = np.ones(n)
+    slope, curvature = parabolas(losses, a, ahead, b, behind)
     np.testing.assert_allclose(slope, g, atol=1e-12)
     i, j = np.triu_indices(d, 1)
     forward = a[:, :, None] * eye
-    found = mixed(at, a, ahead, loss(forward[:, i] + forward[:, j]), curvature)
-    np.testing.assert_allclose(found, H, atol=1e-10)
-    bent = convex(found, g)
+    hessians = mixed(losses, a, ahead, loss(forward[:, i] + forward[:, j]), curvature)
+    np.testing.assert_allclose(hessians, H, atol=1e-10)
+    bent = convex(hessians, g)
     np.testing.assert_allclose(bent[1:], H[1:], rtol=1e-8)
     assert (np.linalg.eigvalsh(bent[0]) > 0).all()
-    assert (np.linalg.eigvalsh(convex(0 * found, g)) > 0).all()
+    assert (np.linalg.eigvalsh(convex(0 * hessians, g)) > 0).all()
 
 
 def test_a_difference_that_is_missing_is_a_line() -> None:

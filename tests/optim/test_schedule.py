@@ -57,8 +57,8 @@ def test_published_table() -> None:
         0: [(5, 81)],
     }
     for s, expected in published.items():
-        found = [(g.n, g.mutations) for g in hyperband_table(81, 3, "floor") if g.s == s]
-        assert found == expected
+        rungs = [(g.n, g.mutations) for g in hyperband_table(81, 3, "floor") if g.s == s]
+        assert rungs == expected
 
 
 def test_paper_preset_sizes() -> None:

@@ -1,0 +1,222 @@
+"""Gauss-Newton steps of a run's candidates: in compiled blocks, or evaluation by evaluation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from miho.compiled import Block
+from miho.compiled.gauss_newton import is_free
+from miho.compiled.gauss_newton_candidates import (
+    RECORD,
+    SLOPES,
+    UNUSABLE,
+    GNBox,
+    GNCandidates,
+    GNRules,
+    Minima,
+)
+from miho.compiled.gauss_newton_loop import FINISHED, advance
+from miho.compiled.gauss_newton_parts import (
+    after_evaluations,
+    after_one_evaluation,
+    entering,
+    factor_columns,
+    next_to_evaluate,
+    solve_columns,
+)
+from miho.compiled.kernel import INFINITE, NAN
+from miho.compiled.workspace import CHUNK, Work, room_for, work
+from miho.optim.meter import BudgetExhausted, UnusableValueError
+from miho.optim.oracle import Oracle
+from miho.quantities import Array, Integers
+
+EVENTS = 4096
+"""Looks at all rows in one block at most: each may be an improvement, which needs room."""
+
+
+def give_steps(
+    oracle: Oracle,
+    c: GNCandidates,
+    box: GNBox,
+    level_rows: Integers,
+    minima: Minima,
+    rules: GNRules,
+) -> None:
+    """Give each candidate its steps, compiled where the problem is.
+
+    Goes on where it was cut off. Raises as the oracle does at the end of the budget.
+    """
+    # A problem without compiled residuals is asked for each evaluation.
+    kernel = oracle.kernel
+    rows = None if kernel is None else kernel.rows
+    m = int(level_rows[rules.level])
+    if rows is None:
+        d = c.x.shape[1]
+        w = work(np.empty(room_for(d, m, level_rows.size)), d, m, level_rows.size)
+        _step_by_step(oracle, c, box, level_rows, minima, rules, w)
+        return
+    # Room for one block's improvements, and for the compiled code to work in.
+    N, d, slope_cost = rows.y.size, c.x.shape[1], oracle.jacobian_cost
+    least = float(max(box.linear.size + 1, slope_cost))
+    most = EVENTS if rules.last else 0
+    at, losses, thetas = np.empty(most, np.int64), np.empty(most), np.empty((most, d))
+    room = np.empty(room_for(d, m if c.derivatives.shape[2] else CHUNK, level_rows.size))
+
+    # The oracle says how many evaluations a block may spend, and records what it did.
+    def block(most: float, best: float, target: float) -> Block:
+        limit = round(min(most, EVENTS) * N)  # most is of whole rows but for its rounding
+        state, spent, k, nans, infinities, unusable = advance(
+            rows.residuals, rows.slopes, rows.X, rows.y, *c[:4], box, level_rows, minima, rules,
+            slope_cost, limit, best, target, at, losses, thetas, room,
+        )  # fmt: skip
+        counts = {
+            NAN: nans,
+            INFINITE: infinities,
+            "derivative is not finite": unusable,
+        }
+        return Block(
+            spent / N,
+            at[:k] / N,
+            losses[:k],
+            thetas[:k],
+            counts,
+            state == FINISHED,
+        )
+
+    oracle.spend(block, least)
+
+
+def _step_by_step(
+    oracle: Oracle,
+    c: GNCandidates,
+    box: GNBox,
+    level_rows: Integers,
+    minima: Minima,
+    rules: GNRules,
+    w: Work,
+) -> None:
+    """The same steps, with each evaluation made by the problem."""
+    p, m = box.linear.size, int(level_rows[rules.level])
+    fidelity = 1.0 if rules.last else m / int(level_rows[-1])
+    share = 1.0 if rules.last else oracle.cost(fidelity)
+    if not (rules.last and rules.steps):
+        _evaluate_entering(oracle, fidelity, c, box, level_rows, rules, w)
+    i = 0
+    while (i := next_to_evaluate(*c[:4], i, box, m, minima, rules, w)) < c.stage.size:
+        stage = c.stage[i]
+        project = bool(c.projects[i]) and stage != RECORD
+        cost = p + 1 if project else 1
+        if stage == SLOPES:
+            cost = oracle.jacobian_cost + (not c.derivatives.shape[2])
+        if not oracle.affords(cost * share):
+            raise BudgetExhausted
+        try:
+            if stage == SLOPES:
+                _evaluate_slopes(oracle, fidelity, c, i, box, m, w)
+            elif project:
+                loss = _evaluate_projected(oracle, fidelity, c, i, box, level_rows, w)
+                after_one_evaluation(*c[:4], i, loss, box, m, rules, oracle.best, w)
+            else:
+                r = oracle.residuals(w.theta.copy(), fidelity)
+                _hand_over(oracle, fidelity, c, np.array([i]), r[None], box, level_rows, rules, w)
+        except UnusableValueError:
+            if stage == SLOPES:
+                c.stage[i] = UNUSABLE
+            else:
+                after_one_evaluation(*c[:4], i, math.inf, box, m, rules, oracle.best, w)
+        c.spent[i] += m * cost
+
+
+def _evaluate_entering(
+    oracle: Oracle,
+    fidelity: float,
+    c: GNCandidates,
+    box: GNBox,
+    level_rows: Integers,
+    rules: GNRules,
+    w: Work,
+) -> None:
+    """Look at all that enter a level in one batch: models that work on arrays are faster so."""
+    m = int(level_rows[rules.level])
+    index, thetas = np.empty(c.stage.size, np.int64), np.empty(c.x.shape)
+    count = entering(*c[:4], box, index, thetas)
+    index, thetas = index[:count], thetas[:count]
+    while index.size:
+        r = oracle.residual_rows(thetas, fidelity)
+        k = len(r)
+        if r.shape[1] != m:  # all of them raised
+            r = np.full((k, m), math.nan)
+        _hand_over(oracle, fidelity, c, index[:k], r, box, level_rows, rules, w)
+        c.spent[index[:k]] += m
+        index, thetas = index[k:], thetas[k:]
+
+
+def _hand_over(
+    oracle: Oracle,
+    fidelity: float,
+    c: GNCandidates,
+    index: Integers,
+    r: Array,
+    box: GNBox,
+    level_rows: Integers,
+    rules: GNRules,
+    w: Work,
+) -> None:
+    """Hand the residuals r (k, m) of the candidates `index` (k,) to the compiled code."""
+    r = np.array(r, dtype=float, order="C")  # as compiled code is made for
+    in_order = r if fidelity < 1.0 or oracle.order is None else np.take(r, oracle.order, axis=1)
+    after_evaluations(*c[:4], index, r, in_order, box, level_rows, rules, oracle.best, w)
+
+
+def _evaluate_slopes(
+    oracle: Oracle, fidelity: float, c: GNCandidates, i: int, box: GNBox, m: int, w: Work
+) -> None:
+    """Evaluate the derivatives where candidate i is, in the columns that `take_factor` expects.
+
+    Without room for them its residuals are evaluated again, and nothing is stored.
+    """
+    d, theta = c.x.shape[1], w.theta.copy()
+    width = box.width * np.where(box.log, theta, 1.0)
+    columns = oracle.jacobian(theta, fidelity).T * width[:, None]
+    order = np.arange(d)
+    if c.projects[i]:
+        order = np.array([*(k for k in box.linear if is_free(c.x[i, k])), *box.nonlinear])
+    stored = c.derivatives[i]
+    if not stored.shape[1]:
+        stored = np.empty((d + 1, m))
+        stored[d] = oracle.residuals(theta, fidelity, goes_on=True)
+    stored[: order.size] = columns[order]
+    factor_columns(*c[:4], i, box, stored, order.size, w)
+
+
+def _evaluate_projected(
+    oracle: Oracle,
+    fidelity: float,
+    c: GNCandidates,
+    i: int,
+    box: GNBox,
+    level_rows: Integers,
+    w: Work,
+) -> float:
+    """The loss at the best linear parameters for w.theta, infinite if unusable.
+
+    The residuals at that solution are left in w.residuals. Costs p + 1 evaluations.
+    """
+    theta, r = w.theta.copy(), w.residuals
+    r[:] = oracle.residuals(theta, fidelity)
+    if not np.isfinite(r).all():
+        return math.inf
+    p = box.linear.size
+    columns = np.empty((p + 1, r.size))
+    for column, k in enumerate(box.linear):
+        # as far away as the box allows: the wider a difference, the more exact
+        probe, up = theta.copy(), box.high[k] - theta[k] >= theta[k] - box.low[k]
+        probe[k] = box.high[k] if up else box.low[k]
+        scale = (box.high[k] - box.low[k]) / (probe[k] - theta[k])
+        columns[column] = (oracle.residuals(probe, fidelity, goes_on=True) - r) * scale
+    columns[p] = r
+    loss = solve_columns(*c[:4], i, box, columns, w)
+    r += w.step[:p] @ columns[:p]
+    return loss

@@ -1,0 +1,295 @@
+"""Quasi-Newton steps of candidates: which losses they need, and what follows from them.
+
+`requests_of` collects the needs of all candidates as offsets from where they are, `answer` gives
+each its losses and takes it on to its next stage.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.optim.quasi_newton import (
+    bfgs,
+    convex,
+    curve_along,
+    diagonal,
+    mixed,
+    newton_steps,
+    parabolas,
+)
+from miho.optim.quasi_newton_candidates import (
+    CURVATURE,
+    DONE,
+    HESSIAN,
+    LOOK,
+    SLOPE,
+    STUCK,
+    TRIAL,
+    UNUSABLE,
+    WAIT,
+    Indices,
+    LossRequest,
+    QNBox,
+    QNCandidates,
+)
+from miho.quantities import Array
+
+FIRST = 1e-3
+"""Offsets of differences, in shares of the widths, where no curvature is known."""
+SLOPE_OFFSETS = 1e-4, 1e-8, 1e-3
+HESSIAN_OFFSETS = 1e-2, 1e-6, 1e-2
+"""Offsets elsewhere: a share of the distance at which the curvature alone would double the loss, no
+less than the second and no more than the third of the widths.
+
+Rounding in a loss weighs by the offset in slopes and by its square in curvatures: at these
+offsets 1e-16 of a loss is 1e-12 of either.
+"""
+ACCEPTED, GOOD, POOR = 1e-4, 0.75, 0.1
+"""Gain over predicted gain: above the first a step is accepted, above the second the trust region
+grows, below the third it shrinks (Nocedal and Wright, 2006, Alg. 4.1)."""
+AS_PREDICTED = 0.2
+"""The model holds where a step gains what it predicts, up to this share."""
+FAILURES = 8
+"""After more steps refused in a row a candidate is STUCK: its trust region is then at most 2^-8 of
+what it was."""
+SHORTEST = 1e-10
+"""The least radius, as a share of the widths: much shorter steps are lost in rounding."""
+LARGE = 1e-3
+"""Where a model predicts no gain within a radius of at least this, the radius is not the reason."""
+
+
+@dataclass(frozen=True)
+class QNRules:
+    """How steps are made on a level.
+
+    One evaluation costs `cost`. A descent is done where its model predicts a gain below the share
+    `tolerance` of the loss; on the `last` level also after a step that gains less. `screens`: a
+    first look is all. `measures`: Hessians are measured by differences, first where a descent seems
+    to be done, and again where the model is off after `refresh` times the evaluations of a Hessian.
+    Up to `guesses` steps in a row rely on slopes that the model predicts. A step is no longer than
+    `radius` along each coordinate. A loss up to `rounding` is 0.
+    """
+
+    cost: float
+    tolerance: float
+    last: bool
+    screens: bool
+    measures: bool
+    refresh: float
+    guesses: int
+    radius: float
+    rounding: float
+
+
+def requests_of(c: QNCandidates, box: QNBox) -> list[LossRequest]:
+    """What the candidates need, one request for each stage that any of them is at."""
+    requests = []
+    for stage in range(WAIT):
+        index = np.flatnonzero(c.stage == stage)
+        if index.size:
+            requests.append(LossRequest(stage, index, _offsets(c, box, stage, index)))
+    return requests
+
+
+def points(c: QNCandidates, box: QNBox, requests: list[LossRequest]) -> Array:
+    """The points of requests in search coordinates, one after the other, (n, d)."""
+    d = c.z.shape[1]
+    parts = [box.moved(c.z[r.index, None], r.offsets).reshape(-1, d) for r in requests]
+    return np.concatenate(parts) if parts else np.empty((0, d))
+
+
+def answer(
+    c: QNCandidates, box: QNBox, rules: QNRules, requests: list[LossRequest], losses: Array
+) -> None:
+    """Give each candidate the losses of its points, and decide what it needs next."""
+    start = 0
+    for request in requests:
+        n, k, _ = request.offsets.shape
+        values = losses[start : start + n * k].reshape(n, k)
+        start += n * k
+        if request.stage != HESSIAN:  # an investment: progress is judged by the steps after it
+            c.spent_since_mark[request.index] += k * rules.cost
+        c.hessian_age[request.index] += k
+        if request.stage == LOOK:
+            _look(c, rules, request.index, values)
+        elif request.stage == SLOPE:
+            _slope(c, box, rules, request, values)
+        elif request.stage == TRIAL:
+            _trial(c, box, rules, request.index, values[:, 0])
+        else:
+            _curvature(c, box, rules, request, values)
+
+
+def _offsets(c: QNCandidates, box: QNBox, stage: int, index: Indices) -> Array:
+    """Offsets at which a stage needs losses, (n, k, d): of forward, backward, mixed differences."""
+    n, d = index.size, c.z.shape[1]
+    if stage == LOOK:
+        return np.zeros((n, 1, d))
+    if stage == TRIAL:
+        return c.step[index][:, None]
+    share, least, most = SLOPE_OFFSETS if stage == SLOPE else HESSIAN_OFFSETS
+    with np.errstate(all="ignore"):
+        h = share * np.sqrt(np.abs(c.loss[index, None]) / diagonal(c.B[index]))
+    h = np.where(c.has_curvature[index, None], np.clip(h, least, most), FIRST)
+    x, eye = box.shares(c.z[index]), np.eye(d)
+    a = np.where(x + h <= 1, h, -h)
+    forward = a[:, :, None] * eye
+    if stage == SLOPE:
+        return forward
+    b = np.where((a > 0) & (x - h >= 0), -h, a / 2)
+    parts = [forward, b[:, :, None] * eye]
+    if stage == HESSIAN:
+        i, j = np.triu_indices(d, 1)
+        parts.append(forward[:, i] + forward[:, j])
+    return np.concatenate(parts, axis=1)
+
+
+def _look(c: QNCandidates, rules: QNRules, index: Indices, values: Array) -> None:
+    """Take the loss on a level's rows; slopes have to be measured anew, they were of other rows."""
+    c.loss[index] = c.loss_at_mark[index] = values[:, 0]
+    c.measured_at[index] = c.z[index]
+    c.guesses[index] = c.failures[index] = 0
+    then = WAIT if rules.screens else np.where(c.has_curvature[index], SLOPE, CURVATURE)
+    c.stage[index] = np.where(np.isfinite(values[:, 0]), then, UNUSABLE)
+
+
+def _slope(
+    c: QNCandidates, box: QNBox, rules: QNRules, request: LossRequest, values: Array
+) -> None:
+    """Take slopes by forward differences, less what the curvature adds, and update B by them."""
+    index, a = request.index, diagonal(request.offsets)
+    g = (values - c.loss[index, None]) / a - 0.5 * a * diagonal(c.B[index])
+    g = np.where(np.isfinite(g), g, 0.0)
+    s = (c.z[index] - c.measured_at[index]) / box.width
+    away = s.any(axis=1)
+    if away.any():
+        m = index[away]
+        c.B[m] = bfgs(c.B[m], s[away], g[away] - c.measured_g[m])
+    _set_slopes(c, box, rules, index, g)
+
+
+def _curvature(
+    c: QNCandidates, box: QNBox, rules: QNRules, request: LossRequest, values: Array
+) -> None:
+    """Take slopes and curvatures by central differences, and mixed ones for a Hessian."""
+    index, d = request.index, c.z.shape[1]
+    a, b = diagonal(request.offsets[:, :d]), diagonal(request.offsets[:, d : 2 * d])
+    ahead, loss = values[:, :d], c.loss[index]
+    slope, curvature = parabolas(loss, a, ahead, b, values[:, d : 2 * d])
+    if request.stage == HESSIAN:
+        c.B[index] = convex(mixed(loss, a, ahead, values[:, 2 * d :], curvature), slope)
+        c.hessian_age[index] = 0.0
+    else:
+        # along one coordinate no step is longer than a quarter of the box
+        size = np.abs(curvature)
+        least = np.maximum(1e-4 * size.max(axis=1, keepdims=True), np.finfo(float).tiny)
+        size = np.maximum(np.maximum(size, least), 4 * np.abs(slope))
+        c.B[index] = size[:, :, None] * np.eye(d)
+    c.has_curvature[index] = True
+    _set_slopes(c, box, rules, index, slope)
+
+
+def _set_slopes(c: QNCandidates, box: QNBox, rules: QNRules, index: Indices, g: Array) -> None:
+    """Take measured slopes g (n, d), and propose the next steps."""
+    c.g[index] = c.measured_g[index] = g
+    c.measured_at[index] = c.z[index]
+    c.guesses[index] = 0
+    _propose(c, box, rules, index)
+
+
+def _propose(c: QNCandidates, box: QNBox, rules: QNRules, index: Indices) -> None:
+    """Set the next step of each on trial, or end its descent where its model predicts no gain.
+
+    Slopes or curvatures that the model predicts, but nobody measured, are measured first.
+    """
+    if not index.size:
+        return
+    x, radius = box.shares(c.z[index]), c.radius[index, None]
+    low, high = np.maximum(-x, -radius), np.minimum(1 - x, radius)
+    step, gain = newton_steps(c.B[index], c.g[index], low, high)
+    c.step[index], c.predicted_gain[index] = step, gain
+    least = rules.tolerance * np.abs(c.loss[index])
+    done = (gain <= least) & ((radius[:, 0] > LARGE) | (gain <= 1e-3 * least))
+    lost = ~(gain >= 0)  # a model so narrow that its minimum is rounding
+    ends = done | lost
+    zero = np.abs(c.loss[index]) <= rules.rounding
+    age = c.hessian_age[index]
+    unmeasured = rules.measures & (np.isinf(age) | (lost & (age > 0)))
+    c.stage[index] = np.select(
+        [zero, ends & unmeasured, ends & (c.guesses[index] > 0), lost, done],
+        [DONE, HESSIAN, SLOPE, STUCK, DONE],
+        TRIAL,
+    )
+
+
+def _trial(c: QNCandidates, box: QNBox, rules: QNRules, index: Indices, loss: Array) -> None:
+    """Accept or refuse steps by their losses (n,), update the models, decide what comes next."""
+    # What each step gained, and whether it may be followed by one on predicted slopes (`guess`).
+    step, gain = c.step[index], c.predicted_gain[index]
+    finite = np.isfinite(loss)
+    fall = np.where(finite, c.loss[index] - loss, -np.inf)
+    ratio = fall / gain
+    accepted = ratio > ACCEPTED
+    c.steps_left[index] -= 1
+    c.failures[index] = np.where(accepted, 0, c.failures[index] + 1)
+    more = c.steps_left[index] > 0
+    holds = np.abs(ratio - 1) < AS_PREDICTED
+    guess = accepted & more & holds & (c.guesses[index] < rules.guesses)
+
+    # The loss of a step gives the curvature along it: for the radius, and for B.
+    slope = np.einsum("ni,ni->n", c.g[index], step)
+    curvature = np.where(finite, -2 * (fall + slope), np.nan)
+    predicted = np.einsum("ni,nij,nj->n", step, c.B[index], step)
+    c.radius[index] = _radius(
+        c.radius[index], step, accepted, ratio, slope, curvature, rules.radius
+    )
+    # Where slopes are measured next, they say more than the loss of one step does.
+    learns = np.where(accepted, (curvature > 0) & (guess | ~more), curvature > predicted)
+    i = index[learns]
+    c.B[i] = curve_along(c.B[i], step[learns], curvature[learns])
+
+    # Move, and predict the slopes there.
+    i = index[accepted]
+    c.z[i], c.loss[i] = box.moved(c.z[i], step[accepted]), loss[accepted]
+    i = index[guess]
+    c.g[i] += np.einsum("nij,nj->ni", c.B[i], step[guess])
+    c.guesses[i] += 1
+
+    # The next stage; those whose slopes are known propose their next step at once.
+    measured = c.guesses[index] == 0
+    little = rules.last & accepted & (fall <= rules.tolerance * np.abs(loss)) & measured
+    d = step.shape[1]
+    old = rules.measures & ~holds & (c.hessian_age[index] >= rules.refresh * d * (d + 3) / 2)
+    c.stage[index] = np.select(
+        [~accepted & (c.failures[index] > FAILURES), little, ~more, old],
+        [STUCK, DONE, WAIT, HESSIAN],
+        SLOPE,
+    )
+    knows_slopes = (c.stage[index] == SLOPE) & (guess | (~accepted & measured))
+    _propose(c, box, rules, index[knows_slopes])
+
+
+def _radius(
+    radius: Array,
+    step: Array,
+    accepted: NDArray[np.bool_],
+    ratio: Array,
+    slope: Array,
+    curvature: Array,
+    largest: float,
+) -> Array:
+    """The radius of the next steps, (n,), after steps (n, d) of this `ratio` of gain to prediction.
+
+    After a refused step it is the way to the minimum of the parabola along it, 0.1 to 0.5 of its
+    length.
+    """
+    size = np.abs(step).max(axis=1)
+    with np.errstate(all="ignore"):
+        shorter = np.where(curvature > 0, np.clip(-slope / curvature, 0.1, 0.5), 0.25)
+    grows = (ratio > GOOD) & (size > 0.8 * radius)
+    following = np.where(grows, np.minimum(largest, 2.5 * radius), radius)
+    following = np.where(ratio < POOR, 0.5 * size, following)
+    return np.maximum(np.where(accepted, following, shorter * size), SHORTEST)

@@ -1,0 +1,130 @@
+"""The clock, the count of evaluations and the improvements of one run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from miho.optim.meter import Clock, Meter
+from miho.optim.space import Space
+from miho.quantities import Array
+
+OBSERVE_SECONDS = 0.1
+CHECKED_AT_ONCE = 1024
+OFF_A_ROW, ROUNDED = 1e-6, 1e-15
+"""How far a sum of fractions may be off a whole number of rows, besides a few roundings of it."""
+
+
+class Recorder:
+    """Counts evaluations up to `limit`, and records improvements, all in a `meter`.
+
+    The clock runs while method and problem compute; it stands still while an improvement is
+    recorded, or while `observe` looks on, some ten times a second. `rows` is the number of rows of
+    data of which fidelities are fractions, None if they are not.
+    """
+
+    def __init__(
+        self,
+        meter: Meter,
+        space: Space,
+        limit: float,
+        rows: int | None,
+        clock: Clock,
+        observe: Callable[[], None] | None,
+    ) -> None:
+        self.meter = meter
+        self._d = len(space)
+        self._box = space.widened
+        self._limit = limit
+        self._rows = rows
+        self._clock = clock
+        self._observe = observe
+        self._observed = -math.inf
+        self._unchecked: list[Array] = []
+        self._rows_unchecked = 0
+        self._wall = clock.wall() - meter.seconds
+        self._cpu = clock.cpu() - meter.cpu_seconds
+
+    @property
+    def seconds(self) -> float:
+        """Seconds of the method's clock: the run without set-up and recording."""
+        return self._clock.wall() - self._wall
+
+    def stop(self) -> None:
+        """Read the clocks for the last time, and count the configurations not counted yet."""
+        self.meter.seconds = self.seconds
+        self.meter.cpu_seconds = self._clock.cpu() - self._cpu
+        self._check_box()
+
+    def record(
+        self, at: Array, losses: Array, thetas: Array, evaluations: float, started: float
+    ) -> None:
+        """Count evaluations, record the improvements among them and hold the clock meanwhile.
+
+        `at` (k,) counts the evaluations up to each improvement, `started` is the clock before the
+        first. The clock is taken to run evenly, so each improvement has its own time.
+        """
+        meter = self.meter
+        meter.seconds = now = self._clock.wall() - self._wall
+        if at.size:
+            meter.cpu_seconds = self._clock.cpu() - self._cpu
+            per_evaluation = (now - started) / evaluations
+            for count, loss, theta in zip(at.tolist(), losses.tolist(), thetas, strict=True):
+                meter.trace.add(
+                    self.count_after(count),
+                    now - per_evaluation * (evaluations - count),
+                    meter.cpu_seconds,
+                    loss,
+                    theta,
+                )
+            meter.best = meter.trace.loss[-1]
+            self._wall = self._clock.wall() - now
+            self._cpu = self._clock.cpu() - meter.cpu_seconds
+        self.charge(evaluations)
+        if self._observe is not None and now - self._observed >= OBSERVE_SECONDS:
+            self._observed = now
+            cpu = self._clock.cpu()
+            self._observe()
+            self._cpu += self._clock.cpu() - cpu
+            self._wall = self._clock.wall() - now
+
+    def charge(self, evaluations: float) -> None:
+        """Count what was allowed: a sum of fractions is beyond the limit by its rounding only."""
+        self.meter.evaluations = min(self.count_after(evaluations), self._limit)
+
+    def count_after(self, evaluations: float) -> float:
+        """The count after so many more, which does not depend on the blocks that they came in.
+
+        On rows of data it is a whole number of them, divided once: sums of fractions would differ
+        in their last bits.
+        """
+        count = self.meter.evaluations + evaluations
+        if self._rows is None:
+            return count
+        rows = count * self._rows
+        whole = round(rows)
+        near = abs(rows - whole) <= OFF_A_ROW + ROUNDED * rows
+        return whole / self._rows if near else count
+
+    def count_outside(self, thetas: Array) -> None:
+        """Count the configurations (n, d) outside of the box.
+
+        Many at once, since looking at ten costs as much as looking at a thousand.
+        """
+        if thetas.shape[1:] != (self._d,):
+            raise ValueError(
+                f"configurations have the shape {thetas.shape}; expected (n, {self._d})"
+            )
+        self._unchecked.append(thetas.copy())
+        self._rows_unchecked += len(thetas)
+        if self._rows_unchecked >= CHECKED_AT_ONCE:
+            self._check_box()
+
+    def _check_box(self) -> None:
+        if self._unchecked:
+            thetas = np.concatenate(self._unchecked)
+            within = (thetas >= self._box[0]) & (thetas <= self._box[1])
+            self.meter.outside += len(thetas) - int(np.count_nonzero(within.all(axis=1)))
+            self._unchecked, self._rows_unchecked = [], 0

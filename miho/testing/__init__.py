@@ -1,0 +1,37 @@
+"""Conformance suite for optimizers, and a check of models: what all must do, whoever wrote them.
+
+    from miho.testing import check_optimizer
+    check_optimizer(MyMethod())
+
+or, one test per check, parametrise over `CHECKS`. A method that cannot pass a check by design
+declares it with a reason: `expected_failures={"stays_in_the_box": "clips lower bounds only"}`.
+A declared failure that passes is an error too, so that declarations stay true. A method that takes
+milliseconds per evaluation may be checked over fewer of them: `evaluations=300`. A method that
+computes for `PATIENCE` seconds of CPU time without an evaluation, or waits for as many seconds,
+fails the check that it is in; that needs the main thread and a POSIX system.
+"""
+
+from typing import TYPE_CHECKING
+
+from miho.exports import at_first_use
+
+if TYPE_CHECKING:
+    from miho.testing.decay_fit import DecayFit
+    from miho.testing.failure import ConformanceError, NoEvaluation
+    from miho.testing.models import check_model
+    from miho.testing.optimizers import BUDGET, CHECKS, check_optimizer, run_check
+    from miho.testing.patience import PATIENCE
+
+__all__ = [
+    "BUDGET",
+    "CHECKS",
+    "PATIENCE",
+    "ConformanceError",
+    "DecayFit",
+    "NoEvaluation",
+    "check_model",
+    "check_optimizer",
+    "run_check",
+]
+
+__getattr__, __dir__ = at_first_use(__name__)

@@ -1,0 +1,253 @@
+"""The checks that every optimizer passes, or declares with a reason why not."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import pickle
+import random
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from miho.optim import (
+    AskTell,
+    Budget,
+    BudgetExhausted,
+    Optimizer,
+    Oracle,
+    Outcome,
+    Resumable,
+    RunRecord,
+    Trace,
+    minimize,
+)
+from miho.optim.minimize import raised_at
+from miho.optim.seeds import stream
+from miho.quantities import Array
+from miho.testing.decay_fit import DecayFit
+from miho.testing.failure import ConformanceError, NoEvaluation, require
+from miho.testing.patience import patience
+
+BUDGET = 20_000
+"""Evaluations per run by default: beyond the first batch of any method in use."""
+RELATIVE = 1e-9
+"""By which a loss that is summed in another order may differ."""
+
+
+def check_optimizer(
+    optimizer: Optimizer,
+    expected_failures: Mapping[str, str] | None = None,
+    evaluations: int = BUDGET,
+) -> None:
+    """Run every check on one optimizer; raises ConformanceError at the first that fails."""
+    for name in CHECKS:
+        run_check(name, optimizer, expected_failures or {}, evaluations)
+
+
+def run_check(
+    name: str,
+    optimizer: Optimizer,
+    expected_failures: Mapping[str, str],
+    evaluations: int = BUDGET,
+) -> None:
+    """Run one check; a failure is expected exactly where `expected_failures` gives a reason.
+
+    `evaluations` is the largest budget of a run; choose it beyond the method's start-up phase.
+    """
+    expected = expected_failures.get(name)
+    method = type(optimizer).__name__
+    try:
+        with patience():
+            CHECKS[name](optimizer, evaluations)
+    except (Exception, NoEvaluation) as error:
+        if expected is None:
+            message = str(error)
+            if not isinstance(error, ConformanceError):
+                message = f"{type(error).__name__}: {error} ({raised_at(error, optimizer)})"
+            raise ConformanceError(f"{method} fails {name}: {message}") from error
+    else:
+        if expected is not None:
+            raise ConformanceError(f"{method} passes {name}; remove the declared failure")
+
+
+def _run_observed(optimizer: Optimizer, evaluations: int) -> tuple[Oracle, DecayFit]:
+    """The oracle and the problem after one run without warm-up, whose evaluations it remembers."""
+    problem = DecayFit()
+    space = problem.space.seeded(problem.name, 3)
+    oracle = Oracle(problem, Budget(evaluations=evaluations), space=space)
+    with contextlib.suppress(BudgetExhausted):
+        optimizer.run(oracle, stream("conformance"))
+    return oracle, problem
+
+
+def _same(a: Trace, b: Trace) -> bool:
+    """Whether two traces are equal but for their seconds."""
+    return (
+        a.evaluations == b.evaluations
+        and a.loss == b.loss
+        and np.array_equal(np.array(a.theta), np.array(b.theta))
+    )
+
+
+def is_a_frozen_dataclass(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
+    """Settings are a frozen dataclass: comparable, picklable, safe to share between runs."""
+    settings = getattr(type(optimizer), "__dataclass_params__", None)
+    require(settings is not None and settings.frozen, "it is not a frozen dataclass")
+    require(pickle.loads(pickle.dumps(optimizer)) == optimizer, "it does not pickle to itself")
+
+
+def keeps_the_budget_exactly(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
+    """Every evaluation goes through the oracle, and not one more than allowed is made."""
+    for budget in (*(n for n in (1, 2, 7, 400) if n < evaluations), evaluations):
+        oracle, problem = _run_observed(optimizer, budget)
+        require(
+            oracle.evaluations == problem.spent <= budget,
+            f"budget {budget}: oracle counted {oracle.evaluations}, problem {problem.spent}",
+        )
+
+
+def records_every_improvement(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
+    """The trace holds just the running minima of all losses, in order."""
+    oracle, problem = _run_observed(optimizer, evaluations)
+    minima = np.minimum.accumulate(problem.losses)
+    improvements = np.unique(minima[np.isfinite(minima)])[::-1]
+    trace = oracle.trace
+    require(trace.loss == improvements.tolist(), "the trace is not the running minimum")
+    for column in (trace.evaluations, trace.seconds, trace.cpu_seconds):
+        require(bool((np.diff(column) >= 0).all()), "a column of the trace decreases")
+
+
+def ends_descents_at_losses_it_has_seen(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
+    """No descent ended below the best loss that was evaluated: by their ends a search may stop."""
+    oracle, _ = _run_observed(optimizer, evaluations)
+    least = min(oracle.meter.starts.ends, default=math.inf)
+    require(
+        least >= oracle.best * (1 - RELATIVE),
+        f"a descent ended at a loss of {least}; the best of the run is {oracle.best}",
+    )
+
+
+def starts_at_the_common_start(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
+    """The first configuration evaluated is the first common initial configuration."""
+    oracle, problem = _run_observed(optimizer, 1)
+    start = oracle.space.decode(oracle.space.initial(1))[0]
+    require(np.array_equal(problem.thetas[0], start), f"{problem.thetas[0]} is not {start}")
+
+
+def stays_in_the_box(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
+    """Every configuration evaluated lies within the space's bounds."""
+    _, problem = _run_observed(optimizer, evaluations)
+    outside = np.array(problem.thetas)[~problem.space.contains(np.array(problem.thetas))]
+    require(not outside.size, f"{len(outside)} configurations outside, such as {outside[:1]}")
+
+
+def repeats_with_the_same_seed(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
+    """Same seed, same trace but for the seconds; another seed, another run."""
+    budget = Budget(evaluations=evaluations)
+    first, second = (minimize(optimizer, DecayFit(), budget, seed=3) for _ in range(2))
+    reseeded = minimize(optimizer, DecayFit(), budget, seed=4)
+    require(_same(first.trace, second.trace), "two runs with one seed differ")
+    require(not _same(first.trace, reseeded.trace), "runs with different seeds are the same")
+
+
+def uses_no_global_randomness(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
+    """NumPy's and Python's global generators are left alone."""
+    before = random.getstate(), str(np.random.get_state())  # noqa: NPY002
+    minimize(optimizer, DecayFit(), Budget(evaluations=evaluations))
+    after = random.getstate(), str(np.random.get_state())  # noqa: NPY002
+    require(before == after, "it drew from a global generator")
+
+
+def survives_unusable_values(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
+    """NaN, infinities and exceptions never end a run as failed, and never become best."""
+
+    def half_nan(thetas: Array, losses: Array) -> Array:
+        return np.where(thetas[:, 0] < 0.5, np.nan, losses)
+
+    def minus_infinity(thetas: Array, losses: Array) -> Array:
+        return np.where(thetas[:, 1] > 2.0, -np.inf, losses)
+
+    def raises(thetas: Array, losses: Array) -> Array:
+        if (thetas[:, 0] < 0).any():
+            raise ArithmeticError("below zero")
+        return losses
+
+    for spoil in (half_nan, minus_infinity, raises):
+        record = minimize(optimizer, DecayFit(spoil), Budget(evaluations=evaluations), seed=3)
+        require(record.outcome is not Outcome.FAILED, f"{spoil.__name__}: {record.error}")
+        if record.theta is not None:
+            clean = DecayFit().loss(record.theta[None])[0]
+            require(record.loss == clean, f"{spoil.__name__}: best is {record.loss}, not {clean}")
+
+
+def says_when_nothing_is_finite(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
+    """A run that saw nothing finite ends as such, with reasons."""
+    problem = DecayFit(lambda thetas, losses: np.full(len(thetas), np.nan))
+    record = minimize(optimizer, problem, Budget(evaluations=evaluations))
+    require(record.outcome is Outcome.NO_FINITE_VALUE, f"the outcome is {record.outcome}")
+    require(record.theta is None and math.isinf(record.loss), "it claims a best configuration")
+    require(bool(record.rejected), "no reason was recorded")
+
+
+def stops_at_the_target(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
+    """A run ends at the first evaluation that reaches the target."""
+    free = minimize(optimizer, DecayFit(), Budget(evaluations=evaluations), seed=3)
+    middle = len(free.trace) // 2
+    target = free.trace.loss[middle]
+    record = minimize(optimizer, DecayFit(), Budget(evaluations=evaluations, target=target), seed=3)
+    require(record.outcome is Outcome.BUDGET, f"the outcome is {record.outcome}")
+    require(
+        record.loss <= target
+        and record.trace.evaluations[middle] == free.trace.evaluations[middle],
+        f"it reached {record.loss}, not {target}",
+    )
+
+
+def resumes_bit_exactly(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
+    """A Resumable run cut anywhere, pickled and resumed is the run that was never cut."""
+    if not isinstance(optimizer, Resumable):
+        return
+    whole = minimize(optimizer, DecayFit(), Budget(evaluations=evaluations), seed=3)
+    cut: RunRecord | None = None
+    cuts = (n for n in (1, 5, 57, 58, 15_700, 15_701, 18_211) if n < evaluations)
+    for n in (*cuts, evaluations):
+        checkpoint = None if cut is None else pickle.loads(pickle.dumps(cut.checkpoint))
+        budget = Budget(evaluations=n)
+        cut = minimize(optimizer, DecayFit(), budget, seed=3, checkpoint=checkpoint)
+    require(cut is not None and _same(cut.trace, whole.trace), "the resumed run differs")
+
+
+def asks_without_side_effects(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
+    """`ask` only reads the state: asked twice, an AskTell method gives the same batch."""
+    if not isinstance(optimizer, AskTell):
+        return
+    problem = DecayFit()
+    state = optimizer.init(problem.space, stream("conformance"))
+    for _ in range(5):
+        if optimizer.done(state):
+            return
+        first, second = optimizer.ask(state).copy(), optimizer.ask(state)
+        require(np.array_equal(first, second), "asked twice, it gave two batches")
+        optimizer.tell(state, second, problem.loss(second))
+        require(np.array_equal(first, second), "tell changed the batch it was given")
+
+
+CHECKS: dict[str, Callable[[Optimizer, int], None]] = {
+    check.__name__: check
+    for check in (
+        is_a_frozen_dataclass,
+        keeps_the_budget_exactly,
+        records_every_improvement,
+        ends_descents_at_losses_it_has_seen,
+        starts_at_the_common_start,
+        stays_in_the_box,
+        repeats_with_the_same_seed,
+        uses_no_global_randomness,
+        survives_unusable_values,
+        says_when_nothing_is_finite,
+        stops_at_the_target,
+        resumes_bit_exactly,
+        asks_without_side_effects,
+    )
+}

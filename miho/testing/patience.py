@@ -1,0 +1,72 @@
+"""An alarm for methods that do not come to their next evaluation."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from types import FrameType
+
+from miho.testing.failure import NoEvaluation
+
+PATIENCE = 60.0
+"""CPU seconds that a method may compute between two evaluations, and seconds that it may wait."""
+IDLE = 0.01
+"""A method that computes for less than this share of the time waits; a busy machine gives more."""
+
+
+@contextlib.contextmanager
+def patience() -> Iterator[None]:
+    """Within this context, a method that does not come to its next evaluation raises NoEvaluation.
+
+    It may compute for PATIENCE seconds of its own CPU time, so that a busy machine makes no
+    difference, or wait for as many seconds of the clock without computing. Does nothing outside of
+    the main thread, where signals are not handled, and on systems without interval timers.
+    """
+    in_main = threading.current_thread() is threading.main_thread()
+    if not in_main or not hasattr(signal, "setitimer"):
+        yield
+        return
+
+    # Two timers: one that counts the process's CPU seconds, and one that counts all seconds.
+    messages: list[str] = []
+
+    def give_up(reason: str) -> None:
+        messages.append(f"{reason} without an evaluation")
+        raise NoEvaluation(messages[0])
+
+    def on_computing(number: int, frame: FrameType | None) -> None:
+        give_up(f"it computed for {PATIENCE:g} CPU seconds")
+
+    last_cpu = time.process_time()
+
+    def on_waiting(number: int, frame: FrameType | None) -> None:
+        nonlocal last_cpu
+        cpu = time.process_time()
+        idle, last_cpu = cpu - last_cpu < IDLE * PATIENCE, cpu
+        if idle:
+            give_up(f"it waited for {PATIENCE:g} seconds")
+
+    # Set them, and put back what was there before.
+    handlers = {signal.SIGVTALRM: on_computing, signal.SIGALRM: on_waiting}
+    previous = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE, PATIENCE)
+    signal.setitimer(signal.ITIMER_REAL, PATIENCE, PATIENCE)
+    try:
+        yield
+    finally:
+        for timer in (signal.ITIMER_VIRTUAL, signal.ITIMER_REAL):
+            signal.setitimer(timer, 0.0)
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+        if messages:  # raised in a run, where it is caught: the run has failed
+            raise NoEvaluation(messages[0])
+
+
+def restart_patience() -> None:
+    """Start both timers again, at an evaluation, if they run."""
+    if hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_VIRTUAL)[0]:
+        signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE, PATIENCE)
+        signal.setitimer(signal.ITIMER_REAL, PATIENCE, PATIENCE)
