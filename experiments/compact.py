@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from experiments.app.console import guarded
+from experiments.app.console import run_and_exit
 from miho.study.compaction import compact
 
 
@@ -26,7 +26,7 @@ def main() -> None:
     def job() -> None:
         print(f"{compact(arguments.root):,} curves compacted")
 
-    guarded(job)
+    run_and_exit(job)
 
 
 if __name__ == "__main__":

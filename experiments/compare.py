@@ -13,19 +13,16 @@ python -m experiments.compare experiment=arena_small # the same, small, two minu
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from experiments.app.comparing import planned
+from experiments.app.comparing import planned_comparison
 from experiments.app.console import OK, SOME_FAILED, command
 from experiments.app.plan import sweep_settings
 from experiments.app.runs import run
-from miho.analysis.compare.comparison import COMPARISON
-from miho.study import write_text
 
 DEFAULT = "experiment=compare"
 SETTINGS = {
@@ -45,7 +42,7 @@ def compare(cfg: DictConfig) -> int:
     Without all its runs a comparison is not drawn.
     """
     overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("seed=")]
-    plan, processes, note = planned(cfg, overrides)
+    plan, processes, note = planned_comparison(cfg, overrides)
     runs = run(
         plan, sweep_settings(cfg), processes=processes, fresh=cfg.fresh, overrides=overrides,
         tracking=cfg.tracking,
@@ -58,15 +55,12 @@ def compare(cfg: DictConfig) -> int:
     runs.raise_if_stopped()
     if failed:
         return SOME_FAILED
-    root = Path(cfg.root)
-    command = ["python", "-m", "experiments.compare", *overrides]
-    ids = [request.identity.id for request in plan]
-    about = {"command": command, "note": note, "runs": ids}
-    write_text(root / COMPARISON, json.dumps(about, indent=1) + "\n")
     # Here, because a worker process needs no figures, and they take a second to import.
-    from experiments.arena_results import draw_arena
-    from experiments.figures import draw_comparison
+    from experiments.app.drawing import draw_arena, draw_comparison
+    from miho.analysis.compare.comparison import write_comparison
 
+    root, command = Path(cfg.root), ["python", "-m", "experiments.compare", *overrides]
+    write_comparison(root, command, note, [request.identity.id for request in plan])
     draw = draw_arena if cfg.comparison.problems else draw_comparison
     for path in draw(root, Path(cfg.comparison.output)):
         print(path)

@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 from experiments.app.build import ConfigError
-from experiments.app.console import guarded
+from experiments.app.console import run_and_exit
 from miho.analysis.export import write_csv, write_ioh, write_parquet
 from miho.study import load_runs
 
@@ -44,18 +44,18 @@ def main() -> None:
         output = arguments.root / "exports" / arguments.to
 
     def job() -> None:
-        found = load_runs(arguments.root)
-        if found.runs.empty:
+        stored = load_runs(arguments.root)
+        if stored.runs.empty:
             raise ConfigError(f"{arguments.root}: holds no finished runs; run something first")
         try:
-            WRITERS[arguments.to](found.runs, found.curves, output)
+            WRITERS[arguments.to](stored.runs, stored.curves, output)
         except (ValueError, FileExistsError, ModuleNotFoundError) as error:
             raise ConfigError(str(error)) from None
-        if len(found.damaged):
-            print(f"{len(found.damaged)} damaged runs were left out", file=sys.stderr)
-        print(f"{len(found.runs)} runs in {output}")
+        if len(stored.damaged):
+            print(f"{len(stored.damaged)} damaged runs were left out", file=sys.stderr)
+        print(f"{len(stored.runs)} runs in {output}")
 
-    guarded(job)
+    run_and_exit(job)
 
 
 if __name__ == "__main__":

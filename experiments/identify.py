@@ -15,11 +15,10 @@ from omegaconf import DictConfig
 from experiments.app.build import build
 from experiments.app.console import OK, SOME_FAILED, command
 from experiments.app.forecast import announce
-from experiments.app.launch import BASIC, TYPED, launched
-from experiments.app.mirror import check_tracking
-from experiments.app.plan import is_of, planned, request_of, requests, sweep_settings
-from experiments.app.runs import HERE, Runs, mirror_runs, run
-from experiments.app.words import report, summary
+from experiments.app.launch import BASIC, FOR_EVERY_JOB, launch_plan
+from experiments.app.plan import is_of, planned_sweep, request_of, requests, sweep_settings
+from experiments.app.run_text import print_summary, result_text
+from experiments.app.runs import HERE, PlanOutcome, run
 from miho.study import Status
 
 SETTINGS = {
@@ -49,41 +48,28 @@ def identify(cfg: DictConfig) -> int:
         return _summed_up(run(requests(cfg, "", [cfg.seed], settings.time_limit), settings))
     experiment = build(cfg)
     announce(experiment, cfg.dataset)
-    runs = run(
-        [request_of(experiment, cfg)],
-        settings,
-        processes=HERE,
-        fresh=cfg.fresh,
-        tracking=cfg.tracking,
-    )
+    plan = [request_of(experiment, cfg)]
+    runs = run(plan, settings, processes=HERE, fresh=cfg.fresh, tracking=cfg.tracking)
     (state,) = runs.states
     if state.line:
         print(state.line, flush=True)
     runs.raise_if_stopped()
     if state.run is not None:
-        print("\n" + report(experiment, state.run))
+        print("\n" + result_text(experiment, state.run))
     return SOME_FAILED if state.status is Status.FAILED else OK
 
 
 def sweep(context: HydraContext, cfg: DictConfig, overrides: Sequence[Override]) -> int:
     """Do the runs that the overrides of -m ask for, here or by a launcher."""
-    plan, settings = planned(cfg, overrides), sweep_settings(cfg)
+    plan, settings = planned_sweep(cfg, overrides), sweep_settings(cfg)
     if cfg.hydra.launcher._target_ != BASIC and not settings.dry_run:
-        check_tracking(cfg.tracking)
-        runs = launched(plan, identify, context, cfg, overrides)
-        mirror_runs(runs.states, cfg.tracking)
-        return _summed_up(runs)
-    words = [
-        str(override.input_line)
-        for override in overrides
-        if not is_of(override.key_or_group, TYPED)
-    ]
-    how = {"fresh": cfg.fresh, "overrides": words, "tracking": cfg.tracking}
-    return _summed_up(run(plan, settings, **how))
+        return _summed_up(launch_plan(plan, identify, context, cfg, overrides))
+    words = [str(o.input_line) for o in overrides if not is_of(o.key_or_group, FOR_EVERY_JOB)]
+    return _summed_up(run(plan, settings, fresh=cfg.fresh, overrides=words, tracking=cfg.tracking))
 
 
-def _summed_up(runs: Runs) -> int:
-    code = summary(runs.states)
+def _summed_up(runs: PlanOutcome) -> int:
+    code = print_summary(runs.states)
     runs.raise_if_stopped()
     return code
 

@@ -24,7 +24,7 @@ TOPS = "home|root|tmp|usr|opt|var|work|mnt|srv|Users|private"
 """Where absolute paths begin."""
 
 
-def execute(path: Path) -> nbformat.NotebookNode:
+def run_notebook(path: Path) -> nbformat.NotebookNode:
     """The notebook with what its cells show, from a kernel of its own with nothing of the user's.
 
     Raises ValueError where a cell shows a place or a name of this machine, which no reader has.
@@ -40,13 +40,13 @@ def execute(path: Path) -> nbformat.NotebookNode:
     for cell in notebook.cells:
         cell.metadata.pop("execution", None)  # when each cell began and ended
     notebook.metadata["language_info"] = {"name": "python"}
-    named = machine_names(notebook)
-    if named:
-        raise ValueError(f"{path.name} shows {', '.join(named)}; print nothing of this machine")
+    leaks = machine_names(notebook)
+    if leaks:
+        raise ValueError(f"{path.name} shows {', '.join(leaks)}; print nothing of this machine")
     return notebook
 
 
-def shown(notebook: nbformat.NotebookNode) -> str:
+def shown_text(notebook: nbformat.NotebookNode) -> str:
     """All text that the cells show, without pictures."""
     outputs = [output for cell in notebook.cells for output in cell.get("outputs", [])]
     texts = [str(output.get("text", "")) for output in outputs]
@@ -57,7 +57,7 @@ def shown(notebook: nbformat.NotebookNode) -> str:
 
 def machine_names(notebook: nbformat.NotebookNode) -> list[str]:
     """Absolute paths in what the cells show, and this machine's name."""
-    text = shown(notebook)
+    text = shown_text(notebook)
     paths = re.findall(
         r"(?<![\w.<])/(?:home|root|tmp|usr|opt|work|Users|var|private)/[^\s\"'<]*", text
     )
@@ -70,7 +70,7 @@ def main(names: list[str]) -> None:
     for path in sorted(FOLDER.glob("*.ipynb")):
         if not names or path.stem in names:
             print(path.relative_to(CHECKOUT), flush=True)
-            nbformat.write(execute(path), path)
+            nbformat.write(run_notebook(path), path)
 
 
 if __name__ == "__main__":

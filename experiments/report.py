@@ -13,10 +13,10 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from experiments.app.console import OK, SOME_FAILED, guarded
+from experiments.app.console import OK, SOME_FAILED, run_and_exit
+from experiments.app.optimum import CHECK_SECONDS, LEAST_SECONDS
 from experiments.app.reports import Options, report_on_root, report_on_run
-from experiments.optimum import CHECK_SECONDS, LEAST_SECONDS
-from miho.identification.report import SECONDS
+from miho.identification.report_steps import SECONDS
 from miho.study import read_run
 
 
@@ -47,6 +47,7 @@ def main() -> int:
         "--quick", "--no-detail", action="store_true", help="of a root: no intervals, no page each"
     )
     parser.add_argument("--output", type=Path, help="folder; by default reports/ in the root")
+    # What is out of range, or meant for a root, is refused before anything is read.
     arguments = parser.parse_args()
     if arguments.bootstrap < 0 or not 0 < arguments.level < 1:
         parser.error("--bootstrap must be at least 0 and --level between 0 and 1")
@@ -63,7 +64,7 @@ def main() -> int:
 
 def run() -> None:
     """Report, and exit with the code that fits."""
-    guarded(main)
+    run_and_exit(main)
 
 
 if __name__ == "__main__":

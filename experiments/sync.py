@@ -20,9 +20,9 @@ from collections import Counter
 from importlib.metadata import version
 from pathlib import Path
 
-from experiments.app.console import OK, SOME_FAILED, guarded
+from experiments.app.console import OK, SOME_FAILED, run_and_exit
 from experiments.app.mirror import sync
-from experiments.app.mlflow_tracker import connect, reached
+from experiments.app.mlflow_tracker import as_tracker_error, connect
 from miho.study import load_runs
 
 
@@ -38,23 +38,24 @@ def main() -> int:
     arguments = parser.parse_args()
     stored = load_runs(arguments.root)
     tracker = connect(arguments.root, arguments.uri, arguments.experiment)
-    with reached():
-        done = sync([Path(folder) for folder in stored.runs["folder"]], tracker)
-        figures = 0 if done.failed else tracker.attach(arguments.root)
-    for reason, times in Counter(done.failed.values()).items():
-        first = next(folder for folder in done.failed if done.failed[folder] == reason)
+    with as_tracker_error():
+        synced = sync([Path(folder) for folder in stored.runs["folder"]], tracker)
+        figures = 0 if synced.failed else tracker.attach(arguments.root)
+    for reason, times in Counter(synced.failed.values()).items():
+        first = next(folder for folder in synced.failed if synced.failed[folder] == reason)
         more = f" (and {times - 1} more)" if times > 1 else ""
         print(f"error: {first}: {reason}{more}", file=sys.stderr)
     for row in stored.damaged.itertuples():
         print(f"damaged, left out: {row.folder}: {row.reason}", file=sys.stderr)
     print(
-        f"{len(stored.runs)} runs: {done.there} were there, {done.added} added, "
-        f"{done.repaired} repaired, {len(done.failed)} failed; {figures} figures and tables added"
+        f"{len(stored.runs)} runs: {synced.there} were there, {synced.added} added, "
+        f"{synced.repaired} repaired, {len(synced.failed)} failed; "
+        f"{figures} figures and tables added"
     )
     if arguments.uri is None:
         address = f"sqlite:///{tracker.lock.with_suffix('')}"
         print(f"look at them: {pages_need()}mlflow ui --backend-store-uri {shlex.quote(address)}")
-    return SOME_FAILED if done.failed else OK
+    return SOME_FAILED if synced.failed else OK
 
 
 def pages_need() -> str:
@@ -65,4 +66,4 @@ def pages_need() -> str:
 
 
 if __name__ == "__main__":
-    guarded(main)
+    run_and_exit(main)

@@ -78,41 +78,50 @@ def modules() -> list[Path]:
 
 def imports(path: Path) -> list[tuple[str, list[str]]]:
     """Absolute module names that a file imports, with the names taken from them."""
-    found = []
+    modules_and_names = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found += [(alias.name, []) for alias in node.names]
+            modules_and_names += [(alias.name, []) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path}: relative import"
-            found.append((node.module or "", [alias.name for alias in node.names]))
-    return found
+            modules_and_names.append((node.module or "", [alias.name for alias in node.names]))
+    return modules_and_names
 
 
 @pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(ROOT)))
 def test_layers_hold(path: Path) -> None:
-    own = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
-    layer = layer_of(own)
-    assert layer, f"{own} belongs to no layer"
-    ours, others = LAYERS.get(layer, (set(), {"numpy"}))
-    ours = ours | SHARED
+    module_name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+    layer = layer_of(module_name)
+    assert layer, f"{module_name} belongs to no layer"
+    allowed, others = LAYERS.get(layer, (set(), {"numpy"}))
+    allowed = allowed | SHARED
     for module, names in imports(path):
         top = module.partition(".")[0]
         if top in sys.stdlib_module_names:
             continue
-        if path.name == "__init__.py" and module.startswith(f"{own}."):
+        if path.name == "__init__.py" and module.startswith(f"{module_name}."):
             continue  # the front of a package names what lies in any of its rooms
         if top in {"miho", "baselines"}:
-            assert layer_of(module) in ours, f"{own} imports {module}"
+            assert layer_of(module) in allowed, f"{module_name} imports {module}"
             if layer == "miho.study":
-                assert not CONCRETE & set(names), f"{own} imports a concrete optimizer"
+                assert not CONCRETE & set(names), f"{module_name} imports a concrete optimizer"
         else:
-            assert top in others, f"{own} imports {module}"
+            assert top in others, f"{module_name} imports {module}"
 
 
 def test_only_experiments_know_hydra() -> None:
     for path in modules():
         tops = {module.partition(".")[0] for module, _ in imports(path)}
         assert not tops & {"hydra", "omegaconf"}, path
+
+
+def test_commands_are_thin_and_import_no_other_command() -> None:
+    commands = sorted((ROOT / "experiments").glob("*.py"))
+    names = {f"experiments.{path.stem}" for path in commands}
+    for path in commands:
+        assert len(path.read_text(encoding="utf-8").splitlines()) <= 90, path
+    for path in (ROOT / "experiments").rglob("*.py"):
+        assert not names & {module for module, _ in imports(path)}, path
 
 
 def test_the_library_draws_without_global_state() -> None:

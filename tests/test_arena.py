@@ -15,14 +15,14 @@ from experiments import compare as comparing
 from experiments.app.build import ConfigError, build, recorded_optimum
 from experiments.app.comparing import plan_arena
 from experiments.app.compose import CONF, composed
+from experiments.app.configured import as_configured
 from experiments.app.console import SOME_FAILED
+from experiments.app.drawing import draw_arena, read_comparison
 from experiments.app.execution import execution_of
-from experiments.app.runs import Runs, State
+from experiments.app.runs import PlanOutcome, State
 from experiments.app.schema import register
-from experiments.arena_problems import as_configured
-from experiments.arena_results import FACTOR, PLAIN, draw_arena, pages, separated
-from experiments.comparison import read_comparison
 from miho import load_runs
+from miho.analysis.arena_results import FACTOR, PLAIN, pages, separation
 from miho.analysis.compare.comparison import COMPARISON
 from miho.analysis.compare.leaderboard import family_scores, problem_scores
 from miho.analysis.compare.significance import pairwise
@@ -45,13 +45,14 @@ def test_runs_come_problem_by_problem_and_methods_side_by_side() -> None:
     overrides = [*ARENA, *METHODS, PROBLEMS]
     planned = plan_arena(composed(overrides), overrides)
     names = tuple(composed(overrides).comparison.methods)
-    assert [(i.problem, i.seed, i.optimizer) for i in (one.identity for one in planned.plan)] == [
+    identities = [request.identity for request in planned.plan]
+    assert [(i.problem, i.seed, i.optimizer) for i in identities] == [
         (problem, seed, name)
         for problem in ("torque_15", "brake_static")
         for seed in range(2)
         for name in names
     ]
-    assert len({one.identity.id for one in planned.plan}) == 12
+    assert len({request.identity.id for request in planned.plan}) == 12
     assert not planned.left_out
 
 
@@ -82,7 +83,7 @@ def test_runs_that_are_lost_are_named_and_nothing_is_drawn(
     assert len(planned.plan) == 12
     lost = State(planned.plan[0], Status.LOST, "it was lost", reason="killed by SIGKILL")
     monkeypatch.setattr("experiments.app.comparing.plan_arena", lambda *_: planned)
-    monkeypatch.setattr(comparing, "run", lambda *_, **__: Runs([lost]))
+    monkeypatch.setattr(comparing, "run", lambda *_, **__: PlanOutcome([lost]))
     monkeypatch.setattr(sys, "argv", ["compare", *overrides, f"root={tmp_path / 'runs'}"])
     with pytest.raises(SystemExit) as end:
         comparing.main()
@@ -94,24 +95,25 @@ def test_runs_that_are_lost_are_named_and_nothing_is_drawn(
 
 
 def _model(cfg: Any) -> str:
-    chosen = {str(key): str(value) for entry in cfg.defaults for key, value in entry.items()}
-    return chosen["override /model"]
+    defaults = {str(key): str(value) for entry in cfg.defaults for key, value in entry.items()}
+    return defaults["override /model"]
 
 
 def test_problems_that_are_one_model_in_one_kind_of_box_are_one_family() -> None:
     names = composed(["experiment=arena"]).comparison.problems
-    own = {name: OmegaConf.load(CONF / "problem" / f"{name}.yaml") for name in names}
-    alike = {name: cfg.problem.family for name, cfg in own.items() if "family" in cfg.problem}
+    files = {name: OmegaConf.load(CONF / "problem" / f"{name}.yaml") for name in names}
+    alike = {name: cfg.problem.family for name, cfg in files.items() if "family" in cfg.problem}
     families = {alike.get(name, name) for name in names}
     assert len(names) >= 45
     assert len(families) == 43
-    published = {name for name, cfg in own.items() if "model" in cfg}
+    published = {name for name, cfg in files.items() if "model" in cfg}
     for name in published:
-        assert alike[name] == own[name].model.name
-    ours = {name: family for name, family in alike.items() if name not in published}
-    assert len({alike.get(name, name) for name in own.keys() - published}) == 9
-    assert sorted(ours.values()) == ["tire_physical"] * 2 + ["tire_wide"] * 7 + ["torque"] * 3
-    models = {(family, _model(own[name])) for name, family in ours.items()}
+        assert alike[name] == files[name].model.name
+    unpublished = {name: family for name, family in alike.items() if name not in published}
+    assert len({alike.get(name, name) for name in files.keys() - published}) == 9
+    expected = ["tire_physical"] * 2 + ["tire_wide"] * 7 + ["torque"] * 3
+    assert sorted(unpublished.values()) == expected
+    models = {(family, _model(files[name])) for name, family in unpublished.items()}
     assert sorted(models) == [
         ("tire_physical", "pacejka"), ("tire_wide", "pacejka"), ("torque", "torque_cubic")
     ]  # fmt: skip
@@ -121,10 +123,10 @@ def test_errors_below_the_resolution_of_a_problem_are_equal(tmp_path: Path) -> N
     """Exact data: what is left is rounding, of which no method is to be judged."""
     store(tmp_path, "problem=nist_lanczos1_starts", "budget.evaluations=10")
     stored = load_runs(tmp_path).runs
-    known = composed(["problem=nist_lanczos1_starts"]).problem
-    assert known.optimum < known.resolution
+    configured = composed(["problem=nist_lanczos1_starts"]).problem
+    assert configured.optimum < configured.resolution
     runs = as_configured(stored.assign(error=1e-13))
-    assert runs["optimum"].tolist() == runs["error"].tolist() == [known.resolution]
+    assert runs["optimum"].tolist() == runs["error"].tolist() == [configured.resolution]
     assert as_configured(stored.assign(error=0.1))["error"].tolist() == [0.1]
 
 
@@ -164,10 +166,10 @@ def test_who_was_cut_by_seconds(tmp_path: Path) -> None:
 def test_runs_end_at_the_target_of_their_problem() -> None:
     overrides = [*ARENA, *METHODS, PROBLEMS, "comparison.target=1.5"]
     planned = plan_arena(composed(overrides), overrides)
-    for one in planned.plan:
-        optimum = recorded_optimum(composed([f"problem={one.identity.problem}"]))
+    for request in planned.plan:
+        optimum = recorded_optimum(composed([f"problem={request.identity.problem}"]))
         assert optimum is not None
-        target = json.loads(one.setting)["budget"]["target"]  # of the loss, not of its root
+        target = json.loads(request.setting)["budget"]["target"]  # of the loss, not of its root
         assert target == pytest.approx((1.5 * optimum) ** 2, rel=1e-12)
 
 
@@ -187,7 +189,7 @@ def test_problems_without_data_are_left_out_and_named(
     monkeypatch.delenv("MIHO_DATA_DIR", raising=False)
     overrides = [*ARENA, *METHODS, "comparison.problems=[sample_a_wide,torque_15,brake_static]"]
     planned = plan_arena(composed(overrides), overrides)
-    assert {one.identity.problem for one in planned.plan} == {"torque_15", "brake_static"}
+    assert {request.identity.problem for request in planned.plan} == {"torque_15", "brake_static"}
     assert "cannot be downloaded" in planned.left_out["sample_a_wide"]
     overrides = [*ARENA, *METHODS, "comparison.problems=[sample_a_wide]"]
     with pytest.raises(ConfigError, match="cannot be downloaded"):
@@ -202,7 +204,7 @@ def test_methods_without_their_library_are_left_out(monkeypatch: pytest.MonkeyPa
     cfg = composed(overrides)
     cfg.comparison.methods = {"dehb": {}} | {name: {} for name in KEPT}
     planned = plan_arena(cfg, overrides)
-    assert {one.identity.optimizer for one in planned.plan} == set(KEPT)
+    assert {request.identity.optimizer for request in planned.plan} == set(KEPT)
     assert planned.left_out == {
         "dehb": "optimizer: dehb needs a library that is missing (dehb); pip install 'miho[rivals]'"
     }
@@ -222,15 +224,15 @@ def test_the_tests_of_the_published_arena_follow_from_its_running_times() -> Non
     plain = problem_scores(ert[ert["axis"] == "evaluations"], None, FACTOR)
     again = pairwise(plain, "miho")
     assert tests["rival"].tolist() == again["rival"].tolist()
-    for column, ours in (("wins", "wins"), ("losses", "losses"), (PLAIN, "p_holm")):
-        np.testing.assert_allclose(tests[column], again[ours])
+    for column, recomputed in (("wins", "wins"), ("losses", "losses"), (PLAIN, "p_holm")):
+        np.testing.assert_allclose(tests[column], again[recomputed])
     families = pairwise(family_scores(plain, kinds.to_dict()), "miho")
     np.testing.assert_allclose(tests["p by families"], families["p_holm"])
-    known = separated(tests)
-    assert known == {"rivals": 22, "apart": 14, "apart_aocc": 16}
-    told = (folder / "tests.md").read_text(encoding="utf-8")
-    assert "from 14 of 22 rivals at 5 %" in told
-    assert "it does from 16" in told
+    counts = separation(tests)
+    assert counts == {"rivals": 22, "apart": 14, "apart_aocc": 16}
+    text = (folder / "tests.md").read_text(encoding="utf-8")
+    assert "from 14 of 22 rivals at 5 %" in text
+    assert "it does from 16" in text
 
 
 @pytest.mark.parametrize(
@@ -238,10 +240,10 @@ def test_the_tests_of_the_published_arena_follow_from_its_running_times() -> Non
 )
 def test_many_problems_are_drawn_on_several_pages(problems: int, sizes: list[int]) -> None:
     names = [f"problem_{number}" for number in range(problems)]
-    found = pages(pd.Series(names).repeat(3))
-    assert list(found) == ["", *(f"_{number}" for number in range(2, len(sizes) + 1))]
-    assert [len(page) for page in found.values()] == sizes
-    assert [name for page in found.values() for name in page] == names
+    by_suffix = pages(pd.Series(names).repeat(3))
+    assert list(by_suffix) == ["", *(f"_{number}" for number in range(2, len(sizes) + 1))]
+    assert [len(page) for page in by_suffix.values()] == sizes
+    assert [name for page in by_suffix.values() for name in page] == names
 
 
 def compare(*overrides: str) -> subprocess.CompletedProcess[str]:
@@ -278,16 +280,16 @@ def test_an_arena_draws_resumes_and_exports(tmp_path: Path) -> None:
     assert len(after) == 12
     assert sum(before[path] == after[path] for path in after) == 11
 
-    found = read_comparison(root)
-    assert set(found.runs["dimension"]) == {4}
+    comparison = read_comparison(root)
+    assert set(comparison.runs["dimension"]) == {4}
     ending = "at most 300 evaluations per run, runs end at 1.0001 times the optimum"
-    assert found.note.endswith(ending)
+    assert comparison.note.endswith(ending)
     assert len(load_runs(root).runs) == 12
 
     export = [sys.executable, "-m", "experiments.export", str(root), str(tmp_path / "ioh")]
-    done = subprocess.run(export, cwd=ROOT, capture_output=True, text=True, timeout=100)
-    assert done.returncode == 0, done.stderr
+    exported = subprocess.run(export, cwd=ROOT, capture_output=True, text=True, timeout=100)
+    assert exported.returncode == 0, exported.stderr
     assert {path.name for path in (tmp_path / "ioh").iterdir()} == {"miho", "pso_100", "random"}
-    done = subprocess.run(export, cwd=ROOT, capture_output=True, text=True, timeout=100)
-    assert done.returncode == 2
-    assert "not empty" in done.stderr
+    exported = subprocess.run(export, cwd=ROOT, capture_output=True, text=True, timeout=100)
+    assert exported.returncode == 2
+    assert "not empty" in exported.stderr

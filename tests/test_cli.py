@@ -292,12 +292,12 @@ def test_what_a_model_raises_by_itself_is_a_failure(
     early, late = (deed, "pass") if when == "import" else ("", deed)
     after = 100 if when == "run" else 0
     model.write_text(ENDS.format(early=early, late=late, after=after))
-    chosen = ["model=function", f"model.path={model}", "dataset.n=40", "budget.evaluations=500"]
-    code, out, err = identify(*chosen, "optimizer=random", "optimizer.batch=1")
-    (told,) = out.splitlines() if when == "run" else err.splitlines()
+    overrides = ["model=function", f"model.path={model}", "dataset.n=40", "budget.evaluations=500"]
+    code, out, err = identify(*overrides, "optimizer=random", "optimizer.batch=1")
+    (line,) = out.splitlines() if when == "run" else err.splitlines()
     assert code == (2 if when == "import" and "Exit" in deed else 3)
-    assert deed.split()[1].partition("(")[0] in told
-    assert "model.py:" in told
+    assert deed.split()[1].partition("(")[0] in line
+    assert "model.py:" in line
     assert "Traceback" not in err
 
 
@@ -397,10 +397,10 @@ def test_completion(identify: Command, typed: str, completed: list[str]) -> None
     program = (
         f"COMP_LINE='{line}' COMP_POINT={len(line)}; _miho; printf '%s\n' \"${{COMPREPLY[@]}}\""
     )
-    done = subprocess.run(
+    bash = subprocess.run(
         ["bash", "-c", f"{script}\n{program}"], capture_output=True, text=True, check=True
     )
-    assert done.stdout.split() == completed
+    assert bash.stdout.split() == completed
 
 
 @pytest.mark.parametrize(
@@ -474,8 +474,8 @@ def test_a_run_that_is_killed_leaves_the_others_and_the_comparison_undrawn(
     monkeypatch.setattr(comparing, "DEFAULT", "seed=0")
     methods = "+comparison.methods.random={batch: 1}", "+comparison.methods.pso_100={}"
     small = ["comparison.repetitions=1", "budget.evaluations=2000", "budget.seconds=null"]
-    own = ["model=function", f"model.path={model}", "dataset.n=40"]
-    code, out, err = compare(*methods, *small, *own)
+    overrides = ["model=function", f"model.path={model}", "dataset.n=40"]
+    code, out, err = compare(*methods, *small, *overrides)
     assert code == 3
     assert "random seed 0: lost: killed by SIGKILL" in out
     assert err.splitlines()[-1].startswith("runs missing: 1")
@@ -577,9 +577,9 @@ def test_ctrl_c_keeps_the_curve_and_the_next_call_runs_again(
 def test_sigterm_stops_what_the_shell_made_deaf_to_ctrl_c() -> None:
     """As `command &` in a script is: the shell ignores SIGINT for it."""
     program = (
-        "import signal, time; from experiments.app.console import guarded;"
+        "import signal, time; from experiments.app.console import run_and_exit;"
         "signal.signal(signal.SIGINT, signal.SIG_IGN);"
-        "guarded(lambda: (print('ready', flush=True), time.sleep(60)))"
+        "run_and_exit(lambda: (print('ready', flush=True), time.sleep(60)))"
     )
     command = [sys.executable, "-c", program]
     with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
@@ -591,7 +591,7 @@ def test_sigterm_stops_what_the_shell_made_deaf_to_ctrl_c() -> None:
 
 @pytest.mark.slow
 def test_help_names_the_groups() -> None:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "experiments.identify", "--help"],
         cwd=ROOT,
         env=dict(os.environ),
@@ -600,4 +600,4 @@ def test_help_names_the_groups() -> None:
         check=True,
     )
     for group in ("dataset (", "optimizer (", "space ("):
-        assert group in done.stdout
+        assert group in process.stdout

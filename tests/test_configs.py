@@ -114,8 +114,8 @@ def test_the_box_of_own_data_is_scaled_by_them(tmp_path: Path, force: float, uni
     assert narrower.problem.space.parameters[2].low == 0.0
     assert narrower.problem.space.parameters[2].high == 2 * force
     for seed in range(3):
-        found = minimize(LeastSquares(), experiment.problem, Budget(evaluations=3000), seed)
-        np.testing.assert_allclose(found.theta, (12, 1.4, force, 0, 0), rtol=1e-6, atol=1e-6)
+        record = minimize(LeastSquares(), experiment.problem, Budget(evaluations=3000), seed)
+        np.testing.assert_allclose(record.theta, (12, 1.4, force, 0, 0), rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -186,8 +186,8 @@ def test_problems(
     assert experiment.problem.name == experiment.identity.problem == problem
     assert cfg.problem.evidence
     optimum = experiment.facts["optimum"]
-    found = minimize(LeastSquares(screen=200, starts=1, rounds=1), experiment.problem)
-    assert max(found.loss, (cfg.problem.resolution or 0.0) ** 2) > optimum * (1 - 2e-9)
+    record = minimize(LeastSquares(screen=200, starts=1, rounds=1), experiment.problem)
+    assert max(record.loss, (cfg.problem.resolution or 0.0) ** 2) > optimum * (1 - 2e-9)
 
 
 def test_the_known_optimum_of_exact_data_is_their_resolution() -> None:
@@ -231,18 +231,18 @@ def test_experiments(name: str) -> None:
 
 
 def test_a_setting_of_null_reaches_the_method() -> None:
-    chosen = chosen_method("least_squares", {"rounds": None, "screen": 7, "method": "lm"})
+    overrides = chosen_method("least_squares", {"rounds": None, "screen": 7, "method": "lm"})
     expected = LeastSquares(screen=7, rounds=None, method="lm")
-    assert build(composed(chosen)).optimizer == expected
+    assert build(composed(overrides)).optimizer == expected
 
 
 @pytest.mark.parametrize("problem", ["torque_05", "torque_15", "torque_20"])
 def test_the_optimum_of_a_torque_is_not_where_methods_start(problem: str) -> None:
     """The common start is drawn around the middle of the box, with a quarter of its width."""
     fit = build(composed([f"problem={problem}"])).problem
-    found, space = linear_optimum(fit), fit.space
-    assert found is not None
-    place = (found[0] - space.low) / (space.high - space.low)
+    optimum, space = linear_optimum(fit), fit.space
+    assert optimum is not None
+    place = (optimum[0] - space.low) / (space.high - space.low)
     assert (np.abs(place - 0.5) > 0.25).all()
     assert (np.abs(place - 0.5) < 0.45).all()
 

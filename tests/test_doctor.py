@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from filelock import FileLock
 
-from experiments import machine
-from experiments.doctor import diagnose, move_aside, package_checks, result_checks
-from experiments.machine import Check, Pairs, State, same_method_twice
+from experiments.diagnosis import machine
+from experiments.diagnosis.machine import Check, Pairs, Severity, same_method_twice
+from experiments.diagnosis.packages import package_checks
+from experiments.diagnosis.results import move_aside, result_checks
+from experiments.doctor import diagnose
 from miho import Budget, load_runs, minimize
 from miho.optim import RandomSearch
 from miho.study import Identity, Store, execute
@@ -37,14 +39,14 @@ def root_with(tmp_path: Path, runs: int = 3) -> tuple[Path, list[Path]]:
     return store.root, folders
 
 
-def found(root: Path, *, quarantine: bool = False) -> dict[str, Check]:
+def checks_of(root: Path, *, quarantine: bool = False) -> dict[str, Check]:
     return {check.name: check for check in result_checks(root, quarantine=quarantine)}
 
 
 def test_a_sound_root(tmp_path: Path) -> None:
     root, _ = root_with(tmp_path)
-    checks = found(root)
-    assert {check.state for check in checks.values()} == {State.OK}
+    checks = checks_of(root)
+    assert {check.severity for check in checks.values()} == {Severity.OK}
     assert checks["runs"].message.startswith("3 finished")
 
 
@@ -53,19 +55,19 @@ def test_damaged_runs_are_moved_aside_on_request_only(tmp_path: Path) -> None:
     curve = folders[1] / "curve.json"
     curve.write_bytes(curve.read_bytes()[:-30])
     damaged = {path.name: path.read_bytes() for path in folders[1].glob("*.json")}
-    checks = found(root)
-    assert checks["runs"].state is State.FAILED
+    checks = checks_of(root)
+    assert checks["runs"].severity is Severity.FAILED
     assert "1 damaged" in checks["runs"].message
     assert curve.exists()
 
-    assert found(root, quarantine=True)["runs"].state is State.OK
+    assert checks_of(root, quarantine=True)["runs"].severity is Severity.OK
     (aside,) = (root / ".quarantine").iterdir()
     assert aside.name.endswith(f"-{folders[1].name}")
     assert {path.name: path.read_bytes() for path in aside.glob("*.json")} == damaged
     assert not folders[1].exists()
     after = load_runs(root)
     assert (len(after.runs), len(after.damaged)) == (2, 0)
-    assert found(root)["runs"].state is State.OK
+    assert checks_of(root)["runs"].severity is Severity.OK
 
 
 def test_a_second_damage_of_one_run_gets_a_folder_of_its_own(tmp_path: Path) -> None:
@@ -105,13 +107,13 @@ def test_partial_runs_temporary_files_locks_and_links(tmp_path: Path) -> None:
     (root / "inner").symlink_to(root / "decay")
     (root / "round").symlink_to(root / "round")
     with FileLock(folders[2] / "lock"):
-        checks = found(root)
-    assert checks["partial runs"].state is State.WARNING
+        checks = checks_of(root)
+    assert checks["partial runs"].severity is Severity.WARNING
     assert str(folders[0]) in checks["partial runs"].message
     assert checks["temporary files"].message.startswith(
         f"1 of processes that have ended: {folders[1]}/.curve.json"
     )
-    assert checks["links"].state is State.FAILED
+    assert checks["links"].severity is Severity.FAILED
     assert str(root / "elsewhere") in checks["links"].message
     assert str(root / "round") in checks["links"].message
     assert "inner" not in checks["links"].message
@@ -120,47 +122,47 @@ def test_partial_runs_temporary_files_locks_and_links(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("line", "state", "message"),
+    ("line", "severity", "message"),
     [
-        ("numpy>=1", State.OK, "1 of 1 there, in range"),
-        ("numpy<1", State.FAILED, r"is not <1; run make install"),
-        ("no-such-package>=2", State.FAILED, "no-such-package>=2 is missing"),
-        ("no-such-package; python_version < '3'", State.OK, "0 of 0 there"),
+        ("numpy>=1", Severity.OK, "1 of 1 there, in range"),
+        ("numpy<1", Severity.FAILED, r"is not <1; run make install"),
+        ("no-such-package>=2", Severity.FAILED, "no-such-package>=2 is missing"),
+        ("no-such-package; python_version < '3'", Severity.OK, "0 of 0 there"),
     ],
 )
-def test_versions(tmp_path: Path, line: str, state: State, message: str) -> None:
+def test_versions(tmp_path: Path, line: str, severity: Severity, message: str) -> None:
     pyproject = tmp_path / "pyproject.toml"
     pyproject.write_text(
         f'[project]\nrequires-python = ">=3.11"\ndependencies = ["{line}"]\n'
         f'[project.optional-dependencies]\nrivals = ["{line}"]\n'
     )
     checks = {check.name: check for check in package_checks(pyproject)}
-    assert checks["packages"].state is state
+    assert checks["packages"].severity is severity
     assert message in checks["packages"].message
     absent = "no-such-package>" in line
-    assert checks["extra rivals"].state is (State.OK if absent else state)
+    assert checks["extra rivals"].severity is (Severity.OK if absent else severity)
 
 
 def test_this_installation_is_in_range() -> None:
-    states = {check.name: check.state for check in package_checks()}
-    assert states["packages"] is State.OK
-    assert states["extra experiments"] is State.OK
+    severities = {check.name: check.severity for check in package_checks()}
+    assert severities["packages"] is Severity.OK
+    assert severities["extra experiments"] is Severity.OK
 
 
 def test_a_busy_machine_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "busy_cores", lambda: 1.6)
-    assert machine.load().state is State.WARNING
+    assert machine.load().severity is Severity.WARNING
     monkeypatch.setattr(machine, "busy_cores", lambda: 0.01)
-    assert machine.load().state is State.OK
+    assert machine.load().severity is Severity.OK
 
 
 def test_a_clock_that_falls_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert machine.clock().state is State.OK
+    assert machine.clock().severity is Severity.OK
     ticks = iter(range(10**6))
     monkeypatch.setattr(machine.time, "perf_counter", lambda: -float(next(ticks)))
-    assert machine.clock().state is State.FAILED
+    assert machine.clock().severity is Severity.FAILED
     monkeypatch.setattr(machine.time, "perf_counter", lambda: float(next(ticks) // 50))
-    assert machine.clock().state is State.WARNING
+    assert machine.clock().severity is Severity.WARNING
 
 
 def test_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -168,7 +170,7 @@ def test_a_full_disk_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         free = 2**20
 
     monkeypatch.setattr(machine.shutil, "disk_usage", lambda _: Usage)
-    assert machine.disk(tmp_path).state is State.FAILED
+    assert machine.disk(tmp_path).severity is Severity.FAILED
 
 
 def test_the_machine_in_short(tmp_path: Path) -> None:
@@ -177,35 +179,35 @@ def test_the_machine_in_short(tmp_path: Path) -> None:
 
 
 def pairs(ratio: float, valid: bool) -> Pairs:
-    both = np.tile([ratio, 1.0], (4, 1))
-    return Pairs(both, both, np.full((4, 2), valid))
+    seconds = np.tile([ratio, 1.0], (4, 1))
+    return Pairs(seconds, seconds, np.full((4, 2), valid))
 
 
 @pytest.mark.parametrize(
-    ("ratio", "valid", "state"),
+    ("ratio", "valid", "severity"),
     [
-        (1.01, True, State.OK),
-        (1.07, True, State.FAILED),
-        (0.93, True, State.FAILED),
-        (2.0, False, State.WARNING),
+        (1.01, True, Severity.OK),
+        (1.07, True, Severity.FAILED),
+        (0.93, True, Severity.FAILED),
+        (2.0, False, Severity.WARNING),
     ],
 )
 def test_a_difference_from_itself_is_told(
-    monkeypatch: pytest.MonkeyPatch, ratio: float, valid: bool, state: State
+    monkeypatch: pytest.MonkeyPatch, ratio: float, valid: bool, severity: Severity
 ) -> None:
     monkeypatch.setattr(machine, "same_method_twice", lambda _: pairs(ratio, valid))
-    assert machine.same_method().state is state
+    assert machine.same_method().severity is severity
 
 
 @pytest.mark.parametrize("interleaved", [True, False])
 def test_both_names_run_as_often_and_the_middle_is_the_middle(interleaved: bool) -> None:
     calls: list[int] = []
-    found = same_method_twice(
+    pairs = same_method_twice(
         100, pairs=3, interleaved=interleaved, halfway=lambda: calls.append(1)
     )
     assert calls == [1]
-    assert found.wall.shape == found.cpu.shape == found.valid.shape == (3, 2)
-    assert (found.cpu > 0).all()
+    assert pairs.wall.shape == pairs.cpu.shape == pairs.valid.shape == (3, 2)
+    assert (pairs.cpu > 0).all()
 
 
 def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

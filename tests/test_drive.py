@@ -17,7 +17,7 @@ from experiments.app.console import command
 from experiments.app.schema import register
 from experiments.drive import drive
 from experiments.driving.car import PARTS, identified_parts, known_car
-from experiments.driving.settings import prepared
+from experiments.driving.settings import track_and_vehicle
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.driving.vehicle import Vehicle
 from miho.models import BrakeTorque
@@ -97,7 +97,7 @@ def test_a_car_that_leaves_the_road_says_so_and_has_its_own_exit_code(
 )
 def test_bad_input_is_one_line_before_anything_is_identified(override: str, message: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        prepared(composed([IMS, override]))
+        track_and_vehicle(composed([IMS, override]))
     assert str(caught.value).startswith(message)
     assert "\n" not in str(caught.value)
 
@@ -135,15 +135,15 @@ def test_a_setting_that_was_renamed_names_the_new_ones(
 
 def test_without_an_experiment_there_is_nothing_to_drive() -> None:
     with pytest.raises(ConfigError, match="choose experiment=ims_obstacle or lvms_laps"):
-        prepared(composed([]))
+        track_and_vehicle(composed([]))
 
 
 def test_a_part_comes_from_its_parameters_file(tmp_path: Path) -> None:
     model = BrakeTorque()
     values = {"K": Value(4e-4, "Nm/Pa"), "P0": Value(7e4, "Pa")}
-    found = Identified(model, values, np.eye(2), {"p": (0.0, 6e6)}, {}, {})
+    part = Identified(model, values, np.eye(2), {"p": (0.0, 6e6)}, {}, {})
     path = tmp_path / "parameters.json"
-    path.write_text(parameters_text(found, {}))
+    path.write_text(parameters_text(part, {}))
     cfg = composed([IMS, f"+drive.parameters.brake_torque_front={path}"])
     _, theta = identified_parts(cfg, ["brake_torque_front"])["brake_torque_front"]
     assert theta.tolist() == [4e-4, 7e4]

@@ -32,8 +32,8 @@ def root_of(folder: Path, seeds: int = 8) -> Path:
 
 def nasty(root: Path) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Real runs, whose numbers are made the ones that a careless writer changes."""
-    found = load_runs(root)
-    runs, curves = found.runs.copy(), found.curves.copy()
+    stored = load_runs(root)
+    runs, curves = stored.runs.copy(), stored.curves.copy()
     runs["theta.a"] = NASTY
     curves["error"] = np.resize(NASTY, len(curves))
     runs["optimizer"] = 'a "quoted", name\nof two lines'
@@ -47,10 +47,10 @@ def same_bits(one: Iterable[float], other: Iterable[float]) -> bool:
 
 
 def check_columns(folder: Path, file: str, table: pd.DataFrame) -> None:
-    said = json.loads((folder / "columns.json").read_text())["files"][file]
-    assert said["sha256"] == hashlib.sha256((folder / file).read_bytes()).hexdigest()
-    assert (said["rows"], list(said["columns"])) == (len(table), list(table))
-    assert all(column["meaning"] for column in said["columns"].values()), said["columns"]
+    about = json.loads((folder / "columns.json").read_text())["files"][file]
+    assert about["sha256"] == hashlib.sha256((folder / file).read_bytes()).hexdigest()
+    assert (about["rows"], list(about["columns"])) == (len(table), list(table))
+    assert all(column["meaning"] for column in about["columns"].values()), about["columns"]
 
 
 def test_csv_numbers_come_back_bit_for_bit(tmp_path: Path) -> None:
@@ -68,8 +68,8 @@ def test_csv_numbers_come_back_bit_for_bit(tmp_path: Path) -> None:
             if table[column].dtype.kind in "if":
                 assert same_bits([float(text or "nan") for text in read], table[column]), column
             else:
-                told = ["" if pd.isna(value) else str(value) for value in table[column]]
-                assert read == told, column
+                texts = ["" if pd.isna(value) else str(value) for value in table[column]]
+                assert read == texts, column
         check_columns(folder, file, table)
     columns = json.loads((folder / "columns.json").read_text())["files"]["runs.csv"]["columns"]
     units = {p.name: p.unit for p in DecayFit.space.parameters}
@@ -144,11 +144,11 @@ def test_nothing_to_export(
 def test_text_cannot_become_a_formula(tmp_path: Path) -> None:
     """Names of received results; numbers, negative ones too, stay numbers, and "-" is a unit."""
     root = root_of(tmp_path, 4)
-    found = load_runs(root)
-    runs = found.runs.assign(theta=-1.5, unit="-")
+    stored = load_runs(root)
+    runs = stored.runs.assign(theta=-1.5, unit="-")
     runs["problem"] = ["=1+1", "+cmd|' /C calc'!A0", "-2+3", "@SUM(1)"]
     runs["optimizer"] = "plain"
-    write_csv(runs.rename(columns={"outcome": "=outcome"}), found.curves, tmp_path / "csv")
+    write_csv(runs.rename(columns={"outcome": "=outcome"}), stored.curves, tmp_path / "csv")
     with (tmp_path / "csv" / "runs.csv").open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     assert [row["problem"] for row in rows] == ["'=1+1", "'+cmd|' /C calc'!A0", "'-2+3", "'@SUM(1)"]

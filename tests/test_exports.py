@@ -60,7 +60,7 @@ def test_modules_are_attributes_and_nothing_else_is() -> None:
 )
 def test_what_takes_long_to_import_is_imported_where_it_is_used(program: str) -> None:
     listed = f"import sys; {program}; print([m for m in {HEAVY} if m in sys.modules])"
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", listed], capture_output=True, text=True, check=True
     )
-    assert done.stdout.strip() == "[]"
+    assert process.stdout.strip() == "[]"

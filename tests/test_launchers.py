@@ -23,9 +23,9 @@ def test_a_launcher_does_the_runs(launcher: str, tmp_path: Path) -> None:
     plugin = "hydra_joblib_launcher" if launcher == "joblib" else "hydra_submitit_launcher"
     pytest.importorskip(f"hydra_plugins.{plugin}", reason="the extra `launchers` is not installed")
     arguments = [f"hydra/launcher={launcher}", f"root={tmp_path / 'runs'}"]
-    done = identify(*arguments)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "6 runs: 6 done before" in done.stdout
+    process = identify(*arguments)
+    assert process.returncode == 0, process.stdout + process.stderr
+    assert "6 runs: 6 done before" in process.stdout
     runs = load_runs(tmp_path / "runs").runs
     assert sorted(runs["seed"]) == [0, 0, 1, 1, 2, 2]
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("result.json")}

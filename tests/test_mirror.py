@@ -20,6 +20,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from experiments.app.build import ConfigError, MissingLibraryError
+from experiments.app.compose import composed
 from experiments.app.mirror import (
     Entry,
     Tracker,
@@ -28,12 +29,15 @@ from experiments.app.mirror import (
     is_right,
     message_of,
     mirror,
-    mirrored,
+    mirror_run,
     numbers_of,
     sync,
     word,
 )
 from experiments.app.mlflow_tracker import connect
+from experiments.app.plan import requests
+from experiments.app.runs import HERE, run
+from experiments.app.schema import SweepConfig, register
 from experiments.sync import pages_need
 from miho import Budget, load_runs, minimize
 from miho.optim import RandomSearch
@@ -48,15 +52,16 @@ needs_mlflow = pytest.mark.skipif(
 
 
 def sweep(root: Path, seeds: range) -> list[StoredRun]:
-    made = []
+    runs = []
     for seed in seeds:
         config = {"optimizer": {"n": 1, "name": "a"}, "space": {"a b": None}}
         identity = Identity("decay", "random", seed, config, "c0de", "da7a")
         record = minimize(RandomSearch(), DecayFit(), Budget(evaluations=40), seed)
-        done = execute(Store(root), identity, lambda r=record: r, DecayFit.space, {"unit": "V"})
-        assert done.run is not None
-        made.append(done.run)
-    return made
+        facts = {"unit": "V"}
+        execution = execute(Store(root), identity, lambda r=record: r, DecayFit.space, facts)
+        assert execution.run is not None
+        runs.append(execution.run)
+    return runs
 
 
 def folders(root: Path) -> list[Path]:
@@ -95,8 +100,8 @@ class Remembered(Tracker):
 def test_what_is_wrong_is_written_again(tmp_path: Path) -> None:
     (stored,) = sweep(tmp_path, range(1))
     tracker = Remembered()
-    assert mirrored(tracker, stored) == "added"
-    assert mirrored(tracker, stored) == "there"
+    assert mirror_run(tracker, stored) == "added"
+    assert mirror_run(tracker, stored) == "there"
     (right,) = tracker.held.values()
     error = np.nextafter(right.numbers["error"], 1.0)
     for wrong in (
@@ -106,10 +111,10 @@ def test_what_is_wrong_is_written_again(tmp_path: Path) -> None:
         replace(right, numbers={}),
     ):
         tracker.held = {right.key: wrong}
-        assert mirrored(tracker, stored) == "repaired"
+        assert mirror_run(tracker, stored) == "repaired"
         assert [is_right(entry, stored) for entry in tracker.entries()] == [True]
     tracker.held = {"one": replace(right, key="one"), "two": replace(right, key="two")}
-    assert mirrored(tracker, stored) == "repaired", "a run is there once"
+    assert mirror_run(tracker, stored) == "repaired", "a run is there once"
     assert list(tracker.held) == ["one"]
 
 
@@ -188,6 +193,27 @@ def test_an_interrupt_goes_on_and_says_what_is_missing(
     assert "2 of 2 runs are not in the tracker yet (interrupted)" in capsys.readouterr().err
 
 
+def test_an_interrupted_sweep_says_how_to_mirror_what_it_has_finished(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    register()
+    small = ["optimizer=random", "budget.evaluations=20", f"root={tmp_path}"]
+    plan = requests(composed(small), "", [0, 1])
+    assert run(plan[:1], SweepConfig(), processes=HERE).stopped is None
+    capsys.readouterr()
+    monkeypatch.setattr("experiments.app.runs._do", interrupted)
+    assert run(plan, SweepConfig(), processes=HERE).stopped is not None
+    assert capsys.readouterr().err == "", "nothing is mirrored without a tracker"
+    monkeypatch.setattr("experiments.app.mirror.check_tracking", lambda _: True)
+    assert run(plan, SweepConfig(), processes=HERE).stopped is not None
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("mirror: interrupted, so 1 finished runs")
+    assert line.endswith(f"run python -m experiments.sync {tmp_path}")
+
+
 def test_a_healthy_mirror_is_silent_and_whole(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -208,8 +234,8 @@ def test_messages_are_short_and_hold_no_password() -> None:
 
 def test_mlflow_is_an_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "mlflow", None)
-    chosen = {"tracker": "mlflow"}
-    for start in (lambda: check_tracking(chosen), lambda: connect(tmp_path)):
+    tracking = {"tracker": "mlflow"}
+    for start in (lambda: check_tracking(tracking), lambda: connect(tmp_path)):
         with pytest.raises(MissingLibraryError, match=r"pip install 'miho\[mlflow\]'"):
             start()
 
@@ -270,7 +296,11 @@ import sys
 from functools import partial
 from pathlib import Path
 from experiments.app.mirror import mirror
+from experiments.app.compose import composed
 from experiments.app.mlflow_tracker import connect
+from experiments.app.plan import requests
+from experiments.app.runs import HERE, run
+from experiments.app.schema import SweepConfig, register
 root, uri, name, *folders = sys.argv[1:]
 mirror(Path(root), list(map(Path, folders)), partial(connect, Path(root), uri, name))
 """
@@ -335,9 +365,9 @@ def test_mlflow_equals_the_files(tmp_path: Path) -> None:
     (root / "report.html").write_text("<p>page</p>")
     (tmp_path / "private.png").write_bytes(b"private")
     (root / "figures" / "link.png").symlink_to(tmp_path / "private.png")
-    done = run_sync(root)
-    assert done.returncode == 0, done.stderr
-    assert "4 runs: 0 were there, 4 added, 0 repaired, 0 failed; 2 figures" in done.stdout
+    process = run_sync(root)
+    assert process.returncode == 0, process.stderr
+    assert "4 runs: 0 were there, 4 added, 0 repaired, 0 failed; 2 figures" in process.stdout
     database = root / ".mlflow" / "mlflow.db"
     places = check_database(database, files)
     for stored in files:
@@ -370,11 +400,11 @@ def test_mlflow_equals_the_files(tmp_path: Path) -> None:
 @needs_mlflow
 def test_mlflow_down_is_one_line(tmp_path: Path) -> None:
     sweep(tmp_path, range(1))
-    done = run_sync(tmp_path, "--uri", "http://me:hidden@127.0.0.1:9")
-    assert done.returncode == 4
-    assert done.stderr.startswith("error: mlflow: ")
-    assert done.stderr.count("\n") == 1
-    assert "hidden" not in done.stderr
+    process = run_sync(tmp_path, "--uri", "http://me:hidden@127.0.0.1:9")
+    assert process.returncode == 4
+    assert process.stderr.startswith("error: mlflow: ")
+    assert process.stderr.count("\n") == 1
+    assert "hidden" not in process.stderr
 
 
 @pytest.mark.slow
@@ -385,20 +415,20 @@ def test_four_sweeps_on_one_fresh_database(tmp_path: Path) -> None:
     roots = [tmp_path / f"sweep{i}" for i in range(4)]
     files = [stored for i, root in enumerate(roots) for stored in sweep(root, seeds(i, 0))]
     with ThreadPoolExecutor(4) as pool:
-        done = list(pool.map(lambda root: run_sync(root, "--uri", uri, *SHARED), roots))
-    assert [each.returncode for each in done] == [0] * 4, [each.stderr for each in done]
-    assert all("10 runs: 0 were there, 10 added" in each.stdout for each in done)
+        processes = list(pool.map(lambda root: run_sync(root, "--uri", uri, *SHARED), roots))
+    assert [each.returncode for each in processes] == [0] * 4, [each.stderr for each in processes]
+    assert all("10 runs: 0 were there, 10 added" in each.stdout for each in processes)
     check_database(tmp_path / "shared" / "mlflow.db", files)
 
     later = [sweep(root, seeds(i, 1)) for i, root in enumerate(roots)]
     with ThreadPoolExecutor(4) as pool:
-        done = list(pool.map(lambda root, runs: run_mirror(root, uri, runs), roots, later))
-    assert [(each.returncode, each.stderr) for each in done] == [(0, "")] * 4
+        processes = list(pool.map(lambda root, runs: run_mirror(root, uri, runs), roots, later))
+    assert [(each.returncode, each.stderr) for each in processes] == [(0, "")] * 4
     files += [stored for runs in later for stored in runs]
     check_database(tmp_path / "shared" / "mlflow.db", files)
     with ThreadPoolExecutor(4) as pool:
-        done = list(pool.map(lambda root: run_sync(root, "--uri", uri, *SHARED), roots))
-    assert [each.returncode for each in done] == [0] * 4, [each.stderr for each in done]
+        processes = list(pool.map(lambda root: run_sync(root, "--uri", uri, *SHARED), roots))
+    assert [each.returncode for each in processes] == [0] * 4, [each.stderr for each in processes]
     check_database(tmp_path / "shared" / "mlflow.db", files)
 
 

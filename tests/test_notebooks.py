@@ -7,7 +7,7 @@ import nbformat
 import pytest
 
 from experiments import notebooks
-from experiments.notebooks import FOLDER, machine_names, shown
+from experiments.notebooks import FOLDER, machine_names, shown_text
 
 ROOT = FOLDER.parent
 PATHS = sorted(FOLDER.glob("*.ipynb"))
@@ -62,7 +62,7 @@ def test_it_runs_in_a_fresh_clone(name: str, clone: Path, monkeypatch: pytest.Mo
     for variable in ("MIHO_RUNS", "MIHO_ARENA", "MIHO_ABLATION"):
         monkeypatch.delenv(variable, raising=False)
     before = nbformat.read(FOLDER / f"{name}.ipynb", as_version=4)
-    notebook = notebooks.execute(clone / "notebooks" / f"{name}.ipynb")
+    notebook = notebooks.run_notebook(clone / "notebooks" / f"{name}.ipynb")
     assert pictures(notebook) == pictures(before)
-    assert shown(notebook)
-    assert "Error" not in shown(notebook)
+    assert shown_text(notebook)
+    assert "Error" not in shown_text(notebook)

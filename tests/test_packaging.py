@@ -63,7 +63,7 @@ def test_the_wheel_works_alone(wheel: Path, tmp_path: Path) -> None:
         "assert pathlib.Path(miho.__file__).is_relative_to(sys.argv[1]), miho.__file__;"
         "print(*(run.loss ** 0.5 for run in (r, *q)))"
     )
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-P", "-c", program, str(tmp_path)],
         cwd=tmp_path,
         env={"PYTHONPATH": str(tmp_path)},
@@ -71,7 +71,7 @@ def test_the_wheel_works_alone(wheel: Path, tmp_path: Path) -> None:
         text=True,
         check=True,
     )
-    by_miho, *by_least_squares = map(float, done.stdout.split())
+    by_miho, *by_least_squares = map(float, process.stdout.split())
     assert by_miho < 450
     # Its noise is 400 N, of which a fit of five parameters takes a little.
     assert all(390 < error < by_miho for error in by_least_squares)
@@ -80,8 +80,8 @@ def test_the_wheel_works_alone(wheel: Path, tmp_path: Path) -> None:
 def test_the_package_list_names_only_miho() -> None:
     from setuptools import find_packages
 
-    found = find_packages(str(ROOT), include=["miho*"])
-    assert {name.split(".")[0] for name in found} == {"miho"}
+    packages = find_packages(str(ROOT), include=["miho*"])
+    assert {name.split(".")[0] for name in packages} == {"miho"}
     assert 'include = ["miho*"]' in (ROOT / "pyproject.toml").read_text(encoding="utf-8")
 
 
@@ -97,8 +97,8 @@ def test_a_new_environment_holds_what_its_target_needs(
     target: str, expected: set[str], tmp_path: Path
 ) -> None:
     command = ["make", "--dry-run", target, f"VENV={tmp_path / 'new'}"]
-    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    assert extras(said) == expected
+    output = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    assert extras(output) == expected
 
 
 def test_ci_installs_every_extra() -> None:

@@ -14,10 +14,9 @@ from experiments import report
 from experiments.app.build import ConfigError, build, rebuild
 from experiments.app.compose import composed
 from experiments.app.execution import execution_of
+from experiments.app.optimum import OTHER_METHODS, descents_of, remedy, report_of, save_run
+from experiments.app.run_text import _ending, result_text
 from experiments.app.schema import register
-from experiments.app.words import _ending
-from experiments.app.words import report as summary
-from experiments.optimum import OTHER_METHODS, descents_of, remedy, reported, save_run
 from miho.analysis.pages.run import report_folder
 from miho.models import Pacejka
 from miho.models.identified import read_parameters
@@ -53,7 +52,7 @@ def test_a_report_writes_through_no_link_that_was_left_there(tmp_path: Path) -> 
     folder = report_folder(stored)
     folder.mkdir(parents=True)
     (folder / "fit.png").symlink_to(outside / "private.png")
-    save_run(reported(problem, stored), stored, folder)
+    save_run(report_of(problem, stored), stored, folder)
     assert (outside / "private.png").read_text() == "mine"
     assert (folder / "fit.png").read_bytes().startswith(b"\x89PNG")
     folder.rename(tmp_path / "moved")
@@ -71,29 +70,30 @@ def test_the_best_run_of_a_root(
     root: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     called(monkeypatch, root, "--bootstrap", 20)
-    told = capsys.readouterr().out
+    output = capsys.readouterr().out
     for words in ("95 % interval", "B and C are hard to tell apart", "kN/rad", "report.html"):
-        assert words in told
+        assert words in output
     best = load_runs(root).runs.sort_values("error").iloc[0]
     (folder,) = (root / "reports" / "pacejka-tire_lf").iterdir()
     assert folder.name == f"least_squares-{best['id'][:12]}"
-    found = read_parameters(folder / "parameters.json", Pacejka())
-    assert found.theta == pytest.approx(
+    identified = read_parameters(folder / "parameters.json", Pacejka())
+    assert identified.theta == pytest.approx(
         [best[f"theta.{name}"] for name in Pacejka.parameters], rel=1e-5
     )
-    for value in found.parameters.values():
+    for value in identified.parameters.values():
         assert value.low < value.value < value.high
-    assert found.provenance["degrees_of_freedom"] == 295
-    deviation = found.provenance["residual_standard_deviation"]
-    assert deviation == pytest.approx(found.provenance["error"] * np.sqrt(300 / 295))
-    assert found.provenance["optimum"].startswith("500 starts screened for 10 descents; 10 of ")
-    assert found.provenance["seed"] == best["seed"]
-    assert found.provenance["interval"] == "profile"
+    assert identified.provenance["degrees_of_freedom"] == 295
+    deviation = identified.provenance["residual_standard_deviation"]
+    assert deviation == pytest.approx(identified.provenance["error"] * np.sqrt(300 / 295))
+    evidence = "500 starts screened for 10 descents; 10 of "
+    assert identified.provenance["optimum"].startswith(evidence)
+    assert identified.provenance["seed"] == best["seed"]
+    assert identified.provenance["interval"] == "profile"
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert (folder / "descents.png").read_bytes().startswith(b"\x89PNG")
     ends = pd.read_csv(folder / "descents.csv")
     assert (ends["ended here"] == "yes").all()
-    assert ends["error"].to_numpy() == pytest.approx(found.provenance["error"], rel=1e-4)
+    assert ends["error"].to_numpy() == pytest.approx(identified.provenance["error"], rel=1e-4)
     for words in (
         "bootstrap replicates",
         "10 descents ended, from the best of 500 configurations",
@@ -149,11 +149,11 @@ def test_a_comparison_has_its_claims_and_says_what_is_missing(
 ) -> None:
     ids = []
     for optimizer in ("least_squares", "miho"):
-        asked = [*TIRE, f"optimizer={optimizer}", "budget.evaluations=200", f"root={tmp_path}"]
+        overrides = [*TIRE, f"optimizer={optimizer}", "budget.evaluations=200", f"root={tmp_path}"]
         for seed in (0, 1):
-            found = execution_of(build(composed([*asked, f"seed={seed}"]))).run
-            assert found is not None
-            ids.append(found.result["id"])
+            stored = execution_of(build(composed([*overrides, f"seed={seed}"]))).run
+            assert stored is not None
+            ids.append(stored.result["id"])
     about = {"command": ["python", "-m", "x"], "note": "small <b>", "runs": ids}
     (tmp_path / "comparison.json").write_text(json.dumps(about))
     called(monkeypatch, tmp_path, "--quick")
@@ -209,14 +209,14 @@ def test_an_optimum_in_doubt_comes_with_what_to_type(tmp_path: Path) -> None:
     experiment = build(composed([*FAST, *overrides, "~space", space, *poor]))
     stored = execution_of(experiment).run
     assert stored is not None
-    told = summary(experiment, stored)
-    assert "the optimum is in doubt" in told
-    assert "optimizer.screen=50 optimizer.starts=10" in told
-    assert "space.a.scale=log space.a.low=0.009" in told
-    assert f"python -m experiments.report {stored.folder} --check --trust" in told
-    assert "of this local optimum" in told
+    text = result_text(experiment, stored)
+    assert "the optimum is in doubt" in text
+    assert "optimizer.screen=50 optimizer.starts=10" in text
+    assert "space.a.scale=log space.a.low=0.009" in text
+    assert f"python -m experiments.report {stored.folder} --check --trust" in text
+    assert "of this local optimum" in text
     for blame in ("wrong shape", "check units", "not identifiable", "told from 0"):
-        assert blame not in told
+        assert blame not in text
     page = (report_folder(stored) / "report.html").read_text(encoding="utf-8")
     assert "optimizer.screen=50 optimizer.starts=10" in page
     assert "wrong shape" not in page
@@ -228,13 +228,13 @@ def test_the_gap_is_of_what_is_reported_and_of_the_run(tmp_path: Path) -> None:
     experiment = build(composed([*poor, f"root={tmp_path / 'runs'}"]))
     stored = execution_of(experiment).run
     assert stored is not None
-    told = summary(experiment, stored)
+    text = result_text(experiment, stored)
     best = np.sqrt(experiment.facts["optimum"])
     ratio = 100 * (np.sqrt(stored.result["loss"]) / best - 1)
     assert ratio > 1
-    assert f"(closed form), gap 0.0000 %; of the run itself {ratio:.4f} %" in told
-    assert re.search(r"optimum +the best known optimum is reached", told)
-    assert "in doubt" not in told
+    assert f"(closed form), gap 0.0000 %; of the run itself {ratio:.4f} %" in text
+    assert re.search(r"optimum +the best known optimum is reached", text)
+    assert "in doubt" not in text
 
 
 def test_another_seed_is_not_the_one_of_the_run(root: Path) -> None:
@@ -246,12 +246,12 @@ def test_another_seed_is_not_the_one_of_the_run(root: Path) -> None:
 def test_another_method_is_not_the_one_of_the_run(root: Path) -> None:
     """A run that ended by itself would end there again, whatever its budget."""
     stored = read_run(Path(load_runs(root).runs.set_index("seed").loc[1, "folder"]))
-    for own in ("random", *OTHER_METHODS):
+    for method in ("random", *OTHER_METHODS):
         config = {**stored.config, "optimizer": {}}
-        result = {**stored.result, "optimizer": own}
-        said = remedy(rebuild(stored), replace(stored, config=config, result=result))
-        (other,) = re.findall(r"search again with another method: optimizer=(\w+); ", said)
-        assert other != own
+        result = {**stored.result, "optimizer": method}
+        advice = remedy(rebuild(stored), replace(stored, config=config, result=result))
+        (other,) = re.findall(r"search again with another method: optimizer=(\w+); ", advice)
+        assert other != method
         composed([f"optimizer={other}"])
 
 
@@ -281,8 +281,8 @@ def test_the_ending_says_whether_the_evidence_was_enough(
 
 def test_where_there_is_one_optimum_nothing_has_to_agree() -> None:
     descents = Descents(1, 1, 1, 0, (1.0,), 1)
-    found = _ending({"outcome": "converged", "loss": 1.0}, descents, 0.0, 1.0)
-    assert found == "itself, in the only optimum: the problem is linear in all its parameters"
+    ending = _ending({"outcome": "converged", "loss": 1.0}, descents, 0.0, 1.0)
+    assert ending == "itself, in the only optimum: the problem is linear in all its parameters"
     missed = _ending({"outcome": "converged", "loss": 1.1}, descents, 0.0, 1.0)
     assert missed == "itself, before enough of its descents agreed"
 
@@ -291,8 +291,8 @@ def test_where_there_is_one_optimum_nothing_has_to_agree() -> None:
 def test_more_of_what_ended_the_run_is_a_setting(root: Path, spent: float, more: str) -> None:
     stored = read_run(Path(load_runs(root).runs.set_index("seed").loc[1, "folder"]))
     cut = {**stored.result, "outcome": "budget", "seconds": spent}
-    said = remedy(rebuild(stored), replace(stored, result=cut))
-    assert said.startswith(f"search again with a larger budget: budget.{more}; more starts: ")
+    advice = remedy(rebuild(stored), replace(stored, result=cut))
+    assert advice.startswith(f"search again with a larger budget: budget.{more}; more starts: ")
     composed([f"budget.{more}"])
 
 
@@ -303,11 +303,11 @@ def test_a_run_that_ran_out_of_brackets_may_have_more(root: Path) -> None:
         result={**stored.result, "optimizer": "miho_gn", "outcome": "brackets"},
         config={**stored.config, "optimizer": {"brackets": 200}},
     )
-    said = remedy(rebuild(stored), ran_out)
-    assert said.startswith(
+    advice = remedy(rebuild(stored), ran_out)
+    assert advice.startswith(
         "search again with more brackets: optimizer.brackets=2000; another method: "
     )
-    assert "optimizer=miho_gn" not in said
+    assert "optimizer=miho_gn" not in advice
     composed(["optimizer=miho_gn", "optimizer.brackets=2000"])
 
 
@@ -320,8 +320,8 @@ def test_runs_without_a_word_on_descents_are_read(root: Path) -> None:
     before = {k: v for k, v in asdict(descents).items() if k not in ("screened", "agreeing")}
     old = descents_of(replace(stored, result={**stored.result, "descents": before}))
     assert old == replace(descents, screened=0, agreeing=None)
-    for kept in (None, {}, {"ends": [1.0]}, {"started": 1, "many": 2}):
-        result = {**stored.result, "descents": kept}
+    for summary in (None, {}, {"ends": [1.0]}, {"started": 1, "many": 2}):
+        result = {**stored.result, "descents": summary}
         assert descents_of(replace(stored, result=result)) is None
 
 
@@ -352,9 +352,9 @@ def test_what_has_changed_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_a_compressed_problem_is_made_again_as_such(root: Path) -> None:
     for switch in (True, False):
-        made = build(composed([*FAST, *TIRE, f"root={root}", f"problem.compressed={switch}"]))
-        result = {"data": made.problem.dataset.digest}
-        stored = StoredRun(root, made.identity.config, {}, {}, result)
+        experiment = build(composed([*FAST, *TIRE, f"root={root}", f"problem.compressed={switch}"]))
+        result = {"data": experiment.problem.dataset.digest}
+        stored = StoredRun(root, experiment.identity.config, {}, {}, result)
         assert rebuild(stored).compressed is switch
 
 
@@ -386,9 +386,9 @@ def test_a_run_that_cannot_be_reported_stops_no_other(
             stored_run(root, "dataset=csv", f"dataset.path={path}")
     monkeypatch.setattr(sys, "argv", ["report", str(root)])
     assert report.main() == 3
-    told = capsys.readouterr()
-    assert told.err.count("3 rows for ") == 2
-    reports = [line for line in told.out.splitlines() if line.startswith("report ")]
+    printed = capsys.readouterr()
+    assert printed.err.count("3 rows for ") == 2
+    reports = [line for line in printed.out.splitlines() if line.startswith("report ")]
     assert len(reports) == 2, "other data of the same name is another problem"
     page = (root / "report.html").read_text(encoding="utf-8")
     assert page.count("No intervals: ") == 2
@@ -400,10 +400,10 @@ def test_a_run_that_cannot_be_reported_stops_no_other(
 @pytest.mark.slow
 def test_ends_on_exact_data_agree_as_they_did_for_the_search(tmp_path: Path) -> None:
     """Losses alone leave some 1e-22 of data without errors, which is more than rounding does."""
-    asked = ["problem=mgh_gulf_starts", "optimizer=miho_qn", f"root={tmp_path}"]
-    experiment = build(composed(asked))
-    found = execution_of(experiment, quiet=True).run
-    assert found is not None
-    assert found.result["outcome"] == "converged"
-    assert found.result["loss"] > experiment.problem.rounding
-    assert "itself, after enough of its brackets agreed" in summary(experiment, found)
+    overrides = ["problem=mgh_gulf_starts", "optimizer=miho_qn", f"root={tmp_path}"]
+    experiment = build(composed(overrides))
+    stored = execution_of(experiment, quiet=True).run
+    assert stored is not None
+    assert stored.result["outcome"] == "converged"
+    assert stored.result["loss"] > experiment.problem.rounding
+    assert "itself, after enough of its brackets agreed" in result_text(experiment, stored)

@@ -10,16 +10,16 @@ from omegaconf import DictConfig
 
 from experiments.app.build import ConfigError
 from experiments.app.compose import composed
-from experiments.app.explain import parsed
-from experiments.app.plan import Request, groups, requests, sweep_settings
+from experiments.app.explain import parse_overrides
+from experiments.app.plan import Request, requests, seed_groups, sweep_settings
 from experiments.app.reports import read_sweep, save_sweep
-from experiments.app.runs import State, ended_state, known, run
+from experiments.app.runs import State, ended_state, run, stored_state
 from experiments.app.schema import SweepConfig, register
 from miho import load_runs
 from miho.optim import Budget, RandomSearch, minimize
 from miho.study import Status, Store, execute, manifest
 from miho.study.changes import ResumeRefused, refuse_changes
-from miho.study.workers import Ended
+from miho.study.workers import JobOutcome
 from miho.testing import DecayFit
 
 TINY = ("optimizer=random", "optimizer.batch=5", "budget.evaluations=20")
@@ -35,16 +35,16 @@ def runs_of(root: Path, *more: str, seeds: int = 2) -> list[Request]:
 
 
 def statuses(runs: list[State]) -> list[Status]:
-    return [done.status for done in runs]
+    return [state.status for state in runs]
 
 
 def test_seeds_of_one_setting_are_one_group_in_the_order_asked() -> None:
     typed = ("optimizer=random,miho", "seed=3,1,3", "sweep.processes=2", "fresh=true")
-    found = groups(parsed(typed))
-    assert found == [(("optimizer=random",), [3, 1]), (("optimizer=miho",), [3, 1])]
-    assert groups(parsed(["optimizer=random"])) == [(("optimizer=random",), [0])]
+    groups = seed_groups(parse_overrides(typed))
+    assert groups == [(("optimizer=random",), [3, 1]), (("optimizer=miho",), [3, 1])]
+    assert seed_groups(parse_overrides(["optimizer=random"])) == [(("optimizer=random",), [0])]
     with pytest.raises(ConfigError, match="seed: is x"):
-        groups(parsed(["seed=x"]))
+        seed_groups(parse_overrides(["seed=x"]))
 
 
 @pytest.mark.parametrize("setting", ["processes=0", "time_limit=0"])
@@ -63,15 +63,15 @@ def test_what_is_wanted_twice_is_done_once_and_then_done_before(tmp_path: Path) 
     assert statuses(again) == [Status.DONE_BEFORE] * 2
     assert statuses(run(runs, SweepConfig(dry_run=True)).states) == [Status.DONE_BEFORE] * 2
     errors = load_runs(tmp_path).runs["error"].tolist()
-    assert sorted(done.error or 0 for done in again) == sorted(errors)
+    assert sorted(state.error or 0 for state in again) == sorted(errors)
 
 
 def test_a_run_that_was_tried_says_why_it_is_not_done(tmp_path: Path) -> None:
-    (one,) = runs_of(tmp_path, seeds=1)
-    assert known(one).reason is None
-    Store(tmp_path).keep_reason(one.identity, "killed by SIGKILL", None)
-    assert known(one).reason == "killed by SIGKILL"
-    assert known(one).status is Status.TO_DO
+    (request,) = runs_of(tmp_path, seeds=1)
+    assert stored_state(request).reason is None
+    Store(tmp_path).keep_reason(request.identity, "killed by SIGKILL", None)
+    assert stored_state(request).reason == "killed by SIGKILL"
+    assert stored_state(request).status is Status.TO_DO
 
 
 def test_a_result_that_is_gone_is_missed(
@@ -82,9 +82,9 @@ def test_a_result_that_is_gone_is_missed(
     (Store(tmp_path).folder(runs[0].identity) / "result.json").unlink()
     assert manifest.without_result(tmp_path) == ([Store(tmp_path).folder(runs[0].identity)], 2)
     page = save_sweep(read_sweep(tmp_path), tmp_path, tmp_path / "report.html", {})
-    told = "1 of 2 runs of the sweeps here have no result.json"
-    assert told in capsys.readouterr().err
-    assert told in page.read_text()
+    warning = "1 of 2 runs of the sweeps here have no result.json"
+    assert warning in capsys.readouterr().err
+    assert warning in page.read_text()
     again = run(runs, SweepConfig()).states
     assert sorted(statuses(again)) == [Status.DONE_BEFORE, Status.RAN]
     assert "1 runs were stored before and have no result.json now" in capsys.readouterr().err
@@ -104,15 +104,15 @@ MODEL = 'def line(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N
 
 @pytest.mark.parametrize("deed", ["raise KeyboardInterrupt", "raise BaseException('no')"])
 def test_a_model_that_cannot_be_tried_is_lost_alone(tmp_path: Path, deed: str) -> None:
-    own = tmp_path / "model.py"
-    own.write_text(f"{MODEL}    {deed}\n")
-    chosen = ("model=function", f"model.path={own}", "dataset.n=40")
-    (one,) = runs_of(tmp_path / "runs", *chosen, seeds=1)
-    assert one.lost is not None
-    assert statuses(run([one], SweepConfig()).states) == [Status.LOST]
-    own.write_text(f"{MODEL}    return Sy - B * D * (alpha - Sx)\n")
-    (one,) = runs_of(tmp_path / "runs", *chosen, seeds=1)
-    assert statuses(run([one], SweepConfig()).states) == [Status.RAN]
+    model = tmp_path / "model.py"
+    model.write_text(f"{MODEL}    {deed}\n")
+    overrides = ("model=function", f"model.path={model}", "dataset.n=40")
+    (request,) = runs_of(tmp_path / "runs", *overrides, seeds=1)
+    assert request.lost is not None
+    assert statuses(run([request], SweepConfig()).states) == [Status.LOST]
+    model.write_text(f"{MODEL}    return Sy - B * D * (alpha - Sx)\n")
+    (request,) = runs_of(tmp_path / "runs", *overrides, seeds=1)
+    assert statuses(run([request], SweepConfig()).states) == [Status.RAN]
 
 
 def test_a_seed_below_zero_is_one_line(tmp_path: Path) -> None:
@@ -123,11 +123,11 @@ def test_a_seed_below_zero_is_one_line(tmp_path: Path) -> None:
 def test_what_a_lost_run_says_keeps_secrets(tmp_path: Path, monkeypatch: Any) -> None:
     monkeypatch.setenv("MIHO_TEST_TOKEN", "do-not-tell-this")
     register()
-    one = requests(composed(["optimizer=random", f"root={tmp_path}"]), "", [0])[0]
-    done = ended_state(Ended(one, reason="no login with do-not-tell-this"))
-    assert done.status is Status.LOST
-    assert "no login with <MIHO_TEST_TOKEN>" in done.line
-    assert "do-not-tell-this" not in f"{done.line}{done.reason}"
+    request = requests(composed(["optimizer=random", f"root={tmp_path}"]), "", [0])[0]
+    state = ended_state(JobOutcome(request, reason="no login with do-not-tell-this"))
+    assert state.status is Status.LOST
+    assert "no login with <MIHO_TEST_TOKEN>" in state.line
+    assert "do-not-tell-this" not in f"{state.line}{state.reason}"
 
 
 def test_the_words_of_a_sweep_must_mean_the_same(tmp_path: Path) -> None:
@@ -147,21 +147,21 @@ def test_the_words_of_a_sweep_must_mean_the_same(tmp_path: Path) -> None:
 
 
 def test_a_manifest_repeats_no_part_of_a_configuration(tmp_path: Path) -> None:
-    (one,) = runs_of(tmp_path, seeds=1)
+    (request,) = runs_of(tmp_path, seeds=1)
 
     def sized(batch: int) -> dict[str, Any]:
-        config = one.identity.config
+        config = request.identity.config
         return {**config, "optimizer": {**config["optimizer"], "batch": batch}}
 
     batches, seeds = range(1, 21), range(50)
     runs = {
-        f"batch={batch} seed={seed}": replace(one.identity, config=sized(batch), seed=seed)
+        f"batch={batch} seed={seed}": replace(request.identity, config=sized(batch), seed=seed)
         for batch in batches
         for seed in seeds
     }
     manifest.write_manifest(tmp_path, [], runs)
     (path,) = (tmp_path / manifest.MANIFESTS).iterdir()
-    once = len(json.dumps(dict(one.identity.config)))
+    once = len(json.dumps(dict(request.identity.config)))
     assert path.stat().st_size < 2 * once + 150 * len(runs)
     about = json.loads(path.read_text())
     assert len(about["configs"]) == len(batches)
@@ -173,7 +173,7 @@ def test_a_manifest_repeats_no_part_of_a_configuration(tmp_path: Path) -> None:
         {},
     )
     refuse_changes(Store(tmp_path), runs, fresh=False, overrides=[])
-    other = {asked: replace(run, config=sized(99)) for asked, run in runs.items()}
+    other = {words: replace(run, config=sized(99)) for words, run in runs.items()}
     with pytest.raises(ResumeRefused, match=r"change of optimizer\.batch \(1 runs\)"):
         refuse_changes(Store(tmp_path), other, fresh=False, overrides=[])
 
@@ -212,8 +212,8 @@ def test_other_code_data_or_packages_are_refused_and_named(tmp_path: Path) -> No
         words: replace(one, code="other", data="other", packages={**one.packages, "numpy": "9.9"})
         for words, one in now.items()
     }
-    told = r"code \(2 runs\), data \(2 runs\), numpy from \S+ to 9\.9 \(2 runs\); .*fresh=true"
-    with pytest.raises(ResumeRefused, match=told):
+    message = r"code \(2 runs\), data \(2 runs\), numpy from \S+ to 9\.9 \(2 runs\); .*fresh=true"
+    with pytest.raises(ResumeRefused, match=message):
         refuse_changes(store, changed, fresh=False)
     refuse_changes(store, changed, fresh=True)
     refuse_changes(store, changed, fresh=False)

@@ -60,12 +60,12 @@ def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
     runs.loc[runs["problem"] != "other", "timing_valid"] = True
     values = pd.DataFrame({"parameter": ["B"], "value": ["17.4"], "unit": ["1/rad"]})
     wide = pd.DataFrame([["x" * 30] * 12], columns=[f"column {n}" for n in range(12)])
-    told = Contents("Runs of a test", [("Command", "python -m " + "x" * 80)], claims=wide,
+    contents = Contents("Runs of a test", [("Command", "python -m " + "x" * 80)], claims=wide,
                 references={"pacejka-tire_lf": 391.4, "other": 782.8},
                 unrecorded={"other"})  # fmt: skip
     page = tmp_path_factory.mktemp("page") / "report.html"
     best = {"pacejka-tire_lf": Best("miho", 0, values, ["a note"])}
-    page.write_text(sweep_page(sweep_of(runs, curves), told, best), encoding="utf-8")
+    page.write_text(sweep_page(sweep_of(runs, curves), contents, best), encoding="utf-8")
     return page
 
 
@@ -211,9 +211,9 @@ def test_what_is_slipped_in_does_not_run(tab: Page, path: Path, tmp_path: Path) 
     tab.complaints.clear()
     tab.open(slipped, 1280)
     assert tab.run("document.title") == "Runs of a test"
-    told = " ".join(tab.complaints)
-    assert "inline script" in told
-    assert "img-src" in told
+    complaints = " ".join(tab.complaints)
+    assert "inline script" in complaints
+    assert "img-src" in complaints
 
 
 @pytest.mark.parametrize("width", [1280, 768, 390, 320])

@@ -21,7 +21,7 @@ import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from experiments.app.explain import ConfigError as ConfigError
-from experiments.app.explain import unknown
+from experiments.app.explain import unknown_message
 from experiments.app.origin import code_of, packages_of
 from experiments.app.safety import (
     SecretError,
@@ -53,7 +53,7 @@ refuse_environment()
 
 
 class MissingLibraryError(ConfigError):
-    """What is configured needs a library that is not installed; says which extra has it."""
+    """A configured part needs a library that is not installed; the message names its extra."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Experiment:
 
     @property
     def facts(self) -> dict[str, Any]:
-        """What the store keeps about the problem: the unit of its error and what it cannot beat.
+        """Facts about the problem that are stored: the unit of its error, and lower bounds of it.
 
         `optimum` is the smallest loss in the space, where linear algebra finds it or it is known.
         """
@@ -103,10 +103,10 @@ def plain(cfg: Settings) -> Mapping[str, Any]:
     """
     if not isinstance(cfg, DictConfig):
         return cfg
-    known = [field.name for field in fields(Config)]
+    allowed = [field.name for field in fields(Config)]
     for key in cfg:
-        if key not in known:
-            raise ConfigError(unknown(str(key), known))
+        if key not in allowed:
+            raise ConfigError(unknown_message(str(key), allowed))
     setting: dict[str, Any] = {}
     for key in PARTS:
         node = MISSING if OmegaConf.is_missing(cfg, key) else cfg[key]
@@ -156,9 +156,9 @@ def runs_own_code(cfg: Settings) -> bool:
 
 
 def recorded_optimum(cfg: Settings) -> float | None:
-    """The smallest error that is known of a problem, at least its resolution."""
-    known = cfg["problem"]["optimum"], cfg["problem"]["resolution"]
-    return None if known[0] is None else max(float(value or 0.0) for value in known)
+    """The smallest known error of a problem, at least its resolution; None if none is recorded."""
+    recorded = cfg["problem"]["optimum"], cfg["problem"]["resolution"]
+    return None if recorded[0] is None else max(float(value or 0.0) for value in recorded)
 
 
 def build_optimizer(cfg: Settings) -> Optimizer:
@@ -181,10 +181,10 @@ def build_problem(cfg: Settings, dataset: Dataset | None = None) -> CurveFit:
         )
     space = build_space(scaled_by(dataset, _part(setting, "space")))
     rho = instantiate(_part(setting, "loss"), "loss", Loss)
-    known = _part(setting, "problem")
-    switches = {key: known[key] for key in ("threads", "compressed")}
+    settings = _part(setting, "problem")
+    switches = {key: settings[key] for key in ("threads", "compressed")}
     try:
-        return CurveFit(model, dataset, space, rho, known["name"], **switches)
+        return CurveFit(model, dataset, space, rho, settings["name"], **switches)
     except (TypeError, ValueError) as error:
         raise ConfigError(str(error)) from None
 
@@ -197,10 +197,10 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
     config = {
         key: stored_part(stored, key) for key in ("model", "dataset", "loss", "space", "problem")
     }
-    own = config["model"].get("path")
-    if own is not None and not trusted:
+    model_file = config["model"].get("path")
+    if model_file is not None and not trusted:
         raise ConfigError(
-            f"{stored.folder}: its model is code in {own}; add --trust to run that file"
+            f"{stored.folder}: its model is code in {model_file}; add --trust to run that file"
         )
     model = instantiate(config["model"], "model", Model)
     rho = instantiate(config["loss"], "loss", Loss)
@@ -216,7 +216,7 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
 
 
 def stored_part(stored: StoredRun, key: str) -> Mapping[str, Any]:
-    """A mapping in the configuration of a stored run, which can say anything."""
+    """One group of the configuration of a stored run; raises ConfigError if it is no mapping."""
     whole = stored.config
     part = whole.get(key) if isinstance(whole, Mapping) else None
     if not isinstance(part, Mapping):
@@ -243,18 +243,18 @@ def scaled_by(dataset: Dataset, node: Mapping[str, Any]) -> dict[str, dict[str, 
         plain = {key: value for key, value in settings.items() if key != "scaled"}
         scaled = dict(settings.get("scaled") or {})
         if scaled:
-            where = f"space.{name}.scaled"
+            prefix = f"space.{name}.scaled"
             by = scaled.pop("by", None)
             column = dataset.output if by == "output" else by
             if column not in dataset.columns:
-                known = ", ".join(("output", *dataset.columns))
-                raise ConfigError(f"{where}.by: is {by!r}; choose from {known}")
+                columns = ", ".join(("output", *dataset.columns))
+                raise ConfigError(f"{prefix}.by: is {by!r}; choose from {columns}")
             unit = float(np.abs(dataset[column]).max())
             for key, multiple in scaled.items():
                 if key not in SCALABLE or type(multiple) not in (int, float):
                     allowed = ", ".join(SCALABLE)
                     raise ConfigError(
-                        f"{where}.{key}: is {multiple!r}; expected numbers for {allowed}"
+                        f"{prefix}.{key}: is {multiple!r}; expected numbers for {allowed}"
                     )
                 if plain.get(key) in UNSET:
                     plain[key] = multiple * unit
@@ -289,11 +289,11 @@ def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
     settings = {name: value for name, value in node.items() if name != "_target_"}
     for name, value in settings.items():
         if name not in allowed:
-            raise ConfigError(unknown(f"{key}.{name}", allowed))
+            raise ConfigError(unknown_message(f"{key}.{name}", allowed))
         inner = nested_target(value, f"{key}.{name}")
         if inner:
             raise ConfigError(f"{inner}: a target cannot stand inside of a setting; remove it")
-        settings[name] = _typed(value, allowed[name].annotation, f"{key}.{name}")
+        settings[name] = _checked_value(value, allowed[name].annotation, f"{key}.{name}")
     try:
         built = target(**settings)
     except ValueError as error:
@@ -316,7 +316,7 @@ def _target(path: object, key: str, kind: type[T]) -> Callable[..., T]:
         raise MissingLibraryError(f"{key}: {error}") from None
 
 
-def _typed(value: Any, annotation: Any, key: str) -> Any:
+def _checked_value(value: Any, annotation: Any, key: str) -> Any:
     """The value, if it has the plain type that the signature declares."""
     if value == MISSING:
         raise ConfigError(f"{key}: is missing; give it on the command line as {key}=...")

@@ -26,8 +26,8 @@ from miho.optim import MIHO
 from miho.study import Store
 
 
-def planned(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Request], int, str]:
-    """The runs of a comparison, how many at a time, and what figures must say of its size."""
+def planned_comparison(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Request], int, str]:
+    """The runs of a comparison, how many at a time, and a note on its size for figures."""
     _check(cfg, overrides)
     on = _on_problems if cfg.comparison.problems else _on_one
     plan, processes, size = on(cfg, overrides)
@@ -51,10 +51,10 @@ def _on_one(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Request], i
     by_method: list[list[Request]] = []
     size: list[str] = []
     for name, replaced in cfg.comparison.methods.items():
-        chosen = chosen_method(name, replaced)
-        method = composed([*overrides, *chosen])
+        method_overrides = chosen_method(name, replaced)
+        method = composed([*overrides, *method_overrides])
         seeds = range(cfg.comparison.repetitions)
-        by_method.append(requests(method, " ".join(chosen), seeds, cfg.sweep.time_limit))
+        by_method.append(requests(method, " ".join(method_overrides), seeds, cfg.sweep.time_limit))
         optimizer = build_optimizer(method)
         if isinstance(optimizer, MIHO) and not size:
             size = [f"R = {optimizer.R}"]
@@ -73,7 +73,7 @@ def set_aside_disturbed(plan: Sequence[Request], store: Store) -> None:
 
 
 def _on_problems(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Request], int, list[str]]:
-    """Several problems; their runs, how many at a time, and what to say of their size."""
+    """Several problems; their runs, how many at a time, and the parts of a note on their size."""
     arena = plan_arena(cfg, overrides)
     for name, reason in arena.left_out.items():
         print(f"{name}: left out: {reason}", file=sys.stderr)
@@ -85,7 +85,7 @@ def _on_problems(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Reques
 
 
 def _note(cfg: DictConfig, size: list[str]) -> str:
-    """What figures and tables must say of the size of the comparison."""
+    """The note on the size of the comparison, for figures and tables."""
     parts = [cfg.comparison.note] if cfg.comparison.note else []
     parts += [*size, f"{cfg.comparison.repetitions} repetitions"]
     if cfg.budget.seconds is not None:
@@ -98,7 +98,7 @@ def _note(cfg: DictConfig, size: list[str]) -> str:
 
 
 @dataclass(frozen=True)
-class Arena:
+class ArenaPlan:
     """The runs of an arena, and the problems and methods left out, with the reason."""
 
     plan: tuple[Request, ...]
@@ -116,7 +116,7 @@ def chosen_method(name: str, settings: Mapping[str, Any]) -> list[str]:
 
 def plan_arena(
     cfg: DictConfig, overrides: Sequence[str], *, methods: int = 3, families: int = 2
-) -> Arena:
+) -> ArenaPlan:
     """Compose and check every problem and every method of `cfg.comparison` once.
 
     A problem whose data cannot be had is left out, and so is a method whose library is not
@@ -124,7 +124,7 @@ def plan_arena(
     problems are left than the tests that follow need (Friedman's: 3 on 2).
 
     Runs come problem by problem, so that a worker builds each problem once, and all methods with
-    one seed after the other: they share the machine's mood.
+    one seed after the other: they meet the same load of the machine.
     """
     comparison = cfg.comparison
     left_out: dict[str, str] = {}
@@ -133,6 +133,7 @@ def plan_arena(
     kinds = set()
     count = len(comparison.methods) + len(comparison.problems)
     with tqdm(total=count, desc="planning", leave=False, disable=None) as bar:
+        # Methods first: what is not installed is left out of every problem.
         for name, replaced in comparison.methods.items():
             bar.update()
             method = plain(composed(chosen_method(name, replaced)))
@@ -142,6 +143,7 @@ def plan_arena(
                 left_out[name] = str(error)
                 continue
             optimizers.append(method["optimizer"])
+        # A problem with each of the methods, interleaved by seed.
         for name in comparison.problems:
             bar.update()
             problem = composed([*overrides, f"problem={name}"])
@@ -172,4 +174,4 @@ def plan_arena(
             f"expected at least {methods} on {families}, so add to comparison.methods or "
             f"comparison.problems{reasons}"
         )
-    return Arena(tuple(plan), left_out)
+    return ArenaPlan(tuple(plan), left_out)

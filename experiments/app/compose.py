@@ -1,4 +1,4 @@
-"""Hydra composes, inside of a command: what is asked is checked before Hydra acts on it."""
+"""Composing a configuration with Hydra, with all checks before Hydra acts on anything."""
 
 from __future__ import annotations
 
@@ -21,7 +21,13 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
-from experiments.app.explain import ConfigError, explained, parsed, unknown, whole_space
+from experiments.app.explain import (
+    ConfigError,
+    composition_message,
+    parse_overrides,
+    replace_spaces,
+    unknown_message,
+)
 from experiments.app.safety import check_hydra
 
 CONF = Path(__file__).parents[2] / "conf"
@@ -34,9 +40,9 @@ def composed(overrides: Sequence[str]) -> DictConfig:
     for what may not be said to Hydra, which is checked before Hydra acts on it.
     """
     if GlobalHydra.instance().is_initialized():
-        return without_hydra(whole(tuple(overrides)))
+        return without_hydra(whole_config(tuple(overrides)))
     with hydra_of():
-        return without_hydra(whole(tuple(overrides)))
+        return without_hydra(whole_config(tuple(overrides)))
 
 
 @contextlib.contextmanager
@@ -46,12 +52,12 @@ def hydra_of(folder: str | None = None) -> Iterator[Hydra]:
     path = create_config_search_path(str(CONF))
     if folder is not None:
         _add_folder(path, Path(folder))
-    there = GlobalHydra.instance()
-    before, there.hydra = there.hydra, None
+    instance = GlobalHydra.instance()
+    before, instance.hydra = instance.hydra, None
     try:
         yield Hydra.create_main_hydra2(command_name(), path)
     finally:
-        there.hydra = before
+        instance.hydra = before
 
 
 def _add_folder(path: ConfigSearchPath, folder: Path) -> None:
@@ -66,12 +72,12 @@ def _add_folder(path: ConfigSearchPath, folder: Path) -> None:
 
 
 def command_name() -> str:
-    """Of the command in progress, such as identify."""
+    """The name of the running command, such as identify."""
     return Path(sys.argv[0]).stem
 
 
-def whole(overrides: tuple[str, ...], mode: RunMode = RunMode.RUN) -> DictConfig:
-    """The configuration with what it says to Hydra itself, which is checked."""
+def whole_config(overrides: tuple[str, ...], mode: RunMode = RunMode.RUN) -> DictConfig:
+    """The configuration with its node `hydra`, Hydra's own settings, which are checked."""
     places = tuple(map(str, GlobalHydra.instance().config_loader().get_search_path().get_path()))
     return _once(overrides, mode, places)
 
@@ -79,20 +85,20 @@ def whole(overrides: tuple[str, ...], mode: RunMode = RunMode.RUN) -> DictConfig
 @cache
 def _once(overrides: tuple[str, ...], mode: RunMode, places: tuple[str, ...]) -> DictConfig:
     """Composing takes a fifth of a second."""
-    typed = parsed(overrides)
-    _check_choices(typed)
+    parsed_overrides = parse_overrides(overrides)
+    _check_choices(parsed_overrides)
     try:
-        whole = _composed(whole_space(overrides), mode)
+        config = _composed(replace_spaces(overrides), mode)
     except (HydraException, OmegaConfBaseException, ValueError) as error:
         loader = GlobalHydra.instance().config_loader()
-        raise ConfigError(explained(error, typed, loader)) from error
-    check_hydra(whole.hydra, _usual(), overrides)
-    return whole
+        raise ConfigError(composition_message(error, parsed_overrides, loader)) from error
+    check_hydra(config.hydra, _usual(), overrides)
+    return config
 
 
 @cache
 def _usual() -> DictConfig:
-    """What is said to Hydra where nobody says anything."""
+    """Hydra's own settings without any override."""
     with hydra_of():
         return cast(DictConfig, _composed((), RunMode.RUN).hydra)
 
@@ -101,13 +107,13 @@ def _composed(overrides: Sequence[str], mode: RunMode) -> DictConfig:
     hydra = GlobalHydra.instance().hydra
     if hydra is None:
         raise RuntimeError("Hydra is not initialized")
-    whole: DictConfig = hydra.compose_config("config", list(overrides), mode, from_shell=False)
-    return whole
+    config: DictConfig = hydra.compose_config("config", list(overrides), mode, from_shell=False)
+    return config
 
 
-def without_hydra(whole: DictConfig) -> DictConfig:
-    """A copy of the configuration without what it says to Hydra itself."""
-    cfg = copy.deepcopy(whole)
+def without_hydra(config: DictConfig) -> DictConfig:
+    """A copy of the configuration without its node `hydra`."""
+    cfg = copy.deepcopy(config)
     with open_dict(cfg):
         del cfg["hydra"]
     return cfg
@@ -124,7 +130,7 @@ def _check_choices(overrides: Sequence[Override]) -> None:
         if options and value is None:
             raise ConfigError(f"{key}=null: is no choice; ~{key} leaves it out")
         if options:
-            raise ConfigError(unknown(f"{key}={value}", options))
+            raise ConfigError(unknown_message(f"{key}={value}", options))
 
 
 def check_values(overrides: Sequence[Override], mode: RunMode) -> None:

@@ -31,10 +31,10 @@ from experiments.app.compose import (
     check_values,
     command_name,
     hydra_of,
-    whole,
+    whole_config,
     without_hydra,
 )
-from experiments.app.explain import ConfigError, one_line, parsed, whole_space
+from experiments.app.explain import ConfigError, one_line, parse_overrides, replace_spaces
 from experiments.app.help import completion, help_text
 from experiments.app.safety import HydraSettingError, ReceivedError, check_arguments
 from experiments.app.signals import Stopped, name_of, stopping_signal
@@ -77,6 +77,7 @@ def command(
         parser.error = _refuse_option  # type: ignore[method-assign]
         arguments = parser.parse_intermixed_args()
         check_arguments(arguments)
+        # What only shows something ends here; all else is a run or a sweep.
         with hydra_of(arguments.config_dir) as hydra:
             if arguments.help:
                 print(help_text(task, settings, arguments.overrides, hydra.config_loader))
@@ -89,7 +90,7 @@ def command(
         return OK
 
     def _start(hydra: Hydra, arguments: argparse.Namespace) -> int:
-        overrides = parsed(arguments.overrides)
+        overrides = parse_overrides(arguments.overrides)
         mode = RunMode.MULTIRUN if arguments.multirun else RunMode.RUN
         check_values(overrides, mode)
         if mode is RunMode.MULTIRUN and sweep is None:
@@ -97,7 +98,8 @@ def command(
                 f"-m: {command_name()} goes through its runs by itself; leave it out, or sweep "
                 "with python -m experiments.identify -m"
             )
-        cfg = whole((*arguments.overrides, f"hydra.mode={mode.name}"), mode)
+        # Composed once, and checked as it is composed; Hydra's own settings are for the sweep.
+        cfg = whole_config((*arguments.overrides, f"hydra.mode={mode.name}"), mode)
         HydraConfig.instance().set_config(cfg)
         try:
             if mode is RunMode.MULTIRUN and sweep is not None:
@@ -107,21 +109,21 @@ def command(
             call = f"SystemExit({error.code!r})"
             raise _Ended(call).with_traceback(error.__traceback__) from None
 
-    guarded(job)
+    run_and_exit(job)
 
 
 def _show(hydra: Hydra, parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """What Hydra itself tells of a configuration that may be composed."""
+    """Print what Hydra shows of a configuration: --cfg, --info, --hydra-help."""
     overrides, mode = arguments.overrides, RunMode.MULTIRUN if arguments.multirun else RunMode.RUN
-    whole(tuple(overrides), mode)
+    whole_config(tuple(overrides), mode)
     if arguments.hydra_help:
         hydra.hydra_help("config", parser, arguments)
     elif arguments.cfg:
         hydra.show_cfg(
-            "config", whole_space(overrides), arguments.cfg, arguments.package, arguments.resolve
+            "config", replace_spaces(overrides), arguments.cfg, arguments.package, arguments.resolve
         )
     else:
-        hydra.show_info(arguments.info, "config", whole_space(overrides), mode)
+        hydra.show_info(arguments.info, "config", replace_spaces(overrides), mode)
 
 
 def _refuse_option(message: str) -> NoReturn:
@@ -135,7 +137,7 @@ class _Ended(BaseException):
     """A command ended by what only the user's code can have called."""
 
 
-def guarded(job: Callable[[], int | None]) -> NoReturn:
+def run_and_exit(job: Callable[[], int | None]) -> NoReturn:
     """Run `job` and exit with the code that it returns, or with the one that fits what it raises.
 
     That is printed in one line. SIGTERM stops it like Ctrl-C, and so does a terminal that closes:
@@ -174,8 +176,8 @@ def guarded(job: Callable[[], int | None]) -> NoReturn:
             print(redacted(traceback.format_exc()), file=sys.stderr, end="")
             code = BUG
         except BaseException as error:  # noqa: BLE001 -- nothing of ours raises it
-            what = f"{type(error).__name__}: {error}" if not isinstance(error, _Ended) else error
-            code = _say(RuntimeError(f"{_place(error)}: raises {what}"), SOME_FAILED)
+            call = f"{error}" if isinstance(error, _Ended) else f"{type(error).__name__}: {error}"
+            code = _say(RuntimeError(f"{_place(error)}: raises {call}"), SOME_FAILED)
     sys.exit(code)
 
 

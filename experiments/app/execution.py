@@ -1,4 +1,4 @@
-"""Do one run, unless it is stored, and say in a line what came of it."""
+"""One run, done unless it is stored, and its outcome in a line."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def line_of(identity: Identity, execution: Execution) -> str:
         return result_line(identity, execution.run.result, execution.status)
     last = (execution.error or "").strip().splitlines()[-1:]
     again = f"; the next call starts it again (best so far in {execution.partial})"
-    why = ": ".join([str(execution.status), *last]) + again * bool(execution.partial)
-    return f"{identity.problem} {identity.optimizer} seed {identity.seed}: {why}"
+    ending = ": ".join([str(execution.status), *last]) + again * bool(execution.partial)
+    return f"{identity.problem} {identity.optimizer} seed {identity.seed}: {ending}"
 
 
 def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -> str:
@@ -53,7 +53,7 @@ def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -
     )
 
 
-def error_of(result: Mapping[str, Any] | None) -> float | None:
+def result_error(result: Mapping[str, Any] | None) -> float | None:
     """The root of the loss, in the problem's unit; None without one."""
     loss = None if result is None else result["loss"]
     return None if loss is None else math.sqrt(loss)

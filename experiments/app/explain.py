@@ -35,8 +35,8 @@ class ConfigError(ValueError):
     """One line naming the key, what is wrong with it and what is allowed."""
 
 
-def unknown(key: str, allowed: Iterable[object]) -> str:
-    """Of a key or a choice that does not exist: what is like it, and all that is allowed."""
+def unknown_message(key: str, allowed: Iterable[object]) -> str:
+    """The message on a key or choice that does not exist: the closest one, and all allowed."""
     names = [str(name) for name in allowed if name not in HIDDEN]
     last = key.rpartition("=" if "=" in key else ".")[2]
     close = difflib.get_close_matches(last, names, n=1)
@@ -45,7 +45,7 @@ def unknown(key: str, allowed: Iterable[object]) -> str:
     return f"{key}: is unknown{guess} allowed are {', '.join(names[:LISTED])}{more}"
 
 
-def parsed(texts: Sequence[str]) -> list[Override]:
+def parse_overrides(texts: Sequence[str]) -> list[Override]:
     """The overrides of a command line; raises ConfigError for one that cannot be read."""
     parser = OverridesParser.create()
     overrides = []
@@ -59,10 +59,10 @@ def parsed(texts: Sequence[str]) -> list[Override]:
     return overrides
 
 
-def whole_space(texts: Sequence[str]) -> list[str]:
+def replace_spaces(texts: Sequence[str]) -> list[str]:
     """The overrides with `space={...}` meaning that space and nothing of the chosen one."""
     whole: list[str] = []
-    for text, override in zip(texts, parsed(texts), strict=True):
+    for text, override in zip(texts, parse_overrides(texts), strict=True):
         replaces = override.key_or_group == "space" and isinstance(override.value(), dict)
         whole += ["~space", f"+{text.lstrip('+')}"] if replaces else [text]
     return whole
@@ -80,20 +80,23 @@ def _unreadable(text: str) -> str:
     return f"{text}: cannot be read; {quoted}{example}"
 
 
-def explained(error: Exception, overrides: Sequence[Override], loader: ConfigLoader) -> str:
-    """What Hydra found wrong with a composition, from what it knows and not from its words."""
+def composition_message(
+    error: Exception, overrides: Sequence[Override], loader: ConfigLoader
+) -> str:
+    """The message on a failed composition, from fields of Hydra's error rather than its text."""
     cause = error.__cause__
     if isinstance(error, MissingConfigException) and error.options is not None:
         group, _, name = str(error.missing_cfg_file).rpartition("/")
-        typed = any(override.key_or_group == group for override in overrides)
-        place = "" if typed else f"{str(error).partition(':')[0]}: "  # the file that chooses it
-        return place + unknown(f"{group}={name}", error.options)
+        place = f"{str(error).partition(':')[0]}: "  # the file that chooses it
+        if any(override.key_or_group == group for override in overrides):
+            place = ""
+        return place + unknown_message(f"{group}={name}", error.options)
     node = getattr(cause, "parent_node", None)
     if isinstance(cause, ConfigKeyError | ConfigAttributeError) and isinstance(node, DictConfig):
         key = str(cause.full_key)
         if key in RENAMED:
             return f"{key}: {RENAMED[key]}"
-        return unknown(key, node) + _having(key, loader)
+        return unknown_message(key, node) + _having(key, loader)
     if isinstance(cause, ValidationError) and isinstance(node, DictConfig):
         expected = EXPECTED.get(type(node._get_node(cause.key)))
         values = [o.value() for o in overrides if o.key_or_group == cause.full_key]

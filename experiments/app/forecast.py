@@ -20,15 +20,15 @@ ENOUGH, MOST_CALLS = 0.05, 20
 
 
 def announce(experiment: Experiment, dataset: Mapping[str, Any]) -> None:
-    """Print both on the error stream, if the data come from a file and the run is not done.
+    """Print a preview and a forecast on stderr, if data come from a file and the run is not done.
 
     dataset: its settings. A function of the user's is not timed, since it runs in a worker only.
     """
     problem = experiment.problem
-    shown = preview(problem.dataset)
-    if shown is None or Store(experiment.root).has_result(experiment.identity):
+    preview_text = preview(problem.dataset)
+    if preview_text is None or Store(experiment.root).has_result(experiment.identity):
         return
-    print(shown, file=sys.stderr, flush=True)
+    print(preview_text, file=sys.stderr, flush=True)
     if isinstance(problem.model, FunctionModel):
         return
     seconds = seconds_of_evaluation(problem)

@@ -55,16 +55,18 @@ def help_text(
 
 def _command(task: Callable[..., Any], settings: Mapping[str, str], loader: ConfigLoader) -> str:
     """What a command does, its own settings, and the groups that it chooses from."""
-    what = (sys.modules[task.__module__].__doc__ or "").strip()
+    description = (sys.modules[task.__module__].__doc__ or "").strip()
     width = max(map(len, settings), default=0)
-    own = [f"  {key:<{width}}  {meaning}" for key, meaning in settings.items()]
+    setting_lines = [f"  {key:<{width}}  {meaning}" for key, meaning in settings.items()]
     groups = [
         f"{group} ({len(loader.get_group_options(group))})"
         for group in loader.list_groups("")
         if group != "hydra" and loader.get_group_options(group)
     ]
     choices = textwrap.wrap("groups (and how many options): " + ", ".join(groups), WIDTH)
-    return "\n".join([what, "", "settings, as KEY=VALUE:", *own, "", *choices, "", FOOTER])
+    return "\n".join(
+        [description, "", "settings, as KEY=VALUE:", *setting_lines, "", *choices, "", FOOTER]
+    )
 
 
 def _options(loader: ConfigLoader, group: str, options: Sequence[str]) -> str:

@@ -14,13 +14,15 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 from tqdm import tqdm
 
 from experiments.app.build import ConfigError, MissingLibraryError
-from miho.study import DamagedRun, StoredRun, read_run
+from experiments.app.plan import Request
+from miho.study import DamagedRun, Store, StoredRun, read_run
 from miho.study.compaction import error_of
 from miho.study.identity import canonical, sha256
 
@@ -93,7 +95,7 @@ def is_right(entry: Entry, stored: StoredRun) -> bool:
     return entry.whole and equal
 
 
-def mirrored(tracker: Tracker, stored: StoredRun) -> str:
+def mirror_run(tracker: Tracker, stored: StoredRun) -> str:
     """Make the tracker hold this run once and rightly; "there", "added" or "repaired"."""
     with tracker.alone():
         entries = tracker.entries(stored.result["id"])
@@ -138,7 +140,7 @@ def sync(folders: Sequence[Path], tracker: Tracker, slow: float = math.inf) -> S
             stored = read_run(folder)
             entries = held.get(stored.result["id"], [])
             right = len(entries) == 1 and is_right(entries[0], stored)
-            counts["there" if right else mirrored(tracker, stored)] += 1
+            counts["there" if right else mirror_run(tracker, stored)] += 1
             in_a_row = in_a_row + 1 if time.monotonic() - began > slow else 0
         except DamagedRun as error:
             failed[str(folder)] = message_of(error)
@@ -158,6 +160,43 @@ def check_tracking(tracking: Mapping[str, Any]) -> bool:
     if importlib.util.find_spec("mlflow") is None:
         raise MissingLibraryError(MISSING)
     return True
+
+
+def mirror_runs(plan: Sequence[Request], tracking: Mapping[str, Any]) -> None:
+    """Have the tracker of `tracking`, if there is one, hold what is finished of a plan."""
+    if not check_tracking(tracking):
+        return
+    for root, folders in _finished(plan).items():
+        place = Path(root), tracking.get("uri"), tracking.get("experiment")
+        mirror(Path(root), folders, partial(_connect, *place))
+
+
+def say_unmirrored(plan: Sequence[Request], tracking: Mapping[str, Any]) -> None:
+    """Print for each root, on stderr, that a signal kept finished runs from the tracker, if any."""
+    if not check_tracking(tracking):
+        return
+    for root, folders in _finished(plan).items():
+        print(
+            f"mirror: interrupted, so {len(folders)} finished runs may not be in the tracker; "
+            f"run python -m experiments.sync {root}",
+            file=sys.stderr,
+        )
+
+
+def _finished(plan: Sequence[Request]) -> dict[str, list[Path]]:
+    """The folders of finished runs of a plan by their root."""
+    folders: dict[str, list[Path]] = {}
+    for request in plan:
+        store = Store(Path(request.root))
+        if store.has_result(request.identity):
+            folders.setdefault(request.root, []).append(store.folder(request.identity))
+    return folders
+
+
+def _connect(root: Path, uri: str | None, experiment: str | None) -> Tracker:
+    from experiments.app.mlflow_tracker import connect  # which few ask for
+
+    return connect(root, uri, experiment)
 
 
 def mirror(root: Path, folders: Sequence[Path], connect: Callable[[], Tracker]) -> None:

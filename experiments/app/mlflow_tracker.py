@@ -37,7 +37,7 @@ from miho.study import StoredRun
 from miho.study.compaction import error_of
 from miho.study.identity import sha256
 from miho.study.places import inside
-from miho.study.provenance import flat
+from miho.study.provenance import flattened
 
 PLACE = ".mlflow"
 """Folder of a root's own database; readers of runs skip names that begin with a dot."""
@@ -157,7 +157,8 @@ def connect(root: Path, uri: str | None = None, experiment: str | None = None) -
     PermissionError where a link in the root leads out of it.
     """
     root = root.absolute()
-    own = inside(root, PLACE)
+    folder = inside(root, PLACE)
+    # Nothing below a root may lead out of it. MLflow reads the environment when imported.
     for name in ("mlflow.db", "mlflow.db.lock", "lock", "artifacts"):
         inside(root, PLACE, name)
     os.environ.update(TELEMETRY_OFF)
@@ -173,24 +174,26 @@ def connect(root: Path, uri: str | None = None, experiment: str | None = None) -
         raise ConfigError(f"mlflow: is version {version}; expected at least 3.10 and below 4")
     for noisy in ("alembic", "mlflow"):
         logging.getLogger(noisy).setLevel(logging.ERROR)
+    # Where it is: for a file of SQLite, its lock and its artifacts lie beside it.
     if uri is None:
-        uri = f"sqlite:///{own / 'mlflow.db'}"
+        uri = f"sqlite:///{folder / 'mlflow.db'}"
     name = experiment or root.name or "miho"
     database = _database(uri)
-    lock = own / "lock"
+    lock = folder / "lock"
     artifacts = None
     if database is not None:
         lock = database.with_name(f"{database.name}.lock")
         artifacts = (database.parent / "artifacts").as_uri()
-    with reached(), _locked(lock):
+    # The experiment, and in it the parent run of this root, which holds figures.
+    with as_tracker_error(), _locked(lock):
         client = mlflow.MlflowClient(uri)
-        known = client.get_experiment_by_name(name)
-        if known is None:
+        existing = client.get_experiment_by_name(name)
+        if existing is None:
             key = client.create_experiment(name, artifact_location=artifacts)
-        elif known.lifecycle_stage != "active":
+        elif existing.lifecycle_stage != "active":
             raise TrackerError(f"experiment {name!r} is deleted; restore it or name another")
         else:
-            key = known.experiment_id
+            key = existing.experiment_id
         parents = client.search_runs([key], f"tags.`miho.root` = '{sha256(str(root))}'")
         if not parents:
             tags = {"miho.root": sha256(str(root))}
@@ -200,7 +203,7 @@ def connect(root: Path, uri: str | None = None, experiment: str | None = None) -
 
 
 @contextlib.contextmanager
-def reached() -> Iterator[None]:
+def as_tracker_error() -> Iterator[None]:
     """Turn whatever a tracker raises into TrackerError."""
     try:
         yield
@@ -256,7 +259,7 @@ def _settings(config: Mapping[str, Any]) -> dict[str, str]:
     """Settings by dotted name; those too long for MLflow are only in config.json."""
     texts = {
         word(name): value if isinstance(value, str) else json.dumps(value)
-        for name, value in flat(config).items()
+        for name, value in flattened(config).items()
     }
     return {name: text for name, text in texts.items() if len(text) <= LONGEST_PARAM}
 
@@ -281,5 +284,5 @@ def _points(stored: StoredRun, start: int) -> list[tuple[str, float, int, int]]:
         for name, value in (("error", error), ("seconds", second))
         if math.isfinite(value)
     ]
-    rest = (name for name in numbers if name not in ("error", "seconds"))
-    return points + [(name, numbers[name], start + round(1000 * seconds), last) for name in rest]
+    scalars = (name for name in numbers if name not in ("error", "seconds"))
+    return points + [(name, numbers[name], start + round(1000 * seconds), last) for name in scalars]

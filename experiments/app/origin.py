@@ -1,4 +1,4 @@
-"""What a run is made of beside its configuration: our code that it uses, and others' packages."""
+"""Digests of the code that a run uses, and versions of the packages that it uses."""
 
 from __future__ import annotations
 
@@ -80,13 +80,13 @@ def regenerates(module: str, methods: Iterable[Optimizer]) -> dict[str, Any]:
 
 def driving_code(methods: Iterable[Optimizer]) -> str:
     """Digest of the code that decides what a drive comes to, whose car these methods identify."""
-    used = frozenset({type(method).__module__ for method in methods})
-    return DRIVING_SOURCES.digest({*DRIVING, "miho.optim.minimize", *used})
+    modules = frozenset({type(method).__module__ for method in methods})
+    return DRIVING_SOURCES.digest({*DRIVING, "miho.optim.minimize", *modules})
 
 
 DRIVING_SOURCES = Sources(
     {package.__name__: Path(str(package.__file__)).parent for package in (miho, baselines)}
     | {"experiments": Path(__file__).parents[1]},
-    without=("experiments.app", "miho.analysis", "miho.study"),
+    excluded=("experiments.app", "miho.analysis", "miho.study"),
     cache=CACHE,
 )

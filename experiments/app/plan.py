@@ -1,4 +1,4 @@
-"""A plan: the runs that are asked for, each a configuration with a seed, and who they are."""
+"""A plan: the requested runs, each a configuration with a seed, and their identities."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ from miho.data import Dataset
 from miho.identification import CurveFit
 from miho.study import Identity
 from miho.study.identity import sha256
-from miho.study.workers import Ended, Workers
+from miho.study.workers import JobOutcome, Workers
 
 PROBLEM = ("model", "dataset", "space", "loss", "problem")
-HOW = ("seed", "fresh", "sweep")
-"""What says how to go through the runs, or which repetition, but not what they are."""
+HOW_TO_RUN = ("seed", "fresh", "sweep")
+"""Keys that say how to go through the runs, or which repetition, but not what they are."""
 NAMELESS = "model"
 POLL = 0.2
 MODULES = ("experiments.app.runs",)
@@ -42,18 +42,18 @@ MODULES = ("experiments.app.runs",)
 
 @dataclass(frozen=True)
 class Request:
-    """One run that is asked for: in the user's words, as a configuration in JSON, and who it is.
+    """One requested run: in the user's words, as a configuration in JSON, and its identity.
 
-    `own`: its model is code of the user's. `lost`: why it cannot even begin. `compile_only`: it is
-    not done, but what it needs is compiled. `experiment`: what was built of it, where it is to be
-    done in this process.
+    `own_code`: its model is code of the user's. `lost`: why it cannot even begin. `compile_only`:
+    it is not done, but what it needs is compiled. `experiment`: what was built of it, where it is
+    to be done in this process.
     """
 
     words: str
     setting: str
     identity: Identity
     root: str
-    own: bool = False
+    own_code: bool = False
     lost: str | None = None
     compile_only: bool = False
     experiment: Experiment | None = field(default=None, compare=False)
@@ -77,23 +77,24 @@ def requests(
         if seed < 0:
             raise ConfigError(f"seed: is {seed}; expected a whole number of at least 0")
     setting = plain(cfg)
-    text, root, own, lost = _text(setting), str(setting["root"]), runs_own_code(setting), None
-    if own:
-        identity, lost = _tried(text, _code_of(setting), time_limit)
+    text, root = _text(setting), str(setting["root"])
+    own_code, lost = runs_own_code(setting), None
+    if own_code:
+        identity, lost = _try_in_worker(text, _code_of(setting), time_limit)
     else:
         identity = experiment_of(text).identity
     return [
-        Request(f"{words} seed={s}".strip(), text, replace(identity, seed=s), root, own, lost)
+        Request(f"{words} seed={s}".strip(), text, replace(identity, seed=s), root, own_code, lost)
         for s in seeds
     ]
 
 
-def planned(cfg: DictConfig, overrides: Sequence[Override]) -> list[Request]:
+def planned_sweep(cfg: DictConfig, overrides: Sequence[Override]) -> list[Request]:
     """The runs that the overrides of -m ask for, by setting and then by seed."""
     limit = sweep_settings(cfg).time_limit
     return [
         request
-        for group, seeds in groups(overrides)
+        for group, seeds in seed_groups(overrides)
         for request in requests(composed(group), " ".join(group), seeds, limit)
     ]
 
@@ -108,15 +109,17 @@ def sweep_settings(cfg: DictConfig) -> SweepConfig:
     return settings
 
 
-def groups(overrides: Sequence[Override]) -> list[tuple[tuple[str, ...], list[int]]]:
+def seed_groups(overrides: Sequence[Override]) -> list[tuple[tuple[str, ...], list[int]]]:
     """The settings of a sweep but for the seed, each with its seeds, in the order asked."""
     jobs = BasicSweeper.split_arguments(list(overrides), max_batch_size=None)[0]
     seeds_of: dict[tuple[str, ...], dict[int, None]] = {}
     for job in jobs:
-        rest = tuple(text for text in job if not is_of(text.partition("=")[0].lstrip("+~"), HOW))
+        group = tuple(
+            text for text in job if not is_of(text.partition("=")[0].lstrip("+~"), HOW_TO_RUN)
+        )
         seeds = [text.partition("=")[2] for text in job if text.startswith("seed=")]
-        seeds_of.setdefault(rest, {})[_whole(seeds[-1]) if seeds else 0] = None
-    return [(rest, list(seeds)) for rest, seeds in seeds_of.items()]
+        seeds_of.setdefault(group, {})[_whole(seeds[-1]) if seeds else 0] = None
+    return [(group, list(seeds)) for group, seeds in seeds_of.items()]
 
 
 def is_of(key: str, keys: Sequence[str]) -> bool:
@@ -170,15 +173,16 @@ def dataset_of(text: str) -> Dataset:
 
 
 @cache
-def _tried(text: str, code: str, time_limit: float | None) -> tuple[Identity, str | None]:
-    """Who a run of the user's model is; or, with the reason, who it would be if it could be tried.
+def _try_in_worker(text: str, code: str, time_limit: float | None) -> tuple[Identity, str | None]:
+    """The identity of a run of the user's model, built in a worker within the time limit.
 
-    `code` is that of the model, so that what is tried once is tried again after an edit. Raises
-    ConfigError for what the user can correct.
+    Where that ends the worker, the identity of `_named_only`, and the reason. `code` is that of the
+    model, so that the cached answer is not used after an edit. Raises ConfigError for what the user
+    can correct.
     """
     with Workers(_identity, 1, time_limit, MODULES, alone=bool) as workers:
         workers.start(text)
-        ended: list[Ended[str, Identity | str]] = []
+        ended: list[JobOutcome[str, Identity | str]] = []
         while not ended:
             ended = workers.wait(POLL)
     identity = ended[0].result
@@ -190,7 +194,7 @@ def _tried(text: str, code: str, time_limit: float | None) -> tuple[Identity, st
 
 
 def _identity(text: str) -> Identity | str:
-    """In a worker: who a run of this configuration is, or what is wrong with it."""
+    """In a worker: the identity of a run of this configuration, or what is wrong with it."""
     try:
         return build(setting_of(text)).identity
     except Exception as error:  # noqa: BLE001 -- whatever the user's file raises, they can correct
@@ -204,7 +208,7 @@ def _code_of(setting: Mapping[str, Any]) -> str:
 
 
 def _named_only(setting: Mapping[str, Any], code: str) -> Identity:
-    """Who a run is whose model cannot be asked for its name: the file's stands for it."""
+    """The identity of a run whose model cannot be built: the file's name stands for the model's."""
     optimizer = setting["optimizer"]["name"]
     about = {"optimizer": optimizer, "seed": 0, "config": setting, "code": code, "data": ""}
     try:

@@ -36,13 +36,13 @@ def spent(budget: Budget, evaluations: float, seconds: float) -> tuple[float, fl
     The seconds are the most that are left, at the speed so far; math.inf without a limit or before
     the first evaluation.
     """
-    share, left = 0.0, math.inf
+    share, seconds_left = 0.0, math.inf
     if budget.seconds is not None:
-        share, left = seconds / budget.seconds, budget.seconds - seconds
+        share, seconds_left = seconds / budget.seconds, budget.seconds - seconds
     if budget.evaluations is not None and evaluations:
         share = max(share, evaluations / budget.evaluations)
-        left = min(left, seconds * (budget.evaluations / evaluations - 1))
-    return min(share, 1.0), max(left, 0.0)
+        seconds_left = min(seconds_left, seconds * (budget.evaluations / evaluations - 1))
+    return min(share, 1.0), max(seconds_left, 0.0)
 
 
 @contextmanager
@@ -105,18 +105,18 @@ class _Compilation(event.Listener):  # type: ignore[misc]
 @contextmanager
 def _watched(show: Callable[[float | None], None]) -> Iterator[None]:
     """Show each second for how long numba has been compiling, from some seconds on; None after."""
-    compilation, done = _Compilation(), threading.Event()
+    compilation, finished = _Compilation(), threading.Event()
 
     def watch() -> None:
-        shown = False
-        while not done.wait(REFRESH_SECONDS):
+        visible = False
+        while not finished.wait(REFRESH_SECONDS):
             seconds = time.perf_counter() - compilation.since
             if compilation.depth and seconds >= WORTH_TELLING:
                 show(seconds)
-                shown = True
-            elif shown:
+                visible = True
+            elif visible:
                 show(None)
-                shown = False
+                visible = False
 
     thread = threading.Thread(target=watch, daemon=True)
     with event.install_listener("numba:compile", compilation):
@@ -124,44 +124,44 @@ def _watched(show: Callable[[float | None], None]) -> Iterator[None]:
         try:
             yield
         finally:
-            done.set()
+            finished.set()
             thread.join()
 
 
 @contextmanager
 def at_work(title: str) -> Iterator[Callable[[str], None]]:
-    """Give a function that is told each stage; stage and seconds show once a second.
+    """Give a function to call with the name of each stage, shown with its seconds once a second.
 
     A thread shows them, so that a stage that takes long is seen to be alive; silent if not on a
     terminal.
     """
-    done = threading.Event()
+    finished = threading.Event()
     layout = f"{title}: {{desc}}{{elapsed}}"
     columns, rows = _size()
     with tqdm(leave=False, disable=None, bar_format=layout, ncols=columns, nrows=rows) as bar:
 
-        def each(stage: str) -> None:
+        def show_stage(stage: str) -> None:
             bar.set_description_str(f"{stage} ", refresh=False)
 
         def refresh() -> None:
-            while not done.wait(REFRESH_SECONDS):
+            while not finished.wait(REFRESH_SECONDS):
                 bar.refresh()
 
         thread = threading.Thread(target=refresh, daemon=True)
         if not bar.disable:
             thread.start()
         try:
-            yield each
+            yield show_stage
         finally:
-            done.set()
+            finished.set()
             if thread.is_alive():
                 thread.join()
 
 
 def _size() -> tuple[int | None, int | None]:
-    """Of the terminal; None where tqdm sees it. At a size of 0 it would show nothing."""
+    """Columns and rows of the terminal; None where tqdm reads them, which fails at a size of 0."""
     try:
-        known = os.get_terminal_size(sys.stderr.fileno()).columns > 0
+        has_size = os.get_terminal_size(sys.stderr.fileno()).columns > 0
     except (OSError, ValueError, AttributeError):
-        known = True
-    return (None, None) if known else (COLUMNS, ROWS)
+        has_size = True
+    return (None, None) if has_size else (COLUMNS, ROWS)

@@ -12,12 +12,11 @@ from typing import Any
 from tqdm import tqdm
 
 from experiments.app.build import ConfigError, rebuild
+from experiments.app.configured import as_configured, differences
 from experiments.app.console import OK, SOME_FAILED
 from experiments.app.explain import one_line
+from experiments.app.optimum import check_optimum, report_of, save_run
 from experiments.app.progress import at_work
-from experiments.arena_problems import as_configured
-from experiments.full_size import differences
-from experiments.optimum import check, reported, save_run
 from miho.analysis.pages.html import PAGE
 from miho.analysis.pages.run import report_folder
 from miho.analysis.pages.run_tables import (
@@ -65,10 +64,10 @@ def read_sweep(root: Path) -> Sweep:
         print(f"report of {count:,} runs: running", file=sys.stderr, flush=True)
     with tqdm(total=count, desc="reading runs", leave=False, disable=None) as bar:
 
-        def each() -> None:
+        def count_run() -> None:
             bar.update()
 
-        sweep = Sweep.of(stored, each)
+        sweep = Sweep.of(stored, count_run)
     if sweep.runs.empty:
         raise ConfigError(f"{root}: none of its {count} runs can be read; identify again")
     inside = sweep.damaged.map(lambda text: str(text).replace(f"{root}{os.sep}", ""))
@@ -85,8 +84,8 @@ def save_sweep(sweep: Sweep, root: Path, path: Path, best: Mapping[str, Best]) -
     options = [argument for argument in sys.argv[1:] if argument.startswith("--")]
     made_by = " ".join(["python -m experiments.report", root.resolve().name, *options])
     configured = Configured(as_configured, differences)
-    with at_work("report") as each:
-        each("page of all runs")
+    with at_work("report") as show_stage:
+        show_stage("page of all runs")
         return save_sweep_page(
             root, path, sweep=sweep, best=best, configured=configured, warnings=warnings,
             made_by=made_by,
@@ -107,7 +106,7 @@ def report_on_root(root: Path, options: Options) -> int:
 
 
 def report_on_run(stored: StoredRun, options: Options) -> tuple[Best, bool]:
-    """Report on one run; what a page of all runs says of it, and whether that failed."""
+    """Report on one run; its entry on a page of all runs, and whether the report failed."""
     result = stored.result
     folder = report_folder(stored)
     if options.output is not None:
@@ -142,9 +141,9 @@ def _report(stored: StoredRun, options: Options) -> Report:
     if options.seconds is not None:
         settings["seconds"] = options.seconds
     if options.check is not None:
-        record = check(problem, options.check, int(stored.result["seed"]))
+        record = check_optimum(problem, options.check, int(stored.result["seed"]))
         settings |= {"check": record.descents, "better": record.theta}
-    return reported(
+    return report_of(
         problem,
         stored,
         replicates=options.bootstrap,

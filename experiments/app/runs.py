@@ -1,6 +1,6 @@
-"""Do the runs of a plan that are not done, here or in other processes, and say how all stand.
+"""Do the runs of a plan that are not done, in this process or in workers; the state of all.
 
-It is the one road of a single run, a sweep, a comparison and the parts of a car.
+Single runs, sweeps, comparisons and the parts of a car are all done here.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import chain
 from pathlib import Path
 from types import MappingProxyType
@@ -20,8 +19,8 @@ from typing import Any
 from tqdm import tqdm
 
 from experiments.app.build import build_optimizer
-from experiments.app.execution import error_of, execution_of, line_of, result_line
-from experiments.app.mirror import Tracker, check_tracking, mirror
+from experiments.app.execution import execution_of, line_of, result_error, result_line
+from experiments.app.mirror import check_tracking, mirror_runs, say_unmirrored
 from experiments.app.origin import our_code, packages_of
 from experiments.app.plan import MODULES, POLL, Request, dataset_of, experiment_of, setting_of
 from experiments.app.schema import SweepConfig
@@ -31,15 +30,15 @@ from miho.optim.meter import SPURIOUS_INTERRUPT
 from miho.optim.minimize import warm_up
 from miho.study import Execution, Status, Store, StoredRun, environment_stamp, single_thread
 from miho.study.changes import refuse_changes
+from miho.study.contention import reference_work
 from miho.study.files import RESULT
-from miho.study.manifest import some, write_manifest
+from miho.study.manifest import first_names, write_manifest
 from miho.study.redaction import redacted
-from miho.study.validity import kernel
-from miho.study.workers import Ended, Workers
+from miho.study.workers import JobOutcome, Workers
 
 HERE = 0
 """Processes for runs that are done in this one."""
-AGAIN, GRACE = 1.5, 3.5
+REPEAT_AFTER, KILL_AFTER = 1.5, 3.5
 """Seconds after the first signal until it is repeated, because Python loses one that strikes in a
 callback of a library, and until what still runs is killed, so that all is over in five."""
 
@@ -60,14 +59,14 @@ class State:
 
 
 @dataclass
-class Runs:
-    """How all requests of a plan stand; `stopped` is what ended the work on them early."""
+class PlanOutcome:
+    """The states of all requests of a plan; `stopped` is the interrupt that ended it early."""
 
     states: list[State] = field(default_factory=list)
     stopped: KeyboardInterrupt | None = None
 
     def raise_if_stopped(self) -> None:
-        """Raise what stopped them, once what there is to say is printed."""
+        """Raise the interrupt, to be called after the states are printed."""
         if self.stopped is not None:
             raise self.stopped
 
@@ -80,7 +79,7 @@ def run(
     fresh: bool = False,
     overrides: Sequence[str] = (),
     tracking: Mapping[str, Any] = MappingProxyType({}),
-) -> Runs:
+) -> PlanOutcome:
     """Do what is not done, `processes` runs at a time (default: `settings.processes`).
 
     A run that is asked for twice is done once; one that another process is doing is waited for. A
@@ -91,126 +90,127 @@ def run(
     Raises ResumeRefused if finished runs were made of something else. What is finished goes to the
     tracker of `tracking` at the end, unless a signal ended it.
     """
-    runs = Runs()
+    runs = PlanOutcome()
     unique = list({request.identity.id: request for request in plan}.values())
     if settings.dry_run:
-        runs.states += [replace(known(request), reason=None) for request in unique]
+        runs.states += [replace(stored_state(request), reason=None) for request in unique]
         return runs
     check_tracking(tracking)
-    here = processes == HERE
-    # What is there of other code, data or settings is refused before anything begins.
-    roots = list(dict.fromkeys(request.root for request in unique))
-    for root in roots:
-        identities = {r.words: r.identity for r in unique if r.root == root}
-        refuse_changes(
-            Store(Path(root)), identities, fresh=fresh, overrides=None if here else overrides
-        )
-        if not here:
-            write_manifest(Path(root), overrides, identities)
     at_once = settings.processes if processes is None else processes
+    _refuse_and_list(unique, overrides, fresh=fresh, in_process=at_once == HERE)
     try:
-        with _bar(len(unique), at_once) as bar:
-            todo: list[Request] = []
-            doing = _each_here(todo) if here else _each(todo, settings, at_once)
-            for state in chain(_each_known(unique, todo), doing):
-                runs.states.append(state)
-                bar.show(state)
-                if here and state.status is Status.INTERRUPTED:
-                    raise KeyboardInterrupt
-        mirror_runs(runs.states, tracking)
+        try:
+            _do(unique, settings, at_once, runs.states)
+        except KeyboardInterrupt:
+            say_unmirrored(unique, tracking)
+            raise
+        mirror_runs(unique, tracking)
     except KeyboardInterrupt as stopped:
-        seen = {state.request.identity.id for state in runs.states}
-        runs.states += [_unread(r) for r in unique if r.identity.id not in seen]
+        known = {state.request.identity.id for state in runs.states}
+        runs.states += [_state_after_stop(r) for r in unique if r.identity.id not in known]
         runs.stopped = stopped
     return runs
 
 
-def known(request: Request) -> State:
-    """What the store knows of a request: it is done, it was tried in vain, or neither."""
+def _refuse_and_list(
+    plan: Sequence[Request], overrides: Sequence[str], *, fresh: bool, in_process: bool
+) -> None:
+    """Refuse, before anything begins, what is stored of other code, data or settings.
+
+    A sweep is also written down in each of its roots, so that runs that go missing are missed.
+    """
+    for root in dict.fromkeys(request.root for request in plan):
+        identities = {r.words: r.identity for r in plan if r.root == root}
+        words = None if in_process else overrides
+        refuse_changes(Store(Path(root)), identities, fresh=fresh, overrides=words)
+        if not in_process:
+            write_manifest(Path(root), overrides, identities)
+
+
+def _do(
+    plan: Sequence[Request], settings: SweepConfig, processes: int, states: list[State]
+) -> None:
+    """Go through a plan and append the state of each request as soon as it is known."""
+    in_process = processes == HERE
+    with _bar(len(plan), processes) as bar:
+        todo: list[Request] = []
+        executed = _run_here(todo) if in_process else _run_in_workers(todo, settings, processes)
+        for state in chain(_stored_states(plan, todo), executed):
+            states.append(state)
+            bar.show(state)
+            if in_process and state.status is Status.INTERRUPTED:
+                raise KeyboardInterrupt
+
+
+def stored_state(request: Request) -> State:
+    """The state of a request by the store alone: it is done, it was tried in vain, or neither."""
     store = Store(Path(request.root))
     result = store.result(request.identity)
     if result is not None:
-        return State(request, Status.DONE_BEFORE, f"done before: {request.words}", error_of(result))
+        line, error = f"done before: {request.words}", result_error(result)
+        return State(request, Status.DONE_BEFORE, line, error)
     reason = store.reason(request.identity)
     if reason is None:
         return State(request, Status.TO_DO, f"to do: {request.words}")
     return State(request, Status.TO_DO, f"to do again: {request.words}", reason=reason)
 
 
-def _state(request: Request, execution: Execution) -> State:
+def _executed_state(request: Request, execution: Execution) -> State:
     last = (execution.error or "").strip().splitlines()[-1:]
     return State(
         request,
         execution.status,
         line_of(request.identity, execution),
-        error_of(None if execution.run is None else execution.run.result),
+        result_error(None if execution.run is None else execution.run.result),
         last[0] if last else None,
     )
 
 
-def _unread(request: Request) -> State:
-    """What a look at its folder says of a run that was not come to."""
-    done = Store(Path(request.root)).has_result(request.identity)
-    return State(request, Status.DONE_BEFORE if done else Status.TO_DO, "")
+def _state_after_stop(request: Request) -> State:
+    """The state of a run that was not begun before a signal, from a look at its folder."""
+    stored = Store(Path(request.root)).has_result(request.identity)
+    return State(request, Status.DONE_BEFORE if stored else Status.TO_DO, "")
 
 
-def mirror_runs(states: Sequence[State], tracking: Mapping[str, Any]) -> None:
-    """Have the tracker of `tracking`, if there is one, hold what is finished."""
-    if not check_tracking(tracking):
-        return
-    folders: dict[str, list[Path]] = {}
-    for state in states:
-        store = Store(Path(state.request.root))
-        if store.has_result(state.request.identity):
-            folder = store.folder(state.request.identity)
-            folders.setdefault(state.request.root, []).append(folder)
-    for root, finished in folders.items():
-        place = Path(root), tracking.get("uri"), tracking.get("experiment")
-        mirror(Path(root), finished, partial(_connect, *place))
-
-
-def _connect(root: Path, uri: str | None, experiment: str | None) -> Tracker:
-    from experiments.app.mlflow_tracker import connect  # which few ask for
-
-    return connect(root, uri, experiment)
-
-
-def _each_known(plan: Sequence[Request], todo: list[Request]) -> Iterator[State]:
+def _stored_states(plan: Sequence[Request], todo: list[Request]) -> Iterator[State]:
     """The runs that need not be done: stored, or lost before they began; `todo` gets the others.
 
-    Says which of those were stored before and have no result now.
+    Prints which of the others were stored before and have no result now.
     """
-    gone = []
+    deleted = []
     for request in plan:
         store = Store(Path(request.root))
         if request.lost is not None:
-            yield ended_state(Ended(request, reason=request.lost))
+            yield ended_state(JobOutcome(request, reason=request.lost))
             continue
         if request.experiment is None:  # what is done in this process looks for itself
             result = store.result(request.identity)
             if result is not None:
                 line = result_line(request.identity, result, Status.DONE_BEFORE)
-                yield State(request, Status.DONE_BEFORE, line, error_of(result))
+                yield State(request, Status.DONE_BEFORE, line, result_error(result))
                 continue
-            if store.result_is_gone(request.identity):
-                gone.append(request.words)
+            if store.lost_result(request.identity):
+                deleted.append(request.words)
         todo.append(request)
-    if gone:
+    if deleted:
         print(
-            f"{len(gone)} runs were stored before and have no {RESULT} now, because it was deleted "
-            f"or their process was killed while it stored them; they run again: {some(gone)}",
+            f"{len(deleted)} runs were stored before and have no {RESULT} now, because it was "
+            "deleted or their process was killed while it stored them; they run again: "
+            f"{first_names(deleted)}",
             file=sys.stderr,
         )
 
 
-def _each_here(plan: Sequence[Request]) -> Iterator[State]:
+def _run_here(plan: Sequence[Request]) -> Iterator[State]:
     """The runs as they end, each in this process with a bar of its own."""
     for request in plan:
         execution = execution_of(request.experiment or experiment_of(request.setting))
-        yield replace(_state(request, execution), run=execution.run)
+        yield replace(_executed_state(request, execution), run=execution.run)
 
 
-def _each(plan: Sequence[Request], settings: SweepConfig, processes: int) -> Iterator[State]:
+def _run_in_workers(
+    plan: Sequence[Request], settings: SweepConfig, processes: int
+) -> Iterator[State]:
     """The runs as they end, each in a process of its own."""
     if not plan:
         return
@@ -218,7 +218,12 @@ def _each(plan: Sequence[Request], settings: SweepConfig, processes: int) -> Ite
     first = _to_compile(plan) if processes > 1 else None
     with (
         Workers(
-            _execute, processes, settings.time_limit, MODULES, prepare=_prepare, alone=_own
+            _execute,
+            processes,
+            settings.time_limit,
+            MODULES,
+            prepare=_prepare,
+            alone=_own_code,
         ) as workers,
         stopping(workers) as stop,
     ):
@@ -230,14 +235,15 @@ def _each(plan: Sequence[Request], settings: SweepConfig, processes: int) -> Ite
             if stop.number is not None:
                 todo.clear()
                 elsewhere.clear()
-            if stop.overdue(AGAIN) and not stop.repeated:
+            if stop.overdue(REPEAT_AFTER) and not stop.repeated:
                 stop.repeated = True
                 workers.interrupt()
-            if stop.overdue(GRACE):
-                left = workers.jobs
+            if stop.overdue(KILL_AFTER):
+                unstopped = workers.jobs
                 workers.kill()
-                for job in left if first is None else ():
-                    yield ended_state(Ended(job, reason="did not stop in time", interrupted=True))
+                for job in unstopped if first is None else ():
+                    reason = "did not stop in time"
+                    yield ended_state(JobOutcome(job, reason=reason, interrupted=True))
                 break
             # Idle workers get what is to do; what another process is doing is asked for again.
             while todo and workers.idle and first is None:
@@ -261,8 +267,8 @@ def _each(plan: Sequence[Request], settings: SweepConfig, processes: int) -> Ite
             raise Stopped(stop.number)
 
 
-def ended_state(ended: Ended[Request, State | None]) -> State:
-    """What a worker says, or what is known of a run whose worker says nothing."""
+def ended_state(ended: JobOutcome[Request, State | None]) -> State:
+    """The state that a worker gives, or that of a run whose worker ended without one."""
     request, reason, interrupted = ended.job, ended.reason, ended.interrupted
     if ended.result is not None:
         if interrupted or ended.result.status is not Status.INTERRUPTED:
@@ -272,20 +278,20 @@ def ended_state(ended: Ended[Request, State | None]) -> State:
     status, identity = Status.INTERRUPTED if interrupted else Status.LOST, request.identity
     if ended.result is None:  # else it has kept its curve
         Store(Path(request.root)).keep_reason(identity, reason, ended.detail, str(status))
-    who = f"{identity.problem} {identity.optimizer} seed {identity.seed}"
-    return State(request, status, f"{who}: {status}: {reason}", reason=reason)
+    name = f"{identity.problem} {identity.optimizer} seed {identity.seed}"
+    return State(request, status, f"{name}: {status}: {reason}", reason=reason)
 
 
-def _own(request: Request) -> bool:
-    return request.own
+def _own_code(request: Request) -> bool:
+    return request.own_code
 
 
 def _prepare(request: Request) -> None:
-    """In a worker: what runs of a user's model share, so that each is forked with it."""
-    if not request.own:
+    """In a worker: load what runs of a user's model share, before each is forked from it."""
+    if not request.own_code:
         return
     with single_thread():
-        kernel().recent()
+        reference_work().recent()
         environment_stamp()
         optimizer = build_optimizer(setting_of(request.setting))
         our_code(frozenset({CurveFit.__module__, type(optimizer).__module__}))
@@ -295,7 +301,7 @@ def _prepare(request: Request) -> None:
 
 def _to_compile(plan: Sequence[Request]) -> Request | None:
     """A run whose method is to be compiled before the others start: each would compile the same."""
-    by_method = {r.identity.optimizer: r for r in reversed(plan) if not r.own}
+    by_method = {r.identity.optimizer: r for r in reversed(plan) if not r.own_code}
     for request in by_method.values():
         if build_optimizer(setting_of(request.setting)).uncompiled:
             if sys.stderr.isatty():
@@ -313,7 +319,7 @@ def _execute(request: Request) -> State | None:
         return None
     root = Path(request.root).absolute()  # before a model of the user's may change the folder
     experiment = replace(experiment_of(request.setting), identity=request.identity, root=root)
-    return _state(request, execution_of(experiment, quiet=True))
+    return _executed_state(request, execution_of(experiment, quiet=True))
 
 
 @contextmanager

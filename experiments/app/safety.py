@@ -46,9 +46,9 @@ HOMES: Mapping[type, tuple[ModuleType, ...]] = {
 """Where targets of each kind come from: what `__all__` of these packages names."""
 
 METHODS = Path(baselines.__file__).parent
-OURS = miho.methods.__name__
+LIBRARY_METHODS = miho.methods.__name__
 BASES = {Optimizer.__name__, AskTell.__name__}
-SHOWN = 80
+LONGEST_SHOWN = 80
 
 
 class TargetError(ValueError):
@@ -71,7 +71,7 @@ def find_target(path: object, kind: type[T]) -> Callable[..., T]:
     if kind is Optimizer and parent == baselines.__name__ and name in _methods(module):
         return cast(Callable[..., T], getattr(importlib.import_module(home), name))
     raise TargetError(
-        f"{_shown(path)} is not a class or function that gives a {kind.__name__}; "
+        f"{_shortened(path)} is not a class or function that gives a {kind.__name__}; "
         f"allowed are {', '.join(allowed(kind))}"
     )
 
@@ -120,7 +120,7 @@ def _methods(module: str) -> list[str]:
     for node in ast.parse(file.read_bytes()).body:
         if isinstance(node, ast.ClassDef) and BASES & {_base(base) for base in node.bases}:
             names.append(node.name)
-        elif isinstance(node, ast.ImportFrom) and node.module == f"{OURS}.{module}":
+        elif isinstance(node, ast.ImportFrom) and node.module == f"{LIBRARY_METHODS}.{module}":
             names += [alias.name for alias in node.names if alias.name in miho.methods.__all__]
     return [name for name in names if not name.startswith("_")]
 
@@ -132,9 +132,9 @@ def _base(node: ast.expr) -> str:
     return node.attr if isinstance(node, ast.Attribute) else getattr(node, "id", "")
 
 
-def _shown(path: object) -> str:
+def _shortened(path: object) -> str:
     text = repr(path)
-    return text if len(text) <= SHOWN else f"{text[:SHOWN]}..."
+    return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
 
 
 FREE = {"launcher", "mode", "verbose", "overrides", "runtime", "job"}
@@ -168,13 +168,13 @@ def check_arguments(arguments: argparse.Namespace) -> None:
             )
 
 
-def check_hydra(chosen: DictConfig, usual: DictConfig, overrides: Sequence[str]) -> None:
+def check_hydra(hydra: DictConfig, usual: DictConfig, overrides: Sequence[str]) -> None:
     """Refuse settings of Hydra other than a choice of a launcher and its plain settings.
 
-    `chosen` and `usual` are the nodes `hydra` of the composed configuration and of the one
+    `hydra` and `usual` are the nodes `hydra` of the composed configuration and of the one
     without overrides. What a launcher passes to a shell must be typed in `overrides`.
     """
-    new, old = _plain(chosen), _plain(usual)
+    new, old = _plain(hydra), _plain(usual)
     _check_same(new, old, "hydra", FREE)
     for key in ("job", "launcher"):
         if not isinstance(new.get(key), Mapping):
@@ -193,10 +193,11 @@ def check_hydra(chosen: DictConfig, usual: DictConfig, overrides: Sequence[str])
     if inner:
         raise HydraSettingError(f"{inner}: hydra.launcher holds a target of its own; remove it")
     for key in SHELL:
-        typed = any(text.lstrip("+").startswith(f"hydra.launcher.{key}") for text in overrides)
-        if new["launcher"].get(key) and not typed:
+        setting = f"hydra.launcher.{key}"
+        on_command_line = any(text.lstrip("+").startswith(setting) for text in overrides)
+        if new["launcher"].get(key) and not on_command_line:
             raise HydraSettingError(
-                f"hydra.launcher.{key}: reaches a shell, so it must be typed on the command line"
+                f"{setting}: reaches a shell, so it must be typed on the command line"
             )
 
 
@@ -207,7 +208,7 @@ def _check_same(new: Mapping[str, Any], old: Mapping[str, Any], place: str, free
 
 
 def _plain(node: DictConfig) -> dict[str, Any]:
-    """As it is written: interpolations are compared, not what they stand for."""
+    """The node as a dictionary, interpolations unresolved, so that their texts are compared."""
     plain = OmegaConf.to_container(node, resolve=False)
     if not isinstance(plain, dict):
         raise HydraSettingError("hydra: is not a mapping; leave it as it is")

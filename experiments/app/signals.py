@@ -1,4 +1,4 @@
-"""How a signal ends a command: the first asks what runs to stop, and what was found is kept."""
+"""How a signal ends a command: the first asks the runs to stop and keep their best so far."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ class Stop:
 
 
 def name_of(number: int) -> str:
-    """Of a signal, such as SIGINT."""
+    """The name of a signal, such as SIGINT."""
     return signal.Signals(number).name
 
 
 def ignores_hang_up() -> bool:
-    """Whether this process was told to go on when its terminal closes, as nohup does."""
+    """Whether this process ignores SIGHUP, the closing of its terminal, as nohup arranges."""
     return HANG_UP is None or signal.getsignal(HANG_UP) is signal.SIG_IGN
 
 
@@ -102,8 +102,8 @@ def stopping(workers: Workers[Any, Any]) -> Iterator[Stop]:
     if threading.current_thread() is not threading.main_thread():
         yield stop
         return
-    heeded = [number for number in STOPPING if number != HANG_UP or not ignores_hang_up()]
-    before = {number: signal.signal(number, on_signal) for number in heeded}
+    handled = [number for number in STOPPING if number != HANG_UP or not ignores_hang_up()]
+    before = {number: signal.signal(number, on_signal) for number in handled}
     try:
         yield stop
     finally:

@@ -37,14 +37,15 @@ def measure(quick: bool) -> Measured:
         optimum = minimize(MIHOGN(), problem, Budget(evaluations=10_000))
         if optimum.theta is None:
             raise RuntimeError("the search for the optimum found nothing")
-        budget = Budget(evaluations=40_000, target=1.01**2 * optimum.loss)
+        target = 1.01**2 * optimum.loss
+        budget = Budget(evaluations=40_000, target=target)
         at = optimum.theta[None]
         look = interleaved({LOOK: partial(problem.loss, at)}, 10)[LOOK]
         tidy.append({"rows": rows, "method": LOOK, "seed": 0, "ms": 1e3 * look, "evaluations": 1.0})
         for seed in range(SEEDS[rows] // (4 if quick else 1)):
             for name, method in methods.items():
                 run = minimize(method, problem, budget, seed)
-                arrived = run.loss <= budget.target
+                arrived = run.loss <= target
                 tidy.append(
                     {"rows": rows, "method": name, "seed": seed, "evaluations": run.evaluations,
                      "ms": 1e3 * run.seconds if arrived else np.inf}

@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.app.console import BUG, OK, guarded
+from experiments.app.console import BUG, OK, run_and_exit
 from miho.analysis import save
 from miho.study import environment_stamp, single_thread
 
@@ -23,7 +23,7 @@ AT_MOST, AT_LEAST = "<=", ">="
 class Bar:
     """A limit, `relation` to which the measured value must stand."""
 
-    what: str
+    name: str
     measured: float
     relation: str
     limit: float
@@ -38,13 +38,13 @@ class Bar:
 
     def __str__(self) -> str:
         verdict = "met" if self.met else "MISSED"
-        found = f"{self.measured:.3g} {self.relation} {self.limit:g} {self.unit}".rstrip()
-        return f"{verdict:<7} {self.what}: {found}"
+        comparison = f"{self.measured:.3g} {self.relation} {self.limit:g} {self.unit}".rstrip()
+        return f"{verdict:<7} {self.name}: {comparison}"
 
 
 @dataclass(frozen=True)
 class Measured:
-    """What a benchmark found; `tidy` has a row per measurement, `table` is what people read."""
+    """The result of a benchmark; `tidy` has a row per measurement, `table` is what people read."""
 
     table: pd.DataFrame
     tidy: pd.DataFrame
@@ -60,7 +60,7 @@ def benchmark(
 ) -> None:
     """Measure on one pinned thread, print, and exit with 1 if a bar is missed.
 
-    `measure` is told whether to be quick. Nothing is written unless `--output FOLDER` is given.
+    `measure` gets whether to be quick. Nothing is written unless `--output FOLDER` is given.
     """
     parser = argparse.ArgumentParser(description=(doc or "").strip().splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="smaller sizes and fewer repeats")
@@ -86,7 +86,7 @@ def benchmark(
             save(draw(measured.tidy), arguments.output / name)
         return OK if all(bar.met for bar in bars) else BUG
 
-    guarded(job)
+    run_and_exit(job)
 
 
 def machine() -> str:

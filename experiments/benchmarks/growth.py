@@ -58,18 +58,20 @@ def measure(quick: bool) -> Measured:
     """Microseconds per evaluation, the least of several batches in turns."""
     register()
     tidy = []
-    found = minimize(MIHO(R=1000, eta=5), of_size(ROWS[0], compressed=False)).theta
-    if found is None:
+    theta = minimize(MIHO(R=1000, eta=5), of_size(ROWS[0], compressed=False)).theta
+    if theta is None:
         raise RuntimeError("the run found nothing")
+    # The mutants that MIHO would evaluate around a good configuration, on each number of rows.
     for rows in ROWS[:-1] if quick else ROWS:
         fit = of_size(rows, compressed=False)
         n = 30 if rows > 100_000 else 300
         sigma, rng, space = annealed_sigma(fit.space, n), stream("growth"), fit.space
-        mutants = np.vstack([mutate(found[None], s, space, rng, "box") for s in sigma])
+        mutants = np.vstack([mutate(theta[None], s, space, rng, "box") for s in sigma])
         small = CurveFit(fit.model, fit.dataset, space, fit.rho, compressed=True)
-        loss = fit.loss(found[None])
+        loss = fit.loss(theta[None])
+        # What is prepared once, timed apart from the evaluations.
         started = time.perf_counter()
-        small.loss(found[None])
+        small.loss(theta[None])
         prepared = time.perf_counter() - started
         jobs: dict[str, Callable[[], object]] = {
             "fused": partial(fit.loss, mutants),
@@ -82,15 +84,16 @@ def measure(quick: bool) -> Measured:
             {"rows": rows, "method": k, "us": 1e6 * s / n, "prepared_seconds": prepared}
             for k, s in seconds.items()
         ]
+    # The table that people read, and the bar on the growth of the compressed loss.
     frame = pd.DataFrame(tidy)
     table = frame.pivot(index="rows", columns="method", values="us")[list(jobs)]
     table.columns = pd.Index([f"{name} [us]" for name in table.columns])
     table["prepared [s]"] = frame.groupby("rows")["prepared_seconds"].first()
     cost = frame[frame["method"] == COMPRESSED].set_index("rows")["us"]
-    most = int(cost.index.max())
+    largest = int(cost.index.max())
     bars = [
-        Bar(f"compressed evaluation of {most:,} rows against 30,000",
-            cost[most] / cost[30_000], AT_MOST, BAR, "times"),
+        Bar(f"compressed evaluation of {largest:,} rows against 30,000",
+            cost[largest] / cost[30_000], AT_MOST, BAR, "times"),
     ]  # fmt: skip
     notes = ["prepared: seconds once, from the data to the first compressed loss; the first row's "
              "hold compilation or its cache"]  # fmt: skip

@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 
 ROWS = (100, 300, 3000, 30_000, 3_000_000)
 BATCHES = (1, 10, 100, 1000, 10_000)
-MOST = 3e7
+MOST_POINTS = 3e7
 """Points of one call; beyond, NumPy takes seconds."""
 JUDGED = 3000, 1000
 """Rows and batch at which the bars are judged."""
@@ -102,8 +102,8 @@ def arithmetic(threads: int) -> Callable[[], None]:
     pool, numbers = ThreadPoolExecutor(threads), [np.ones(LANES) for _ in range(threads)]
 
     def job() -> None:
-        for done in [pool.submit(multiply_add, x, 6000 // threads) for x in numbers]:
-            done.result()
+        for task in [pool.submit(multiply_add, x, 6000 // threads) for x in numbers]:
+            task.result()
 
     return job
 
@@ -112,32 +112,37 @@ def measure(quick: bool) -> Measured:
     """All sizes and batches that NumPy can do in about a second."""
     rng = np.random.default_rng(0)
     scratch = np.empty(TEMPORARY)
+    # The processor's limit for a point [ns].
     per_fma, per_byte = limit()
     bound = 1e9 * max(MULTIPLIED * per_fma, BYTES * per_byte)
     tidy, table = [], []
+    # Every size and batch: a force with noise, and random configurations.
     for rows in ROWS[: 4 if quick else 5]:
         x = rng.uniform(-0.22, 0.22, rows)
         y = Pacejka().predict(np.array([[12.0, 1.4, 3000.0, 0.01, 80.0]]), x)[0]
         y += 100 * rng.standard_normal(rows)
-        one, two = (FusedLoss(Pacejka(), x[None], y, rng.permutation(rows), k) for k in (1, 2))
+        single, double = (
+            FusedLoss(Pacejka(), x[None], y, rng.permutation(rows), threads) for threads in (1, 2)
+        )
         for batch in BATCHES:
-            if rows * batch > (MOST / 10 if quick else MOST):
+            if rows * batch > (MOST_POINTS / 10 if quick else MOST_POINTS):
                 continue
             thetas = LOW + (HIGH - LOW) * rng.random((batch, 5))
             jobs: dict[str, Callable[[], Any]] = {
-                "one thread": partial(one.losses, thetas),
-                "two threads": partial(two.losses, thetas),
+                "one thread": partial(single.losses, thetas),
+                "two threads": partial(double.losses, thetas),
                 "NumPy": partial(numpy_loss, thetas, x, y, scratch),
             }
             np.testing.assert_allclose(jobs["one thread"](), jobs["NumPy"](), rtol=1e-12)
-            heavy = rows * batch > MOST / 30
+            # In turns, so that a change of the clock strikes all alike.
+            heavy = rows * batch > MOST_POINTS / 30
             repeats = 2 if heavy else 5 if quick else 15
             if (rows, batch) == JUDGED:
                 repeats = 10 if quick else 40
                 jobs |= {"alone": arithmetic(1), "shared": arithmetic(2)}
-            taken = turns(jobs, repeats)
-            ns = {k: 1e9 * min(taken[k]) / (rows * batch) for k in METHODS}
-            middle = {k: float(np.median(s)) for k, s in taken.items()}
+            seconds = turns(jobs, repeats)
+            ns = {k: 1e9 * min(seconds[k]) / (rows * batch) for k in METHODS}
+            middle = {k: float(np.median(s)) for k, s in seconds.items()}
             two_to_one = middle["one thread"] / middle["two threads"]
             faster = middle["NumPy"] / middle["one thread"]
             tidy += [{"rows": rows, "batch": batch, "method": k, "ns": v} for k, v in ns.items()]

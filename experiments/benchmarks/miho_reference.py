@@ -14,7 +14,7 @@ import numpy as np
 
 from experiments.app.build import build
 from experiments.app.compose import composed
-from experiments.app.console import guarded
+from experiments.app.console import run_and_exit
 from experiments.app.schema import register
 from miho.optim import minimize
 from miho.study import single_thread
@@ -49,4 +49,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    guarded(main)
+    run_and_exit(main)

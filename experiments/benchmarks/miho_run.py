@@ -66,13 +66,13 @@ class LossAlone(Problem):
         self.inner, self.name, self.space = inner, inner.name, inner.space
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """Those of the problem."""
+        """Losses (n,) of the inner problem."""
         return self.inner.loss(thetas, fidelity)
 
 
 @dataclass
-class Found:
-    """What the plain loop has done so far."""
+class Incumbent:
+    """Evaluations of the plain loop so far, and the best of them."""
 
     evaluations: int = 0
     loss: float = np.inf
@@ -81,15 +81,15 @@ class Found:
 
 def plain_loop(
     alpha: Array, force: Array, space: Space, rng: np.random.Generator, R: int, eta: int
-) -> Iterator[Found]:
-    """Alg. 1 in Python loops; what was found after each rung."""
+) -> Iterator[Incumbent]:
+    """Alg. 1 in Python loops; its best so far, after each rung."""
     low, high = space.bounds
     sigma_max, sigma_min = space.sigma
-    found = Found()
+    result = Incumbent()
 
     def error(theta: Array) -> float:
         B, C, D, Sx, Sy = theta
-        found.evaluations += 1
+        result.evaluations += 1
         return float(np.mean((D * np.sin(C * np.arctan(B * (Sx - alpha))) + Sy - force) ** 2))
 
     table = hyperband_table(R, eta)
@@ -108,9 +108,9 @@ def plain_loop(
                 if loss < L[i]:
                     P[i], L[i] = mutant, loss
         best = min(range(len(L)), key=L.__getitem__)
-        if L[best] < found.loss:
-            found.loss, found.theta = L[best], P[best]
-        yield found
+        if L[best] < result.loss:
+            result.loss, result.theta = L[best], P[best]
+        yield result
 
 
 def problems() -> tuple[CurveFit, CurveFit, CurveFit]:
@@ -130,10 +130,10 @@ class Race:
     """The plain loop's time so far and the runs of the other forms, made between its rungs."""
 
     forms: Mapping[str, tuple[MIHO, Problem]]
-    loop: Iterator[Found]
+    loop: Iterator[Incumbent]
     rungs: int
     records: dict[str, list[RunRecord]] = field(default_factory=dict)
-    found: Found = field(default_factory=Found)
+    best: Incumbent = field(default_factory=Incumbent)
     seconds: float = 0.0
     cpu_seconds: float = 0.0
 
@@ -141,32 +141,32 @@ class Race:
         """Run all: the fast forms ROUNDS times over the length of the loop, the others once."""
         pauses = sorted(set(np.linspace(0, self.rungs, ROUNDS, dtype=int).tolist()))
         slow = dict(zip(pauses[1:], (GENERAL, FUSED, STEPS), strict=False))
-        for done in range(self.rungs + 1):
-            if done in pauses:
-                for name in (*FAST, *([slow[done]] if done in slow else [])):
+        for rung in range(self.rungs + 1):
+            if rung in pauses:
+                for name in (*FAST, *([slow[rung]] if rung in slow else [])):
                     record = minimize(*self.forms[name], seed=seed)
                     self.records.setdefault(name, []).append(record)
-            if done < self.rungs:
+            if rung < self.rungs:
                 started, worked = time.perf_counter(), time.process_time()
-                self.found = next(self.loop)
+                self.best = next(self.loop)
                 self.seconds += time.perf_counter() - started
                 self.cpu_seconds += time.process_time() - worked
         counts = {record.evaluations for runs in self.records.values() for record in runs}
-        if counts != {self.found.evaluations}:
+        if counts != {self.best.evaluations}:
             raise RuntimeError(f"the runs are not the same search: {counts} evaluations")
 
     def table(self, error: Callable[[Array], float]) -> pd.DataFrame:
-        """A row for each form: medians of seconds, and `error` of what its first run found."""
+        """A row for each form: medians of seconds, and `error` of the best of its first run."""
         rows: list[tuple[Any, ...]] = [
-            (PLAIN, self.seconds, self.cpu_seconds, 0.0, self.found.theta)
+            (PLAIN, self.seconds, self.cpu_seconds, 0.0, self.best.theta)
         ]
         for name in self.forms:
             runs = self.records[name]
             spent = (np.median([getattr(run, kind) for run in runs]) for kind in KINDS)
             rows.append((name, *spent, runs[0].setup_seconds, runs[0].theta))
         table = pd.DataFrame(rows, columns=["form", *KINDS, "setup_seconds", "theta"])
-        table["evaluations"] = self.found.evaluations
-        table["us"] = 1e6 * table["seconds"] / self.found.evaluations
+        table["evaluations"] = self.best.evaluations
+        table["us"] = 1e6 * table["seconds"] / self.best.evaluations
         table["speedup"] = self.seconds / table["seconds"]
         table["loss"] = [error(theta) for theta in table.pop("theta")]
         table["difference"] = table["loss"] / table["loss"][0] - 1
@@ -178,6 +178,7 @@ def measure(quick: bool) -> Measured:
     R, eta, seed = 1000 if quick else 10_000, 5, 0
     fit, plain, small = problems()
     stopping, whole = MIHO(R=R, eta=eta), MIHO(R=R, eta=eta, early_stopping=False)
+    # The forms, from the general one on; all make the same search with the same draws.
     forms: dict[str, tuple[MIHO, Problem]] = {
         GENERAL: (whole, plain),
         FUSED: (whole, LossAlone(fit)),
@@ -193,6 +194,7 @@ def measure(quick: bool) -> Measured:
     race = Race(forms, loop, len(hyperband_table(R, eta)))
     race.run(seed)
     tidy = race.table(lambda theta: float(plain.loss(theta[None])[0]))
+    # Each against the plain loop: final losses, seconds, and seconds of the processor.
     apart = float(np.abs(tidy["difference"]).max())
     speedup = tidy.set_index("form")["speedup"]
     busy = race.cpu_seconds / tidy.set_index("form")["cpu_seconds"]

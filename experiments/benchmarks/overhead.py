@@ -80,14 +80,14 @@ class CompiledSteps(NamedTuple):
 
 
 class Counted(Problem):
-    """A problem that counts what a run asks of it."""
+    """A problem that counts the batches and the compiled blocks of a run."""
 
     def __init__(self, inner: Problem) -> None:
         self.inner, self.name, self.space = inner, inner.name, inner.space
         self.batches = self.blocks = 0
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """Those of the problem."""
+        """Losses (n,) of the inner problem; each call counts as a batch."""
         self.batches += 1
         return self.inner.loss(thetas, fidelity)
 
@@ -105,7 +105,7 @@ class Counted(Problem):
 
 
 class Prepared(Problem):
-    """Losses that are there already and cost nothing."""
+    """A problem whose losses are computed before, so that they cost nothing."""
 
     name = "prepared"
 
@@ -113,32 +113,34 @@ class Prepared(Problem):
         self.space, self.losses = space, losses
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """The prepared ones."""
+        """The first n of the losses that were given."""
         return self.losses[: len(thetas)]
 
 
 SETTINGS = {"ngopt": ["optimizer.plan=1000"]}
-"""What a method must be told where seconds alone end its run."""
+"""Settings that a method needs where seconds alone end its run."""
 
 
 def methods(space: Space, cap: float) -> list[dict[str, object]]:
     """Own microseconds per evaluation of every method of conf/optimizer, 5 parameters."""
     rows: list[dict[str, object]] = []
     for path in sorted((CONF / "optimizer").glob("*.yaml")):
-        chosen = [f"optimizer={path.stem}", *SETTINGS.get(path.stem, ())]
-        optimizer: Optimizer = build(composed(chosen)).optimizer
+        overrides = [f"optimizer={path.stem}", *SETTINGS.get(path.stem, ())]
+        optimizer: Optimizer = build(composed(overrides)).optimizer
         problem = Bowl(space)
         problem.seconds = 0.0
         record = minimize(optimizer, problem, Budget(seconds=cap))
-        found = record.evaluations > 0 and record.error is None
-        own = (record.seconds - problem.seconds) / record.evaluations if found else math.nan
+        evaluated = record.evaluations > 0 and record.error is None
+        own_seconds = math.nan
+        if evaluated:
+            own_seconds = (record.seconds - problem.seconds) / record.evaluations
         rows.append(
             {
                 "kind": "method",
                 "name": path.stem,
-                "us": 1e6 * own,
+                "us": 1e6 * own_seconds,
                 "evaluations": record.evaluations,
-                "ended": record.outcome.value if found else str(record.error).splitlines()[-1],
+                "ended": record.outcome.value if evaluated else str(record.error).splitlines()[-1],
             }
         )
     return rows
@@ -152,8 +154,8 @@ def recorder(space: Space, repeats: int) -> dict[tuple[str, int], float]:
         flat = Prepared(space, np.full(batch, 1.0))
         steady = Oracle(flat, Budget())
         steady(thetas)
-        both = {"oracle": partial(steady, thetas), "loss": partial(flat.loss, thetas)}
-        seconds = interleaved(both, repeats)
+        jobs = {"oracle": partial(steady, thetas), "loss": partial(flat.loss, thetas)}
+        seconds = interleaved(jobs, repeats)
         cost["none", batch] = seconds["oracle"] - seconds["loss"]
         falling = Prepared(space, -np.arange(1.0, batch + 1))
         improving = Oracle(falling, Budget())
@@ -178,7 +180,7 @@ def block_seconds(space: Space, repeats: int) -> float:
     oracle(space.initial(1))
 
     def step() -> None:
-        oracle.spend(lambda most, best, target: report, 1)
+        oracle.spend(lambda limit, best, target: report, 1)
 
     return interleaved({"block": step}, repeats)["block"]
 
@@ -189,6 +191,7 @@ def measure(quick: bool) -> Measured:
     repeats = 5 if quick else 20
     experiment = build(composed(["dataset=tire_lf", "optimizer=miho"]))
     space = experiment.problem.space
+    # Every method on a loss that costs nothing, and the recorder's calls timed alone.
     tidy = methods(space, CAP / 10 if quick else CAP)
     cost = recorder(space, repeats)
     for (improving, batch), seconds in cost.items():
@@ -197,6 +200,7 @@ def measure(quick: bool) -> Measured:
     per_block = block_seconds(space, repeats)
     tidy.append({"kind": "recorder", "name": "a block of compiled steps", "us": 1e6 * per_block})
 
+    # How often a run of MIHO makes these calls; the first run compiles.
     counted = Counted(experiment.problem)
     minimize(experiment.optimizer, counted, Budget(evaluations=1000))
     counted.batches = counted.blocks = 0

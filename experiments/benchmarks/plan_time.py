@@ -13,7 +13,7 @@ import numpy as np
 from omegaconf import OmegaConf
 
 from experiments.app.compose import CONF
-from experiments.app.console import BUG, guarded
+from experiments.app.console import BUG, run_and_exit
 from experiments.benchmarks.bars import machine
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.driving.embedded import embedded_engine, embedded_tires
@@ -32,8 +32,8 @@ CASES = ((1.0, 62.0), (1.0, 90.0), (0.5, 90.0))
 def main() -> None:
     """Print the median and the best of 30 plans of each case, and whether the bar is met."""
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-        chosen = OmegaConf.to_container(hydra.compose("vehicle/av21_full").vehicle)
-    vehicle = Vehicle.from_settings(chosen)  # type: ignore[arg-type]
+        settings = OmegaConf.to_container(hydra.compose("vehicle/av21_full").vehicle)
+    vehicle = Vehicle.from_settings(settings)  # type: ignore[arg-type]
     car = KnownCar.of_tires(vehicle, embedded_tires(), embedded_engine(), EMBEDDED_BRAKE)
     line = lvms()
     met = True
@@ -48,9 +48,9 @@ def main() -> None:
                 seconds.append(perf_counter() - start)
             median = float(np.median(seconds))
             met = met and median <= BAR
-            taken = f"median {1e3 * median:.1f} ms, best {1e3 * min(seconds):.1f} ms"
+            times = f"median {1e3 * median:.1f} ms, best {1e3 * min(seconds):.1f} ms"
             print(
-                f"mu {mu:g}, top speed {top_speed:g} m/s, {line.s.size} points: {taken}; lap of "
+                f"mu {mu:g}, top speed {top_speed:g} m/s, {line.s.size} points: {times}; lap of "
                 f"{plan.lap_time:.2f} s"
             )
     print(f"bar of {1e3 * BAR:g} ms: {'met' if met else 'missed'}\n{machine()}")
@@ -59,4 +59,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    guarded(main)
+    run_and_exit(main)

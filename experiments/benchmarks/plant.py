@@ -21,7 +21,7 @@ import pandas as pd
 from omegaconf import OmegaConf
 
 from experiments.app.compose import CONF
-from experiments.app.console import BUG, OK, guarded
+from experiments.app.console import BUG, OK, run_and_exit
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, interleaved, machine
 from miho.driving.double_track import DoubleTrack
 from miho.driving.driver import Driver
@@ -32,7 +32,7 @@ from miho.driving.ovals import ims
 from miho.driving.path_tracking import Weights
 from miho.driving.plant import Command, Motion, Plant, State
 from miho.driving.road import road_of
-from miho.driving.simulation import drive
+from miho.driving.simulation import simulate
 from miho.driving.vehicle import Vehicle
 from miho.study import single_thread
 
@@ -54,8 +54,8 @@ FINEST = 1.25e-4
 def av21() -> Vehicle:
     """The car of the configuration."""
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-        chosen = OmegaConf.to_container(hydra.compose("vehicle/av21_full").vehicle)
-    return Vehicle.from_settings(chosen)  # type: ignore[arg-type]
+        settings = OmegaConf.to_container(hydra.compose("vehicle/av21_full").vehicle)
+    return Vehicle.from_settings(settings)  # type: ignore[arg-type]
 
 
 def held(plant: Plant[State], command: Command, period: float, count: int) -> Callable[[], object]:
@@ -97,7 +97,7 @@ def speeds(car: DoubleTrack, quick: bool) -> pd.DataFrame:
 
 
 def end_of(car: DoubleTrack) -> Motion:
-    """Where the open-loop drive ends."""
+    """The motion at the end of the open-loop drive."""
     state = car.start(speed=40.0, gear=4)
     for seconds, command in DRIVE:
         for _ in range(round(seconds / PERIOD)):
@@ -120,13 +120,13 @@ def lap_time(vehicle: Vehicle, step: float) -> float:
     """Seconds of the second lap of IMS, planned and driven with all that is true of the car."""
     line = ims()
     car = embedded_plant(vehicle, road_of(line), step)
-    known = KnownCar.of_tires(vehicle, car.tires, car.engine, car.brake)
-    plan = known.planner(mu=0.6, top_speed=85.0).plan(line)
+    known_car = KnownCar.of_tires(vehicle, car.tires, car.engine, car.brake)
+    plan = known_car.planner(mu=0.6, top_speed=85.0).plan(line)
     driver = Driver(
-        plan, known.speed_controller(), known.steering_controller(Weights(steering=100.0))
+        plan, known_car.speed_controller(), known_car.steering_controller(Weights(steering=100.0))
     )
     start = car.start(speed=float(plan.v[0]), gear=6)
-    log = drive(car, driver, start, 2.01 * line.length)
+    log = simulate(car, driver, start, 2.01 * line.length)
     if log.stopped:
         raise RuntimeError(f"the lap of IMS ended early: {log.stopped}")
     first, second = np.interp([line.length, 2 * line.length], log["distance"], log["time"])
@@ -167,7 +167,7 @@ def main() -> None:
             print(bar)
         return OK if all(bar.met for bar in bars) else BUG
 
-    guarded(job)
+    run_and_exit(job)
 
 
 if __name__ == "__main__":

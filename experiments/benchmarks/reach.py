@@ -47,8 +47,8 @@ from experiments.app.build import (
     recorded_optimum,
 )
 from experiments.app.compose import CONF, composed
-from experiments.app.console import OK, SOME_FAILED, guarded
-from experiments.app.explain import parsed, unknown
+from experiments.app.console import OK, SOME_FAILED, run_and_exit
+from experiments.app.explain import parse_overrides, unknown_message
 from experiments.app.origin import our_code
 from experiments.app.schema import register
 from experiments.benchmarks.bars import machine
@@ -90,10 +90,10 @@ class Job:
 
 @lru_cache(maxsize=1)
 def _problem(
-    name: str, others: tuple[str, ...], wider: float
+    name: str, overrides: tuple[str, ...], wider: float
 ) -> tuple[CurveFit, Budget, float] | str:
     """A problem, what a run on it may spend, and its optimum; or why it cannot be had here."""
-    cfg = composed([*BUDGET, *others, f"problem={name}"])
+    cfg = composed([*BUDGET, *overrides, f"problem={name}"])
     optimum = recorded_optimum(cfg)
     if not optimum:
         raise ConfigError(
@@ -131,10 +131,10 @@ def _optimizer(method: tuple[str, ...]) -> Optimizer:
 def runs_of(job: Job) -> list[Run] | str:
     """The runs of a job, or the reason why its problem cannot be had here."""
     register()
-    known = _problem(job.problem, job.others, job.wider)
-    if isinstance(known, str):
-        return known
-    problem, budget, optimum = known
+    loaded = _problem(job.problem, job.others, job.wider)
+    if isinstance(loaded, str):
+        return loaded
+    problem, budget, optimum = loaded
     if not job.stopping:
         budget = replace(budget, target=(min(FACTORS) * optimum) ** 2)
     optimizer = _optimizer(job.method)
@@ -165,7 +165,7 @@ def runs_of(job: Job) -> list[Run] | str:
 
 
 @dataclass
-class Report:
+class Printout:
     """What is printed as runs come in, problem by problem."""
 
     stopping: bool
@@ -186,8 +186,8 @@ class Report:
             self._print(table.reset_index().assign(problem="all"))
             for run in self.runs:
                 if run.ended and not run.at_optimum:
-                    where = f"{run.problem}, {run.variant}, seed {run.seed}"
-                    print(f"ended elsewhere: {where}: error {run.excess:.1e} above the optimum's")
+                    name = f"{run.problem}, {run.variant}, seed {run.seed}"
+                    print(f"ended elsewhere: {name}: error {run.excess:.1e} above the optimum's")
         else:
             table = reach_table(hits(self.runs))
             self._means("the problems", table)
@@ -238,7 +238,7 @@ def variants(
     variants = {DEFAULT: tuple(base)}
     texts = [text if text.startswith("optimizer.") else f"optimizer.{text}" for text in vary]
     added: list[list[str]] = []
-    for override in parsed(texts):
+    for override in parse_overrides(texts):
         values = (
             override.sweep_string_iterator() if override.is_sweep_override()
             else [override.get_value_element_as_str()]
@@ -246,13 +246,13 @@ def variants(
         added += [[f"{override.get_key_element()}={value}"] for value in values]
     added += [shlex.split(text) for text in others]
     for overrides in added:
-        keys = [override.key_or_group for override in parsed(overrides)]
+        keys = [override.key_or_group for override in parse_overrides(overrides)]
         for key in keys:
             if key.partition(".")[0] != "optimizer":
                 raise ConfigError(f"{key}: is no setting of the method; vary those of optimizer")
-        own = () if "optimizer" in keys else tuple(base)
+        method_base = () if "optimizer" in keys else tuple(base)
         name = " ".join(re.sub(r"^optimizer[.=]", "", text) for text in overrides)
-        variants[name] = (*own, *overrides)
+        variants[name] = (*method_base, *overrides)
     return variants
 
 
@@ -260,17 +260,17 @@ def problems(patterns: str | None) -> list[str]:
     """Names of conf/problem that match, in the order given; those of the arena by default."""
     if patterns is None:
         return list(composed(["experiment=arena"]).comparison.problems)
-    known = sorted(path.stem for path in (CONF / "problem").glob("*.yaml"))
+    available = sorted(path.stem for path in (CONF / "problem").glob("*.yaml"))
     names: dict[str, None] = {}
     for pattern in patterns.split(","):
-        matching = [name for name in known if fnmatchcase(name, pattern.strip())]
+        matching = [name for name in available if fnmatchcase(name, pattern.strip())]
         if not matching:
-            raise ConfigError(unknown(f"--problems={pattern}", known))
+            raise ConfigError(unknown_message(f"--problems={pattern}", available))
         names |= dict.fromkeys(matching)
     return list(names)
 
 
-def _done(jobs: Sequence[Job], processes: int) -> Iterator[list[Run] | str]:
+def _results(jobs: Sequence[Job], processes: int) -> Iterator[list[Run] | str]:
     """The results of the jobs in their order."""
     if processes == 1:
         yield from map(runs_of, jobs)
@@ -279,7 +279,7 @@ def _done(jobs: Sequence[Job], processes: int) -> Iterator[list[Run] | str]:
         yield from pool.map(runs_of, jobs)
 
 
-def _write(path: Path, report: Report, jobs: Sequence[Job]) -> None:
+def _write(path: Path, report: Printout, jobs: Sequence[Job]) -> None:
     """A row per run (`stopping`) or per run and factor, and beside it what regenerates it."""
     frame = endings(report.runs) if report.stopping else hits(report.runs)
     write_text(path, frame.rename(columns={"optimizer": "variant"}).to_csv(index=False))
@@ -330,27 +330,33 @@ def main() -> None:
 
     def job() -> int:
         register()
-        own: dict[bool, list[str]] = {True: [], False: []}
-        for text, override in zip(arguments.overrides, parsed(arguments.overrides), strict=True):
+        # Overrides of the method (True) make its variants, the others go with every problem.
+        overrides_of: dict[bool, list[str]] = {True: [], False: []}
+        for text, override in zip(
+            arguments.overrides, parse_overrides(arguments.overrides), strict=True
+        ):
             key = override.key_or_group
             if key in ("problem", "seed"):
                 raise ConfigError(f"{key}: cannot be chosen here; see --{key}s")
-            own[key.partition(".")[0] == "optimizer"].append(text)
-        methods = variants(own[True], arguments.vary, arguments.others)
+            overrides_of[key.partition(".")[0] == "optimizer"].append(text)
+        methods = variants(overrides_of[True], arguments.vary, arguments.others)
         for method in methods.values():
             _optimizer(method)
         seeds = range(arguments.first, arguments.first + arguments.seeds)
         parts = [tuple(seeds[i : i + SEEDS_AT_ONCE]) for i in range(0, len(seeds), SEEDS_AT_ONCE)]
+        others, stopping, wider = tuple(overrides_of[False]), arguments.stopping, arguments.wider
+        # A job for each problem, variant and handful of seeds.
         jobs = [
-            Job(name, variant, method, tuple(own[False]), part, arguments.stopping, arguments.wider)
+            Job(name, variant, method, others, part, stopping, wider)
             for name in problems(arguments.problems)
             for variant, method in methods.items()
             for part in parts
         ]
         print(machine())
-        report = Report(arguments.stopping, list(methods))
-        done = zip(jobs, _done(jobs, arguments.processes), strict=True)
-        for name, of_problem in itertools.groupby(done, key=lambda pair: pair[0].problem):
+        report = Printout(arguments.stopping, list(methods))
+        # Lines are printed as soon as all jobs of a problem are done.
+        finished = zip(jobs, _results(jobs, arguments.processes), strict=True)
+        for name, of_problem in itertools.groupby(finished, key=lambda pair: pair[0].problem):
             results = [result for _, result in of_problem]
             reasons = [result for result in results if isinstance(result, str)]
             if reasons:
@@ -364,7 +370,7 @@ def main() -> None:
             _write(arguments.out, report, jobs)
         return SOME_FAILED if report.failed else OK
 
-    guarded(job)
+    run_and_exit(job)
 
 
 if __name__ == "__main__":

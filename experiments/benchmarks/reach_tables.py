@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 CLOCKED = 1.01
 """The factor whose milliseconds are shown."""
-SAME = 1e-4
+SAME_OPTIMUM = 1e-4
 """Relative difference of two losses that are one optimum: no error bar is as narrow, and a solver
 that stops at its tolerance is far below."""
 
@@ -58,14 +58,14 @@ class Run:
     @property
     def at_optimum(self) -> bool:
         """Whether the loss of the end is that of the recorded optimum."""
-        return bool(self.losses.size and self.losses[-1] <= self.optimum**2 * (1 + SAME))
+        return bool(self.losses.size and self.losses[-1] <= self.optimum**2 * (1 + SAME_OPTIMUM))
 
     @property
     def overrun(self) -> float:
         """Evaluations at the end over those at arrival; NaN for a run that never had a loss."""
         if not self.losses.size:
             return math.nan
-        return self.evaluations / self.first(self.losses[-1] * (1 + SAME))[0]
+        return self.evaluations / self.first(self.losses[-1] * (1 + SAME_OPTIMUM))[0]
 
 
 def hits(runs: Sequence[Run]) -> pd.DataFrame:
@@ -139,7 +139,7 @@ def _quantile(values: pd.Series, share: float) -> float:
 
 
 def _in_order(table: pd.DataFrame, rows: pd.DataFrame) -> pd.DataFrame:
-    """In the order in which problems and variants were given."""
+    """The rows of a table in the order in which problems and variants were given."""
     return table.reindex(pd.MultiIndex.from_frame(rows[table.index.names].drop_duplicates()))
 
 

@@ -11,8 +11,8 @@ from time import perf_counter
 from experiments.app.build import build
 from experiments.app.compose import composed
 from experiments.app.execution import execution_of
+from experiments.app.optimum import report_of, save_run
 from experiments.app.schema import register
-from experiments.optimum import reported, save_run
 
 REPEATS = 5
 
@@ -21,13 +21,13 @@ def main() -> None:
     """Identify tire LF once, then report on it."""
     register()
     with tempfile.TemporaryDirectory() as root:
-        chosen = build(composed(["dataset=tire_lf", "optimizer=least_squares", f"root={root}"]))
-        stored = execution_of(chosen).run
+        experiment = build(composed(["dataset=tire_lf", "optimizer=least_squares", f"root={root}"]))
+        stored = execution_of(experiment).run
         if stored is None:
             raise RuntimeError("the run failed")
         for repeat in range(REPEATS):
             start = perf_counter()
-            report = reported(chosen.problem, stored)
+            report = report_of(experiment.problem, stored)
             computed = perf_counter()
             save_run(report, stored)
             print(
@@ -35,7 +35,7 @@ def main() -> None:
                 f"parameters.json in {perf_counter() - start:.2f} s"
             )
         start = perf_counter()
-        reported(chosen.problem, stored, replicates=1000, profiles=False)
+        report_of(experiment.problem, stored, replicates=1000, profiles=False)
         print(f"bootstrap of 1000: {perf_counter() - start:.2f} s")
 
 

@@ -20,10 +20,10 @@ import numpy as np
 
 from experiments.app.comparing import plan_arena
 from experiments.app.compose import composed
-from experiments.app.console import guarded
+from experiments.app.configured import as_configured
+from experiments.app.console import run_and_exit
 from experiments.app.runs import run
 from experiments.app.schema import SweepConfig, register
-from experiments.arena_problems import as_configured
 from miho.analysis.compare.leaderboard import families, family_scores, leaderboard, problem_scores
 from miho.analysis.compare.profiles import area_over_curve
 from miho.analysis.compare.running_time import hits, running_times
@@ -45,15 +45,15 @@ def main() -> None:
         cfg.comparison.repetitions = REPETITIONS
         cfg.comparison.methods = {method: {}}
         run(plan_arena(cfg, overrides, methods=1).plan, SweepConfig(processes=2)).raise_if_stopped()
-        found = load_runs(Path(root))
-        runs, curves = as_configured(found.runs), found.curves
+        stored = load_runs(Path(root))
+        runs, curves = as_configured(stored.runs), stored.curves
     for frame in (runs, curves):
         frame["optimizer"] = np.where(frame["seed"] % 2, "B", "A")
         frame["seed"] //= 2
     reached = hits(runs, curves, (FACTOR,))
     ert, areas = running_times(reached, "evaluations"), area_over_curve(runs, curves)
     scores, kinds = problem_scores(ert, areas, FACTOR), families(runs)
-    test, strict = (pairwise(one).iloc[0] for one in (scores, family_scores(scores, kinds)))
+    test, strict = (pairwise(table).iloc[0] for table in (scores, family_scores(scores, kinds)))
     rng = np.random.default_rng(0)
     ratio = pairwise_speed_up(reached, FACTOR, "evaluations", rng, families=kinds).iloc[0]
     print(to_markdown(leaderboard(runs, curves)))
@@ -72,4 +72,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    guarded(main)
+    run_and_exit(main)

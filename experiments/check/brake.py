@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from experiments.app.build import build
 from experiments.app.compose import composed
-from experiments.app.console import guarded
+from experiments.app.console import run_and_exit
 from experiments.app.schema import register
 from experiments.check import reference_data
 from miho.data import Dataset, DrivingLog, load_driving_log
@@ -59,7 +59,7 @@ RESPONSE = ("delay", "tau_rise", "tau_fall")
 
 def embedded_test() -> tuple[pd.DataFrame, Brake]:
     """All parameters beside the true ones, and the brake they make."""
-    found = [
+    fits = [
         fit("brake_pressure", {name: getattr(EMBEDDED_BRAKE, name) for name in CURVE}),
         fit("brake_torque", {"K": EMBEDDED_BRAKE.K_front, "P0": EMBEDDED_BRAKE.P0_front}),
         fit(
@@ -70,14 +70,14 @@ def embedded_test() -> tuple[pd.DataFrame, Brake]:
         fit("brake_step", {name: getattr(EMBEDDED_BRAKE, name) for name in RESPONSE}),
         fit("brake_deceleration", true_law()),
     ]
-    curve, front, rear, response = (frame["found"] for frame in found[:4])
+    curve, front, rear, response = (frame["found"] for frame in fits[:4])
     identified = replace(
         EMBEDDED_BRAKE,
         **dict(zip((*CURVE, *RESPONSE), (*curve, *response), strict=True)),
         **dict(zip(("K_front", "P0_front", "K_rear", "P0_rear"), (*front, *rear), strict=True)),
         bias=bias(build(composed(["dataset=brake_pressure"])).problem.dataset),
     )
-    return pd.concat(found), identified
+    return pd.concat(fits), identified
 
 
 def true_law() -> dict[str, float]:
@@ -114,7 +114,7 @@ def fit(dataset: str, true: dict[str, float], *overrides: str) -> pd.DataFrame:
 
 
 def standard_errors(jacobian: Array, residuals: Array) -> Array:
-    """Of a least-squares fit, for residuals that are independent."""
+    """Standard errors (d,) of a least-squares fit, for independent residuals."""
     rows, columns = jacobian.shape
     variance = residuals @ residuals / (rows - columns)
     scale = np.linalg.norm(jacobian, axis=0)
@@ -130,15 +130,16 @@ def bias(dataset: Dataset) -> float:
 
 def round_trips(identified: Brake) -> None:
     """Force to command to force, of the model alone and against the true brake."""
-    forces, own, error = round_trip_errors(identified)
+    forces, model_error, error = round_trip_errors(identified)
     largest = forces[-1]
     print("\nRound trip force -> command -> force")
-    print(f"  model alone, {forces[0]:.0f} to {largest:.0f} N: at most {own.max():.1e} relative")
+    alone = f"at most {model_error.max():.1e} relative"
+    print(f"  model alone, {forces[0]:.0f} to {largest:.0f} N: {alone}")
     for share in (0.005, 0.01, 0.02, 0.05, 0.1):
-        used = forces >= share * largest
+        selected = forces >= share * largest
         print(
             f"  identified command, true force, from {share * largest:.0f} N "
-            f"({100 * share:g} % of the largest): at most {100 * error[used].max():.2f} %"
+            f"({100 * share:g} % of the largest): at most {100 * error[selected].max():.2f} %"
         )
     above = forces[np.flatnonzero(error > 0.01)[-1] + 1] if (error > 0.01).any() else forces[0]
     print(f"  within 1 % from {above:.0f} N, {100 * above / largest:.2f} % of {largest:.0f} N")
@@ -150,10 +151,10 @@ def round_trip_errors(identified: Brake) -> tuple[Array, Array, Array]:
     largest = min(EMBEDDED_BRAKE.largest_force, identified.largest_force)
     forces = np.geomspace(1e-3 * largest, largest, 20_000)
     command = identified.command(forces)
-    own, true = (
+    model_error, true_error = (
         np.abs(brake.force(command.u) / forces - 1) for brake in (identified, EMBEDDED_BRAKE)
     )
-    return forces, own, true
+    return forces, model_error, true_error
 
 
 def driving(path: Path) -> None:
@@ -166,6 +167,7 @@ def driving(path: Path) -> None:
     ]  # fmt: skip
     # In this log vy rises with the yaw rate as it would 1.5 m ahead of the centre of gravity.
     logged = load_driving_log(path, columns, units, headers, sensor_x=1.5, accelerometer=False)
+    # Two sources of the speed, and with them of the deceleration; the logged ax lags.
     channels = {key: logged[key] for key in columns if key != "ax"}
     wheels = read_numbers(path, ["wheel_fl(kmph)", "wheel_fr(kmph)"], header=True)
     front = channels | {"vx": np.mean(list(wheels.values()), axis=0) / 3.6}
@@ -195,6 +197,7 @@ def driving(path: Path) -> None:
         "throttle <= 5 %": {"max_throttle": 0.05},
         "any throttle": {"max_throttle": 1.0},
     }
+    # Each way to select samples, without the turns, and with the pressure late.
     for source, log in speeds.items():
         rows += [law(source, name, log, **settings) for name, settings in variants.items()]
         straight = {key: log[key] for key in channels if key not in ("vy", "yaw_rate")}
@@ -250,9 +253,9 @@ def best_lag(first: Array, second: Array) -> int:
 
 
 def correlation(first: Array, second: Array, lag: int) -> float:
-    """Between the first and the second moved back by a lag."""
+    """Correlation of the first signal with the second moved back by `lag` samples."""
     return float(np.corrcoef(first[: first.size - lag], second[lag:])[0, 1])
 
 
 if __name__ == "__main__":
-    guarded(main)
+    run_and_exit(main)

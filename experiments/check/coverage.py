@@ -20,7 +20,7 @@ from tqdm import tqdm
 from miho.data import Dataset
 from miho.identification import CurveFit, linearised
 from miho.identification.bootstrap import bootstrap, percentile_intervals
-from miho.identification.profile import profile
+from miho.identification.profile_likelihood import likelihood_profile
 from miho.identification.refit import refit
 from miho.models import Pacejka
 from miho.optim import Parameter, Space
@@ -56,16 +56,16 @@ def synthetic(number: int) -> CurveFit:
 def intervals(problem: CurveFit, replicates: int) -> dict[str, Array]:
     """Intervals (5, 2) of each kind; the search starts at the truth, as a global one would end."""
     at = linearised(problem, refit(problem, TRUTH).theta)
-    profiles = [profile(problem, at, i) for i in range(TRUTH.size)]
-    found = {
+    profiles = [likelihood_profile(problem, at, i) for i in range(TRUTH.size)]
+    by_kind = {
         "linearised": at.intervals(),
         "profile": np.array([(p.low, p.high) for p in profiles]),
     }
     if replicates:
         rng = stream("bootstrap", problem.dataset.digest)
-        drawn = bootstrap(problem, at.theta, replicates, rng)
-        found["bootstrap"] = percentile_intervals(drawn, ROWS, at.freedom)
-    return found
+        thetas = bootstrap(problem, at.theta, replicates, rng)
+        by_kind["bootstrap"] = percentile_intervals(thetas, ROWS, at.freedom)
+    return by_kind
 
 
 def coverage(sets: int, bootstrapped: int, replicates: int) -> pd.DataFrame:
@@ -81,8 +81,8 @@ def coverage(sets: int, bootstrapped: int, replicates: int) -> pd.DataFrame:
             count = np.sum(held[:n], axis=0)
             row: dict[str, object] = {"interval": kind, "sets": n}
             for name, k in zip(SPACE.names, count, strict=True):
-                known = binomtest(int(k), n).proportion_ci()
-                row[name] = f"{100 * k / n:.1f} % [{100 * known.low:.0f}, {100 * known.high:.0f}]"
+                share = binomtest(int(k), n).proportion_ci()
+                row[name] = f"{100 * k / n:.1f} % [{100 * share.low:.0f}, {100 * share.high:.0f}]"
             rows.append(row)
     return pd.DataFrame(rows)
 

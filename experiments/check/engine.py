@@ -9,6 +9,7 @@ MIHO_DATA_DIR, else of ../shared/data beside the checkout), what the best cubic 
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -16,9 +17,9 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from experiments.check import reference_data
-from experiments.driving.car import identify_engine
+from experiments.driving.car import identified_engine
 from miho.data.synthetic_engine import true_torque
-from miho.driving.assembly.engine import Engine, truth_error
+from miho.driving.assembly.engine import IdentifiedEngine, truth_error
 from miho.models import EngineMap, TorqueCubic
 from miho.models.engine import RPM
 
@@ -36,7 +37,7 @@ def closed_form(omega: Array, torque: Array) -> tuple[Array, float]:
     return theta, float(np.sqrt(np.mean((J @ theta - torque) ** 2)))
 
 
-def curves(engine: Engine) -> pd.DataFrame:
+def curves(engine: IdentifiedEngine) -> pd.DataFrame:
     """A row per learned curve: errors [Nm], and how far from the closed form it is."""
     rows = []
     for throttle, curve in engine.curves.items():
@@ -58,14 +59,14 @@ def curves(engine: Engine) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def maps(engine: Engine) -> pd.DataFrame:
+def maps(engine: IdentifiedEngine) -> pd.DataFrame:
     """A row per map: RMSE against the truth by region, correction, order, inverse; all in Nm."""
     speeds = np.linspace(1300, 6500, 261) * RPM
     every = np.linspace(1000, 7000, 601) * RPM
     openings = np.linspace(0, 1, 1001)[:, None]
     rows = []
-    found: dict[str, EngineMap] = {"dyno": engine.trusted, "integrated": engine.integrated}
-    for name, table in found.items():
+    by_name: dict[str, EngineMap] = {"dyno": engine.trusted, "integrated": engine.integrated}
+    for name, table in by_name.items():
         row: dict[str, object] = {"map": name}
         for region, (low, high) in REGIONS.items():
             throttle = np.linspace(low, high, 101)[:, None]
@@ -74,9 +75,9 @@ def maps(engine: Engine) -> pd.DataFrame:
         row["correction"] = float(np.abs(table.correction).max())
         row["least rise"] = float(np.diff(table.torque(every, openings), axis=0).min())
         lowest, highest = table.limits(every)
-        wanted = lowest + (highest - lowest) * openings
-        inside = table.invertible(every, wanted)
-        row["inverse residual"] = float(table.throttle(every, wanted).residual[inside].max())
+        torques = lowest + (highest - lowest) * openings
+        inside = table.invertible(every, torques)
+        row["inverse residual"] = float(table.throttle(every, torques).residual[inside].max())
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -103,7 +104,8 @@ def show(title: str, table: pd.DataFrame) -> None:
 
 def main() -> None:
     """Print the tables."""
-    engine = identify_engine()
+    with tempfile.TemporaryDirectory() as root:
+        engine = identified_engine(Path(root))
     show("Learned curves, embedded drive [Nm]", curves(engine))
     show("Maps against the true engine, 1300 to 6500 rpm [Nm]", maps(engine))
     folder = reference_data() / "engine"

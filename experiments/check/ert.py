@@ -21,8 +21,8 @@ from typing import Any, cast
 import numpy as np
 
 from experiments.app.build import ConfigError
-from experiments.app.console import guarded
-from experiments.comparison import read_comparison
+from experiments.app.console import run_and_exit
+from experiments.app.drawing import read_comparison
 from miho.analysis import write_ioh
 from miho.analysis.compare.comparison import Comparison
 from miho.analysis.compare.running_time import hits, running_times
@@ -38,7 +38,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     def job() -> None:
-        largest, count = differences(read_comparison(arguments.root))
+        largest, count = largest_difference(read_comparison(arguments.root))
         print(
             f"{count} expected running times and success rates, a failed run charged as much as "
             f"the longest on its problem (the leaderboard: what it spent): largest difference "
@@ -47,18 +47,18 @@ def main() -> None:
         if not largest <= TOLERANCE:
             sys.exit(1)
 
-    guarded(job)
+    run_and_exit(job)
 
 
-def differences(found: Comparison) -> tuple[float, int]:
+def largest_difference(comparison: Comparison) -> tuple[float, int]:
     """The largest relative difference, inf where only one is finite, and how many were compared."""
     metrics, manager = _iohinspector()
-    runs, curves = found.runs.copy(), found.curves.copy()
+    runs, curves = comparison.runs.copy(), comparison.curves.copy()
     for frame in (runs, curves):
         frame["evaluations"] = np.ceil(frame["evaluations"])
     runs["evaluations"] = runs.groupby("problem")["evaluations"].transform("max")
     reached = hits(runs, curves)
-    ours = running_times(reached, "evaluations")
+    times = running_times(reached, "evaluations")
     targets = reached.groupby(["problem", "factor"])["target"].first()
     longest = runs.groupby("problem")["evaluations"].first()
     with tempfile.TemporaryDirectory() as folder:
@@ -68,7 +68,7 @@ def differences(found: Comparison) -> tuple[float, int]:
     largest, count = 0.0, 0
     for place, target in targets.items():
         problem, factor = cast(tuple[str, float], place)
-        mine = ours[(ours["problem"] == problem) & (ours["factor"] == factor)]
+        on_target = times[(times["problem"] == problem) & (times["factor"] == factor)]
         table = metrics.aggregate_running_time(
             data.filter(data["function_name"] == problem),
             f_min=target,
@@ -76,18 +76,18 @@ def differences(found: Comparison) -> tuple[float, int]:
             eval_max=int(longest[problem]),
         )
         names = list(table["algorithm_name"])
-        for name, theirs in PAIRS:
-            values = dict(zip(names, table[theirs], strict=True))
-            for method, value in zip(mine["optimizer"], mine[name], strict=True):
+        for name, their_name in PAIRS:
+            values = dict(zip(names, table[their_name], strict=True))
+            for method, value in zip(on_target["optimizer"], on_target[name], strict=True):
                 largest = max(largest, _difference(float(value), float(values[method])))
                 count += 1
     return largest, count
 
 
-def _difference(one: float, other: float) -> float:
-    if one == other:
+def _difference(ours: float, theirs: float) -> float:
+    if ours == theirs:
         return 0.0
-    return abs(one - other) / abs(other) if np.isfinite([one, other]).all() else np.inf
+    return abs(ours - theirs) / abs(theirs) if np.isfinite([ours, theirs]).all() else np.inf
 
 
 def _iohinspector() -> tuple[Any, Any]:

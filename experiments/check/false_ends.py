@@ -45,12 +45,12 @@ def _peak(x: Array, c: Array, w: Array) -> Array:
     return np.exp(-(((x - c) / w) ** 2))
 
 
-def _even(rng: np.random.Generator, least: int, most: int, end: float) -> list[Array]:
-    return [np.linspace(0, end, int(rng.integers(least, most)))]
+def _even(rng: np.random.Generator, fewest: int, most_points: int, end: float) -> list[Array]:
+    return [np.linspace(0, end, int(rng.integers(fewest, most_points)))]
 
 
-def _scattered(rng: np.random.Generator, least: int, most: int, end: float) -> list[Array]:
-    return list(rng.uniform(0, end, (2, int(rng.integers(least, most)))))
+def _scattered(rng: np.random.Generator, fewest: int, most_points: int, end: float) -> list[Array]:
+    return list(rng.uniform(0, end, (2, int(rng.integers(fewest, most_points)))))
 
 
 U = np.random.Generator.uniform
@@ -164,7 +164,7 @@ def runs(instances: int, seeds: int, agreeing: list[int]) -> Iterator[dict[str, 
     """A row per run: family, instance, how many have to agree, loss, evaluations, how it ended."""
     for number, (name, family) in enumerate(FAMILIES.items()):
         for instance in range(instances):
-            fit, known = problem(family, np.random.default_rng([number, instance]))
+            fit, known_loss = problem(family, np.random.default_rng([number, instance]))
             for k in agreeing:
                 better, enough = 1 / (k * (k - 1)) + 1e-9, min(k, 5)
                 with (
@@ -175,8 +175,8 @@ def runs(instances: int, seeds: int, agreeing: list[int]) -> Iterator[dict[str, 
                     for seed in range(seeds):
                         run = minimize(MIHOGN(), fit, BUDGET, seed)
                         yield {
-                            "family": name, "instance": instance, "agreeing": k, "known": known,
-                            "loss": run.loss, "evaluations": run.evaluations,
+                            "family": name, "instance": instance, "agreeing": k,
+                            "known": known_loss, "loss": run.loss, "evaluations": run.evaluations,
                             "ended": str(run.outcome) == "converged",
                         }  # fmt: skip
 
@@ -190,10 +190,10 @@ def main() -> None:
     parser.add_argument("--instances", type=int, default=8, help="problems of each family")
     parser.add_argument("--seeds", type=int, default=2, help="runs on each")
     parser.add_argument("--agreeing", default="4,5,7,10", help="how many brackets have to agree")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     print(machine())
-    agreeing = [int(text) for text in given.agreeing.split(",")]
-    table = pd.DataFrame(list(runs(given.instances, given.seeds, agreeing)))
+    agreeing = [int(text) for text in arguments.agreeing.split(",")]
+    table = pd.DataFrame(list(runs(arguments.instances, arguments.seeds, agreeing)))
     best = table.groupby(["family", "instance"])["loss"].transform("min")
     best = best.where(best < table["known"], table["known"])
     table["wrong"] = table["ended"] & (table["loss"] > (1 + WRONG) * best)

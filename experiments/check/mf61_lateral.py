@@ -38,7 +38,7 @@ from miho.models import (
     simplify,
     write_tir,
 )
-from miho.models.lateral_magic_formula import UNITS
+from miho.models.lateral_magic_formula import COEFFICIENTS
 from miho.models.magic_formula import MagicFormula
 from miho.models.model import central_differences
 from miho.models.simplified_tire import SLIP
@@ -53,16 +53,16 @@ LIMIT = 60  # steps of one start
 def bare(tire: MagicFormula) -> LateralMagicFormula:
     """The model with nothing of the tire but nominal load, nominal pressure and dimensions."""
     p = tire.parameters
-    known = ("FNOMIN", "NOMPRES", "UNLOADED_RADIUS", "LONGVL")
-    model = mf61_lateral({name: getattr(p, name) for name in known})
+    names = ("FNOMIN", "NOMPRES", "UNLOADED_RADIUS", "LONGVL")
+    model = mf61_lateral({name: getattr(p, name) for name in names})
     assert isinstance(model, LateralMagicFormula)
     return model
 
 
 def configured_space() -> Space:
-    """That of conf/space/mf61_lateral."""
-    chosen = composed(["model=mf61_lateral", "space=mf61_lateral"]).space
-    return build_space({str(k): dict(v) for k, v in chosen.items()})
+    """The space of conf/space/mf61_lateral."""
+    settings = composed(["model=mf61_lateral", "space=mf61_lateral"]).space
+    return build_space({str(k): dict(v) for k, v in settings.items()})
 
 
 def identification(path: Path, space: Space, starts: int = STARTS) -> dict[str, object]:
@@ -79,13 +79,13 @@ def identification(path: Path, space: Space, starts: int = STARTS) -> dict[str, 
     errors, seconds, unseen = [], [], []
     for start in rng.uniform(space.low, space.high, (starts, len(space))):
         began = process_time()
-        found = scipy.optimize.least_squares(
+        fit = scipy.optimize.least_squares(
             problem.residuals, start, jac=problem.jacobian, bounds=(space.low, space.high),
             x_scale="jac", max_nfev=LIMIT,
         )  # fmt: skip
         seconds.append(process_time() - began)
-        errors.append(np.sqrt(2 * found.cost / len(data)))
-        predicted = problem.model.predict(found.x[None], *columns)[0]
+        errors.append(np.sqrt(2 * fit.cost / len(data)))
+        predicted = problem.model.predict(fit.x[None], *columns)[0]
         unseen.append(100 * np.sqrt(np.mean((predicted - truth) ** 2)) / peak)
     success = np.array(errors) < 1.01 * min(errors)
     best = int(np.argmin(errors))
@@ -218,7 +218,7 @@ def figures() -> None:
         for path in sorted((reference_data() / "mf_reference").glob("*.tir"))
         if load_tir(path).parameters.version == "6.1"
     ]
-    print(f"{len(UNITS)} coefficients of MF 6.1 from 3000 samples with 50 N of noise")
+    print(f"{len(COEFFICIENTS)} coefficients of MF 6.1 from 3000 samples with 50 N of noise")
     space = configured_space()
     print(pd.DataFrame([identification(path, space) for path in tires]).to_string(index=False))
     whole_run()

@@ -28,7 +28,7 @@ from tqdm import tqdm
 
 from experiments.app.build import build
 from experiments.app.compose import composed
-from experiments.app.console import guarded
+from experiments.app.console import run_and_exit
 from experiments.app.schema import register
 from miho.identification import CurveFit, linear_optimum
 from miho.optim.seeds import stream
@@ -51,7 +51,7 @@ STEPS = 100
 POLISHED = 10
 SIMPLEX = 4000
 """Evaluations of one simplex; it is started twice, as a fresh one often finds more."""
-SAME = 1e-9
+SAME_MINIMUM = 1e-9
 """Relative difference of two errors that are one minimum, and by which a record is beaten."""
 APART = 1e-6
 """Relative difference of two errors that are two minima."""
@@ -60,7 +60,7 @@ MISSED = 1e-7
 
 @dataclass(frozen=True)
 class Optimum:
-    """What was found of one problem: errors in the output's unit.
+    """The best known optimum of one problem: errors in the output's unit.
 
     `agreeing` is the number of descents from `starts` starts that end in the optimum, `failed`
     that of starts from where the model or its derivatives give no number, and `polished` that of
@@ -87,12 +87,12 @@ class Optimum:
         if not self.starts:
             return "closed form (linear least squares)"
         alike = "end below the resolution" if self.error < self.resolution else "agree to 1e-9"
-        told = f"{self.agreeing} of {self.starts:,} uniform least-squares starts {alike}"
+        text = f"{self.agreeing} of {self.starts:,} uniform least-squares starts {alike}"
         if self.failed:
-            told += f" (the model fails at {self.failed} of them)"
+            text += f" (the model fails at {self.failed} of them)"
         if self.polished == POLISHED and self.agreeing:
-            return f"{told}, and so do simplices from the ten best; none better"
-        return f"{told}, and {self.polished} of ten simplices from the best; none better"
+            return f"{text}, and so do simplices from the ten best; none better"
+        return f"{text}, and {self.polished} of ten simplices from the best; none better"
 
 
 @cache
@@ -113,7 +113,7 @@ def thetas_of(problem: CurveFit, points: Array) -> Array:
     return problem.space.clip(problem.space.decode(low + points * (high - low)))
 
 
-def descended(name: str, points: Array, tolerance: float) -> tuple[Array, Array]:
+def least_squares_ends(name: str, points: Array, tolerance: float) -> tuple[Array, Array]:
     """Where least squares ends from points (n, d): points (n, d), and errors (n,).
 
     The error is NaN where the model fails at the start, or its derivatives on the way.
@@ -135,48 +135,48 @@ def descended(name: str, points: Array, tolerance: float) -> tuple[Array, Array]
             if not np.isfinite(residuals(point)).all():
                 continue
             try:
-                found = scipy.optimize.least_squares(
+                descent = scipy.optimize.least_squares(
                     residuals, point, jac=jacobian, bounds=(0.0, 1.0), method="trf", x_scale="jac",
                     ftol=tolerance, xtol=tolerance, gtol=None, max_nfev=STEPS,
                 )  # fmt: skip
             except (ValueError, np.linalg.LinAlgError):  # derivatives that are not finite
                 continue
-            ends[i], errors[i] = found.x, error_of(problem, found.x)
+            ends[i], errors[i] = descent.x, error_at(problem, descent.x)
     return ends, errors
 
 
-def all_descended(
+def all_least_squares_ends(
     name: str, points: Array, tolerance: float, pool: ProcessPoolExecutor
 ) -> tuple[Array, Array]:
-    """`descended` by all workers."""
+    """`least_squares_ends` by all workers."""
     chunks = [points[i : i + CHUNK] for i in range(0, len(points), CHUNK)]
-    tasks = [pool.submit(descended, name, chunk, tolerance) for chunk in chunks]
-    done = [task.result() for task in tqdm(tasks, desc=name, leave=False, disable=None)]
-    ends, errors = (np.concatenate(part) for part in zip(*done, strict=True))
+    tasks = [pool.submit(least_squares_ends, name, chunk, tolerance) for chunk in chunks]
+    results = [task.result() for task in tqdm(tasks, desc=name, leave=False, disable=None)]
+    ends, errors = (np.concatenate(part) for part in zip(*results, strict=True))
     return ends, errors
 
 
-def polished(name: str, points: Array) -> tuple[Array, Array]:
+def simplex_ends(name: str, points: Array) -> tuple[Array, Array]:
     """Where the simplex ends from points (n, d): points (n, d), and errors (n,)."""
     problem = problem_of(name)
 
     def error(point: Array) -> float:
-        return error_of(problem, point)
+        return error_at(problem, point)
 
     bounds = [(0.0, 1.0)] * points.shape[1]
     ends = np.clip(points, 0.0, 1.0)
     with single_thread():
         for i in range(len(ends)):
             for _ in range(2):
-                found = scipy.optimize.minimize(
+                descent = scipy.optimize.minimize(
                     error, ends[i], method="Nelder-Mead", bounds=bounds,
                     options={"maxfev": SIMPLEX, "xatol": 1e-13, "fatol": 0.0, "adaptive": True},
                 )  # fmt: skip
-                ends[i] = found.x
+                ends[i] = descent.x
     return ends, np.array([error(end) for end in ends])
 
 
-def error_of(problem: CurveFit, point: Array) -> float:
+def error_at(problem: CurveFit, point: Array) -> float:
     """Root of the loss at a point (d,) of the unit box; infinite where the model fails."""
     loss = float(problem.loss(thetas_of(problem, point)[None])[0])
     return math.sqrt(loss) if math.isfinite(loss) else math.inf
@@ -192,45 +192,45 @@ def optimum_of(name: str, starts: int, pool: ProcessPoolExecutor) -> Optimum:
         theta, loss = exact
         seconds = time.perf_counter() - began
         return Optimum(*shape, math.sqrt(loss), theta, 0, 0, 0, 0, math.nan, seconds)
-    ends, errors = all_descended(name, starts_of(name, starts), ROUGH, pool)
+    ends, errors = all_least_squares_ends(name, starts_of(name, starts), ROUGH, pool)
     resolution = composed([f"problem={name}"]).problem.resolution or 0.0
     limit = max(np.nanmin(errors) * (1 + NEAR), NEAR_EXACT * resolution)
     near = np.flatnonzero(errors <= limit)
-    ends[near], errors[near] = all_descended(name, ends[near], FINE, pool)
+    ends[near], errors[near] = all_least_squares_ends(name, ends[near], FINE, pool)
     best = np.argsort(errors, kind="stable")[:POLISHED]
-    tasks = [pool.submit(polished, name, ends[i : i + 1]) for i in best]
-    done = [task.result() for task in tasks]
-    finer, finest = (np.concatenate(part) for part in zip(*done, strict=True))
-    points, found = np.vstack([finer, ends[best]]), np.concatenate([finest, errors[best]])
-    error = float(found.min())
+    tasks = [pool.submit(simplex_ends, name, ends[i : i + 1]) for i in best]
+    polished_ends = [task.result() for task in tasks]
+    finer, finest = (np.concatenate(part) for part in zip(*polished_ends, strict=True))
+    points, all_errors = np.vstack([finer, ends[best]]), np.concatenate([finest, errors[best]])
+    error = float(all_errors.min())
     least = max(error, resolution)
-    others = errors[errors > least * (1 + APART)]
+    other_minima = errors[errors > least * (1 + APART)]
     return Optimum(
         *shape,
         error=error,
-        theta=thetas_of(problem, points[found.argmin()]),
+        theta=thetas_of(problem, points[all_errors.argmin()]),
         starts=starts,
-        agreeing=int(np.count_nonzero(errors <= least * (1 + SAME))),
+        agreeing=int(np.count_nonzero(errors <= least * (1 + SAME_MINIMUM))),
         failed=int(np.count_nonzero(np.isnan(errors))),
-        polished=int(np.count_nonzero(finest <= least * (1 + SAME))),
-        second=float(others.min()) if others.size else math.nan,
+        polished=int(np.count_nonzero(finest <= least * (1 + SAME_MINIMUM))),
+        second=float(other_minima.min()) if other_minima.size else math.nan,
         seconds=time.perf_counter() - began,
         resolution=resolution,
     )
 
 
-def verdict(found: Optimum, recorded: float | None) -> str:
-    """How what was found compares with the record: empty if it confirms it.
+def verdict(optimum: Optimum, recorded: float | None) -> str:
+    """How an optimum compares with the recorded error: empty if it confirms it.
 
     Errors below the resolution are the same.
     """
     if recorded is None:
         return "not recorded"
-    if max(found.error, recorded) <= found.resolution:
+    if max(optimum.error, recorded) <= optimum.resolution:
         return ""
-    if found.error < recorded * (1 - SAME):
+    if optimum.error < recorded * (1 - SAME_MINIMUM):
         return f"beats the recorded {recorded:.12g}"
-    if found.error > recorded * (1 + MISSED):
+    if optimum.error > recorded * (1 + MISSED):
         return f"misses the recorded {recorded:.12g}"
     return ""
 
@@ -253,26 +253,28 @@ def main() -> None:
         f"{'second':>14}{'seconds':>9}"
     )
     failed = False
+    # A line for each problem, and below it the evidence, and which parameters are at a bound.
     with ProcessPoolExecutor(WORKERS, multiprocessing.get_context("spawn")) as pool:
         for name in arguments.problems or names:
-            found = optimum_of(name, arguments.starts, pool)
+            optimum = optimum_of(name, arguments.starts, pool)
             recorded = composed([f"problem={name}"]).problem.optimum
-            said = verdict(found, recorded)
-            failed = failed or (recorded is not None and bool(said))
-            agree = f"{found.agreeing}/{found.starts}" if found.starts else "closed form"
+            remark = verdict(optimum, recorded)
+            failed = failed or (recorded is not None and bool(remark))
+            agree = f"{optimum.agreeing}/{optimum.starts}" if optimum.starts else "closed form"
             print(
-                f"{name:<19}{found.dimension:>4}{found.rows:>6}  {found.error:<20.14g}{agree:>12}"
-                f"{found.polished if found.starts else '-':>11}{found.second:>14.7g}"
-                f"{found.seconds:>9.1f}  {said}",
+                f"{name:<19}{optimum.dimension:>4}{optimum.rows:>6}  "
+                f"{optimum.error:<20.14g}{agree:>12}"
+                f"{optimum.polished if optimum.starts else '-':>11}{optimum.second:>14.7g}"
+                f"{optimum.seconds:>9.1f}  {remark}",
                 flush=True,
             )
             low, high = problem_of(name).space.low, problem_of(name).space.high
-            share = (found.theta - low) / (high - low)
+            share = (optimum.theta - low) / (high - low)
             at_bound = np.flatnonzero((share < 1e-6) | (share > 1 - 1e-6))
             bounds = ", ".join(problem_of(name).space.names[i] for i in at_bound)
-            print(f"    {found.evidence}{f'; at a bound: {bounds}' if bounds else ''}")
+            print(f"    {optimum.evidence}{f'; at a bound: {bounds}' if bounds else ''}")
     sys.exit(int(failed))
 
 
 if __name__ == "__main__":
-    guarded(main)
+    run_and_exit(main)

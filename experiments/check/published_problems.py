@@ -166,7 +166,7 @@ def yaml_of(name: str, fit: PublishedFit, box: str, evidence: str) -> str:
 
 
 def evidence_in(file: Path, fit: PublishedFit) -> str:
-    """What a problem's file says of its optimum, or what its publication does."""
+    """The evidence for the optimum in a problem's file, or else that of its publication."""
     if file.exists():
         return str(OmegaConf.load(file).problem.evidence)
     return SOURCES[fit.collection] if fit.squares else EXACT

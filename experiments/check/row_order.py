@@ -37,7 +37,7 @@ from numpy.typing import NDArray
 
 from experiments.app.build import build_problem
 from experiments.app.compose import composed
-from experiments.app.console import guarded
+from experiments.app.console import run_and_exit
 from experiments.app.schema import register
 from miho.data import Dataset
 from miho.identification import CurveFit
@@ -205,15 +205,15 @@ def full_rank(problem: CurveFit, theta: Array, rows: Rows) -> bool:
 def figures(
     name: str, problem: CurveFit, best: Array, kind: str, orders: int
 ) -> tuple[list[bool], list[Array]]:
-    """Of each order: whether its first rows tell all parameters apart, and percent more loss."""
+    """For each order: whether its first rows have full rank, and percent more loss per subset."""
     d, least = len(problem.space), problem.loss(best[None])[0]
-    seen, more = [], []
+    full, losses = [], []
     for seed in range(orders):
         order = ORDERS[kind](problem.inputs, stream("order", name, seed))
-        seen.append(full_rank(problem, best, order[: 4 * d]))
+        full.append(full_rank(problem, best, order[: 4 * d]))
         ends = np.array([descended(problem, best, order[: k * d]) for k in PER_PARAMETER])
-        more.append(100 * (problem.loss(ends) / least - 1))
-    return seen, more
+        losses.append(100 * (problem.loss(ends) / least - 1))
+    return full, losses
 
 
 def main() -> None:
@@ -236,14 +236,14 @@ def main() -> None:
                 )
                 best = optimum(name, problem)
                 for kind in ORDERS:
-                    seen, more = figures(name, problem, best, kind, arguments.orders)
-                    middle, high = np.quantile(more, [0.5, 0.9], axis=0)
+                    full, losses = figures(name, problem, best, kind, arguments.orders)
+                    middle, high = np.quantile(losses, [0.5, 0.9], axis=0)
                     cells = "".join(
                         f"{a:>11.3g}{b:>11.3g}" for a, b in zip(middle, high, strict=True)
                     )
-                    print(f"{name:<19}{kind:<12}{np.mean(seen):>6.2f}{cells}", flush=True)
+                    print(f"{name:<19}{kind:<12}{np.mean(full):>6.2f}{cells}", flush=True)
 
-    guarded(job)
+    run_and_exit(job)
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from experiments.app.runs import HERE, run
 from experiments.app.schema import SweepConfig, register
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.driving.assembly.bench import TIRES, assembled
-from miho.driving.assembly.engine import DATASETS, Engine, engine_of
+from miho.driving.assembly.engine import DATASETS, IdentifiedEngine, engine_of
 from miho.driving.embedded import embedded_engine, embedded_tires
 from miho.driving.known_car import KnownCar
 from miho.driving.vehicle import Vehicle
@@ -26,7 +26,6 @@ from miho.identification import CurveFit
 from miho.identification.parameters_file import identified_at
 from miho.models import read_parameters
 from miho.models.identified import parameters_text
-from miho.optim import minimize
 from miho.study import write_text
 
 Array = NDArray[np.float64]
@@ -49,7 +48,7 @@ Parts = Mapping[str, tuple[CurveFit, Array]]
 
 
 def known_car(cfg: DictConfig, vehicle: Vehicle) -> tuple[KnownCar, Parts]:
-    """What `drive.known` asks for, and what of it was identified."""
+    """The car that `drive.known` chooses, and its identified parts, none for the truth."""
     if cfg.drive.known == "truth":
         tires, engine = embedded_tires(), embedded_engine()
         return KnownCar.of_tires(vehicle, tires, engine, EMBEDDED_BRAKE), {}
@@ -99,24 +98,21 @@ def identified_parts(cfg: DictConfig, names: Sequence[str] = tuple(PARTS)) -> Pa
 
 def part_setting(cfg: DictConfig, part: str) -> Mapping[str, Any]:
     """One problem of `PARTS` with the method, the budget, the seed and the root of a drive."""
-    ours = plain(cfg)
-    budget = {**ours["budget"], "target": None}
-    how = {key: ours[key] for key in ("optimizer", "seed", "root")}
-    return {**plain(composed([*PARTS[part]])), **how, "budget": budget}
+    drive = plain(cfg)
+    budget = {**drive["budget"], "target": None}
+    shared = {key: drive[key] for key in ("optimizer", "seed", "root")}
+    return {**plain(composed([*PARTS[part]])), **shared, "budget": budget}
 
 
-def identify_engine(optimizer: str = "least_squares", seed: int = 0) -> Engine:
-    """Learn the curves at 5, 15 and 20 % throttle with one method of conf/optimizer, make the map.
+def identified_engine(root: Path) -> IdentifiedEngine:
+    """The engine map with the curves at 5, 15 and 20 % throttle, identified by least squares.
 
-    The same call gives the same engine. Each curve is valid between the lowest and the highest
+    Runs and parameters files go to `root`. Each curve is valid between the lowest and the highest
     engine speed of its samples.
     """
     register()
-    problems, thetas = {}, {}
-    for throttle, name in DATASETS.items():
-        chosen = build(composed([f"dataset={name}", f"optimizer={optimizer}", f"seed={seed}"]))
-        record = minimize(chosen.optimizer, chosen.problem, chosen.budget, seed)
-        if record.theta is None:
-            raise RuntimeError(f"{optimizer} found no finite error on {name}: {record.error}")
-        problems[throttle], thetas[throttle] = chosen.problem, record.theta
-    return engine_of(problems, thetas, seed)
+    cfg = composed(["optimizer=least_squares", f"root={root}"])
+    parts = identified_parts(cfg, tuple(DATASETS.values()))
+    problems = {throttle: parts[name][0] for throttle, name in DATASETS.items()}
+    thetas = {throttle: parts[name][1] for throttle, name in DATASETS.items()}
+    return engine_of(problems, thetas, cfg.seed)

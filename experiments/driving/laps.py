@@ -14,7 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from experiments.app.build import build_optimizer, build_space, plain
 from experiments.app.compose import composed
 from experiments.app.schema import register
-from experiments.driving.settings import driver_of, prepared
+from experiments.driving.settings import driver_of, track_and_vehicle
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.driving.assembly.from_drives import (
     HIGH_OPENINGS,
@@ -28,10 +28,10 @@ from miho.driving.driver import Driver
 from miho.driving.embedded import embedded_engine, embedded_plant, embedded_tires
 from miho.driving.known_car import KnownCar
 from miho.driving.outcome import true_use
-from miho.driving.proving_ground import Driven, driven, programme
+from miho.driving.proving_ground import Recording, perform, programme
 from miho.driving.road import road_of
 from miho.driving.sensors import Sensors
-from miho.driving.simulation import Drive, drive
+from miho.driving.simulation import Drive, simulate
 from miho.driving.vehicle import Vehicle
 from miho.optim import Budget, Optimizer, Space
 from miho.study import single_thread, write_text
@@ -45,7 +45,7 @@ LOW_DYNO = 0.9
 
 @dataclass(frozen=True)
 class Variant:
-    """What the planner and the controllers know: `method` None is the truth."""
+    """Parameters for planner and controllers, as `method` identifies them; None: the truth."""
 
     name: str
     method: str | None
@@ -69,7 +69,7 @@ alone, explains its speed error: with a dyno that is right, and with one that is
 
 
 @dataclass(frozen=True)
-class Job:
+class SeedJob:
     """One seed of the study: the configuration in YAML, the code's digest, where its files go."""
 
     setting: str
@@ -78,7 +78,7 @@ class Job:
     folder: str
 
 
-def laps_of(job: Job) -> list[dict[str, Any]]:
+def laps_of(job: SeedJob) -> list[dict[str, Any]]:
     """Identify from one seed's measurements, drive a lap on each variant; a row for each."""
     register()
     cfg = cast(DictConfig, OmegaConf.create(job.setting))
@@ -87,15 +87,15 @@ def laps_of(job: Job) -> list[dict[str, Any]]:
         _identify(cfg, job.seed, folder)
         rows = []
         for variant in VARIANTS:
-            done, driver = lap(cfg, known(cfg, variant, folder, job.seed), job.seed)
+            drive, driver = lap(cfg, variant_car(cfg, variant, folder, job.seed), job.seed)
             of_lap = {"seed": job.seed, "variant": variant.name}
-            rows.append(of_lap | judged_lap(done, driver, cfg.drive))
+            rows.append(of_lap | lap_results(drive, driver, cfg.drive))
     write_text(folder / LAPS, json.dumps({"job": asdict(job), "laps": rows}, indent=1) + "\n")
     return rows
 
 
-def laps_before(job: Job) -> list[dict[str, Any]] | None:
-    """The rows of a job that was done before, by the same code and settings; else None."""
+def stored_laps(job: SeedJob) -> list[dict[str, Any]] | None:
+    """The rows of a job that was done before by the same code and settings; None without them."""
     try:
         stored = json.loads(Path(job.folder, LAPS).read_text(encoding="utf-8"))
     except (FileNotFoundError, ValueError):
@@ -103,9 +103,9 @@ def laps_before(job: Job) -> list[dict[str, Any]] | None:
     return stored["laps"] if stored.get("job") == asdict(job) else None
 
 
-def known(cfg: DictConfig, variant: Variant, folder: Path, seed: int) -> KnownCar:
-    """The car as a variant knows it."""
-    _, _, vehicle = prepared(cfg)
+def variant_car(cfg: DictConfig, variant: Variant, folder: Path, seed: int) -> KnownCar:
+    """The car with the parameters of a variant."""
+    _, _, vehicle = track_and_vehicle(cfg)
     if variant.method is None:
         return KnownCar.of_tires(vehicle, embedded_tires(), embedded_engine(), EMBEDDED_BRAKE)
     return known_from(
@@ -124,17 +124,17 @@ def lap(cfg: DictConfig, car: KnownCar, seed: int) -> tuple[Drive, Driver]:
 
     The sensors' noise is that of the seed, the same for every variant.
     """
-    road, line, vehicle = prepared(cfg)
+    road, line, vehicle = track_and_vehicle(cfg)
     driver = driver_of(cfg, car, line)
     plant = embedded_plant(vehicle, road_of(road, cfg.drive.road_friction))
     speed, _ = driver.plan.at(cfg.drive.start)
     at = road.project(*map(float, line.position(cfg.drive.start)))
     start = plant.start(at.s, at.e, speed, driver.speed.start(speed).gear)
     rng = np.random.default_rng([seed, 1])
-    return drive(plant, driver, start, cfg.drive.distance, sensors=Sensors(), rng=rng), driver
+    return simulate(plant, driver, start, cfg.drive.distance, sensors=Sensors(), rng=rng), driver
 
 
-def judged_lap(done: Drive, driver: Driver, settings: DictConfig) -> dict[str, float | str]:
+def lap_results(drive: Drive, driver: Driver, settings: DictConfig) -> dict[str, float | str]:
     """What a lap with the settings of `drive` came to.
 
     lap_time [s], unless the car stopped; largest e_y [m] and e_psi [rad].
@@ -143,34 +143,34 @@ def judged_lap(done: Drive, driver: Driver, settings: DictConfig) -> dict[str, f
     the largest use of the true tires' friction, negative beyond it.
     """
     brake = replace(driver.speed, brake=EMBEDDED_BRAKE)  # the plant's, for the use of its tires
-    error, friction = done["vx"] - done["v_des"], settings.road_friction
-    part = (done["u_throttle"] > PART[0]) & (done["u_throttle"] < PART[1])
-    left = settings.distance - float(done["distance"][-1])
-    finished: dict[str, float | str]
-    finished = {} if done.stopped else {"lap_time": _finish(done, left)}
-    return finished | {
-        "stopped": done.stopped,
-        "e_y": float(np.abs(done["e_y"]).max()),
-        "e_psi": float(np.abs(done["e_psi"]).max()),
+    error, friction = drive["vx"] - drive["v_des"], settings.road_friction
+    part = (drive["u_throttle"] > PART[0]) & (drive["u_throttle"] < PART[1])
+    remaining = settings.distance - float(drive["distance"][-1])
+    lap_time: dict[str, float | str]
+    lap_time = {} if drive.stopped else {"lap_time": _finish(drive, remaining)}
+    return lap_time | {
+        "stopped": drive.stopped,
+        "e_y": float(np.abs(drive["e_y"]).max()),
+        "e_psi": float(np.abs(drive["e_psi"]).max()),
         "speed_error": float(np.sqrt(np.mean(error**2))),
         "part_throttle": float(np.sqrt(np.mean(error[part] ** 2))) if part.any() else 0.0,
-        "margin": 1 - float(true_use(done, replace(driver, speed=brake), friction).max()),
+        "margin": 1 - float(true_use(drive, replace(driver, speed=brake), friction).max()),
     }
 
 
-def _finish(done: Drive, left: float) -> float:
-    """The time at which the last `left` [m] are done too."""
-    return float(done["time"][-1] - done["time"][0] + left / done["vx"][-1])
+def _finish(drive: Drive, remaining: float) -> float:
+    """The lap time [s], where the `remaining` distance [m] is driven at the last speed."""
+    return float(drive["time"][-1] - drive["time"][0] + remaining / drive["vx"][-1])
 
 
 def _identify(cfg: DictConfig, seed: int, folder: Path) -> None:
     """One folder of parameters files for each method, from the same measurements."""
-    _, _, vehicle = prepared(cfg)
+    _, _, vehicle = track_and_vehicle(cfg)
     openings = LOW_OPENINGS + HIGH_OPENINGS
     rng = np.random.default_rng([seed, 0])
     logs = {
-        name: tuple(manoeuvre.log(name, Sensors(), rng) for manoeuvre in runs)
-        for name, runs in _drives(vehicle, openings).items()
+        name: tuple(recording.log(name, Sensors(), rng) for recording in recordings)
+        for name, recordings in _recordings(vehicle, openings).items()
     }
     problems = problems_of(logs, vehicle, spaces())
     budget = Budget(evaluations=cfg.budget.evaluations, seconds=cfg.budget.seconds)
@@ -182,9 +182,9 @@ def methods_of(cfg: DictConfig) -> dict[str, Optimizer]:
     """The methods of `comparison.methods`, by name."""
     methods = {}
     for name, settings in cfg.comparison.methods.items():
-        chosen = composed([f"optimizer={name}"])
-        chosen.optimizer = OmegaConf.merge(chosen.optimizer, settings)
-        methods[str(name)] = build_optimizer(chosen)
+        setting = composed([f"optimizer={name}"])
+        setting.optimizer = OmegaConf.merge(setting.optimizer, settings)
+        methods[str(name)] = build_optimizer(setting)
     return methods
 
 
@@ -194,10 +194,10 @@ def spaces() -> dict[str, Space]:
 
 
 @lru_cache(maxsize=1)
-def _drives(vehicle: Vehicle, openings: tuple[float, ...]) -> dict[str, tuple[Driven, ...]]:
+def _recordings(vehicle: Vehicle, openings: tuple[float, ...]) -> dict[str, tuple[Recording, ...]]:
     """What happens on the proving ground, which no seed changes."""
     plant = embedded_plant(vehicle)
     return {
-        name: tuple(driven(plant, manoeuvre) for manoeuvre in runs)
-        for name, runs in programme(vehicle, openings).items()
+        name: tuple(perform(plant, manoeuvre) for manoeuvre in manoeuvres)
+        for name, manoeuvres in programme(vehicle, openings).items()
     }

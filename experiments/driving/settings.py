@@ -32,12 +32,12 @@ LEAST_FACTOR, LARGEST_FACTOR = 0.05, 1.5
 """A car on wet ice, and one on tires half as good again as they are known."""
 
 
-def prepared(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
+def track_and_vehicle(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
     """The road, the line that is driven on it, and the vehicle."""
-    known = [field.name for field in fields(DriveConfig)]
+    keys = [field.name for field in fields(DriveConfig)]
     for key in cfg.drive:
-        if key not in known:
-            allowed = f"is unknown; allowed are {', '.join(known)}"
+        if key not in keys:
+            allowed = f"is unknown; allowed are {', '.join(keys)}"
             raise ConfigError(f"drive.{key!s}: {RENAMED.get(f'drive.{key!s}', allowed)}")
     if not cfg.drive.track or not cfg.drive.vehicle or not cfg.drive.controller:
         raise ConfigError("drive: is incomplete; choose experiment=ims_obstacle or lvms_laps")
@@ -49,7 +49,7 @@ def prepared(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
                 f"drive.{key}: is {cfg.drive[key]:g}; expected {LEAST_FACTOR:g} to "
                 f"{LARGEST_FACTOR:g}, {meaning}"
             )
-    with one_line():
+    with as_config_error():
         vehicle = Vehicle.from_settings(_mapping(cfg.drive.vehicle))
         settings = _mapping(cfg.drive.track)
         name, offset = settings.pop("name", None), settings.pop("offset", 0.0)
@@ -63,12 +63,12 @@ def prepared(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
     return road, line, vehicle
 
 
-def driver_of(cfg: DictConfig, known: KnownCar, line: Track) -> Driver:
+def driver_of(cfg: DictConfig, car: KnownCar, line: Track) -> Driver:
     """The driver that `drive` describes, for a line and what is known of the car."""
     settings = _mapping(cfg.drive.controller)
-    planner = known.planner(cfg.drive.performance_factor, cfg.drive.top_speed)
-    steering = known.steering_controller(Weights(**settings["weights"]), settings["period"])
-    speed = known.speed_controller(SpeedSettings(**settings["speed"]))
+    planner = car.planner(cfg.drive.performance_factor, cfg.drive.top_speed)
+    steering = car.steering_controller(Weights(**settings["weights"]), settings["period"])
+    speed = car.speed_controller(SpeedSettings(**settings["speed"]))
     tops = tuple(cfg.drive.top_speeds)
     pace = Pace(tops, cfg.drive.ramp) if tops else None
     box = cfg.drive.obstacle
@@ -79,7 +79,7 @@ def driver_of(cfg: DictConfig, known: KnownCar, line: Track) -> Driver:
     return Driver(planner.plan(line), speed, steering, pace, sighting)
 
 
-def factors(cfg: DictConfig) -> str:
+def factors_text(cfg: DictConfig) -> str:
     """The two factors of `drive` in words, for figures."""
     return (
         f"performance factor {cfg.drive.performance_factor:g}, "
@@ -95,7 +95,7 @@ def _mapping(node: DictConfig) -> dict[str, Any]:
 
 
 @contextmanager
-def one_line() -> Iterator[None]:
+def as_config_error() -> Iterator[None]:
     """What the library finds wrong with settings is bad input, in its own words."""
     try:
         yield

@@ -54,13 +54,13 @@ def write_csv(runs: pd.DataFrame, curves: pd.DataFrame, folder: Path) -> None:
     come from others.
     """
 
-    def written(table: pd.DataFrame, path: Path) -> str:
+    def write_table(table: pd.DataFrame, path: Path) -> str:
         text = _without_formulas(table).to_csv(index=False, lineterminator="\n")
         write_text(path, text)
         return sha256(text)
 
     reader = 'pandas.read_csv(path), before pandas 3.1 with float_precision="round_trip"'
-    _write({"runs.csv": runs, "curves.csv": curves}, folder, reader, written)
+    _write({"runs.csv": runs, "curves.csv": curves}, folder, reader, write_table)
 
 
 def _without_formulas(table: pd.DataFrame) -> pd.DataFrame:
@@ -88,7 +88,7 @@ def write_parquet(runs: pd.DataFrame, curves: pd.DataFrame, folder: Path) -> Non
     if importlib.util.find_spec("pyarrow") is None:
         raise ModuleNotFoundError("parquet: pyarrow is not installed; pip install 'miho[parquet]'")
 
-    def written(table: pd.DataFrame, path: Path) -> str:
+    def write_table(table: pd.DataFrame, path: Path) -> str:
         temporary = path.with_name(f".{path.name}.{os.getpid()}")
         try:
             table.to_parquet(temporary, engine="pyarrow", index=False, write_page_checksum=True)
@@ -99,14 +99,14 @@ def write_parquet(runs: pd.DataFrame, curves: pd.DataFrame, folder: Path) -> Non
         return digest
 
     reader = "pyarrow.parquet.read_table(path, page_checksum_verification=True)"
-    _write({"runs.parquet": runs, "curves.parquet": curves}, folder, reader, written)
+    _write({"runs.parquet": runs, "curves.parquet": curves}, folder, reader, write_table)
 
 
 def _write(
     tables: Mapping[str, pd.DataFrame],
     folder: Path,
     reader: str,
-    written: Callable[[pd.DataFrame, Path], str],
+    write_table: Callable[[pd.DataFrame, Path], str],
 ) -> None:
     """Write the tables, that of the runs first, and last of all what they hold."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -115,7 +115,7 @@ def _write(
     units = _units(next(iter(tables.values())))
     for name, table in tables.items():
         columns = {str(key): _column(str(key), kind, units) for key, kind in table.dtypes.items()}
-        digest = written(table, folder / name)
+        digest = write_table(table, folder / name)
         files[name] = {"sha256": digest, "rows": len(table), "columns": columns}
     write_text(folder / COLUMNS, json.dumps({"read with": reader, "files": files}, indent=1) + "\n")
 
@@ -153,9 +153,11 @@ def write_ioh(runs: pd.DataFrame, curves: pd.DataFrame, folder: str | Path) -> l
     folder = Path(folder)
     if folder.exists() and any(folder.iterdir()):
         raise FileExistsError(f"{folder} is not empty; pass a new folder")
+    # Numbers of problems, and the curve of each run by its id.
     numbers = {problem: place for place, problem in enumerate(sorted(runs["problem"].unique()), 1)}
     sizes = dimensions(runs)
     steps = {str(run): rows for run, rows in curves.groupby("id")}
+    # For each method on each problem a .dat file with all curves, and a JSON file about it.
     for key, group in runs.sort_values("seed").groupby(["optimizer", "problem"]):
         optimizer, problem = map(str, key)
         records = [_steps(steps[run["id"]], run["evaluations"]) for _, run in group.iterrows()]

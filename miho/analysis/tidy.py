@@ -26,10 +26,10 @@ def one_problem(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame,
     """Both frames, checked as by `comparison` and to hold one problem and unit."""
     require_columns(runs, RUN_COLUMNS, "runs")
     for column in ("problem", "unit"):
-        found = sorted(map(str, runs[column].unique()))
-        if len(found) != 1:
+        values = sorted(map(str, runs[column].unique()))
+        if len(values) != 1:
             raise ValueError(
-                f"runs hold {len(found)} different values of {column} ({', '.join(found)}); "
+                f"runs hold {len(values)} different values of {column} ({', '.join(values)}); "
                 f"pass the runs of one problem at a time"
             )
     return comparison(runs, curves)

@@ -35,7 +35,7 @@ class Clock:
         return UNITS[self.axis]
 
     def advice(self, command: str) -> str:
-        """What to run for wall seconds, "" where these are; command: what made the runs."""
+        """How to get wall seconds, "" where the clock has them; command: what made the runs."""
         if self.axis == "seconds":
             return ""
         return (
@@ -45,7 +45,7 @@ class Clock:
 
 
 def undisturbed(runs: pd.DataFrame) -> pd.Series[bool]:
-    """Whether the seconds of each run may be shown; all may where nobody judged any."""
+    """Whether no other work disturbed the seconds of each run; True without the column."""
     return runs[VALID].eq(True) if VALID in runs else pd.Series(True, runs.index)
 
 
@@ -70,9 +70,9 @@ def clock_of(runs: pd.DataFrame) -> Clock:
     quiet = valid.groupby([runs["problem"], runs["seed"]]).all()
     if (quiet.groupby("problem").mean() > QUIET_SHARE).all():
         whole = valid.groupby([runs["problem"], runs["seed"]]).transform("all")
-        kept = runs[whole]
-        shown = f"shown are the {len(kept)} runs of undisturbed seeds"
-        return Clock("seconds", kept, disturbed, f"seconds: {disturbed}; {shown}")
+        comparable = runs[whole]
+        drawn = f"shown are the {len(comparable)} runs of undisturbed seeds"
+        return Clock("seconds", comparable, disturbed, f"seconds: {disturbed}; {drawn}")
     require_columns(runs, ["cpu_seconds"], "runs")
     return Clock("cpu_seconds", runs, disturbed, f"CPU seconds: {disturbed}")
 

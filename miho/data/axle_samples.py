@@ -16,9 +16,9 @@ from miho.models.vehicle_settings import from_settings
 from miho.quantities import g
 
 LARGEST_SLIP_ANGLE = 1.0
-"""Of an axle [rad]; beyond, a car spins or a unit is wrong."""
+"""Largest slip angle of an axle [rad]; beyond, a car spins or a unit is wrong."""
 RISING = 0.2
-"""Rank correlation of force and slip angle from which on their signs cannot both be right."""
+"""Rank correlation of force and slip angle above which their signs cannot both be right."""
 
 UNITS = {"alpha": "rad", "vx": "m/s", "ax": "m/s^2", "Fy": "N"}
 
@@ -46,6 +46,7 @@ def axle_samples(
     """
     if axle not in ("front", "rear"):
         raise ValueError(f"axle is {axle!r}; expected 'front' or 'rear'")
+    # Slip angles and forces of both axles, from channels filtered alike.
     vx, vy, yaw_rate, steering = (
         log.filtered(channel, cutoff) for channel in ("vx", "vy", "yaw_rate", "steering")
     )
@@ -57,33 +58,35 @@ def axle_samples(
         steering,
         log.angle("bank", cutoff),
     )
-    kept = log.away_from_ends(cutoff) & (vx >= min_speed)
+    # The samples that count.
+    usable = log.away_from_ends(cutoff) & (vx >= min_speed)
     if max_ax is not None:
-        kept &= np.abs(ax) <= max_ax
-    if not kept.any():
+        usable &= np.abs(ax) <= max_ax
+    if not usable.any():
         raise ValueError(
             f"log {log.name}: no sample of {len(log)} is left; lower min_speed {min_speed:g} m/s "
             f"or raise max_ax {max_ax} m/s^2"
         )
+    # Signs and units that cannot be right are refused.
     _check_bank(log, cutoff)
     columns = {
         "alpha": getattr(slip_angles, axle), "vx": vx, "ax": ax, "Fy": getattr(forces, axle),
     }  # fmt: skip
-    kept_columns = {key: values[kept] for key, values in columns.items()}
-    largest = float(np.abs(kept_columns["alpha"]).max())
+    samples = {key: values[usable] for key, values in columns.items()}
+    largest = float(np.abs(samples["alpha"]).max())
     if largest > LARGEST_SLIP_ANGLE:
         raise ValueError(
             f"log {log.name}: the {axle} axle's slip angle reaches {largest:.3g} rad, expected at "
             f"most {LARGEST_SLIP_ANGLE:g}; check the units of vy, yaw_rate and steering, or leave "
             "out where the car spins with start and end"
         )
-    if sign_problem(kept_columns, UNITS, RISING):
+    if sign_problem(samples, UNITS, RISING):
         raise ValueError(
             f"log {log.name}: the {axle} axle's force rises with its slip angle, but it falls in "
             "ISO signs; flip the column whose sign is not ISO's (vy and ay positive to the left, "
             "yaw_rate and steering in a left turn), or correct sensor_x, delays or steering_ratio"
         )
-    return Dataset(f"{log.name}_{axle}_axle", kept_columns, UNITS, "Fy")
+    return Dataset(f"{log.name}_{axle}_axle", samples, UNITS, "Fy")
 
 
 def _check_bank(log: DrivingLog, cutoff: float) -> None:
@@ -92,14 +95,14 @@ def _check_bank(log: DrivingLog, cutoff: float) -> None:
         return
     motion = log.rate("vy", cutoff) + log.filtered("vx", cutoff) * log.filtered("yaw_rate", cutoff)
     weight = g * np.sin(log.angle("bank", cutoff))
-    felt = log.filtered("ay", cutoff) - motion
-    as_given, reversed_bank = (
-        float(np.sqrt(np.mean((felt + sign * weight) ** 2))) for sign in (1.0, -1.0)
+    residual = log.filtered("ay", cutoff) - motion
+    error_as_is, error_reversed = (
+        float(np.sqrt(np.mean((residual + sign * weight) ** 2))) for sign in (1.0, -1.0)
     )
-    if reversed_bank < 0.5 * as_given:
+    if error_reversed < 0.5 * error_as_is:
         raise ValueError(
-            f"log {log.name}: ay, vy and yaw_rate fit the opposite bank ({reversed_bank:.2g} "
-            f"against {as_given:.2g} m/s^2 left over); it is positive where the left side is "
+            f"log {log.name}: ay, vy and yaw_rate fit the opposite bank ({error_reversed:.2g} "
+            f"against {error_as_is:.2g} m/s^2 left over); it is positive where the left side is "
             "lower, which a roll angle of ISO 8855 is not: set flip=[bank]"
         )
 

@@ -1,4 +1,4 @@
-"""From a driving log to what identifies the brake: pressure, speed and deceleration."""
+"""Samples of braking from a driving log: pressure, speed and deceleration."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ def braking_samples(
     t, pressure, vx = log["time"], log["brake"], log["vx"]
     braking = (pressure > min_pressure) & (vx > min_speed) & (log["throttle"] <= max_throttle)
     event = np.cumsum(braking & ~np.concatenate([[False], braking[:-1]]))
-    began = t[np.searchsorted(event, event)]
-    kept = log.inside(braking, cutoff) & (t - began >= settle)
+    start = t[np.searchsorted(event, event)]
+    usable = log.inside(braking, cutoff) & (t - start >= settle)
     if "yaw_rate" in log:
         turning = np.abs(log.filtered("vx", cutoff) * log.filtered("yaw_rate", cutoff))
-        kept &= turning <= max_lateral
-    if not kept.any():
+        usable &= turning <= max_lateral
+    if not usable.any():
         raise ValueError(
             f"log {log.name}: no sample of {len(log)} has brake above {min_pressure:g} Pa, vx "
             f"above {min_speed:g} m/s, throttle of at most {max_throttle:g} for {1 / cutoff:g} s "
@@ -69,8 +69,8 @@ def braking_samples(
         "t": t,
         "event": event.astype(float),
     }
-    kept_columns = {key: values[kept] for key, values in columns.items()}
-    return Dataset(f"{log.name}_braking", kept_columns, UNITS, "deceleration")
+    samples = {key: values[usable] for key, values in columns.items()}
+    return Dataset(f"{log.name}_braking", samples, UNITS, "deceleration")
 
 
 def load_braking_samples(

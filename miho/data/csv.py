@@ -20,7 +20,7 @@ MAX_BYTES = 64 * 2**20
 MAX_LINE = 10_000
 MAX_ROWS = 4_000_000
 BLOCK = 10_000
-"""Lines read at a time: where one has a fault, these are read again cell by cell."""
+"""Lines read at a time; a block with a fault is read again cell by cell."""
 
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t"}
 DECIMALS = {"point": ".", "comma": ","}
@@ -91,7 +91,7 @@ def read_numbers(
     Cells may stand in double quotes. Raises CSVError for anything else, FileNotFoundError if
     there is no file.
     """
-    return Table(path, columns, header, text).numbers()
+    return TextTable(path, columns, header, text).numbers()
 
 
 def load_csv(
@@ -123,12 +123,12 @@ def load_csv(
         columns, units, output, headers, convention, flip, ranges, held_out, where, every
     )
     text = TextFormat(delimiter, decimal, skip_rows, drop_rows, comment)
-    table = Table(Path(path), layout.read, header=True, text=text)
+    table = TextTable(Path(path), layout.all_names, header=True, text=text)
     return layout.dataset(name or file_name(path), path, table.numbers(), table.fault, table.notes)
 
 
-class Table:
-    """The lines of a file, and where the wanted columns stand in them."""
+class TextTable:
+    """The lines of a file, and the positions of the requested columns in them."""
 
     def __init__(
         self, path: Path, columns: Sequence[str], header: bool, text: TextFormat = PLAIN
@@ -139,7 +139,7 @@ class Table:
         self.lines = _lines(path)
         self.line_numbers: Sequence[int] = range(1, len(self.lines) + 1)
         self._leave_out(text)
-        self.delimiter = text.delimiter or self._seen_delimiter(header)
+        self.delimiter = text.delimiter or self._detect_delimiter(header)
         blank, end = r"[ \t]" if self.delimiter != "\t" else " ", re.escape(self.delimiter)
         self.cell = re.compile(
             rf'{blank}*"((?:[^"]|"")*)"{blank}*(?={end}|$)|([^"{end}]*)(?={end}|$)'
@@ -152,7 +152,7 @@ class Table:
 
     @property
     def notes(self) -> list[str]:
-        """What was not plain about the file, in words."""
+        """How the file differs from plain CSV, in words."""
         words = {value: key for key, value in DELIMITERS.items()}
         notes = [] if self.delimiter == "," else [f"separated by {words[self.delimiter]}s"]
         notes += ["decimal commas"] if self.decimal == "," else []
@@ -167,24 +167,24 @@ class Table:
             problem = f"this is the last line, but line {beyond[0]} is to be left out"
             raise CSVError(self.path, last, 1, f"{problem}; correct drop_rows or skip_rows")
         dropped = {*range(1, text.skip_rows + 1), *text.drop_rows}
-        kept = [
+        remaining = [
             number
             for number in self.line_numbers
             if number not in dropped
             and not (text.comment and self.lines[number - 1].startswith(text.comment))
         ]
-        self.left_out = len(self.lines) - len(kept)
+        self.left_out = len(self.lines) - len(remaining)
         if not self.left_out:
             return
-        if not kept:
+        if not remaining:
             raise CSVError(self.path, 1, 1, "all lines are left out; keep some")
-        self.lines = [self.lines[number - 1] for number in kept]
-        self.line_numbers = kept
+        self.lines = [self.lines[number - 1] for number in remaining]
+        self.line_numbers = remaining
 
-    def _seen_delimiter(self, header: bool) -> str:
-        """The comma, unless only another delimiter gives the columns; "," is no decimal then."""
+    def _detect_delimiter(self, header: bool) -> str:
+        """The delimiter that gives the requested columns in the header; the comma by default."""
         line = self.lines[0]
-        candidates = [one for one in DELIMITERS.values() if one != self.decimal]
+        candidates = [character for character in DELIMITERS.values() if character != self.decimal]
         for candidate in candidates:
             cells = [cell.strip().strip('"') for cell in line.split(candidate)]
             if header and set(self.columns) <= set(cells):
@@ -200,8 +200,8 @@ class Table:
         names = [text.strip() for _, text in self._cells(0)]
         for name in self.columns:
             if name not in names:
-                found = f"no column {name!r} in the header {self.lines[0].strip()[:80]!r}"
-                raise self._error(0, 1, f"{found}; {_header_remedy(name, names)}")
+                problem = f"no column {name!r} in the header {self.lines[0].strip()[:80]!r}"
+                raise self._error(0, 1, f"{problem}; {_header_remedy(name, names)}")
             if names.count(name) > 1:
                 column = self._cells(0)[names.index(name, names.index(name) + 1)][0]
                 raise self._error(0, column, f"column {name!r} is there twice; keep one")
@@ -210,7 +210,7 @@ class Table:
         self.positions = [names.index(name) for name in self.columns]
 
     def numbers(self) -> dict[str, Array]:
-        """The wanted columns, (N,) each."""
+        """The requested columns, (N,) each."""
         rows = len(self.lines) - self.first
         if not rows:
             raise self._error(0, 1, "no rows of data; give at least one")
@@ -231,7 +231,7 @@ class Table:
         return self._error(line, column, problem)
 
     def _plain_block(self, start: int, stop: int) -> Array | None:
-        """Rows of numbers if each cell is one beyond doubt, else None."""
+        """Rows of numbers, read at once, if every cell is plainly a number; else None."""
         lines = self.lines[self.first + start : self.first + stop]
         text = "\n".join(lines)
         if not text.isascii() or '"' in text or text.isspace():
@@ -252,6 +252,7 @@ class Table:
         return values if whole else None
 
     def _row(self, row: int) -> list[float]:
+        """The numbers of a row, read cell by cell; raises CSVError at the first that is none."""
         line = row + self.first
         cells = self._cells(line)
         if len(cells) != self.width:
@@ -269,38 +270,39 @@ class Table:
             if value is None:
                 problem = f"{text.strip()[:40]!r} in column {name!r} is not a finite number"
                 remedy = "correct the cell, or remove the row or leave it out with drop_rows"
-                other = "comma" if self.decimal == "." else "point"
-                if self.delimiter != "," and _number(text, DECIMALS[other]) is not None:
-                    remedy = f"write decimals with '{self.decimal}', or set decimal={other}"
+                other_decimal = "comma" if self.decimal == "." else "point"
+                if self.delimiter != "," and _number(text, DECIMALS[other_decimal]) is not None:
+                    remedy = f"write decimals with '{self.decimal}', or set decimal={other_decimal}"
                 raise self._error(line, column, f"{problem}; {remedy}")
             values.append(value)
         return values
 
     def _cells(self, line: int) -> list[tuple[int, str]]:
-        """The cells of a line from 0: where each begins, counted from 1, and what it says."""
+        """The cells of a line (from 0): the column at which each begins (from 1), and its text."""
         text = self.lines[line]
         cells = []
         start = 0
         while True:
-            found = self.cell.match(text, start)
-            if found is None:
+            match = self.cell.match(text, start)
+            if match is None:
                 quote = text.index('"', start) + 1
                 problem = "quote inside a cell or never closed"
                 remedy = "quote whole cells on one line, or none"
                 raise self._error(line, quote, f"{problem}; {remedy}")
-            quoted = found[1]
-            cells.append((start + 1, found[2] if quoted is None else quoted.replace('""', '"')))
-            start = found.end() + 1
+            quoted = match[1]
+            cells.append((start + 1, match[2] if quoted is None else quoted.replace('""', '"')))
+            start = match.end() + 1
             if start > len(text):
                 return cells
 
 
 def _header_remedy(name: str, names: Sequence[str]) -> str:
+    """What to do about a column that is not among the names in the header."""
     if len(names) == 1 and re.search(r"\S[\s|:]+\S", names[0]):
         return "separate columns with commas"
-    if all(_number(other) is not None for other in names):
+    if all(_number(header) is not None for header in names):
         return "begin the file with a line that names the columns"
-    close = [other for other in names if other.casefold() == name.casefold()]
+    close = [header for header in names if header.casefold() == name.casefold()]
     close += get_close_matches(name, names, n=1)
     if close:
         return f"rename it, or say headers=[..., {close[0][:40]!r}, ...]"
@@ -308,6 +310,8 @@ def _header_remedy(name: str, names: Sequence[str]) -> str:
 
 
 def _lines(path: Path) -> list[str]:
+    """The lines of a text file, without empty ones at its end; raises CSVError for other files."""
+    # A regular file of some size.
     try:
         large = path.stat().st_size > MAX_BYTES
         data = b"" if large else read_regular(path, MAX_BYTES + 1)
@@ -317,6 +321,7 @@ def _lines(path: Path) -> list[str]:
         raise CSVError(path, 1, 1, "cannot be read; check its permissions") from None
     if large or len(data) > MAX_BYTES:
         raise CSVError(path, 1, 1, f"larger than {MAX_BYTES >> 20} MiB; split the file")
+    # UTF-8 text, with or without a byte order mark.
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         raise CSVError(path, 1, 1, "UTF-16 text; save the file as UTF-8")
     try:
@@ -326,6 +331,8 @@ def _lines(path: Path) -> list[str]:
         column = error.start - data.rfind(b"\n", 0, error.start)
         raise CSVError(path, line, column, "not UTF-8 text; save the file as UTF-8") from None
     del data
+
+    # Not too many lines, of not too many characters, none of them a control character.
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     if text.count("\n") > MAX_ROWS:
         raise CSVError(path, MAX_ROWS, 1, f"more than {MAX_ROWS} lines; split the file")
@@ -339,9 +346,9 @@ def _lines(path: Path) -> list[str]:
         if len(row) > MAX_LINE:
             problem = f"line longer than {MAX_LINE} characters; split it"
             raise CSVError(path, number, MAX_LINE, problem)
-        if control and (found := _CONTROL.search(row)):
-            problem = f"control character {found[0]!r}; save the file as plain UTF-8 text"
-            raise CSVError(path, number, found.start() + 1, problem)
+        if control and (match := _CONTROL.search(row)):
+            problem = f"control character {match[0]!r}; save the file as plain UTF-8 text"
+            raise CSVError(path, number, match.start() + 1, problem)
     return lines
 
 

@@ -23,14 +23,14 @@ def file_name(path: str | os.PathLike[str]) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]", "_", Path(path).stem)
 
 
-def number_pair(value: object, what: str) -> tuple[float, float]:
-    """`value` as (low, high), if it is two finite numbers, the lower first."""
+def number_pair(value: object, label: str) -> tuple[float, float]:
+    """`value` as (low, high), if it is two finite numbers, the lower first; else ValueError."""
     if isinstance(value, Sequence) and not isinstance(value, str) and len(value) == 2:
         low, high = value
         numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in value)
         if numbers and -math.inf < low <= high < math.inf:
             return float(low), float(high)
-    raise ValueError(f"{what} is {value!r}; give two finite numbers, the lower first")
+    raise ValueError(f"{label} is {value!r}; give two finite numbers, the lower first")
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Dataset:
     `columns` holds the inputs of the model, the conditions under which they were taken and the
     output; `units` names the unit of each. Columns are read-only: nobody edits shared data.
     `held_out` has rows that no fit sees, of the same columns and units, to validate with.
-    `reading` says what the file held that the data are from, and has no part in their identity.
+    `reading` describes the file that the data are from, and has no part in their identity.
     """
 
     name: str
@@ -51,6 +51,7 @@ class Dataset:
     reading: Reading | None = None
 
     def __post_init__(self) -> None:
+        # Columns become read-only copies, finite and of one length, each with a unit.
         columns = {}
         for key, values in self.columns.items():
             column = np.array(values, dtype=float)
@@ -76,15 +77,16 @@ class Dataset:
             raise ValueError(
                 f"dataset {self.name}: every column needs a unit; got {dict(self.units)}"
             )
+        # Rows that are held out are data of the same kind.
         if self.held_out is not None:
-            other = self.held_out
-            if (set(other.columns), dict(other.units), other.output, other.held_out) != (
+            apart = self.held_out
+            if (set(apart.columns), dict(apart.units), apart.output, apart.held_out) != (
                 set(columns), dict(self.units), self.output, None,
             ):  # fmt: skip
                 raise ValueError(
                     f"dataset {self.name}: held_out must have the same columns, units and output, "
-                    f"and hold out nothing itself; it has {dict(other.units)}, output "
-                    f"{other.output!r}"
+                    f"and hold out nothing itself; it has {dict(apart.units)}, output "
+                    f"{apart.output!r}"
                 )
         object.__setattr__(self, "columns", columns)
 
@@ -127,17 +129,19 @@ class Dataset:
                 + "; name columns and ranges once, such as {Fz: [3900, 4100]}"
             )
         inside = np.ones(len(self), dtype=bool)
-        for key, bounds in ranges.items():
-            low, high = number_pair(bounds, f"held_out of {key}")
-            inside &= (self[key] >= low) & (self[key] <= high)
+        for name, bounds in ranges.items():
+            low, high = number_pair(bounds, f"held_out of {name}")
+            inside &= (self[name] >= low) & (self[name] <= high)
         if inside.all() or not inside.any():
-            told = ", ".join(f"{key} in [{low:g}, {high:g}]" for key, (low, high) in ranges.items())
+            selection = ", ".join(
+                f"{name} in [{low:g}, {high:g}]" for name, (low, high) in ranges.items()
+            )
             spans = ", ".join(
-                f"{key} from {self[key].min():g} to {self[key].max():g}" for key in ranges
+                f"{name} from {self[name].min():g} to {self[name].max():g}" for name in ranges
             )
             raise ValueError(
-                f"dataset {self.name}: {'every' if inside.any() else 'no'} row has {told}; hold "
-                f"out a part of the data, which has {spans}"
+                f"dataset {self.name}: {'every' if inside.any() else 'no'} row has {selection}; "
+                f"hold out a part of the data, which has {spans}"
             )
         return replace(self.select(~inside), held_out=self.select(inside))
 

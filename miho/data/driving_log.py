@@ -12,7 +12,7 @@ import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
 
-from miho.data.csv import PLAIN, CSVError, Table, TextFormat
+from miho.data.csv import PLAIN, CSVError, TextFormat, TextTable
 from miho.data.dataset import file_name
 from miho.data.preview import Reading
 from miho.data.units import si
@@ -31,8 +31,25 @@ CHANNELS = MappingProxyType(
 """The channels a log may have, and their SI units; signs as in `DrivingLog`."""
 
 JITTER = 0.01
+"""Time steps within this fraction of their median count as uniform."""
 MAX_STEP = 2.5
+"""A time step of more medians than this is a gap."""
 SHORTEST = 10
+"""Samples that a log has at least."""
+
+PLAUSIBLE = (
+    ("throttle", -0.05, 1.05, "is its unit %?"),
+    ("steering", -1.2, 1.2, "is its unit deg, or is it the hand wheel's?"),
+    ("bank", -0.8, 0.8, "is its unit deg?"),
+    ("grade", -0.5, 0.5, "is its unit deg or %?"),
+    ("yaw_rate", -10.0, 10.0, "is its unit deg/s?"),
+    ("vx", -150.0, 150.0, "is its unit km/h?"),
+    ("vy", -100.0, 100.0, "is its unit km/h?"),
+    ("ax", -100.0, 100.0, "is its unit wrong?"),
+    ("ay", -100.0, 100.0, "is its unit wrong?"),
+)
+"""Channels with their smallest and largest value in any car, in SI units, and what a value beyond
+suggests."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +64,7 @@ class DrivingLog:
 
     `accelerometer` says what ax and ay are: what a sensor fixed to the car shows, which feels the
     support against weight on a grade or bank (True), or the acceleration of the motion (False).
-    `reading` says what the file held that the log is from.
+    `reading` describes the file that the log is from.
     """
 
     name: str
@@ -56,6 +73,7 @@ class DrivingLog:
     reading: Reading | None = None
 
     def __post_init__(self) -> None:
+        # Channels become read-only copies, finite and of one length, on a uniform clock.
         channels = {}
         for key, values in self.channels.items():
             if key not in CHANNELS:
@@ -85,17 +103,8 @@ class DrivingLog:
                 f"log {self.name}: time steps {steps[worst]:.6g} s after "
                 f"{channels['time'][worst]:.6g} s where others are {step:.6g} s; resample it"
             )
-        for key, low, high, hint in (
-            ("throttle", -0.05, 1.05, "is its unit %?"),
-            ("steering", -1.2, 1.2, "is its unit deg, or is it the hand wheel's?"),
-            ("bank", -0.8, 0.8, "is its unit deg?"),
-            ("grade", -0.5, 0.5, "is its unit deg or %?"),
-            ("yaw_rate", -10.0, 10.0, "is its unit deg/s?"),
-            ("vx", -150.0, 150.0, "is its unit km/h?"),
-            ("vy", -100.0, 100.0, "is its unit km/h?"),
-            ("ax", -100.0, 100.0, "is its unit wrong?"),
-            ("ay", -100.0, 100.0, "is its unit wrong?"),
-        ):
+        # A value that no car reaches is in another unit.
+        for key, low, high, hint in PLAUSIBLE:
             if key in channels and not ((channels[key] >= low) & (channels[key] <= high)).all():
                 worst = int(np.argmax(np.abs(channels[key])))
                 raise ValueError(
@@ -162,11 +171,11 @@ class DrivingLog:
         return np.asarray(g * np.sin(self.angle(channel, cutoff)))
 
     def away_from_ends(self, cutoff: float) -> Mask:
-        """Samples at least 1 / cutoff [s] from both ends, where filters know what came before."""
+        """Mask (N,) of samples at least 1 / cutoff [s] from both ends of the log."""
         return self.inside(np.ones(len(self), dtype=bool), cutoff)
 
     def inside(self, phases: Mask, cutoff: float) -> Mask:
-        """Samples of the phases (N,) at least 1 / cutoff [s] from what lies before and after them.
+        """Mask (N,) of samples in the phases (N,) at least 1 / cutoff [s] away from their ends.
 
         A step one such time away changes what `low_pass` gives by some 0.2 % of its height.
         """
@@ -218,6 +227,50 @@ def load_driving_log(
     gaps, which are refused: nothing was measured there.
     """
     headers = list(columns) if headers is None else headers
+    delays = delays or {}
+    _check_channels(columns, units, headers, flip, delays)
+    positive("steering_ratio", steering_ratio)
+
+    # The file's numbers in SI units and our signs, over the time since its first row.
+    table = TextTable(Path(path), headers, header=True, text=text)
+    numbers = table.numbers()
+    reading = Reading.of(os.fspath(path), numbers, units, table.notes)
+    channels = {
+        channel: numbers[header] * si(unit).factor * (-1.0 if channel in flip else 1.0)
+        for channel, unit, header in zip(columns, units, headers, strict=True)
+    }
+    time = channels["time"] = channels["time"] - channels["time"][0]
+
+    # The rows from start to end, among which there is no gap.
+    chosen = (time >= start) & (time <= (np.inf if end is None else end))
+    if np.count_nonzero(chosen) < SHORTEST:
+        raise ValueError(
+            f"start {start:g} s and end {end} s leave {np.count_nonzero(chosen)} of {time.size} "
+            f"samples, which last {time[-1]:g} s; expected at least {SHORTEST}"
+        )
+    channels = {key: values[chosen] for key, values in channels.items()}
+    lines = np.array(table.line_numbers[table.first :])[chosen]
+    _refuse_gaps(Path(path), channels["time"], lines)
+
+    # All channels at the same instants, of the road wheels and of the centre of gravity.
+    if "steering" in channels:
+        channels["steering"] = channels["steering"] / steering_ratio
+    channels = _resampled(channels, delays)
+    if sensor_x and "vy" in channels:
+        if "yaw_rate" not in channels:
+            raise ValueError(f"sensor_x is {sensor_x}; to move vy it needs the channel 'yaw_rate'")
+        channels["vy"] = channels["vy"] - sensor_x * channels["yaw_rate"]
+    return DrivingLog(file_name(path), channels, accelerometer, reading)
+
+
+def _check_channels(
+    columns: Sequence[str],
+    units: Sequence[str],
+    headers: Sequence[str],
+    flip: Sequence[str],
+    delays: Mapping[str, float],
+) -> None:
+    """Refuse channels that there are not, units that are not theirs, and no time."""
     if not len(columns) == len(units) == len(headers):
         raise ValueError(
             f"{len(columns)} columns, {len(units)} units and {len(headers)} headers; give one unit "
@@ -230,43 +283,16 @@ def load_driving_log(
             raise ValueError(
                 f"column {channel!r} has unit {unit!r}; expected one of {CHANNELS[channel]}"
             )
-    delays = delays or {}
-    for setting, named in (("flip", flip), ("delays", delays)):
-        for channel in named:
+    for setting, channels in (("flip", flip), ("delays", delays)):
+        for channel in channels:
             if channel not in columns or channel == "time":
                 raise ValueError(f"{setting}: {channel!r} is not one of the channels read")
     if "time" not in columns or len(set(columns)) != len(columns):
         raise ValueError(f"columns are {', '.join(columns)}; expected 'time' and none twice")
-    positive("steering_ratio", steering_ratio)
-
-    table = Table(Path(path), headers, header=True, text=text)
-    numbers = table.numbers()
-    reading = Reading.of(os.fspath(path), numbers, units, table.notes)
-    channels = {
-        channel: numbers[header] * si(unit).factor * (-1.0 if channel in flip else 1.0)
-        for channel, unit, header in zip(columns, units, headers, strict=True)
-    }
-    time = channels["time"] = channels["time"] - channels["time"][0]
-    kept = (time >= start) & (time <= (np.inf if end is None else end))
-    if np.count_nonzero(kept) < SHORTEST:
-        raise ValueError(
-            f"start {start:g} s and end {end} s leave {np.count_nonzero(kept)} of {time.size} "
-            f"samples, which last {time[-1]:g} s; expected at least {SHORTEST}"
-        )
-    channels = {key: values[kept] for key, values in channels.items()}
-    lines = np.array(table.line_numbers[table.first :])[kept]
-    _refuse_gaps(Path(path), channels["time"], lines)
-    if "steering" in channels:
-        channels["steering"] = channels["steering"] / steering_ratio
-    channels = _on_one_clock(channels, delays)
-    if sensor_x and "vy" in channels:
-        if "yaw_rate" not in channels:
-            raise ValueError(f"sensor_x is {sensor_x}; to move vy it needs the channel 'yaw_rate'")
-        channels["vy"] = channels["vy"] - sensor_x * channels["yaw_rate"]
-    return DrivingLog(file_name(path), channels, accelerometer, reading)
 
 
 def _refuse_gaps(path: Path, time: Array, lines: NDArray[np.intp]) -> None:
+    """Refuse times (N,) that go back or leave a gap; `lines` (N,) are their lines in the file."""
     steps = np.diff(time)
     step = float(np.median(steps))
     back, gaps = np.flatnonzero(steps <= 0), np.flatnonzero(steps > MAX_STEP * step)
@@ -281,8 +307,8 @@ def _refuse_gaps(path: Path, time: Array, lines: NDArray[np.intp]) -> None:
         raise CSVError(path, int(lines[gaps[0] + 1]), 1, problem)
 
 
-def _on_one_clock(channels: Mapping[str, Array], delays: Mapping[str, float]) -> dict[str, Array]:
-    """Channels at uniform times, each moved back by its delay; ends without all are cut."""
+def _resampled(channels: Mapping[str, Array], delays: Mapping[str, float]) -> dict[str, Array]:
+    """Channels at uniform times, each moved back by its delay; ends that one lacks are cut."""
     time = channels["time"]
     steps = np.diff(time)
     step = float(np.median(steps))

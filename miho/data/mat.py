@@ -87,8 +87,8 @@ def load_mat(
         element = "" if row is None else f"({row + 1})"
         return ValueError(f"{path}: {variable}{element}: {problem}")
 
-    known = read_variables(Path(path))
-    numbers = {variable: _column(variable, known, fault) for variable in layout.read}
+    variables = read_variables(Path(path))
+    numbers = {variable: _column(variable, variables, fault) for variable in layout.all_names}
     first = layout.names[0]
     for variable, column in numbers.items():
         if column.size != numbers[first].size:
@@ -147,7 +147,7 @@ def _matrices(data: memoryview, order: str) -> Iterator[memoryview]:
 
 
 def _inflated(packed: memoryview, limit: int, order: str) -> memoryview:
-    """The element that is compressed, as long as its tag says and with a checksum that is right.
+    """A compressed element, decompressed: of the length in its tag, and with a valid checksum.
 
     Raises MemoryError if it is longer than `limit`, before it takes that room.
     """
@@ -194,7 +194,8 @@ def _element(data: memoryview, order: str) -> tuple[int, memoryview, memoryview]
 
 
 def _variable(matrix: memoryview, order: str) -> tuple[str, Variable]:
-    """A matrix element: flags, size, name, numbers; of what is not numbers, nothing is read."""
+    """Name and content of a matrix element; the content of one that is not numbers is not read."""
+    # Flags, which hold the class, and the size.
     kind, flags, rest = _element(matrix, order)
     if kind != UINT32 or len(flags) != 8:
         raise DamagedError
@@ -206,6 +207,7 @@ def _variable(matrix: memoryview, order: str) -> tuple[str, Variable]:
         if kind != INT32 or len(sizes) < 8 or len(sizes) % 4:
             raise DamagedError
         shape = struct.unpack(f"{order}{len(sizes) // 4}i", sizes)
+    # The name.
     kind, text, rest = _element(rest, order)
     if kind not in (INT8, UTF8) or min(shape, default=0) < 0:
         raise DamagedError
@@ -214,6 +216,7 @@ def _variable(matrix: memoryview, order: str) -> tuple[str, Variable]:
         return name, Variable(OTHERS[number], shape, np.dtype("V0"), rest[:0])
     if number not in NUMBERS:
         raise DamagedError
+    # The numbers.
     own = np.dtype(order + NUMBERS[number])
     kind, content, rest = _element(rest, order)
     stored = np.dtype(order + STORED.get(kind, "V0"))
@@ -228,12 +231,12 @@ def _variable(matrix: memoryview, order: str) -> tuple[str, Variable]:
     return name, Variable("logical" if word & LOGICAL else "number", shape, stored, content)
 
 
-def _column(name: str, known: Mapping[str, Variable], fault: Fault) -> Array:
+def _column(name: str, variables: Mapping[str, Variable], fault: Fault) -> Array:
     """The numbers of a variable (N,), if it is a vector of finite ones."""
-    if name not in known:
-        names = ", ".join(sorted(repr(other)[1:-1] for other in known if other)[:40])
+    if name not in variables:
+        names = ", ".join(sorted(repr(header)[1:-1] for header in variables if header)[:40])
         raise fault(name, None, f"no such variable; choose headers from {names or 'another file'}")
-    variable = known[name]
+    variable = variables[name]
     if variable.kind != "number":
         raise fault(name, None, f"is of class {variable.kind}; save it as a vector of numbers")
     shape = variable.shape

@@ -1,4 +1,4 @@
-"""From the numbers of a file to a dataset: units, signs, plausibility, and rows held out."""
+"""The layout of a file of measurements: units, signs, plausible sizes, and rows held out."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ PLAUSIBLE: Mapping[str, tuple[str, float, float]] = MappingProxyType(
         "omega": ("rad/s", 5.0, 2500.0),
     }
 )
-"""Between what the largest magnitude of a column lies, in this unit, for any car or motorcycle.
+"""The range of the largest magnitude of a column, in this unit, for any car or motorcycle.
 
 The lower bounds are as large as they can be without refusing real tests, so that a column in
 rad that was declared in deg, or in kN declared in N, falls below them.
@@ -46,15 +46,15 @@ rad that was declared in deg, or in kN declared in N, falls below them.
 
 @dataclass(frozen=True)
 class Layout:
-    """What the columns of a file are, and what becomes of them; the settings of the loaders.
+    """The columns of a file and how they become a dataset; the settings of the loaders.
 
     columns, units, headers: in the same order, the names in the model, the units in the file
     (see `miho.data.units`), and the names in the file if they differ. A column that is neither an
     input of the model nor the `output` is a condition. convention, flip: see
-    `miho.data.conventions`. ranges: between what the largest magnitude of a column lies, in SI
-    units, instead of `PLAUSIBLE`; None does not check. where: the rows to use, as ranges of columns
-    of the file, in its own names, units and signs; a row must lie in all of them. every: of these,
-    the first of every so many. held_out: the rows to validate with, as ranges of columns in SI
+    `miho.data.conventions`. ranges: bounds of the largest magnitude of a column, in SI units,
+    instead of `PLAUSIBLE`; None does not check. where: the rows to use, as ranges of columns of the
+    file, in its own names, units and signs; a row must lie in all of them. every: of these, the
+    first of every so many. held_out: the rows to validate with, as ranges of columns in SI
     units and ISO-W signs (`Dataset.hold_out`).
     """
 
@@ -70,6 +70,7 @@ class Layout:
     every: int = 1
 
     def __post_init__(self) -> None:
+        # Lists are lists of names, each once, with one unit and one header a column.
         for setting in ("columns", "units", "flip", "headers"):
             names = getattr(self, setting)
             listed = isinstance(names, Sequence) and not isinstance(names, str)
@@ -86,17 +87,18 @@ class Layout:
         if self.convention not in FLIPPED:
             raise ValueError(f"convention is {self.convention!r}; choose from {', '.join(FLIPPED)}")
         whole("every", self.every, 1)
+        # Mappings map columns that there are to pairs of bounds.
         for setting in ("ranges", "held_out", "where"):
             if not isinstance(getattr(self, setting) or {}, Mapping):
                 raise ValueError(
                     f"{setting} is {getattr(self, setting)!r}; map columns to their bounds, such "
                     "as {Fz: [3900, 4100]}"
                 )
-        named = {
+        settings = {
             "output": [self.output], "flip": self.flip, "ranges": self.ranges or {},
             "held_out": self.held_out or {},
         }  # fmt: skip
-        for setting, names in named.items():
+        for setting, names in settings.items():
             for name in names:
                 if name not in self.columns:
                     raise ValueError(
@@ -116,25 +118,26 @@ class Layout:
         return self.columns if self.headers is None else self.headers
 
     @property
-    def read(self) -> list[str]:
+    def all_names(self) -> list[str]:
         """The names of all columns to read, those of `where` too."""
         return list(dict.fromkeys([*self.names, *(self.where or {})]))
 
     def dataset(
-        self, name: str, path: str, everything: Mapping[str, Array], of_file: Fault,
+        self, name: str, path: str, all_numbers: Mapping[str, Array], file_fault: Fault,
         notes: Sequence[str] = (),
     ) -> Dataset:  # fmt: skip
-        """The dataset of the numbers (N,) of a file, given under its names for `read`.
+        """The dataset of the columns (N,) of a file, by name, with those of `all_names`.
 
-        notes: how it was read, in words. Raises what `of_file` makes of numbers that cannot be
-        what they are declared to be.
+        notes: how the file was read, in words. `file_fault` makes the error that is raised for
+        numbers that cannot have the declared unit or sign.
         """
-        rows = self._rows(path, everything)
-        numbers = {key: column[rows] for key, column in everything.items()}
+        rows = self._rows(path, all_numbers)
+        numbers = {key: column[rows] for key, column in all_numbers.items()}
 
         def fault(header: str, row: int | None, problem: str) -> ValueError:
-            return of_file(header, None if row is None else int(rows[row]), problem)
+            return file_fault(header, None if row is None else int(rows[row]), problem)
 
+        # SI units, in which each column has a plausible size; then ISO-W signs.
         columns, units = {}, {}
         header = dict(zip(self.columns, self.names, strict=True))
         for key, spelling in zip(self.columns, self.units, strict=True):
@@ -146,20 +149,21 @@ class Layout:
             if problem:
                 raise fault(header[key], row, problem)
         columns = to_iso_w(columns, self.convention, self.flip)
-        found = sign_problem(columns, units)
-        if found:
-            raise fault(header[found[0]], None, found[1])
-        flat = [key for key, column in columns.items() if np.ptp(column) == 0]
-        if self.output in flat or len(flat) >= max(1, len(columns) - 1):
-            key = self.output if self.output in flat else flat[0]
+        sign_fault = sign_problem(columns, units)
+        if sign_fault:
+            raise fault(header[sign_fault[0]], None, sign_fault[1])
+        # Something has to vary: the output, and one column besides.
+        constant = [key for key, column in columns.items() if np.ptp(column) == 0]
+        if self.output in constant or len(constant) >= max(1, len(columns) - 1):
+            key = self.output if self.output in constant else constant[0]
             problem = f"column {header[key]!r} has the same value in every row"
             remedy = "choose one that varies: nothing can be identified from this one"
             raise fault(header[key], None, f"{problem}; {remedy}")
-        read = {key: everything[key] for key in self.names}
+        file_columns = {key: all_numbers[key] for key in self.names}
         where = (self.where or {}).items()
         chosen = [f"{key} from {low:g} to {high:g}" for key, (low, high) in where]
         chosen += [f"one of every {self.every} rows"] if self.every > 1 else []
-        reading = Reading.of(path, read, self.units, [*notes, *chosen])
+        reading = Reading.of(path, file_columns, self.units, [*notes, *chosen])
         dataset = Dataset(name, columns, units, self.output, reading=reading)
         return dataset.hold_out(self.held_out) if self.held_out else dataset
 
@@ -181,23 +185,23 @@ class Layout:
         return np.flatnonzero(inside)[:: self.every]
 
     def _implausible(self, key: str, unit: Unit, raw: float) -> str | None:
-        """What is wrong with a column whose largest magnitude is |raw| in the file's unit."""
+        """The problem of a column whose largest magnitude is |raw| in the file's unit, if any."""
         largest = abs(raw) * unit.factor
         if not np.isfinite(largest):
             return f"{raw:g} is not finite in {unit.name}; correct the cell"
-        known, *default = PLAUSIBLE.get(key, ("", 0.0, 0.0))
-        bounds: Sequence[float] | None = default if known == unit.name else None
+        si_unit, *default = PLAUSIBLE.get(key, ("", 0.0, 0.0))
+        bounds: Sequence[float] | None = default if si_unit == unit.name else None
         if self.ranges is not None and key in self.ranges:
             bounds = self.ranges[key]
         if bounds is None or largest == 0 or bounds[0] <= largest <= bounds[1]:
             return None
         low, high = bounds
-        meant = [
+        fitting = [
             spelling
             for spelling, other in UNITS.items()
             if other.name == unit.name and low <= abs(raw) * other.factor <= high
         ]
-        doubt = f"is the column in {meant[0]}?" if meant else "is this cell right?"
+        doubt = f"is the column in {fitting[0]}?" if fitting else "is this cell right?"
         return (
             f"largest |{key}| is {largest:.4g} {unit.name}, expected {low:g} to {high:g}; {doubt} "
             f"Correct it, or set ranges={{{key}: [from, to]}}"

@@ -1,4 +1,4 @@
-"""What was read from a user's file, to be looked at before anything is fitted to it."""
+"""A preview of a user's file, to be looked at before anything is fitted to its data."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 SHOWN = 3
-"""So many rows are shown."""
+"""Rows that a preview shows."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class ColumnSummary:
 
 @dataclass(frozen=True)
 class Reading:
-    """What a file held, in its own names, units and signs; and how it was read, in words."""
+    """The columns of a file, in its own names, units and signs, and notes on how it was read."""
 
     path: str
     rows: int
@@ -46,7 +46,7 @@ class Reading:
     def of(
         cls, path: str, numbers: Mapping[str, Array], units: Sequence[str], notes: Sequence[str]
     ) -> Reading:
-        """Of the columns (N,) that were read, with the unit of each."""
+        """The reading of these columns (N,), with the unit of each."""
         columns = tuple(
             ColumnSummary.of(name, unit, values)
             for (name, values), unit in zip(numbers.items(), units, strict=True)
@@ -55,19 +55,21 @@ class Reading:
 
 
 def preview(dataset: Dataset) -> str | None:
-    """The columns of the file and what became of them, as aligned text; None without a file."""
+    """The columns of the file and those of the dataset, as aligned text; None without a file."""
     reading = dataset.reading
     if reading is None:
         return None
     notes = f" ({'; '.join(reading.notes)})" if reading.notes else ""
     units = dataset.units
-    taken = [ColumnSummary.of(key, units[key], values) for key, values in dataset.columns.items()]
-    if taken == list(reading.columns):
-        taken, used = [], "used as they are"
+    summaries = [
+        ColumnSummary.of(name, units[name], values) for name, values in dataset.columns.items()
+    ]
+    if summaries == list(reading.columns):
+        summaries, heading = [], "used as they are"
     else:
-        used = "used, in SI units and ISO signs"
+        heading = "used, in SI units and ISO signs"
     held = f", {len(dataset.held_out)} more held out" if dataset.held_out is not None else ""
-    cells = [_cells(column) for column in (*reading.columns, *taken)]
+    cells = [_cells(column) for column in (*reading.columns, *summaries)]
     widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
     lines = [_aligned(row, widths) for row in cells]
     count = len(reading.columns)
@@ -75,7 +77,7 @@ def preview(dataset: Dataset) -> str | None:
         [
             f"{reading.path}: {reading.rows} rows{notes}; name, unit, range, first rows:",
             *lines[:count],
-            f"{used}: {len(dataset)} rows{held}",
+            f"{heading}: {len(dataset)} rows{held}",
             *lines[count:],
         ]
     )
@@ -83,8 +85,8 @@ def preview(dataset: Dataset) -> str | None:
 
 def _cells(column: ColumnSummary) -> list[str]:
     numbers = (column.low, column.high, *column.first)
-    shown = [f"{value:.5g}" for value in numbers] + [""] * (SHOWN - len(column.first))
-    return [column.name, column.unit, shown[0], "to", shown[1], "|", *shown[2:]]
+    texts = [f"{value:.5g}" for value in numbers] + [""] * (SHOWN - len(column.first))
+    return [column.name, column.unit, texts[0], "to", texts[1], "|", *texts[2:]]
 
 
 def _aligned(row: Sequence[str], widths: Sequence[int]) -> str:

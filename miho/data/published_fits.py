@@ -49,18 +49,18 @@ def published_fit(name: str) -> PublishedFit:
     title, *lines = (FOLDER / f"{name}.txt").read_text(encoding="utf-8").splitlines()
     head = [line.split() for line in lines if line[0].isalpha()]
     rows = np.array([line.split() for line in lines[len(head) :]], dtype=float)
-    said = {key: values for key, *values in head}
-    output, *inputs = said["columns"]
+    fields = {key: values for key, *values in head}
+    output, *inputs = fields["columns"]
     y = np.log(rows[:, 0]) if output == "log(y)" else rows[:, 0]
     columns = dict(zip(("y", *inputs), (y, *rows.T[1:]), strict=True))
     return PublishedFit(
         name=name,
         title=title,
-        collection=said["collection"][0],
-        model=said["model"][0],
+        collection=fields["collection"][0],
+        model=fields["model"][0],
         starts=tuple(tuple(map(float, values)) for key, *values in head if key == "start"),
-        optimum=tuple(map(float, said["optimum"])),
-        squares=float(said["squares"][0]),
+        optimum=tuple(map(float, fields["optimum"])),
+        squares=float(fields["squares"][0]),
         dataset=Dataset(name, columns, dict.fromkeys(columns, "-"), "y"),
     )
 

@@ -41,9 +41,9 @@ def sample_file(url: str = URL, cache: Path | None = None) -> Path:
 
     Raises DataUnavailableError if it cannot be had, or is not the file it should be.
     """
-    given = os.environ.get("MIHO_DATA_DIR")
-    if given:
-        for path in (Path(given) / "seong_sample" / FILE, Path(given) / FILE):
+    folder = os.environ.get("MIHO_DATA_DIR")
+    if folder:
+        for path in (Path(folder) / "seong_sample" / FILE, Path(folder) / FILE):
             if path.is_file():
                 return _verified(path)
     import pooch  # only here: it is slow to import and warns where notebooks lack widgets

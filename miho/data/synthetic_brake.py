@@ -24,7 +24,7 @@ EMBEDDED_BRAKE = Brake(
 """The brake under test."""
 
 MASS = 800.0
-"""Of the car [kg]."""
+"""Mass of the car [kg]."""
 DRAG = 0.5 * 1.2 * 0.79
 """Half the air density times C_d A [N s^2/m^2]."""
 RESISTANCE = 1100.0

@@ -1,4 +1,4 @@
-"""An engine of our own, what a dyno measures of it, and a drive in which it can be learned.
+"""An engine of our own, its dyno test, and a drive from which it can be identified.
 
 The paper's dyno data and logs are not public. This turbocharged engine has the class's peak torque
 (527 Nm near 4900 rpm) and power (318 kW near 6150 rpm), and a closed form that says how far an
@@ -107,7 +107,7 @@ def dyno_test(seed: int = 0) -> Dataset:
 
 @dataclass
 class _Drive:
-    """The car on an undulating road at 25 Hz; `rows` holds the channels (7, n) of what happened.
+    """The car on an undulating road at 25 Hz; `rows` collects the channels, (7, n) each.
 
     The torque follows the throttle at once. omega is the engine's own speed, which is not the
     wheels' while the clutch slips.
@@ -210,15 +210,15 @@ def engine_driving_log(seed: int = 0) -> DrivingLog:
     accelerometer feels the grade. The seed draws the channels' noise.
     """
     whole("seed", seed, 0)
-    driven = _driven()
+    truth = _true_channels()
     rng = np.random.default_rng(seed)
-    noisy = driven + np.array(NOISE)[:, None] * rng.standard_normal(driven.shape)
+    noisy = truth + np.array(NOISE)[:, None] * rng.standard_normal(truth.shape)
     channels = dict(zip(CHANNELS, noisy, strict=True))
-    return DrivingLog("engine", {"time": STEP * np.arange(driven.shape[1])} | channels)
+    return DrivingLog("engine", {"time": STEP * np.arange(truth.shape[1])} | channels)
 
 
 @cache
-def _driven() -> Array:
+def _true_channels() -> Array:
     """The channels (7, N) without noise; the drive takes a second to compute."""
     drive = _Drive(CAR)
     for throttle in HELD_THROTTLES:
@@ -232,9 +232,9 @@ def _driven() -> Array:
             drive.locked(throttle, 20.0, until=(SLOWEST, OMEGA_MAX))
             drive.locked(0.0, 60.0, until=(SLOWEST, OMEGA_MAX), brake=2e6)
             drive.locked(throttle, 8.0, until=(SLOWEST - 100 * RPM, OMEGA_MAX))
-    driven = np.concatenate(drive.rows, axis=1)
-    driven.flags.writeable = False
-    return driven
+    channels = np.concatenate(drive.rows, axis=1)
+    channels.flags.writeable = False
+    return channels
 
 
 def load_engine_drive(throttle: float, seed: int = 0) -> Dataset:

@@ -11,7 +11,7 @@ import numpy as np
 from miho.data.axle_samples import axle_samples
 from miho.data.dataset import Dataset
 from miho.data.driving_log import DrivingLog
-from miho.models.single_track import Axles, SingleTrack
+from miho.models.single_track import FrontRear, SingleTrack
 from miho.models.tire import Pacejka
 from miho.models.vehicle_settings import from_settings
 from miho.quantities import Array
@@ -47,7 +47,7 @@ def simulated_weave(car: SingleTrack, noise: float = 1.0, seed: int = 0) -> Driv
     """
     at_least("noise", noise, 0)
     whole("seed", seed, 0)
-    channels = dict(_driven(car))
+    channels = dict(_true_channels(car))
     rng = np.random.default_rng(seed)
     for name, std in NOISE.items():
         channels[name] = channels[name] + noise * std * rng.standard_normal(channels[name].size)
@@ -71,7 +71,7 @@ def simulated_axle_drive(
 
 
 @cache
-def _driven(car: SingleTrack) -> Mapping[str, Array]:
+def _true_channels(car: SingleTrack) -> Mapping[str, Array]:
     """The channels without noise."""
     time: Array = np.linspace(0.0, DURATION, round(DURATION / DT) + 1)
     state = np.zeros((time.size, 2))
@@ -95,13 +95,13 @@ def _manoeuvre(t: Array) -> tuple[Array, Array]:
     return vx, AMPLITUDE * t / DURATION * np.sin(2 * np.pi * FREQUENCY * t)
 
 
-def _forces(car: SingleTrack, vx: Array, vy: Array, yaw_rate: Array, steering: Array) -> Axles:
+def _forces(car: SingleTrack, vx: Array, vy: Array, yaw_rate: Array, steering: Array) -> FrontRear:
     slip_angles = car.slip_angles(vx, vy, yaw_rate, steering)
     front, rear = (
         Pacejka().predict(np.array([list(theta.values())]), np.atleast_1d(alpha))[0]
         for theta, alpha in zip(AXLES.values(), slip_angles, strict=True)
     )
-    return Axles(front, rear)
+    return FrontRear(front, rear)
 
 
 def _derivative(car: SingleTrack, t: float, state: Array) -> Array:

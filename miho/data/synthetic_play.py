@@ -14,7 +14,7 @@ PLAY = 0.06
 """Full width of the play [-], in the command; the curve behind it is that of `EMBEDDED_BRAKE`."""
 
 TURNS = (0.0, 1.0, 0.0, 0.8, 0.35, 0.6, 0.5, 0.55, 0.2, 0.9, 0.7, 0.76, 0.1, 0.3, 0.0)
-"""Where the command turns: one full loop, loops inside loops, and reversals within the play."""
+"""Turning points of the command: one full loop, loops inside loops, reversals within the play."""
 
 
 def brake_play_test(seed: int = 0, samples: int = 800, noise: float = 5.0e4) -> Dataset:

@@ -51,7 +51,7 @@ def steering_test(
     at_least("noise", noise, 0)
     if round(duration * rate) < 2:
         raise ValueError(f"duration is {duration} s at rate {rate}; expected two rows or more")
-    t, vx, steering, yaw_rate = _driven(from_settings(SingleTrack, vehicle), duration, rate)
+    t, vx, steering, yaw_rate = _simulate(from_settings(SingleTrack, vehicle), duration, rate)
     rng = np.random.default_rng([seed, *b"steering"])
     yaw_rate = yaw_rate + noise * rng.standard_normal(t.size)
     columns = {"t": t, "vx": vx, "steering": steering, "yaw_rate": yaw_rate}
@@ -67,7 +67,7 @@ def manoeuvre(t: Array, duration: float) -> tuple[Array, Array]:
 
 
 @cache
-def _driven(car: SingleTrack, duration: float, rate: float) -> tuple[Array, Array, Array, Array]:
+def _simulate(car: SingleTrack, duration: float, rate: float) -> tuple[Array, Array, Array, Array]:
     """Time [s], speed [m/s], steering [rad] and yaw rate [rad/s] without noise, (N,) each."""
     t = np.arange(round(duration * rate)) / rate
     vx, steering = manoeuvre(t, duration)
@@ -84,10 +84,10 @@ def _driven(car: SingleTrack, duration: float, rate: float) -> tuple[Array, Arra
     yaw_rate, state = np.zeros(t.size), np.zeros(2)
     for row in range(1, t.size):  # the steering has a kink at each row
         span = (t[row - 1], t[row])
-        found = scipy.integrate.solve_ivp(
+        solution = scipy.integrate.solve_ivp(
             rates, span, state, "DOP853", rtol=TOLERANCE, atol=TOLERANCE / 100
         )
-        state = found.y[:, -1]
+        state = solution.y[:, -1]
         yaw_rate[row] = state[1]
     return t, vx, steering, yaw_rate
 

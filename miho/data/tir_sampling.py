@@ -69,7 +69,7 @@ def _oval(corner_load: float, lean: float) -> SamplingRanges:
 
 LOADS = (0.35, 0.7, 1.0, 1.5, 2.1)
 PRESSURES = (0.85, 1.0, 1.15)
-"""Where a test measures, relative to nominal load and pressure."""
+"""Loads and pressures of a test, relative to the nominal ones."""
 
 EMBEDDED_RANGES = MappingProxyType(
     {
@@ -79,7 +79,7 @@ EMBEDDED_RANGES = MappingProxyType(
         "rr": _oval(4500.0, 1.5),
     }
 )
-"""Where the four embedded tires are sampled: a left-turning oval car, outer wheels loaded more.
+"""Sampling ranges of the four embedded tires: a left-turning oval car, outer wheels loaded more.
 
 All wheels lean to the left, into the turn: camber as a mechanic counts it is positive on the left
 and negative on the right, and the inclination angle gamma of ISO-W is negative on both sides.
@@ -162,8 +162,8 @@ def sample_lateral(
         slip, Fz, gamma, pressure = columns.values()
         force = formula.forces(Fz, 0.0, slip, gamma, pressure=pressure).Fy
         columns["Fy"] = force + noise * rng.standard_normal(rows)
-        kept = "_conditions" if held else "_held_out"
-        return Dataset(f"tire_{name}{kept}", columns, LATERAL_UNITS, "Fy", held_out=held)
+        suffix = "_conditions" if held else "_held_out"
+        return Dataset(f"tire_{name}{suffix}", columns, LATERAL_UNITS, "Fy", held_out=held)
 
     return measured(n, levels, measured(held_out, levels | unseen, None))
 
@@ -231,12 +231,12 @@ def _levels(name: str, values: Sequence[float]) -> Array:
     return np.unique(levels)
 
 
-def _unseen(name: str, values: Sequence[float] | None, seen: Array) -> Array:
-    """The given levels, none of which may have been seen; else those halfway between."""
+def _unseen(name: str, values: Sequence[float] | None, training: Array) -> Array:
+    """These levels, none of which may be a training level; by default those halfway between."""
     if values is None:
-        return (seen[1:] + seen[:-1]) / 2 if seen.size > 1 else seen
+        return (training[1:] + training[:-1]) / 2 if training.size > 1 else training
     levels = _levels(name, values)
-    if np.isin(levels, seen).any():
+    if np.isin(levels, training).any():
         raise ValueError(f"{name} is {list(values)}; expected none of the training data's")
     return levels
 
@@ -260,12 +260,12 @@ def _resolve(
         return formula, ranges, name
     if ranges is not None and not isinstance(ranges, Mapping):
         raise ValueError(f"ranges is {ranges!r}; map names of inputs to their bounds")
-    given = {key: bounds for key, bounds in (ranges or {}).items() if bounds is not None}
-    for key, bounds in given.items():
+    chosen = {key: bounds for key, bounds in (ranges or {}).items() if bounds is not None}
+    for key, bounds in chosen.items():
         if key not in UNITS or key == "Fy" or not isinstance(bounds, Sequence) or len(bounds) != 2:
             raise ValueError(
                 f"sampling range {key}: {bounds}; name one of Fz, gamma, alpha, kappa and "
                 "give its lower and upper bound"
             )
-    pairs = {key: (float(bounds[0]), float(bounds[1])) for key, bounds in given.items()}
+    pairs = {key: (float(bounds[0]), float(bounds[1])) for key, bounds in chosen.items()}
     return formula, replace(default, **pairs), name

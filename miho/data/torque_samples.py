@@ -24,7 +24,7 @@ UNITS = {"omega": "rad/s", "throttle": "-", "torque": "Nm"}
 
 
 class TorqueSamples(NamedTuple):
-    """The samples that were kept, and how many each rule dropped.
+    """The samples that no rule drops, and how many each rule dropped.
 
     A sample counts for the first rule that drops it, in the order of `dropped`.
     """
@@ -35,7 +35,7 @@ class TorqueSamples(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueRules:
-    """Which samples of a log say what a steady engine gives, in gear and with the brakes off.
+    """Which samples of a log show the torque of a steady engine, in gear and with the brakes off.
 
     The rules, in order, drop
 
@@ -79,6 +79,8 @@ class TorqueRules:
         """
         if throttle is not None and not 0 <= throttle <= 1:
             raise ValueError(f"throttle is {throttle!r}; expected 0 to 1, such as 0.3 for 30 %")
+
+        # Which samples (N,) each rule drops.
         vx, omega = (log.filtered(channel, self.cutoff) for channel in ("vx", "engine_speed"))
         pedal, gear = log["throttle"], log["gear"]
         engaged = np.isin(gear, np.arange(1, len(car.gear_ratios) + 1))
@@ -99,36 +101,44 @@ class TorqueRules:
             rules["cornering"] = turning > self.max_lateral
         if throttle is not None:
             rules["throttle"] = np.abs(pedal - throttle) > self.tolerance
-        kept = np.ones(len(log), dtype=bool)
+        # Each counts what the rules before it have left.
+        remaining = np.ones(len(log), dtype=bool)
         dropped = {}
         for rule, drops in rules.items():
-            dropped[rule] = int(np.count_nonzero(kept & drops))
-            kept &= ~drops
-        if not kept.any():
-            counts = ", ".join(f"{rule} {count}" for rule, count in dropped.items() if count)
-            told = f"log {log.name}: no sample of {len(log)} is left; dropped by {counts}"
+            dropped[rule] = int(np.count_nonzero(remaining & drops))
+            remaining &= ~drops
+        if not remaining.any():
             moving = engaged & (vx > self.min_speed)
-            if moving.any():
-                ratio = float(np.median(omega[moving] / car.engine_speed(vx, gear)[moving]))
-                if abs(ratio - 1) > self.max_slip:
-                    raise ValueError(
-                        f"{told}; engine_speed is mostly {ratio:.3g} times what vx, gear and the "
-                        "vehicle give: check their units and the gear ratios"
-                    )
-            if dropped.get("throttle") and np.ptp(pedal) > 0:
-                counted = np.unique(np.round(100 * pedal[~rules["transient"]]), return_counts=True)
-                held = counted[0][np.argsort(counted[1])[::-1][:5]]
-                told += f"; openings held longest: {', '.join(f'{v / 100:g}' for v in held)}"
-            raise ValueError(f"{told}; loosen the rule that drops too many")
+            ratios = omega[moving] / car.engine_speed(vx, gear)[moving]
+            steady_pedal = pedal[~rules["transient"]]
+            raise ValueError(self._nothing_left(log, dropped, ratios, steady_pedal))
+
         ax, grade = log.longitudinal_acceleration(self.cutoff), log.angle("grade", self.cutoff)
         torque = car.engine_torque(ax, vx, gear, grade)
         columns = {"omega": omega, "throttle": pedal, "torque": torque}
-        return TorqueSamples(
-            Dataset(
-                f"{log.name}_torque", {k: v[kept] for k, v in columns.items()}, UNITS, "torque"
-            ),
-            dropped,
-        )
+        samples = {name: values[remaining] for name, values in columns.items()}
+        return TorqueSamples(Dataset(f"{log.name}_torque", samples, UNITS, "torque"), dropped)
+
+    def _nothing_left(
+        self, log: DrivingLog, dropped: Mapping[str, int], ratios: Array, steady_pedal: Array
+    ) -> str:
+        """A message with what may be the cause: speeds that disagree, or the wrong opening.
+
+        `ratios` are engine speeds over those that vx and gear give, while the car moves.
+        """
+        counts = ", ".join(f"{rule} {count}" for rule, count in dropped.items() if count)
+        message = f"log {log.name}: no sample of {len(log)} is left; dropped by {counts}"
+        ratio = float(np.median(ratios)) if ratios.size else 1.0
+        if abs(ratio - 1) > self.max_slip:
+            return (
+                f"{message}; engine_speed is mostly {ratio:.3g} times what vx, gear and the "
+                "vehicle give: check their units and the gear ratios"
+            )
+        if dropped.get("throttle") and np.ptp(log["throttle"]) > 0:
+            openings, durations = np.unique(np.round(100 * steady_pedal), return_counts=True)
+            longest = openings[np.argsort(durations)[::-1][:5]]
+            message += f"; openings held longest: {', '.join(f'{v / 100:g}' for v in longest)}"
+        return f"{message}; loosen the rule that drops too many"
 
     def _nearby(self, events: Mask, dt: float) -> Mask:
         """True within `window` of an event."""
@@ -191,8 +201,8 @@ def load_torque_samples(
 
 
 def _rules(settings: Mapping[str, float]) -> TorqueRules:
-    known = [field.name for field in fields(TorqueRules)]
+    allowed = [field.name for field in fields(TorqueRules)]
     for name in settings:
-        if name not in known:
-            raise ValueError(f"rules.{name} is unknown; allowed are {', '.join(known)}")
+        if name not in allowed:
+            raise ValueError(f"rules.{name} is unknown; allowed are {', '.join(allowed)}")
     return TorqueRules(**settings)

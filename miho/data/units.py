@@ -92,13 +92,13 @@ def si(unit: str) -> Unit:
             raise ValueError(f"unit {unit!r} is known as {own!r}; write that, and it is converted")
         return Unit(own, 1.0)
     plain = unit.strip().casefold()
-    meant = [known for known in UNITS if known.casefold() == plain]
+    suggestions = [spelling for spelling in UNITS if spelling.casefold() == plain]
     if plain in _OTHER_SPELLINGS:
-        meant.append(_OTHER_SPELLINGS[plain])
-    meant += get_close_matches(unit, UNITS, n=1)
-    if meant:
+        suggestions.append(_OTHER_SPELLINGS[plain])
+    suggestions += get_close_matches(unit, UNITS, n=1)
+    if suggestions:
         raise ValueError(
-            f"unit {unit!r} is unknown; did you mean {meant[0]!r}? (a unit of your own is "
+            f"unit {unit!r} is unknown; did you mean {suggestions[0]!r}? (a unit of your own is "
             f"written '{OWN}{own.strip() or 'kmol'}' and not converted)"
         )
     raise ValueError(

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from miho.driving.plant import Command, Motion, Plant
     from miho.driving.road import PLANE, Road, road_of
     from miho.driving.sensors import Sensors
-    from miho.driving.simulation import Drive, drive
+    from miho.driving.simulation import Drive, simulate
     from miho.driving.track import Track
     from miho.driving.vehicle import Vehicle
     from miho.driving.velocity_planner import VelocityPlanner
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 __all__ = [
     "PLANE", "Command", "DoubleTrack", "Drive", "Driver", "KnownCar", "LoadTransfer", "Motion",
     "MultiBody", "Plant", "Road", "Sensors", "Track", "Vehicle", "VelocityPlanner", "WheelLoads",
-    "drive", "embedded_plant", "ims", "lvms", "road_of",
+    "embedded_plant", "ims", "lvms", "road_of", "simulate",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

@@ -40,10 +40,10 @@ LARGEST_STEP = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class DoubleTrackState:
-    """All that moves: y (23,) as in `dynamics`, and what the actuators have not yet heard.
+    """All that moves: y (23,) as in `dynamics`, and the commands that are still on their way.
 
-    gearbox (2,): gear engaged, seconds until its clutch closes. steering, brake: commands on
-    their way, the next one first, one per step. seen (11,): x, y [m], heading of the line and
+    gearbox (2,): gear engaged, seconds until its clutch closes. steering, brake: delayed commands,
+    the next one first, one per step. outputs (11,): x, y [m], heading of the line and
     bank [rad] below the car, engine speed [rad/s], a_x, a_y [m/s^2] and four loads [N].
     """
 
@@ -52,7 +52,7 @@ class DoubleTrackState:
     gearbox: Array
     steering: Array
     brake: Array
-    seen: Array
+    outputs: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,11 +99,12 @@ class DoubleTrack(Plant[DoubleTrackState]):
         y[WHEELS + 2 : WHEELS + 4] = speed / self.vehicle.wheel_radius
         steering = np.zeros(round(self.vehicle.steering_delay / self.step))
         brake = np.zeros(round(self.brake.delay / self.step))
-        gearbox, seen = np.array([gear, 0.0]), np.empty(11)
+        gearbox, outputs = np.array([gear, 0.0]), np.empty(11)
         _advance(
-            self.car, self.road, self.step, 0, y, gearbox, steering, brake, seen, 0.0, 0.0, 0.0, 0
-        )
-        return DoubleTrackState(0.0, y, gearbox, steering, brake, seen)
+            self.car, self.road, self.step, 0, y, gearbox, steering, brake, outputs,
+            0.0, 0.0, 0.0, 0,
+        )  # fmt: skip
+        return DoubleTrackState(0.0, y, gearbox, steering, brake, outputs)
 
     def advance(
         self, state: DoubleTrackState, command: Command, duration: float
@@ -113,11 +114,11 @@ class DoubleTrack(Plant[DoubleTrackState]):
         command.check(len(self.vehicle.gear_ratios))
         moved = DoubleTrackState(
             state.time + duration, state.y.copy(), state.gearbox.copy(),
-            state.steering.copy(), state.brake.copy(), state.seen.copy(),
+            state.steering.copy(), state.brake.copy(), state.outputs.copy(),
         )  # fmt: skip
         _advance(
             self.car, self.road, self.step, count, moved.y, moved.gearbox, moved.steering,
-            moved.brake, moved.seen, float(command.steering), float(command.throttle),
+            moved.brake, moved.outputs, float(command.steering), float(command.throttle),
             float(command.brake), int(command.gear),
         )  # fmt: skip
         if not np.isfinite(moved.y).all():
@@ -128,7 +129,7 @@ class DoubleTrack(Plant[DoubleTrackState]):
 
     def motion(self, state: DoubleTrackState) -> Motion:
         """As in `Plant`."""
-        y, (x, y_plan, heading, bank, engine_speed, ax, ay, *loads) = state.y, state.seen
+        y, (x, y_plan, heading, bank, engine_speed, ax, ay, *loads) = state.y, state.outputs
         chi = float(y[CHI])
         turned = math.atan2(math.sin(chi) * math.cos(bank), math.cos(chi))
         laps_of_its_own = math.tau * round((chi - turned) / math.tau)
@@ -145,14 +146,14 @@ class DoubleTrack(Plant[DoubleTrackState]):
 @compiled_when_called(nogil=True, error_model="numpy")
 def _advance(
     car: Car, road: Road, step: float, count: int, y: Array, gearbox: Array, steering: Array,
-    brake: Array, seen: Array, asked_steering: float, throttle: float, asked_brake: float,
-    asked_gear: int,
+    brake: Array, outputs: Array, steering_command: float, throttle: float, brake_command: float,
+    gear_command: int,
 ) -> None:  # fmt: skip
     """Runge-Kutta steps of fourth order, in place; gear and delays change between steps only."""
     slope, trial, total = np.empty(y.size), np.empty(y.size), np.empty(y.size)
     for _ in range(count):
-        gear, closed = _shift(car, y, gearbox, asked_gear, step)
-        inputs = (_delayed(steering, asked_steering), throttle, _delayed(brake, asked_brake))
+        gear, closed = _shift(car, y, gearbox, gear_command, step)
+        inputs = (_delayed(steering, steering_command), throttle, _delayed(brake, brake_command))
         for j in range(y.size):
             trial[j] = total[j] = y[j]
         for stage in range(4):
@@ -164,25 +165,25 @@ def _advance(
                 total[j] += weight * slope[j]
         for j in range(y.size):
             y[j] = total[j]
-    _look(car, road, int(gearbox[0]), gearbox[1] <= step / 2, y, slope, seen)
+    _write_outputs(car, road, int(gearbox[0]), gearbox[1] <= step / 2, y, slope, outputs)
 
 
 @njit(error_model="numpy")
-def _look(
-    car: Car, road: Road, gear: int, closed: bool, y: Array, slope: Array, seen: Array
+def _write_outputs(
+    car: Car, road: Road, gear: int, closed: bool, y: Array, slope: Array, outputs: Array
 ) -> None:
-    """Write what `DoubleTrackState.seen` holds."""
+    """Write what `DoubleTrackState.outputs` holds for the state y (23,)."""
     _, bank = shape_at(road, y[S])
-    seen[0], seen[1], seen[2] = place_at(road, y[S], y[N] * math.cos(bank))
-    seen[3] = bank
+    outputs[0], outputs[1], outputs[2] = place_at(road, y[S], y[N] * math.cos(bank))
+    outputs[3] = bank
     rear = (y[WHEELS + 2] + y[WHEELS + 3]) / 2
-    seen[4], _ = engine_speed(car.engine, car.driveline[0], gear, closed, rear)
-    seen[5], seen[6] = derivative(car, road, gear, closed, (0.0, 0.0, 0.0), y, slope)
-    seen[7], seen[8], seen[9], seen[10] = loads_of(car, road, y)
+    outputs[4], _ = engine_speed(car.engine, car.driveline[0], gear, closed, rear)
+    outputs[5], outputs[6] = derivative(car, road, gear, closed, (0.0, 0.0, 0.0), y, slope)
+    outputs[7], outputs[8], outputs[9], outputs[10] = loads_of(car, road, y)
 
 
 @njit(error_model="numpy")
-def _shift(car: Car, y: Array, gearbox: Array, asked: int, step: float) -> tuple[int, bool]:
+def _shift(car: Car, y: Array, gearbox: Array, gear_command: int, step: float) -> tuple[int, bool]:
     """The gear and whether its clutch is closed.
 
     A shift that would turn the engine beyond its largest speed is refused.
@@ -190,21 +191,22 @@ def _shift(car: Car, y: Array, gearbox: Array, asked: int, step: float) -> tuple
     gear = int(gearbox[0])
     if gearbox[1] > 0:
         gearbox[1] -= step
-    elif asked != gear:
+    elif gear_command != gear:
         mean = (y[WHEELS + 2] + y[WHEELS + 3]) / 2
-        if asked == 0 or car.engine.ratios[asked - 1] * mean <= car.driveline[0].engine_speed_max:
-            gear = asked
+        largest = car.driveline[0].engine_speed_max
+        if gear_command == 0 or car.engine.ratios[gear_command - 1] * mean <= largest:
+            gear = gear_command
             gearbox[0], gearbox[1] = gear, car.driveline[0].shift_time
     return gear, gearbox[1] <= step / 2
 
 
 @njit(error_model="numpy")
-def _delayed(queue: Array, asked: float) -> float:
+def _delayed(queue: Array, command: float) -> float:
     """The command that arrives now, while a new one joins the queue."""
     if queue.size == 0:
-        return asked
+        return command
     first: float = queue[0]
     for i in range(queue.size - 1):
         queue[i] = queue[i + 1]
-    queue[queue.size - 1] = asked
+    queue[queue.size - 1] = command
     return first

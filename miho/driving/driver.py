@@ -56,7 +56,7 @@ class Sighting:
     local: LocalPlanner
     velocity: VelocityPlanner
 
-    def seen(self, line: Track, s: float) -> bool:
+    def in_sight(self, line: Track, s: float) -> bool:
         """Whether the first obstacle is near enough ahead of an arc length [m]."""
         return 0 <= (self.obstacles[0].s - s) % line.length <= self.distance
 
@@ -145,25 +145,28 @@ class Driver:
         )
 
     def step(self, state: DriverState, motion: Motion) -> tuple[Command, DriverState]:
-        """The next command from a measured motion."""
+        """The next command from a measured motion, and what the driver remembers after it."""
+        # What is not measured is guessed and makes a safe stop, whatever comes later.
         unknown = [name for name in NEEDED if not math.isfinite(getattr(motion, name))]
         if unknown:
             motion = self._guessed(state, motion, unknown)
             reason = f"{unknown[0]} is not finite"
             state = state._replace(stopped=state.stopped or reason)
+        # The plan may change, and with it the line; then where the car is on it.
         state = self._replanned(state, motion.vx)
-        here = place(state.plan.line, motion, state.at)
-        laps = state.laps + (state.at - here.at.s > state.plan.line.length / 2)
-        state = state._replace(at=here.at.s, laps=laps, vx=motion.vx)
-        if abs(here.at.e) > LOST and not state.stopped:
-            state = state._replace(stopped=f"{here.at.e:.1f} m off the line")
+        at, error = place(state.plan.line, motion, state.at)
+        laps = state.laps + (state.at - at.s > state.plan.line.length / 2)
+        state = state._replace(at=at.s, laps=laps, vx=motion.vx)
+        if abs(at.e) > LOST and not state.stopped:
+            state = state._replace(stopped=f"{at.e:.1f} m off the line")
+        # It is steered in a safe stop too; pedals follow the desired speed, or brake to a stop.
         steering, remembered = self.steering.command(
-            state.steering, state.plan.line, here.at, here.error, motion.vx, motion.steering
+            state.steering, state.plan.line, at, error, motion.vx, motion.steering
         )
         state = state._replace(steering=remembered)
         if state.stopped:
             return self._brake(state, steering)
-        desired, ax, cap = self._wanted(state)
+        desired, ax, cap = self._desired(state)
         pedals, speed = self.speed.command(state.speed, desired, ax, motion.vx, self.period)
         command = Command(steering, pedals.throttle, pedals.brake, pedals.gear)
         return command, state._replace(cap=cap, desired=desired, speed=speed, command=command)
@@ -171,12 +174,12 @@ class Driver:
     def _guessed(self, state: DriverState, motion: Motion, unknown: Sequence[str]) -> Motion:
         """The motion with what is unknown as if the car was on its line and braking safely."""
         vx = max(state.vx - SAFE_BRAKE * self.period, 0.0)
-        here = state.plan.line.at(state.at + vx * self.period)
-        turn = self.steering.feed_forward(vx, float(here.curvature), float(here.bank))
+        point = state.plan.line.at(state.at + vx * self.period)
+        turn = self.steering.feed_forward(vx, float(point.curvature), float(point.bank))
         guess: dict[str, Any] = {
-            "x": float(here.x), "y": float(here.y), "yaw": float(here.heading) - turn.slip,
+            "x": float(point.x), "y": float(point.y), "yaw": float(point.heading) - turn.slip,
             "vx": vx, "vy": vx * turn.slip, "steering": turn.steering,
-            "yaw_rate": vx * float(here.curvature) * math.cos(float(here.bank)),
+            "yaw_rate": vx * float(point.curvature) * math.cos(float(point.bank)),
         }  # fmt: skip
         return motion._replace(**{name: guess[name] for name in unknown})
 
@@ -185,7 +188,7 @@ class Driver:
         sighting = self.sighting
         if sighting is None or state.planned or state.stopped:
             return state
-        if not sighting.seen(self.plan.line, state.at):
+        if not sighting.in_sight(self.plan.line, state.at):
             return state
         state = state._replace(planned=True)
         try:
@@ -194,14 +197,14 @@ class Driver:
             return state._replace(stopped=str(error))
         return state._replace(plan=plan, at=state.at * plan.line.length / self.plan.line.length)
 
-    def _wanted(self, state: DriverState) -> tuple[float, float, float]:
+    def _desired(self, state: DriverState) -> tuple[float, float, float]:
         """Desired speed [m/s], its rate [m/s^2], and the cap of the pace [m/s]."""
         v, ax = state.plan.at(state.at)
         if self.pace is None:
             return v, ax, state.cap
-        tops, most = self.pace.top_speeds, self.pace.ramp * self.period
+        tops, largest = self.pace.top_speeds, self.pace.ramp * self.period
         change = tops[min(state.laps, len(tops) - 1)] - state.cap
-        rise = min(max(change, -most), most)
+        rise = min(max(change, -largest), largest)
         cap = state.cap + rise
         return (v, ax, cap) if v <= cap else (cap, rise / self.period, cap)
 

@@ -118,6 +118,7 @@ def _wheels(
     for i in range(4):
         front = i < 2
         side = 1.0 if i % 2 == 0 else -1.0
+        # Where the wheel stands, and how its contact moves along it and across.
         px = c.lf if front else -c.lr
         py = side * (c.half_track_front if front else c.half_track_rear)
         sin_d, cos_d = (sine, cosine) if front else (0.0, 1.0)
@@ -125,12 +126,14 @@ def _wheels(
         along, across = vx * cos_d + vy * sin_d, vy * cos_d - vx * sin_d
         omega = y[WHEELS + i]
         radius = c.radius_front if front else c.radius_rear
+        # Slips relax; near standstill they are damped, or the car would rock for ever.
         sliding = omega * radius - along
         dy[KAPPA + i] = _slip_rate(y[KAPPA + i], sliding, along, c.relaxation_x)
         dy[TAN_ALPHA + i] = _slip_rate(y[TAN_ALPHA + i], across, along, c.relaxation_y)
         damping = _damping(along)
         kappa = y[KAPPA + i] + damping * sliding
         alpha = math.atan(y[TAN_ALPHA + i] + damping * across)
+        # Forces of the tire, and what they and the brake do to the wheel.
         long, lat = wheel_forces(car.tires[i], loads[i], kappa, alpha, along, road.friction)
         braking = on_front + c.rolling_torque_front if front else on_rear + c.rolling_torque_rear
         torque = against(braking, omega) - radius * long
@@ -138,6 +141,7 @@ def _wheels(
             dy[WHEELS + i] = torque / d.wheel_inertia
         else:
             rear = (torque, 0.0) if i == 2 else (rear[0], torque)
+        # The sum on the body.
         wheel_x, wheel_y = long * cos_d - lat * sin_d, long * sin_d + lat * cos_d
         fx += wheel_x
         fy += wheel_y

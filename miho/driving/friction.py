@@ -74,11 +74,17 @@ def friction_car(
 
 
 @njit(cache=True, error_model="numpy")
-def use_of(car: FrictionCar, v: float, ax: float, lateral: float, gravity: float) -> float:
-    """Use of the friction ellipse by the worse axle; above 1 it is beyond its limit."""
+def friction_use(car: FrictionCar, v: float, ax: float, lateral: float, gravity: float) -> float:
+    """Use of the friction ellipse by the worse axle; above 1 it is beyond its limit.
+
+    ax: acceleration [m/s^2] along the road; lateral, gravity: as in `Demand`.
+    """
     force = car.mass * ax + car.C_d * v * v + car.C_r  # at the ground
     Fz = wheel_loads(car.loads, v, force / car.mass, lateral, gravity)
     peaks = car.left if lateral >= 0 else car.right
+    # The ellipse of an axle: its half axes are the sums of both tires' peaks at their loads, and
+    # the axle takes a share of the lateral force by the yaw moment, of the longitudinal force as
+    # the rear drives, or as the brake is balanced.
     worst = 0.0
     for axle in range(2):
         most_y, most_x = 1e-9, 1e-9
@@ -96,47 +102,51 @@ def use_of(car: FrictionCar, v: float, ax: float, lateral: float, gravity: float
 
 
 @njit(cache=True, error_model="numpy")
-def asked(v: float, curvature: float, bank: float) -> tuple[float, float]:
-    """`demand` of one point."""
+def point_demand(v: float, curvature: float, bank: float) -> tuple[float, float]:
+    """Lateral demand and gravity of `Demand` [m/s^2] at a single point, for compiled code."""
     turning = v * v * curvature
     lateral = turning * math.cos(bank) - g * math.sin(bank)
     return lateral, g * math.cos(bank) + turning * math.sin(bank)
 
 
 @njit(cache=True, error_model="numpy")
-def use_at(car: FrictionCar, v: float, ax: float, curvature: float, bank: float) -> float:
-    """`use_of` a point of a line."""
-    lateral, gravity = asked(v, curvature, bank)
-    return float(use_of(car, v, ax, lateral, gravity))
+def use_on_line(car: FrictionCar, v: float, ax: float, curvature: float, bank: float) -> float:
+    """Use of the friction ellipse at a point of a line, by curvature [1/m] and bank [rad]."""
+    lateral, gravity = point_demand(v, curvature, bank)
+    return float(friction_use(car, v, ax, lateral, gravity))
 
 
 @njit(cache=True, error_model="numpy")
-def uses_of(car: FrictionCar, v: Array, ax: Array, ay: Array, gravity: Array) -> Array:
-    """Use of the friction by a car that was driven, (n,), from what its accelerometer felt.
+def measured_use(car: FrictionCar, v: Array, ax: Array, ay: Array, gravity: Array) -> Array:
+    """Use of the friction ellipse, (n,), by a car whose accelerations were measured.
 
     ax and ay [m/s^2] as in `miho.driving.plant.Motion`, drag among the forces; gravity [m/s^2]
     presses the car on the road.
     """
     use = np.empty(v.size)
     for i in range(v.size):
-        use[i] = use_of(car, v[i], ax[i] - car.C_r / car.mass, ay[i], gravity[i])
+        use[i] = friction_use(car, v[i], ax[i] - car.C_r / car.mass, ay[i], gravity[i])
     return use
 
 
 @njit(cache=True, error_model="numpy")
-def uses(
+def limits_and_use(
     car: FrictionCar, v: Array, ax: Array, curvature: Array, bank: Array
 ) -> tuple[Array, Array]:
-    """The limit of the lateral demand and the use of the friction at each point, (n,) each."""
+    """The limit of the lateral demand [m/s^2] and the use of friction at each point, (n,) each.
+
+    At speeds v [m/s] and accelerations ax [m/s^2]. The limit is the largest magnitude, in the
+    direction in which the demand acts, that keeps the use at 1 or below.
+    """
     limit, use = np.empty(v.size), np.empty(v.size)
     for i in range(v.size):
-        lateral, gravity = asked(v[i], curvature[i], bank[i])
-        use[i] = use_of(car, v[i], ax[i], lateral, gravity)
+        lateral, gravity = point_demand(v[i], curvature[i], bank[i])
+        use[i] = friction_use(car, v[i], ax[i], lateral, gravity)
         sign = 1.0 if lateral >= 0 else -1.0
         low, high = 0.0, 100.0
         for _ in range(BISECTIONS):
             middle = (low + high) / 2
-            if use_of(car, v[i], ax[i], sign * middle, gravity) <= 1:
+            if friction_use(car, v[i], ax[i], sign * middle, gravity) <= 1:
                 low = middle
             else:
                 high = middle

@@ -65,8 +65,8 @@ class KnownCar:
 
     def speed_controller(self, settings: SpeedSettings | None = None) -> SpeedController:
         """The throttle and brake controller."""
-        chosen = SpeedSettings() if settings is None else settings
-        return SpeedController(self.vehicle, self.engine, self.brake, chosen)
+        settings = SpeedSettings() if settings is None else settings
+        return SpeedController(self.vehicle, self.engine, self.brake, settings)
 
     def steering_controller(self, weights: Weights, period: float = 0.01) -> SteeringController:
         """The path tracker, with a command every `period` [s]."""

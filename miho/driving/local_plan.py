@@ -99,14 +99,17 @@ class LocalPlanner:
         """
         if not obstacles:
             return line
+        # The offset is reached half a car's length before the first obstacle, and kept until as far
+        # behind the last one: distances [m] ahead of the car.
         room = (self.length / 2 + self.ahead) * np.array([-1.0, 1.0])
-        distances = [(one.s - now) % line.length for one in obstacles]
+        distances = [(obstacle.s - now) % line.length for obstacle in obstacles]
         first = min(d - o.length / 2 for d, o in zip(distances, obstacles, strict=True)) + room[0]
         last = max(d + o.length / 2 for d, o in zip(distances, obstacles, strict=True)) + room[1]
         if first <= self.length:
             raise NoPathError(
                 f"the obstacle is {min(distances):.1f} m ahead; expected more room to pass it"
             )
+        # Offsets in steps of `spacing` between the edges of the road along the whole swerve.
         out = min(first, self.out)
         half = self.width / 2
         near = line.at(now + np.linspace(first - out, last + self.back, 200))
@@ -118,7 +121,7 @@ class LocalPlanner:
                 lap=line.length, start=now + first - out, out=out, stay=last - first,
                 back=self.back, e=float(e),
             )  # fmt: skip
-            if all(self._clear(swerve, one) for one in obstacles):
+            if all(self._clear(swerve, obstacle) for obstacle in obstacles):
                 return beside(line, swerve)
         raise NoPathError(
             f"no path between {-right:.2f} and {left:.2f} m beside the line passes the obstacle at "

@@ -11,7 +11,7 @@ from scipy.constants import g
 
 from miho.driving.driver import Driver
 from miho.driving.embedded import embedded_tires
-from miho.driving.friction import friction_car, uses_of
+from miho.driving.friction import friction_car, measured_use
 from miho.driving.grip import Grip
 from miho.driving.known_car import inclinations, static_loads
 from miho.driving.simulation import Drive
@@ -25,7 +25,7 @@ EVERY = 5
 """Of the rows of a drive every fifth, at 100 Hz some 3 m apart, is looked up on the road."""
 
 
-class Room(NamedTuple):
+class Clearance(NamedTuple):
     """Distances [m] of the car's sides from the left and the right edge of the road, negative
     beyond it, with the rows of the drive they belong to; (k,) each."""
 
@@ -34,21 +34,21 @@ class Room(NamedTuple):
     right: np.ndarray
 
     @classmethod
-    def of(cls, done: Drive, road: Track) -> Room:
-        """The room that a car had; the road is that of the plant."""
-        rows = np.arange(0, len(done), EVERY)
-        both, hint = np.empty((2, rows.size)), None
-        for i, (x, y) in enumerate(zip(done["x"][rows], done["y"][rows], strict=True)):
+    def of(cls, drive: Drive, road: Track) -> Clearance:
+        """The clearance of a car along a drive; the road is that of the plant."""
+        rows = np.arange(0, len(drive), EVERY)
+        edges, hint = np.empty((2, rows.size)), None
+        for i, (x, y) in enumerate(zip(drive["x"][rows], drive["y"][rows], strict=True)):
             at = road.project(float(x), float(y), hint)
             hint = at.s
-            here = road.at(at.s)
-            both[:, i] = float(here.width_left) - at.e, float(here.width_right) + at.e
-        left, right = both - CAR_WIDTH / 2
+            point = road.at(at.s)
+            edges[:, i] = float(point.width_left) - at.e, float(point.width_right) + at.e
+        left, right = edges - CAR_WIDTH / 2
         return cls(rows, left, right)
 
     @property
     def least(self) -> np.ndarray:
-        """To the nearer edge."""
+        """Distance to the nearer edge [m], (k,)."""
         return np.asarray(np.minimum(self.left, self.right))
 
 
@@ -68,60 +68,60 @@ class Departure(NamedTuple):
         )
 
 
-def departure(done: Drive, room: Room) -> Departure | None:
+def departure(drive: Drive, clearance: Clearance) -> Departure | None:
     """How the car left the road; None if it did not."""
-    outside = np.flatnonzero(room.least < 0)
+    outside = np.flatnonzero(clearance.least < 0)
     if not outside.size:
         return None
     first = outside[0]
-    row = room.rows[first]
+    row = clearance.rows[first]
     return Departure(
-        float(done["time"][row] - done["time"][0]),
-        float(done["distance"][row]),
-        "left" if room.left[first] < room.right[first] else "right",
-        -float(room.least.min()),
+        float(drive["time"][row] - drive["time"][0]),
+        float(drive["distance"][row]),
+        "left" if clearance.left[first] < clearance.right[first] else "right",
+        -float(clearance.least.min()),
     )
 
 
-def judged(
-    done: Drive, driver: Driver, room: Room, road_friction: float = 1.0
+def outcome_table(
+    drive: Drive, driver: Driver, clearance: Clearance, road_friction: float = 1.0
 ) -> dict[str, float | str]:
     """Largest errors and uses of a drive on a road of this friction."""
-    e_psi = float(np.degrees(np.abs(done["e_psi"]).max()))
-    error = done["vx"] - done["v_des"]
-    within = np.abs(done["ay"]) / done["ay_limit"]
+    e_psi = float(np.degrees(np.abs(drive["e_psi"]).max()))
+    error = drive["vx"] - drive["v_des"]
+    within = np.abs(drive["ay"]) / drive["ay_limit"]
     table: dict[str, float | str] = {
-        "stopped": done.stopped or "no",
-        "left the road": str(departure(done, room) or "no"),
-        "time [s]": _round(done["time"][-1]),
-        "top speed [km/h]": _round(3.6 * done["vx"].max()),
-        "largest position error [m]": _round(np.abs(done["e_y"]).max()),
+        "stopped": drive.stopped or "no",
+        "left the road": str(departure(drive, clearance) or "no"),
+        "time [s]": _round(drive["time"][-1]),
+        "top speed [km/h]": _round(3.6 * drive["vx"].max()),
+        "largest position error [m]": _round(np.abs(drive["e_y"]).max()),
         "largest heading error [deg]": _round(e_psi),
         "velocity error, RMS [m/s]": _round(math.sqrt(float(np.mean(error**2)))),
         "velocity error, largest [m/s]": _round(np.abs(error).max()),
-        "largest lateral acceleration [m/s^2]": _round(np.abs(done["ay"]).max()),
+        "largest lateral acceleration [m/s^2]": _round(np.abs(drive["ay"]).max()),
         "largest share of the planned lateral limit": _round(within.max()),
         "largest use of the true tires' friction": _round(
-            true_use(done, driver, road_friction).max()
+            true_use(drive, driver, road_friction).max()
         ),
-        "least room to an edge of the road [m]": _round(room.least.min()),
+        "least room to an edge of the road [m]": _round(clearance.least.min()),
     }
     if driver.sighting is not None:
-        table["least gap to the obstacle [m]"] = _round(gap(done, driver))
+        table["least gap to the obstacle [m]"] = _round(gap(drive, driver))
     return table
 
 
-def true_use(done: Drive, driver: Driver, road_friction: float = 1.0) -> np.ndarray:
+def true_use(drive: Drive, driver: Driver, road_friction: float = 1.0) -> np.ndarray:
     """Use of the true tires' friction in steady terms, (N,); above 1 an axle would slide."""
     vehicle = driver.speed.vehicle
     grip = Grip.of_tires(embedded_tires(), static_loads(vehicle), inclinations(vehicle))
     car = friction_car(vehicle, grip, road_friction, front_share(driver.speed.brake))
-    turning = done["vx"] ** 2 * done["curvature"]
-    gravity = g * np.cos(done["bank"]) + turning * np.sin(done["bank"])
-    return np.asarray(uses_of(car, done["vx"], done["ax"], done["ay"], gravity))
+    turning = drive["vx"] ** 2 * drive["curvature"]
+    gravity = g * np.cos(drive["bank"]) + turning * np.sin(drive["bank"])
+    return np.asarray(measured_use(car, drive["vx"], drive["ax"], drive["ay"], gravity))
 
 
-def gap(done: Drive, driver: Driver) -> float:
+def gap(drive: Drive, driver: Driver) -> float:
     """Least distance [m] between the boxes of car and obstacle, negative in a collision.
 
     The car is taken to lie along the line that it would drive without the obstacle.
@@ -130,7 +130,7 @@ def gap(done: Drive, driver: Driver) -> float:
         raise ValueError("the driver has no obstacle; expected a sighting")
     obstacle, line = driver.sighting.obstacles[0], driver.plan.line
     least, hint = math.inf, None
-    for x, y in zip(done["x"], done["y"], strict=True):
+    for x, y in zip(drive["x"], drive["y"], strict=True):
         at = line.project(float(x), float(y), hint)
         hint = at.s
         ahead = abs(math.remainder(at.s - obstacle.s, line.length))
@@ -140,19 +140,19 @@ def gap(done: Drive, driver: Driver) -> float:
     return least
 
 
-def plans(driver: Driver, now: float) -> dict[str, float | str]:
+def plans(driver: Driver, start: float) -> dict[str, float | str]:
     """The least speeds [km/h] that the planners give on the path around the obstacle.
 
-    The avoidance is planned without a top speed, at the point at which the obstacle is seen, so
-    that the tires alone are the limit.
+    start: arc length [m] at which the drive begins. The avoidance is planned without a top speed,
+    at the point at which the obstacle is seen, so that the tires alone are the limit.
     """
     sighting = driver.sighting
     if sighting is None:
         raise ValueError("the driver has no obstacle; expected a sighting")
     line = driver.plan.line
-    seen = max(now, sighting.obstacles[0].s - sighting.distance)
-    path = sighting.local.path(line, sighting.obstacles, seen)
-    near = (path.s > seen) & (path.s < sighting.obstacles[0].s + sighting.distance)
+    sighted = max(start, sighting.obstacles[0].s - sighting.distance)
+    path = sighting.local.path(line, sighting.obstacles, sighted)
+    near = (path.s > sighted) & (path.s < sighting.obstacles[0].s + sighting.distance)
     planner = replace(sighting.velocity, top_speed=90.0)
     slowest = {"corrected": planner.lateral_limits(path)[near].min()}
     for name, transfer, yaw in (

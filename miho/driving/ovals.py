@@ -29,7 +29,7 @@ def ims(step: float = 1.0) -> Track:
     half = Segment(length=502.92, width=(narrow, narrow))
     chute = Segment(length=201.168 / 2, bank=(short, short), width=(narrow, narrow))
     quarter = [half, *leaning, chute]
-    back = [one.mirrored() for one in reversed(quarter)]
+    back = [segment.mirrored() for segment in reversed(quarter)]
     return track_of("ims", [*quarter, *back, *quarter, *back], step=step, left=0.7)
 
 
@@ -51,4 +51,4 @@ def lvms(step: float = 1.0) -> Track:
         Segment(length=117.0, curvature=(0.0, front), bank=(middle, middle)),
         Segment(length=189.0, curvature=(front, front), bank=(middle, middle)),
     ]
-    return track_of("lvms", [*half, *(one.mirrored() for one in reversed(half))], step=step)
+    return track_of("lvms", [*half, *(segment.mirrored() for segment in reversed(half))], step=step)

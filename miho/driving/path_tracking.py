@@ -43,12 +43,12 @@ class LateralModel:
         if not 0 < vx < math.inf:
             raise ValueError(f"vx is {vx}; expected a speed above 0 m/s")
         m, lf, lr, Izz = self.car.mass, self.car.lf, self.car.lr, self.car.Izz
-        both, turn = self.C_f + self.C_r, self.C_f * lf - self.C_r * lr
+        total, turn = self.C_f + self.C_r, self.C_f * lf - self.C_r * lr
         square = self.C_f * lf**2 + self.C_r * lr**2
         A = np.array(
             [
                 [0, 1, 0, 0],
-                [0, -both / (m * vx), both / m, -turn / (m * vx)],
+                [0, -total / (m * vx), total / m, -turn / (m * vx)],
                 [0, 0, 0, 1],
                 [0, -turn / (Izz * vx), turn / Izz, -square / (Izz * vx)],
             ]
@@ -128,14 +128,14 @@ class SampledModel:
         joint = np.zeros((6, 6))
         joint[:4, :4], joint[:4, 4] = A, B1
         joint[4, 4:] = np.array([-1, 1]) / self.steering.lag
-        held = expm(joint * self.period)
+        transition = expm(joint * self.period)
         d = self.delayed
         F, G = np.zeros((5 + d, 5 + d)), np.zeros(5 + d)
-        F[:5, :5] = held[:5, :5]
+        F[:5, :5] = transition[:5, :5]
         if d == 0:
-            G[:5] = held[:5, 5]
+            G[:5] = transition[:5, 5]
         else:
-            F[:5, 4 + d] = held[:5, 5]
+            F[:5, 4 + d] = transition[:5, 5]
             F[6:, 5:-1] = np.eye(d - 1)
             G[5] = 1.0
         return F, G

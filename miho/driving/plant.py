@@ -90,7 +90,7 @@ class Plant(ABC, Generic[State]):
 
 
 def steps_of(duration: float, step: float) -> int:
-    """How many steps [s] a duration [s] has; ValueError unless it is a whole number from 1 on."""
+    """The number of steps [s] in a duration [s]; ValueError unless whole and at least 1."""
     count = duration / step if math.isfinite(duration) else math.nan
     if not (count > 0.5 and abs(count - round(count)) < 1e-6):
         raise ValueError(f"duration is {duration} s; expected a multiple of the step, {step:g} s")

@@ -50,16 +50,16 @@ def engine_speed(
     """
     if gear == 0:
         return d.idle_speed, False
-    turned = e.ratios[gear - 1] * rear
-    return max(turned, d.idle_speed), closed and turned >= d.idle_speed
+    locked = e.ratios[gear - 1] * rear
+    return max(locked, d.idle_speed), closed and locked >= d.idle_speed
 
 
 @register_jitable(error_model="numpy")
 def torque_rate(e: Engine, d: Driveline, torque: float, omega: float, throttle: float) -> float:
     """Rate of the engine torque [Nm/s]: it follows the map with a lag, slower when it rises."""
     allowed = min(max((d.engine_speed_max + CUT - omega) / CUT, 0.0), 1.0)
-    wanted = map_torque(e, omega, throttle * allowed)
-    rate: float = (wanted - torque) / (d.spool_rise if wanted > torque else d.spool_fall)
+    steady = map_torque(e, omega, throttle * allowed)
+    rate: float = (steady - torque) / (d.spool_rise if steady > torque else d.spool_fall)
     return rate
 
 
@@ -80,17 +80,17 @@ def rear_accelerations(
     engine inertia are those of `Longitudinal`, on the mean of the two wheels.
     """
     I = d.wheel_inertia  # noqa: E741
-    both = outer[0] + outer[1]
-    mean = both / (2 * I)
+    total = outer[0] + outer[1]
+    mean = total / (2 * I)
     _, locked = engine_speed(e, d, gear, closed, (left + right) / 2)
     if locked:
         ratio = e.ratios[gear - 1]
         drives = torque >= d.engine_inertia * ratio * mean
         lever = ratio * (d.efficiency if drives else 1 / d.efficiency)
-        mean = (both + lever * torque) / (2 * I + lever * d.engine_inertia * ratio)
+        mean = (total + lever * torque) / (2 * I + lever * d.engine_inertia * ratio)
     elif closed and gear > 0:
         mean += e.ratios[gear - 1] * d.efficiency * max(torque, 0.0) / (2 * I)
-    through_gears = 2 * I * mean - both
+    through_gears = 2 * I * mean - total
     across = d.differential_damping * (left - right)
     return (
         (outer[0] + through_gears / 2 - across) / I,
@@ -106,10 +106,10 @@ def brake_torques(b: Brakes, pressure: float) -> tuple[float, float]:
 
 
 @register_jitable(error_model="numpy")
-def pressure_rate(b: Brakes, pressure: float, wanted: float) -> float:
-    """Rate of the pressure [Pa/s] towards the wanted one, at most that of the pump."""
-    wanted = min(wanted, b.P_max)
-    rate: float = (wanted - pressure) / (b.tau_rise if wanted > pressure else b.tau_fall)
+def pressure_rate(b: Brakes, pressure: float, command: float) -> float:
+    """Rate of the pressure [Pa/s] towards the commanded one, at most that of the pump."""
+    target = min(command, b.P_max)
+    rate: float = (target - pressure) / (b.tau_rise if target > pressure else b.tau_fall)
     return rate
 
 

@@ -69,23 +69,23 @@ class Manoeuvre:
 
 
 @dataclass(frozen=True, eq=False)
-class Driven:
-    """What happened in a manoeuvre, a row each `PERIOD`: motions without noise, and commands."""
+class Recording:
+    """A manoeuvre as it was driven, a row each `PERIOD`: motions without noise, and commands."""
 
     motions: tuple[Motion, ...]
     commands: tuple[Command, ...]
 
     def log(self, name: str, sensors: Sensors, rng: np.random.Generator) -> DrivingLog:
-        """What the car's sensors recorded of it."""
-        seen = [sensors.measure(motion, rng) for motion in self.motions]
-        channels = {key: np.array([getattr(one, key) for one in seen], float) for key in MEASURED}
-        channels["time"] = PERIOD * np.arange(len(seen))
-        channels["brake"] = np.array([one.brake_pressure for one in seen])
+        """The log that sensors make of it, with their noise drawn from `rng`."""
+        rows = [sensors.measure(motion, rng) for motion in self.motions]
+        channels = {key: np.array([getattr(row, key) for row in rows], float) for key in MEASURED}
+        channels["time"] = PERIOD * np.arange(len(rows))
+        channels["brake"] = np.array([row.brake_pressure for row in rows])
         channels["throttle"] = np.array([command.throttle for command in self.commands])
         return DrivingLog(name, channels)
 
 
-def driven(plant: Plant[State], manoeuvre: Manoeuvre) -> Driven:
+def perform(plant: Plant[State], manoeuvre: Manoeuvre) -> Recording:
     """Drive a manoeuvre on a plane."""
     state = plant.start(speed=manoeuvre.speed, gear=manoeuvre.gear)
     motions, commands = [], []
@@ -98,7 +98,7 @@ def driven(plant: Plant[State], manoeuvre: Manoeuvre) -> Driven:
         motions.append(motion)
         commands.append(command)
         state = plant.advance(state, command, PERIOD)
-    return Driven(tuple(motions), tuple(commands))
+    return Recording(tuple(motions), tuple(commands))
 
 
 def weaves() -> tuple[Manoeuvre, ...]:
@@ -109,21 +109,21 @@ def weaves() -> tuple[Manoeuvre, ...]:
     )
 
 
-def held(
+def held_throttles(
     vehicle: Vehicle, throttle: float, gears: Sequence[int] = HELD_GEARS, longest: float = 14.0
 ) -> tuple[Manoeuvre, ...]:
     """For the engine: an opening held from high and from low engine speeds, in each gear."""
-    found = []
+    manoeuvres = []
     for gear in gears:
         lever = vehicle.gear_ratios[gear - 1] * vehicle.final_drive / vehicle.wheel_radius
         low, high = SLOWEST / lever, FASTEST / lever
         for speed in (0.99 * high, 1.1 * low):
-            one = Manoeuvre(
+            manoeuvre = Manoeuvre(
                 speed=speed, gear=gear, duration=longest, within=(0.9 * low, 1.01 * high),
                 throttle=throttle,
             )  # fmt: skip
-            found.append(one)
-    return tuple(found)
+            manoeuvres.append(manoeuvre)
+    return tuple(manoeuvres)
 
 
 def brakings() -> tuple[Manoeuvre, ...]:
@@ -138,6 +138,7 @@ def brakings() -> tuple[Manoeuvre, ...]:
 def programme(vehicle: Vehicle, openings: Sequence[float]) -> Mapping[str, tuple[Manoeuvre, ...]]:
     """All that is driven, by name: weave, braking, and throttle_05 and so on for the openings."""
     throttles = {
-        f"throttle_{round(100 * opening):02d}": held(vehicle, opening) for opening in openings
+        f"throttle_{round(100 * opening):02d}": held_throttles(vehicle, opening)
+        for opening in openings
     }
     return {"weave": weaves(), "braking": brakings(), **throttles}

@@ -67,18 +67,18 @@ def track_of(
     """
     positive("step", step, "of metres")
     closed = _closed(name, list(segments), slack)
-    length = sum(one.length for one in closed)
+    length = sum(segment.length for segment in closed)
     n = math.ceil(length / step)
     s = np.linspace(0.0, length, n, endpoint=False)
-    pieces = [piece for one in closed for piece in _cut(one)]
+    pieces = [piece for segment in closed for piece in _cut(segment)]
     which, within = _position(s, pieces)
     x, y, heading, curvature = _advance(_poses(pieces)[which], pieces, which, within)
     which, within = _position(s, closed)
-    share = within / np.array([one.length for one in closed])[which]
+    share = within / np.array([segment.length for segment in closed])[which]
     smooth = share * share * (3 - 2 * share)
     bank, width = (
-        _between(np.array([getattr(one, what) for one in closed])[which], smooth)
-        for what in ("bank", "width")
+        _between(np.array([getattr(segment, key) for segment in closed])[which], smooth)
+        for key in ("bank", "width")
     )
     beside = width / 2 if left is None else np.full_like(width, left)
     return Track(name, length, s, x, y, heading, curvature, bank, beside, width - beside)
@@ -90,20 +90,21 @@ def _between(pairs: Array, share: Array) -> Array:
 
 def _closed(name: str, segments: list[Segment], slack: float) -> list[Segment]:
     """The segments with lengths that bring the last end to the first start (Gauss-Newton)."""
-    whole = math.tau if sum(sum(one.curvature) * one.length for one in segments) > 0 else -math.tau
-    lengths = np.array([one.length for one in segments])
-    found = lengths.copy()
+    turn = sum(sum(segment.curvature) * segment.length for segment in segments)
+    whole = math.tau if turn > 0 else -math.tau
+    lengths = np.array([segment.length for segment in segments])
+    corrected = lengths.copy()
     for _ in range(10):
-        trial = [replace(o, length=float(f)) for o, f in zip(segments, found, strict=True)]
+        trial = [replace(o, length=float(f)) for o, f in zip(segments, corrected, strict=True)]
         miss = _poses(trial)[-1] - np.array([0.0, 0.0, whole])
         if np.abs(miss).max() < 1e-10:
             return trial
         ends = _poses(trial)[1:]
         moved = np.array(
-            [_effect(end, ends[-1], one) for end, one in zip(ends, trial, strict=True)]
+            [_effect(end, ends[-1], part) for end, part in zip(ends, trial, strict=True)]
         )
-        found = found - np.linalg.lstsq(moved.T, miss, rcond=None)[0]
-        if np.abs(found - lengths).max() > slack or found.min() <= 0:
+        corrected = corrected - np.linalg.lstsq(moved.T, miss, rcond=None)[0]
+        if np.abs(corrected - lengths).max() > slack or corrected.min() <= 0:
             break
     gap = _poses(segments)[-1]
     raise ValueError(
@@ -135,15 +136,15 @@ def _cut(segment: Segment) -> list[Segment]:
 
 def _position(s: Array, segments: Sequence[Segment]) -> tuple[NDArray[np.intp], Array]:
     """The segment that each arc length (n,) is in, and how far from its start [m]."""
-    bounds = np.concatenate([[0.0], np.cumsum([one.length for one in segments])])
+    bounds = np.concatenate([[0.0], np.cumsum([segment.length for segment in segments])])
     which = np.clip(np.searchsorted(bounds, s, side="right") - 1, 0, len(segments) - 1)
     return which, s - bounds[which]
 
 
 def _poses(segments: Sequence[Segment]) -> Array:
     """(x, y, heading) at the start of each segment and at the end of the last, (k + 1, 3)."""
-    lengths = np.array([one.length for one in segments])
-    turned = lengths * np.array([sum(one.curvature) / 2 for one in segments])
+    lengths = np.array([segment.length for segment in segments])
+    turned = lengths * np.array([sum(segment.curvature) / 2 for segment in segments])
     starts = np.zeros((len(segments), 3))
     starts[1:, 2] = np.cumsum(turned)[:-1]
     steps = np.stack(_advance(starts, segments, np.arange(len(segments)), lengths)[:2], axis=1)
@@ -155,8 +156,8 @@ def _advance(
     poses: Array, segments: Sequence[Segment], which: NDArray[np.intp], within: Array
 ) -> tuple[Array, Array, Array, Array]:
     """x, y, heading and curvature (n,) at distances `within` (n,) of the starts `poses` (n, 3)."""
-    pairs = np.array([one.curvature for one in segments])[which]
-    lengths = np.array([one.length for one in segments])
+    pairs = np.array([segment.curvature for segment in segments])[which]
+    lengths = np.array([segment.length for segment in segments])
     slope = (pairs[:, 1] - pairs[:, 0]) / lengths[which]
     rules = math.ceil(lengths.max() / PIECE)
     edges = np.arange(rules)[:, None] + (_NODES + 1) / 2

@@ -37,11 +37,11 @@ class Sensors:
         settings_at_least(self, [field.name for field in fields(self)], 0)
 
     def measure(self, motion: Motion, rng: np.random.Generator) -> Motion:
-        """The motion as the sensors show it; each call draws as many numbers from `rng`."""
+        """The motion with noise; each call draws the same number of values from `rng`."""
         stds = {"x": self.position, "y": self.position}
         stds |= {field.name: getattr(self, field.name) for field in fields(self)[1:]}
-        shown: dict[str, Any] = {}
+        measured: dict[str, Any] = {}
         for name, std in stds.items():
             value = getattr(motion, name)
-            shown[name] = value + std * rng.standard_normal(np.shape(value) or None)
-        return motion._replace(**shown)
+            measured[name] = value + std * rng.standard_normal(np.shape(value) or None)
+        return motion._replace(**measured)

@@ -50,7 +50,7 @@ class Drive:
     stopped: str
 
     def __getitem__(self, name: str) -> Array:
-        """A column, (N,)."""
+        """The column of `columns` by this name, (N,)."""
         return self.columns[name]
 
     def __len__(self) -> int:
@@ -61,7 +61,7 @@ class Drive:
         return DrivingLog(name, self.measured)
 
 
-def drive(
+def simulate(
     plant: Plant[State],
     driver: Driver,
     start: State,
@@ -72,11 +72,11 @@ def drive(
     longest: float = 1200.0,
     watch: Callable[[float], object] | None = None,
 ) -> Drive:
-    """Drive from a state until a distance [m] along the line is done, at most `longest` [s].
+    """Drive from a state for a distance [m] along the line, at most for `longest` [s].
 
     It ends before when the car stands after a safe stop. The driver sees the motion itself if
-    `sensors` is None, else with their noise, drawn from `rng`. `watch` is told the distance after
-    every command.
+    `sensors` is None, else with their noise, drawn from `rng`. `watch` is called with the distance
+    [m] so far after every command.
     """
     if sensors is not None and rng is None:
         raise ValueError("rng is None; give a numpy Generator for the noise of the sensors")
@@ -84,46 +84,47 @@ def drive(
     state, motion = start, plant.motion(start)
     memory, line = driver.begin(motion), driver.plan.line
     rows: list[list[float]] = []
-    seen: list[tuple[Motion, Command]] = []
-    done, before = 0.0, memory.at
-    while done < distance and motion.time < longest:
-        shown = motion if sensors is None or rng is None else sensors.measure(motion, rng)
-        command, memory = driver.step(memory, shown)
-        rows.append(_row(motion, memory, done))
-        seen.append((shown, command))
+    measurements: list[tuple[Motion, Command]] = []
+    driven, before = 0.0, memory.at
+    while driven < distance and motion.time < longest:
+        measured = motion if sensors is None or rng is None else sensors.measure(motion, rng)
+        command, memory = driver.step(memory, measured)
+        rows.append(_row(motion, memory, driven))
+        measurements.append((measured, command))
         state = plant.advance(state, command, driver.period)
         motion = plant.motion(state)
         at = line.project(motion.x, motion.y, before).s
-        done += math.remainder(at - before, line.length)
+        driven += math.remainder(at - before, line.length)
         before = at
         if watch is not None:
-            watch(done)
+            watch(driven)
         if memory.stopped and math.hypot(motion.vx, motion.vy) < STANDING:
             break
     columns = dict(zip(LOGGED, np.array(rows).T, strict=True))
-    return Drive(columns, _measured(seen), memory.stopped)
+    return Drive(columns, _channels(measurements), memory.stopped)
 
 
-def _row(motion: Motion, memory: DriverState, done: float) -> list[float]:
+def _row(motion: Motion, memory: DriverState, driven: float) -> list[float]:
     """One row of `LOGGED`."""
     plan = memory.plan
     at, error = place(plan.line, motion, memory.at)
-    here = plan.line.at(at.s)
+    point = plan.line.at(at.s)
     i = min(int(at.s / plan.line.step), plan.v.size - 1)
-    seen = [float(getattr(motion, name)) for name in MOTION]
+    moving = [float(getattr(motion, name)) for name in MOTION]
     planned = [plan.v[i], memory.desired, plan.lateral[i], plan.limit[i]]
     return [
-        *seen, *motion.loads, done, at.s, error.e_y, error.e_psi, float(here.curvature),
-        float(here.bank), *planned, *memory.command, float(bool(memory.stopped)),
+        *moving, *motion.loads, driven, at.s, error.e_y, error.e_psi, float(point.curvature),
+        float(point.bank), *planned, *memory.command, float(bool(memory.stopped)),
     ]  # fmt: skip
 
 
-def _measured(seen: Sequence[tuple[Motion, Command]]) -> dict[str, Array]:
-    """Channels of a driving log."""
+def _channels(measurements: Sequence[tuple[Motion, Command]]) -> dict[str, Array]:
+    """Channels of a driving log from measured motions and the commands given upon them."""
     names = ("time", "vx", "vy", "yaw_rate", "ax", "ay", "steering", "gear", "engine_speed")
     channels = {
-        name: np.array([getattr(motion, name) for motion, _ in seen], dtype=float) for name in names
+        name: np.array([getattr(motion, name) for motion, _ in measurements], dtype=float)
+        for name in names
     }
-    channels["brake"] = np.array([motion.brake_pressure for motion, _ in seen])
-    channels["throttle"] = np.array([command.throttle for _, command in seen])
+    channels["brake"] = np.array([motion.brake_pressure for motion, _ in measurements])
+    channels["throttle"] = np.array([command.throttle for _, command in measurements])
     return channels

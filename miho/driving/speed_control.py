@@ -97,14 +97,14 @@ class SpeedController:
         integral = min(max(integral, -rules.integral_max), rules.integral_max)
         a = max(ax + rules.feedback * miss + integral, -rules.brake_max)
         gear, gear_since = self._gear(state, vx, period)
-        wanted = effort(self._model, a, vx, gear)
-        braking, since = self._pedal(state, wanted.brake, period)
+        needed = effort(self._model, a, vx, gear)
+        braking, since = self._pedal(state, needed.brake, period)
         throttle, pressure = 0.0, 0.0
         if braking:
-            u = self.brake.command(max(wanted.brake, 0.0)).u
+            u = self.brake.command(max(needed.brake, 0.0)).u
             pressure = float(self.brake.pressure(u)[0])
         else:
-            throttle = wanted.throttle
+            throttle = needed.throttle
             if (throttle >= 1.0 and miss > 0) or (throttle <= 0.0 and miss < 0):
                 integral = state.integral  # more would only wind up
         return Pedals(throttle, pressure, gear), SpeedState(

@@ -121,16 +121,16 @@ class SteeringController:
         if vx < SLOWEST:
             return self._by_geometry(line, at, error), _remember(state, 0.0)
         actuator = self.schedule.sampled.steering
-        here = line.at(at.s)
+        point = line.at(at.s)
         ahead = line.at(at.s + vx * (actuator.delay + actuator.lag))
-        now = self.feed_forward(vx, float(here.curvature), float(here.bank))
+        now = self.feed_forward(vx, float(point.curvature), float(point.bank))
         later = self.feed_forward(vx, float(ahead.curvature), float(ahead.bank))
         z = np.array([*error, steering - now.steering, *state.past])
         z[2] += now.slip  # a car that slips outward points into the turn
         feedback = -float(self.schedule.at(vx) @ z)
         u = later.steering + feedback
-        most = self.vehicle.steering_max
-        u = min(max(u, -most), most)
+        largest = self.vehicle.steering_max
+        u = min(max(u, -largest), largest)
         return u, _remember(state, u - later.steering)
 
     def _by_geometry(self, line: Track, at: Projection, error: TrackingError) -> float:
@@ -138,8 +138,8 @@ class SteeringController:
         reach = 6.0
         bend = float(line.at(at.s + reach / 2).curvature)
         arc = bend - 2 * (error.e_y + reach * error.e_psi) / reach**2
-        most = self.vehicle.steering_max
-        return min(max(math.atan(self.vehicle.wheelbase * arc), -most), most)
+        largest = self.vehicle.steering_max
+        return min(max(math.atan(self.vehicle.wheelbase * arc), -largest), largest)
 
 
 def _remember(state: SteeringState, feedback: float) -> SteeringState:
@@ -151,9 +151,9 @@ def tracking_error(
     line: Track, at: Projection, yaw: float, vx: float, vy: float, yaw_rate: float
 ) -> TrackingError:
     """The errors of a car at a point of a line; velocities [m/s], [rad/s] about its own axes."""
-    here = line.at(at.s)
-    e_psi = math.remainder(yaw - float(here.heading), math.tau)
-    along = (vx * math.cos(e_psi) - vy * math.sin(e_psi)) / (1 - float(here.curvature) * at.e)
+    point = line.at(at.s)
+    e_psi = math.remainder(yaw - float(point.heading), math.tau)
+    along = (vx * math.cos(e_psi) - vy * math.sin(e_psi)) / (1 - float(point.curvature) * at.e)
     sideways = vy * math.cos(e_psi) + vx * math.sin(e_psi)
-    turning = float(here.curvature * np.cos(here.bank)) * along
+    turning = float(point.curvature * np.cos(point.bank)) * along
     return TrackingError(at.e, sideways, e_psi, yaw_rate - turning)

@@ -98,8 +98,8 @@ class Track:
     def at(self, s: ArrayLike) -> TrackPoint:
         """The line at arc lengths [m] of any shape, beyond a lap too; the heading goes on."""
         s = np.asarray(s, dtype=float)
-        found = _points(s.ravel(), self.length, self.turn, *self._columns)
-        return TrackPoint(*found.reshape(7, *s.shape))
+        rows = _points(s.ravel(), self.length, self.turn, *self._columns)
+        return TrackPoint(*rows.reshape(7, *s.shape))
 
     def position(self, s: ArrayLike, e: ArrayLike = 0.0) -> tuple[Array, Array]:
         """x and y [m] at an offset e [m] to the left of the line; arguments broadcast."""
@@ -119,7 +119,7 @@ class Track:
 
     @property
     def _columns(self) -> tuple[Array, ...]:
-        """In the order of `TrackPoint`."""
+        """The arrays of the track in the order of `TrackPoint`."""
         return (
             self.x, self.y, self.heading, self.curvature, self.bank, self.width_left,
             self.width_right,

@@ -123,11 +123,11 @@ class Vehicle:
     @classmethod
     def from_settings(cls, settings: Mapping[str, Any]) -> Vehicle:
         """A vehicle from plain settings, as files of the configuration give them."""
-        known = [field.name for field in fields(cls)]
+        allowed = [field.name for field in fields(cls)]
         for name in settings:
-            if name not in known:
-                raise ValueError(f"vehicle.{name} is unknown; allowed are {', '.join(known)}")
-        for name in known:
+            if name not in allowed:
+                raise ValueError(f"vehicle.{name} is unknown; allowed are {', '.join(allowed)}")
+        for name in allowed:
             if name not in settings:
                 raise ValueError(f"vehicle.{name} is missing; give it in SI units")
         try:

@@ -42,9 +42,9 @@ class PrintedPlanner:
         force = self._force(np.zeros(bend.size), line.curvature)
         for _ in range(20 if self.transfer else 0):
             force = self._force(force / self.vehicle.mass, line.curvature)
-        most = force / self.vehicle.mass
-        # With psi' = v kappa, Eq. 11 and 12 are v^2 kappa = most - v^2 kappa.
-        v = np.sqrt(most / (2 if self.yaw_term else 1) / bend)
+        ay_max = force / self.vehicle.mass
+        # With psi' = v kappa, Eq. 11 and 12 are v^2 kappa = ay_max - v^2 kappa.
+        v = np.sqrt(ay_max / (2 if self.yaw_term else 1) / bend)
         return np.asarray(np.minimum(v, self.top_speed))
 
     def _force(self, ay: Array, curvature: Array) -> Array:

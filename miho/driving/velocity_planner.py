@@ -14,7 +14,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from miho.driving.friction import BISECTIONS, FrictionCar, demand, friction_car, use_at, uses
+from miho.driving.friction import (
+    BISECTIONS,
+    FrictionCar,
+    demand,
+    friction_car,
+    limits_and_use,
+    use_on_line,
+)
 from miho.driving.grip import Grip
 from miho.driving.track import Track
 from miho.driving.vehicle import Vehicle
@@ -104,19 +111,15 @@ class VelocityPlanner:
                 f"expected more grip than a performance factor of {self.mu:g} gives"
             )
         v = _passes(self.friction, self._powers(), line.curvature, line.bank, limits, line.step)
-        return self.judged(line, v)
+        ax = (np.roll(v, -1) ** 2 - v**2) / (2 * line.step)
+        lateral, _ = demand(v, line.curvature, line.bank)
+        limit, use = limits_and_use(self.friction, v, ax, line.curvature, line.bank)
+        return VelocityPlan(line, v, ax, lateral, limit, use)
 
     def lateral_limits(self, line: Track) -> Array:
         """Largest speeds (n,) [m/s] that can be kept at each point of a line; 0 where none can."""
         highest = self._highest(self._powers())
         return np.asarray(_lateral_limits(self.friction, line.curvature, line.bank, highest))
-
-    def judged(self, line: Track, v: Array) -> VelocityPlan:
-        """Any speeds (n,) [m/s] at the points of a line, with the limits known here."""
-        ax = (np.roll(v, -1) ** 2 - v**2) / (2 * line.step)
-        lateral, _ = demand(v, line.curvature, line.bank)
-        limit, use = uses(self.friction, v, ax, line.curvature, line.bank)
-        return VelocityPlan(line, v, ax, lateral, limit, use)
 
     def _powers(self) -> _Powers:
         speeds = np.arange(1.0, self.top_speed + 2.0)
@@ -172,10 +175,12 @@ def _lateral_limits(car: FrictionCar, curvature: Array, bank: Array, highest: fl
         if i and curvature[i] == curvature[i - 1] and bank[i] == bank[i - 1]:
             limits[i] = limits[i - 1]
             continue
+        # A scan finds the last speed that holds before one that does not: on a steep bank slow
+        # speeds may not hold either. Bisection between the two gives the limit.
         good, v = 0.0, 0.0
         while v < highest:
             v = min(v + SCAN, highest)
-            if use_at(car, v, 0.0, curvature[i], bank[i]) <= 1:
+            if use_on_line(car, v, 0.0, curvature[i], bank[i]) <= 1:
                 good = v
             elif good > 0:
                 break
@@ -183,7 +188,7 @@ def _lateral_limits(car: FrictionCar, curvature: Array, bank: Array, highest: fl
         if good < bad and good > 0:
             for _ in range(BISECTIONS):
                 middle = (good + bad) / 2
-                if use_at(car, middle, 0.0, curvature[i], bank[i]) <= 1:
+                if use_on_line(car, middle, 0.0, curvature[i], bank[i]) <= 1:
                     good = middle
                 else:
                     bad = middle
@@ -196,15 +201,18 @@ def _passes(
     car: FrictionCar, powers: _Powers, curvature: Array, bank: Array, limits: Array, step: float
 ) -> Array:
     """Speeds (n,) below the limits that engine, brakes and tires can go through in turn."""
+    # Both passes begin where the limit is lowest: no acceleration or braking reaches beyond it.
     n, start = limits.size, np.argmin(limits)
     v = limits.copy()
+    # Forwards: from point i to the next one, j, the car gains no more speed than it can.
     for k in range(n):
         i, j = (start + k) % n, (start + k + 1) % n
-        most = (v[j] * v[j] - v[i] * v[i]) / (2 * step)
+        needed = (v[j] * v[j] - v[i] * v[i]) / (2 * step)
         engine = np.interp(v[i], powers.speeds, powers.most)
-        if most > 0:
-            ax = _largest(car, v[i], min(most, max(engine, 0.0)), curvature[i], bank[i])
+        if needed > 0:
+            ax = _largest(car, v[i], min(needed, max(engine, 0.0)), curvature[i], bank[i])
             v[j] = min(v[j], math.sqrt(v[i] * v[i] + 2 * ax * step))
+    # Backwards: it enters each step no faster than it can slow down in it.
     for k in range(n):
         i, j = (start - k - 1) % n, (start - k) % n
         if v[i] > v[j]:
@@ -213,14 +221,14 @@ def _passes(
 
 
 @njit(cache=True, error_model="numpy")
-def _largest(car: FrictionCar, v: float, most: float, curvature: float, bank: float) -> float:
-    """The largest acceleration up to `most` that the tires bear; 0 is one."""
-    if use_at(car, v, most, curvature, bank) <= 1:
-        return most
-    good, bad = 0.0, most
+def _largest(car: FrictionCar, v: float, highest: float, curvature: float, bank: float) -> float:
+    """The largest acceleration [m/s^2] from 0 to `highest` that the tires bear."""
+    if use_on_line(car, v, highest, curvature, bank) <= 1:
+        return highest
+    good, bad = 0.0, highest
     for _ in range(BISECTIONS):
         middle = (good + bad) / 2
-        if use_at(car, v, middle, curvature, bank) <= 1:
+        if use_on_line(car, v, middle, curvature, bank) <= 1:
             good = middle
         else:
             bad = middle
@@ -263,4 +271,4 @@ def _can_slow(
     ax = (after * after - v * v) / (2 * step)
     if ax < np.interp(v, powers.speeds, powers.least):
         return False
-    return bool(use_at(car, v, ax, curvature, bank) <= 1)
+    return bool(use_on_line(car, v, ax, curvature, bank) <= 1)

@@ -10,7 +10,8 @@ if TYPE_CHECKING:
     from miho.identification.irreducible import irreducible_error
     from miho.identification.loss import Cauchy, Huber, Loss, Square
     from miho.identification.parameters_file import identified
-    from miho.identification.report import Report, make_report
+    from miho.identification.report import Report
+    from miho.identification.report_steps import make_report
     from miho.identification.uncertainty import Linearised, linearised
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Intervals by bootstrap: what the estimate would have been on other data of the same kind."""
+"""Intervals by the bootstrap: how estimates scatter over data sets drawn from the rows."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ def bootstrap(
     theta: Array,
     replicates: int,
     rng: np.random.Generator,
-    each: Callable[[], object] = lambda: None,
+    progress: Callable[[], object] = lambda: None,
     held: Sequence[int] = (),
 ) -> Array:
     """Estimates (replicates, d) from rows drawn with replacement, near the optimum `theta` (d,).
 
     Whole rows are drawn (Efron and Tibshirani 1993, Ch. 9.5), so that nothing is assumed of the
     errors but that rows are independent; whole events, if the data have a column that numbers
-    them. The parameters at the positions `held` stay where they are. `each` is called after every
-    replicate, for progress.
+    them. The parameters at the positions `held` stay where they are. `progress` is called after
+    every replicate.
     """
     event = events_of(problem.dataset)
     index = np.arange(len(problem.dataset)) if event is None else event
     units = int(index.max()) + 1
-    found = np.empty((replicates, theta.size))
+    estimates = np.empty((replicates, theta.size))
     for replicate in range(replicates):
-        drawn = rng.multinomial(units, np.full(units, 1 / units))
-        weights = drawn[index].astype(float)
-        found[replicate] = refit(problem, theta, weights, held, tolerance=1e-6).theta
-        each()
-    return found
+        counts = rng.multinomial(units, np.full(units, 1 / units))
+        weights = counts[index].astype(float)
+        estimates[replicate] = refit(problem, theta, weights, held, tolerance=1e-6).theta
+        progress()
+    return estimates
 
 
 def percentile_intervals(replicates: Array, units: int, freedom: int, level: float = 0.95) -> Array:

@@ -8,7 +8,7 @@ from miho.quantities import Array
 
 
 def linear_optimum(problem: CurveFit) -> tuple[Array, float] | None:
-    """Parameters (d,) and loss of the global optimum in the box, found by linear algebra.
+    """Parameters (d,) and loss of the global optimum in the box, by linear algebra.
 
     It is that of ordinary least squares, and of bounded-variable least squares if the box does not
     hold that one. None if the problem is not linear in all its parameters.
@@ -17,7 +17,7 @@ def linear_optimum(problem: CurveFit) -> tuple[Array, float] | None:
     if set(problem.linear) != set(space.names):
         return None
     start = (space.low + space.high) / 2
-    found = solve_linear_part(problem.residuals, start, range(len(space)), space)
-    if found is None:
+    optimum = solve_linear_part(problem.residuals, start, range(len(space)), space)
+    if optimum is None:
         return None
-    return found.theta, float(problem.loss(found.theta[None])[0])
+    return optimum.theta, float(problem.loss(optimum.theta[None])[0])

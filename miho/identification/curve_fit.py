@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -14,6 +12,7 @@ from numpy.typing import NDArray
 
 from miho.compiled import kernel_for
 from miho.data.dataset import Dataset
+from miho.identification.curve_fit_checks import TRIALS, check_curve_fit
 from miho.identification.irreducible import irreducible_interval, irreducible_limit
 from miho.identification.loss import Loss, Square, slope
 from miho.identification.row_order import row_order
@@ -29,29 +28,21 @@ if TYPE_CHECKING:
     from miho.compiled.fit import FitKernel
 
 
-TRIALS = 5
-"""Configurations at which a new problem is tried out."""
-LINEAR = 1e-9
 FRACTION = 1e-12
 """A fidelity of m / N means m rows, whatever the rounding of the fraction."""
-FAR = 2.0
-"""A nominal value this factor beyond the data is far from them."""
 EPSILON = float(np.finfo(float).eps)
 ROUNDING = 100.0
-"""Of EPSILON: a root-mean-square error of this share of the output's is rounding. A row's residual
-is rounded by some EPSILON of the output, r, which moves a loss L by up to 2 r sqrt(L). That is
-never more than AGREEING L + (ROUNDING r)^2, within which two losses are one: 100 is
+"""An error of so many EPSILON of the output is rounding (root mean squares of both). A row's
+residual is rounded by some EPSILON of the output, r, which moves a loss L by up to 2 r sqrt(L).
+That is never more than AGREEING L + (ROUNDING r)^2, within which two losses count as equal: 100 is
 1 / sqrt(AGREEING) (`miho.optim.evidence`)."""
 FEWEST = 3
-"""Rows that tell of any."""
-SCATTER, SCATTERED = 100_000, 20_000
-"""Rows that tell how far points scatter, of one input; of several, where looking for neighbours
-takes longer the more inputs there are."""
+"""Rows from which the scatter of neighbouring points can be estimated at all."""
+SORTED_ROWS, NEIGHBOUR_ROWS = 100_000, 20_000
+"""Rows from which it is estimated at most: for one input, which is sorted, and for several, where
+the search for nearest neighbours takes longer the more inputs there are."""
 REMEMBERED = 1 << 20
-"""Errors that are kept for the derivatives of a robust loss at the same configurations."""
-SMALLEST, LARGEST = 1e-140, 1e150
-"""The largest output has a square that neither its rounding nor a sum over all rows takes out of
-double precision, 1e-308 to 1e308."""
+"""Numbers of errors to remember for the derivatives of a robust loss at the same configurations."""
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
 
@@ -84,101 +75,13 @@ class CurveFit(LeastSquaresProblem):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "model", _model(self.model))
-        model, dataset = self.model, self.dataset
-        called = model.name or type(model).__name__
-        if self.space.names != tuple(model.parameters):
-            raise ValueError(_difference(called, list(model.parameters), self.space.names))
-        if model.ordered and dataset.held_out is not None:
-            raise ValueError(f"{called} needs every row in order: no rows can be held out")
-        _ = self.inputs
-        found = {f"parameter {p.name!r} of the space": p.unit for p in self.space.parameters}
-        found |= {
-            f"column {name!r} of {dataset.name}": dataset.units[name] for name in model.inputs
-        }
-        found |= {f"output {dataset.output!r} of {dataset.name}": self.unit}
-        needed = (*model.parameters.values(), *model.inputs.values(), model.output)
-        for (what, unit), need in zip(found.items(), needed, strict=True):
-            if unit != need:
-                raise ValueError(f"{what} has unit {unit!r}; model {called} needs {need!r}")
-        thetas, rows = self.space.decode(self.space.initial(2)), len(dataset)
-        shapes = {
-            "predict": (model.predict(thetas, *self.inputs).shape, (2, rows)),
-            "jacobian": (model.jacobian(thetas[0], *self.inputs).shape, (rows, len(self.space))),
-        }
-        for method, (found_shape, shape) in shapes.items():
-            if found_shape != shape:
-                raise ValueError(f"{called}.{method} gives shape {found_shape}; expected {shape}")
-
-        self._check_values(called)
-        self._check_nominal(called)
+        check_curve_fit(self)
         if self.compressed and (self.kernel is None or self.kernel.few_nodes is None):
             raise ValueError(
-                f"compressed is true for {called} with {len(model.inputs)} inputs and the loss "
-                f"{type(self.rho).__name__}; expected an Expression of one input that has a bound, "
-                "and the loss Square; set compressed to false"
-            )
-
-    def _check_nominal(self, called: str) -> None:
-        """Warn where parameters refer to conditions far from those of the data."""
-        for name, (nominal, value) in self.model.nominal.items():
-            column = self.dataset[name]
-            low, high = float(column.min()), float(column.max())
-            if not low / FAR <= value <= FAR * high:
-                unit = self.dataset.units[name]
-                warnings.warn(
-                    f"{called}: {nominal} is {value:g} {unit}, but {name} is {low:g} to {high:g} "
-                    f"{unit} in {self.dataset.name}: the coefficients refer to what was not "
-                    f"measured, and their usual ranges need not hold; choose {nominal} near "
-                    f"{float(np.median(column)):.4g}",
-                    UserWarning,
-                    stacklevel=2,
-                )
-
-    def _check_values(self, called: str) -> None:
-        """Refuse rows that the model predicts nowhere, and a linearity that is not so.
-
-        And an output whose squares overflow, or are 0 beside their rounding.
-        """
-        model, names = self.model, self.space.names
-        largest = float(np.abs(self._output).max(initial=0.0))
-        if largest and not SMALLEST < largest < LARGEST:
-            raise ValueError(
-                f"column {self.dataset.output!r} of {self.dataset.name} reaches {largest:.3g} "
-                f"{self.unit}, whose square is beyond double precision; give it in a unit in "
-                f"which it reaches {SMALLEST:g} to {LARGEST:g}"
-            )
-        thetas = self.space.decode(self.space.initial(TRIALS))
-        try:
-            values = model.predict(thetas, *self.inputs)
-        except ValueError:  # a model may fail on a part of the box; the run counts how often
-            return
-        never = np.flatnonzero(~np.isfinite(values).any(axis=0))
-        if never.size and np.isfinite(values).any():
-            at = ", ".join(
-                f"{name} = {column[never[0]]:g}"
-                for name, column in zip(model.inputs, self.inputs, strict=True)
-            )
-            raise ValueError(
-                f"{called} is not finite at {at} (row {never[0] + 1} of {self.dataset.name}), "
-                "whatever its parameters; remove the row or correct the model"
-            )
-        if not model.linear:
-            return
-        other = thetas[0].copy()
-        for name in model.linear:
-            other[names.index(name)] = thetas[1, names.index(name)]
-        one, two, middle = model.predict(
-            np.stack([thetas[0], other, (thetas[0] + other) / 2]), *self.inputs
-        )
-        valued = np.isfinite(one) & np.isfinite(two) & np.isfinite(middle)
-        one, two, middle = one[valued], two[valued], middle[valued]
-        with np.errstate(over="ignore", invalid="ignore"):
-            size = np.abs(one) + np.abs(two)
-            bent = np.abs(one + two - 2 * middle) > LINEAR * (size + size.max(initial=0.0))
-        if bent.any():
-            raise ValueError(
-                f"{called} is not linear in {', '.join(model.linear)} as it declares; correct "
-                "`linear`"
+                f"compressed is true for {self.model.name or type(self.model).__name__} with "
+                f"{len(self.model.inputs)} inputs and the loss {type(self.rho).__name__}; expected "
+                "an Expression of one input that has a bound, and the loss Square; set compressed "
+                "to false"
             )
 
     @property
@@ -208,25 +111,25 @@ class CurveFit(LeastSquaresProblem):
         """The mean square that is not the model's: how far neighbouring points scatter at most.
 
         The upper end of an interval for it, see `irreducible_interval` for one input and
-        `irreducible_limit` for several; of long data some rows tell it.
+        `irreducible_limit` for several; of long data every so many rows are used.
         """
         if not self._square or self.model.ordered or len(self.dataset) < FEWEST:
             return math.inf
-        most = SCATTER if len(self.inputs) == 1 else SCATTERED
-        every = slice(None, None, -(-len(self.dataset) // most))
-        X, y = np.array(self.inputs)[:, every], self._output[every]
+        most_rows = SORTED_ROWS if len(self.inputs) == 1 else NEIGHBOUR_ROWS
+        sample = slice(None, None, -(-len(self.dataset) // most_rows))
+        X, y = np.array(self.inputs)[:, sample], self._output[sample]
         if len(X) == 1:
             return float(irreducible_interval(X[0], y).high) ** 2
         return irreducible_limit(X, y) ** 2
 
     @cached_property
     def rounding(self) -> float:  # type: ignore[override]
-        """The loss, in the output's unit squared, up to which a loss is 0."""
+        """Losses up to this, in the output's unit squared, are rounding and count as 0."""
         return (ROUNDING * EPSILON) ** 2 * float(np.mean(self._output**2))
 
     @cached_property
     def resolution(self) -> float:  # type: ignore[override]
-        """How close losses may be, in the output's unit squared, without being told apart.
+        """Losses that differ by less than this, in the output's unit squared, count as equal.
 
         Of losses as large as the output's variance, which are those of a fit that explains nothing,
         a difference below EPSILON of that is rounding.
@@ -284,7 +187,7 @@ class CurveFit(LeastSquaresProblem):
 
     @property
     def jacobian_cost(self) -> int | None:  # type: ignore[override]
-        """What the model's Jacobian costs, in evaluations."""
+        """The cost of the model's Jacobian, in evaluations."""
         return self.model.jacobian_cost
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
@@ -302,8 +205,8 @@ class CurveFit(LeastSquaresProblem):
             return self._block_loss(thetas, inputs, output)
         losses = np.empty(len(thetas))
         for start in range(0, len(thetas), block):
-            some = slice(start, start + block)
-            losses[some] = self._block_loss(thetas[some], inputs, output)
+            batch = slice(start, start + block)
+            losses[batch] = self._block_loss(thetas[batch], inputs, output)
         return losses
 
     def _block_loss(self, thetas: Array, inputs: tuple[Array, ...], output: Array) -> Array:
@@ -325,9 +228,9 @@ class CurveFit(LeastSquaresProblem):
         if self._square:
             return errors
         for theta, row in zip(thetas, errors, strict=True):
-            while len(self._known_errors) >= max(1, REMEMBERED // row.size):
-                del self._known_errors[next(iter(self._known_errors))]
-            self._known_errors[theta.tobytes(), row.size] = row.copy()
+            while len(self._latest_errors) >= max(1, REMEMBERED // row.size):
+                del self._latest_errors[next(iter(self._latest_errors))]
+            self._latest_errors[theta.tobytes(), row.size] = row.copy()
         return self.rho.transform(errors)
 
     def _errors(self, thetas: Array, fidelity: float) -> Array:
@@ -341,8 +244,8 @@ class CurveFit(LeastSquaresProblem):
         return np.asarray(errors)
 
     @cached_property
-    def _known_errors(self) -> dict[tuple[bytes, int], Array]:
-        """The latest errors, by configuration and rows: what robust derivatives need as well."""
+    def _latest_errors(self) -> dict[tuple[bytes, int], Array]:
+        """The latest errors by configuration and number of rows; robust derivatives need them."""
         return {}
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
@@ -355,7 +258,7 @@ class CurveFit(LeastSquaresProblem):
         derivatives = self.model.jacobian(theta, *self._inputs_of(part))
         if self._square:
             return derivatives
-        errors = self._known_errors.get((theta.tobytes(), len(derivatives)))
+        errors = self._latest_errors.get((theta.tobytes(), len(derivatives)))
         if errors is None:
             errors = self.errors(theta, fidelity)
         return np.asarray(slope(self.rho, errors)[:, None] * derivatives)
@@ -366,27 +269,13 @@ class CurveFit(LeastSquaresProblem):
         return tuple(column[part] for column in self.inputs)
 
 
-def _model(given: object) -> Model:
+def _model(model: object) -> Model:
     """A model as it is, and a function made into one."""
-    if isinstance(given, Model):
-        return given
-    if callable(given) and not isinstance(given, type):
-        return FunctionModel(given)
+    if isinstance(model, Model):
+        return model
+    if callable(model) and not isinstance(model, type):
+        return FunctionModel(model)
     raise ValueError(
-        f"the model is {given!r}; expected an object of a model class, such as Pacejka(), or a "
+        f"the model is {model!r}; expected an object of a model class, such as Pacejka(), or a "
         'function such as: def decay(t: "s", *, a: "V", b: "1/s") -> "V"'
-    )
-
-
-def _difference(called: str, needed: Sequence[str], given: Sequence[str]) -> str:
-    """What a space lacks or has too much for a model."""
-    lacking = [name for name in needed if name not in given]
-    besides = [name for name in given if name not in needed]
-    told = [f"lacks {', '.join(lacking)}"] * bool(lacking)
-    told += [f"has {', '.join(besides)} besides"] * bool(besides)
-    if not told:
-        told = [f"has them in the order {', '.join(given)}"]
-    return (
-        f"model {called} needs the parameters {', '.join(needed)}; the space {' and '.join(told)}; "
-        "choose the model's own space"
     )

@@ -1,4 +1,4 @@
-"""What practitioners read off a fitted curve: cornering stiffness, peak and where it lies."""
+"""Quantities derived from a fitted curve: cornering stiffness, peak and where it lies."""
 
 from __future__ import annotations
 
@@ -55,25 +55,27 @@ def delta_method(quantity: Derived, at: Linearised) -> tuple[float, float]:
 
 
 def _at(model: Model, dataset: Dataset, values: Array) -> tuple[Array, ...]:
-    """Inputs that vary the first and hold the others at their median."""
-    others = list(model.inputs)[1:]
-    return (values, *(np.full(values.size, np.median(dataset[name])) for name in others))
+    """Input columns with these values of the first and the median of each other."""
+    held_inputs = list(model.inputs)[1:]
+    return (values, *(np.full(values.size, np.median(dataset[name])) for name in held_inputs))
 
 
 def _tire(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
+    """Cornering stiffness, both peaks, and the friction there if the data say the load."""
     reach = REACH * float(np.abs(dataset["alpha"]).max())
-    right, left = np.linspace(0, reach, GRID), np.linspace(-reach, 0, GRID)
-    h = 1e-4 * reach
+    grids = np.linspace(0, reach, GRID), np.linspace(-reach, 0, GRID)  # alpha > 0, alpha < 0
+    h = 1e-4 * reach  # step of the derivative at zero slip
 
     def stiffness(thetas: Array) -> Array:
         force = model.predict(thetas, *_at(model, dataset, np.array([-h, h])))
         return np.asarray((force[:, 0] - force[:, 1]) / (2 * h))
 
-    def peak(side: Array, sign: int) -> Callable[[Array], tuple[Array, Array]]:
-        inputs = _at(model, dataset, side)
-        return lambda thetas: _peak(side, sign * model.predict(thetas, *inputs))
+    def peak(alpha: Array, sign: int) -> Callable[[Array], tuple[Array, Array]]:
+        inputs = _at(model, dataset, alpha)
+        return lambda thetas: _peak(alpha, sign * model.predict(thetas, *inputs))
 
-    positive, negative = peak(right, -1), peak(left, 1)
+    # In ISO-W the force is negative at positive slip angles.
+    positive, negative = peak(grids[0], -1), peak(grids[1], 1)
     quantities = [
         Derived("cornering stiffness at zero slip", "N/rad", stiffness),
         Derived("peak force, alpha > 0", "N", lambda thetas: -positive(thetas)[1]),
@@ -81,6 +83,7 @@ def _tire(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
         Derived("peak force, alpha < 0", "N", lambda thetas: negative(thetas)[1]),
         Derived("slip angle at peak, alpha < 0", "rad", lambda thetas: negative(thetas)[0]),
     ]
+    # The closed form, for models that have its parameters.
     names = list(model.parameters)
     if {"B", "C", "D"} <= set(names):
         BCD = [names.index(name) for name in "BCD"]
@@ -90,11 +93,12 @@ def _tire(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
             lambda thetas: np.asarray(thetas[:, BCD].prod(axis=1)),
         )
         quantities.insert(0, product)
+    # Friction: at one load it is that of the tire, over several loads a mean.
     if "Fz" in dataset.columns:
         load = float(np.median(dataset["Fz"]))
-        known = "Fz" in model.inputs or np.ptp(dataset["Fz"]) <= SAME * load
+        one_load = "Fz" in model.inputs or np.ptp(dataset["Fz"]) <= SAME * load
         name = f"peak friction at Fz = {load:.0f} N"
-        if not known:
+        if not one_load:
             name = f"mean peak force over the median load, {load:.0f} N"
         quantities.append(
             Derived(
@@ -107,6 +111,7 @@ def _tire(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
 
 
 def _torque(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
+    """The peak of a torque curve."""
     speed = np.linspace(dataset["omega"].min(), dataset["omega"].max(), GRID)
 
     def peak(thetas: Array) -> tuple[Array, Array]:

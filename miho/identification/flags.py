@@ -1,4 +1,4 @@
-"""What the numbers of a report mean, in sentences."""
+"""Warnings on how to read the numbers of a report, in sentences."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Cauchy, Huber
-from miho.identification.profile import Profile
+from miho.identification.profile_likelihood import Profile
 from miho.identification.uncertainty import EVENT, Linearised
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 
 CORRELATED = 0.9
+"""Parameters whose correlation reaches this are hard to tell apart."""
 LOPSIDED = 0.2
-"""An end of a profile this far from the linearised one, as a fraction of the interval's half."""
+"""A profile's end this far from the linearised one, as a fraction of the half width, is noted."""
 UNEVEN = 0.25
-"""A sandwich standard error this far from the usual one, as a fraction of it."""
+"""A sandwich standard error this far from the usual one, as a fraction of it, is noted."""
 RESEMBLING = 0.1
 """Correlation of neighbouring rows' errors from which on they are not independent."""
 CHANCE = 0.01
@@ -32,11 +33,11 @@ NEAR_OPTIMUM = 0.1
 NOTICEABLE = 1e-4
 """A fraction of the error that a run's result may lack without a remark."""
 ANOTHER = 10.0
-"""So many standard errors away it is hardly the same optimum."""
+"""A run that ended this many standard errors away was hardly at the same optimum."""
 
 
 def doubtful(doubt: str, remedy: str, at: Linearised, space: Space) -> list[str]:
-    """What is said of an optimum in doubt: why, what to do, and what the numbers are not."""
+    """Sentences on an optimum in doubt: why, what to do, and which standard errors are missing."""
     sentences = [
         f"the optimum is in doubt: {doubt}. Values, standard errors and intervals are those of "
         "this local optimum, and tell nothing of data or model.",
@@ -50,12 +51,12 @@ def doubtful(doubt: str, remedy: str, at: Linearised, space: Space) -> list[str]
     return sentences
 
 
-def flat(at: Linearised, space: Space, everywhere: NDArray[np.bool_]) -> str:
-    """What speaks against an optimum where nothing depends on a parameter that matters elsewhere.
+def lost_effect(at: Linearised, space: Space, everywhere: NDArray[np.bool_]) -> str:
+    """A doubt about an optimum where a parameter has no effect that has one elsewhere in the box.
 
-    Empty if there is none; `everywhere` (d,) marks the parameters that never matter.
+    Empty if there is no such parameter; `everywhere` (d,) marks those that never have an effect.
     """
-    names = [space.names[i] for i in np.flatnonzero(at.blind & ~everywhere)]
+    names = [space.names[i] for i in np.flatnonzero(at.unidentifiable & ~everywhere)]
     if not names:
         return ""
     return (
@@ -74,28 +75,29 @@ def identifiability(at: Linearised, space: Space) -> list[str]:
             "not determine it. It is held there, so it has no standard error and the others' are "
             "too small."
         )
-    blind = [names[i] for i in np.flatnonzero(at.blind)]
-    if blind and len(blind) == len(at.unseen):
+    free = [names[i] for i in np.flatnonzero(at.unidentifiable)]
+    if free and len(free) == len(at.null_directions):
         sentences.append(
-            f"the data do not depend on {_listed(blind)}: not identifiable, whatever the method."
+            f"the data do not depend on {_listed(free)}: not identifiable, whatever the method."
         )
-    elif blind:
+    elif free:
         sentences.append(
-            f"{_listed(blind)} are not identifiable one by one: they can change together and "
-            f"leave every prediction as it is. Fix {len(at.unseen)} of them."
+            f"{_listed(free)} are not identifiable one by one: they can change together and "
+            f"leave every prediction as it is. Fix {len(at.null_directions)} of them."
         )
-    for together in _entangled(at.correlation):
-        block = at.correlation[np.ix_(together, together)]
-        strongest = block[np.triu_indices(len(together), 1)]
+    for members in _entangled(at.correlation):
+        block = at.correlation[np.ix_(members, members)]
+        strongest = block[np.triu_indices(len(members), 1)]
         r = float(strongest[np.abs(strongest).argmax()])
-        who = _listed([names[i] for i in together])
-        one_up = "a larger one with a smaller other" if r < 0 else "both larger or both smaller"
-        if len(together) > 2:
-            told = f"correlations reach {r:.2f}, one can make up for the others"
+        group = _listed([names[i] for i in members])
+        change = "a larger one with a smaller other" if r < 0 else "both larger or both smaller"
+        if len(members) > 2:
+            finding = f"correlations reach {r:.2f}, one can make up for the others"
         else:
-            told = f"their correlation is {r:.2f}, {one_up} fits almost as well"
+            finding = f"their correlation is {r:.2f}, {change} fits almost as well"
         sentences.append(
-            f"{who} are hard to tell apart: {told}. Trust what they make together more than each."
+            f"{group} are hard to tell apart: {finding}. Trust what they make together more than "
+            "each."
         )
     return sentences
 
@@ -112,7 +114,7 @@ def too_few(problem: CurveFit) -> list[str]:
     ]
 
 
-def zeros(parameters: pd.DataFrame, level: float) -> list[str]:
+def maybe_zero(parameters: pd.DataFrame, level: float) -> list[str]:
     """Sentences on parameters whose interval, by profile where there is one, contains 0."""
     sentences = []
     for row in parameters.to_dict("records"):
@@ -125,18 +127,18 @@ def zeros(parameters: pd.DataFrame, level: float) -> list[str]:
     return sentences
 
 
-def profiled(
+def profile_shapes(
     at: Linearised, space: Space, profiles: Sequence[Profile | None], level: float
 ) -> list[str]:
     """Sentences on parameters that the data do not bound, and on lopsided intervals."""
     sentences = []
-    for name, value, half, found in zip(
+    for name, value, half, curve in zip(
         space.names, at.theta, at.quantile(level) * at.standard_errors, profiles, strict=True
     ):
-        if found is None:
+        if curve is None:
             continue
         open_ends = [
-            side for side, end in (("below", found.low), ("above", found.high)) if np.isinf(end)
+            side for side, end in (("below", curve.low), ("above", curve.high)) if np.isinf(end)
         ]
         if open_ends:
             sentences.append(
@@ -144,7 +146,7 @@ def profiled(
                 "the space before the fit becomes significantly worse."
             )
             continue
-        off = max(abs(value - half - found.low), abs(found.high - value - half)) / half
+        off = max(abs(value - half - curve.low), abs(curve.high - value - half)) / half
         if off > LOPSIDED:
             sentences.append(
                 f"{name}: its linearised interval is off by {100 * off:.0f} % of its half width; "
@@ -153,7 +155,7 @@ def profiled(
     return sentences
 
 
-def spread(problem: CurveFit, at: Linearised) -> list[str]:
+def uneven_spread(problem: CurveFit, at: Linearised) -> list[str]:
     """A sentence if the errors' spread changes along the data, and standard errors with it."""
     errors = at.standard_errors
     usable = np.isfinite(errors) & (errors > 0)
@@ -222,7 +224,7 @@ def outliers(problem: CurveFit, at: Linearised) -> list[str]:
     ]
 
 
-def difference(run: Array, at: Linearised, space: Space, gain: float) -> list[str]:
+def run_differs(run: Array, at: Linearised, space: Space, gain: float) -> list[str]:
     """A remark if the run's own result (d,) is not the optimum that the report is of.
 
     `gain` is the fraction by which the error falls from the run to the optimum.
@@ -242,12 +244,12 @@ def difference(run: Array, at: Linearised, space: Space, gain: float) -> list[st
 
 def _at_bounds(at: Linearised, space: Space) -> list[tuple[Parameter, str, float]]:
     """The parameters at a bound, with which of the two it is."""
-    found = []
+    parameters = []
     for i in np.flatnonzero(at.at_bound):
         p = space.parameters[i]
         low = at.theta[i] - p.low < p.high - at.theta[i]
-        found.append((p, "lower", p.low) if low else (p, "upper", p.high))
-    return found
+        parameters.append((p, "lower", p.low) if low else (p, "upper", p.high))
+    return parameters
 
 
 def _entangled(correlation: Array) -> list[list[int]]:

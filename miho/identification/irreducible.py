@@ -1,4 +1,4 @@
-"""How much of the output no function of the model's inputs can explain."""
+"""The irreducible error: the part of the output that no function of the model's inputs explains."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from miho.optim.seeds import stream
 from miho.quantities import Array
 
 TIED = 1e-9
-"""Of an input's spread: points this near are one."""
+"""Random offsets, as a fraction of an input's spread, that decide between equally near points."""
 RESOLVED = 0.5
 """An estimate whose interval reaches below this fraction of it is of no use."""
 
@@ -53,6 +53,7 @@ def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible
     """
     if x.size < 3:
         return Irreducible(math.nan, math.nan, math.nan)
+    # The estimate: the mean square of the pseudo-residuals.
     order = np.argsort(x, kind="stable")
     x, y = x[order], y[order]
     errors, weights = _pseudo_residuals(x, y)
@@ -60,6 +61,7 @@ def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible
     value = math.sqrt(square)
     if x.size < 5 or square == 0:
         return Irreducible(value, 0.0, math.inf if x.size < 5 else value)
+    # Its interval, with a lower end that allows for the bend of the curve.
     freedom = 2 * square**2 / _variance(errors, weights)
     tail = (1 - level) / 2
     wider = [_pseudo_residuals(x[half::2], y[half::2])[0] for half in (0, 1)]
@@ -72,14 +74,14 @@ def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible
 
 
 def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
-    """The upper end of such an interval around a function of several inputs X (p, N), in y's unit.
+    """The upper end of the interval of the irreducible error for several inputs X (p, N), y's unit.
 
     Half the squared difference of two points has the noise's variance for its mean, if errors are
-    independent, and what the function differs by on top: it is above the truth where points lie
-    far apart, as they do the farther the more inputs there are. The pairs are points that are each
-    other's nearest neighbour, with each input in units of its spread, so that none shares a point
-    with another; points as near, as on a grid, are told apart by chance. math.inf for fewer than
-    five pairs.
+    independent, plus that of the function's own change between them: it is too large where points
+    lie far apart, and they lie farther apart the more inputs there are. The pairs are points that
+    are each other's nearest neighbour, with each input in units of its spread, so that none shares
+    a point with another; chance decides between neighbours at the same distance, as on a grid.
+    math.inf for fewer than five pairs.
     """
     spread = X.std(axis=1, keepdims=True)
     Z = ((X - X.mean(axis=1, keepdims=True)) / np.where(spread > 0, spread, 1.0)).T
@@ -92,14 +94,14 @@ def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
         return math.inf
     if not squares.any():
         return 0.0
-    # of normal errors e^4 / 3 estimates the variance's square, as in `_variance`
+    # For normal errors e, e^4 / 3 estimates the square of the variance, as in `_variance`.
     freedom = 3 * float(squares.sum()) ** 2 / float((squares**2).sum())
     return math.sqrt(squares.mean() * freedom / scipy.special.chdtri(freedom, (1 + level) / 2))
 
 
 def _pseudo_residuals(x: Array, y: Array) -> tuple[Array, Array]:
-    """Each point but the ends (N - 2,) minus the line through its neighbours, of the noise's
-    variance; and the weights (N - 2, 3) of the three points in it, whose squares add up to 1."""
+    """Each inner point minus the line through its neighbours (N - 2,), scaled to have the variance
+    of the noise; and the weights (N - 2, 3) of the three points, whose squares add up to 1."""
     width = x[2:] - x[:-2]
     a = np.divide(x[2:] - x[1:-1], width, out=np.full(width.shape, 0.5), where=width > 0)
     weights = np.stack([a, np.full(a.shape, -1.0), 1 - a], axis=1)

@@ -1,4 +1,4 @@
-"""What `parameters.json` holds: the identified model with what is known of it."""
+"""The content of `parameters.json`: an identified model, from a report or from its optimum."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def interval_kind(table: pd.DataFrame) -> str:
 
 
 def identified(report: Report, origin: Mapping[str, Any]) -> Identified:
-    """What a user of the model needs to know; `origin` says what regenerates the run."""
+    """The model that a report is of; `origin` says what regenerates the run."""
     kind = interval_kind(report.parameters)
     doubt = report.standing.doubt
     return Identified(
@@ -60,9 +60,9 @@ def identified(report: Report, origin: Mapping[str, Any]) -> Identified:
 
 
 def identified_at(problem: CurveFit, theta: Array) -> Identified:
-    """The same without a report: `theta` with the linearised intervals of the optimum nearby.
+    """The model at `theta` (d,), without a report, with linearised intervals of the optimum nearby.
 
-    Without them, as of parameters that the data do not tell apart, errors are NaN.
+    Errors are NaN where there are no such intervals, as for data with fewer rows than parameters.
     """
     size = len(theta)
     errors, ends = np.full(size, math.nan), np.full((size, 2), math.nan)
@@ -83,7 +83,7 @@ def identified_at(problem: CurveFit, theta: Array) -> Identified:
 
 
 def _ranges(problem: CurveFit) -> dict[str, tuple[float, float]]:
-    """Of each input of the model, the smallest and largest value in the data."""
+    """The smallest and largest value in the data of each input of the model."""
     return {
         name: (float(problem.dataset[name].min()), float(problem.dataset[name].max()))
         for name in problem.model.inputs

@@ -1,4 +1,4 @@
-"""A least-squares optimum from nearby: the step that profiles, bootstraps and validation repeat."""
+"""A local least-squares descent: what profiles, bootstraps and validation repeat."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from miho.identification.curve_fit import CurveFit
 from miho.quantities import Array
 
 EVALUATIONS = 200
-"""Enough from nearby, for what is repeated many times."""
+"""Evaluations of the residuals at most, by default: enough from a start near the optimum."""
 STANDSTILL = 1e-8
 """A descent whose second half gains less than this fraction of the sum of squares is at its end."""
 
@@ -77,69 +77,21 @@ def refit(
     their start. Residuals that are not finite are a wall. After `evaluations` of the residuals, and
     after the deadline, the best so far is returned.
     """
-    space = problem.space
-    low, high = space.bounds
-    theta = space.clip(start)
-    free = np.array([i for i in range(theta.size) if i not in fixed], dtype=int)
-    root = None if weights is None else np.sqrt(weights)
-    logs = np.array([p.scale == "log" for p in space.parameters])
+    objective = _Objective(problem, start, weights, fixed, deadline)
+    start_values = objective.residuals(objective.first)
+    if not math.isfinite(objective.costs[-1]):
+        return Refit(objective.best, math.inf, converged=False)
+    if not objective.first.size or objective.costs[-1] == 0:
+        return Refit(objective.best, objective.costs[-1])
 
-    # From 0 to 1 across the box and without an absolute tolerance: no unit is too small.
-    first = np.clip(((space.encode(theta) - low) / (high - low))[free], 0.0, 1.0)
-
-    def complete(part: Array) -> Array:
-        if np.array_equal(part, first):  # unrounded by the scale
-            return theta
-        whole = space.encode(theta).copy()
-        whole[free] = low[free] + (high - low)[free] * part
-        moved = space.decode(whole)
-        moved[list(fixed)] = theta[list(fixed)]
-        return np.asarray(space.clip(moved))
-
-    best = theta
-    costs = [math.inf]  # the smallest so far, of each evaluation
-
-    def residuals(part: Array) -> Array:
-        nonlocal best
-        if deadline is not None and costs[-1] < math.inf:
-            deadline.check()
-        moved = complete(part)
-        try:
-            values = problem.residuals(moved)
-        except ValueError:  # a model may fail on a part of the box
-            values = np.full(len(problem.dataset), np.nan)
-        values = values if root is None else values * root
-        with np.errstate(over="ignore", invalid="ignore"):
-            cost = float(values @ values)
-        if cost < costs[-1]:
-            best = moved
-        costs.append(min(costs[-1], cost) if math.isfinite(cost) else costs[-1])
-        return values
-
-    def jacobian(part: Array) -> Array:
-        moved = complete(part)
-        stretch = (high - low) * np.where(logs, moved, 1.0)
-        derivatives = problem.jacobian(moved)[:, free] * stretch[free]
-        if not np.isfinite(derivatives).all():
-            raise _NoDerivatives
-        if not derivatives.any():
-            raise _Stationary  # SciPy would divide by them
-        return np.asarray(derivatives if root is None else derivatives * root[:, None])
-
-    at_start = residuals(first)
-    if not math.isfinite(costs[-1]):
-        return Refit(theta, math.inf, converged=False)
-    if not free.size or costs[-1] == 0:
-        return Refit(theta, costs[-1])
-
-    def known_or_new(part: Array) -> Array:
-        return at_start if np.array_equal(part, first) else residuals(part)
+    def residuals(part: Array) -> Array:  # the solver begins with a point that is evaluated already
+        return start_values if objective.is_first(part) else objective.residuals(part)
 
     try:
         solution = scipy.optimize.least_squares(
-            known_or_new,
-            first,
-            jac=jacobian,
+            residuals,
+            objective.first,
+            jac=objective.jacobian,
             bounds=(0.0, 1.0),
             x_scale="jac",
             ftol=tolerance,
@@ -148,10 +100,85 @@ def refit(
             max_nfev=evaluations,
         )
         # Along directions that the data do not see SciPy goes on, and gains nothing.
-        late = costs[(len(costs) + 1) // 2]
-        converged = solution.status > 0 or costs[-1] >= (1 - STANDSTILL) * late
+        costs = objective.costs
+        halfway = costs[(len(costs) + 1) // 2]
+        converged = solution.status > 0 or costs[-1] >= (1 - STANDSTILL) * halfway
     except _Stationary:
         converged = True
     except (_NoDerivatives, OutOfTimeError):
         converged = False
-    return Refit(best, costs[-1], bool(converged), len(costs) - 1)
+    costs = objective.costs
+    return Refit(objective.best, costs[-1], bool(converged), len(costs) - 1)
+
+
+class _Objective:
+    """Residuals as a function of the free parameters, each from 0 to 1 across its bounds.
+
+    So no unit is too small for the solver, which has no absolute tolerance. `first` (f,) is the
+    start in these coordinates, `best` the best configuration (d,) so far, and `costs` the smallest
+    sum of squares so far, from infinity and then after each evaluation.
+    """
+
+    def __init__(
+        self,
+        problem: CurveFit,
+        start: Array,
+        weights: Array | None,
+        fixed: Collection[int],
+        deadline: Deadline | None,
+    ) -> None:
+        space = problem.space
+        self._problem, self._deadline = problem, deadline
+        self._low, self._high = space.bounds
+        self._start = self.best = space.clip(start)
+        self._fixed = list(fixed)
+        self._free = np.array([i for i in range(self.best.size) if i not in fixed], dtype=int)
+        self._root = None if weights is None else np.sqrt(weights)
+        self._logarithmic = np.array([p.scale == "log" for p in space.parameters])
+        share = (space.encode(self._start) - self._low) / (self._high - self._low)
+        self.first = np.clip(share[self._free], 0.0, 1.0)
+        self.costs = [math.inf]
+
+    def is_first(self, part: Array) -> bool:
+        """Whether these are the free parameters of the start."""
+        return np.array_equal(part, self.first)
+
+    def residuals(self, part: Array) -> Array:
+        """Weighted residuals (N,); NaN where the model fails, as it may on a part of the box."""
+        if self._deadline is not None and self.costs[-1] < math.inf:
+            self._deadline.check()
+        theta = self._configuration(part)
+        try:
+            values = self._problem.residuals(theta)
+        except ValueError:
+            values = np.full(len(self._problem.dataset), np.nan)
+        values = values if self._root is None else values * self._root
+        with np.errstate(over="ignore", invalid="ignore"):
+            cost = float(values @ values)
+        lowest = self.costs[-1]
+        if cost < lowest:
+            self.best = theta
+        self.costs.append(min(lowest, cost) if math.isfinite(cost) else lowest)
+        return values
+
+    def jacobian(self, part: Array) -> Array:
+        """Their derivatives (N, f); raises _NoDerivatives or _Stationary."""
+        theta = self._configuration(part)
+        stretch = (self._high - self._low) * np.where(self._logarithmic, theta, 1.0)
+        derivatives = self._problem.jacobian(theta)[:, self._free] * stretch[self._free]
+        if not np.isfinite(derivatives).all():
+            raise _NoDerivatives
+        if not derivatives.any():
+            raise _Stationary  # SciPy would divide by them
+        return np.asarray(derivatives if self._root is None else derivatives * self._root[:, None])
+
+    def _configuration(self, part: Array) -> Array:
+        """The configuration (d,) with these free parameters (f,)."""
+        if self.is_first(part):  # unrounded by the scale
+            return self._start
+        space, free = self._problem.space, self._free
+        encoded = space.encode(self._start).copy()
+        encoded[free] = self._low[free] + (self._high - self._low)[free] * part
+        theta = space.decode(encoded)
+        theta[self._fixed] = self._start[self._fixed]
+        return np.asarray(space.clip(theta))

@@ -1,11 +1,11 @@
-"""The order in which a fidelity takes the rows of the data: at random, but no corner comes late.
+"""The order in which a fidelity takes the rows: random, but soon over the whole range of inputs.
 
-In a random order a parameter that only one row in a hundred determines is unseen by the first rows:
-its derivatives are all but zero there. In this one, of the first m rows some sqrt(m) cover the
-inputs' range in value, and the others are random: the mean over the first rows is off by what the
-covering rows weigh, 1 / sqrt(m), which is no more than the chance in m random rows.
+In a random order a parameter that only one row in a hundred determines is not determined by the
+first rows: its derivatives are all but zero there. In this one, of the first m rows some sqrt(m)
+cover the inputs' range in value, and the others are random: the mean over the first rows is off by
+the weight of the covering rows, 1 / sqrt(m), which is no more than the chance in m random rows.
 
-The covering rows are those of the inputs' bounding box: of its two halves in turn, each of which is
+The covering rows of the inputs' bounding box are those of its two halves in turn, each of which is
 shrunk to its rows and halved in the same way. A box is split at the middle of an input, not at its
 median, so that a few rows far out are a half; of the inputs along which it is long, at the one
 whose halves hold the most different numbers of rows. What determines a parameter without being far
@@ -31,15 +31,15 @@ POOL = 300_000
 COVERING = 256
 """Covering rows at most: the first 65,536 rows hold all of them."""
 RARE = 1 / 4
-"""A half with less of the rows of its box comes first; of other halves chance decides."""
+"""A half with a smaller share of its box's rows comes first; else chance decides."""
 FEW = 8
-"""A box with so many rows is not split."""
+"""A box with at most so many rows is not split."""
 LONG = 1 / 8
 """A box is split along an input along which it has at least this much of its largest length."""
 
 
 def row_order(inputs: Sequence[Array], rng: np.random.Generator) -> Rows:
-    """A permutation (N,) of the rows of the input columns (N,), N at least 1, as described above.
+    """A permutation (N,) of the rows of the input columns (N,), N at least 1: see this module.
 
     The k-th covering row, counted from 0, has place k^2.
     """
@@ -89,7 +89,7 @@ def _covering(columns: list[Array], rows: Rows, rng: np.random.Generator) -> Ite
     halves = []
     for side in map(np.flatnonzero, sides):
         halves.append(_covering([column[side] for column in columns], rows[side], rng))
-    del columns, rows, split, sides, side  # each row of a large pool is then held but once
+    del columns, rows, split, sides, side  # so that of a large pool each row is in memory once
     while halves:
         for half in tuple(halves):
             row = next(half, None)
@@ -109,6 +109,7 @@ def _split(columns: list[Array]) -> NDArray[np.bool_] | None:
     for column, low, high in zip(columns, lows, highs, strict=True):
         if high - low >= LONG * longest:
             middle = low + (high - low) / 2
-            splits.append(column > (middle if middle < high else low))  # neighbours have none
+            # Between two neighbouring floating-point numbers there is no middle: it rounds to high.
+            splits.append(column > (middle if middle < high else low))
     imbalances = [abs(2 * np.count_nonzero(split) - split.size) for split in splits]
     return splits[int(np.argmax(imbalances))]

@@ -20,24 +20,26 @@ FEWEST_EVENTS = 3
 AT_BOUND = 1e-6
 """A parameter this close to a bound, as a fraction of its range, is at the bound."""
 SINGULAR = 1e-10
-"""A direction whose singular value is this fraction of the largest is not seen by the data."""
-BLIND = 1e-6
+"""A direction whose singular value is at most this fraction of the largest does not change the
+predictions."""
+INVOLVED = 1e-6
+"""A component of a null direction above this fraction makes a parameter unidentifiable."""
 
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """What the derivatives at `theta` (d,) tell of it; units are the parameters' own.
+    """The uncertainty of `theta` (d,) by the derivatives there; units are the parameters' own.
 
     `covariance` (d, d) assumes errors of equal spread, independent between rows; `sandwich` (d, d)
     allows a spread that changes from row to row (White, Econometrica 48, 1980), with the factor
     for few rows. If the data number `events`, both allow errors that belong together within an
     event (Liang and Zeger, Biometrika 73, 1986), with the factors for few events; 0 if they do
-    not. Both are of what the data see: 0 along the directions of `unseen` (u, d), in which theta
-    can move and every row is predicted the same, and for parameters `at_bound` (d,), which are
-    held.
+    not. Both are 0 along `null_directions` (k, d), in which theta can move while every row is
+    predicted the same (the null space of the Jacobian), and for parameters `at_bound` (d,), which
+    are held.
 
     `noise` is the standard deviation of the errors in the output's unit, `freedom` the degrees of
-    freedom of Student's t. `blind` (d,) marks the parameters that an unseen direction moves.
+    freedom of Student's t. `unidentifiable` (d,) marks the parameters that a null direction moves.
     """
 
     theta: Array
@@ -47,14 +49,14 @@ class Linearised:
     freedom: int
     events: int
     at_bound: NDArray[np.bool_]
-    unseen: Array
-    blind: NDArray[np.bool_]
+    null_directions: Array
+    unidentifiable: NDArray[np.bool_]
 
     @cached_property
     def standard_errors(self) -> Array:
-        """Standard errors (d,): NaN for a parameter held at its bound, infinite for a blind one."""
+        """Standard errors (d,): NaN for a parameter at its bound, infinite if unidentifiable."""
         errors = np.sqrt(np.diag(self.covariance))
-        errors[self.blind] = np.inf
+        errors[self.unidentifiable] = np.inf
         errors[self.at_bound] = np.nan
         return np.asarray(errors)
 
@@ -62,8 +64,8 @@ class Linearised:
     def correlation(self) -> Array:
         """Correlation of the estimates, (d, d); NaN where a standard error is not above 0."""
         errors = self.standard_errors
-        known = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
-        return np.asarray(self.covariance / np.outer(known, known))
+        usable = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
+        return np.asarray(self.covariance / np.outer(usable, usable))
 
     def quantile(self, level: float = 0.95) -> float:
         """How many standard errors the two-sided interval reaches (Student's t)."""
@@ -77,13 +79,13 @@ class Linearised:
     def spread(self, gradients: Array) -> Array:
         """Standard errors (n,) of quantities with these gradients (n, d) in the parameters.
 
-        Infinite for a quantity that an unseen direction moves.
+        Infinite for a quantity that a null direction moves.
         """
         variance = np.einsum("ij,jk,ik->i", gradients, self.covariance, gradients)
         errors = np.sqrt(np.maximum(variance, 0.0))
-        for direction in self.unseen:
+        for direction in self.null_directions:
             size = np.abs(gradients) @ np.abs(direction)
-            errors[np.abs(gradients @ direction) > BLIND * size] = np.inf
+            errors[np.abs(gradients @ direction) > INVOLVED * size] = np.inf
         return np.asarray(errors)
 
 
@@ -94,6 +96,7 @@ def linearised(problem: CurveFit, theta: Array) -> Linearised:
     ValueError if there are not more rows than parameters, if a derivative is not finite, or if
     a robust loss sees little else than outliers.
     """
+    # Parameters at a bound are held; the others cost a degree of freedom each.
     errors = problem.errors(theta)
     J = problem.model.jacobian(theta, *problem.inputs)
     if not (np.isfinite(J).all() and np.isfinite(errors).all()):
@@ -106,6 +109,7 @@ def linearised(problem: CurveFit, theta: Array) -> Linearised:
             f"{problem.name}: {errors.size} rows for {free.size} parameters; "
             "uncertainty needs more rows than parameters"
         )
+    # Variance of the errors; that of an M-estimator for a robust loss.
     psi, stiffness = problem.rho.influence(errors)
     shrink = float(stiffness.mean())
     if shrink <= 0:
@@ -113,26 +117,31 @@ def linearised(problem: CurveFit, theta: Array) -> Linearised:
             f"{problem.name}: most errors are beyond the scale of the loss; choose a larger scale"
         )
     variance = float(psi @ psi) / freedom / shrink**2
+    # Pseudo-inverse of J.T J by singular values, with each column scaled to unit length.
     scale = np.linalg.norm(J[:, free], axis=0)
     scale[scale == 0] = 1.0
     U, s, Vt = np.linalg.svd(J[:, free] / scale, full_matrices=False)
-    seen = s > SINGULAR * s[0] if s.size else np.zeros(0, dtype=bool)
-    inverse = np.divide(1.0, s, out=np.zeros_like(s), where=seen)
+    determined = s > SINGULAR * s[0] if s.size else np.zeros(0, dtype=bool)
+    inverse = np.divide(1.0, s, out=np.zeros_like(s), where=determined)
     half = Vt.T * inverse / scale[:, None]  # half @ half.T is the inverse of J.T J
+
+    # Sandwich estimate, with its factor for few rows; rows of one event add up before the square.
     spread = U * (psi / shrink)[:, None]
-    few = errors.size / freedom
+    few_rows = errors.size / freedom
     event = events_of(problem.dataset)
     events = 0
     if event is not None:
         spread = np.array([np.bincount(event, column) for column in spread.T]).T
         events = len(spread)
-        few *= (errors.size - 1) / errors.size * events / (events - 1)
-    sandwich = half @ (spread.T @ spread) @ half.T * few
+        few_rows *= (errors.size - 1) / errors.size * events / (events - 1)
+    sandwich = half @ (spread.T @ spread) @ half.T * few_rows
     covariance = sandwich if events else variance * half @ half.T
-    unseen = np.zeros((int((~seen).sum()), theta.size))
-    unseen[:, free] = Vt[~seen] / scale
-    blind = np.zeros(theta.size, dtype=bool)
-    blind[free] = (np.abs(Vt[~seen]) > BLIND).any(axis=0)
+
+    # The null space, and the parameters that it moves.
+    null_directions = np.zeros((int((~determined).sum()), theta.size))
+    null_directions[:, free] = Vt[~determined] / scale
+    unidentifiable = np.zeros(theta.size, dtype=bool)
+    unidentifiable[free] = (np.abs(Vt[~determined]) > INVOLVED).any(axis=0)
     return Linearised(
         theta=theta,
         covariance=_square(theta.size, free, covariance),
@@ -141,8 +150,8 @@ def linearised(problem: CurveFit, theta: Array) -> Linearised:
         freedom=events - 1 if events else freedom,
         events=events,
         at_bound=at_bound,
-        unseen=unseen,
-        blind=blind,
+        null_directions=null_directions,
+        unidentifiable=unidentifiable,
     )
 
 
@@ -155,6 +164,7 @@ def events_of(dataset: Dataset) -> NDArray[np.intp] | None:
 
 
 def _at_bound(space: Space, theta: Array) -> NDArray[np.bool_]:
+    """Which parameters (d,) are at a bound, in the space's own scales."""
     low, high = space.bounds
     slack = AT_BOUND * (high - low)
     at = space.encode(theta)
@@ -162,6 +172,7 @@ def _at_bound(space: Space, theta: Array) -> NDArray[np.bool_]:
 
 
 def _square(d: int, free: NDArray[np.intp], block: Array) -> Array:
+    """The block of the free parameters within zeros for all, (d, d)."""
     matrix = np.zeros((d, d))
     matrix[np.ix_(free, free)] = block
     return matrix

@@ -1,4 +1,4 @@
-"""Does the model hold beyond the rows it was fitted to, and what do its errors still follow?"""
+"""Validation: errors on rows that a fit has not seen, and trends that are left in the errors."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ def error_on(problem: CurveFit, theta: Array, dataset: Dataset) -> float:
 
 
 def conditions(problem: CurveFit) -> list[str]:
-    """The columns that say under which conditions a row was taken: all but output and slip.
+    """The columns that say under which conditions a row was measured.
 
-    For a model of one input, every other column; for one of several, all but its first input.
+    They are all but the output and the model's first input, whether or not they are inputs too.
     """
     first = next(iter(problem.model.inputs))
     return [name for name in problem.dataset.columns if name not in (first, problem.dataset.output)]
 
 
 def levels(values: Array) -> list[Array]:
-    """The levels that a condition was set to, if it was: values (n,) that stand close, in order.
+    """The levels at which a condition was set: groups (n,) of close values, in rising order.
 
     Measured levels scatter, so values belong to one level if they are much closer to each other
     than to the next level. Empty for a condition that varies continuously.
@@ -61,12 +61,12 @@ def levels(values: Array) -> list[Array]:
 
 
 def groups(values: Array, bins: int = BINS) -> NDArray[np.intp]:
-    """Which group each row belongs to, (N,): its level, or one of `bins` with as many rows each."""
+    """The group of each row (N,): its level, or one of `bins` with equal numbers of rows."""
     if bins < 2:
         return np.zeros(values.size, dtype=np.intp)
-    found = levels(values)
-    if found:
-        starts = np.array([level[0] for level in found])
+    separate_levels = levels(values)
+    if separate_levels:
+        starts = np.array([level[0] for level in separate_levels])
         return np.asarray(np.searchsorted(starts, values, side="right") - 1)
     edges = np.quantile(values, np.linspace(0, 1, bins + 1)[1:-1])
     return np.searchsorted(edges, values, side="right")
@@ -90,21 +90,21 @@ def leave_one_out(
     index = groups(values)
     rows = []
     for group in np.unique(index):
-        out = index == group
-        if out.all() or len(dataset) - out.sum() <= len(problem.space):
+        left_out = index == group
+        if left_out.all() or len(dataset) - left_out.sum() <= len(problem.space):
             continue
-        found = refit(problem, theta, (~out).astype(float), held, deadline=deadline).theta
+        estimate = refit(problem, theta, (~left_out).astype(float), held, deadline=deadline).theta
         if deadline is not None:
             deadline.check()
         rows.append(
             {
                 "condition": condition,
-                "from": values[out].min() + 0.0,
-                "to": values[out].max() + 0.0,
+                "from": values[left_out].min() + 0.0,
+                "to": values[left_out].max() + 0.0,
                 "unit": dataset.units[condition],
-                "rows": int(out.sum()),
-                "error when seen": root_mean_square(problem.errors(theta)[out]),
-                "error when left out": root_mean_square(problem.errors(found)[out]),
+                "rows": int(left_out.sum()),
+                "error when seen": root_mean_square(problem.errors(theta)[left_out]),
+                "error when left out": root_mean_square(problem.errors(estimate)[left_out]),
             }
         )
     return pd.DataFrame(rows)
@@ -135,19 +135,19 @@ def _explained(
 ) -> tuple[float, float]:
     """Epsilon squared (Kelley 1935) of a grouping beyond a coarser one, and its p value."""
     n = errors.size
-    (fine, k), (known, j) = _between(errors, index), _between(errors, coarse)
+    (fine_sum, k), (coarse_sum, j) = _between_groups(errors, index), _between_groups(errors, coarse)
     total = float(np.sum((errors - errors.mean()) ** 2))
     if k <= j or n <= k or total == 0:
         return 0.0, 1.0
-    within = (total - fine) / (n - k)
+    within = (total - fine_sum) / (n - k)
     if within <= 0:
         return 1.0, 0.0
-    F = (fine - known) / (k - j) / within
-    explained = max(0.0, (fine - known - (k - j) * within) / total)
+    F = (fine_sum - coarse_sum) / (k - j) / within
+    explained = max(0.0, (fine_sum - coarse_sum - (k - j) * within) / total)
     return explained, float(scipy.special.fdtrc(k - j, n - k, max(F, 0.0)))
 
 
-def _between(errors: Array, index: NDArray[np.intp] | None) -> tuple[float, int]:
+def _between_groups(errors: Array, index: NDArray[np.intp] | None) -> tuple[float, int]:
     """Sum of squares between the groups of an index (one group if None), and their number."""
     if index is None:
         return 0.0, 1

@@ -19,15 +19,16 @@ if TYPE_CHECKING:
     from miho.models.model import Model
     from miho.models.published import PublishedModel
     from miho.models.simplified_tire import SimplifiedTire, from_simplified, simplify
-    from miho.models.single_track import Axles, SingleTrack
+    from miho.models.single_track import FrontRear, SingleTrack
     from miho.models.single_track_response import SingleTrackResponse
-    from miho.models.tir import TirError, load_tir, write_tir
+    from miho.models.tir import load_tir, write_tir
+    from miho.models.tir_reader import TirError
     from miho.models.tire import Pacejka, PacejkaCurvature
     from miho.models.tire_landmarks import PacejkaLandmarks
 
 __all__ = [
-    "Axle", "Axles", "Brake", "BrakeCommand", "BrakeDeceleration", "BrakePlay", "BrakePressure",
-    "BrakeResponse", "BrakeTorque", "EngineMap", "FunctionModel", "Identified",
+    "Axle", "Brake", "BrakeCommand", "BrakeDeceleration", "BrakePlay", "BrakePressure",
+    "BrakeResponse", "BrakeTorque", "EngineMap", "FrontRear", "FunctionModel", "Identified",
     "LateralMagicFormula", "Longitudinal", "Model", "OutsideDataWarning", "Pacejka",
     "PacejkaCurvature", "PacejkaLandmarks", "PublishedModel", "SimplifiedTire", "SingleTrack",
     "SingleTrackResponse", "TirError", "TorqueCubic", "TorqueCurve", "central_stiffness",

@@ -85,6 +85,6 @@ def _curve(theta: ArrayLike) -> tuple[Array, Array, Array, Array, Array]:
             f"theta has shape {values.shape}; expected 5 parameters of Pacejka or 6 of "
             "PacejkaCurvature last"
         )
-    named = dict(zip(_MODELS[size].parameters, np.moveaxis(values, -1, 0), strict=True))
-    B, C, D, Sx = (named[name] for name in ("B", "C", "D", "Sx"))
-    return B, C, D, named.get("E", np.zeros_like(B)), Sx
+    parameters = dict(zip(_MODELS[size].parameters, np.moveaxis(values, -1, 0), strict=True))
+    B, C, D, Sx = (parameters[name] for name in ("B", "C", "D", "Sx"))
+    return B, C, D, parameters.get("E", np.zeros_like(B)), Sx

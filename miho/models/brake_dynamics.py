@@ -1,4 +1,4 @@
-"""How brake pressure follows its command in time: delay, lag and play."""
+"""The dynamic brake: how its pressure follows the command, with delay, lag and play."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ def _pressures(thetas: Array, u: Array) -> Array:
 
 @compiled_when_called()
 def _played(u: Array, width: float) -> tuple[Array, Array]:
-    """What comes through the play at each command, and its derivative in the width, (N,) each."""
+    """The output v of the play at each command, and its derivative in the width, (N,) each."""
     played, slope = np.empty(u.size), np.empty(u.size)
     v, by_width = u[0], 0.0
     for j in range(u.size):

@@ -15,7 +15,7 @@ from miho.quantities import Array
 
 
 class Throttle(NamedTuple):
-    """What the inverse map gives: the opening from 0 to 1, and how far it misses [Nm], >= 0."""
+    """An opening from 0 to 1, and by how much [Nm] it misses the demanded torque, >= 0."""
 
     opening: Array
     residual: Array
@@ -57,9 +57,9 @@ class EngineMap:
                 f"from {self.speeds[0]} rad/s; expected 0 to 1, and speeds of at least 0"
             )
         for name in ("table", "learned", "correction"):
-            found, shape = getattr(self, name).shape, (self.openings.size, self.speeds.size)
-            if found != shape:
-                raise ValueError(f"{name} of the engine map has shape {found}; expected {shape}")
+            actual, shape = getattr(self, name).shape, (self.openings.size, self.speeds.size)
+            if actual != shape:
+                raise ValueError(f"{name} of the engine map has shape {actual}; expected {shape}")
         falls = np.diff(self.table, axis=0).min()
         if falls < 0:
             raise ValueError(
@@ -138,11 +138,11 @@ class EngineMap:
         share = 1 - _smoothstep((openings - fade[0]) / (fade[1] - fade[0]))
         share[(openings > fade[0]) & ~np.isin(openings, throttles)] = 0
         for curve, hat in zip(curves, np.eye(len(curves)), strict=True):
-            known = np.clip(self.speeds, *curve.valid)
-            difference = curve.torque(known) - self.torque(known, openings[:, None])
+            clipped = np.clip(self.speeds, *curve.valid)
+            difference = curve.torque(clipped) - self.torque(clipped, openings[:, None])
             # 1 in the curve's own row, falling linearly to 0 in those of its neighbours
             near = share * np.interp(openings, throttles, hat, left=0, right=0)
-            weight = np.outer(near, 1 - _smoothstep(np.abs(self.speeds - known) / reach))
+            weight = np.outer(near, 1 - _smoothstep(np.abs(self.speeds - clipped) / reach))
             learned += weight
             table += weight * difference
         return self._monotone(openings, self.speeds, table, learned, corrected)
@@ -161,9 +161,9 @@ class EngineMap:
             )
         row, up = _cell(self.openings, throttle)
         column, right = _cell(self.speeds, omega)
-        low = _between(self.table[row, column], self.table[row, column + 1], right)
-        high = _between(self.table[row + 1, column], self.table[row + 1, column + 1], right)
-        return _between(low, high, up)
+        low = _interpolated(self.table[row, column], self.table[row, column + 1], right)
+        high = _interpolated(self.table[row + 1, column], self.table[row + 1, column + 1], right)
+        return _interpolated(low, high, up)
 
     def limits(self, omega: ArrayLike) -> tuple[Array, Array]:
         """Torque [Nm] at closed and at full throttle, at engine speeds [rad/s]."""
@@ -192,14 +192,14 @@ class EngineMap:
         if not np.isfinite(torque).all():
             raise ValueError("torque holds numbers that are not finite; expected Nm")
         column, right = _cell(self.speeds, omega)
-        rows = _between(self.table[:, column], self.table[:, column + 1], right)
-        wanted = np.clip(torque, rows[0], rows[-1])
-        above = (rows < wanted).sum(axis=0)  # the first row that gives the torque
+        rows = _interpolated(self.table[:, column], self.table[:, column + 1], right)
+        target = np.clip(torque, rows[0], rows[-1])
+        above = (rows < target).sum(axis=0)  # the first row that gives the torque
         below = np.maximum(above - 1, 0)
         at_above, at_below = (np.take_along_axis(rows, k[None], 0)[0] for k in (above, below))
         rise = at_above - at_below
-        part = np.divide(wanted - at_below, rise, out=np.zeros_like(rise), where=rise > 0)
-        opening = _between(self.openings[below], self.openings[above], part)
+        part = np.divide(target - at_below, rise, out=np.zeros_like(rise), where=rise > 0)
+        opening = _interpolated(self.openings[below], self.openings[above], part)
         return Throttle(opening, np.abs(self.torque(omega, opening) - torque))
 
 
@@ -212,7 +212,7 @@ def _cell(axis: Array, at: Array) -> tuple[NDArray[np.intp], Array]:
     return index, np.asarray(np.clip(part, 0, 1))
 
 
-def _between(low: Array, high: Array, part: Array) -> Array:
+def _interpolated(low: Array, high: Array, part: Array) -> Array:
     """Linear from low (part 0) to high (part 1), exact at both ends and monotone in the ends."""
     return np.asarray((1 - part) * low + part * high)
 

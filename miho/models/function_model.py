@@ -55,30 +55,30 @@ class FunctionModel(DifferencedModel):
             signature = inspect.signature(self.function)
         except (TypeError, ValueError):
             raise ValueError(f"{self.function!r} is not a function with a signature") from None
-        named = getattr(self.function, "__name__", type(self.function).__name__)
-        object.__setattr__(self, "name", named)
+        name = getattr(self.function, "__name__", type(self.function).__name__)
+        object.__setattr__(self, "name", name)
         columns: dict[str, str] = {}
         parameters: dict[str, str] = {}
         for argument in signature.parameters.values():
             if argument.kind in (argument.VAR_POSITIONAL, argument.VAR_KEYWORD):
-                raise ValueError(f"{self._where}: {argument} stands for any argument; name each")
-            what = f"argument {argument.name!r}"
+                raise ValueError(f"{self._place}: {argument} stands for any argument; name each")
+            label = f"argument {argument.name!r}"
             if argument.default is not argument.empty:
                 raise ValueError(
-                    f"{self._where}: {what} has a default, which no search would use; remove it"
+                    f"{self._place}: {label} has a default, which no search would use; remove it"
                 )
             group = columns if argument.kind in COLUMN else parameters
-            group[argument.name] = self._unit(argument.annotation, what, argument.name)
+            group[argument.name] = self._unit(argument.annotation, label, argument.name)
         output = self._unit(signature.return_annotation, "the result", ") ->")
         if not columns or not parameters:
             raise ValueError(
-                f"{self._where}: has {len(columns)} input columns and {len(parameters)} "
+                f"{self._place}: has {len(columns)} input columns and {len(parameters)} "
                 "parameters; expected at least one of each, parameters behind a *"
             )
         unknown = [name for name in self.linear if name not in parameters]
         if unknown:
             raise ValueError(
-                f"{self._where}: linear is {self.linear!r}; expected a list of names among "
+                f"{self._place}: linear is {self.linear!r}; expected a list of names among "
                 f"{', '.join(parameters)}"
             )
         object.__setattr__(self, "inputs", types.MappingProxyType(columns))
@@ -104,7 +104,7 @@ class FunctionModel(DifferencedModel):
         n, rows = len(thetas), columns[0].size
         if values.shape not in ((n, rows), (n, 1)):
             raise ValueError(
-                f"{self._where}: gives shape {values.shape} for columns ({rows},) and parameters "
+                f"{self._place}: gives shape {values.shape} for columns ({rows},) and parameters "
                 f"({n}, 1); expected ({n}, {rows}); {REMEDY}"
             )
         return np.broadcast_to(values, (n, rows)).astype(float)
@@ -114,13 +114,13 @@ class FunctionModel(DifferencedModel):
         rows = columns[0].size
         if values.shape not in ((rows,), ()):
             raise ValueError(
-                f"{self._where}: gives shape {values.shape} for columns ({rows},); "
+                f"{self._place}: gives shape {values.shape} for columns ({rows},); "
                 f"expected ({rows},)"
             )
         return np.broadcast_to(values, rows).astype(float)
 
     def _works_alone(self, thetas: Array, columns: Sequence[Array]) -> bool:
-        """Whether it is only several rows at once that the function cannot do."""
+        """Whether the function takes each row of parameters alone, and fails on several at once."""
         try:
             for theta in thetas:
                 self._row(theta, columns)
@@ -129,37 +129,37 @@ class FunctionModel(DifferencedModel):
         return True
 
     def _call(self, columns: Sequence[Array], parameters: Any) -> NDArray[Any]:
-        """What the function gives, if it is real numbers."""
+        """The function's result, which must be real numbers; ValueError if it is not, or raises."""
         try:
             with np.errstate(all="ignore"):
-                given = self.function(
+                result = self.function(
                     *columns, **dict(zip(self.parameters, parameters, strict=True))
                 )
-            values = np.asarray(given)
+            values = np.asarray(result)
         except MemoryError:
             raise
         except Exception as error:
             raise ValueError(self._at_line(error)) from error
         if values.dtype.kind not in "fiu":
-            raise ValueError(f"{self._where}: gives {values.dtype}; expected real numbers")
+            raise ValueError(f"{self._place}: gives {values.dtype}; expected real numbers")
         return values
 
     @property
-    def _where(self) -> str:
+    def _place(self) -> str:
         return f"{self.source or self.function.__module__}: {self.name}"
 
     def _at_line(self, error: Exception) -> str:
-        """What the function raised, and in which line of its file."""
+        """A message on what the function raised, and in which line of its file."""
         line = _line(error, str(self.source))
-        place = f"{self.source}:{line}: {self.name}" if line else self._where
+        place = f"{self.source}:{line}: {self.name}" if line else self._place
         return f"{place} raises {type(error).__name__}: {error}"
 
-    def _unit(self, annotation: Any, what: str, before: str) -> str:
+    def _unit(self, annotation: Any, label: str, before: str) -> str:
         """The unit; `from __future__ import annotations` gives the source of the string."""
         if not isinstance(annotation, str):
             example = f'{before} "m"' if before.endswith(">") else f'{before}: "m"'
             raise ValueError(
-                f"{self._where}: {what} has no unit; annotate it with a string, such as {example}"
+                f"{self._place}: {label} has no unit; annotate it with a string, such as {example}"
             )
         try:
             literal = ast.literal_eval(annotation)

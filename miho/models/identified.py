@@ -1,6 +1,6 @@
-"""`parameters.json`: an identified model, how sure it is, where it is good, where it is from.
+"""`parameters.json`: an identified model with uncertainty, range of validity and provenance.
 
-It is the one door from identification to what drives on it.
+It is the one way from identification to driving.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class OutsideDataWarning(UserWarning):
 
 
 class UncheckedWarning(UserWarning):
-    """A parameters file has no checksum, so nobody can tell whether it is as it was written."""
+    """A parameters file has no checksum, so damage to it would go unnoticed."""
 
 
 class ParametersError(ValueError):
@@ -140,6 +140,7 @@ def read_parameters(path: str | os.PathLike[str], model: Model) -> Identified:
     FileNotFoundError if there is none. Warns with UncheckedWarning of a file without a checksum:
     older ones have none, and who edits a file by hand removes the line.
     """
+    # What is written by `parameters_text`, and as it was written.
     text = read_regular(path, LARGEST + 1)
     if len(text) > LARGEST:
         raise ParametersError(f"{path}: is larger than {LARGEST >> 20} MiB; name a parameters file")
@@ -155,6 +156,7 @@ def read_parameters(path: str | os.PathLike[str], model: Model) -> Identified:
             )
         if document["format"] != FORMAT:
             raise ParametersError(f"{path}: has format {document['format']!r}; expected {FORMAT}")
+        # Of this model; `Identified` checks parameters, units and inputs.
         about = document["model"]
         name = type(model).__name__
         if about["name"] != name or about["output"] != model.output:
@@ -183,7 +185,7 @@ def read_parameters(path: str | os.PathLike[str], model: Model) -> Identified:
 
 
 def _digest(document: Mapping[str, Any]) -> str:
-    """SHA-256 of what a document says, however it is laid out."""
+    """SHA-256 of a document's content, whatever its layout."""
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -206,6 +208,6 @@ def _plain(value: Value) -> dict[str, Any]:
 
 
 def _value(entry: Mapping[str, Any]) -> Value:
-    known = [entry["standard_error"], *entry["interval"]]
-    error, low, high = (math.nan if x is None else float(x) for x in known)
+    numbers = [entry["standard_error"], *entry["interval"]]
+    error, low, high = (math.nan if x is None else float(x) for x in numbers)
     return Value(float(entry["value"]), str(entry["unit"]), error, low, high)

@@ -20,7 +20,7 @@ from miho.models.model import Model
 from miho.models.tir import load_tir
 from miho.quantities import Array
 
-UNITS = MappingProxyType(
+COEFFICIENTS = MappingProxyType(
     {
         "PCY1": "-", "PDY1": "-", "PDY2": "-", "PDY3": "1/rad^2",
         "PEY1": "-", "PEY2": "-", "PEY3": "-", "PEY4": "1/rad", "PEY5": "1/rad^2",
@@ -33,7 +33,7 @@ UNITS = MappingProxyType(
 """All coefficients of the pure lateral force in MF 6.1, with their units."""
 
 ESSENTIAL = ("FNOMIN", "NOMPRES", "UNLOADED_RADIUS", "LONGVL")
-PRESSURE = frozenset(name for name in UNITS if name.startswith("PP"))
+PRESSURE = frozenset(name for name in COEFFICIENTS if name.startswith("PP"))
 INDISPENSABLE = ("PCY1", "PDY1", "PKY1", "PKY2")
 """Coefficients without which there is no lateral force."""
 
@@ -53,7 +53,7 @@ class LateralMagicFormula(Model):
     """
 
     base: MagicFormula
-    identified: tuple[str, ...] = tuple(UNITS)
+    identified: tuple[str, ...] = tuple(COEFFICIENTS)
     source: Path | None = None
 
     output = "N"
@@ -63,10 +63,10 @@ class LateralMagicFormula(Model):
         if self.base.parameters.version == "5.2":
             raise ValueError("base is a tire of MF 5.2; expected MF 6.1 or 6.2")
         for name in self.identified:
-            if name not in UNITS or self.identified.count(name) > 1:
+            if name not in COEFFICIENTS or self.identified.count(name) > 1:
                 raise ValueError(
                     f"identified has {name!r}, which is unknown or given twice; "
-                    f"choose from {', '.join(UNITS)}"
+                    f"choose from {', '.join(COEFFICIENTS)}"
                 )
         if not self.identified:
             raise ValueError("identified is empty; name at least one coefficient")
@@ -80,19 +80,19 @@ class LateralMagicFormula(Model):
     @property
     def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
         """The identified coefficients with their units."""
-        return {name: UNITS[name] for name in self.identified}
+        return {name: COEFFICIENTS[name] for name in self.identified}
 
     @property
     def linear(self) -> tuple[str, ...]:  # type: ignore[override]
-        """Those of the identified coefficients in which the force is linear."""
+        """The identified coefficients in which the force is linear."""
         return tuple(name for name in self.identified if name in ("PVY1", "PVY2"))
 
     @property
     def nominal(self) -> Mapping[str, tuple[str, float]]:  # type: ignore[override]
         """Load [N] and pressure [Pa] that the coefficients refer to."""
         p = self.base.parameters
-        known = {"Fz": ("FNOMIN", p.LFZO * p.FNOMIN), "pressure": ("NOMPRES", p.NOMPRES)}
-        return {name: known[name] for name in self.inputs if name in known}
+        references = {"Fz": ("FNOMIN", p.LFZO * p.FNOMIN), "pressure": ("NOMPRES", p.NOMPRES)}
+        return {name: references[name] for name in self.inputs if name in references}
 
     def with_coefficients(self, theta: Array) -> MagicFormula:
         """The base tire with the identified coefficients (d,); `write_tir` makes a file of it."""
@@ -114,6 +114,7 @@ class LateralMagicFormula(Model):
         p = self._coefficients(theta)
         y = self.base.pure_lateral(c, c.gamma, p)
 
+        # The chain rule: first the force with respect to C, D, E ...
         # Fy = D sin(C arctan(w)) + SV with w = z - E (z - arctan(z)) and z = K alpha_y / (C D)
         CD = y.C * y.D + self.base.epsilon
         z = y.B * y.alpha_y
@@ -136,6 +137,7 @@ class LateralMagicFormula(Model):
             "SV": np.ones_like(z),
             "SV_gamma": 1 - by_SH / y.K_prime,
         }
+        # ... and these with respect to the coefficients, of which each is in one of them.
         J = np.empty((c.Fz.size, len(self.identified)))
         for quantity, inner in self._derivatives(c, p, np.sign(y.alpha_y)).items():
             for name in inner.keys() & set(self.identified):
@@ -145,9 +147,14 @@ class LateralMagicFormula(Model):
     def _derivatives(
         self, c: Conditions, p: SimpleNamespace, side: Array
     ) -> dict[str, dict[str, Array | float]]:
-        """Derivatives of each quantity of the force with respect to its coefficients."""
+        """Derivatives of C, D, E, K ... with respect to the coefficients that each is made of.
+
+        `side` is the sign of the slip angle alpha_y.
+        """
         dfz, dpi, size, square = c.dfz, c.dpi, np.abs(c.gamma), c.gamma**2
         nominal = p.LFZO * p.FNOMIN
+
+        # Factors of each quantity, so that a coefficient's derivative is a product of the others.
 
         mu, inflated = p.PDY1 + p.PDY2 * dfz, 1 + p.PPY3 * dpi + p.PPY4 * dpi**2  # 4.E23
         grip = c.Fz * c.mu_y
@@ -201,8 +208,9 @@ class LateralMagicFormula(Model):
         }
 
     def _conditions(self, *inputs: Array) -> Conditions:
-        alpha, Fz, gamma, *others = inputs
-        pressure = others[0] if others else np.full_like(alpha, self.base.parameters.NOMPRES)
+        """The conditions without longitudinal slip, at nominal pressure if it is no input."""
+        alpha, Fz, gamma, *pressures = inputs
+        pressure = pressures[0] if pressures else np.full_like(alpha, self.base.parameters.NOMPRES)
         speed = np.full_like(alpha, self.base.parameters.LONGVL)
         return self.base.conditions(Fz, np.zeros_like(alpha), alpha, gamma, speed, pressure)
 
@@ -219,18 +227,18 @@ def mf61_lateral(base: str | Mapping[str, float], identified: Sequence[str] | No
     LONGVL; coefficients left out are terms that are absent (0, and 2 for PKY4), so that the tire
     has neither a longitudinal force nor an aligning moment. identified: all 27 if None.
     """
-    names = tuple(UNITS) if identified is None else tuple(identified)
+    names = tuple(COEFFICIENTS) if identified is None else tuple(identified)
     if isinstance(base, str):
         return LateralMagicFormula(load_tir(base), names, Path(base))
-    known, given = parameter_names("6.1"), dict(base)
+    allowed, numbers = parameter_names("6.1"), dict(base)
     for name in (*ESSENTIAL, *(name for name in INDISPENSABLE if name not in names)):
-        if name not in given:
+        if name not in numbers:
             raise ValueError(f"base lacks {name}; give its value, or the path of a .tir file")
-    for name, value in given.items():
-        if name not in known or isinstance(value, bool) or not isinstance(value, int | float):
+    for name, value in numbers.items():
+        if name not in allowed or isinstance(value, bool) or not isinstance(value, int | float):
             raise ValueError(
                 f"base has {name}: {value!r}; expected a parameter of MF 6.1 and its number"
             )
     absent = dict.fromkeys(required_names("6.1"), 0.0) | {"PKY2": 1.0, "PKY4": 2.0}
-    values = {**CONSTANTS["6.1"], **absent, **{name: float(given[name]) for name in given}}
+    values = {**CONSTANTS["6.1"], **absent, **{name: float(numbers[name]) for name in numbers}}
     return LateralMagicFormula(MagicFormula(MagicFormulaParameters(version="6.1", **values)), names)

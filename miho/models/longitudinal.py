@@ -61,16 +61,16 @@ class Longitudinal:
     def ratio(self, gear: ArrayLike) -> Array:
         """Turns of the engine per turn of the wheel, i = i_g i_0 [-]."""
         gear = np.asarray(gear, dtype=float)
-        known = np.isin(gear, np.arange(1, len(self.gear_ratios) + 1))
-        if not known.all():
-            wrong = gear[~known].flat[0]
+        valid = np.isin(gear, np.arange(1, len(self.gear_ratios) + 1))
+        if not valid.all():
+            wrong = gear[~valid].flat[0]
             raise ValueError(
                 f"gear {wrong:g} does not exist; expected 1 to {len(self.gear_ratios)}"
             )
         return np.asarray(np.asarray(self.gear_ratios)[gear.astype(int) - 1] * self.final_drive)
 
     def equivalent_mass(self, gear: ArrayLike) -> Array:
-        """What turns, as mass that moves with the car [kg]: (I_e i^2 + I_w) / R^2."""
+        """The mass that is equivalent to all rotating parts [kg]: (I_e i^2 + I_w) / R^2."""
         inertia = self.engine_inertia * self.ratio(gear) ** 2 + self.wheel_inertia
         return np.asarray(inertia / self.wheel_radius**2)
 

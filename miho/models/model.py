@@ -1,4 +1,4 @@
-"""What a parametric model is: named inputs and parameters, values and derivatives."""
+"""The parametric model: named inputs and parameters, values and derivatives."""
 
 from __future__ import annotations
 
@@ -91,8 +91,8 @@ def central_differences(model: Model, theta: Array, *inputs: Array) -> Array:
         )
         beside = np.flatnonzero(~(np.isfinite(high) & np.isfinite(low)).all(axis=1))
         if beside.size:
-            here = model.predict(theta[None], *inputs)[0]
-            high, low, width = _one_sided(here, high, low, width, beside)
+            centre = model.predict(theta[None], *inputs)[0]
+            high, low, width = _one_sided(centre, high, low, width, beside)
         change = high - low
         derivatives[:, todo] = (change / width[:, None]).T
         size = np.abs(high).max(axis=1)
@@ -103,15 +103,15 @@ def central_differences(model: Model, theta: Array, *inputs: Array) -> Array:
 
 
 def _one_sided(
-    here: Array, high: Array, low: Array, width: Array, beside: NDArray[np.intp]
+    centre: Array, high: Array, low: Array, width: Array, beside: NDArray[np.intp]
 ) -> tuple[Array, Array, Array]:
     """Differences to the point itself, for the parameters `beside` values that are not finite."""
     high, low, width = high.copy(), low.copy(), width.copy()
     for k in beside:
         if np.isfinite(low[k]).all():
-            high[k] = here
+            high[k] = centre
         elif np.isfinite(high[k]).all():
-            low[k] = here
+            low[k] = centre
         else:
             continue
         width[k] /= 2

@@ -13,7 +13,7 @@ import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import ArrayLike
 
-from miho.models.lateral_magic_formula import UNITS, LateralMagicFormula
+from miho.models.lateral_magic_formula import COEFFICIENTS, LateralMagicFormula
 from miho.models.magic_formula import MagicFormula
 from miho.models.tire import PacejkaCurvature
 from miho.quantities import Array
@@ -118,21 +118,21 @@ def from_simplified(table: SimplifiedTire, base: MagicFormula) -> MagicFormula:
         raise ValueError("the table has no rows or numbers that are not finite; leave those out")
     model = LateralMagicFormula(base)
     slip = _slip(base)
-    wanted = table.force(slip, two_sided=True)
+    target = table.force(slip, two_sided=True)
     inputs = (
         np.tile(slip, table.Fz.size),
         *(np.repeat(column, slip.size) for column in (table.Fz, table.gamma, table.pressure)),
     )
     # Each curve counts the same, whatever its load.
-    weight = np.repeat(1 / np.abs(wanted).max(axis=1), slip.size)
+    weight = np.repeat(1 / np.abs(target).max(axis=1), slip.size)
 
     def misfit(theta: Array) -> Array:
-        return np.asarray(weight * (model.predict(theta[None], *inputs)[0] - wanted.ravel()))
+        return np.asarray(weight * (model.predict(theta[None], *inputs)[0] - target.ravel()))
 
     def slopes(theta: Array) -> Array:
         return weight[:, None] * model.jacobian(theta, *inputs)
 
-    found = scipy.optimize.least_squares(
+    solution = scipy.optimize.least_squares(
         misfit,
         _start(table, base),
         jac=slopes,
@@ -142,7 +142,7 @@ def from_simplified(table: SimplifiedTire, base: MagicFormula) -> MagicFormula:
         ftol=1e-14,
         gtol=1e-14,
     )
-    return model.with_coefficients(found.x)
+    return model.with_coefficients(solution.x)
 
 
 def _slip(tire: MagicFormula) -> Array:
@@ -155,7 +155,7 @@ def _start(table: SimplifiedTire, base: MagicFormula) -> Array:
     """Coefficients that give the table's mean curve; all variation is left to the solver."""
     stiffness = table.B * table.C * table.D
     ratio = np.mean(table.Fz) / base.parameters.FNOMIN
-    start = dict.fromkeys(UNITS, 0.0) | {
+    start = dict.fromkeys(COEFFICIENTS, 0.0) | {
         "PCY1": float(table.C.mean()),
         "PDY1": float(np.mean(table.D / table.Fz)),
         "PEY1": float(table.E.mean()),
@@ -165,4 +165,4 @@ def _start(table: SimplifiedTire, base: MagicFormula) -> Array:
         "PHY1": -float(table.Sx.mean()),
         "PVY1": float(np.mean(table.Sy / table.Fz)),
     }
-    return np.array([start[name] for name in UNITS])
+    return np.array([start[name] for name in COEFFICIENTS])

@@ -12,7 +12,7 @@ from miho.quantities import Array, g
 from miho.validate import positive_settings
 
 
-class Axles(NamedTuple):
+class FrontRear(NamedTuple):
     """One array for the front axle and one for the rear."""
 
     front: Array
@@ -45,11 +45,11 @@ class SingleTrack:
 
     def slip_angles(
         self, vx: ArrayLike, vy: ArrayLike, yaw_rate: ArrayLike, steering: ArrayLike
-    ) -> Axles:
+    ) -> FrontRear:
         """Slip angles [rad] of the axles; driving forward, vx > 0."""
         vx, vy, yaw_rate = np.asarray(vx), np.asarray(vy), np.asarray(yaw_rate)
         front = np.arctan2(vy + self.lf * yaw_rate, vx) - np.asarray(steering)
-        return Axles(front, np.asarray(np.arctan2(vy - self.lr * yaw_rate, vx)))
+        return FrontRear(front, np.asarray(np.arctan2(vy - self.lr * yaw_rate, vx)))
 
     def axle_forces(
         self,
@@ -57,7 +57,7 @@ class SingleTrack:
         yaw_acceleration: ArrayLike,
         steering: ArrayLike,
         bank: ArrayLike = 0.0,
-    ) -> Axles:
+    ) -> FrontRear:
         """Lateral forces [N] of the axles, each in the frame of its wheels.
 
         ay is v_y' + v_x r, along the road surface; bank [rad] is positive when the left side is
@@ -67,4 +67,4 @@ class SingleTrack:
         moment = self.Izz * np.asarray(yaw_acceleration)
         wheelbase = self.lf + self.lr
         front = (self.lr * lateral + moment) / (wheelbase * np.cos(steering))
-        return Axles(np.asarray(front), np.asarray((self.lf * lateral - moment) / wheelbase))
+        return FrontRear(np.asarray(front), np.asarray((self.lf * lateral - moment) / wheelbase))

@@ -1,4 +1,4 @@
-"""How a car answers the steering wheel: the yaw rate of a simulated single-track model."""
+"""The yaw rate of a car after its steering: a simulated single-track model."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class SingleTrackResponse(Model):
         m (v_y' + v_x r) = F_yf cos(delta) + F_yr     I_zz r' = l_f F_yf cos(delta) - l_r F_yr
         F_y = -D sin(C arctan(B alpha)),   alpha of either axle as in `SingleTrack`
 
-    Output-error identification: the model runs on its own from the inputs, and only what it says
-    of the yaw rate is compared with the data. `vehicle` names the fields of `SingleTrack`, of
+    Output-error identification: the model is simulated from the inputs alone, and only its yaw rate
+    is compared with the data. `vehicle` names the fields of `SingleTrack`, of
     which mass, lf and lr are used; the parameters are B [1/rad], C [-] and D [N] of both axles
     (front _f, rear _r; two tires each) and the yaw inertia Izz [kg m^2].
 
@@ -52,32 +52,32 @@ class SingleTrackResponse(Model):
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Yaw rate [rad/s], (n, N)."""
-        return np.asarray(_yaw_rates(np.ascontiguousarray(thetas.T), *self._given(*inputs)).T)
+        return np.asarray(_yaw_rates(np.ascontiguousarray(thetas.T), *self._record(*inputs)).T)
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives of the yaw rate, (N, 7): the motion's own, differentiated step by step."""
         with np.errstate(all="ignore"):
-            return np.asarray(_sensitivities(theta, *self._given(*inputs)))
+            return np.asarray(_sensitivities(theta, *self._record(*inputs)))
 
-    def _given(
+    def _record(
         self, t: Array, vx: Array, steering: Array
     ) -> tuple[tuple[float, float, float], Array, Array, Array, Array]:
-        """The car, steps of time, and speed, steering and its cosine at and between the rows."""
+        """The car's constants, time steps, and speed, steering and its cosine at twice the rate."""
         if not (np.diff(t) > 0).all():
             raise ValueError(
                 "t does not increase from row to row; give one record in order of time"
             )
-        car, delta = self._car, _with_halves(steering)
-        known = (car.mass, car.lf, car.lr)
-        return known, np.diff(t), _with_halves(vx), delta, np.cos(delta)
+        car, delta = self._car, _with_midpoints(steering)
+        constants = (car.mass, car.lf, car.lr)
+        return constants, np.diff(t), _with_midpoints(vx), delta, np.cos(delta)
 
 
-def _with_halves(column: Array) -> Array:
+def _with_midpoints(column: Array) -> Array:
     """A column (N,) and its values halfway between the rows, (2 N - 1,)."""
-    both = np.empty(2 * column.size - 1)
-    both[::2] = column
-    both[1::2] = (column[:-1] + column[1:]) / 2
-    return both
+    finer = np.empty(2 * column.size - 1)
+    finer[::2] = column
+    finer[1::2] = (column[:-1] + column[1:]) / 2
+    return finer
 
 
 @compiled_when_called(error_model="numpy")
@@ -138,6 +138,8 @@ def _sensitivities(
     rounding, and not those of the motion that it approximates.
     """
     mass, lf, lr = car
+
+    # x_p is the derivative of x with respect to the parameters, dr and dv are rates of r and v_y.
     B_f, C_f, D_f = theta[0], theta[1], theta[2]
     B_r, C_r, D_r, Izz = theta[3], theta[4], theta[5], theta[6]
     derivatives = np.zeros((steps.size + 1, 7))
@@ -152,12 +154,14 @@ def _sensitivities(
             ahead = h * ((stage + 1) // 2) / 2
             weight = h / 3 if stage in (1, 2) else h / 6
             speed, turned = vx[at], cosine[at]
+
+            # The stage itself, as in `_yaw_rates`.
             at_v, at_r = v + ahead * dv, r + ahead * dr
             slip_f, slip_r = (at_v + lf * at_r) / speed, (at_v - lr * at_r) / speed
             alpha_f, alpha_r = atan(slip_f) - delta[at], atan(slip_r)
             inner_f, inner_r = atan(B_f * alpha_f), atan(B_r * alpha_r)
             front, rear = sin(C_f * inner_f) * turned, sin(C_r * inner_r)
-            # by the inner arctangents, and from there by slip angles, stiffnesses and shapes
+            # Derivatives of the forces: through the motion so far ...
             by_f, by_r = -D_f * cos(C_f * inner_f) * turned, -D_r * cos(C_r * inner_r)
             per_f, per_r = C_f / (1 + (B_f * alpha_f) ** 2), C_r / (1 + (B_r * alpha_r) ** 2)
             for k in range(7):
@@ -167,12 +171,14 @@ def _sensitivities(
                 front_p[k] = by_f * per_f * B_f * alpha_f_k
                 rear_p[k] = by_r * per_r * B_r * alpha_r_k
                 dv_p[k], dr_p[k] = -speed * r_k, 0.0
+            # ... and directly, by B, C and D of either axle.
             front_p[0] += by_f * per_f * alpha_f
             front_p[1] += by_f * inner_f
             front_p[2] -= front
             rear_p[3] += by_r * per_r * alpha_r
             rear_p[4] += by_r * inner_r
             rear_p[5] -= rear
+            # Rates at this stage and their derivatives, added up with its weight.
             dv = (-D_f * front - D_r * rear) / mass - speed * at_r
             dr = (-lf * D_f * front + lr * D_r * rear) / Izz
             for k in range(7):

@@ -12,7 +12,7 @@ from miho.models.single_track import SingleTrack
 T = TypeVar("T", SingleTrack, Longitudinal)
 
 KNOWN = frozenset(field.name for kind in (SingleTrack, Longitudinal) for field in fields(kind))
-"""What a vehicle's settings may name: the fields of the single-track and longitudinal models."""
+"""Allowed names of settings: the fields of the single-track and longitudinal models."""
 
 
 def from_settings(kind: type[T], vehicle: Mapping[str, object]) -> T:

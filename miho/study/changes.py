@@ -1,4 +1,4 @@
-"""What a finished run was made of, against what it would be made of now."""
+"""Whether finished runs are still valid: of the same code, data, packages and settings as now."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from miho.study.store import Store, read_run
 
 
 class ResumeRefused(Exception):  # noqa: N818 -- a decision for the user, no error
-    """Finished runs of the same request were made of something else; says of what."""
+    """Finished runs of the same request are of other code, data, packages or settings."""
 
 
 def refuse_changes(
@@ -24,13 +24,14 @@ def refuse_changes(
     fresh: bool,
     overrides: Sequence[str] | None = None,
 ) -> None:
-    """Raise ResumeRefused if finished runs are there that were asked for alike, but are of other
-    code, data or packages, or, where the same `overrides` gave them before, of other settings.
+    """Raise ResumeRefused if there are finished runs of the same requests that are of other code,
+    data or packages, or, where the same `overrides` gave them before, of other settings.
 
     Old and new runs never stand side by side as one method: with `fresh`, the old ones are set
-    aside, and nothing is deleted. `runs` maps the words that each was asked in to who it is.
+    aside, and nothing is deleted. `runs` maps the overrides of each run, in words, to its identity.
     """
-    old = [(folder, _changes(who, folder)) for who, folder in store.others(runs.values())]
+    outdated = store.outdated(runs.values())
+    old = [(folder, _changes(identity, folder)) for identity, folder in outdated]
     if overrides is not None:
         old += other_settings(store.root, overrides, runs)
     if fresh:
@@ -47,12 +48,12 @@ def refuse_changes(
 
 
 def _changes(identity: Identity, folder: Path) -> list[str]:
-    """In words, how a finished run of the same request differs."""
+    """How a finished run of the same request differs from this identity, in words."""
     try:
         result = read_run(folder).result
     except DamagedRun:
         return []
-    changes = [what for what in ("code", "data") if result[what] != getattr(identity, what)]
+    changes = [part for part in ("code", "data") if result[part] != getattr(identity, part)]
     before: Mapping[str, Any] = result.get("packages", {})
     for name in sorted({*before, *identity.packages}):
         old, new = before.get(name, "none"), identity.packages.get(name, "none")

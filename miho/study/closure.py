@@ -1,11 +1,10 @@
-"""Which of our code a run uses: the modules of its parts, what they import, and so on.
+"""The import closure of a run: the modules of its parts, those that these import, and so on.
 
-A name that a package passes on, as in `from miho.models import Pacejka`, leads to the module that
-defines it and not to all that the package imports: its __init__ is a table of contents, and decides
-nothing that a run finds. Imports inside of functions count; those by name at run time are not seen.
+A name that a package re-exports, as in `from miho.models import Pacejka`, leads to the module that
+defines it and not to all that the package imports: its __init__ is a table of contents, on which no
+result depends. Imports inside of functions count; those by name at run time are not seen.
 
-What was read of a file can be kept for other processes: by the digest of its bytes, so that it is
-never what another text said.
+What was read from a file can be cached for other processes, under the digest of the file's bytes.
 """
 
 from __future__ import annotations
@@ -29,53 +28,53 @@ INIT = "__init__.py"
 class Sources:
     """The modules of some packages, as they were when they were first read.
 
-    `roots` maps the name of a top-level package to its folder; packages in `without` count for
-    nothing, like those of others. `cache` is a file that keeps what was read; where it cannot be
-    written, or Python writes no bytecode either, all is read again.
+    `roots` maps the name of a top-level package to its folder; packages that are `excluded` are not
+    followed, and neither are those of others. `cache` is a file for what was read; where it cannot
+    be written, or Python writes no bytecode either, all is read again.
     """
 
     def __init__(
         self,
         roots: Mapping[str, Path],
-        without: Collection[str] = (),
+        excluded: Collection[str] = (),
         cache: Path | None = None,
     ) -> None:
-        self._roots, self._without = dict(roots), tuple(f"{name}." for name in without)
+        self._roots, self._excluded = dict(roots), tuple(f"{name}." for name in excluded)
         self._modules: dict[str, Module | None] = {}
         self._cache = cache
 
     def digest(self, modules: Iterable[str]) -> str:
         """SHA-256 over the names and the meaning of these modules and of all that they use."""
         digest = hashlib.sha256()
-        for name, module in sorted(self._reached(modules).items()):
+        for name, module in sorted(self._closure(modules).items()):
             digest.update(f"\0{name}\0{module.meaning}".encode())
         return digest.hexdigest()
 
     def closure(self, modules: Iterable[str]) -> list[str]:
-        """The names of these modules and of all that they use, sorted; those of others are not."""
-        return sorted(self._reached(modules))
+        """These modules and all that they use in the packages of `roots`, by name, sorted."""
+        return sorted(self._closure(modules))
 
-    def _reached(self, modules: Iterable[str]) -> dict[str, Module]:
+    def _closure(self, modules: Iterable[str]) -> dict[str, Module]:
         waiting, reached = set(modules), dict[str, Module]()
         while waiting:
             name = waiting.pop()
             module = self._module(name)
             if module is not None and name not in reached:
                 reached[name] = module
-                waiting |= {self._defining(*source) for source in module.imports}
+                waiting |= {self._defining_module(*source) for source in module.imports}
         self._write_records()
         return reached
 
-    def _defining(self, module: str, name: str | None) -> str:
+    def _defining_module(self, module: str, name: str | None) -> str:
         """The module that defines what is imported from a module, or the module that it is."""
         if name is None:
             return module
         if self._module(f"{module}.{name}") is not None:
             return f"{module}.{name}"
         package = self._module(module)
-        if package is None or name not in package.passed_on:
+        if package is None or name not in package.reexports:
             return module
-        return self._defining(*package.passed_on[name])
+        return self._defining_module(*package.reexports[name])
 
     def _module(self, name: str) -> Module | None:
         if name not in self._modules:
@@ -84,7 +83,7 @@ class Sources:
 
     def _read(self, name: str) -> Module | None:
         top, *rest = name.split(".")
-        if top not in self._roots or f"{name}.".startswith(self._without):
+        if top not in self._roots or f"{name}.".startswith(self._excluded):
             return None
         place = self._roots[top].joinpath(*rest)
         for path in (place / INIT, place.with_name(f"{place.name}.py")):
@@ -94,17 +93,17 @@ class Sources:
 
     @cached_property
     def _records(self) -> dict[str, Any]:
-        """What the cache has of each module; nothing if it is damaged, or of another reader."""
+        """The cached records by module; none if the file is damaged, or by other code of this."""
         if self._cache is None:
             return {}
         try:
             head, _, body = self._cache.read_bytes().partition(b"\n")
         except OSError:
             return {}
-        return dict(json.loads(body)) if head == _head(body) else {}
+        return dict(json.loads(body)) if head == _header(body) else {}
 
     def _write_records(self) -> None:
-        """Write the cache, if it has not all of this."""
+        """Write the cache, if there is something new for it."""
         if self._cache is None or sys.dont_write_bytecode:
             return
         records = {name: module.record for name, module in self._modules.items() if module}
@@ -113,20 +112,20 @@ class Sources:
         body = json.dumps(self._records | records, sort_keys=True).encode()
         with contextlib.suppress(OSError):
             self._cache.parent.mkdir(exist_ok=True)
-            write_bytes(self._cache, _head(body) + b"\n" + body)
+            write_bytes(self._cache, _header(body) + b"\n" + body)
 
 
-def _head(body: bytes) -> bytes:
-    """The digest of what is kept and of the code that read it."""
-    here = Path(__file__)
-    code = here.read_bytes() + here.with_name("meaning.py").read_bytes()
+def _header(body: bytes) -> bytes:
+    """The cache's first line: a digest of its records and of the code that made them."""
+    reader = Path(__file__)
+    code = reader.read_bytes() + reader.with_name("meaning.py").read_bytes()
     return hashlib.sha256(code + body).hexdigest().encode()
 
 
 class Module:
     """One file: what it imports, as (module, name in it or None for the module itself).
 
-    `record` is what was read before of a module of this name.
+    `record` is what the cache has of a module of this name.
     """
 
     def __init__(self, name: str, path: Path, record: dict[str, Any] | None = None) -> None:
@@ -138,7 +137,7 @@ class Module:
             record = {
                 "file": [self.is_package, digest],
                 "meaning": hashlib.sha256(meaning_of(tree).encode()).hexdigest(),
-                "bound": [list(binding) for binding in self._bound(tree)],
+                "bound": [list(binding) for binding in self._bindings(tree)],
             }
         self.record = record
 
@@ -153,13 +152,13 @@ class Module:
         return frozenset((module, name) for _, module, name in self.record["bound"])
 
     @cached_property
-    def passed_on(self) -> dict[str, tuple[str, str | None]]:
-        """What a package imports only to pass it on, by the name under which it does."""
+    def reexports(self) -> dict[str, tuple[str, str | None]]:
+        """The names that a package imports for others to import from it."""
         if not self.is_package:
             return {}
         return {alias: (module, name) for alias, module, name in self.record["bound"]}
 
-    def _bound(self, tree: ast.AST) -> Iterator[tuple[str, str, str | None]]:
+    def _bindings(self, tree: ast.AST) -> Iterator[tuple[str, str, str | None]]:
         """Each name that an import binds, with the module and the name in it that it is."""
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):

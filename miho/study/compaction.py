@@ -36,7 +36,7 @@ DIGEST = 64
 
 @dataclass
 class Curves:
-    """Curves end to end.
+    """Many curves, one after the other.
 
     `columns` are of equal length; `spans` holds the first row of each curve and the row behind its
     last by the SHA-256 of its `curve.json`.
@@ -55,8 +55,8 @@ class Curves:
             columns.append(array("d", map(error_of, curve["loss"])))
         except (ValueError, LookupError, TypeError, OverflowError) as error:
             raise ValueError(f"holds no curve: {type(error).__name__}: {error}") from None
-        (length, *others) = {len(column) for column in columns}
-        if others:
+        (length, *other_lengths) = {len(column) for column in columns}
+        if other_lengths:
             raise ValueError("holds no curve: its columns differ in length")
         if not all(math.isfinite(sum(column)) for column in columns[:-1]):
             raise ValueError("holds no curve: what it spent is not finite")
@@ -75,7 +75,7 @@ class Curves:
 
 
 def error_of(loss: float | None) -> float:
-    """The error that belongs to a loss, NaN where there is none."""
+    """The error of a loss, its root; NaN where there is none."""
     return math.nan if loss is None or loss < 0 else math.sqrt(loss)
 
 

@@ -1,4 +1,4 @@
-"""What a run's seconds were measured on."""
+"""The environment that a run's seconds were measured in: machine, versions, threads, load."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def library_threads() -> list[int]:
 
 @lru_cache(maxsize=1)
 def _pools(modules: int) -> threadpoolctl.ThreadpoolController:
-    """Looking for libraries takes milliseconds; none is loaded where no module is imported."""
+    """The numerical libraries of this process; looked for again once more modules are imported."""
     return threadpoolctl.ThreadpoolController()
 
 
@@ -55,27 +55,27 @@ def environment_stamp() -> dict[str, Any]:
 
 
 ARITHMETIC = ("processor", "blas", "simd")
-"""What decides the last bits of a loss, besides the versions of packages: the same seed gives the
-same bits only where these are the same."""
+"""The last bits of a loss depend on these, besides the versions of packages: the same seed gives
+the same bits only where these are the same."""
 
 
 def blas_kernels() -> list[str]:
-    """The code that each library of linear algebra chose for this CPU: "openblas Haswell"."""
+    """The code that each linear algebra library chose for this CPU, such as "openblas Haswell"."""
     pools = _pools(len(sys.modules)).info()
-    named = {
+    kernels = {
         f"{pool['internal_api']} {pool['architecture']}"
         for pool in pools
         if pool.get("architecture")
     }
-    return sorted(named)
+    return sorted(kernels)
 
 
 @cache
 def simd_extensions() -> list[str]:
     """The vector instructions that NumPy found and uses here."""
     config = np.show_config(mode="dicts")
-    known = config.get("SIMD Extensions", {}) if isinstance(config, dict) else {}
-    return [*known.get("baseline", []), *known.get("found", [])]
+    extensions = config.get("SIMD Extensions", {}) if isinstance(config, dict) else {}
+    return [*extensions.get("baseline", []), *extensions.get("found", [])]
 
 
 def machine_seconds() -> float | None:

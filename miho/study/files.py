@@ -1,7 +1,7 @@
 """The files of a run: written whole or not at all, and read with their checksums.
 
-What a mapping of JSON says of itself is signed: `sha256`, one of its keys, is that of the canonical
-text of all others. That finds damage, and no forgery.
+A signed JSON file has the key `sha256`, the checksum of the canonical text of all its other keys.
+That finds damage, and no forgery.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ LARGEST = 256 << 20
 """No file of a run is larger, in bytes; whatever is, is not read."""
 LARGEST_SETTINGS = 1 << 20
 DEEPEST_SETTINGS = 50
-"""No configuration or environment is larger, in bytes, or nested deeper. Whoever composes, compares
-or shows one goes down into it."""
+"""No configuration or environment is larger, in bytes, or nested deeper: code that compares or
+shows one calls itself for each level."""
 CHUNK = 32 << 10
 FLAGS = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 MALFORMED = (ValueError, LookupError, TypeError, AttributeError, RecursionError)
-"""What is raised by a file that does not hold what it should."""
+"""What decoding or reading raises of a file that does not have the expected contents."""
 
 
 class DamagedRun(Exception):  # noqa: N818 -- a finding about a folder, reported and skipped
@@ -80,13 +80,13 @@ def signed(contents: Mapping[str, Any]) -> str:
 
 
 def read_signed(path: str) -> dict[str, Any]:
-    """What a file holds that `signed` made; raises DamagedRun if it is not as it was written."""
+    """The contents of a file that `signed` made; raises DamagedRun if its checksum does not fit."""
     data = read_bytes(path, LARGEST)
     try:
         contents: dict[str, Any] = decoded(data)
-        told = contents.pop("sha256")
-        unsigned = data.replace(f',"sha256":"{told}"'.encode(), b"", 1)
-        if digest_of(unsigned).hexdigest() == told:
+        checksum = contents.pop("sha256")
+        unsigned = data.replace(f',"sha256":"{checksum}"'.encode(), b"", 1)
+        if digest_of(unsigned).hexdigest() == checksum:
             return contents
     except MALFORMED as error:
         raise DamagedRun(f"{path}: {type(error).__name__}: {error}") from None
@@ -94,9 +94,9 @@ def read_signed(path: str) -> dict[str, Any]:
 
 
 def decoded(data: bytes) -> Any:
-    """What a text of JSON holds; raises ValueError or RecursionError.
+    """The value of a JSON text; raises ValueError or RecursionError.
 
-    By orjson, eight times as fast as Python's own reader, which knows lone surrogates besides.
+    By orjson, eight times as fast as Python's own reader, which accepts lone surrogates too.
     """
     try:
         return orjson.loads(data)
@@ -108,7 +108,7 @@ TOKENS = re.compile(rb'"(?:[^"\\]|\\.)*"|[\[\]{}]')
 
 
 def nesting(data: bytes) -> int:
-    """How deep a text of JSON is nested, if it may be too deep; it is not read as such."""
+    """How deep a JSON text is nested, without decoding it; 0 if it cannot be too deep."""
     if data.count(b"{") + data.count(b"[") <= DEEPEST_SETTINGS:
         return 0
     depth = deepest = 0

@@ -1,4 +1,4 @@
-"""What makes two runs the same run."""
+"""The identity of a run: request, code, data and packages, of which its folder's name is a hash."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def sha256(text: str | bytes) -> str:
 def code_digest(places: Iterable[Path]) -> str:
     """SHA-256 over the names and the meaning of these Python files and all below these folders.
 
-    What Python makes of the text counts: comments, docstrings and layout do not.
+    Comments, docstrings and layout do not count.
     """
     digest = hashlib.sha256()
     for place in places:
@@ -47,8 +47,8 @@ def code_digest(places: Iterable[Path]) -> str:
 class Identity:
     """The content that keys a run.
 
-    Names, seed and resolved configuration say what was asked; digests of code and data and versions
-    of packages say what of. The same request of something else is another run.
+    Names, seed and resolved configuration are the request; digests of code and data and versions of
+    packages are its origin. The same request with another origin is another run.
     `problem` and `optimizer` become folder names and must be plain words.
     """
 
@@ -61,18 +61,18 @@ class Identity:
     packages: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for what in ("problem", "optimizer"):
-            check_name(what, getattr(self, what))
+        for name in ("problem", "optimizer"):
+            check_name(name, getattr(self, name))
         whole("seed", self.seed, 0, LARGEST_SEED)
 
     @cached_property
     def request(self) -> str:
-        """Ten hexadecimal digits of the hash of what was asked."""
-        asked = (self.problem, self.optimizer, self.seed, dict(self.config))
-        return sha256(canonical(asked))[:REQUEST]
+        """Ten hexadecimal digits of the hash of names, seed and configuration."""
+        content = (self.problem, self.optimizer, self.seed, dict(self.config))
+        return sha256(canonical(content))[:REQUEST]
 
     @cached_property
     def id(self) -> str:
-        """The request, and ten hexadecimal digits of the hash of what it was asked of."""
-        asked_of = sha256(canonical([self.code, self.data, dict(self.packages)]))
-        return self.request + asked_of[:REQUEST]
+        """The request, and ten hexadecimal digits of the hash of its origin."""
+        origin = sha256(canonical([self.code, self.data, dict(self.packages)]))
+        return self.request + origin[:REQUEST]

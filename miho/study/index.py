@@ -25,7 +25,7 @@ KEYS = ["id", "problem", "optimizer", "seed"]
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """What a root held when it was read.
+    """The runs of a root as they were when it was read.
 
     `runs`: a row per finished run; `error` is the root of its loss in `unit`, `irreducible` an
     estimate of the error that no model of the same inputs can beat, `optimum` the smallest error in
@@ -57,20 +57,20 @@ class Runs:
     @cached_property
     def _curves(self) -> tuple[pd.DataFrame, list[Damage]]:
         """The curves, and which of them were none although their checksum matched."""
-        known, malformed, rows = compacted(self.top), [], []
+        cache, malformed, rows = compacted(self.top), [], []
         for row, (digest, text) in enumerate(self.texts):
             try:
-                if digest not in known.spans:
-                    known.add(digest, text)
+                if digest not in cache.spans:
+                    cache.add(digest, text)
                 rows.append(row)
             except ValueError as error:
                 folder = str(self.keys["folder"].iloc[row])
                 malformed.append(Damage(folder, f"{folder}: {error}"))
         digests = [self.texts[row][0] for row in rows]
-        lengths = [stop - start for start, stop in map(known.spans.__getitem__, digests)]
+        lengths = [stop - start for start, stop in map(cache.spans.__getitem__, digests)]
         keys = self.keys[KEYS].iloc[rows].reset_index(drop=True)
         table = keys.loc[keys.index.repeat(lengths)].reset_index(drop=True)
-        columns = {name: pd.Series(known.gathered(name, digests), dtype=float) for name in COLUMNS}
+        columns = {name: pd.Series(cache.gathered(name, digests), dtype=float) for name in COLUMNS}
         return table.assign(**columns), malformed
 
 

@@ -1,6 +1,6 @@
-"""What a sweep consisted of, by the words it was asked in: the same words must mean the same.
+"""The manifest of a sweep: its runs, filed under its overrides, which must mean the same again.
 
-    root/.sweeps/<hash of the words>.json
+    root/.sweeps/<hash of the overrides>.json
 
 holds each distinct part of a configuration (the model, the dataset ...) once, each configuration as
 the numbers of its parts, and each run as its place and the number of its configuration: thousands
@@ -22,26 +22,27 @@ from miho.study.store import SUPERSEDED
 
 MANIFESTS = ".sweeps"
 SHOWN = 3
+"""Names that a message lists."""
 
 
 def write_manifest(root: Path, overrides: Sequence[str], runs: Mapping[str, Identity]) -> None:
-    """Keep the settings of the runs that these overrides asked for, by what each was asked in."""
+    """Write the settings of the runs of a sweep; `runs` maps the words of each to its identity."""
     path = _path(root, overrides)
     path.parent.mkdir(parents=True, exist_ok=True)
-    parts, configs, entries = _Numbered(), _Numbered(), {}
+    parts, configs, entries = _DistinctValues(), _DistinctValues(), {}
     numbers: dict[int, int] = {}  # of a configuration's object, which all seeds share
-    for words, one in runs.items():
-        if id(one.config) not in numbers:
-            config = {name: parts.number(part) for name, part in one.config.items()}
-            numbers[id(one.config)] = configs.number(config)
-        place = [one.problem, one.optimizer, one.id]
-        entries[words] = {"place": place, "config": numbers[id(one.config)]}
+    for words, identity in runs.items():
+        if id(identity.config) not in numbers:
+            config = {name: parts.number(part) for name, part in identity.config.items()}
+            numbers[id(identity.config)] = configs.number(config)
+        place = [identity.problem, identity.optimizer, identity.id]
+        entries[words] = {"place": place, "config": numbers[id(identity.config)]}
     about = {"parts": parts.values, "configs": configs.values, "runs": entries}
     write_text(path, canonical({"overrides": list(overrides), **about}) + "\n")
 
 
-def some(names: Sequence[str]) -> str:
-    """The first few, and how many more."""
+def first_names(names: Sequence[str]) -> str:
+    """The first few of these names, and how many more there are."""
     more = f" and {len(names) - SHOWN:,} more" * (len(names) > SHOWN)
     return ", ".join(names[:SHOWN]) + more
 
@@ -49,9 +50,9 @@ def some(names: Sequence[str]) -> str:
 def other_settings(
     root: Path, overrides: Sequence[str], runs: Mapping[str, Identity]
 ) -> Iterator[tuple[Path, list[str]]]:
-    """Finished runs that the same words once gave with other settings, and the keys that differ.
+    """Finished runs that the same words gave with other settings before a file in conf/ was edited.
 
-    So it is after an edit of a file in conf/.
+    Gives the folder of each, and the keys that differ.
     """
     for words, entry in _read(_path(root, overrides)).items():
         identity = runs.get(words)
@@ -59,13 +60,14 @@ def other_settings(
             continue
         folder = inside(root, *entry["place"])
         if (folder / RESULT).is_file():
-            yield folder, list(_different(entry["config"], dict(identity.config)))
+            yield folder, list(_differing_keys(entry["config"], dict(identity.config)))
 
 
 def without_result(root: Path) -> tuple[list[Path], int]:
-    """Of the runs that the sweeps of a root consisted of: those without a result, and how many all.
+    """Folders of the runs of a root's sweeps that have no result, and the number of all their runs.
 
-    What was set aside is neither. A run may be missing because its sweep has not come to it yet.
+    Runs that were set aside do not count. A run may be missing because its sweep has not come to it
+    yet.
     """
     places: dict[Path, None] = {}
     for path in sorted((root / MANIFESTS).glob("*.json")):
@@ -78,16 +80,16 @@ def without_result(root: Path) -> tuple[list[Path], int]:
 
 
 def missing_runs(root: Path) -> str | None:
-    """Which runs of the sweeps of a root have no result, in words; None if all have theirs."""
+    """A message on the runs of a root's sweeps that have no result; None if all have theirs."""
     missing, count = without_result(root)
     if not missing:
         return None
-    gone = sum((folder / CURVE).is_file() for folder in missing)
-    named = some(sorted(map(str, missing)))
-    text = f"{len(missing):,} of {count:,} runs of the sweeps here have no {RESULT}: {named}"
-    if gone:
-        text += f"; {gone:,} of them had one, or were killed while they stored it"
-    return f"{text}; the same sweep runs them again"
+    lost = sum((folder / CURVE).is_file() for folder in missing)
+    folders = first_names(sorted(map(str, missing)))
+    message = f"{len(missing):,} of {count:,} runs of the sweeps here have no {RESULT}: {folders}"
+    if lost:
+        message += f"; {lost:,} of them had one, or were killed while they stored it"
+    return f"{message}; the same sweep runs them again"
 
 
 def _path(root: Path, overrides: Sequence[str]) -> Path:
@@ -112,21 +114,21 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
 
 
 @dataclass
-class _Numbered:
-    """Distinct values in the order in which they came."""
+class _DistinctValues:
+    """Distinct values, numbered in the order in which they come."""
 
     values: list[Any] = field(default_factory=list)
     numbers: dict[str, int] = field(default_factory=dict)
 
     def number(self, value: Any) -> int:
-        """Where this value stands, or its like."""
+        """The number of this value, or of an equal one."""
         number = self.numbers.setdefault(canonical(value), len(self.values))
         if number == len(self.values):
             self.values.append(value)
         return number
 
 
-def _different(old: Any, new: Any, key: str = "") -> Iterator[str]:
+def _differing_keys(old: Any, new: Any, key: str = "") -> Iterator[str]:
     """The key paths at which two configurations differ."""
     if not (isinstance(old, dict) and isinstance(new, dict)):
         yield key
@@ -134,4 +136,4 @@ def _different(old: Any, new: Any, key: str = "") -> Iterator[str]:
     for name in sorted({*old, *new}):
         place = f"{key}.{name}" if key else name
         if old.get(name) != new.get(name):
-            yield from _different(old.get(name), new.get(name), place)
+            yield from _differing_keys(old.get(name), new.get(name), place)

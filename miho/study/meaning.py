@@ -1,6 +1,6 @@
-"""What a program means, as text that is the same for every Python that can read it.
+"""The meaning of a program, as text that is the same for every Python that can read it.
 
-This file needs nothing but Python, so that other versions of it can be asked.
+This file imports nothing but the standard library, so that any version of Python can run it.
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from __future__ import annotations
 import ast
 from typing import Any
 
-UNHEEDED = ("kind", "type_comment", "type_ignores")
-"""Of a syntax tree: how a text is spelt, and comments."""
+IGNORED = ("kind", "type_comment", "type_ignores")
+"""Fields of a syntax tree that say how a text is spelt, and comments."""
 
 
 def meaning(source: bytes) -> str:
@@ -17,22 +17,22 @@ def meaning(source: bytes) -> str:
 
     Every Python that can read the program gives the same: fields that hold nothing are left out,
     since versions differ in which there are, and so is what is not ASCII, since they differ in what
-    can be printed. `ast.dump` heeds neither.
+    can be printed. `ast.dump` does neither.
     """
     return meaning_of(ast.parse(source))
 
 
 def meaning_of(node: Any) -> str:
-    """That of a syntax tree, or of what one holds."""
+    """The meaning of a syntax tree, or of a value in one."""
     if isinstance(node, ast.AST):
-        fields = {name: value for name, value in ast.iter_fields(node) if name not in UNHEEDED}
+        fields = {name: value for name, value in ast.iter_fields(node) if name not in IGNORED}
         if isinstance(fields.get("body"), list):
             fields["body"] = [line for line in fields["body"] if not _is_text(line)]
         if isinstance(node, ast.JoinedStr):  # 3.12 has empty texts between its parts
             fields["values"] = [part for part in node.values if not _is_empty_text(part)]
-        held = {name: value for name, value in fields.items() if not _empty(value)}
-        named = (f"{name}={meaning_of(value)}" for name, value in held.items())
-        return f"{type(node).__name__}({','.join(named)})"
+        values = {name: value for name, value in fields.items() if not _empty(value)}
+        texts = (f"{name}={meaning_of(value)}" for name, value in values.items())
+        return f"{type(node).__name__}({','.join(texts)})"
     if isinstance(node, list):
         return f"[{','.join(map(meaning_of, node))}]"
     return ascii(node)

@@ -44,10 +44,9 @@ def inside(root: Path, *names: str) -> Path:
 
 
 def below(place: Path, root: Path) -> bool:
-    """Whether what is reached by this name lies below the root; not so a link that leads nowhere.
+    """Whether a path, with links followed to their end, lies below the root.
 
-    Links are followed to their end, which must be there: what a link to itself leads to, or one
-    to nothing yet, nobody can say beforehand.
+    False for a link that leads to itself or to nothing: what may be there later is not known.
     """
     if not place.is_symlink():
         return True

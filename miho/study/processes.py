@@ -1,4 +1,4 @@
-"""Processes and all that stems from them: to see them end, and to end them."""
+"""Processes and their descendants: to see them end, and to end them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from pathlib import Path
 SET_CHILD_SUBREAPER = 36
 """PR_SET_CHILD_SUBREAPER of Linux, see prctl(2)."""
 ROUNDS = 10
-"""How often the family of a process is looked for again: it may fork while it is ended."""
+"""How often the descendants of a process are looked for: they may fork while they are killed."""
 
 
 def adopt_orphans() -> None:
-    """From now on what stems from this process stays below it, whoever in between ends.
+    """From now on the descendants of this process stay so, even if a process in between ends.
 
-    Linux alone can. Elsewhere what a child starts in a session of its own outlives the child.
+    Only Linux can do this. Elsewhere what a child starts in a session of its own outlives it.
     """
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
@@ -40,39 +40,39 @@ def end_child(child: int) -> int:
 
 
 def end_family(process: int) -> None:
-    """Kill a process and what stems from it, by what /proc says; where that is not, its group."""
+    """Kill a process and its descendants by /proc; where there is no /proc, its group."""
     for _ in range(ROUNDS):
         family = descendants(process)
-        for one in family:
-            _kill(one)
+        for member in family:
+            _kill(member)
         if not family:
             break
     _kill(process)
 
 
 def descendants(process: int) -> list[int]:
-    """What stems from a process and has not ended, by what /proc says."""
+    """The descendants of a process that have not ended, by /proc."""
     parents: dict[int, int] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         fields = _fields(stat)
         if fields and fields[0] not in "ZX":
             parents[int(stat.parent.name)] = int(fields[1])
-    found, waiting = [], [process]
+    offspring, waiting = [], [process]
     while waiting:
         children = [child for child, parent in parents.items() if parent == waiting[0]]
-        found += children
+        offspring += children
         waiting = [*waiting[1:], *children]
-    return found
+    return offspring
 
 
 def child_has_ended(child: int) -> bool:
-    """Whether a child waits to be waited for."""
+    """Whether a child has ended and waits for its status to be read."""
     return os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
 
 
 @contextmanager
 def end_of(child: int) -> Iterator[list[int]]:
-    """A descriptor that can be read once a child has ended; none where the system has no such."""
+    """A descriptor that becomes readable when a child ends; none where the system has no such."""
     try:
         descriptor = os.pidfd_open(child)
     except (AttributeError, OSError):

@@ -1,4 +1,4 @@
-"""Run what is not done yet, once, and keep what was found."""
+"""Run what has no stored result yet, once, and store the result."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import Any
 
 from miho.optim import Outcome, RunRecord, Space
 from miho.optim.oracle import NOT_FINITE
+from miho.study.contention import stamped
 from miho.study.environment import environment_stamp, single_thread
 from miho.study.identity import Identity
 from miho.study.redaction import without_secrets
 from miho.study.store import RunInUse, Store, StoredRun
-from miho.study.validity import stamped
 
 
 class Status(StrEnum):
-    """What became of a requested run; `lost` are those whose process ended, or never did."""
+    """How a requested run ended; `lost` are those whose process ended, or had to be killed."""
 
     RAN = "ran"
     DONE_BEFORE = "done before"
@@ -31,7 +31,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Execution:
-    """A requested run: its status, the stored run if there is one, else where the rest lies."""
+    """A requested run: its status, and the stored run, or else the file of its partial result."""
 
     status: Status
     run: StoredRun | None = None
@@ -48,25 +48,25 @@ def execute(
 ) -> Execution:
     """Run `job` on one thread unless the store has its result, and commit what it returns.
 
-    A failed or interrupted run is kept as partial and will run again, and so is one of whose
-    evaluations not one gave a value: that is a fault of the model or the installation. One that saw
-    only values that are not finite is done, with the outcome that says so.
+    A failed or interrupted run is stored as partial and will run again. So is one whose every
+    evaluation raised: that is a fault of the model or the installation. One whose values were all
+    not finite is done, with the outcome that says so.
     """
-    done = store.find(identity)
-    if done is not None:
-        return Execution(Status.DONE_BEFORE, done)
+    stored = store.find(identity)
+    if stored is not None:
+        return Execution(Status.DONE_BEFORE, stored)
     try:
         with store.claim(identity):
-            done = store.find(identity)
-            if done is not None:
-                return Execution(Status.DONE_BEFORE, done)
+            stored = store.find(identity)  # another process may have committed it meanwhile
+            if stored is not None:
+                return Execution(Status.DONE_BEFORE, stored)
             with single_thread(), stamped() as stamp:
                 environment = environment_stamp()
                 record = without_secrets(job())
             if _only_raised(record):
                 reasons = ", ".join(f"{n:,} x {reason}" for reason, n in record.rejected.items())
-                told = f"not one evaluation gave a value: {reasons}"
-                record = replace(record, outcome=Outcome.FAILED, error=told)
+                message = f"not one evaluation gave a value: {reasons}"
+                record = replace(record, outcome=Outcome.FAILED, error=message)
             if record.outcome in (Outcome.FAILED, Outcome.INTERRUPTED):
                 partial = store.keep_partial(identity, record)
                 failed = record.outcome is Outcome.FAILED
@@ -81,7 +81,7 @@ def execute(
 
 
 def _only_raised(record: RunRecord) -> bool:
-    """Whether whatever was evaluated raised; nothing was if nothing was rejected."""
+    """Whether every evaluation raised, and there was one at least."""
     reasons = record.rejected
-    without = record.outcome is Outcome.NO_FINITE_VALUE and len(reasons) > 0
-    return without and not any(reason.startswith(NOT_FINITE) for reason in reasons)
+    no_value = record.outcome is Outcome.NO_FINITE_VALUE and len(reasons) > 0
+    return no_value and not any(reason.startswith(NOT_FINITE) for reason in reasons)

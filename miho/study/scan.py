@@ -36,16 +36,16 @@ class Damage:
 
 
 def scan(root: Path) -> Iterator[CheckedRun | Damage]:
-    """The runs below `root`, sorted by folder; a folder without a result is not done and left out.
+    """The runs below `root`, sorted by folder; a folder without a result is left out.
 
     Hidden folders are left out. Links to folders are not followed, since they can lead out of the
     root: they are damage, and so is what cannot be read.
     """
-    found = {str(getattr(one, "folder", one)): one for one in _folders(str(root), DEPTH)}
-    for folder in sorted(found):
-        damage = found[folder]
-        if isinstance(damage, Damage):
-            yield damage
+    entries = {str(getattr(entry, "folder", entry)): entry for entry in _folders(str(root), DEPTH)}
+    for folder in sorted(entries):
+        entry = entries[folder]
+        if isinstance(entry, Damage):
+            yield entry
             continue
         try:
             result, files = read_checked(folder)
@@ -57,7 +57,7 @@ def scan(root: Path) -> Iterator[CheckedRun | Damage]:
 
 
 def _folders(top: str, depth: int) -> Iterator[str | Damage]:
-    """The folders `depth` levels below `top`."""
+    """The folders `depth` levels below `top`, and what cannot be followed on the way there."""
     if depth == 0:
         yield top
         return

@@ -1,4 +1,4 @@
-"""Run folders: written once, read with their checksums, never half there.
+"""The store of runs: folders that are written once, whole, and read with their checksums.
 
     root/<problem>/<optimizer>/<id>/config.json environment.json curve.json result.json
 
@@ -79,22 +79,22 @@ class Store:
             return None
 
     def result(self, identity: Identity) -> Mapping[str, Any] | None:
-        """What `find` gives as the result, without the rest, which is only checked."""
+        """The `result` of `find` alone; the other files are only checked."""
         try:
             return read_checked(str(self.folder(identity)))[0]
         except DamagedRun:
             return None
 
-    def result_is_gone(self, identity: Identity) -> bool:
-        """Whether what is written before a result is there, and the result is not.
+    def lost_result(self, identity: Identity) -> bool:
+        """Whether there is no result although the files that are written before it are there.
 
-        So it is after somebody deleted it, and after a kill in the last millisecond of a run.
+        Somebody deleted it, or the run was killed in its last millisecond.
         """
         folder = self.folder(identity)
         return (folder / CURVE).is_file() and not (folder / RESULT).exists()
 
     def has_result(self, identity: Identity) -> bool:
-        """Whether there is a result, unread."""
+        """Whether there is a result, without a check of it."""
         return (self.folder(identity) / RESULT).is_file()
 
     @contextmanager
@@ -116,7 +116,7 @@ class Store:
         environment: Mapping[str, Any],
         facts: Mapping[str, Any],
     ) -> StoredRun:
-        """Write a finished run; `facts` are what the problem knows of itself (unit, floor ...)."""
+        """Write a finished run; `facts` are of its problem (unit, irreducible error ...)."""
         folder = self.folder(identity)
         contents = {
             CONFIG: canonical(dict(identity.config)),
@@ -135,25 +135,25 @@ class Store:
         return read_run(folder)
 
     def keep_partial(self, identity: Identity, record: RunRecord) -> Path:
-        """Keep what an interrupted or failed run has found; the run is not done."""
+        """Write the curve of an interrupted or failed run; the run is not done."""
         partial = {"outcome": str(record.outcome), "error": record.error, "curve": _curve(record)}
         return self._keep(identity, partial)
 
     def keep_reason(
         self, identity: Identity, reason: str, detail: str | None, outcome: str = "lost"
     ) -> Path:
-        """Keep why a run ended with its process, and its traceback if there is one."""
+        """Write why a run ended with its process, and its traceback if there is one."""
         error = redacted(detail or reason)
         return self._keep(identity, {"outcome": outcome, "error": error, "curve": None})
 
     def reason(self, identity: Identity) -> str | None:
-        """Why a run that was tried is not done, in one line; None if nobody can tell."""
+        """Why a run that was tried is not done, in one line; None if that is not known."""
         try:
             partial = read_signed(f"{self.folder(identity)}/{PARTIAL}")
-            told = str(partial["error"] or partial["outcome"]).strip()
+            message = str(partial["error"] or partial["outcome"]).strip()
         except (OSError, DamagedRun, LookupError):
             return None
-        return told.splitlines()[-1][:200] if told else None
+        return message.splitlines()[-1][:200] if message else None
 
     def _keep(self, identity: Identity, partial: Mapping[str, Any]) -> Path:
         folder = self.folder(identity)
@@ -161,8 +161,8 @@ class Store:
         write_text(folder / PARTIAL, signed(partial))
         return folder / PARTIAL
 
-    def others(self, identities: Iterable[Identity]) -> Iterator[tuple[Identity, Path]]:
-        """Finished runs of the same requests, but of other code, data or packages: their folders.
+    def outdated(self, identities: Iterable[Identity]) -> Iterator[tuple[Identity, Path]]:
+        """Folders of finished runs of the same requests that are of other code, data or packages.
 
         Folders are listed once, so that thousands of runs are looked up in a second.
         """
@@ -170,14 +170,18 @@ class Store:
         for identity in identities:
             place = identity.problem, identity.optimizer
             if place not in listed:
-                listed[place] = _by_request(inside(self.root, *place))
+                listed[place] = _runs_by_request(inside(self.root, *place))
             for name in listed[place].get(identity.request, ()):
                 folder = self.root.joinpath(*place, name)
                 if name != identity.id and (folder / RESULT).is_file():
                     yield identity, folder
 
     def set_aside(self, folder: Path) -> None:
-        """Move a run out of the sight of readers, below SUPERSEDED; its like may be there."""
+        """Move a sound run below SUPERSEDED, where no reader looks; nothing is overwritten there.
+
+        It is set aside because it was superseded. Damaged runs are quarantined elsewhere, by
+        `experiments.doctor`.
+        """
         first = place = inside(self.root, SUPERSEDED, *folder.relative_to(self.root).parts)
         for number in count(2):
             if not place.exists():
@@ -187,12 +191,12 @@ class Store:
         folder.replace(place)
 
 
-def _by_request(folder: Path) -> dict[str, list[str]]:
-    """The runs in a folder, in their order, by the request that their names begin with."""
-    found: dict[str, list[str]] = {}
+def _runs_by_request(folder: Path) -> dict[str, list[str]]:
+    """The names of the runs in a folder, sorted, by the request that they begin with."""
+    runs: dict[str, list[str]] = {}
     for name in sorted(path.name for path in folder.iterdir()) if folder.is_dir() else ():
-        found.setdefault(name[:REQUEST], []).append(name)
-    return found
+        runs.setdefault(name[:REQUEST], []).append(name)
+    return runs
 
 
 def read_run(folder: Path) -> StoredRun:
@@ -206,34 +210,35 @@ def read_run(folder: Path) -> StoredRun:
 
 
 def _curve(record: RunRecord) -> dict[str, list[Any]]:
-    """The improvements worth keeping, the last one, and where the run ended.
+    """The improvements of a run, thinned out, and its end, by column.
 
-    A method that creeps improves at every step. A step is left out only if it lowers the loss by
-    less than RESOLUTION and comes within SPACING of the evaluations and seconds of the last row
-    kept: no target is met more than 1 % later than it was, and none earlier.
+    A method that creeps improves at every step. An improvement is left out only if it lowers the
+    loss by less than RESOLUTION and comes within SPACING of the evaluations and seconds of the last
+    row of the curve: no target is met more than 1 % later than it was, and none earlier.
     """
     trace = record.trace
-    kept: list[int] = []
+    rows: list[int] = []
     for row in range(len(trace)):
-        last = kept[-1] if kept else -1
+        last = rows[-1] if rows else -1
         if (
             last < 0
             or trace.loss[row] <= (1 - RESOLUTION) * trace.loss[last]
             or trace.evaluations[row] >= (1 + SPACING) * trace.evaluations[last]
             or trace.seconds[row] >= (1 + SPACING) * trace.seconds[last]
         ):
-            kept.append(row)
+            rows.append(row)
     end = len(trace) - 1
-    if kept and kept[-1] != end:
-        kept.append(end)
+    if rows and rows[-1] != end:
+        rows.append(end)
     curve: dict[str, list[Any]] = {
-        "evaluations": [trace.evaluations[row] for row in kept],
-        "seconds": [trace.seconds[row] for row in kept],
-        "cpu_seconds": [trace.cpu_seconds[row] for row in kept],
-        "loss": [trace.loss[row] for row in kept],
-        "theta": [trace.theta[row].tolist() for row in kept],
+        "evaluations": [trace.evaluations[row] for row in rows],
+        "seconds": [trace.seconds[row] for row in rows],
+        "cpu_seconds": [trace.cpu_seconds[row] for row in rows],
+        "loss": [trace.loss[row] for row in rows],
+        "theta": [trace.theta[row].tolist() for row in rows],
     }
-    if kept and record.evaluations > trace.evaluations[end]:
+    # A run goes on after its last improvement: one more row says how far.
+    if rows and record.evaluations > trace.evaluations[end]:
         curve["evaluations"].append(record.evaluations)
         curve["seconds"].append(record.seconds)
         curve["cpu_seconds"].append(record.cpu_seconds)

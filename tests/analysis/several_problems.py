@@ -21,12 +21,12 @@ def several(
     """
     runs, curves = [], []
     for problem, methods in problems.items():
-        known = (optimum or {}).get(problem, np.nan)
+        best_known = (optimum or {}).get(problem, np.nan)
         for frame, place in zip(
             frames(methods, ends=ends, outcomes=outcomes), (runs, curves), strict=True
         ):
             place.append(frame.assign(problem=problem, id=problem + "-" + frame["id"]))
-        runs[-1]["optimum"] = known
+        runs[-1]["optimum"] = best_known
     return pd.concat(runs, ignore_index=True), pd.concat(curves, ignore_index=True)
 
 
@@ -34,9 +34,9 @@ def random_runs(
     rng: np.random.Generator, *, problems: int = 3, methods: int = 3, seeds: int = 4
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Improving runs of 1000 evaluations from about 30 times an optimum of 10 down to near it."""
-    found: dict[str, dict[str, list[Steps]]] = {}
+    steps_of: dict[str, dict[str, list[Steps]]] = {}
     for problem in range(problems):
-        found[f"p{problem}"] = {}
+        steps_of[f"p{problem}"] = {}
         for method in range(methods):
             repetitions = []
             for _ in range(seeds):
@@ -45,6 +45,6 @@ def random_runs(
                 repetitions.append(
                     [(float(a), float(10 * (1 + g))) for a, g in zip(at, gap, strict=True)]
                 )
-            found[f"p{problem}"][f"m{method}"] = repetitions
+            steps_of[f"p{problem}"][f"m{method}"] = repetitions
     ends = {f"m{method}": 1000.0 for method in range(methods)}
-    return several(found, optimum=dict.fromkeys(found, 10.0), ends=ends)
+    return several(steps_of, optimum=dict.fromkeys(steps_of, 10.0), ends=ends)

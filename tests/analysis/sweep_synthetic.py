@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import pandas as pd
 
-from miho.analysis.pages.sweep_runs import Origin, Sweep, json_leaves, named
+from miho.analysis.pages.sweep_runs import Origin, Sweep, json_leaves, with_distinct_names
 
 ENVIRONMENT = {
     "time": "2026-11-21T18:44:25+00:00",
@@ -24,20 +24,20 @@ def origin(
     config: Mapping[str, object] | None = None, *, code: str = "c0de" * 16, data: str = "da7a" * 16,
     **environment: object,
 ) -> Origin:  # fmt: skip
-    asked = {
+    leaves = {
         "model": {"_target_": "miho.models.Pacejka"},
         "dataset": {"_target_": "miho.data.sample_tir"},
         "loss": {"_target_": "miho.identification.Square"},
         **(config or {}),
     }
-    return Origin(code, data, json_leaves(asked), json_leaves(ENVIRONMENT | environment))
+    return Origin(code, data, json_leaves(leaves), json_leaves(ENVIRONMENT | environment))
 
 
 def sweep_of(runs: pd.DataFrame, curves: pd.DataFrame, **folders: Origin) -> Sweep:
     """A sweep of these runs; `folders` are origins that differ, by the id of the run."""
     runs = runs.assign(folder=runs["id"], dimension=5)
     origins = {str(run): folders.get(str(run), origin()) for run in runs["id"]}
-    labelled = named(runs, list(origins.values()))
+    labelled = with_distinct_names(runs, list(origins.values()))
     names = labelled.set_index("id")
     curves = curves.assign(
         **{name: curves["id"].map(names[name]) for name in ("problem", "optimizer")}
@@ -49,5 +49,5 @@ def sweep_of(runs: pd.DataFrame, curves: pd.DataFrame, **folders: Origin) -> Swe
 def embedded(html: str, identity: str) -> dict[str, object]:
     """The JSON that a page carries under an id."""
     start = html.index(f'id="{identity}">') + len(f'id="{identity}">')
-    found: dict[str, object] = json.loads(html[start : html.index("</script>", start)])
-    return found
+    data: dict[str, object] = json.loads(html[start : html.index("</script>", start)])
+    return data

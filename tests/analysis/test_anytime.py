@@ -47,12 +47,12 @@ def test_the_area_is_the_mean_score_over_a_fine_grid() -> None:
 def test_the_budget_is_the_most_that_was_spent_unless_given_by_problem() -> None:
     runs, curves = random_runs(np.random.default_rng(4))
     assert set(area_over_curve(runs, curves)["budget"]) == {1000.0}
-    given = area_over_curve(runs, curves, {"p0": 100.0, "p1": 200.0, "p2": 300.0})
-    assert dict(zip(given["problem"], given["budget"], strict=True)) == {
+    by_problem = area_over_curve(runs, curves, {"p0": 100.0, "p1": 200.0, "p2": 300.0})
+    assert dict(zip(by_problem["problem"], by_problem["budget"], strict=True)) == {
         "p0": 100.0, "p1": 200.0, "p2": 300.0
     }  # fmt: skip
     alone = area_over_curve(runs, curves, 200.0)["aocc"][runs["problem"] == "p1"]
-    np.testing.assert_array_equal(given["aocc"][runs["problem"] == "p1"], alone)
+    np.testing.assert_array_equal(by_problem["aocc"][runs["problem"] == "p1"], alone)
 
 
 def test_bad_bounds_and_budgets_are_named() -> None:

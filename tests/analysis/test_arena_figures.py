@@ -29,7 +29,7 @@ GRID = np.array([1.0, 10.0, 100.0, 1000.0])
 
 
 def texts(figure: Figure) -> list[str]:
-    return [found.get_text() for found in figure.findobj(Text) if isinstance(found, Text)]
+    return [text.get_text() for text in figure.findobj(Text) if isinstance(text, Text)]
 
 
 def gap_panel(steps: list[Steps], ends: float = 1000.0, highlight: bool = True) -> Axes:
@@ -95,33 +95,34 @@ def test_shares_without_any_success_still_draw() -> None:
 
 
 def test_the_distributions_end_at_the_share_of_targets_reached() -> None:
-    found = hits(*arena(methods(3), 2, 3, silent=1))
-    figure = ecdf_figure(ecdf(found, "evaluations"), ecdf(found, "seconds"), WALL)
+    first_hits = hits(*arena(methods(3), 2, 3, silent=1))
+    figure = ecdf_figure(ecdf(first_hits, "evaluations"), ecdf(first_hits, "seconds"), WALL)
     written = texts(figure)
-    for method, reached in found.groupby("optimizer")["reached"].mean().items():
+    for method, reached in first_hits.groupby("optimizer")["reached"].mean().items():
         assert f"{100 * reached:3.0f} %  {STYLES[str(method)].name}" in written
 
 
 def test_the_distribution_over_time_says_whose_seconds_it_shows() -> None:
     runs, curves = arena(methods(3), 2, 3)
-    found = hits(runs, curves.assign(cpu_seconds=0.5 * curves["seconds"]))
-    over = ecdf(found, "evaluations")
+    reached = hits(runs, curves.assign(cpu_seconds=0.5 * curves["seconds"]))
+    over = ecdf(reached, "evaluations")
     clock = clock_of(runs.assign(timing_valid=False))
-    figure = ecdf_figure(over, ecdf(found, clock.axis), clock, note="2 problems")
+    figure = ecdf_figure(over, ecdf(reached, clock.axis), clock, note="2 problems")
     for ax in figure.axes:
         assert [line.get_drawstyle() for line in ax.lines].count("steps-post") == 3
     assert figure.axes[1].get_xlabel() == "CPU seconds\n(other work disturbed 18 of 18 runs)"
     clock = clock_of(runs.assign(timing_valid=runs["seed"] != 1))
-    figure = ecdf_figure(over, ecdf(found, clock.axis), clock)
+    figure = ecdf_figure(over, ecdf(reached, clock.axis), clock)
     assert figure.axes[1].get_xlabel() == "time [s]"
     assert any("other work disturbed 6 of 18 runs" in written for written in texts(figure))
 
 
 def test_the_profiles_end_at_the_share_of_problems_solved() -> None:
-    found = hits(*arena(methods(3), 2, 3))
-    ert = running_times(found, "evaluations")
-    dimensions = dict.fromkeys(found["problem"].unique(), 5)
-    figure = profiles_figure(data_profile(found, dimensions, 1.01), performance_profile(ert, 1.01))
+    reached = hits(*arena(methods(3), 2, 3))
+    ert = running_times(reached, "evaluations")
+    dimensions = dict.fromkeys(reached["problem"].unique(), 5)
+    data = data_profile(reached, dimensions, 1.01)
+    figure = profiles_figure(data, performance_profile(ert, 1.01))
     solved = np.isfinite(ert["ert"][ert["factor"] == 1.01]).groupby(ert["optimizer"]).mean()
     for method, share in solved.items():
         assert f"{100 * share:3.0f} %  {STYLES[str(method)].name}" in texts(figure)
@@ -129,8 +130,8 @@ def test_the_profiles_end_at_the_share_of_problems_solved() -> None:
 
 @pytest.mark.slow
 def test_the_labels_of_twenty_two_methods_stay_apart_and_on_the_page() -> None:
-    found = hits(*arena(methods(22), 2, 2))
-    figure = ecdf_figure(ecdf(found, "evaluations"), ecdf(found, "seconds"), WALL)
+    reached = hits(*arena(methods(22), 2, 2))
+    figure = ecdf_figure(ecdf(reached, "evaluations"), ecdf(reached, "seconds"), WALL)
     figure.draw_without_rendering()
     names = tuple(f"%  {STYLES[method].name}" for method in methods(22))
     boxes = sorted(

@@ -32,8 +32,8 @@ def test_loss_figure_has_a_line_per_method_and_the_limit() -> None:
     for ax, batch in zip(loss_figure(LOSS).axes, (1, 10), strict=True):
         lines = {str(line.get_label()): line for line in ax.get_lines()}
         assert set(lines) == {"NumPy", "one thread", "two threads", "limit"}
-        one = LOSS[(LOSS["batch"] == batch) & (LOSS["method"] == "one thread")]
-        assert list(lines["one thread"].get_ydata()) == one["ns"].tolist()
+        rows = LOSS[(LOSS["batch"] == batch) & (LOSS["method"] == "one thread")]
+        assert list(lines["one thread"].get_ydata()) == rows["ns"].tolist()
 
 
 def test_run_figure_has_a_bar_per_form_with_its_speedup() -> None:

@@ -87,9 +87,9 @@ def test_miho_not_reaching_the_target_is_said() -> None:
 
 def test_a_speed_claim_that_holds_on_one_axis_only_depends_on_the_axis() -> None:
     runs, curves = frames(PAPER)
-    mine, theirs = curves["optimizer"] == "miho", runs["optimizer"] == "miho"
-    curves.loc[mine, "seconds"] *= 10
-    runs.loc[theirs, "seconds"] *= 10
+    curves_of_miho, runs_of_miho = curves["optimizer"] == "miho", runs["optimizer"] == "miho"
+    curves.loc[curves_of_miho, "seconds"] *= 10
+    runs.loc[runs_of_miho, "seconds"] *= 10
     table = claims_table(runs, curves, resamples=100)
     assert verdicts(table, SPEED_1) == ["depends on the axis"] * 2
     assert row(table, SPEED_1)["reason"] == "not reproduced in seconds, reproduced in evaluations"
@@ -277,10 +277,10 @@ def test_gaps_are_to_the_closed_form_optimum_or_to_the_best_run() -> None:
     runs, curves = frames({"miho": spread_of([412, 408]), "random": spread_of([404, 900])})
     gaps = results_table(runs, curves).set_index("method")["gap to best of all runs [%]"]
     assert gaps["miho"] == pytest.approx(100 * (410 / 404 - 1), abs=1e-6)
-    known = results_table(runs.assign(optimum=400.0), curves).set_index("method")
-    assert "gap to best of all runs [%]" not in known
-    assert known.loc["miho", "gap to optimum [%]"] == pytest.approx(2.5)
-    assert known.loc["random", "gap to optimum [%]"] == pytest.approx(63)
+    with_optimum = results_table(runs.assign(optimum=400.0), curves).set_index("method")
+    assert "gap to best of all runs [%]" not in with_optimum
+    assert with_optimum.loc["miho", "gap to optimum [%]"] == pytest.approx(2.5)
+    assert with_optimum.loc["random", "gap to optimum [%]"] == pytest.approx(63)
     partly = results_table(runs.assign(optimum=[400.0, 400.0, 400.0, np.nan]), curves)
     assert "gap to best of all runs [%]" in partly
     rounding = results_table(runs.assign(error=400.0, optimum=400.0 * (1 + 1e-12)), curves)
@@ -292,8 +292,8 @@ def test_the_papers_targets_are_forces() -> None:
     assert [name for name in torque if name.startswith("evaluations")] == [
         "evaluations to best + 1 %"
     ]
-    asked = results_table(*frames(PAPER, unit="Nm"), targets=[800.0])
-    assert "seconds to 800 Nm" in asked
+    table = results_table(*frames(PAPER, unit="Nm"), targets=[800.0])
+    assert "seconds to 800 Nm" in table
 
 
 def test_markdown_aligns_numbers_escapes_pipes_and_says_never() -> None:

@@ -37,19 +37,19 @@ def test_a_finished_run_keeps_its_answer() -> None:
 
 def test_mean_and_quantiles_exist_only_where_all_runs_have_a_value() -> None:
     _, curves = frames(TWO_RUNS)
-    found = summary(on_grid(curves, "evaluations", np.array([15.0, 20, 100])), "evaluations")
-    np.testing.assert_array_equal(found["mean"], [np.nan, 800, 500])
-    np.testing.assert_array_equal(found["median"], [np.nan, 800, 500])
-    np.testing.assert_allclose(found["low"], [np.nan, 720, 420])
-    np.testing.assert_allclose(found["high"], [np.nan, 880, 580])
-    assert set(found["runs"]) == {2}
+    means = summary(on_grid(curves, "evaluations", np.array([15.0, 20, 100])), "evaluations")
+    np.testing.assert_array_equal(means["mean"], [np.nan, 800, 500])
+    np.testing.assert_array_equal(means["median"], [np.nan, 800, 500])
+    np.testing.assert_allclose(means["low"], [np.nan, 720, 420])
+    np.testing.assert_allclose(means["high"], [np.nan, 880, 580])
+    assert set(means["runs"]) == {2}
 
 
 def test_a_run_without_a_value_leaves_the_mean_undefined() -> None:
     _, curves = one_problem(*frames({"miho": [[(10.0, 900.0)], []]}))
-    found = summary(on_grid(curves, "evaluations", np.array([10.0, 1e6])), "evaluations")
-    assert found["mean"].isna().all()
-    assert set(found["runs"]) == {2}
+    means = summary(on_grid(curves, "evaluations", np.array([10.0, 1e6])), "evaluations")
+    assert means["mean"].isna().all()
+    assert set(means["runs"]) == {2}
 
 
 def test_time_to_target_is_the_first_row_at_or_below_it() -> None:

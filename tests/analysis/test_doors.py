@@ -57,9 +57,9 @@ def test_a_script_has_the_report_as_page_tables_and_parameters(tmp_path: Path) -
     html = page.read_text(encoding="utf-8")
     assert "Pacejka on test rig: error" in html
     assert "95 % intervals" in html
-    found = read_parameters(tmp_path / "report" / "parameters.json", Pacejka())
-    assert found.parameters["D"].low < 3000 < found.parameters["D"].high
-    assert found.provenance["data"] == data.digest
+    identified = read_parameters(tmp_path / "report" / "parameters.json", Pacejka())
+    assert identified.parameters["D"].low < 3000 < identified.parameters["D"].high
+    assert identified.provenance["data"] == data.digest
     assert {path.suffix for path in page.parent.iterdir()} == {".csv", ".html", ".json", ".png"}
 
 

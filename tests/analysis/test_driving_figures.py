@@ -22,8 +22,8 @@ LOG = pd.DataFrame({name: RNG.uniform(0.1, 0.9, N) for name in NAMES}).assign(
 
 
 def curve(ax: Axes, label: str) -> np.ndarray:
-    (found,) = [line for line in ax.get_lines() if line.get_label() == label]
-    return np.asarray(found.get_ydata())
+    (labelled,) = [line for line in ax.get_lines() if line.get_label() == label]
+    return np.asarray(labelled.get_ydata())
 
 
 def no_overlap(figure: Figure) -> None:

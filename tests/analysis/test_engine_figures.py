@@ -33,24 +33,24 @@ def arguments() -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def figure() -> Figure:
-    given = arguments()
+    data = arguments()
     note = "torque from a simulated drive, " * 9
-    return fig5(**given, truth=given["curves"], errors={5.0: 4.96}, note=note)
+    return fig5(**data, truth=data["curves"], errors={5.0: 4.96}, note=note)
 
 
 def texts(figure: Figure) -> list[str]:
-    return [found.get_text() for found in figure.findobj(Text) if isinstance(found, Text)]
+    return [text.get_text() for text in figure.findobj(Text) if isinstance(text, Text)]
 
 
 def test_the_left_panel_shows_samples_and_curves_in_one_colour_each(figure: Figure) -> None:
-    given, left = arguments(), figure.axes[0]
+    data, left = arguments(), figure.axes[0]
     points = [c for c in left.collections if isinstance(c, PathCollection)]
     assert len(points) == 2
     lines = [line for line in left.lines if "%" in line.get_label()]
     assert [line.get_label() for line in lines] == ["5 %, error 5.0 Nm", "15 %"]
     for percent, drawn, line in zip((5.0, 15.0), points, lines, strict=True):
-        np.testing.assert_array_equal(np.array(drawn.get_offsets()).T, given["samples"][percent])
-        np.testing.assert_array_equal(np.array(line.get_data()), given["curves"][percent])
+        np.testing.assert_array_equal(np.array(drawn.get_offsets()).T, data["samples"][percent])
+        np.testing.assert_array_equal(np.array(line.get_data()), data["curves"][percent])
         assert np.allclose(drawn.get_facecolor()[0][:3], line.get_color())
     assert left.get_xlabel() == "engine speed [rpm]"
     assert left.get_ylabel() == "engine torque [Nm]"
@@ -59,8 +59,8 @@ def test_the_left_panel_shows_samples_and_curves_in_one_colour_each(figure: Figu
 def test_what_is_not_given_is_not_named(figure: Figure) -> None:
     assert texts(figure).count("true") == 1
     assert "dyno" not in texts(figure)
-    given = arguments()
-    named = texts(fig5(**given, dyno=given["samples"]))
+    data = arguments()
+    named = texts(fig5(**data, dyno=data["samples"]))
     assert named.count("dyno") == 1
     assert "true" not in named
 
@@ -85,9 +85,9 @@ def test_the_contours_carry_their_torque(figure: Figure) -> None:
 
 
 def test_a_table_of_the_wrong_shape_is_refused() -> None:
-    given = arguments()
+    data = arguments()
     with pytest.raises(ValueError, match="torque of the map has shape"):
-        fig5(**(given | {"torque": given["torque"].T}))
+        fig5(**(data | {"torque": data["torque"].T}))
 
 
 def test_a_note_stays_on_the_page(figure: Figure) -> None:

@@ -30,9 +30,9 @@ def drawn(rows: pd.DataFrame, order: pd.DataFrame | None = None) -> Figure:
 
 def cells(figure: Figure) -> list[tuple[int, int, str]]:
     """(row, column, text) of what is written into the cells."""
-    found = [(int(one.get_position()[1]), int(one.get_position()[0]), one.get_text())
-             for one in figure.axes[0].texts if one.get_text() != "mean rank"]  # fmt: skip
-    return sorted(found)
+    entries = [(int(text.get_position()[1]), int(text.get_position()[0]), text.get_text())
+             for text in figure.axes[0].texts if text.get_text() != "mean rank"]  # fmt: skip
+    return sorted(entries)
 
 
 def test_cells_hold_ratios_to_the_best_and_incomplete_success() -> None:
@@ -57,9 +57,9 @@ def test_another_order_can_be_given() -> None:
 
 def test_colours_are_logarithms_of_the_ratio() -> None:
     mesh = plot_ert(ERT, Figure().subplots(), axis="evaluations")
-    found = np.ma.filled(np.ma.asarray(mesh.get_array()), np.nan)
+    ratios = np.ma.filled(np.ma.asarray(mesh.get_array()), np.nan)
     expected = [[0, np.log10(2)], [np.nan, 0], [np.log10(42), np.nan]]
-    np.testing.assert_allclose(found, expected, atol=1e-12)
+    np.testing.assert_allclose(ratios, expected, atol=1e-12)
 
 
 def test_the_last_line_is_the_cost_of_the_best_method() -> None:
@@ -88,9 +88,9 @@ def test_the_text_of_eighteen_problems_fits_its_cells() -> None:
     figure.draw_without_rendering()
     ax = figure.axes[0]
     width = ax.get_window_extent().width / 18
-    found = [one for one in ax.texts if one.get_text() != "mean rank"]
-    assert len(found) > 22 * 18
-    assert max(one.get_window_extent().width for one in found) < width
-    everything = [one for one in figure.findobj(Text) if one.get_window_extent().width > 0]
-    assert min(one.get_window_extent().x0 for one in everything) >= -1
-    assert max(one.get_window_extent().y1 for one in everything) <= figure.bbox.y1 + 1
+    texts = [text for text in ax.texts if text.get_text() != "mean rank"]
+    assert len(texts) > 22 * 18
+    assert max(text.get_window_extent().width for text in texts) < width
+    everything = [text for text in figure.findobj(Text) if text.get_window_extent().width > 0]
+    assert min(text.get_window_extent().x0 for text in everything) >= -1
+    assert max(text.get_window_extent().y1 for text in everything) <= figure.bbox.y1 + 1

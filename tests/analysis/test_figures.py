@@ -8,14 +8,14 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from miho.analysis.figures.house import save, spread
+from miho.analysis.figures.house import save, spread_apart
 from miho.analysis.figures.paper import fig4, fig6, plot_error_over
 from miho.analysis.styles import STYLES, styles_of
 from tests.analysis.synthetic import frames, like_fig6
 
 
 def texts(figure: Figure) -> list[str]:
-    return [found.get_text() for found in figure.findobj(Text) if isinstance(found, Text)]
+    return [text.get_text() for text in figure.findobj(Text) if isinstance(text, Text)]
 
 
 def test_the_drawn_line_is_the_mean_in_kn() -> None:
@@ -60,8 +60,8 @@ def test_fig6_of_disturbed_runs_is_whole_and_says_whose_seconds_it_shows() -> No
     names = {style.name for style in styles_of(runs["optimizer"]).values()}
     assert names <= set(lines)
     at = np.asarray(lines["MIHO"].get_xdata())
-    mine = curves[curves["optimizer"] == "miho"]
-    assert at.max() <= mine["cpu_seconds"].max() < mine["seconds"].max()
+    of_miho = curves[curves["optimizer"] == "miho"]
+    assert at.max() <= of_miho["cpu_seconds"].max() < of_miho["seconds"].max()
 
 
 @pytest.mark.slow
@@ -114,10 +114,10 @@ def test_styles_tell_methods_apart_and_stay_the_same() -> None:
 
 
 def test_spread_moves_only_what_is_too_close() -> None:
-    np.testing.assert_allclose(spread(np.array([0.9, 0.1]), 0.2), [0.9, 0.1])
-    np.testing.assert_allclose(spread(np.array([0.5, 0.5]), 0.2), [0.4, 0.6])
-    np.testing.assert_allclose(spread(np.array([0.0, 0.0, 0.0]), 0.2), [0, 0.2, 0.4])
-    np.testing.assert_allclose(spread(np.ones(11), 0.5), np.linspace(0, 1, 11), atol=1e-12)
+    np.testing.assert_allclose(spread_apart(np.array([0.9, 0.1]), 0.2), [0.9, 0.1])
+    np.testing.assert_allclose(spread_apart(np.array([0.5, 0.5]), 0.2), [0.4, 0.6])
+    np.testing.assert_allclose(spread_apart(np.array([0.0, 0.0, 0.0]), 0.2), [0, 0.2, 0.4])
+    np.testing.assert_allclose(spread_apart(np.ones(11), 0.5), np.linspace(0, 1, 11), atol=1e-12)
 
 
 def test_fig4_shows_samples_curves_and_errors() -> None:

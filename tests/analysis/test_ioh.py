@@ -59,8 +59,8 @@ def test_evaluations_are_whole_and_begin_at_one(tmp_path: Path) -> None:
         [1, np.inf], [11, np.inf],
     ]  # fmt: skip
     facts = json.loads(next(folder.glob("*.json")).read_text(encoding="utf-8"))
-    found = [run["best"] for run in facts["scenarios"][0]["runs"]]
-    assert [(best["evals"], best["y"]) for best in found] == [(4, 7), (5, 6), (1, None)]
+    bests = [run["best"] for run in facts["scenarios"][0]["runs"]]
+    assert [(best["evals"], best["y"]) for best in bests] == [(4, 7), (5, 6), (1, None)]
 
 
 def test_a_folder_with_content_is_refused(tmp_path: Path) -> None:
@@ -93,14 +93,14 @@ def theirs(folder: Path, target: float, column: str, problem: str) -> dict[str, 
 def test_expected_running_times_are_those_of_iohinspector(tmp_path: Path) -> None:
     runs, curves = random_runs(np.random.default_rng(7), seeds=8)
     write_ioh(with_parameters(runs), curves, tmp_path)
-    found = hits(runs, curves)
-    ours = running_times(found, "evaluations").merge(found[["problem", "factor", "target"]])
-    assert 0 < ours["success"].mean() < 1
-    for (problem, target), mine in ours.groupby(["problem", "target"]):
-        mine = mine.drop_duplicates("optimizer").set_index("optimizer")
+    reached = hits(runs, curves)
+    times = running_times(reached, "evaluations").merge(reached[["problem", "factor", "target"]])
+    assert 0 < times["success"].mean() < 1
+    for (problem, target), of_target in times.groupby(["problem", "target"]):
+        of_target = of_target.drop_duplicates("optimizer").set_index("optimizer")
         ert = theirs(tmp_path, target, "ERT", problem)
         success = theirs(tmp_path, target, "success_ratio", problem)
-        for method, row in mine.iterrows():
+        for method, row in of_target.iterrows():
             # both are sums of whole numbers over a count
             assert ert[method] == pytest.approx(row["ert"], rel=1e-14)
             assert success[method] == pytest.approx(row["success"], rel=1e-14)
@@ -126,7 +126,7 @@ def test_areas_are_those_of_iohinspector(tmp_path: Path) -> None:
     write_ioh(with_parameters(runs), curves, tmp_path)
     data = load(tmp_path).load(monotonic=True, include_meta_data=True)
     data = metrics.transform_fval(data.with_columns(polars.col("raw_y") / 10 - 1), lb=1e-3, ub=10.0)
-    theirs = metrics.get_aocc(data, eval_max=1000).set_index(["function_name", "algorithm_name"])
-    ours = area_over_curve(runs, curves, 1000.0).groupby(["problem", "optimizer"])["aocc"].mean()
-    for key, area in ours.items():
-        assert theirs.loc[key, "AOCC"] == pytest.approx(area, rel=1e-12)
+    expected = metrics.get_aocc(data, eval_max=1000).set_index(["function_name", "algorithm_name"])
+    areas = area_over_curve(runs, curves, 1000.0).groupby(["problem", "optimizer"])["aocc"].mean()
+    for key, area in areas.items():
+        assert expected.loc[key, "AOCC"] == pytest.approx(area, rel=1e-12)

@@ -124,8 +124,8 @@ def test_a_family_counts_once_beside_the_rank_over_problems() -> None:
 
 def test_the_score_of_a_family_is_the_log_of_the_geometric_mean() -> None:
     scores = pd.DataFrame({"a": np.log10([2.0, 8.0, 5.0])}, index=["p", "q", "r"])
-    found = family_scores(scores, {"p": "one", "q": "one", "r": "r"})
-    assert (10 ** found["a"]).to_dict() == pytest.approx({"one": 4, "r": 5})
+    by_family = family_scores(scores, {"p": "one", "q": "one", "r": "r"})
+    assert (10 ** by_family["a"]).to_dict() == pytest.approx({"one": 4, "r": 5})
 
 
 def test_the_share_of_runs_cut_by_seconds_is_shown_where_it_is_known() -> None:

@@ -70,12 +70,12 @@ def test_holms_correction_of_a_worked_example() -> None:
 def test_pairs_of_scores() -> None:
     problems = np.arange(8.0)
     frame = pd.DataFrame({"a": problems, "b": problems + 1 + problems / 9, "c": [np.inf] * 8})
-    found = pairwise(frame)
-    assert found[["method", "rival"]].to_numpy().tolist() == [["a", "b"], ["a", "c"], ["b", "c"]]
-    assert found["wins"].tolist() == [8, 8, 8]
-    np.testing.assert_allclose(found["p"], 2 / 2**8)
-    np.testing.assert_allclose(found["p_holm"], 6 / 2**8)
-    assert found["effect"].tolist() == [1, 1, 1]
+    table = pairwise(frame)
+    assert table[["method", "rival"]].to_numpy().tolist() == [["a", "b"], ["a", "c"], ["b", "c"]]
+    assert table["wins"].tolist() == [8, 8, 8]
+    np.testing.assert_allclose(table["p"], 2 / 2**8)
+    np.testing.assert_allclose(table["p_holm"], 6 / 2**8)
+    assert table["effect"].tolist() == [1, 1, 1]
     control = pairwise(frame, "c")
     assert control["rival"].tolist() == ["a", "b"]
     assert control["losses"].tolist() == [8, 8]
@@ -84,14 +84,14 @@ def test_pairs_of_scores() -> None:
 
 
 def test_two_infinite_scores_are_equal() -> None:
-    found = pairwise(pd.DataFrame({"a": [1.0, np.inf], "b": [2.0, np.inf]})).iloc[0]
-    assert (found["wins"], found["losses"]) == (1, 0)
+    row = pairwise(pd.DataFrame({"a": [1.0, np.inf], "b": [2.0, np.inf]})).iloc[0]
+    assert (row["wins"], row["losses"]) == (1, 0)
 
 
 def test_a_worked_speed_up() -> None:
     """Ratios of 4 and 9 on the two problems that both solve: their geometric mean is 6."""
     never = np.inf
-    found = pairwise_speed_up(
+    speed_ups = pairwise_speed_up(
         table(
             {
                 "a": [[10.0, 10.0], [20.0, 20.0], [5.0, 5.0], [never, never], [never, never]],
@@ -102,12 +102,12 @@ def test_a_worked_speed_up() -> None:
         "evaluations",
         rng(),
     ).set_index(["method", "rival"])
-    ours = found.loc[("a", "b")]
+    ours = speed_ups.loc[("a", "b")]
     assert ours["ratio"] == pytest.approx(6)
     # runs do not vary, so only the draw of problems is left: both of one kind at the extremes
     assert (ours["low"], ours["high"]) == (pytest.approx(4), pytest.approx(9))
     assert ours[["problems", "only_method", "only_rival"]].tolist() == [2, 1, 1]
-    back = found.loc[("b", "a")]
+    back = speed_ups.loc[("b", "a")]
     np.testing.assert_allclose(
         back[["ratio", "low", "high"]].to_numpy(dtype=float),
         1 / ours[["ratio", "high", "low"]].to_numpy(dtype=float),
@@ -123,20 +123,20 @@ def test_a_family_is_drawn_as_a_whole() -> None:
     hits = table({"a": [a] * 6, "b": [*[b] * 5, [90.0, 90.0]]})
     names = hits["problem"].unique().tolist()
     kinds = dict(zip(names, [*["one"] * 5, "two"], strict=True))
-    found = pairwise_speed_up(hits, 1.01, "evaluations", rng(), 400, families=kinds).iloc[0]
-    assert found["ratio"] == pytest.approx((4**5 * 9) ** (1 / 6))
-    assert (found["low"], found["high"]) == (pytest.approx(4), pytest.approx(9))
+    row = pairwise_speed_up(hits, 1.01, "evaluations", rng(), 400, families=kinds).iloc[0]
+    assert row["ratio"] == pytest.approx((4**5 * 9) ** (1 / 6))
+    assert (row["low"], row["high"]) == (pytest.approx(4), pytest.approx(9))
     alone = pairwise_speed_up(hits, 1.01, "evaluations", rng(), 400).iloc[0]
-    assert alone["ratio"] == pytest.approx(found["ratio"])
+    assert alone["ratio"] == pytest.approx(row["ratio"])
     assert alone["high"] < 7
 
 
 def test_methods_that_solve_nothing_in_common_have_no_ratio() -> None:
     never = np.inf
     hits = table({"a": [[1.0], [never]], "b": [[never], [1.0]]})
-    found = pairwise_speed_up(hits, 1.01, "evaluations", rng(), 50)
-    assert found[["ratio", "low", "high"]].isna().all(axis=None)
-    assert found["problems"].tolist() == [0, 0]
+    speed_ups = pairwise_speed_up(hits, 1.01, "evaluations", rng(), 50)
+    assert speed_ups[["ratio", "low", "high"]].isna().all(axis=None)
+    assert speed_ups["problems"].tolist() == [0, 0]
 
 
 def test_an_unknown_method_is_named() -> None:
@@ -156,8 +156,8 @@ def test_a_method_that_is_twice_as_fast_is_found_to_be() -> None:
     hits = relabelled(rng(), "ab")
     faster = hits["optimizer"] == "a"
     hits.loc[faster, ["evaluations", "spent_evaluations"]] /= 2
-    found = pairwise_speed_up(hits, 1.01, "evaluations", rng(), 500).iloc[0]
-    assert 1 < found["low"] < 2 < found["high"]
+    row = pairwise_speed_up(hits, 1.01, "evaluations", rng(), 500).iloc[0]
+    assert 1 < row["low"] < 2 < row["high"]
 
 
 @pytest.mark.slow

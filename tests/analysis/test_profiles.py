@@ -64,26 +64,26 @@ def test_the_performance_profile_counts_problems_within_tau_of_the_best() -> Non
 
 
 def test_shares_rise_from_the_first_success_to_the_success_rate() -> None:
-    found = hits(*random_runs(np.random.default_rng(2)))
-    frame = ecdf(found, "seconds")
-    for optimizer, mine in frame.groupby("optimizer"):
-        assert mine["share"].is_monotonic_increasing
-        mean = found[found["optimizer"] == optimizer]["reached"].mean()
-        assert mine["share"].iloc[-1] == pytest.approx(mean)
+    reached = hits(*random_runs(np.random.default_rng(2)))
+    frame = ecdf(reached, "seconds")
+    for optimizer, of_method in frame.groupby("optimizer"):
+        assert of_method["share"].is_monotonic_increasing
+        mean = reached[reached["optimizer"] == optimizer]["reached"].mean()
+        assert of_method["share"].iloc[-1] == pytest.approx(mean)
     assert frame["share"].iloc[0] < frame["share"].iloc[-1]
 
 
 def test_default_grids_begin_at_the_first_step() -> None:
-    found = hits(*random_runs(np.random.default_rng(2)))
-    ert = running_times(found, "evaluations")
+    reached = hits(*random_runs(np.random.default_rng(2)))
+    ert = running_times(reached, "evaluations")
     first = performance_profile(ert, 1.5).groupby("optimizer")[["tau", "share"]].first()
     assert set(first["tau"]) == {1.0}
     assert first["share"].sum() >= 1
 
 
 def test_nothing_solved_is_a_share_of_zero() -> None:
-    found = table().assign(evaluations=np.inf)
-    assert set(ecdf(found, "evaluations")["share"]) == {0.0}
+    reached = table().assign(evaluations=np.inf)
+    assert set(ecdf(reached, "evaluations")["share"]) == {0.0}
 
 
 def test_a_problem_without_dimension_is_named() -> None:

@@ -48,14 +48,14 @@ def test_areas_are_ordered_by_their_mean_over_problems() -> None:
     ax = plot_areas(frame, Figure().subplots())
     assert rows(ax) == ["MIHO", "random search"]
     assert [text.get_text() for text in ax.texts] == ["0.60", "0.50"]
-    diamonds = [np.asarray(one.get_offsets())[0] for one in ax.collections[1::2]]
+    diamonds = [np.asarray(dots.get_offsets())[0] for dots in ax.collections[1::2]]
     np.testing.assert_allclose(diamonds, [[0.6, 0], [0.5, 1]])
 
 
 def test_ranks_are_dots_and_the_critical_difference_is_to_scale() -> None:
     ax = plot_ranks(RANKS, 1.35, Figure().subplots())
     assert rows(ax) == ["MIHO", "CMA-ES", "PSO-100", "random search"]
-    dots = [np.asarray(one.get_offsets())[0] for one in ax.collections]
+    dots = [np.asarray(collection.get_offsets())[0] for collection in ax.collections]
     np.testing.assert_allclose(dots, [[1.2, 0], [2.0, 1], [2.9, 2], [3.9, 3]])
     (bar,) = (line for line in ax.lines if line.get_marker() == "|")
     np.testing.assert_allclose(np.asarray(bar.get_xdata()), [1.2, 2.55])
@@ -116,14 +116,14 @@ def test_an_unknown_method_is_refused() -> None:
 
 def test_figures_are_drawn_from_the_frames_of_the_statistics() -> None:
     runs, curves = arena(methods(4), 3, 3)
-    found = area_over_curve(runs, curves)
-    scores = -found.groupby(["problem", "optimizer"])["aocc"].mean().unstack()
+    areas = area_over_curve(runs, curves)
+    scores = -areas.groupby(["problem", "optimizer"])["aocc"].mean().unstack()
     ranked = ranks(scores)
     cd = critical_difference(4, 3)
     pairs = pairwise_speed_up(hits(runs, curves), 1.01, "evaluations", np.random.default_rng(1), 50)
     sample = "3 problems in 2 families"
     figures = [
-        area_figure(found),
+        area_figure(areas),
         critical_difference_diagram(ranked, cd, cliques(ranked, cd), sample=sample),
         speed_up_figure(pairs),
     ]
@@ -143,7 +143,7 @@ def test_rows_of_twenty_two_methods_stay_on_the_page() -> None:
         speed_up_figure(speed_ups(many, 16), method=many[0]),
     ):
         figure.draw_without_rendering()
-        boxes = [one.get_window_extent() for one in figure.findobj(Text) if one.get_text()]
+        boxes = [text.get_window_extent() for text in figure.findobj(Text) if text.get_text()]
         assert min(box.x0 for box in boxes) >= -1
         assert max(box.x1 for box in boxes) <= figure.bbox.x1 + 1
         assert max(box.y1 for box in boxes) <= figure.bbox.y1 + 1

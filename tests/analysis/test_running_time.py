@@ -91,9 +91,10 @@ def test_resampled_agrees_with_a_plain_loop() -> None:
     names, values = resampled(table, "evaluations", rng(), 20)
     picks = np.vstack([np.arange(4), rng().integers(4, size=(20, 4))])
     for name, row in zip(names.itertuples(index=False), values, strict=True):
-        one = table.loc[(table[list(names)].to_numpy(object) == np.array(name, object)).all(axis=1)]
+        is_it = (table[list(names)].to_numpy(object) == np.array(name, object)).all(axis=1)
+        group = table.loc[is_it]
         for pick, value in zip(picks, row, strict=True):
-            drawn = one.iloc[pick]
+            drawn = group.iloc[pick]
             cost = drawn["evaluations"].where(drawn["reached"], drawn["spent_evaluations"]).sum()
             expected = cost / drawn["reached"].sum() if drawn["reached"].any() else np.inf
             np.testing.assert_allclose(value, expected, rtol=1e-14)

@@ -88,52 +88,52 @@ def test_a_run_without_a_value_keeps_the_mean_from_any_target() -> None:
 
 
 def test_speed_up_of_identical_runs_is_exact() -> None:
-    mine = mean_curve([[(10.0, 400.0)]] * 4)
+    method = mean_curve([[(10.0, 400.0)]] * 4)
     rivals = [mean_curve([[(300.0, 400.0)]] * 4), mean_curve([[(200.0, 400.0)]] * 4)]
-    assert speed_up(mine, rivals, 500.0, rng()) == Interval(20, 20, 20, 20)
+    assert speed_up(method, rivals, 500.0, rng()) == Interval(20, 20, 20, 20)
 
 
 def test_speed_up_is_paired_by_repetition() -> None:
     base = [10.0, 20.0, 40.0, 80.0]
-    mine = mean_curve([[(at, 400.0)] for at in base])
+    method = mean_curve([[(at, 400.0)] for at in base])
     rival = mean_curve([[(3 * at, 400.0)] for at in base])
-    ours = speed_up(mine, [rival], 500.0, rng())
-    assert (ours.low, ours.estimate, ours.high) == (3, 3, 3)
+    ratio = speed_up(method, [rival], 500.0, rng())
+    assert (ratio.low, ratio.estimate, ratio.high) == (3, 3, 3)
 
 
 def test_a_rival_that_never_arrives_gives_a_lower_bound() -> None:
-    mine, rival = mean_curve([[(10.0, 400.0)]] * 3), mean_curve([[(1.0, 900.0)]] * 3)
-    assert speed_up(mine, [rival], 500.0, rng()) == Interval(100, 100, np.inf, np.inf, 1.0)
+    method, rival = mean_curve([[(10.0, 400.0)]] * 3), mean_curve([[(1.0, 900.0)]] * 3)
+    assert speed_up(method, [rival], 500.0, rng()) == Interval(100, 100, np.inf, np.inf, 1.0)
 
 
 def test_a_rival_that_ended_above_the_target_is_infinitely_slower() -> None:
-    mine = mean_curve([[(10.0, 400.0)]] * 3)
+    method = mean_curve([[(10.0, 400.0)]] * 3)
     rival = mean_curve([[(1.0, 900.0)]] * 3, outcome="converged")
-    assert speed_up(mine, [rival], 500.0, rng()).low == np.inf
+    assert speed_up(method, [rival], 500.0, rng()).low == np.inf
 
 
 def test_a_rival_cut_early_bounds_from_below_what_another_bounds_from_above() -> None:
-    mine = mean_curve([[(10.0, 400.0)]] * 3)
+    method = mean_curve([[(10.0, 400.0)]] * 3)
     early = mean_curve([[(1.0, 900.0)]] * 3, end=50.0)
     late = mean_curve([[(300.0, 400.0)]] * 3)
-    ours = speed_up(mine, [early, late], 500.0, rng())
-    assert (ours.estimate, ours.at_most) == (5, 30)
+    ratio = speed_up(method, [early, late], 500.0, rng())
+    assert (ratio.estimate, ratio.at_most) == (5, 30)
 
 
 @pytest.mark.parametrize(
     ("outcome", "high"), [("budget", 0.2), ("converged", 0.0), ("brackets", 0.0)]
 )
 def test_not_arriving_oneself_gives_zero(outcome: str, high: float) -> None:
-    mine = mean_curve([[(10.0, 900.0)]] * 3, outcome=outcome)
+    method = mean_curve([[(10.0, 900.0)]] * 3, outcome=outcome)
     rival = mean_curve([[(200.0, 400.0)]] * 3)
-    ours = speed_up(mine, [rival], 500.0, rng())
-    assert (ours.estimate, ours.low, ours.high) == (0, 0, high)
+    ratio = speed_up(method, [rival], 500.0, rng())
+    assert (ratio.estimate, ratio.low, ratio.high) == (0, 0, high)
 
 
 def test_nobody_arriving_is_no_evidence() -> None:
     curve = mean_curve([[(10.0, 900.0)]] * 3)
-    ours = speed_up(curve, [curve], 500.0, rng())
-    assert (ours.estimate, ours.at_most, ours.censored) == (0, np.inf, 1)
+    ratio = speed_up(curve, [curve], 500.0, rng())
+    assert (ratio.estimate, ratio.at_most, ratio.censored) == (0, np.inf, 1)
 
 
 def test_methods_with_different_repetitions_cannot_be_paired() -> None:
@@ -146,10 +146,10 @@ def test_methods_with_different_repetitions_cannot_be_paired() -> None:
 
 
 def test_improvement_is_the_papers_percentage() -> None:
-    mine, rival = np.array([0.39, 0.39]), np.array([0.51, 0.51])
-    ours = improvement(mine, rival, rng())
-    assert ours.estimate == pytest.approx(1 - 0.39 / 0.51)
-    assert ours.low == ours.high == pytest.approx(ours.estimate)
+    method, rival = np.array([0.39, 0.39]), np.array([0.51, 0.51])
+    gain = improvement(method, rival, rng())
+    assert gain.estimate == pytest.approx(1 - 0.39 / 0.51)
+    assert gain.low == gain.high == pytest.approx(gain.estimate)
 
 
 def test_errors_without_a_finite_value_count_as_infinite() -> None:
@@ -162,17 +162,17 @@ def test_the_interval_covers_the_mean_about_as_often_as_it_says() -> None:
     random = np.random.default_rng(5)
     hits = 0
     for _ in range(300):
-        found = mean_error(random.normal(10, 2, 40), random, resamples=400)
-        hits += found.low <= 10 <= found.high
+        mean = mean_error(random.normal(10, 2, 40), random, resamples=400)
+        hits += mean.low <= 10 <= mean.high
     assert 0.90 <= hits / 300 <= 0.98
 
 
 def test_the_interval_has_the_width_of_the_normal_approximation() -> None:
     values = np.random.default_rng(2).normal(10, 2, 200)
-    found = mean_error(values, rng(), resamples=8000)
+    mean = mean_error(values, rng(), resamples=8000)
     standard_error = values.std() / np.sqrt(200)
-    assert found.estimate == values.mean()
-    assert found.high - found.low == pytest.approx(2 * 1.96 * standard_error, rel=0.06)
+    assert mean.estimate == values.mean()
+    assert mean.high - mean.low == pytest.approx(2 * 1.96 * standard_error, rel=0.06)
 
 
 def test_the_same_generator_state_gives_the_same_interval() -> None:

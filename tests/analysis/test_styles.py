@@ -17,7 +17,7 @@ def test_every_optimizer_of_the_configuration_has_a_fixed_style() -> None:
         for path in (ROOT / "conf" / "optimizer").glob("*.yaml")
     ]
     assert len(names) > 8
-    assert {found.group(1) if found else None for found in names} <= set(STYLES)
+    assert {match.group(1) if match else None for match in names} <= set(STYLES)
 
 
 def test_all_looks_and_names_differ() -> None:

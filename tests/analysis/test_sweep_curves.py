@@ -43,9 +43,9 @@ def test_quantiles_are_those_of_numpy_and_know_infinity() -> None:
 
 
 def test_a_curve_is_kept_where_it_changes() -> None:
-    told = steps(np.array([np.inf, 5.0, 5.0, 4.0, 4.0, 0.0]))
-    assert told == ",5,,4,,0"
-    np.testing.assert_array_equal(decoded(told), [np.nan, 5, 5, 4, 4, 0])
+    text = steps(np.array([np.inf, 5.0, 5.0, 4.0, 4.0, 0.0]))
+    assert text == ",5,,4,,0"
+    np.testing.assert_array_equal(decoded(text), [np.nan, 5, 5, 4, 4, 0])
     assert steps(np.array([np.inf, np.nan])) == ","
 
 
@@ -54,20 +54,20 @@ def test_bands_are_those_of_the_other_figures(axis: Any) -> None:
     runs, curves = like_fig6(seeds=5)
     drawn = problem_curves(runs, clock_of(runs), curves, 390.0, DETAIL)
     assert (drawn["unit"], drawn["best"]) == ("kN", 0.39)
-    found = drawn["axes"][axis]
-    grid = np.array(found["grid"])
+    chart = drawn["axes"][axis]
+    grid = np.array(chart["grid"])
     assert np.all(np.diff(grid) > 0)
     assert len(grid) <= DETAIL.positions
     assert grid[-1] == curves[axis].max()
-    wanted = summary(on_grid(curves, axis, grid), axis, (QUANTILES[0], QUANTILES[2]))
-    for curve in found["curves"]:
-        mine = wanted[wanted["optimizer"] == curve["method"]]
+    expected = summary(on_grid(curves, axis, grid), axis, (QUANTILES[0], QUANTILES[2]))
+    for curve in chart["curves"]:
+        of_method = expected[expected["optimizer"] == curve["method"]]
         assert curve["runs"] == 5
         for name in ("median", "low", "high"):
             # ours begin where a quantile is finite, theirs where all runs have a value
-            known = mine[name].notna().to_numpy()
+            finite = of_method[name].notna().to_numpy()
             np.testing.assert_allclose(
-                decoded(curve[name])[known], mine[name][known] / 1000, rtol=5e-5
+                decoded(curve[name])[finite], of_method[name][finite] / 1000, rtol=5e-5
             )
         assert len(curve["seeds"]) == DETAIL.seeds
 
@@ -78,8 +78,8 @@ def test_the_order_is_that_of_final_medians_and_ties_are_by_name() -> None:
     )
     assert final_order(runs) == ["c", "a", "b", "d"]
     drawn = problem_curves(runs, clock_of(runs), curves, 1.0, DETAIL)
-    found = drawn["axes"]["evaluations"]["curves"]
-    assert [curve["method"] for curve in found] == ["c", "a", "b", "d"]
+    curves_drawn = drawn["axes"]["evaluations"]["curves"]
+    assert [curve["method"] for curve in curves_drawn] == ["c", "a", "b", "d"]
     other = runs[runs["optimizer"].isin(["a", "b"])].assign(problem="p", error=[0.5, 0.6])
     assert overall_order(pd.concat([runs, other, other.assign(problem="q")])) == [
         "c",

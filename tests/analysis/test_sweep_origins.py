@@ -32,23 +32,23 @@ def root(tmp_path: Path) -> Path:
 def test_origins_of_stored_runs(root: Path) -> None:
     folders = load_runs(root).runs["folder"]
     counted: list[None] = []
-    found, damaged = read_origins(folders, lambda: counted.append(None))
+    origins, damaged = read_origins(folders, lambda: counted.append(None))
     assert not damaged
     assert len(counted) == 3
-    first = found[folders[0]]
+    first = origins[folders[0]]
     assert (first.code, first.data) == ("c0de", "da7a")
     assert first.config == {"optimizer.n": "1", "budget.evaluations": "50"}
     assert first.environment["python"].startswith('"3.')
-    assert found[folders[1]].config is first.config
+    assert origins[folders[1]].config is first.config
 
 
 def test_what_is_damaged_between_two_looks_is_left_out(root: Path) -> None:
-    found = load_runs(root)
-    assert len(found.curves)
-    broken = Path(found.runs["folder"][1])
+    stored = load_runs(root)
+    assert len(stored.curves)
+    broken = Path(stored.runs["folder"][1])
     (broken / "environment.json").write_text("{}")
-    sweep = Sweep.of(found)
-    assert sweep.runs["folder"].tolist() == [found.runs["folder"][0], found.runs["folder"][2]]
+    sweep = Sweep.of(stored)
+    assert sweep.runs["folder"].tolist() == [stored.runs["folder"][0], stored.runs["folder"][2]]
     assert set(sweep.curves["id"]) == set(sweep.runs["id"])
     assert sweep.damaged["folder"].tolist() == [str(broken)]
     assert "checksum" in sweep.damaged["reason"][0]
@@ -86,14 +86,14 @@ def test_few_values_are_counted_and_many_are_a_range() -> None:
         for n, time in enumerate(times)
     ]
     table = environment_table(runs)
-    told = {(row.what, row.value): row.runs for row in table.itertuples()}
-    assert told[("python", "3.11")] == 8
-    assert told[("python", "3.12")] == 1
-    assert told[("packages.numpy", "2.4.6")] == 9
-    assert told[("threads", "[1, 1]")] == 9
-    assert told[("time", f"{times[0]} to {times[-1]}")] == 9
-    assert told[("load", "0 to 0.8")] == 9
-    assert told[("tag", "<0> to <8>")] == 9
+    counts = {(row.what, row.value): row.runs for row in table.itertuples()}
+    assert counts[("python", "3.11")] == 8
+    assert counts[("python", "3.12")] == 1
+    assert counts[("packages.numpy", "2.4.6")] == 9
+    assert counts[("threads", "[1, 1]")] == 9
+    assert counts[("time", f"{times[0]} to {times[-1]}")] == 9
+    assert counts[("load", "0 to 0.8")] == 9
+    assert counts[("tag", "<0> to <8>")] == 9
     assert len(table[table["what"] == "load"]) == 1
     assert MANY < 9
 

@@ -63,10 +63,10 @@ def without_library(html: str) -> str:
 
 def page_of_fig6(seeds: int = 3) -> str:
     about = [("Command", "a < b")]
-    told = Contents("Runs", about, ["a & b"], claims=pd.DataFrame({"claim": ["x"]}),
+    contents = Contents("Runs", about, ["a & b"], claims=pd.DataFrame({"claim": ["x"]}),
                 references={"pacejka-tire_lf": 391.4})  # fmt: skip
     best = {"pacejka-tire_lf": Best("miho", 0, VALUES, ["note"], "reports/a b/report.html")}
-    return sweep_page(sweep_of(*like_fig6(seeds)), told, best)
+    return sweep_page(sweep_of(*like_fig6(seeds)), contents, best)
 
 
 def test_the_page_is_whole() -> None:
@@ -94,10 +94,10 @@ def test_only_its_own_script_runs_and_nothing_is_loaded() -> None:
         digest = base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
         assert f"{tag}-src 'sha256-{digest}'" in policy[1]
         assert html.index("Content-Security-Policy") < html.index(f"<{tag}>")
-    own = without_library(html)
-    assert not re.search(r"(src|href)=\"(?!data:|#|reports/)", own)
-    assert not re.search(r"\son\w+=|\sstyle=", own)
-    assert "://" not in own
+    own_html = without_library(html)
+    assert not re.search(r"(src|href)=\"(?!data:|#|reports/)", own_html)
+    assert not re.search(r"\son\w+=|\sstyle=", own_html)
+    assert "://" not in own_html
 
 
 def test_what_comes_from_files_is_text() -> None:
@@ -109,10 +109,10 @@ def test_what_comes_from_files_is_text() -> None:
     sweep = sweep_of(runs, curves, **dict.fromkeys(runs["id"], evil))
     sweep = replace(sweep, damaged=pd.DataFrame({"folder": [EVIL], "reason": [EVIL]}))
     frame = pd.DataFrame({EVIL: [EVIL], "method": [EVIL]})
-    told = Contents(EVIL, [(EVIL, EVIL)], [EVIL], frame, EVIL, frame, EVIL)
+    contents = Contents(EVIL, [(EVIL, EVIL)], [EVIL], frame, EVIL, frame, EVIL)
     name = str(sweep.runs["problem"].iloc[0])
     best = {name: Best(EVIL, 0, frame, [EVIL], f"javascript:{EVIL}")}
-    html = sweep_page(sweep, told, best)
+    html = sweep_page(sweep, contents, best)
     checker = Checker(html)
     assert not [at for tag, at in checker.tags if tag == "img" or "onerror" in at]
     assert [tag for tag, _ in checker.tags].count("script") == 3
@@ -197,7 +197,7 @@ def test_without_the_chart_library_the_page_has_figures_and_no_script(
 def test_the_best_of_the_runs_is_not_called_the_best_known(
     unrecorded: Collection[str], recorded: bool
 ) -> None:
-    told = Contents("Runs", references={"pacejka-tire_lf": 391.4}, unrecorded=unrecorded)
-    html = sweep_page(sweep_of(*like_fig6(3)), told, {})
+    contents = Contents("Runs", references={"pacejka-tire_lf": 391.4}, unrecorded=unrecorded)
+    html = sweep_page(sweep_of(*like_fig6(3)), contents, {})
     assert embedded(html, "curves-0")["recorded"] is recorded
     assert "gap to best known" not in html

@@ -19,43 +19,43 @@ def swept(*configs: dict[str, object], **each: list[str]) -> Sweep:
 
 
 def test_runs_that_differ_in_the_seed_share_a_name() -> None:
-    found = swept({"seed": 0, "budget": {"seed": 0}}, {"seed": 1, "budget": {"seed": 1}})
-    assert set(found.runs["optimizer"]) == {"miho"}
-    assert set(found.runs["problem"]) == {"pacejka-tire_lf"}
-    assert set(found.curves["optimizer"]) == {"miho"}
+    runs = swept({"seed": 0, "budget": {"seed": 0}}, {"seed": 1, "budget": {"seed": 1}})
+    assert set(runs.runs["optimizer"]) == {"miho"}
+    assert set(runs.runs["problem"]) == {"pacejka-tire_lf"}
+    assert set(runs.curves["optimizer"]) == {"miho"}
 
 
 def test_settings_that_differ_are_told() -> None:
-    found = swept(
+    runs = swept(
         {"optimizer": {"R": 500, "eta": 5}, "budget": {"evaluations": 10}},
         {"optimizer": {"R": 1000, "eta": 5}, "budget": {"evaluations": 20}},
         {"optimizer": {"R": 1000, "eta": 5}, "budget": {"seconds": 1}},
     )
-    assert found.runs["optimizer"].tolist() == [
+    assert runs.runs["optimizer"].tolist() == [
         "miho R=500, evaluations=10, seconds=-",
         "miho R=1000, evaluations=20, seconds=-",
         "miho R=1000, evaluations=-, seconds=1",
     ]
-    assert found.curves["optimizer"].unique().tolist() == found.runs["optimizer"].tolist()
+    assert runs.curves["optimizer"].unique().tolist() == runs.runs["optimizer"].tolist()
 
 
 def test_settings_of_one_last_word_are_told_in_full() -> None:
-    found = swept({"space": {"B": {"high": 1}, "C": {"high": 1}}},
+    runs = swept({"space": {"B": {"high": 1}, "C": {"high": 1}}},
                   {"space": {"B": {"high": 2}, "C": {"high": 3}}})  # fmt: skip
-    assert found.runs["optimizer"][1] == "miho space.B.high=2, space.C.high=3"
+    assert runs.runs["optimizer"][1] == "miho space.B.high=2, space.C.high=3"
 
 
 def test_other_data_are_another_problem_and_other_code_another_method() -> None:
-    found = swept({}, {}, data=["aaaaaaaa", "bbbbbbbb"])
-    assert found.runs["problem"].tolist() == [
+    runs = swept({}, {}, data=["aaaaaaaa", "bbbbbbbb"])
+    assert runs.runs["problem"].tolist() == [
         "pacejka-tire_lf data=aaaaaa", "pacejka-tire_lf data=bbbbbb",
     ]  # fmt: skip
-    assert set(found.runs["optimizer"]) == {"miho"}
-    found = swept({}, {}, code=["aaaaaaaa", "bbbbbbbb"])
-    assert found.runs["optimizer"].tolist() == ["miho code=aaaaaa", "miho code=bbbbbb"]
-    assert found.runs["problem"].nunique() == 1
+    assert set(runs.runs["optimizer"]) == {"miho"}
+    runs = swept({}, {}, code=["aaaaaaaa", "bbbbbbbb"])
+    assert runs.runs["optimizer"].tolist() == ["miho code=aaaaaa", "miho code=bbbbbb"]
+    assert runs.runs["problem"].nunique() == 1
 
 
 def test_another_loss_is_another_problem() -> None:
-    found = swept({"loss": {"_target_": "Huber", "scale": 1}}, {"loss": {"_target_": "Square"}})
-    assert found.runs["problem"][0] == "pacejka-tire_lf _target_=Huber, scale=1"
+    runs = swept({"loss": {"_target_": "Huber", "scale": 1}}, {"loss": {"_target_": "Square"}})
+    assert runs.runs["problem"][0] == "pacejka-tire_lf _target_=Huber, scale=1"

@@ -80,7 +80,7 @@ def test_every_doubt_is_told() -> None:
         "a-0": origin(processor="Other", load=[3.5, 0, 0]),
         "a-1": origin(packages={"numpy": "1"}, threads=[2]),
     }
-    told = " ".join(warnings(sweep_of(runs, curves, **others)))
+    text = " ".join(warnings(sweep_of(runs, curves, **others)))
     for words in (
         "b has 1 of 2 on pacejka-tire_lf",
         "No method has more than 2 runs",
@@ -92,4 +92,4 @@ def test_every_doubt_is_told() -> None:
         "1 of 3 runs were made with more processes waiting",
         "CPU seconds: other work disturbed 1 of 3 runs",
     ):
-        assert words in told, words
+        assert words in text, words

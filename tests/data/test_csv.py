@@ -23,9 +23,9 @@ def file(tmp_path: Path, data: str | bytes) -> Path:
 
 def test_columns_by_name(tmp_path: Path) -> None:
     path = file(tmp_path, "\ufefftime,Fy,alpha\r\n0,1e3,0.1\r\n1,-2.5, -0.2 \r\n\r\n")
-    found = read_numbers(path, ["alpha", "Fy"], header=True)
-    assert found["alpha"].tolist() == [0.1, -0.2]
-    assert found["Fy"].tolist() == [1000.0, -2.5]
+    columns = read_numbers(path, ["alpha", "Fy"], header=True)
+    assert columns["alpha"].tolist() == [0.1, -0.2]
+    assert columns["Fy"].tolist() == [1000.0, -2.5]
 
 
 BAD = {
@@ -66,8 +66,8 @@ def test_bad_files_name_line_and_column(tmp_path: Path, case: str) -> None:
 def test_another_delimiter_is_seen_from_the_header(tmp_path: Path, delimiter: str) -> None:
     rows = [["a", '"b, c"', "d"], ["1", "2.5", "x"], ["3", "4", '"x"']]
     path = file(tmp_path, "\n".join(delimiter.join(row) for row in rows))
-    found = read_numbers(path, ["b, c", "a"], header=True)
-    assert [column.tolist() for column in found.values()] == [[2.5, 4.0], [1.0, 3.0]]
+    columns = read_numbers(path, ["b, c", "a"], header=True)
+    assert [column.tolist() for column in columns.values()] == [[2.5, 4.0], [1.0, 3.0]]
 
 
 @pytest.mark.parametrize("quote", ["", '"'])
@@ -80,9 +80,9 @@ def test_a_spreadsheet_of_central_europe(tmp_path: Path, quote: str, rows: int) 
     lines = [*head, *(";".join([*row, "gut, soweit"]) for row in cells)]
     path = file(tmp_path, "\n".join(lines))
     text = TextFormat(decimal="comma", skip_rows=1, drop_rows=[3], comment="#")
-    found = read_numbers(path, ["b", "a"], header=True, text=text)
-    assert np.array_equal(found["a"], values[:, 0])
-    assert np.array_equal(found["b"], values[:, 1])
+    columns = read_numbers(path, ["b", "a"], header=True, text=text)
+    assert np.array_equal(columns["a"], values[:, 0])
+    assert np.array_equal(columns["b"], values[:, 1])
     lines[6] = "1,5;1.5;"
     path = file(tmp_path, "\n".join(lines))
     with pytest.raises(CSVError, match=r":7:5: '1\.5' in column 'b' .* write decimals with ','"):
@@ -129,17 +129,17 @@ def test_numbers_survive_a_round_trip(tmp_path: Path) -> None:
 
 def test_quoted_cells(tmp_path: Path) -> None:
     path = file(tmp_path, '"a","the ""b"", in kN",note\n"1", "2" ,"x, y"\n3,4,\n')
-    found = read_numbers(path, ["a", 'the "b", in kN'], header=True)
-    assert [column.tolist() for column in found.values()] == [[1.0, 3.0], [2.0, 4.0]]
+    columns = read_numbers(path, ["a", 'the "b", in kN'], header=True)
+    assert [column.tolist() for column in columns.values()] == [[1.0, 3.0], [2.0, 4.0]]
 
 
 @pytest.mark.parametrize("row", [0, BLOCK - 1, BLOCK, 2 * BLOCK + 3])
 def test_a_fault_is_found_anywhere_in_a_long_file(tmp_path: Path, row: int) -> None:
     rows = [f"{i},{i / 7!r},run_{i}" for i in range(2 * BLOCK + 4)]
     text = "\n".join(["a,b,note", *rows])
-    found = read_numbers(file(tmp_path, text), ["b", "a"], header=True)
-    assert np.array_equal(found["b"], np.arange(2 * BLOCK + 4) / 7)
-    assert np.array_equal(found["a"], np.arange(2 * BLOCK + 4))
+    columns = read_numbers(file(tmp_path, text), ["b", "a"], header=True)
+    assert np.array_equal(columns["b"], np.arange(2 * BLOCK + 4) / 7)
+    assert np.array_equal(columns["a"], np.arange(2 * BLOCK + 4))
     rows[row] = f"{row},1e,run"
     path = file(tmp_path, "\n".join(["a,b,note", *rows]))
     with pytest.raises(CSVError, match=f":{row + 2}:{len(str(row)) + 2}: '1e' in column 'b'"):
@@ -161,11 +161,11 @@ UNITS = ["rad", "N", "N", "rad"]
 
 
 def load(tmp_path: Path, file: dict[str, Any], **settings: Any) -> Dataset:
-    given: dict[str, Any] = {"columns": COLUMNS, "units": UNITS, "output": "Fy"}
-    return load_csv(written(tmp_path, file), **given | settings)
+    defaults: dict[str, Any] = {"columns": COLUMNS, "units": UNITS, "output": "Fy"}
+    return load_csv(written(tmp_path, file), **defaults | settings)
 
 
-def mine(**changes: Any) -> dict[str, Any]:
+def tire_columns(**changes: Any) -> dict[str, Any]:
     return {"alpha": alpha, "Fy": Fy, "Fz": Fz, "gamma": gamma} | changes
 
 
@@ -178,7 +178,7 @@ def test_units_names_and_conditions(tmp_path: Path) -> None:
     assert dict(read.units) == dict(zip(COLUMNS, UNITS, strict=True))
     for name in COLUMNS:
         np.testing.assert_allclose(read[name], TIRE[name], rtol=1e-15)
-    assert load(tmp_path, mine(), name="other").name == "other"
+    assert load(tmp_path, tire_columns(), name="other").name == "other"
 
 
 def test_rows_are_chosen_by_the_file_s_own_columns(tmp_path: Path) -> None:
@@ -244,7 +244,7 @@ SIGNS = {
 @pytest.mark.parametrize("convention", SIGNS)
 def test_conventions(tmp_path: Path, convention: str) -> None:
     signs = SIGNS[convention]
-    file = mine(alpha=signs[0] * alpha, Fy=signs[1] * Fy, Fz=signs[2] * Fz)
+    file = tire_columns(alpha=signs[0] * alpha, Fy=signs[1] * Fy, Fz=signs[2] * Fz)
     read = load(tmp_path, file, convention=convention)
     assert all(np.array_equal(read[name], TIRE[name]) for name in COLUMNS)
     flipped = load(tmp_path, file | {"Fy": -file["Fy"]}, convention=convention, flip=["Fy"])
@@ -277,13 +277,13 @@ def test_the_unit_of_the_file_does_not_change_the_tire(tmp_path: Path) -> None:
         convention="sae", name=TIRE.name,
     )  # fmt: skip
     assert other.digest != TIRE.digest
-    found = [
+    thetas = [
         minimize(
             LeastSquares(), CurveFit(Pacejka(), data, space), Budget(evaluations=5000), seed=1
         ).theta
         for data in (TIRE, other)
     ]
-    np.testing.assert_allclose(found[1], found[0], rtol=1e-7)
+    np.testing.assert_allclose(thetas[1], thetas[0], rtol=1e-7)
 
 
 WRONG_UNITS = {
@@ -301,7 +301,7 @@ WRONG_UNITS = {
 def test_wrong_units_are_caught(tmp_path: Path, case: str) -> None:
     changes, declared, column, meant = WRONG_UNITS[case]
     units = [declared.get(name, unit) for name, unit in zip(COLUMNS, UNITS, strict=True)]
-    file = mine(**changes)
+    file = tire_columns(**changes)
     with pytest.raises(CSVError, match=rf"is the column in {meant}\?") as error:
         load(tmp_path, file, units=units)
     row = int(np.argmax(np.abs(file[column])))
@@ -316,42 +316,42 @@ def test_a_single_wild_cell_is_caught(tmp_path: Path) -> None:
     wild = Fy.copy()
     wild[6] = -99999e3
     with pytest.raises(CSVError, match=r"mine.csv:8:\d+: largest \|Fy\| is 1e\+08 N.*this cell"):
-        load(tmp_path, mine(Fy=wild))
+        load(tmp_path, tire_columns(Fy=wild))
 
 
 def test_ranges_that_are_given_bind(tmp_path: Path) -> None:
     with pytest.raises(CSVError, match=r"expected 1 to 2000; is this cell right\?"):
-        load(tmp_path, mine(), ranges={"Fz": [1, 2000]})
+        load(tmp_path, tire_columns(), ranges={"Fz": [1, 2000]})
     assert all(low < high for _, low, high in PLAUSIBLE.values())
 
 
 def test_signs_that_no_tire_has(tmp_path: Path) -> None:
     with pytest.raises(CSVError, match=r"mine.csv:1:7: Fy rises with alpha.*iso-w, sae, adapted"):
-        load(tmp_path, mine(Fy=-Fy))
+        load(tmp_path, tire_columns(Fy=-Fy))
     with pytest.raises(CSVError, match=r"mine.csv:1:10: Fz is mostly negative"):
-        load(tmp_path, mine(Fz=-Fz))
-    sliding = mine(alpha=np.linspace(0.3, 0.9, 400), Fy=-4000 + np.linspace(0, 500, 400))
+        load(tmp_path, tire_columns(Fz=-Fz))
+    sliding = tire_columns(alpha=np.linspace(0.3, 0.9, 400), Fy=-4000 + np.linspace(0, 500, 400))
     assert len(load(tmp_path, sliding)) == 400  # beyond its peak the force does fall off
 
 
 def test_columns_that_tell_nothing(tmp_path: Path) -> None:
-    load(tmp_path, mine(Fz=0 * Fz + 3000.0, gamma=0 * gamma))  # conditions may stay
+    load(tmp_path, tire_columns(Fz=0 * Fz + 3000.0, gamma=0 * gamma))  # conditions may stay
     with pytest.raises(CSVError, match=r":1:7: column 'Fy' has the same value in every row"):
-        load(tmp_path, mine(Fy=0 * Fy - 300.0))
+        load(tmp_path, tire_columns(Fy=0 * Fy - 300.0))
     two = {"columns": ["alpha", "Fy"], "units": ["rad", "N"]}
     with pytest.raises(CSVError, match=r":1:1: column 'alpha' has the same value in every row"):
-        load(tmp_path, mine(alpha=0 * alpha + 0.1), **two)
+        load(tmp_path, tire_columns(alpha=0 * alpha + 0.1), **two)
 
 
 def test_rows_are_held_out(tmp_path: Path) -> None:
     low, high = 2500.0, 2700.0
-    read = load(tmp_path, mine(), held_out={"Fz": [low, high]})
+    read = load(tmp_path, tire_columns(), held_out={"Fz": [low, high]})
     inside = (Fz >= low) & (Fz <= high)
     assert read.held_out is not None
     assert np.array_equal(read["Fy"], Fy[~inside])
     assert np.array_equal(read.held_out["Fy"], Fy[inside])
     with pytest.raises(ValueError, match="no row has Fz"):
-        load(tmp_path, mine(), held_out={"Fz": [1, 2]})
+        load(tmp_path, tire_columns(), held_out={"Fz": [1, 2]})
 
 
 @pytest.mark.parametrize(
@@ -377,7 +377,7 @@ def test_rows_are_held_out(tmp_path: Path) -> None:
 )
 def test_bad_settings(tmp_path: Path, settings: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message) as error:
-        load(tmp_path, mine(), **settings)
+        load(tmp_path, tire_columns(), **settings)
     assert type(error.value) is ValueError
     assert "\n" not in str(error.value)
 

@@ -35,9 +35,9 @@ def test_the_digest_of_published_runs_stays() -> None:
 
 
 def test_columns_are_copies_that_nobody_edits() -> None:
-    mine = np.array([1.0, 2.0])
-    dataset = make(x=mine)
-    mine[0] = 9
+    values = np.array([1.0, 2.0])
+    dataset = make(x=values)
+    values[0] = 9
     assert dataset["x"][0] == 1.0
     with pytest.raises(ValueError, match="read-only"):
         dataset["x"][0] = 9

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 
 from miho.data import CSVError, Dataset, load_csv, sample_tir
 from miho.data.tir_sampling import embedded_tire
-from miho.models.tir import TirError, load_tir, read_tir
+from miho.models.tir import load_tir
+from miho.models.tir_reader import TirError, read_tir
 
 COLUMNS = ["alpha", "Fy", "Fz"]
 TIRE = sample_tir("lf", n=12)
@@ -285,7 +286,7 @@ def test_mutated_csv(tmp_path: Path, edits: list[tuple[str, float, int]]) -> Non
 
 def plainly_read_tir(content: bytes) -> dict[tuple[str, str], float]:
     """Every KEY = number of a file in SI units, by section, read the simple way."""
-    found: dict[tuple[str, str], float] = {}
+    numbers: dict[tuple[str, str], float] = {}
     section = ""
     for text in re.split(r"\r\n|\r|\n", content.decode("latin-1")):
         text = re.split("[$!#]", text)[0].strip()
@@ -294,8 +295,8 @@ def plainly_read_tir(content: bytes) -> dict[tuple[str, str], float]:
         elif "=" in text and not (section == "MDI_HEADER" and text[0] in "({'\""):
             key, _, value = text.partition("=")
             if "'" not in value and '"' not in value:
-                found[section, key.strip().upper()] = float(value)
-    return found
+                numbers[section, key.strip().upper()] = float(value)
+    return numbers
 
 
 @pytest.mark.slow

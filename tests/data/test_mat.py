@@ -50,22 +50,22 @@ def test_the_consortium_s_layout(tmp_path: Path, compressed: bool, kind: str) ->
     if kind == "row":
         variables["FY"] = variables["FY"].T
     path = saved(tmp_path, variables, do_compression=compressed)
-    read = load(path, held_out={"Fz": [3900, 4100]})
-    assert read.name == "run_1"
-    assert dict(read.units) == {
+    loaded = load(path, held_out={"Fz": [3900, 4100]})
+    assert loaded.name == "run_1"
+    assert dict(loaded.units) == {
         "alpha": "rad", "Fy": "N", "Fz": "N", "gamma": "rad", "pressure": "Pa",
     }  # fmt: skip
     inside = (TIRE["Fz"] >= 3900) & (TIRE["Fz"] <= 4100)
-    assert read.held_out is not None
-    for part, rows in ((read, ~inside), (read.held_out, inside)):
+    assert loaded.held_out is not None
+    for part, rows in ((loaded, ~inside), (loaded.held_out, inside)):
         for name in ("alpha", "Fy", "Fz", "gamma"):
             np.testing.assert_allclose(part[name], TIRE[name][rows], rtol=1e-15)
         assert (part["pressure"] == 83e3).all()
 
 
 def test_whole_numbers_are_numbers(tmp_path: Path) -> None:
-    read = load(saved(tmp_path, consortium(FZ=np.round(-TIRE["Fz"]).astype(np.int16))))
-    assert np.array_equal(read["Fz"], np.round(TIRE["Fz"]))
+    loaded = load(saved(tmp_path, consortium(FZ=np.round(-TIRE["Fz"]).astype(np.int16))))
+    assert np.array_equal(loaded["Fz"], np.round(TIRE["Fz"]))
 
 
 FY = -TIRE["Fy"]
@@ -207,8 +207,8 @@ def test_either_byte_order_and_doubles_stored_as_integers(tmp_path: Path, order:
     head += b"IM" if order == "<" else b"MI"
     path = tmp_path / "x.mat"
     path.write_bytes(head + vector(b"SA", 6, whole.astype(f"{order}i2"), 3, order))
-    read = read_variables(path)["SA"]
-    assert np.frombuffer(read.data, read.stored).tolist() == whole.tolist()
+    loaded = read_variables(path)["SA"]
+    assert np.frombuffer(loaded.data, loaded.stored).tolist() == whole.tolist()
     assert loadmat(path)["SA"].tolist() == [whole.tolist()]
     path.write_bytes(head + vector(b"SA", 6, whole.astype(f"{order}i8"), 12, order))
     with pytest.raises(ValueError, match=r"x\.mat: is damaged; copy or save it again"):

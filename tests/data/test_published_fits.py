@@ -111,10 +111,10 @@ def test_the_numbers_are_those_of_nist(name: str, reference_data: Path) -> None:
     first, second, certified, deviations = np.array(table, dtype=float).T
     assert fit.starts == (tuple(first), tuple(second))
     assert fit.optimum == tuple(certified)
-    said = {key.strip(): text for key, _, text in (line.partition(":") for line in lines[40:60])}
-    assert fit.squares == float(said["Residual Sum of Squares"])
+    fields = {key.strip(): text for key, _, text in (line.partition(":") for line in lines[40:60])}
+    assert fit.squares == float(fields["Residual Sum of Squares"])
     rows = np.array([line.split() for line in lines[60:] if line.strip()], dtype=float)
-    assert len(fit.dataset) == len(rows) == int(said["Number of Observations"])
+    assert len(fit.dataset) == len(rows) == int(fields["Number of Observations"])
     y = np.log(rows[:, 0]) if name == "nelson" else rows[:, 0]
     model = PublishedModel(fit.model)
     np.testing.assert_array_equal(fit.dataset["y"], y)
@@ -124,7 +124,7 @@ def test_the_numbers_are_those_of_nist(name: str, reference_data: Path) -> None:
     # The residual standard deviation, and those of the parameters, from our derivatives. (The
     # degrees of freedom that NIST prints for Rat43 are 9; its deviation is that of 11.)
     freedom = len(rows) - len(certified)
-    deviation = float(said["Residual Standard Deviation"])
+    deviation = float(fields["Residual Standard Deviation"])
     assert math.sqrt(fit.squares / freedom) == pytest.approx(deviation, rel=2e-10)
     J = model.jacobian(certified, *(fit.dataset[key] for key in model.inputs))
     _, sizes, directions = np.linalg.svd(J * certified, full_matrices=False)
@@ -220,10 +220,10 @@ def test_compiled_values_are_those_of_numpy(name: str) -> None:
     thetas = np.vstack([near, far, np.zeros(theta.size)])
     with np.errstate(all="ignore"):
         expected = np.mean((model.predict(thetas, *problem.inputs) - fit.dataset["y"]) ** 2, axis=1)
-    found = problem.loss(thetas)
+    losses = problem.loss(thetas)
     finite = np.isfinite(expected)
-    np.testing.assert_array_equal(np.isfinite(found), finite)
+    np.testing.assert_array_equal(np.isfinite(losses), finite)
     floor = 1e-28 * np.mean(fit.dataset["y"] ** 2)
-    np.testing.assert_allclose(found[finite], expected[finite], rtol=1e-9, atol=floor)
+    np.testing.assert_allclose(losses[finite], expected[finite], rtol=1e-9, atol=floor)
     J = model.jacobian(theta, *problem.inputs)
     np.testing.assert_allclose(problem.jacobian(theta), J, rtol=1e-9, atol=1e-12 * abs(J).max())

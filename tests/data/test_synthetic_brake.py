@@ -42,11 +42,11 @@ def fitted(model: Model, data: Dataset, start: list[float]) -> tuple[Array, Arra
     def jacobian(x: Array) -> Array:
         return np.asarray(model.jacobian(x * scale, *inputs) * scale)
 
-    found = least_squares(residuals, np.ones(scale.size), jac=jacobian, x_scale="jac")
-    J = jacobian(found.x)
-    variance = 2 * found.cost / (len(data) - scale.size)
+    solution = least_squares(residuals, np.ones(scale.size), jac=jacobian, x_scale="jac")
+    J = jacobian(solution.x)
+    variance = 2 * solution.cost / (len(data) - scale.size)
     errors = np.sqrt(variance * np.diag(np.linalg.inv(J.T @ J)))
-    return found.x * scale, errors * scale
+    return solution.x * scale, errors * scale
 
 
 def true(*names: str) -> Array:

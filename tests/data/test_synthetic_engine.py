@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from experiments.driving.car import identify_engine
+from experiments.driving.car import identified_engine
 from miho.data import dyno_test, engine_driving_log, load_engine_drive
 from miho.data.synthetic_engine import CAR, DYNO_TRUSTED, HELD_THROTTLES, STEP, true_torque
 from miho.driving.assembly.engine import truth_error
@@ -110,9 +112,9 @@ def test_the_drive_gives_back_the_curve_of_each_held_throttle(throttle: float) -
     assert np.sqrt(np.mean(miss**2)) < 5
 
 
-def test_the_map_of_the_embedded_data_is_near_the_engine() -> None:
+def test_the_map_of_the_embedded_data_is_near_the_engine(tmp_path: Path) -> None:
     """Where curves were learned, 16 Nm of the dyno become less than 3; inverse and order hold."""
-    engine = identify_engine()
+    engine = identified_engine(tmp_path)
     omega, throttle = np.linspace(1300, 6500, 105) * RPM, np.linspace(0.05, 0.2, 31)[:, None]
     true = true_torque(omega, throttle)
     dyno, learned = (
@@ -126,12 +128,12 @@ def test_the_map_of_the_embedded_data_is_near_the_engine() -> None:
     every = np.linspace(1000, 7000, 241) * RPM
     assert np.diff(engine.integrated.torque(every, THROTTLES), axis=0).min() > -1e-10
     low, high = engine.integrated.limits(every)
-    wanted = low + (high - low) * THROTTLES
-    inside = engine.integrated.invertible(every, wanted)
+    torque = low + (high - low) * THROTTLES
+    inside = engine.integrated.invertible(every, torque)
     assert inside.mean() > 0.99  # but for rounding, all
-    assert engine.integrated.throttle(every, wanted).residual[inside].max() < 1e-9
-    delivered = true_torque(every, engine.integrated.throttle(every, wanted).opening)
-    assert np.sqrt(np.mean((delivered - wanted) ** 2)) < 10
+    assert engine.integrated.throttle(every, torque).residual[inside].max() < 1e-9
+    delivered = true_torque(every, engine.integrated.throttle(every, torque).opening)
+    assert np.sqrt(np.mean((delivered - torque) ** 2)) < 10
 
 
 def test_a_drive_has_a_seed_and_known_throttles() -> None:

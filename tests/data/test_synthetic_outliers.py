@@ -15,9 +15,9 @@ TRUE = np.array([list(TRUTH.values())])
 def test_noise_and_dropped_rows_are_as_told() -> None:
     """The Kolmogorov-Smirnov distance to Student's t, at the 0.1 % level."""
     data = tire_outlier_test(n=20_000)
-    kept = data["Fy"] != 0
-    assert 1 - kept.mean() == pytest.approx(0.05, abs=0.006), "four standard deviations"
-    noise = (data["Fy"] - Pacejka().predict(TRUE, data["alpha"])[0])[kept] / 150.0
+    measured = data["Fy"] != 0
+    assert 1 - measured.mean() == pytest.approx(0.05, abs=0.006), "four standard deviations"
+    noise = (data["Fy"] - Pacejka().predict(TRUE, data["alpha"])[0])[measured] / 150.0
     assert kstest(noise, t(2.5).cdf).pvalue > 1e-3
     assert kstest(noise / noise.std(), "norm").pvalue < 1e-9
 
@@ -36,9 +36,13 @@ def test_a_robust_loss_finds_the_truth_and_least_squares_does_not() -> None:
 
 
 def test_a_seed_is_a_stream() -> None:
-    one, again, other = tire_outlier_test(seed=1), tire_outlier_test(seed=1), tire_outlier_test()
-    assert np.array_equal(one["Fy"], again["Fy"])
-    assert not np.array_equal(one["alpha"], other["alpha"])
+    first, again, other_seed = (
+        tire_outlier_test(seed=1),
+        tire_outlier_test(seed=1),
+        tire_outlier_test(),
+    )
+    assert np.array_equal(first["Fy"], again["Fy"])
+    assert not np.array_equal(first["alpha"], other_seed["alpha"])
 
 
 @pytest.mark.parametrize(

@@ -36,19 +36,21 @@ def test_parameters_are_recovered(seed: int) -> None:
 
     start = np.array([0.8, 1.05, 0.9, 1.1, 1.5])
     bounds = np.zeros(5), np.array([0.2, 1.0, 2e7, 4.0, 0.3]) / TRUE
-    found = least_squares(residuals, start, jac=jacobian, bounds=bounds).x
-    J = jacobian(found)
+    identified = least_squares(residuals, start, jac=jacobian, bounds=bounds).x
+    J = jacobian(identified)
     errors = 5.0e4 * np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
-    assert (np.abs(found - 1) < 4 * errors).all()
+    assert (np.abs(identified - 1) < 4 * errors).all()
     assert errors.max() < 0.05
 
 
 def test_a_seed_is_a_stream_of_noise() -> None:
-    one, again, other = brake_play_test(1), brake_play_test(1), brake_play_test(2)
-    assert np.array_equal(one["p"], again["p"])
-    noise = one["p"] - brake_play_test(1, noise=0.0)["p"]
+    first, again, other_seed = brake_play_test(1), brake_play_test(1), brake_play_test(2)
+    assert np.array_equal(first["p"], again["p"])
+    noise = first["p"] - brake_play_test(1, noise=0.0)["p"]
     assert np.std(noise) == pytest.approx(5e4, rel=0.1)
-    assert abs(np.corrcoef(noise, other["p"] - brake_play_test(2, noise=0.0)["p"])[0, 1]) < 0.15
+    assert (
+        abs(np.corrcoef(noise, other_seed["p"] - brake_play_test(2, noise=0.0)["p"])[0, 1]) < 0.15
+    )
 
 
 @pytest.mark.parametrize("bad", [{"seed": -1}, {"samples": 3}, {"noise": -1.0}, {"noise": np.nan}])

@@ -24,10 +24,10 @@ def test_parameters_are_recovered() -> None:
     def jacobian(x: np.ndarray) -> np.ndarray:
         return np.asarray(model.jacobian(x * TRUE, *inputs) * TRUE)
 
-    found = least_squares(residuals, np.full(7, 0.9), jac=jacobian).x
-    J = jacobian(found)
+    identified = least_squares(residuals, np.full(7, 0.9), jac=jacobian).x
+    J = jacobian(identified)
     errors = NOISE["yaw_rate"] * np.sqrt(np.diag(np.linalg.inv(J.T @ J)))
-    assert (np.abs(found - 1) < 4 * errors).all()
+    assert (np.abs(identified - 1) < 4 * errors).all()
     assert errors.max() < 0.05
 
 
@@ -41,11 +41,11 @@ def test_the_tires_are_far_from_linear() -> None:
 
 
 def test_a_seed_is_a_stream_of_noise() -> None:
-    one, again, other = steering_test(CAR, 1), steering_test(CAR, 1), steering_test(CAR, 2)
+    first, again, other_seed = steering_test(CAR, 1), steering_test(CAR, 1), steering_test(CAR, 2)
     exact = steering_test(CAR, noise=0.0)["yaw_rate"]
-    assert np.array_equal(one["yaw_rate"], again["yaw_rate"])
-    assert np.std(one["yaw_rate"] - exact) == pytest.approx(NOISE["yaw_rate"], rel=0.15)
-    noise = [data["yaw_rate"] - exact for data in (one, other)]
+    assert np.array_equal(first["yaw_rate"], again["yaw_rate"])
+    assert np.std(first["yaw_rate"] - exact) == pytest.approx(NOISE["yaw_rate"], rel=0.15)
+    noise = [data["yaw_rate"] - exact for data in (first, other_seed)]
     assert abs(np.corrcoef(noise)[0, 1]) < 0.25
 
 

@@ -15,7 +15,8 @@ from miho.data.tir_sampling import (
     unmodelled_spread,
 )
 from miho.identification import irreducible_error
-from miho.models.tir import load_tir, read_tir
+from miho.models.tir import load_tir
+from miho.models.tir_reader import read_tir
 
 
 def best_fit(alpha: NDArray[np.float64], Fy: NDArray[np.float64]) -> tuple[float, list[float]]:

@@ -24,10 +24,10 @@ def tire(name: str, folder: Path) -> MagicFormula:
 
 @njit(error_model="numpy")
 def forces(p, load, kappa, alpha, Vx):  # type: ignore[no-untyped-def]
-    found = np.empty((2, load.size))
+    values = np.empty((2, load.size))
     for i in range(load.size):
-        found[0, i], found[1, i] = wheel_forces(p, load[i], kappa[i], alpha[i], Vx[i])
-    return found
+        values[0, i], values[1, i] = wheel_forces(p, load[i], kappa[i], alpha[i], Vx[i])
+    return values
 
 
 def compare(model: MagicFormula, gamma: float, pressure: float | None = None) -> None:
@@ -41,9 +41,9 @@ def compare(model: MagicFormula, gamma: float, pressure: float | None = None) ->
     kappa = rng.uniform(-1.2, 1.2, 2000) * rng.choice(size, 2000)
     alpha = rng.uniform(-0.8, 0.8, 2000) * rng.choice(size, 2000)
     expected = model.forces(load, kappa, alpha, gamma, Vx, pressure)
-    found = forces(wheel_tire(model, gamma, pressure), load, kappa, alpha, Vx)
-    for mine, theirs in zip(found, (expected.Fx, expected.Fy), strict=True):
-        np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-12 * np.abs(theirs).max())
+    compiled = forces(wheel_tire(model, gamma, pressure), load, kappa, alpha, Vx)
+    for force, reference in zip(compiled, (expected.Fx, expected.Fy), strict=True):
+        np.testing.assert_allclose(force, reference, rtol=0, atol=1e-12 * np.abs(reference).max())
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -94,8 +94,8 @@ def test_understeer_gradient() -> None:
         stiffness.append(2 * (low - high) / 2e-5)
     K = v.mass / v.wheelbase * (v.lr / stiffness[0] - v.lf / stiffness[1])
     curvature = motion.yaw_rate / np.hypot(motion.vx, motion.vy)
-    found = (motion.steering - v.wheelbase * curvature) / motion.ay
-    assert found == pytest.approx(K, rel=0.05)
+    gradient = (motion.steering - v.wheelbase * curvature) / motion.ay
+    assert gradient == pytest.approx(K, rel=0.05)
     assert K > 0, "the car understeers"
 
 
@@ -176,10 +176,10 @@ def test_energy_only_leaves_a_rolling_car() -> None:
     straight = driven(car, [(2.0, NEUTRAL)], speed=50.0, gear=0)
     assert energy(car, straight[-1]) == pytest.approx(energy(car, straight[0]), rel=1e-9)
     weave = [(0.5, Command(steering, gear=0)) for steering in (0.04, -0.04, 0.08, -0.1, 0.0)]
-    kept = np.array([energy(car, motion) for motion in driven(car, weave, speed=50.0, gear=0)])
+    energies = np.array([energy(car, motion) for motion in driven(car, weave, speed=50.0, gear=0)])
     # What relaxing tires hold for a moment comes back: a spring of 1e5 N over some centimetres.
-    assert np.diff(kept).max() < 50.0
-    assert kept[-1] < 0.98 * kept[0]
+    assert np.diff(energies).max() < 50.0
+    assert energies[-1] < 0.98 * energies[0]
 
 
 def energy(car: DoubleTrack, motion: Motion) -> float:

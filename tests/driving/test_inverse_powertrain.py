@@ -17,11 +17,11 @@ DRIVE = CAR.vehicle.longitudinal
 @settings(max_examples=60, deadline=None)
 @given(vx=st.floats(5.0, 80.0), ax=st.floats(-12.0, 6.0), gear=st.integers(1, 6))
 def test_it_is_the_inverse_of_both_models(vx: float, ax: float, gear: int) -> None:
-    found = effort(MODEL, ax, vx, gear)
-    assert found.torque == pytest.approx(float(DRIVE.engine_torque(ax, vx, gear)), rel=1e-12)
+    inverse = effort(MODEL, ax, vx, gear)
+    assert inverse.torque == pytest.approx(float(DRIVE.engine_torque(ax, vx, gear)), rel=1e-12)
     omega = max(float(DRIVE.engine_speed(vx, gear)), CAR.vehicle.idle_speed)
-    assert found.throttle == pytest.approx(
-        float(CAR.engine.throttle(omega, found.torque).opening), abs=1e-9
+    assert inverse.throttle == pytest.approx(
+        float(CAR.engine.throttle(omega, inverse.torque).opening), abs=1e-9
     )
 
 

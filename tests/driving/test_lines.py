@@ -39,8 +39,8 @@ def test_a_wave_has_the_curvature_of_its_heading() -> None:
     # The clothoids' ends, where the curvature has a corner, are half a step wide.
     assert np.abs(slopes - line.curvature[1:-1]).max() < 3e-5
     x, y = line.x[::100], line.y[::100]
-    found = [track.project(*point) for point in zip(x, y, strict=True)]
-    assert [f.e for f in found] == pytest.approx([2 * math.sin(k * f.s) for f in found], abs=1e-5)
+    places = [track.project(*point) for point in zip(x, y, strict=True)]
+    assert [p.e for p in places] == pytest.approx([2 * math.sin(k * p.s) for p in places], abs=1e-5)
 
 
 def test_lines_that_leave_the_road_or_turn_on_themselves_are_refused() -> None:

@@ -24,13 +24,13 @@ def test_a_gentle_turn_is_that_of_a_neutral_car(car: MultiBody) -> None:
 
     Within 5 %: camber and compliance of its axles add some understeer at 1.2 m/s^2.
     """
-    own = car.own_vehicle
+    vehicle = car.own_vehicle
     front, rear = (axle.cornering_stiffness for axle in car.axles)
-    assert front * own.lf == pytest.approx(rear * own.lr)
+    assert front * vehicle.lf == pytest.approx(rear * vehicle.lr)
     state = car.advance(car.start(speed=20.0, gear=0), Command(0.008, gear=0), 1.5)
     motion = car.motion(state)
     assert motion.steering == pytest.approx(0.008, rel=1e-6)
-    expected = motion.vx * 0.008 / own.wheelbase
+    expected = motion.vx * 0.008 / vehicle.wheelbase
     assert motion.yaw_rate == pytest.approx(expected, rel=0.05)
     assert motion.ay == pytest.approx(motion.vx * motion.yaw_rate, rel=0.05)
 

@@ -87,8 +87,8 @@ def test_without_delay_and_lag_both_regulators_agree() -> None:
     """As the period goes to 0; at 0.1 ms they are 1 % apart."""
     quick = SampledModel(model=MODEL, steering=SteeringActuator(delay=0.0, lag=1e-6), period=1e-4)
     # The sum over samples counts the state per sample, the integral per second: the same weights.
-    found = quick.gains(Weights(), 30.0)[:4]
-    assert found == pytest.approx(continuous_gains(MODEL, Weights(), 30.0), rel=0.02)
+    gains = quick.gains(Weights(), 30.0)[:4]
+    assert gains == pytest.approx(continuous_gains(MODEL, Weights(), 30.0), rel=0.02)
 
 
 @pytest.mark.parametrize("vx", [0.0, -3.0, math.nan])

@@ -34,8 +34,8 @@ def test_the_pressure_is_that_of_the_brake() -> None:
     held = target[np.searchsorted(rows, times + 1e-9, side="right") - 1]
     theta = np.array([[brake.delay, brake.tau_rise, brake.tau_fall]])
     expected = BrakeResponse().predict(theta, times, held)[0][np.searchsorted(times, t)]
-    found = np.array([motion.brake_pressure for motion in motions])
-    np.testing.assert_allclose(found, expected, atol=5.0)
+    pressures = np.array([motion.brake_pressure for motion in motions])
+    np.testing.assert_allclose(pressures, expected, atol=5.0)
 
 
 def test_the_steering_is_late_slow_and_limited() -> None:

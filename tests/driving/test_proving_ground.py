@@ -11,8 +11,8 @@ from miho.driving.proving_ground import (
     PERIOD,
     SLIDING,
     Manoeuvre,
-    driven,
-    held,
+    held_throttles,
+    perform,
     programme,
     weaves,
 )
@@ -26,10 +26,10 @@ SILENT = Sensors(
 
 def test_a_weave_reaches_beyond_the_linear_range_and_stops_before_a_spin() -> None:
     plant = embedded_plant(AV21)
-    done = driven(plant, weaves()[-1])
-    slide = [abs(motion.vy) / motion.vx for motion in done.motions]
+    recording = perform(plant, weaves()[-1])
+    slide = [abs(motion.vy) / motion.vx for motion in recording.motions]
     assert max(slide) <= SLIDING
-    assert max(abs(motion.ay) for motion in done.motions) > 10.0
+    assert max(abs(motion.ay) for motion in recording.motions) > 10.0
 
 
 def test_a_held_opening_shows_the_torque_of_the_engine() -> None:
@@ -39,8 +39,8 @@ def test_a_held_opening_shows_the_torque_of_the_engine() -> None:
     way up: 3 Nm. In the second half, where the car has found its speed, next to nothing.
     """
     plant = embedded_plant(AV21)
-    one = held(AV21, 0.3, gears=(3,))[1]
-    log = driven(plant, one).log("held", SILENT, np.random.default_rng(0))
+    manoeuvre = held_throttles(AV21, 0.3, gears=(3,))[1]
+    log = perform(plant, manoeuvre).log("held", SILENT, np.random.default_rng(0))
     samples = torque_samples(log, AV21.longitudinal, throttle=0.3, settle=1.0)
     truth = embedded_engine().torque(samples["omega"], 0.3)
     miss = np.abs(samples["torque"] - truth)
@@ -50,18 +50,18 @@ def test_a_held_opening_shows_the_torque_of_the_engine() -> None:
 
 
 def test_pedals_are_pressed_after_the_car_has_rolled() -> None:
-    one = Manoeuvre(speed=30.0, gear=0, duration=1.0, brake=1e6)
-    done = driven(embedded_plant(AV21), one)
-    pressed = [command.brake for command in done.commands]
+    manoeuvre = Manoeuvre(speed=30.0, gear=0, duration=1.0, brake=1e6)
+    recording = perform(embedded_plant(AV21), manoeuvre)
+    pressed = [command.brake for command in recording.commands]
     assert pressed == [0.0] * round(LEAD / PERIOD) + [1e6] * round((1 - LEAD) / PERIOD)
-    assert done.motions[-1].vx < done.motions[0].vx
+    assert recording.motions[-1].vx < recording.motions[0].vx
 
 
 def test_it_ends_when_the_speed_leaves_its_range() -> None:
-    one = Manoeuvre(speed=30.0, gear=0, duration=5.0, within=(25.0, 31.0), brake=2e6)
-    done = driven(embedded_plant(AV21), one)
-    assert 0.5 < len(done.motions) * PERIOD < 5.0
-    assert min(motion.vx for motion in done.motions) >= 25.0
+    manoeuvre = Manoeuvre(speed=30.0, gear=0, duration=5.0, within=(25.0, 31.0), brake=2e6)
+    recording = perform(embedded_plant(AV21), manoeuvre)
+    assert 0.5 < len(recording.motions) * PERIOD < 5.0
+    assert min(motion.vx for motion in recording.motions) >= 25.0
 
 
 def test_the_programme_names_its_parts() -> None:
@@ -75,6 +75,6 @@ def test_the_programme_names_its_parts() -> None:
 )  # fmt: skip
 def test_wrong_settings_are_one_line(change: dict[str, float], told: str) -> None:
     settings: dict[str, float] = {"speed": 30.0, "duration": 1.0} | change
-    with pytest.raises(ValueError, match=told) as found:
+    with pytest.raises(ValueError, match=told) as error:
         Manoeuvre(gear=1, **settings)  # type: ignore[arg-type]
-    assert "\n" not in str(found.value)
+    assert "\n" not in str(error.value)

@@ -32,8 +32,8 @@ def test_friction_is_that_of_the_scaling_factors() -> None:
     rng = np.random.default_rng(0)
     for load, kappa, alpha in rng.uniform((500, -0.3, -0.3), (6000, 0.3, 0.3), (50, 3)):
         expected = scaled.forces(load, kappa, alpha, 0.0, 30.0)
-        found = one_wheel(wheel_tire(tire), load, kappa, alpha, 30.0, 0.4)
-        assert found == pytest.approx((float(expected.Fx), float(expected.Fy)), rel=1e-9, abs=1e-6)
+        forces = one_wheel(wheel_tire(tire), load, kappa, alpha, 30.0, 0.4)
+        assert forces == pytest.approx((float(expected.Fx), float(expected.Fy)), rel=1e-9, abs=1e-6)
 
 
 def test_a_car_reaches_the_share_of_its_grip_that_the_road_gives_and_no_more() -> None:

@@ -14,7 +14,7 @@ from miho.driving.multi_body import MultiBody
 from miho.driving.ovals import lvms
 from miho.driving.path_tracking import Weights
 from miho.driving.road import road_of
-from miho.driving.simulation import Drive, drive
+from miho.driving.simulation import Drive, simulate
 from tests.driving.cars import car
 
 pytest.importorskip("vehiclemodels")
@@ -28,26 +28,26 @@ def driven(weights: Weights, distance: float) -> tuple[Drive, Driver]:
     """A flat LVMS in the second plant, from the middle of the back straight."""
     road = lvms(step=2.0)
     flat = replace(road, bank=np.zeros_like(road.bank))
-    known = car()
-    plant = MultiBody(known.vehicle, known.engine, known.brake, road=road_of(flat))
-    own, (front, rear) = plant.own_vehicle, plant.axles
-    loads = static_loads(own)
+    embedded = car()
+    plant = MultiBody(embedded.vehicle, embedded.engine, embedded.brake, road=road_of(flat))
+    vehicle, (front, rear) = plant.own_vehicle, plant.axles
+    loads = static_loads(vehicle)
     grip = Grip.of_axles(front, rear, loads)
-    controlled = KnownCar(own, front, rear, loads, grip, known.engine, known.brake)
+    controlled = KnownCar(vehicle, front, rear, loads, grip, embedded.engine, embedded.brake)
     plan = controlled.planner(SHARE, 60.0).plan(flat)
     speed, steering = controlled.speed_controller(), controlled.steering_controller(weights)
-    one = Driver(plan, speed, steering)
+    driver = Driver(plan, speed, steering)
     v, _ = plan.at(0.0)
     start = plant.start(0.0, 0.0, v, speed.start(v).gear)
-    return drive(plant, one, start, distance), one
+    return simulate(plant, driver, start, distance), driver
 
 
 @pytest.mark.slow
 def test_the_same_controller_holds_the_line_of_the_second_plant() -> None:
     """A lap within the paper's 0.6 m; in the turn at the speed that the plan leaves."""
-    done, one = driven(Weights(steering=100.0), 2469.0)
-    assert done.stopped == ""
-    assert np.abs(done["e_y"]).max() < 0.6
-    turn = done["curvature"] > 0.99 / 234
-    assert done["vx"][turn].min() > 0.9 * one.plan.v.min()
-    assert np.abs(done["ay"]).max() > 0.9 * SHARE * 9.81
+    drive, driver = driven(Weights(steering=100.0), 2469.0)
+    assert drive.stopped == ""
+    assert np.abs(drive["e_y"]).max() < 0.6
+    turn = drive["curvature"] > 0.99 / 234
+    assert drive["vx"][turn].min() > 0.9 * driver.plan.v.min()
+    assert np.abs(drive["ay"]).max() > 0.9 * SHARE * 9.81

@@ -16,16 +16,17 @@ def test_the_noise_has_the_stated_size() -> None:
     """Of 2000 draws the standard deviation is known to 1.6 %; six of them is never missed."""
     rng = np.random.default_rng(0)
     sensors = Sensors()
-    seen = [sensors.measure(MOTION, rng) for _ in range(2000)]
+    measured = [sensors.measure(MOTION, rng) for _ in range(2000)]
     for name in ("yaw", "vx", "vy", "yaw_rate", "ax", "ay", "engine_speed", "brake_pressure"):
-        values = np.array([getattr(motion, name) for motion in seen])
+        values = np.array([getattr(motion, name) for motion in measured])
         std = getattr(sensors, name)
         assert values.std() == pytest.approx(std, rel=0.1), name
         assert values.mean() == pytest.approx(getattr(MOTION, name), abs=6 * std / 2000**0.5), name
-    wheels = np.array([motion.wheel_speeds for motion in seen])
+    wheels = np.array([motion.wheel_speeds for motion in measured])
     np.testing.assert_allclose(wheels.std(axis=0), 0.1, rtol=0.1)
     assert abs(np.corrcoef(wheels.T)[0, 1]) < 0.14, "wheels are drawn one by one"
-    assert {motion.time for motion in seen} == {1.0} and {motion.gear for motion in seen} == {4}
+    assert {motion.time for motion in measured} == {1.0}
+    assert {motion.gear for motion in measured} == {4}
 
 
 def test_without_noise_and_with_a_seed() -> None:

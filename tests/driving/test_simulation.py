@@ -18,7 +18,7 @@ from miho.driving.path_tracking import Weights
 from miho.driving.plant import Motion
 from miho.driving.road import road_of
 from miho.driving.sensors import Sensors
-from miho.driving.simulation import Drive, drive
+from miho.driving.simulation import Drive, simulate
 from miho.driving.track import Track
 from tests.driving.cars import car
 
@@ -26,20 +26,21 @@ WEIGHTS = Weights(steering=100.0)
 
 
 def driver(line: Track, mu: float, top_speed: float, **more: object) -> Driver:
-    known = car()
-    plan = known.planner(mu, top_speed).plan(line)
-    speed, steering = known.speed_controller(), known.steering_controller(WEIGHTS)
+    embedded = car()
+    plan = embedded.planner(mu, top_speed).plan(line)
+    speed, steering = embedded.speed_controller(), embedded.steering_controller(WEIGHTS)
     return Driver(plan, speed, steering, **more)  # type: ignore[arg-type]
 
 
 def driven(
-    one: Driver, road: Track, s: float, e: float, speed: float, distance: float, seed: int | None
+    driver: Driver, road: Track, s: float, e: float, speed: float, distance: float, seed: int | None
 ) -> Drive:
     plant = embedded_plant(car().vehicle, road_of(road))
-    start = plant.start(s, e, speed, one.speed.start(speed).gear)
+    start = plant.start(s, e, speed, driver.speed.start(speed).gear)
     if seed is None:
-        return drive(plant, one, start, distance)
-    return drive(plant, one, start, distance, sensors=Sensors(), rng=np.random.default_rng(seed))
+        return simulate(plant, driver, start, distance)
+    rng = np.random.default_rng(seed)
+    return simulate(plant, driver, start, distance, sensors=Sensors(), rng=rng)
 
 
 @cache
@@ -47,27 +48,27 @@ def avoidance(seed: int | None = 0) -> tuple[Drive, Driver]:
     """IMS, mu = 0.7, 100 km/h, an obstacle on the line that is seen 45 m before."""
     road = ims()
     line, speed = beside(road, constant(-4.5)), 100 / 3.6
-    one = driver(line, 0.7, speed)
+    follower = driver(line, 0.7, speed)
     planner = car().planner(0.7, speed)
     sighting = Sighting((Obstacle(s=440.0, e=0.0),), 45.0, LocalPlanner(), planner)
-    one = replace(one, sighting=sighting)
-    return driven(one, road, 380.0, -4.5, speed, 120.0, seed), one
+    follower = replace(follower, sighting=sighting)
+    return driven(follower, road, 380.0, -4.5, speed, 120.0, seed), follower
 
 
 def test_the_car_goes_around_the_obstacle_within_its_limits() -> None:
     """Above 9 m/s^2 as in the paper's test, within the planned limit, and without a collision."""
-    done, one = avoidance()
-    assert done.stopped == ""
-    assert np.abs(done["ay"]).max() > 9.0
-    assert (np.abs(done["ay"]) < done["ay_limit"]).all()
-    line = one.plan.line
-    for x, y in zip(done["x"], done["y"], strict=True):
+    drive, driver = avoidance()
+    assert drive.stopped == ""
+    assert np.abs(drive["ay"]).max() > 9.0
+    assert (np.abs(drive["ay"]) < drive["ay_limit"]).all()
+    line = driver.plan.line
+    for x, y in zip(drive["x"], drive["y"], strict=True):
         at = line.project(float(x), float(y))
         assert at.e < line.at(at.s).width_left - 1.0
         assert -at.e < line.at(at.s).width_right - 1.0
         if abs(at.s - 440.0) < (4.9 + 5.0) / 2:
             assert abs(at.e) > (1.93 + 2.0) / 2 + 0.3
-    assert np.abs(done["e_y"]).max() < 0.3
+    assert np.abs(drive["e_y"]).max() < 0.3
 
 
 def test_the_same_seed_gives_the_same_drive() -> None:
@@ -79,11 +80,11 @@ def test_the_same_seed_gives_the_same_drive() -> None:
 
 
 def test_a_log_of_the_drive_is_data() -> None:
-    done, _ = avoidance()
-    log = done.log("swerve")
+    drive, _ = avoidance()
+    log = drive.log("swerve")
     assert log.dt == pytest.approx(0.01)
-    assert np.abs(log["vx"] - done["vx"]).std() == pytest.approx(0.04, abs=0.02)
-    assert len(done) == len(log)
+    assert np.abs(log["vx"] - drive["vx"]).std() == pytest.approx(0.04, abs=0.02)
+    assert len(drive) == len(log)
 
 
 @pytest.mark.parametrize("lost", [("vx",), ("x", "y", "yaw", "vx", "vy", "yaw_rate", "steering")])
@@ -92,35 +93,35 @@ def test_a_car_without_sensors_stands_on_the_road_in_the_end(lost: tuple[str, ..
 
     class Failing(Sensors):
         def measure(self, motion: Motion, rng: np.random.Generator) -> Motion:
-            gone = dict.fromkeys(lost, math.nan)
-            return motion._replace(**gone) if motion.time > 1.0 else motion  # type: ignore[arg-type]
+            missing = dict.fromkeys(lost, math.nan)
+            return motion._replace(**missing) if motion.time > 1.0 else motion  # type: ignore[arg-type]
 
     road = lvms(step=4.0)
-    one = driver(road, 0.7, 40.0)
+    follower = driver(road, 0.7, 40.0)
     plant = embedded_plant(car().vehicle, road_of(road))
-    start = plant.start(400.0, 0.0, 40.0, one.speed.start(40.0).gear)
+    start = plant.start(400.0, 0.0, 40.0, follower.speed.start(40.0).gear)
     rng = np.random.default_rng(0)
-    done = drive(plant, one, start, 1000.0, sensors=Failing(), rng=rng)
-    assert done.stopped == f"{lost[0]} is not finite"
-    assert done["vx"][-1] < 0.5
-    assert done["distance"][-1] < 220.0, "40 m at 40 m/s, and 133 m at 6 m/s^2, and lags"
-    assert np.abs(done["e_y"]).max() < road.width_left.min() - 1.0
+    drive = simulate(plant, follower, start, 1000.0, sensors=Failing(), rng=rng)
+    assert drive.stopped == f"{lost[0]} is not finite"
+    assert drive["vx"][-1] < 0.5
+    assert drive["distance"][-1] < 220.0, "40 m at 40 m/s, and 133 m at 6 m/s^2, and lags"
+    assert np.abs(drive["e_y"]).max() < road.width_left.min() - 1.0
 
 
 def test_bad_input_is_refused() -> None:
-    one = driver(lvms(step=4.0), 0.7, 30.0)
-    plant = embedded_plant(car().vehicle, road_of(one.plan.line))
+    follower = driver(lvms(step=4.0), 0.7, 30.0)
+    plant = embedded_plant(car().vehicle, road_of(follower.plan.line))
     with pytest.raises(ValueError, match="distance is nan"):
-        drive(plant, one, plant.start(speed=10.0), math.nan)
+        simulate(plant, follower, plant.start(speed=10.0), math.nan)
     with pytest.raises(ValueError, match="rng is None; give a numpy Generator"):
-        drive(plant, one, plant.start(speed=10.0), 10.0, sensors=Sensors())
+        simulate(plant, follower, plant.start(speed=10.0), 10.0, sensors=Sensors())
 
 
 def test_from_standstill_the_car_drives_off() -> None:
     road = lvms(step=4.0)
-    done = driven(driver(road, 0.7, 15.0), road, 0.0, 0.0, 0.0, 60.0, None)
-    assert done["vx"][-1] > 10.0
-    assert np.abs(done["e_y"]).max() < 0.3
+    drive = driven(driver(road, 0.7, 15.0), road, 0.0, 0.0, 0.0, 60.0, None)
+    assert drive["vx"][-1] > 10.0
+    assert np.abs(drive["e_y"]).max() < 0.3
 
 
 @pytest.mark.slow
@@ -129,10 +130,10 @@ def test_nine_laps_of_lvms(seed: int | None) -> None:
     """The paper's figures: 217 km/h, 0.6 m and 2.2 degrees, and no limit exceeded."""
     road = lvms()
     tops = (33.3, 38.9, 44.4, 50.0, 52.8, 55.6, 58.3, 60.4, 60.4)
-    one = driver(road, 1.0, 62.0, pace=Pace(tops))
-    done = driven(one, road, 0.0, 0.0, 30.0, 9 * road.length, seed)
-    assert done.stopped == ""
-    assert done["vx"].max() > 217 / 3.6
-    assert np.abs(done["e_y"]).max() < 0.6
-    assert np.degrees(np.abs(done["e_psi"]).max()) < 2.2
-    assert (np.abs(done["ay"]) < done["ay_limit"]).all()
+    follower = driver(road, 1.0, 62.0, pace=Pace(tops))
+    drive = driven(follower, road, 0.0, 0.0, 30.0, 9 * road.length, seed)
+    assert drive.stopped == ""
+    assert drive["vx"].max() > 217 / 3.6
+    assert np.abs(drive["e_y"]).max() < 0.6
+    assert np.degrees(np.abs(drive["e_psi"]).max()) < 2.2
+    assert (np.abs(drive["ay"]) < drive["ay_limit"]).all()

@@ -36,11 +36,11 @@ def test_the_pedals_give_the_acceleration_that_was_asked_for(vx: float, ax: floa
     """The round trip through both inverses, wherever engine and brake can do it at all."""
     state = CONTROL.start(vx)
     pedals, _ = CONTROL.command(state, vx, ax, vx, 0.01)
-    found = achieved(CONTROL, pedals.throttle, pedals.brake, pedals.gear, vx)
+    acceleration = achieved(CONTROL, pedals.throttle, pedals.brake, pedals.gear, vx)
     if pedals.throttle < 1:
-        assert found == pytest.approx(ax, abs=2e-3)
+        assert acceleration == pytest.approx(ax, abs=2e-3)
     else:
-        assert found < ax + 1e-9
+        assert acceleration < ax + 1e-9
     assert pedals.throttle == 0 or pedals.brake == 0
 
 
@@ -71,8 +71,8 @@ def test_a_dead_band_and_a_dwell_keep_the_pedals_from_chattering() -> None:
         state, count = control.start(vx), 0
         for k in range(400):
             before = state.braking
-            asked = coasting + (-1) ** k * swing / CAR.vehicle.mass
-            _, state = control.command(state, vx, asked, vx, 0.01)
+            desired = coasting + (-1) ** k * swing / CAR.vehicle.mass
+            _, state = control.command(state, vx, desired, vx, 0.01)
             count += before != state.braking
         return count
 

@@ -49,13 +49,13 @@ def test_feed_forward_is_the_steady_turn_of_the_single_track_model() -> None:
     linear = type(control)(
         vehicle, control.schedule, AxleSlip.of(axle, load_f), AxleSlip.of(axle, load_r)
     )
-    found = linear.feed_forward(vx, curvature, bank)
+    turn = linear.feed_forward(vx, curvature, bank)
     bend, C = curvature * math.cos(bank), axle.cornering_stiffness
     force = vehicle.mass * lateral / vehicle.wheelbase
     slip_r = -force * vehicle.lf / C
     expected = bend * vehicle.wheelbase + force * (vehicle.lr - vehicle.lf) / C
-    assert found.steering == pytest.approx(expected, rel=2e-3)
-    assert found.slip == pytest.approx(bend * vehicle.lr + slip_r, abs=2e-5)
+    assert turn.steering == pytest.approx(expected, rel=2e-3)
+    assert turn.slip == pytest.approx(bend * vehicle.lr + slip_r, abs=2e-5)
 
 
 def test_weight_alone_steers_on_a_bank() -> None:

@@ -38,9 +38,9 @@ def test_a_circle_is_one(circle: Track) -> None:
 def test_projection_inverts_position(s: float, e: float, away: float) -> None:
     x, y = map(float, OVAL.position(s, e))
     for hint in (None, s + away):
-        found = OVAL.project(x, y, hint)
-        assert found.e == pytest.approx(e, abs=1e-6)
-        assert math.remainder(found.s - s, OVAL.length) == pytest.approx(0.0, abs=1e-6)
+        projection = OVAL.project(x, y, hint)
+        assert projection.e == pytest.approx(e, abs=1e-6)
+        assert math.remainder(projection.s - s, OVAL.length) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_lap_later_the_line_is_the_same_and_the_heading_a_turn_on() -> None:

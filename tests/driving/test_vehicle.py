@@ -14,9 +14,9 @@ from miho.driving.vehicle import Vehicle
 @cache
 def av21() -> dict[str, Any]:
     with hydra.initialize_config_dir(str(CONF), version_base="1.3"):
-        chosen = OmegaConf.to_container(hydra.compose("vehicle/av21_full").vehicle)
-    assert isinstance(chosen, dict)
-    return {str(name): value for name, value in chosen.items()}
+        settings = OmegaConf.to_container(hydra.compose("vehicle/av21_full").vehicle)
+    assert isinstance(settings, dict)
+    return {str(name): value for name, value in settings.items()}
 
 
 def test_the_av21_of_the_configuration() -> None:

@@ -68,7 +68,7 @@ def test_load_transfer_costs_speed_only_with_load_sensitivity() -> None:
     track = ring(100.0, 0.0)
     for sensitivity, gains in ((0.0, False), (-0.2, True)):
         grip = equal_grip(sensitivity)
-        high_plan, low_plan = (VelocityPlanner(one, grip).plan(track) for one in (high, low))
+        high_plan, low_plan = (VelocityPlanner(v, grip).plan(track) for v in (high, low))
         gain = low_plan.v[0] / high_plan.v[0] - 1
         assert (gain > 0.005) == gains
         if not gains:

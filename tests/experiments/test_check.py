@@ -6,6 +6,7 @@ half of the last digit that docs/results.md gives.
 
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,15 +15,15 @@ from scipy.stats import binom
 from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.check import brake, coverage, engine, mf61_lateral, optima, row_order
-from experiments.driving.car import identify_engine
+from experiments.driving.car import identified_engine
 from miho.data import embedded_tire
 from miho.study import single_thread
 
 pytestmark = pytest.mark.slow
 
 
-def test_curves_and_map_of_the_engine() -> None:
-    learned = identify_engine()
+def test_curves_and_map_of_the_engine(tmp_path: Path) -> None:
+    learned = identified_engine(tmp_path)
     curves = engine.curves(learned)
     np.testing.assert_allclose(curves["RMSE against truth"], [0.5, 1.3, 2.7], atol=0.05)
     # The loss is a sum over some thousand samples: rounding is far below, a wrong end far above.
@@ -36,10 +37,10 @@ def test_curves_and_map_of_the_engine() -> None:
 def test_force_to_command_to_force() -> None:
     register()
     _, identified = brake.embedded_test()
-    forces, own, true = brake.round_trip_errors(identified)
-    assert own.max() < 1e-9
-    assert true[forces >= 0.05 * forces[-1]].max() < 0.0055
-    assert true[forces >= 0.01 * forces[-1]].max() < 0.0225
+    forces, model_error, true_error = brake.round_trip_errors(identified)
+    assert model_error.max() < 1e-9
+    assert true_error[forces >= 0.05 * forces[-1]].max() < 0.0055
+    assert true_error[forces >= 0.01 * forces[-1]].max() < 0.0225
 
 
 def test_mf61_is_identified_from_noisy_samples() -> None:
@@ -66,10 +67,10 @@ def test_intervals_hold_the_truth() -> None:
 @pytest.mark.parametrize("name", ["tire_lf", "torque_05", "brake_static"])
 def test_recorded_optima_are_found_anew(name: str) -> None:
     with ProcessPoolExecutor(1, get_context("spawn")) as pool:
-        found = optima.optimum_of(name, 20, pool)
+        optimum = optima.optimum_of(name, 20, pool)
     recorded = composed([f"problem={name}"]).problem.optimum
     assert recorded is not None
-    assert optima.verdict(found, recorded) == ""
+    assert optima.verdict(optimum, recorded) == ""
 
 
 def test_the_first_rows_show_what_rare_rows_determine() -> None:
@@ -77,8 +78,8 @@ def test_the_first_rows_show_what_rare_rows_determine() -> None:
     problem = row_order.synthetic("rare_load")
     with single_thread(), np.errstate(all="ignore"):
         best = row_order.optimum("rare_load", problem)
-        seen = {
+        full_rank = {
             kind: sum(row_order.figures("rare_load", problem, best, kind, 20)[0])
             for kind in ("in use", "random")
         }
-    assert seen == {"in use": 20, "random": 2}
+    assert full_rank == {"in use": 20, "random": 2}

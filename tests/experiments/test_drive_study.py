@@ -12,17 +12,17 @@ from experiments.app.build import ConfigError
 from experiments.app.compose import composed
 from experiments.app.origin import DRIVING, DRIVING_SOURCES
 from experiments.app.schema import register
-from experiments.drive_study import check
 from experiments.driving.laps import (
     LAPS,
     VARIANTS,
-    Job,
-    judged_lap,
+    SeedJob,
     lap,
-    laps_before,
+    lap_results,
     laps_of,
     spaces,
+    stored_laps,
 )
+from experiments.driving.study import check_study
 from miho.data import Dataset
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.data.synthetic_engine import true_torque
@@ -37,7 +37,7 @@ from miho.driving.assembly.from_drives import (
 )
 from miho.driving.assembly.from_files import Wrong, engine_from, known_from
 from miho.driving.embedded import embedded_tires
-from miho.driving.proving_ground import driven, programme
+from miho.driving.proving_ground import perform, programme
 from miho.methods.least_squares import LeastSquares
 from miho.models import Pacejka, read_parameters
 from miho.models.engine import RPM
@@ -55,8 +55,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("parts")
     plant, rng = embedded_plant(AV21), np.random.default_rng(0)
     logs = {
-        name: tuple(driven(plant, one).log(name, Sensors(), rng) for one in runs)
-        for name, runs in programme(AV21, LOW_OPENINGS).items()
+        name: tuple(perform(plant, manoeuvre).log(name, Sensors(), rng) for manoeuvre in manoeuvres)
+        for name, manoeuvres in programme(AV21, LOW_OPENINGS).items()
     }
     problems = problems_of(logs, AV21, spaces())
     identify_parts(problems, LeastSquares(), Budget(evaluations=5000), 0, folder)
@@ -71,32 +71,32 @@ def test_parts_have_names_both_ways() -> None:
 
 
 def test_joined_datasets_keep_their_events_apart() -> None:
-    one = Dataset("a", {"x": np.arange(10.0), "event": np.ones(10)}, {"x": "s", "event": "-"}, "x")
-    both = joined([one, one], "both")
-    assert both["x"].tolist() == [0, 5, 0, 5]
-    assert both["event"].tolist() == [0, 0, 1, 1]
+    part = Dataset("a", {"x": np.arange(10.0), "event": np.ones(10)}, {"x": "s", "event": "-"}, "x")
+    whole = joined([part, part], "both")
+    assert whole["x"].tolist() == [0, 5, 0, 5]
+    assert whole["event"].tolist() == [0, 0, 1, 1]
 
 
 def test_unknown_seeds_and_methods_are_one_line() -> None:
     cfg = composed([EXPERIMENT])
     cfg.comparison.repetitions = 0
     with pytest.raises(ConfigError, match=r"comparison\.repetitions: is 0; expected at least 1"):
-        check(cfg)
+        check_study(cfg)
     cfg = composed([EXPERIMENT])
     cfg.comparison.methods = {"least_squares": {}}
     with pytest.raises(ConfigError, match=r"comparison\.methods\.miho: is missing"):
-        check(cfg)
+        check_study(cfg)
 
 
 def test_a_job_done_before_is_read_only_if_it_was_the_same(tmp_path: Path) -> None:
-    job = Job("drive: {}", "code", 3, str(tmp_path))
-    assert laps_before(job) is None
+    job = SeedJob("drive: {}", "code", 3, str(tmp_path))
+    assert stored_laps(job) is None
     rows = [{"seed": 3, "lap_time": 60.0}]
     (tmp_path / LAPS).write_text(json.dumps({"job": asdict(job), "laps": rows}))
-    assert laps_before(job) == rows
-    assert laps_before(Job("drive: {}", "other code", 3, str(tmp_path))) is None
+    assert stored_laps(job) == rows
+    assert stored_laps(SeedJob("drive: {}", "other code", 3, str(tmp_path))) is None
     (tmp_path / LAPS).write_text("{")
-    assert laps_before(job) is None
+    assert stored_laps(job) is None
 
 
 @pytest.mark.slow
@@ -106,12 +106,12 @@ def test_what_is_identified_is_near_the_truth(folder: Path) -> None:
     The axle's peak may miss the tires' at static load by a tenth: the curve is at the loads of the
     weave, with the load transfer in it. The engine's rows are within 12 Nm where they were driven.
     """
-    known = known_from(folder, AV21, sensitivity=0.0)
+    identified = known_from(folder, AV21, sensitivity=0.0)
     alpha = np.linspace(-0.2, 0.2, 401)
     lf, rf, lr, rr = embedded_tires()
     for axle, tires, loads in (
-        (known.front, (lf, rf), known.loads[:2]),
-        (known.rear, (lr, rr), known.loads[2:]),
+        (identified.front, (lf, rf), identified.loads[:2]),
+        (identified.rear, (lr, rr), identified.loads[2:]),
     ):
         force = sum(
             tire.forces(load, 0.0, alpha).Fy for tire, load in zip(tires, loads, strict=True)
@@ -123,20 +123,20 @@ def test_what_is_identified_is_near_the_truth(folder: Path) -> None:
         miss = engine.torque(speeds, opening) - true_torque(speeds, opening)
         assert np.abs(miss).max() < 12.0
     pressures = np.array([0.5e6, 1.5e6, 3.0e6])
-    assert known.brake.force_of_pressure(pressures) == pytest.approx(
+    assert identified.brake.force_of_pressure(pressures) == pytest.approx(
         EMBEDDED_BRAKE.force_of_pressure(pressures), rel=0.05
     )
 
 
 @pytest.mark.slow
 def test_wrong_factors_are_what_they_say(folder: Path) -> None:
-    known = known_from(folder, AV21, sensitivity=0.0)
+    identified = known_from(folder, AV21, sensitivity=0.0)
     wrong = known_from(folder, AV21, sensitivity=0.0, wrong=Wrong(1.2, 0.6, 1.25, 1.3))
-    assert wrong.grip.left == pytest.approx(1.2 * known.grip.left)
-    assert wrong.engine.table == pytest.approx(1.25 * known.engine.table)
-    assert wrong.front.left[0] == pytest.approx(0.6 * known.front.left[0])
+    assert wrong.grip.left == pytest.approx(1.2 * identified.grip.left)
+    assert wrong.engine.table == pytest.approx(1.25 * identified.engine.table)
+    assert wrong.front.left[0] == pytest.approx(0.6 * identified.front.left[0])
     assert wrong.brake.force_of_pressure(2e6) == pytest.approx(
-        1.3 * known.brake.force_of_pressure(2e6)
+        1.3 * identified.brake.force_of_pressure(2e6)
     )
 
 
@@ -154,8 +154,8 @@ def test_a_lap_on_identified_parameters_finishes_within_the_limit(folder: Path) 
     front = read_parameters(folder / "front_axle.json", Pacejka())
     assert front.derived["mean vx"].value == pytest.approx(35.0, abs=8.0)
     car = known_from(folder, AV21, sensitivity=cfg.drive.sensitivity)
-    done, driver = lap(cfg, car, seed=0)
-    result = judged_lap(done, driver, cfg.drive)
+    drive, driver = lap(cfg, car, seed=0)
+    result = lap_results(drive, driver, cfg.drive)
     assert result["stopped"] == ""
     assert float(result["margin"]) > 0
     assert float(result["lap_time"]) == pytest.approx(driver.plan.lap_time, rel=0.02)
@@ -171,9 +171,9 @@ def test_a_seed_gives_the_same_rows_again(tmp_path: Path) -> None:
     parts = {"drive": cfg.drive, "budget": cfg.budget}
     parts["comparison"] = {"methods": cfg.comparison.methods}
     setting = OmegaConf.to_yaml(OmegaConf.create(parts))
-    jobs = [Job(setting, "code", 1, str(tmp_path / name)) for name in ("a", "b")]
+    jobs = [SeedJob(setting, "code", 1, str(tmp_path / name)) for name in ("a", "b")]
     first, second = (laps_of(job) for job in jobs)
-    assert first == second == laps_before(jobs[0])
+    assert first == second == stored_laps(jobs[0])
     assert [row["variant"] for row in first] == [variant.name for variant in VARIANTS]
 
 

@@ -50,9 +50,9 @@ def test_own_data_are_announced(tmp_path: Path, capsys: pytest.CaptureFixture[st
     cfg = composed(["dataset=csv", f"dataset.path={path}", f"root={tmp_path}"])
     experiment = build(cfg)
     announce(experiment, cfg.dataset)
-    shown = capsys.readouterr().err
-    assert shown.startswith(f"{path}: 20 rows; name, unit, range, first rows:\n  alpha  rad ")
-    assert "20 rows, " in shown.splitlines()[-1]
+    printed = capsys.readouterr().err
+    assert printed.startswith(f"{path}: 20 rows; name, unit, range, first rows:\n  alpha  rad ")
+    assert "20 rows, " in printed.splitlines()[-1]
     assert 0 < seconds_of_evaluation(experiment.problem) < 1.0
     cfg = composed([f"root={tmp_path}"])
     announce(build(cfg), cfg.dataset)

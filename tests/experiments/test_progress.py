@@ -49,10 +49,10 @@ def test_the_bar_shows_it(
         oracle.record_descent(9.0, 1.5 * loss)
         now[0] = 45.0
         oracle(theta)
-    shown = capsys.readouterr().err
-    assert " 75% |" in shown
-    assert ", 2 of 3 descents agree, " in shown
-    assert "at most 15 s left" in shown
+    printed = capsys.readouterr().err
+    assert " 75% |" in printed
+    assert ", 2 of 3 descents agree, " in printed
+    assert "at most 15 s left" in printed
 
 
 def test_a_compilation_is_told_while_it_lasts(
@@ -62,13 +62,13 @@ def test_a_compilation_is_told_while_it_lasts(
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     monkeypatch.setattr("experiments.app.progress.REFRESH_SECONDS", 0.01)
     monkeypatch.setattr("experiments.app.progress.WORTH_TELLING", 0.0)
-    shown, deadline = "", time.monotonic() + 60
+    printed, deadline = "", time.monotonic() + 60
     with progress("run", Budget(evaluations=100), "V"):
         assert "compiling" not in capsys.readouterr().err
         with event.trigger_event("numba:compile"), event.trigger_event("numba:compile"):
-            while "compiling, once on this machine" not in shown and time.monotonic() < deadline:
-                shown += capsys.readouterr().err
-    assert "run: compiling, once on this machine, 0 s" in shown
+            while "compiling, once on this machine" not in printed and time.monotonic() < deadline:
+                printed += capsys.readouterr().err
+    assert "run: compiling, once on this machine, 0 s" in printed
 
 
 def test_a_short_compilation_is_not_worth_telling(

@@ -200,14 +200,14 @@ def test_a_method_that_ends_is_found_where_it_ended(
 def test_what_cannot_be_run_is_said_before_anything_runs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for arguments, said in {
+    for arguments, message in {
         ("problem=tire_lf",): "problem: cannot be chosen here; see --problems",
         ("seed=3",): "seed: cannot be chosen here; see --seeds",
         ("--vary", "R=3"): "optimizer",
         ("optimizer=nothing_like_it",): "nothing_like_it",
     }.items():
         assert call(monkeypatch, "optimizer=least_squares", *arguments) == 2
-        assert said in capsys.readouterr().err
+        assert message in capsys.readouterr().err
     assert call(monkeypatch, "--seeds", "0") == 2
 
 

@@ -19,11 +19,11 @@ CONF = Path(__file__).parents[2] / "conf"
 
 
 def test_every_target_in_conf_is_allowed() -> None:
-    known = {name for kind in HOMES for name in allowed(kind)}
+    names = {name for kind in HOMES for name in allowed(kind)}
     for path in CONF.rglob("*.yaml"):
         for line in path.read_text(encoding="utf-8").splitlines():
             if line.strip().startswith("_target_:"):
-                assert line.split(":")[1].strip() in known, path
+                assert line.split(":")[1].strip() in names, path
 
 
 def test_what_is_allowed_is_found() -> None:

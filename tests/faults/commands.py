@@ -139,14 +139,14 @@ def called(
 ) -> list[Ended]:
     """Run the commands one after the other, in this `environment` if it is given."""
     described = json.dumps([asdict(call) for call in calls])
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "tests.faults.commands"],
         input=described, capture_output=True, encoding="utf-8", check=False, cwd=checkout,
         env=environment, timeout=DEADLINE,
     )  # fmt: skip
-    if done.returncode:
-        raise RuntimeError(done.stderr)
-    return [Ended(**ended) for ended in json.loads(done.stdout)]
+    if process.returncode:
+        raise RuntimeError(process.stderr)
+    return [Ended(**ended) for ended in json.loads(process.stdout)]
 
 
 def _command(call: Call) -> None:

@@ -21,7 +21,7 @@ from typing import Any
 
 import pytest
 
-from experiments.machine import BUSY_CORES
+from experiments.diagnosis.machine import BUSY_CORES
 from tests.faults.commands import descendants
 
 LIMIT_SECONDS = 240.0

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
-from experiments import faults as command
-from experiments.faults import ROWS, Table, faults
+from experiments.diagnosis.fault_table import ROWS, FaultTable, as_text
+from experiments.faults import faults
 from tests.faults.conftest import Figures, started
 
 FILES = [path.read_text() for path in sorted(Path(__file__).parent.glob("test_*.py"))]
@@ -23,9 +23,9 @@ def numbers(texts: Sequence[str]) -> list[str]:
 
 
 def test_every_row_is_one_test() -> None:
-    found = numbers(MARKS)
-    assert len(found) == len(set(found))
-    assert sorted(found, key=ROWS.index) == ROWS
+    rows = numbers(MARKS)
+    assert len(rows) == len(set(rows))
+    assert sorted(rows, key=ROWS.index) == ROWS
 
 
 def test_rows_that_judge_seconds_are_alone() -> None:
@@ -121,7 +121,7 @@ def test_exit_codes_and_output(
     verdict: str,
     code: int,
 ) -> None:
-    def run(arguments: list[str], plugins: list[Table]) -> None:
+    def run(arguments: list[str], plugins: list[FaultTable]) -> None:
         if outcome and "not timed" in arguments[-3]:
             for row in ("R18", "R7"):
                 plugins[0].pytest_runtest_logreport(report(row, outcome, measured))
@@ -137,15 +137,15 @@ def test_exit_codes_and_output(
         assert r"a fault \| a pipe" in lines[2]
     if verdict == "BROKEN":
         assert "OSError: gone" in lines[2]
-    shown = capsys.readouterr().out.splitlines()
-    assert shown[-1].startswith(f"{0 if code else 2} of 2 rows fine in ")
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[-1].startswith(f"{0 if code else 2} of 2 rows fine in ")
 
 
 def test_the_table_is_aligned() -> None:
-    table = Table()
+    table = FaultTable()
     for row in ("R1", "R2"):
         table.pytest_runtest_logreport(report(row, "passed", "a long measure " * 10))
-    lines = command._text(table.frame(["R1", "R2"])).splitlines()
+    lines = as_text(table.frame(["R1", "R2"])).splitlines()
     assert len({line.index("a goal") for line in lines if "a goal" in line}) == 1
     assert max(map(len, lines)) <= 150
     assert lines[-1] == "2 of 2 rows fine"

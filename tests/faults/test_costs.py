@@ -101,12 +101,12 @@ def test_overhead(tmp_path: Path, measured: Figures) -> None:
 
 
 def _loaded(folder: Path) -> list[float]:
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-c", PROGRAM, str(folder), str(REPEATS)],
         cwd=CHECKOUT,
         capture_output=True, text=True, check=True, timeout=TIMEOUT,
     )  # fmt: skip
-    figures: list[float] = json.loads(done.stdout)
+    figures: list[float] = json.loads(process.stdout)
     return figures
 
 

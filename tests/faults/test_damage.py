@@ -76,10 +76,10 @@ def damage(folder: Path, times: int) -> tuple[int, int, int]:
         good = [(run / name).read_bytes() for run in folders[:ways]]
         for way, data in enumerate(good):
             (folders[way] / name).write_bytes(_spoilt(data, other, way, times, rng))
-        found = load_runs(folder / "runs")
-        listed = found.damaged[found.damaged["reason"] != ""]["folder"]
+        stored = load_runs(folder / "runs")
+        listed = stored.damaged[stored.damaged["reason"] != ""]["folder"]
         detected += len({str(run) for run in folders[:ways]} & set(listed))
-        right += len(found.runs) == WHOLE and _agrees(found, expected)
+        right += len(stored.runs) == WHOLE and _agrees(stored, expected)
         for run, data in zip(folders, good, strict=False):
             (run / name).write_bytes(data)
     ignored = _compacted(folder, ways, times, rng)
@@ -103,8 +103,8 @@ def _compacted(folder: Path, ways: int, times: int, rng: np.random.Generator) ->
         exchanged = way == ways - 1
         unused = exchanged or not compacted(root).spans
         if exchanged or way % EVERY == 0:
-            found = load_runs(root)
-            unused &= len(found.runs) == COMPACTED_RUNS and _agrees(found, expected)
+            stored = load_runs(root)
+            unused &= len(stored.runs) == COMPACTED_RUNS and _agrees(stored, expected)
         harmless += unused
     shutil.rmtree(other)
     return harmless

@@ -58,23 +58,23 @@ def test_identical_sweeps(tmp_path: Path, measured: Figures) -> None:
     """Two at the same instant; then the seeds backwards and twice."""
     prepare()
     root, forward = f"root={tmp_path / 'runs'}", ",".join(map(str, range(SEEDS)))
-    both = [begun(Call(["-m", *TINY, f"seed={forward}", root])) for _ in range(2)]
-    ended = [sweep.end() for sweep in both]
+    sweeps = [begun(Call(["-m", *TINY, f"seed={forward}", root])) for _ in range(2)]
+    ended = [sweep.end() for sweep in sweeps]
     codes = [sweep.code for sweep in ended]
     ran = sum(_ran(sweep.out) for sweep in ended)
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "runs").glob("*/*/*/result.json")}
     backward = ",".join(map(str, [*reversed(range(SEEDS)), 0, 1]))
     again = identified("-m", *TINY, f"seed={backward}", root)
     touched = sum(path.stat().st_mtime_ns != at for path, at in before.items())
-    found = load_runs(tmp_path / "runs")
+    stored = load_runs(tmp_path / "runs")
     measured(
         f"exits {codes}, {ran} runs made for {SEEDS}; reordered: exit {again.code}, "
-        f"{_ran(again.out)} made, {touched} files touched; {len(found.runs)} rows"
+        f"{_ran(again.out)} made, {touched} files touched; {len(stored.runs)} rows"
     )
     assert codes == [0, 0]
     assert ran == SEEDS
-    assert found.runs["seed"].nunique() == len(found.runs) == SEEDS
-    assert found.damaged.empty
+    assert stored.runs["seed"].nunique() == len(stored.runs) == SEEDS
+    assert stored.damaged.empty
     assert again.code == _ran(again.out) == touched == 0
 
 
@@ -167,10 +167,10 @@ def _digest(version: str) -> str | None:
     python = places[0] if places else shutil.which(f"python{version}")
     if python is None:
         return None
-    done = subprocess.run(
+    process = subprocess.run(
         [python, "-I", "-c", DIGEST], cwd=CHECKOUT, capture_output=True, text=True, check=False
     )
-    return done.stdout.strip() or None
+    return process.stdout.strip() or None
 
 
 def _run(root: Path, more: dict[str, str]) -> tuple[str, object, list[object]]:

@@ -13,7 +13,8 @@ import pytest
 from miho.data import CSVError, load_csv
 from miho.data.tir_sampling import embedded_tire
 from miho.models import TirError
-from miho.models.tir import load_tir, read_tir
+from miho.models.tir import load_tir
+from miho.models.tir_reader import read_tir
 from tests.faults.conftest import Figures
 from tests.faults.hostile_files import LARGE, RESULTS, refuse_large, survive_results
 

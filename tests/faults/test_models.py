@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.machine import BUSY_CORES, busy_cores
+from experiments.diagnosis.machine import BUSY_CORES, busy_cores
 from miho.study import load_runs
 from miho.study.workers import Workers
 from tests.faults.commands import Call, begun, identified, prepare

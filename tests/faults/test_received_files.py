@@ -144,9 +144,9 @@ def _formulas(folder: Path) -> int:
             lambda: minimize(RandomSearch(), DecayFit(), Budget(evaluations=20), 0),
             DecayFit.space, {"unit": name},
         )  # fmt: skip
-    found = load_runs(root)
+    stored = load_runs(root)
     out.mkdir()
-    write_csv(found.runs, found.curves, out)
+    write_csv(stored.runs, stored.curves, out)
     cells = [
         cell.strip('"')
         for path in out.glob("*.csv")

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from experiments.app.compose import composed
-from experiments.app.console import guarded
+from experiments.app.console import run_and_exit
 from experiments.app.plan import Request, requests
 from experiments.app.runs import run
 from experiments.app.schema import SweepConfig
@@ -114,13 +114,14 @@ def _deaf(root: Path, numbers: list[signal.Signals]) -> Stopped:
     root.mkdir()
     model = root / "deaf.py"
     model.write_text(MODEL.format(how="deaf"), encoding="utf-8")
-    own = ["model=function", f"model.path={model}", "optimizer.batch=1", f"root={root}"]
-    return _stop(partial(_sweep, requests(composed([*SWEEP, *own]), "", [0])), root, numbers, 1.0)
+    overrides = ["model=function", f"model.path={model}", "optimizer.batch=1", f"root={root}"]
+    plan = requests(composed([*SWEEP, *overrides]), "", [0])
+    return _stop(partial(_sweep, plan), root, numbers, 1.0)
 
 
 def _sweep(runs: Sequence[Request]) -> None:
     """What the command does once it is clear which runs are wanted."""
-    guarded(lambda: run(runs, SweepConfig(processes=2)).raise_if_stopped())
+    run_and_exit(lambda: run(runs, SweepConfig(processes=2)).raise_if_stopped())
 
 
 def _stop(

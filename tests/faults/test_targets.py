@@ -68,18 +68,18 @@ def test_targets(tmp_path: Path, measured: Figures) -> None:
         encoding="utf-8",
     )
     command = [sys.executable, "-m", "tests.faults.test_targets", str(tmp_path)]
-    done = subprocess.run(
+    process = subprocess.run(
         command, capture_output=True, text=True, check=True, cwd=CHECKOUT, timeout=120
     )
-    found = json.loads(done.stdout)
-    imported = [*found["modules"], *(["the canary"] if canary.exists() else [])]
+    answers = json.loads(process.stdout)
+    imported = [*answers["modules"], *(["the canary"] if canary.exists() else [])]
     measured(
-        f"{len(found['events'])} executed, {len(imported)} imported, "
-        f"{found['refused']} of {found['attacks']} refused in such a line"
+        f"{len(answers['events'])} executed, {len(imported)} imported, "
+        f"{answers['refused']} of {answers['attacks']} refused in such a line"
     )
-    assert found["refused"] == found["attacks"] == len(TARGETS) * len(ATTACKS)
+    assert answers["refused"] == answers["attacks"] == len(TARGETS) * len(ATTACKS)
     assert not imported
-    assert not found["events"]
+    assert not answers["events"]
 
 
 def _in_a_file(target: str, folder: Path) -> object:

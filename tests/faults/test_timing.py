@@ -17,7 +17,13 @@ import numpy as np
 import pytest
 import threadpoolctl
 
-from experiments.machine import CPU_RATIO, Pairs, busy_cores, evaluations_in, same_method_twice
+from experiments.diagnosis.machine import (
+    CPU_RATIO,
+    Pairs,
+    busy_cores,
+    evaluations_in,
+    same_method_twice,
+)
 from miho.study import single_thread
 from tests.faults.conftest import Figures, skip_if_busy
 

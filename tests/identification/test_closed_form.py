@@ -40,43 +40,43 @@ def test_certified_polynomials(base: float) -> None:
 
     That is the pseudo-inverse of the powers, in absolute values, times the roundings.
     """
-    found = linear_optimum(wampler(base))
-    assert found is not None
-    theta, loss = found
+    optimum = linear_optimum(wampler(base))
+    assert optimum is not None
+    theta, loss = optimum
     assert theta == pytest.approx(base ** np.arange(6), rel=4e-10)
     assert loss < 1e-18
 
 
 def test_certified_plane() -> None:
     """Seven terms of up to 3.6e6: were each rounded for the worst, 1e-9 would be left."""
-    found = linear_optimum(longley())
-    assert found is not None
+    optimum = linear_optimum(longley())
+    assert optimum is not None
     certified = [-3482258.63459582, 15.0618722713733, -0.358191792925910e-1, -2.02022980381683,
                  -1.03322686717359, -0.511041056535807e-1, 1829.15146461355]  # fmt: skip
-    assert found[0] == pytest.approx(certified, rel=1e-9)
-    assert found[1] * 16 == pytest.approx(836424.055505915, rel=1e-11)
+    assert optimum[0] == pytest.approx(certified, rel=1e-9)
+    assert optimum[1] * 16 == pytest.approx(836424.055505915, rel=1e-11)
 
 
 def test_a_line_by_hand() -> None:
     """Means 2 and 4.5, Sxx 14, Sxy 28.5."""
     x = np.array([0.0, 1.0, 2.0, 5.0])
     y = np.array([1.0, 2.5, 3.5, 11.0])
-    found = linear_optimum(line(y, x))
-    assert found is not None
+    optimum = linear_optimum(line(y, x))
+    assert optimum is not None
     slope = 28.5 / 14
-    assert found[0] == pytest.approx([4.5 - 2 * slope, slope], rel=1e-13)
-    assert found[1] * 4 == pytest.approx(((y - 4.5) ** 2).sum() - 28.5**2 / 14, rel=1e-12)
+    assert optimum[0] == pytest.approx([4.5 - 2 * slope, slope], rel=1e-13)
+    assert optimum[1] * 4 == pytest.approx(((y - 4.5) ** 2).sum() - 28.5**2 / 14, rel=1e-12)
 
 
 def test_an_optimum_outside_the_box_is_the_best_inside() -> None:
     x = np.linspace(0, 1, 20)
     problem = line(3 + 5 * x + 0.1 * np.sin(40 * x), x, b=(-1.0, 2.0))
-    found = linear_optimum(problem)
-    assert found is not None
-    assert found[0][1] == 2
+    optimum = linear_optimum(problem)
+    assert optimum is not None
+    assert optimum[0][1] == 2
     searched = minimize(LeastSquares(screen=50, starts=5, rounds=1), problem)
-    assert found[1] == pytest.approx(searched.loss, rel=1e-9)
-    assert found[1] <= searched.loss
+    assert optimum[1] == pytest.approx(searched.loss, rel=1e-9)
+    assert optimum[1] <= searched.loss
 
 
 def test_what_is_not_linear_has_none() -> None:

@@ -56,7 +56,7 @@ def test_a_curve_that_keeps_rising_has_no_peak() -> None:
 def test_the_delta_method_agrees_with_repeated_experiments() -> None:
     """300 data sets know a standard deviation to 4 %; the tolerance is four times that."""
     rng = np.random.default_rng(0)
-    found, told = [], []
+    estimates, errors = [], []
     for _ in range(300):
         alpha = rng.uniform(-0.2, 0.2, 200)
         force = Pacejka().predict(THETA[None], alpha)[0] + 150 * rng.standard_normal(200)
@@ -65,9 +65,9 @@ def test_the_delta_method_agrees_with_repeated_experiments() -> None:
         problem = CurveFit(Pacejka(), data, SPACE)
         at = linearised(problem, refit(problem, THETA).theta)
         rows = [delta_method(quantity, at) for quantity in derived(Pacejka(), data)]
-        found.append([value for value, _ in rows])
-        told.append([error for _, error in rows])
-    np.testing.assert_allclose(np.std(found, axis=0), np.mean(told, axis=0), rtol=0.16)
+        estimates.append([value for value, _ in rows])
+        errors.append([error for _, error in rows])
+    np.testing.assert_allclose(np.std(estimates, axis=0), np.mean(errors, axis=0), rtol=0.16)
 
 
 def test_a_model_nobody_derives_anything_from() -> None:

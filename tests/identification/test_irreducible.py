@@ -36,9 +36,9 @@ def test_the_interval_holds_the_noise(spread: str) -> None:
         x = rng.uniform(-1, 1, 200)
         size = np.full(200, 0.3) if spread == "even" else 0.6 * np.abs(x)
         y = np.sin(3 * x) + size * rng.standard_normal(200)
-        found = irreducible_interval(x, y)
-        inside += found.low <= np.sqrt(np.mean(size**2)) <= found.high
-        resolved += found.resolved
+        interval = irreducible_interval(x, y)
+        inside += interval.low <= np.sqrt(np.mean(size**2)) <= interval.high
+        resolved += interval.resolved
     assert inside >= 270
     assert resolved >= 290
 
@@ -46,9 +46,9 @@ def test_the_interval_holds_the_noise(spread: str) -> None:
 def test_points_too_far_apart_tell_nothing() -> None:
     """Six points of a wave without noise: what they differ by is the wave."""
     x = np.linspace(0, 6, 6)
-    found = irreducible_interval(x, np.sin(x))
-    assert found.low == 0
-    assert not found.resolved
+    interval = irreducible_interval(x, np.sin(x))
+    assert interval.low == 0
+    assert not interval.resolved
     assert irreducible_interval(x[:4], x[:4] ** 2).high == math.inf
 
 

@@ -109,9 +109,9 @@ def test_a_better_optimum_that_the_intervals_meet_is_reported(start: float) -> N
     local, best = (refit(fit, np.array([0.3, b2])) for b2 in (start, 4.0))
     assert local.converged
     assert best.cost < 0.6 * local.cost
-    found = make_report(fit, local.theta)
-    assert found.at.theta == pytest.approx(best.theta, rel=1e-4)
-    assert any("reported is the optimum" in note for note in found.notes)
+    report = make_report(fit, local.theta)
+    assert report.at.theta == pytest.approx(best.theta, rel=1e-4)
+    assert any("reported is the optimum" in note for note in report.notes)
 
 
 class Wave(Misra1a):
@@ -173,8 +173,8 @@ def test_trends_are_zero_for_noise_and_one_for_a_missing_input() -> None:
     def explained(y: np.ndarray) -> float:
         data = Dataset("d", {"x": x, "z": z, "y": y}, units, "y")
         problem = replace(line(y, x), dataset=data)
-        found = residual_trends(problem, refit(problem, np.zeros(2)).theta)
-        return float(found.set_index("column").loc["z", "explained"])
+        trends = residual_trends(problem, refit(problem, np.zeros(2)).theta)
+        return float(trends.set_index("column").loc["z", "explained"])
 
     noise = rng.standard_normal(2000)
     assert explained(x + noise) < 0.02
@@ -216,9 +216,11 @@ def test_blind_parameters_leave_the_rest_known() -> None:
     problem = replace(line(y, x), model=Twice())
     report = make_report(problem, np.array([1.0, 2.0]))
     assert np.isinf(report.at.standard_errors).all()
-    known = np.sqrt(np.sum(problem.errors(report.at.theta) ** 2) / report.at.freedom / (x @ x))
+    standard_error = np.sqrt(
+        np.sum(problem.errors(report.at.theta) ** 2) / report.at.freedom / (x @ x)
+    )
     _, half = report.band(np.array([1.0]))
-    assert half[0] == pytest.approx(report.at.quantile() * known, rel=1e-6)
+    assert half[0] == pytest.approx(report.at.quantile() * standard_error, rel=1e-6)
     assert report.at.spread(np.array([[1.0, 1.0], [1.0, 0.0]])).tolist()[1] == np.inf
 
 
@@ -252,8 +254,8 @@ def test_leaving_a_load_out_is_a_fit_without_it() -> None:
     y = x + 0.1 * z + 0.01 * rng.standard_normal(60)
     data = Dataset("d", {"x": x, "z": z, "y": y}, {"x": "-", "z": "-", "y": "-"}, "y")
     problem = replace(line(y, x), dataset=data)
-    found = leave_one_out(problem, np.ones(2), "z")
-    for row in found.to_dict("records"):
+    errors = leave_one_out(problem, np.ones(2), "z")
+    for row in errors.to_dict("records"):
         out = z == row["from"]
         expected = np.polyval(np.polyfit(x[~out], y[~out], 1), x[out]) - y[out]
         assert row["error when left out"] == pytest.approx(np.sqrt(np.mean(expected**2)), rel=1e-6)
@@ -264,12 +266,12 @@ def test_the_level_and_the_seed() -> None:
     theta = refit(problem, np.array([200.0, 0.1])).theta
     with pytest.raises(ValueError, match=r"level is 95"):
         make_report(problem, theta, level=95)
-    one, again, other = (
+    first, again, other_seed = (
         make_report(problem, theta, replicates=5, profiles=False, seed=seed).replicates
         for seed in (0, 0, 1)
     )
-    np.testing.assert_array_equal(one, again)
-    assert not np.array_equal(one, other)
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other_seed)
 
 
 def test_robust_profiles_are_near_the_linearised_intervals() -> None:
@@ -300,9 +302,9 @@ def test_neighbours_that_resemble_each_other_are_told() -> None:
     for i in range(1, 2000):
         noise[i] = 0.8 * noise[i - 1] + 0.1 * rng.standard_normal()
     x = rng.uniform(0, 1, 2000)
-    for y, told in ((1 + x + noise, True), (1 + x + rng.permutation(noise), False)):
+    for y, alike in ((1 + x + noise, True), (1 + x + rng.permutation(noise), False)):
         problem = line(y, x)
         notes = make_report(problem, refit(problem, np.ones(2)).theta, profiles=False).notes
-        found = [note for note in notes if "neighbouring rows are alike" in note]
-        assert bool(found) == told
-        assert all(re.search(r"factor of about (2.[89]|3.[012])", note) for note in found)
+        remarks = [note for note in notes if "neighbouring rows are alike" in note]
+        assert bool(remarks) == alike
+        assert all(re.search(r"factor of about (2.[89]|3.[012])", note) for note in remarks)

@@ -66,9 +66,9 @@ def test_all_but_the_covering_rows_are_random(n: int) -> None:
     """Beside the places 0, 1, 4, 9, ... the order is the permutation without those there."""
     order = row_order([rng().random(n), rng(1).normal(size=n)], rng(5))
     squares = np.arange(math.isqrt(n - 1) + 1) ** 2
-    others = np.delete(order, squares)
+    rest = np.delete(order, squares)
     plain = rng(5).permutation(n)
-    assert np.array_equal(others, plain[np.isin(plain, others)])
+    assert np.array_equal(rest, plain[np.isin(plain, rest)])
 
 
 def test_a_few_rows_cover_the_range_in_value() -> None:

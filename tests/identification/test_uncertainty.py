@@ -10,7 +10,7 @@ import scipy.stats
 from miho.data import Dataset
 from miho.identification import CurveFit, Huber, linearised
 from miho.identification.bootstrap import bootstrap, percentile_intervals
-from miho.identification.profile import profile
+from miho.identification.profile_likelihood import likelihood_profile
 from miho.identification.refit import refit
 from tests.identification.published import Line as LineModel
 from tests.identification.published import line, misra1a, problem, puromycin
@@ -37,7 +37,7 @@ def test_profile_intervals_of_the_puromycin_example() -> None:
     fit = puromycin()
     at = linearised(fit, refit(fit, np.array([200.0, 0.1])).theta)
     np.testing.assert_allclose(at.theta, [212.7, 0.06412], rtol=1e-3)
-    Vm, K = (profile(fit, at, i) for i in range(2))
+    Vm, K = (likelihood_profile(fit, at, i) for i in range(2))
     assert (Vm.low, Vm.high) == pytest.approx((197.302, 229.290), rel=2e-4)
     assert (K.low, K.high) == pytest.approx((0.046925, 0.086160), rel=2e-3)
 
@@ -45,19 +45,19 @@ def test_profile_intervals_of_the_puromycin_example() -> None:
 def test_linear_regression_in_closed_form() -> None:
     fit = straight_line()
     x, y = fit.dataset["x"], fit.dataset["y"]
-    known = scipy.stats.linregress(x, y)
+    regression = scipy.stats.linregress(x, y)
     at = linearised(fit, refit(fit, np.zeros(2)).theta)
-    np.testing.assert_allclose(at.theta, [known.intercept, known.slope], rtol=1e-8)
+    np.testing.assert_allclose(at.theta, [regression.intercept, regression.slope], rtol=1e-8)
     np.testing.assert_allclose(
-        at.standard_errors, [known.intercept_stderr, known.stderr], rtol=1e-8
+        at.standard_errors, [regression.intercept_stderr, regression.stderr], rtol=1e-8
     )
     X, e = np.stack([np.ones_like(x), x], axis=1), fit.errors(at.theta)
     bread = np.linalg.inv(X.T @ X)
     white = bread @ (X.T * e**2) @ X @ bread * x.size / (x.size - 2)
     np.testing.assert_allclose(at.sandwich, white, rtol=1e-8)
     for i in range(2):  # the profile of a linear model is the linearised interval
-        found = profile(fit, at, i)
-        np.testing.assert_allclose([found.low, found.high], at.intervals()[i], rtol=5e-3)
+        curve = likelihood_profile(fit, at, i)
+        np.testing.assert_allclose([curve.low, curve.high], at.intervals()[i], rtol=5e-3)
 
 
 def test_the_bootstrap_spreads_as_the_standard_error_does() -> None:
@@ -88,7 +88,7 @@ def test_what_the_data_do_not_see_has_no_finite_error() -> None:
     fit = line(np.array([1.0, 1.2, 0.9]), np.full(3, 2.0))
     at = linearised(fit, np.array([1.0, 0.0]))
     assert np.isinf(at.standard_errors).all()
-    assert at.unseen.shape == (1, 2)
+    assert at.null_directions.shape == (1, 2)
     assert np.isnan(at.correlation).all()
 
 
@@ -99,7 +99,7 @@ def test_an_open_profile_is_infinite() -> None:
     noise = 0.05 * np.cos(np.arange(x.size))
     flat = problem(fit.model, x, 50.0 + noise, [(10, 1000), (1e-3, 1.0)])
     at = linearised(flat, refit(flat, np.array([50.0, 0.08])).theta)
-    found = profile(flat, at, 1)
+    found = likelihood_profile(flat, at, 1)
     assert np.isinf(found.high)
     assert np.isfinite(found.low)
 
@@ -116,20 +116,20 @@ def test_the_robust_optimum_and_its_standard_error() -> None:
     of a standard deviation, 4 / sqrt(2 * 300) = 16 %."""
     rng = np.random.default_rng(0)
     x = np.linspace(0, 1, 100)
-    found, told = [], []
+    estimates, errors = [], []
     for _ in range(300):
         noise = 0.1 * rng.standard_normal(100)
         noise[rng.random(100) < 0.1] *= 30
         fit = line(1 + x + noise, x, Huber(0.13))
         theta = refit(fit, np.ones(2)).theta
-        found.append(theta[1])
-        told.append(linearised(fit, theta).standard_errors[1])
+        estimates.append(theta[1])
+        errors.append(linearised(fit, theta).standard_errors[1])
     scipys = scipy.optimize.least_squares(
         lambda t: LineModel().predict(t[None], x)[0] - fit.dataset["y"],
         np.ones(2), loss="huber", f_scale=0.13, xtol=1e-12, ftol=1e-12,
     )  # fmt: skip
     np.testing.assert_allclose(theta, scipys.x, rtol=1e-5)
-    assert np.std(found) == pytest.approx(np.mean(told), rel=0.16)
+    assert np.std(estimates) == pytest.approx(np.mean(errors), rel=0.16)
 
 
 def test_rows_of_one_event_are_not_independent() -> None:

@@ -87,9 +87,9 @@ def test_what_a_cubic_leaves_on_a_measured_engine(reference_data: Path) -> None:
     whole, upper = ((low <= rpm) & (rpm <= 7000) for low in (1000, 3500))
     turbo = [opening for opening in torque if opening >= 50]
     assert turbo == [50, 65, 70, 80, 90, 100]
-    found = [residual(rpm[whole], torque[opening][whole]) for opening in turbo]
-    assert 22 < min(found) < max(found) < 47
-    found = [residual(rpm[upper], torque[opening][upper]) for opening in turbo]
-    assert 3 < min(found) < max(found) < 14
+    residuals = [residual(rpm[whole], torque[opening][whole]) for opening in turbo]
+    assert 22 < min(residuals) < max(residuals) < 47
+    residuals = [residual(rpm[upper], torque[opening][upper]) for opening in turbo]
+    assert 3 < min(residuals) < max(residuals) < 14
     assert residual(rpm[whole], torque[30][whole]) == pytest.approx(4.5, abs=0.5)
     assert residual(rpm[whole], torque[0][whole]) < 1e-6

@@ -37,15 +37,15 @@ CURVES = [curve(throttle) for throttle in (0.05, 0.15, 0.2)]
 
 
 def test_points_are_averaged_and_met() -> None:
-    one = dyno()
-    assert np.abs(one.correction).max() == 0
-    np.testing.assert_allclose(one.table, surface(SPEEDS, OPENINGS[:, None]), rtol=1e-15)
+    dyno_map = dyno()
+    assert np.abs(dyno_map.correction).max() == 0
+    np.testing.assert_allclose(dyno_map.table, surface(SPEEDS, OPENINGS[:, None]), rtol=1e-15)
     throttle, omega = (grid.ravel() for grid in np.meshgrid(OPENINGS, SPEEDS, indexing="ij"))
     torque = surface(omega, throttle)
     twice = EngineMap.from_points(
         np.tile(throttle, 2), np.tile(omega, 2), np.concatenate([torque - 3, torque + 3])
     )
-    np.testing.assert_allclose(twice.table, one.table, rtol=1e-14, atol=1e-12)
+    np.testing.assert_allclose(twice.table, dyno_map.table, rtol=1e-14, atol=1e-12)
     with pytest.raises(ValueError, match="no point at throttle 0 and 100 rad/s"):
         EngineMap.from_points(throttle[1:], omega[1:], torque[1:])
 
@@ -74,9 +74,11 @@ def test_learned_curves_rule_where_they_are_valid() -> None:
     """Exactly their torque at low throttle, at the table's speeds; elsewhere the dyno's."""
     engine, alone = dyno().integrate(CURVES), dyno()
     inside = (SPEEDS >= 200) & (SPEEDS <= 600)
-    for one in CURVES:
-        expected = one.torque(SPEEDS[inside])
-        np.testing.assert_allclose(engine.torque(SPEEDS[inside], one.throttle), expected, atol=1e-9)
+    for learned_curve in CURVES:
+        expected = learned_curve.torque(SPEEDS[inside])
+        np.testing.assert_allclose(
+            engine.torque(SPEEDS[inside], learned_curve.throttle), expected, atol=1e-9
+        )
     row = engine.openings == 0.15
     assert (engine.learned[row][:, inside] == 1).all()
     above = OPENINGS >= 0.3
@@ -133,7 +135,7 @@ def test_weak_dyno_rows_between_curves_give_way_to_them() -> None:
     curves = [curve(0.2), curve(0.05)]
     engine = alone.integrate(curves, reach=80.0)
     inside = (SPEEDS >= 200) & (SPEEDS <= 600)
-    high, low = (one.torque(SPEEDS[inside]) for one in curves)
+    high, low = (learned_curve.torque(SPEEDS[inside]) for learned_curve in curves)
     row = int(np.searchsorted(engine.openings, 0.15))
     np.testing.assert_allclose(engine.table[row][inside], (low + 2 * high) / 3, atol=1e-9)
     np.testing.assert_allclose(engine.learned[row][inside], 1, rtol=1e-12)
@@ -159,8 +161,8 @@ def test_it_is_monotone_everywhere_and_says_what_that_took() -> None:
     engine = raw.integrate(CURVES)
     assert 10 < np.abs(raw.correction).max() < 200
     np.testing.assert_allclose(raw.correction.sum(axis=0), 0, atol=1e-9)
-    measured, kept = raw.table - raw.correction, np.isin(engine.openings, OPENINGS)
-    np.testing.assert_allclose((engine.table - engine.correction)[kept], measured, atol=1e-9)
+    measured, in_dyno_row = raw.table - raw.correction, np.isin(engine.openings, OPENINGS)
+    np.testing.assert_allclose((engine.table - engine.correction)[in_dyno_row], measured, atol=1e-9)
     omega, throttle = np.linspace(50, 750, 301), np.linspace(0, 1, 501)[:, None]
     assert np.diff(engine.torque(omega, throttle), axis=0).min() > -1e-10
     with pytest.raises(ValueError, match="falls by up to 1 Nm"):

@@ -93,5 +93,5 @@ def test_what_a_formula_needs_besides_is_in_its_closure() -> None:
     for omega_max in (700.0, 350.0):
         w = 350.0 / omega_max
         expected = 20 + 300 * w - 100 * w**2 - 50 * w**3
-        found: Any = TorqueCubic(omega_max).predict(theta, omega)[0, 0]
-        assert found == pytest.approx(expected, rel=1e-15)
+        torque: Any = TorqueCubic(omega_max).predict(theta, omega)[0, 0]
+        assert torque == pytest.approx(expected, rel=1e-15)

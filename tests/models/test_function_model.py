@@ -57,8 +57,8 @@ def test_the_derivatives_are_those_of_the_formula(load: Callable[..., Model]) ->
     """Central differences leave about 1e-10 of the size of the derivative."""
     decay = np.exp(-1.5 * t)
     exact = np.stack([decay, -2 * t * decay], axis=1)
-    found = load(DECAY).jacobian(THETAS[0], t)
-    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-9)
+    derivatives = load(DECAY).jacobian(THETAS[0], t)
+    np.testing.assert_allclose(derivatives, exact, rtol=0, atol=1e-9)
 
 
 def test_a_function_that_branches_runs_row_by_row(load: Callable[..., Model]) -> None:
@@ -76,8 +76,8 @@ def test_nothing_of_the_callers_is_edited_or_handed_out(load: Callable[..., Mode
         '\nimport numpy as np\nkept = np.zeros((1, 50))\n\ndef f(t: "s", *, a: "V") -> "V":\n    '
     )
     model = load(f"{head}return kept")
-    given = model.predict(np.ones((1, 1)), t)
-    given += 1
+    values = model.predict(np.ones((1, 1)), t)
+    values += 1
     assert not model.predict(np.ones((1, 1)), t).any()
     thetas = np.ones((2, 1))
     scribbles = load(f"{head}a *= 2\n    return t + a")
@@ -203,8 +203,8 @@ def test_derivatives_near_zero_are_not_lost(theta: float) -> None:
     """y = 1000 + a t: the derivative is t, known to the rounding of 1000 over the step."""
     t = np.linspace(0.5, 1, 5)
     model = FunctionModel(offset)
-    found = model.jacobian(np.array([theta]), t)[:, 0]
-    np.testing.assert_allclose(found, t, rtol=1e-5)
+    derivatives = model.jacobian(np.array([theta]), t)[:, 0]
+    np.testing.assert_allclose(derivatives, t, rtol=1e-5)
 
 
 def offset(t: "s", *, a: "V") -> "V":  # noqa: F821, UP037

@@ -43,15 +43,15 @@ def identified(**changes: object) -> Identified:
 def test_round_trip(tmp_path: Path) -> None:
     path = tmp_path / "parameters.json"
     path.write_text(parameters_text(identified(), {"_target_": "miho.models.Pacejka"}))
-    found = read_parameters(path, Pacejka())
-    assert found.parameters == identified().parameters
-    np.testing.assert_array_equal(found.correlation, np.eye(5))
-    assert found.ranges == {"alpha": (-0.2, 0.25)}
-    assert math.isnan(found.derived["peak"].standard_error)
-    assert found.provenance == {"problem": "p", "seed": 0}
+    read_back = read_parameters(path, Pacejka())
+    assert read_back.parameters == identified().parameters
+    np.testing.assert_array_equal(read_back.correlation, np.eye(5))
+    assert read_back.ranges == {"alpha": (-0.2, 0.25)}
+    assert math.isnan(read_back.derived["peak"].standard_error)
+    assert read_back.provenance == {"problem": "p", "seed": 0}
     alpha = np.linspace(-0.2, 0.25, 7)
     expected = Pacejka().predict(np.array([list(THETA.values())]), alpha)[0]
-    np.testing.assert_array_equal(found.predict(alpha), expected)
+    np.testing.assert_array_equal(read_back.predict(alpha), expected)
 
 
 def test_use_beyond_the_data_is_told() -> None:
@@ -110,8 +110,8 @@ def test_a_file_without_a_checksum_is_read_with_a_warning(tmp_path: Path) -> Non
     path = tmp_path / "parameters.json"
     path.write_text(json.dumps(document))
     with pytest.warns(UncheckedWarning, match="has no checksum"):
-        found = read_parameters(path, Pacejka())
-    assert found.theta.tolist() == identified().theta.tolist()
+        read_back = read_parameters(path, Pacejka())
+    assert read_back.theta.tolist() == identified().theta.tolist()
 
 
 def test_a_device_is_no_parameters_file() -> None:

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 from miho import CurveFit, Dataset, Parameter, Space
 from miho.data import embedded_tire, sample_lateral
 from miho.models import LateralMagicFormula, load_tir, mf61_lateral, write_tir
-from miho.models.lateral_magic_formula import UNITS
+from miho.models.lateral_magic_formula import COEFFICIENTS
 from miho.models.magic_formula import MagicFormula
 from miho.testing import check_model
 
@@ -24,7 +24,7 @@ LF = load_tir(embedded_tire("lf"))
 
 
 def coefficients(tire: MagicFormula) -> Array:
-    return np.array([getattr(tire.parameters, name) for name in UNITS])
+    return np.array([getattr(tire.parameters, name) for name in COEFFICIENTS])
 
 
 def conditions(n: int = 400, seed: int = 0) -> tuple[Array, ...]:
@@ -53,7 +53,7 @@ def test_it_is_the_tires_own_force_without_slip_ratio(name: str) -> None:
 
 def test_derivatives_and_batches() -> None:
     rng = np.random.default_rng(1)
-    thetas = coefficients(LF) * rng.uniform(0.6, 1.4, (4, len(UNITS)))
+    thetas = coefficients(LF) * rng.uniform(0.6, 1.4, (4, len(COEFFICIENTS)))
     check_model(LateralMagicFormula(LF), thetas, *conditions())
 
 
@@ -63,7 +63,7 @@ def test_derivatives_with_scaling_factors_and_a_base_beyond_its_ranges() -> None
     p = replace(LF.parameters, FZMIN=1000.0, FZMAX=5000.0, LMUV=0.2, **factors)
     base = replace(LF, parameters=p, A_mu=10.0)
     thetas = np.stack([coefficients(LF), coefficients(LF)])
-    thetas[1, list(UNITS).index("PEY1")] = 1.1
+    thetas[1, list(COEFFICIENTS).index("PEY1")] = 1.1
     check_model(LateralMagicFormula(base), thetas, *conditions())
     free = replace(base, clamp_curvature=False)
     check_model(LateralMagicFormula(free), thetas, *conditions())
@@ -76,7 +76,7 @@ def test_it_is_linear_where_it_says_so() -> None:
     assert model.linear == ("PVY1", "PVY2")
     J = model.jacobian(theta, *inputs)
     for name in (*model.linear, "PVY3"):
-        k = list(UNITS).index(name)
+        k = list(COEFFICIENTS).index(name)
         step = 3.0 * (np.arange(theta.size) == k)
         change = model.predict((theta + step)[None], *inputs)[0] - force(LF, *inputs)
         assert np.allclose(change, 3.0 * J[:, k], rtol=1e-9, atol=1e-7) is (name != "PVY3")
@@ -100,9 +100,9 @@ def test_it_is_identified_from_noisy_data_and_holds_elsewhere() -> None:
     model = bare(LF)
     inputs = [data[name] for name in model.inputs]
     typical = {"PCY1": 1.5, "PDY1": 1.0, "PEY1": -1.0, "PKY1": -30.0, "PKY2": 2.0, "PKY4": 2.0}
-    found = least_squares(
+    solution = least_squares(
         lambda theta: model.predict(theta[None], *inputs)[0] - data["Fy"],
-        [typical.get(name, 0.0) for name in UNITS],
+        [typical.get(name, 0.0) for name in COEFFICIENTS],
         jac=lambda theta: model.jacobian(theta, *inputs),
         x_scale="jac",
     )
@@ -110,9 +110,11 @@ def test_it_is_identified_from_noisy_data_and_holds_elsewhere() -> None:
     assert held is not None
     unseen = [held[name] for name in model.inputs]
     truth = force(LF, *unseen)
-    error = np.sqrt(np.mean((model.predict(found.x[None], *unseen)[0] - truth) ** 2))
+    error = np.sqrt(np.mean((model.predict(solution.x[None], *unseen)[0] - truth) ** 2))
     assert error < 0.002 * np.abs(truth).max()
-    assert np.sqrt(2 * found.cost / len(data)) == pytest.approx(50, rel=0.05), "the noise is left"
+    assert np.sqrt(2 * solution.cost / len(data)) == pytest.approx(50, rel=0.05), (
+        "the noise is left"
+    )
 
 
 def test_a_file_of_the_identified_tire_gives_the_same_forces(tmp_path: Path) -> None:
@@ -144,18 +146,18 @@ def test_the_reference_tire_is_identified_again(reference_data: Path) -> None:
     model = bare(tire)
     inputs = [data[name] for name in model.inputs]
     typical = {"PCY1": 1.5, "PDY1": 1.0, "PEY1": -1.0, "PKY1": -30.0, "PKY2": 2.0, "PKY4": 2.0}
-    found = least_squares(
+    solution = least_squares(
         lambda theta: model.predict(theta[None], *inputs)[0] - data["Fy"],
-        [typical.get(name, 0.0) for name in UNITS],
+        [typical.get(name, 0.0) for name in COEFFICIENTS],
         jac=lambda theta: model.jacobian(theta, *inputs),
         x_scale="jac", xtol=1e-14, ftol=1e-14, gtol=1e-14,
     )  # fmt: skip
     held = data.held_out
     assert held is not None
-    identified = model.with_coefficients(found.x)
+    identified = model.with_coefficients(solution.x)
     error = force(identified, *(held[name] for name in model.inputs)) - held["Fy"]
     assert np.abs(error).max() < 1e-9 * np.abs(held["Fy"]).max()
-    np.testing.assert_allclose(found.x, coefficients(tire), rtol=1e-5, atol=1e-7)
+    np.testing.assert_allclose(solution.x, coefficients(tire), rtol=1e-5, atol=1e-7)
 
 
 def test_a_path_is_a_base_and_the_source(tmp_path: Path) -> None:
@@ -212,7 +214,7 @@ def test_nominal_values_far_from_the_data_are_told(changes: dict[str, float], me
     units = {"alpha": "rad", "Fz": "N", "gamma": "rad", "pressure": "Pa", "Fy": "N"}
     data = Dataset("rig", columns | {"Fy": -3e4 * columns["alpha"]}, units, "Fy")
     names = {"PCY1": (1, 2), "PDY1": (0.5, 2), "PKY1": (-90, -5), "PKY2": (1, 3), "PPY1": (-2, 2)}
-    space = Space(tuple(Parameter(name, UNITS[name], *box) for name, box in names.items()))
+    space = Space(tuple(Parameter(name, COEFFICIENTS[name], *box) for name, box in names.items()))
     CurveFit(mf61_lateral(base, tuple(names)), data, space)
     with pytest.warns(UserWarning, match=message):
         CurveFit(mf61_lateral(base | changes, tuple(names)), data, space)

@@ -116,8 +116,8 @@ def test_why_moments_differ_from_the_reference(
     pressure = points["p"].astype(float)
     formula = load_tir(folder / f"{name}.tir")
     expected = points[f"Mz_{SUFFIX[alpha_star]}"]
-    found = moment_of_the_reference(formula, (*inputs, pressure), alpha_star)
-    assert np.abs(found - expected).max() < 2e-8 * np.abs(expected).max()
+    moment = moment_of_the_reference(formula, (*inputs, pressure), alpha_star)
+    assert np.abs(moment - expected).max() < 2e-8 * np.abs(expected).max()
 
 
 def test_friction_of_the_longitudinal_force_takes_the_camber_itself() -> None:

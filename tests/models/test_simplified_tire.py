@@ -10,7 +10,7 @@ import pytest
 
 from miho.data import embedded_tire
 from miho.models import SimplifiedTire, from_simplified, load_tir, mf61_lateral, simplify, write_tir
-from miho.models.lateral_magic_formula import UNITS, LateralMagicFormula
+from miho.models.lateral_magic_formula import COEFFICIENTS, LateralMagicFormula
 from miho.models.magic_formula import MagicFormula
 
 LF = load_tir(embedded_tire("lf"))
@@ -87,8 +87,8 @@ def test_beyond_the_tires_range_of_slip_angles_nothing_is_compared() -> None:
     assert table.residual.max() <= simplify(LF, LOADS).residual.max()
     row = table.Fz[:, None]
     alpha = np.linspace(-0.1, 0.1, 9)
-    found = from_simplified(table, narrow).forces(row, 0, alpha).Fy
-    np.testing.assert_allclose(found, LF.forces(row, 0, alpha).Fy, rtol=1e-9)
+    actual = from_simplified(table, narrow).forces(row, 0, alpha).Fy
+    np.testing.assert_allclose(actual, LF.forces(row, 0, alpha).Fy, rtol=1e-9)
 
 
 def test_back_and_through_a_file_it_is_the_same_tire(tmp_path: Path) -> None:
@@ -96,9 +96,9 @@ def test_back_and_through_a_file_it_is_the_same_tire(tmp_path: Path) -> None:
     again = from_simplified(table, bare(LF))
     write_tir(again, tmp_path / "again.tir")
     assert off(load_tir(tmp_path / "again.tir"), table, two_sided=True) < 1e-9
-    for name in UNITS:
-        found, expected = getattr(again.parameters, name), getattr(LF.parameters, name)
-        assert found == pytest.approx(expected, rel=1e-6, abs=1e-8), name
+    for name in COEFFICIENTS:
+        actual, expected = getattr(again.parameters, name), getattr(LF.parameters, name)
+        assert actual == pytest.approx(expected, rel=1e-6, abs=1e-8), name
 
 
 def test_what_the_table_says_nothing_about_becomes_zero() -> None:

@@ -8,16 +8,9 @@ import numpy as np
 import pytest
 
 from miho.data.tir_sampling import EMBEDDED_RANGES, embedded_tire
-from miho.models.tir import (
-    MAX_BYTES,
-    MAX_LINE,
-    PropertyFile,
-    TirError,
-    load_tir,
-    read_tir,
-    write_tir,
-)
+from miho.models.tir import load_tir, write_tir
 from miho.models.tir_format import KEYS
+from miho.models.tir_reader import MAX_BYTES, MAX_LINE, PropertyFile, TirError, read_tir
 
 LF = embedded_tire("lf").read_text(encoding="latin-1")
 

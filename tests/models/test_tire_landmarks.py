@@ -43,11 +43,11 @@ def test_what_has_no_curve_is_nan_and_leaves_the_others_alone() -> None:
     far = THETA * np.array([1, 1, 0.1, 10, 1, 1])  # E > 1 as the asymptote is far below it
     soft = THETA * np.array([0.3, 1, 1, 1, 1, 1])
     alpha = np.linspace(-0.2, 0.2, 11)
-    found = MODEL.predict(np.stack([high, THETA, far, soft]), alpha)
-    assert np.isnan(found[0]).all()
-    assert np.isnan(found[2]).all()
-    assert np.array_equal(found[1], MODEL.predict(THETA[None], alpha)[0])
-    assert np.isfinite(found[3]).all()
+    forces = MODEL.predict(np.stack([high, THETA, far, soft]), alpha)
+    assert np.isnan(forces[0]).all()
+    assert np.isnan(forces[2]).all()
+    assert np.array_equal(forces[1], MODEL.predict(THETA[None], alpha)[0])
+    assert np.isfinite(forces[3]).all()
     for theta in (high, far):
         assert np.isnan(MODEL.jacobian(theta, alpha)).all()
 

@@ -128,6 +128,6 @@ def test_packages_that_count_for_nothing_are_not_followed(tmp_path: Path) -> Non
         "app/__init__": "", "app/console": "import top.other",
     }.items():  # fmt: skip
         (place / f"{name}.py").write_text(text)
-    whole, without = Sources({"top": place}), Sources({"top": place}, without=["top.app"])
+    whole, part = Sources({"top": place}), Sources({"top": place}, excluded=["top.app"])
     assert "top.other" in whole.closure(["top.drive"])
-    assert without.closure(["top.drive"]) == ["top.car", "top.drive"]
+    assert part.closure(["top.drive"]) == ["top.car", "top.drive"]

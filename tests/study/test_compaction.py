@@ -73,9 +73,9 @@ def test_damage_of_a_compacted_run_is_found_all_the_same(root: Path) -> None:
     compact(root)
     path = root / "problem_3" / "optimizer_0" / f"{3:016x}" / "curve.json"
     path.write_bytes(path.read_bytes().replace(b"0.1", b"0.2", 1))
-    found = load_runs(root)
-    assert found.damaged["folder"].tolist() == [str(path.parent)]
-    assert 3 not in set(found.curves["seed"])
+    runs = load_runs(root)
+    assert runs.damaged["folder"].tolist() == [str(path.parent)]
+    assert 3 not in set(runs.curves["seed"])
 
 
 @pytest.mark.parametrize(
@@ -115,9 +115,9 @@ def test_several_compact_and_read_at_once(root: Path) -> None:
     compact(root)
     with ThreadPoolExecutor(4) as pool:
         jobs = [pool.submit(compact, root) for _ in range(8)]
-        seen = [len(compacted(root).spans) for _ in range(50)]
+        counts = [len(compacted(root).spans) for _ in range(50)]
         assert [job.result() for job in jobs] == [12] * 8
-    assert set(seen) == {12}, "readers see a whole file at any time"
+    assert set(counts) == {12}, "readers see a whole file at any time"
     assert sorted(p.name for p in (root / FOLDER).iterdir() if p.name != "lock") == [NAME]
 
 

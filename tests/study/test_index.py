@@ -36,12 +36,12 @@ def forge(folder: Path, curve: Any = None, **changes: Any) -> None:
 
 def test_every_number_is_that_of_the_files(tmp_path: Path) -> None:
     folders = make_runs(tmp_path, 300, np.random.default_rng(0))
-    found = load_runs(tmp_path)
-    assert found.damaged.empty
-    assert (len(found.runs), len(found.curves)) == (300, 300 * POINTS)
-    assert found.runs["folder"].tolist() == sorted(map(str, folders))
-    curves = dict(list(found.curves.groupby("id")))
-    for row in found.runs.to_dict("records"):
+    runs = load_runs(tmp_path)
+    assert runs.damaged.empty
+    assert (len(runs.runs), len(runs.curves)) == (300, 300 * POINTS)
+    assert runs.runs["folder"].tolist() == sorted(map(str, folders))
+    curves = dict(list(runs.curves.groupby("id")))
+    for row in runs.runs.to_dict("records"):
         folder = Path(row["folder"])
         result = json.loads((folder / "result.json").read_text())
         for key in ("id", "problem", "optimizer", "seed", "evaluations", "seconds", "outcome"):
@@ -65,31 +65,31 @@ def test_damage_is_known_whichever_table_is_read_first(
 ) -> None:
     path = folders[3] / name
     path.write_bytes(path.read_bytes()[:-1])
-    found = load_runs(folders[0].parents[2])
-    getattr(found, first)
-    assert found.damaged["folder"].tolist() == [str(folders[3])]
-    assert 3 not in found.runs["seed"].tolist()
-    assert 3 not in set(found.curves["seed"])
-    assert len(found.runs) == found.curves["seed"].nunique() == 11
+    runs = load_runs(folders[0].parents[2])
+    getattr(runs, first)
+    assert runs.damaged["folder"].tolist() == [str(folders[3])]
+    assert 3 not in runs.runs["seed"].tolist()
+    assert 3 not in set(runs.curves["seed"])
+    assert len(runs.runs) == runs.curves["seed"].nunique() == 11
 
 
 def test_the_tables_are_of_one_moment(folders: list[Path]) -> None:
     root = folders[0].parents[2]
     expected = load_runs(root).curves
-    found = load_runs(root)
+    runs = load_runs(root)
     (folders[0] / "curve.json").unlink()
-    found.runs["id"] = found.runs["id"].to_numpy()[::-1]
-    found.runs["seed"] = -1
-    pd.testing.assert_frame_equal(found.curves, expected)
+    runs.runs["id"] = runs.runs["id"].to_numpy()[::-1]
+    runs.runs["seed"] = -1
+    pd.testing.assert_frame_equal(runs.curves, expected)
 
 
 def test_an_empty_root_has_the_columns(tmp_path: Path) -> None:
-    found = load_runs(tmp_path)
-    assert found.runs.empty
-    assert found.curves.empty
-    assert found.damaged.empty
-    assert {"id", "error", "folder"} <= set(found.runs)
-    assert {"id", "seed", "evaluations", "error"} <= set(found.curves)
+    runs = load_runs(tmp_path)
+    assert runs.runs.empty
+    assert runs.curves.empty
+    assert runs.damaged.empty
+    assert {"id", "error", "folder"} <= set(runs.runs)
+    assert {"id", "seed", "evaluations", "error"} <= set(runs.curves)
 
 
 @pytest.mark.parametrize("level", ["problem", "optimizer", "id"])
@@ -101,10 +101,10 @@ def test_links_out_of_the_root_are_not_followed(folders: list[Path], level: str)
     link.parent.mkdir(parents=True)
     link.symlink_to(target[level])
     (root / "nowhere").symlink_to(root / "absent")
-    found = load_runs(root)
-    assert found.runs.empty
-    assert found.damaged["folder"].tolist() == [str(link)]
-    assert "symbolic link" in found.damaged["reason"][0]
+    runs = load_runs(root)
+    assert runs.runs.empty
+    assert runs.damaged["folder"].tolist() == [str(link)]
+    assert "symbolic link" in runs.damaged["reason"][0]
 
 
 @pytest.mark.parametrize("name", ["config.json", "result.json"])
@@ -112,9 +112,9 @@ def test_linked_files_are_not_followed(folders: list[Path], name: str) -> None:
     path = folders[0] / name
     path.rename(path.with_name("moved"))
     path.symlink_to(path.with_name("moved"))
-    found = load_runs(folders[0].parents[2])
-    assert found.damaged["folder"].tolist() == [str(folders[0])]
-    assert len(found.runs) == 11
+    runs = load_runs(folders[0].parents[2])
+    assert runs.damaged["folder"].tolist() == [str(folders[0])]
+    assert len(runs.runs) == 11
 
 
 def test_hidden_folders_and_unfinished_runs_are_left_out(folders: list[Path]) -> None:
@@ -122,9 +122,9 @@ def test_hidden_folders_and_unfinished_runs_are_left_out(folders: list[Path]) ->
     folders[0].parents[1].rename(root / ".hidden")
     (folders[1] / "result.json").unlink()
     (root / "comparison.json").write_text("{}")
-    found = load_runs(root)
-    assert found.damaged.empty
-    assert sorted(found.runs["seed"]) == [2, 3, 4, 5, 6, 7, 8, 9, 11]
+    runs = load_runs(root)
+    assert runs.damaged.empty
+    assert sorted(runs.runs["seed"]) == [2, 3, 4, 5, 6, 7, 8, 9, 11]
 
 
 @pytest.mark.parametrize("call", ["scandir", "open"])
@@ -140,10 +140,10 @@ def test_what_cannot_be_read_is_listed(
         return real(path, *arguments, **settings)
 
     monkeypatch.setattr(os, call, refusing)
-    found = load_runs(folders[0].parents[2])
-    assert len(found.runs) == 11
-    assert found.damaged["folder"].tolist() == [str(closed)]
-    assert "Permission denied" in found.damaged["reason"][0]
+    runs = load_runs(folders[0].parents[2])
+    assert len(runs.runs) == 11
+    assert runs.damaged["folder"].tolist() == [str(closed)]
+    assert "Permission denied" in runs.damaged["reason"][0]
 
 
 def test_a_pipe_does_not_hold_the_reader(folders: list[Path]) -> None:
@@ -162,9 +162,9 @@ def test_what_is_too_large_is_not_read(
     with (folders[1] / "curve.json").open("ab") as file:
         file.truncate(1 << 20)
     monkeypatch.setattr("miho.study.files.LARGEST", 1 << 19)
-    found = load_runs(folders[0].parents[2])
-    assert set(found.damaged["folder"]) == {str(folders[0]), str(folders[1])}
-    assert found.damaged["reason"].str.contains("json: is larger than").all()
+    runs = load_runs(folders[0].parents[2])
+    assert set(runs.damaged["folder"]) == {str(folders[0]), str(folders[1])}
+    assert runs.damaged["reason"].str.contains("json: is larger than").all()
 
 
 @pytest.mark.parametrize("depth", [60, 900, 100_000])
@@ -176,9 +176,9 @@ def test_settings_that_are_deep_are_not_read(folders: list[Path], depth: int) ->
         result = json.loads((folder / "result.json").read_text())
         digests = result["files"] | {"config.json": sha256(text)}
         forge(folder, files=digests)
-    found = load_runs(folders[0].parents[2])
-    assert found.damaged["folder"].tolist() == [str(folders[1])]
-    assert "config.json: is nested deeper than 50" in found.damaged["reason"].item()
+    runs = load_runs(folders[0].parents[2])
+    assert runs.damaged["folder"].tolist() == [str(folders[1])]
+    assert "config.json: is nested deeper than 50" in runs.damaged["reason"].item()
     with pytest.raises(DamagedRun):
         read_run(folders[1])
 
@@ -199,11 +199,11 @@ def test_what_is_no_curve_is_listed_though_its_checksum_matches(
     folders: list[Path], curve: Any
 ) -> None:
     forge(folders[5], curve)
-    found = load_runs(folders[0].parents[2])
-    assert sorted(set(found.curves["seed"])) == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11]
-    assert len(found.curves) == 11 * POINTS
-    assert found.damaged["folder"].tolist() == [str(folders[5])]
-    assert "holds no curve" in found.damaged["reason"][0]
+    runs = load_runs(folders[0].parents[2])
+    assert sorted(set(runs.curves["seed"])) == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11]
+    assert len(runs.curves) == 11 * POINTS
+    assert runs.damaged["folder"].tolist() == [str(folders[5])]
+    assert "holds no curve" in runs.damaged["reason"][0]
 
 
 @pytest.mark.parametrize(
@@ -213,9 +213,9 @@ def test_what_is_no_result_is_listed_though_its_checksum_matches(
     folders: list[Path], change: dict[str, Any]
 ) -> None:
     forge(folders[5], **change)
-    found = load_runs(folders[0].parents[2])
-    assert len(found.runs) == found.curves["seed"].nunique() == 11
-    assert found.damaged["folder"].tolist() == [str(folders[5])]
+    runs = load_runs(folders[0].parents[2])
+    assert len(runs.runs) == runs.curves["seed"].nunique() == 11
+    assert runs.damaged["folder"].tolist() == [str(folders[5])]
 
 
 def test_curves_written_in_another_order_or_without_parameters_are_read(

@@ -40,8 +40,8 @@ def test_a_record(monkeypatch: pytest.MonkeyPatch) -> None:
     assert all(getattr(same, field.name) is getattr(record, field.name) for field in fields(record)
                if field.name != "rejected")  # fmt: skip
     assert same.rejected == record.rejected
-    told = replace(record, error="no correct-horse", rejected={"a correct-horse": 2, "NaN": 1})
-    clean = without_secrets(told)
+    secret = replace(record, error="no correct-horse", rejected={"a correct-horse": 2, "NaN": 1})
+    clean = without_secrets(secret)
     assert clean.error == "no <DB_PASSWORD>"
     assert clean.rejected == {"a <DB_PASSWORD>": 2, "NaN": 1}
-    assert clean.trace is told.trace
+    assert clean.trace is secret.trace

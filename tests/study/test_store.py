@@ -49,11 +49,11 @@ def test_round_trip(tmp_path: Path) -> None:
 
 
 def test_descents_are_kept(tmp_path: Path) -> None:
-    kept = Descents(3, 2, 2, 0, (1.0, 4.0), 60, 1)
-    run = replace(record(), descents=kept)
-    done = execute(Store(tmp_path), identity(), lambda: run, DecayFit.space, FACTS).run
-    assert done is not None
-    assert done.result["descents"] == {
+    descents = Descents(3, 2, 2, 0, (1.0, 4.0), 60, 1)
+    run = replace(record(), descents=descents)
+    stored = execute(Store(tmp_path), identity(), lambda: run, DecayFit.space, FACTS).run
+    assert stored is not None
+    assert stored.result["descents"] == {
         "started": 3, "finished": 2, "converged": 2, "stayed": 0, "ends": [1.0, 4.0],
         "screened": 60, "agreeing": 1, "dropped": 0, "brackets": False,
     }  # fmt: skip
@@ -63,8 +63,8 @@ def test_a_creeping_curve_is_stored_to_its_resolution(tmp_path: Path) -> None:
     trace = Trace()
     for i in range(50_000):
         trace.add(i + 1, i * 1e-3, i * 1e-3, float(np.exp(-i * 1e-5)), np.zeros(2))
-    found = record()
-    crept = replace(found, trace=trace, loss=trace.loss[-1], evaluations=50_000)
+    plain = record()
+    crept = replace(plain, trace=trace, loss=trace.loss[-1], evaluations=50_000)
     execute(Store(tmp_path), identity(), lambda: crept, DecayFit.space, FACTS)
     curve = load_runs(tmp_path).curves
     assert len(curve) < 2500

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TypeVar
 
 from miho.study.processes import descendants
-from miho.study.workers import INTERRUPTED, Ended, Workers
+from miho.study.worker_process import INTERRUPTED
+from miho.study.workers import JobOutcome, Workers
 from tests.faults.misbehaviour import misbehave, spoil
 
 Result = TypeVar("Result")
@@ -15,13 +16,13 @@ WAIT = 60.0
 MODULES = ("tests.faults.misbehaviour",)
 
 
-def all_of(jobs: list[str], workers: Workers[str, Result]) -> dict[str, Ended[str, Result]]:
-    ended: dict[str, Ended[str, Result]] = {}
+def all_of(jobs: list[str], workers: Workers[str, Result]) -> dict[str, JobOutcome[str, Result]]:
+    ended: dict[str, JobOutcome[str, Result]] = {}
     todo, until = list(jobs), time.monotonic() + WAIT
     while (todo or workers.busy) and time.monotonic() < until:
         while todo and workers.idle:
             workers.start(todo.pop(0))
-        ended |= {one.job: one for one in workers.wait(1)}
+        ended |= {outcome.job: outcome for outcome in workers.wait(1)}
     return ended
 
 
@@ -45,10 +46,12 @@ def test_a_job_that_goes_wrong_is_lost_alone() -> None:
     with Workers(misbehave, 2, time_limit=2, modules=MODULES) as workers:
         ended = all_of([*good[:7], *bad, *good[7:]], workers)
         left = [worker.process for worker in workers._workers]
-    assert {job: one.result for job, one in ended.items() if one.reason is None} == {
+    assert {job: outcome.result for job, outcome in ended.items() if outcome.reason is None} == {
         job: job for job in good
     }
-    assert {job: one.reason for job, one in ended.items() if one.reason is not None} == bad
+    assert {
+        job: outcome.reason for job, outcome in ended.items() if outcome.reason is not None
+    } == bad
     assert "ValueError: no" in (ended["raise"].detail or "")
     assert not any(process.is_alive() for process in left)
 
@@ -66,13 +69,15 @@ def test_an_interrupt_reaches_the_job_and_a_kill_ends_it(tmp_path: Path) -> None
         wait_for(begun[:2], workers)
         workers.interrupt()
         ended = all_of([], workers)
-        assert [one.interrupted for one in ended.values()] == [True, True]
-        assert {one.reason for one in ended.values()} == {INTERRUPTED}
+        assert [outcome.interrupted for outcome in ended.values()] == [True, True]
+        assert {outcome.reason for outcome in ended.values()} == {INTERRUPTED}
         workers.start(hang.format(str(begun[2])))
         wait_for(begun[2:], workers)
         workers.kill()
         assert workers.busy == 0
-    assert not [one for one in multiprocessing.active_children() if "Workers" in one.name]
+    assert not [
+        outcome for outcome in multiprocessing.active_children() if "Workers" in outcome.name
+    ]
 
 
 def test_a_job_that_has_not_begun_is_interrupted_too() -> None:
@@ -82,7 +87,7 @@ def test_a_job_that_has_not_begun_is_interrupted_too() -> None:
         ended, until = [], time.monotonic() + WAIT
         while not ended and time.monotonic() < until:
             ended = workers.wait(1)
-        assert [one.interrupted or one.result == "good" for one in ended] == [True]
+        assert [outcome.interrupted or outcome.result == "good" for outcome in ended] == [True]
         workers.start("good")
         assert all_of([], workers)["good"].result == "good"
 
@@ -96,7 +101,7 @@ def test_jobs_that_are_alone_leave_nothing_behind() -> None:
         (worker,) = workers._workers
         assert worker.process.pid is not None
         assert descendants(worker.process.pid) == [], "what a job started has ended with it"
-    values = {job: one.result for job, one in ended.items() if one.result is not None}
+    values = {job: outcome.result for job, outcome in ended.items() if outcome.result is not None}
     assert {job: value[1] for job, value in values.items()} == {
         "spoil": 0.5, "first": math.e, "second": math.e
     }  # fmt: skip

@@ -49,16 +49,16 @@ class MeanCurve:
         seeds: Sequence[int],
     ) -> MeanCurve:
         """The runs of `optimizer` with these seeds, in their order; frames as `one_problem`."""
-        mine = runs[runs["optimizer"] == optimizer].set_index("seed").loc[list(seeds)]
-        rows = curves[curves["id"].isin(mine["id"])]
+        of_method = runs[runs["optimizer"] == optimizer].set_index("seed").loc[list(seeds)]
+        rows = curves[curves["id"].isin(of_method["id"])]
         at = np.unique(positions(rows, axis))
-        errors = np.empty((len(mine), at.size))
-        for error, run in zip(errors, mine["id"], strict=True):
-            one = rows[rows["id"] == run]
-            error[:] = step(positions(one, axis), one["error"].to_numpy(dtype=float), at)
+        errors = np.empty((len(of_method), at.size))
+        for error, run in zip(errors, of_method["id"], strict=True):
+            run_rows = rows[rows["id"] == run]
+            error[:] = step(positions(run_rows, axis), run_rows["error"].to_numpy(dtype=float), at)
         errors[np.isnan(errors)] = np.inf
-        cut = ~mine["outcome"].isin(ENDED_BY_ITSELF).to_numpy(dtype=bool)
-        return cls(at, errors, mine[axis].to_numpy(dtype=float), cut)
+        cut = ~of_method["outcome"].isin(ENDED_BY_ITSELF).to_numpy(dtype=bool)
+        return cls(at, errors, of_method[axis].to_numpy(dtype=float), cut)
 
     def reaches(self, target: float, picks: Picks) -> tuple[Array, Array]:
         """Bounds (m,), (m,) on where the mean of each resample is first at most `target`.
@@ -127,27 +127,27 @@ def mean_error(errors: Array, rng: np.random.Generator, resamples: int = RESAMPL
 
 
 def improvement(
-    mine: Array, rival: Array, rng: np.random.Generator, resamples: int = RESAMPLES
+    method: Array, rival: Array, rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> Interval:
-    """1 - mean(mine) / mean(rival), of final errors (n,), (n,) paired by repetition.
+    """1 - mean(method) / mean(rival), of final errors (n,), (n,) paired by repetition.
 
     The paper's "24 % better". 1 if only the rival has no finite error, 0 if neither has.
     """
-    ratio = ratio_of_means(mine, rival, rng, resamples)
+    ratio = ratio_of_means(method, rival, rng, resamples)
     best, worst = 1 - ratio.low, 1 - ratio.high
     return Interval(1 - ratio.estimate, worst, best, 1 - ratio.estimate)
 
 
 def ratio_of_means(
-    mine: Array, rival: Array, rng: np.random.Generator, resamples: int = RESAMPLES
+    method: Array, rival: Array, rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> Interval:
-    """mean(mine) / mean(rival) of final errors (n,), (n,), paired by repetition.
+    """mean(method) / mean(rival) of final errors (n,), (n,), paired by repetition.
 
     Two means without a finite value count as equal.
     """
-    picks = resample(_common_length([mine, rival]), rng, resamples)
+    picks = resample(_common_length([method, rival]), rng, resamples)
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratios = mine[picks].mean(axis=1) / rival[picks].mean(axis=1)
+        ratios = method[picks].mean(axis=1) / rival[picks].mean(axis=1)
     ratios[np.isnan(ratios)] = 1.0
     return interval(ratios, ratios)
 
@@ -163,31 +163,32 @@ def time_to_target(
 
 
 def speed_up(
-    mine: MeanCurve,
+    method: MeanCurve,
     rivals: Sequence[MeanCurve],
     target: float,
     rng: np.random.Generator,
     resamples: int = RESAMPLES,
 ) -> Interval:
-    """Time to target of the fastest rival's mean curve, divided by that of `mine`.
+    """Time to target of the fastest rival's mean curve, divided by that of `method`.
 
     Runs are paired by repetition: row i of every curve is the same seed. Times that the budget
     cut off enter as bounds, on either side alike. If no rival arrives the ratio lies between
-    (earliest end of a cut rival) / (my time) and inf. If some arrive and others were cut before,
-    the fastest of those that arrived gives the upper bound and the earliest cut the lower one.
-    If I do not arrive the lower bound is 0; it is exactly 0 if my runs had finished.
+    (earliest end of a cut rival) / (the method's time) and inf. If some arrive and others were cut
+    before, the fastest of those that arrived gives the upper bound and the earliest cut the lower
+    one. If the method does not arrive the lower bound is 0; it is exactly 0 if its runs had
+    finished.
     """
     if not rivals:
         raise ValueError("speed_up needs at least one rival")
-    picks = resample(_common_length([c.errors for c in [mine, *rivals]]), rng, resamples)
-    my_low, my_high = mine.reaches(target, picks)
-    theirs = [rival.reaches(target, picks) for rival in rivals]
-    their_low = np.min([low for low, _ in theirs], axis=0)
-    their_high = np.min([high for _, high in theirs], axis=0)
+    picks = resample(_common_length([c.errors for c in [method, *rivals]]), rng, resamples)
+    method_low, method_high = method.reaches(target, picks)
+    rival_bounds = [rival.reaches(target, picks) for rival in rivals]
+    rival_low = np.min([low for low, _ in rival_bounds], axis=0)
+    rival_high = np.min([high for _, high in rival_bounds], axis=0)
     with np.errstate(invalid="ignore"):
-        low, high = their_low / my_high, their_high / my_low
-    low[np.isinf(my_high)] = 0.0
-    high[np.isinf(my_low)] = 0.0
+        low, high = rival_low / method_high, rival_high / method_low
+    low[np.isinf(method_high)] = 0.0
+    high[np.isinf(method_low)] = 0.0
     return interval(low, high)
 
 

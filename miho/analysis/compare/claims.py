@@ -110,8 +110,8 @@ def claims_table(
     rows.append(study.terminal_claim())
     rows += [study.gain_claim(rival, paper) for rival, paper in GAINS]
     rows += [study.stuck_claim(*STUCK), study.flat_claim(*FLAT)]
-    others = [m for m in study.methods if m != miho and m not in PAPER_RIVALS]
-    rows += [study.extra(other, axis) for other in others for axis in study.speed_axes]
+    without_claim = [m for m in study.methods if m != miho and m not in PAPER_RIVALS]
+    rows += [study.extra(other, axis) for other in without_claim for axis in study.speed_axes]
     return pd.DataFrame(rows)
 
 
@@ -123,7 +123,7 @@ class _Study:
     rng: np.random.Generator
     resamples: int
     differences: Differences
-    known: dict[tuple[str, Axis, tuple[int, ...]], MeanCurve] = field(default_factory=dict)
+    mean_curves: dict[tuple[str, Axis, tuple[int, ...]], MeanCurve] = field(default_factory=dict)
     """Mean curves that several claims are about."""
 
     @cached_property
@@ -146,14 +146,14 @@ class _Study:
 
     def curve(self, method: str, axis: Axis, seeds: Sequence[int]) -> MeanCurve:
         key = method, axis, tuple(seeds)
-        if key not in self.known:
-            self.known[key] = MeanCurve.of(self.runs, self.curves, method, axis, seeds)
-        return self.known[key]
+        if key not in self.mean_curves:
+            self.mean_curves[key] = MeanCurve.of(self.runs, self.curves, method, axis, seeds)
+        return self.mean_curves[key]
 
     def final(self, method: str, seeds: Sequence[int]) -> Array:
         """Final errors (n,) in N; inf where a run saw nothing finite."""
-        mine = self.runs[self.runs["optimizer"] == method].set_index("seed").loc[list(seeds)]
-        return mine["error"].fillna(np.inf).to_numpy(dtype=float)
+        rows = self.runs[self.runs["optimizer"] == method].set_index("seed").loc[list(seeds)]
+        return rows["error"].fillna(np.inf).to_numpy(dtype=float)
 
     def falling(self, method: str, seeds: Sequence[int]) -> bool:
         return self.curve(method, "evaluations", seeds).still_falling()
@@ -176,9 +176,9 @@ class _Study:
             seeds = [seed for seed in seeds if seed in timed]
         if not seeds:
             return None
-        mine = self.curve(self.miho, axis, seeds)
-        theirs = [self.curve(rival, axis, seeds) for rival in rivals]
-        return speed_up(mine, theirs, target, self.rng, self.resamples), len(seeds)
+        miho_curve = self.curve(self.miho, axis, seeds)
+        rival_curves = [self.curve(rival, axis, seeds) for rival in rivals]
+        return speed_up(miho_curve, rival_curves, target, self.rng, self.resamples), len(seeds)
 
     def speed_claim(self, target: float, paper: Printed) -> list[Row]:
         present = [rival for rival in PAPER_RIVALS if rival in self.methods]
@@ -191,33 +191,33 @@ class _Study:
         measured = [self.speed(present, target, a) if present else None for a in self.speed_axes]
         verdicts = []
         differences = self.differences.of(self.miho, *present)
-        for found in measured:
-            if found is None:
-                verdicts.append(verdict.missing(absent or ["common seeds"]))
+        for speed in measured:
+            if speed is None:
+                verdicts.append(verdict.without_runs(absent or ["common seeds"]))
                 continue
-            of_present = verdict.of_advantage(found[0], paper, found[1], no_advantage=1)
+            of_present = verdict.of_advantage(speed[0], paper, speed[1], no_advantage=1)
             of_all = verdict.with_missing_rivals(of_present, absent)
             verdicts.append(verdict.at_this_size(of_all, differences))
         first, second = verdicts
         verdicts = list(verdict.of_both_axes(first, second, self.clock.unit))
         return [
-            _speed_row(claim, printed, found, result)
-            for claim, found, result in zip(claims, measured, verdicts, strict=True)
+            _speed_row(claim, printed, speed, result)
+            for claim, speed, result in zip(claims, measured, verdicts, strict=True)
         ]
 
     def terminal_claim(self) -> Row:
         seeds = self.seeds([self.miho])
         final = self.final(self.miho, seeds)
-        ours = mean_error(final, self.rng, self.resamples).scaled(1e-3)
+        interval = mean_error(final, self.rng, self.resamples).scaled(1e-3)
         result = verdict.of_level(
-            ours,
+            interval,
             TERMINAL_ERROR,
             len(seeds),
             falling=self.falling(self.miho, seeds),
             at_floor=self.at_floor(float(final.mean())),
         )
         result = verdict.at_this_size(result, self.differences_at_end(final))
-        return _row("terminal error of MIHO", "0.39 kN", (ours, len(seeds)), " kN", result)
+        return _row("terminal error of MIHO", "0.39 kN", (interval, len(seeds)), " kN", result)
 
     def differences_at_end(self, final: Array) -> list[str]:
         """What differs of MIHO, unless it ended where no setting ends lower."""
@@ -227,48 +227,48 @@ class _Study:
         claim, printed = f"MIHO ends below {rival} by", f"{paper.value:g} %"
         seeds = self.seeds([self.miho, rival]) if rival in self.methods else []
         if not seeds:
-            return _row(claim, printed, None, " %", verdict.missing([rival]))
-        mine, theirs = self.final(self.miho, seeds), self.final(rival, seeds)
-        ours = improvement(mine, theirs, self.rng, self.resamples).scaled(100)
+            return _row(claim, printed, None, " %", verdict.without_runs([rival]))
+        miho_errors, rival_errors = self.final(self.miho, seeds), self.final(rival, seeds)
+        interval = improvement(miho_errors, rival_errors, self.rng, self.resamples).scaled(100)
         result = verdict.of_advantage(
-            ours,
+            interval,
             paper,
             len(seeds),
             no_advantage=0,
             miho_falling=self.falling(self.miho, seeds),
             rival_falling=self.falling(rival, seeds),
         )
-        differences = [*self.differences_at_end(mine), *self.differences.of(rival)]
+        differences = [*self.differences_at_end(miho_errors), *self.differences.of(rival)]
         result = verdict.at_this_size(result, differences)
-        return _row(claim, printed, (ours, len(seeds)), " %", result)
+        return _row(claim, printed, (interval, len(seeds)), " %", result)
 
     def stuck_claim(self, method: str, paper: Printed) -> Row:
         claim, printed = f"{method} stays at", f"{paper.value:g} kN"
         if method not in self.methods:
-            return _row(claim, printed, None, " kN", verdict.missing([method]))
+            return _row(claim, printed, None, " kN", verdict.without_runs([method]))
         seeds = self.seeds([method])
         final = self.final(method, seeds)
-        ours = mean_error(final, self.rng, self.resamples).scaled(1e-3)
+        interval = mean_error(final, self.rng, self.resamples).scaled(1e-3)
         result = verdict.of_level(
-            ours, paper, len(seeds), falling=self.falling(method, seeds), at_floor=False
+            interval, paper, len(seeds), falling=self.falling(method, seeds), at_floor=False
         )
         escaped = int(np.sum(final <= NEAR_BEST * self.runs["error"].min()))
         if escaped and result.word != verdict.NOT_REPRODUCED:
             result = Verdict(
                 verdict.ON_REPETITIONS, f"{escaped} of {len(seeds)} came within 1 % of the best"
             )
-        differences = self.differences.of(method, ends_sooner=ours.high >= paper.low)
+        differences = self.differences.of(method, ends_sooner=interval.high >= paper.low)
         result = verdict.at_this_size(result, differences)
-        return _row(claim, printed, (ours, len(seeds)), " kN", result)
+        return _row(claim, printed, (interval, len(seeds)), " kN", result)
 
     def flat_claim(self, method: str, limit: float) -> Row:
         claim, printed = f"{method} improves by", f"negligible (< {limit * 100:g} %)"
         if method not in self.methods:
-            return _row(claim, printed, None, " %", verdict.missing([method]))
+            return _row(claim, printed, None, " %", verdict.without_runs([method]))
         first = self.curves[self.curves["optimizer"] == method].groupby("seed")["error"].first()
         seeds = [int(seed) for seed in first.dropna().index]
         if not seeds:
-            return _row(claim, printed, None, " %", verdict.missing([method]))
+            return _row(claim, printed, None, " %", verdict.without_runs([method]))
         start = first.loc[seeds].to_numpy(dtype=float)
         fall = improvement(self.final(method, seeds), start, self.rng, self.resamples)
         result = verdict.of_flatness(fall, limit, len(seeds))
@@ -278,26 +278,28 @@ class _Study:
 
     def extra(self, other: str, axis: Axis) -> Row:
         claim = f"MIHO is faster than {other} to 0.5 kN, in {UNITS[axis]}"
-        found = self.speed([other], 500.0, axis)
-        result = verdict.without_claim(*found) if found else verdict.missing([other])
-        return _speed_row(claim, "-", found, result)
+        speed = self.speed([other], 500.0, axis)
+        result = verdict.without_claim(*speed) if speed else verdict.without_runs([other])
+        return _speed_row(claim, "-", speed, result)
 
 
 def _row(
-    claim: str, paper: str, found: tuple[Interval, int] | None, unit: str, result: Verdict
+    claim: str, paper: str, measured: tuple[Interval, int] | None, unit: str, result: Verdict
 ) -> Row:
     return {
         "claim": claim,
         "paper": paper,
-        "ours": with_interval(found[0], unit) if found else "-",
-        "repetitions": found[1] if found else 0,
+        "ours": with_interval(measured[0], unit) if measured else "-",
+        "repetitions": measured[1] if measured else 0,
         "verdict": result.word,
         "reason": result.reason,
     }
 
 
-def _speed_row(claim: str, paper: str, found: tuple[Interval, int] | None, result: Verdict) -> Row:
-    row = _row(claim, paper, found, "×", result)
-    if found and found[0].estimate == 0:
+def _speed_row(
+    claim: str, paper: str, measured: tuple[Interval, int] | None, result: Verdict
+) -> Row:
+    row = _row(claim, paper, measured, "×", result)
+    if measured and measured[0].estimate == 0:
         row["ours"] = f"0×, MIHO did not reach it; {row['ours']}"
     return row

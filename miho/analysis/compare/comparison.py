@@ -1,12 +1,18 @@
-"""The comparison that a root holds: which of its runs are compared, and how they were made."""
+"""The comparison that a root holds: its runs, how they were made, its tables and their origin."""
 
 from __future__ import annotations
 
 import json
+import platform
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import pandas as pd
+
+from miho.analysis.text import to_markdown
+from miho.study import read_run, write_text
+from miho.study.provenance import write_provenance
 
 COMPARISON = "comparison.json"
 
@@ -36,3 +42,44 @@ class Comparison:
         runs = runs[runs["id"].isin(planned)]
         curves = curves[curves["id"].isin(planned)]
         return cls(runs, curves, len(planned) - len(runs), command, note)
+
+
+def write_comparison(root: Path, command: Sequence[str], note: str, ids: Sequence[str]) -> None:
+    """Write down what is compared below a root: the runs with these ids."""
+    about = {"command": list(command), "note": note, "runs": list(ids)}
+    write_text(root / COMPARISON, json.dumps(about, indent=1) + "\n")
+
+
+def write_tables(
+    comparison: Comparison,
+    tables: Mapping[str, pd.DataFrame],
+    captions: Mapping[str, str],
+    output: Path,
+) -> tuple[list[str], list[Path]]:
+    """Write each table as CSV, and as Markdown with its caption; gives the latter and all paths."""
+    output.mkdir(parents=True, exist_ok=True)
+    texts, paths = [], []
+    for name, table in tables.items():
+        text = f"{captions[name]} Runs: {comparison.note}.\n\n{to_markdown(table)}"
+        texts.append(text)
+        write_text(output / f"{name}.csv", table.to_csv(index=False))
+        write_text(output / f"{name}.md", text)
+        paths += [output / f"{name}.csv", output / f"{name}.md"]
+    return texts, paths
+
+
+def write_origin(comparison: Comparison, output: Path) -> Path:
+    """What regenerates a comparison, and what it ran on."""
+    runs = comparison.runs
+    stored = [read_run(Path(folder)) for folder in runs["folder"]]
+    loads = [run.environment["load"] for run in stored]
+    facts = {
+        "seeds": f"{runs['seed'].min()} to {runs['seed'].max()}",
+        "code": sorted({run.result["code"] for run in stored}),
+        "data": sorted({run.result["data"] for run in stored}),
+        "drawn with python": platform.python_version(),
+        "largest load average during the runs": max(
+            (load[0] for load in loads if load), default=None
+        ),
+    }
+    return write_provenance(output / "provenance.json", " ".join(comparison.command), stored, facts)

@@ -43,9 +43,9 @@ def leaderboard(
 
     A method that was not run on a problem has not solved it. Success is over the runs it has.
     """
-    found = hits(runs, curves, (factor, strict))
+    reached = hits(runs, curves, (factor, strict))
     areas = area_over_curve(runs, curves, budget, axis)
-    ert = running_times(found, axis)
+    ert = running_times(reached, axis)
     scores = problem_scores(ert, areas, factor)
     solved = at_factor(ert, factor)
     ratios = np.log(solved["ert"] / solved.groupby("problem")["ert"].transform("min"))
@@ -61,8 +61,8 @@ def leaderboard(
     table = methods.assign(
         solved=np.isfinite(solved["ert"]).groupby(solved["optimizer"]).sum().astype(int),
         **{
-            f"success at {one:g}": at_factor(found, one).groupby("optimizer")["reached"].mean()
-            for one in (factor, strict)
+            f"success at {f:g}": at_factor(reached, f).groupby("optimizer")["reached"].mean()
+            for f in (factor, strict)
         },
         **{"times the best": np.exp(ratios)},
         AOCC=per_problem.unstack().reindex(scores.index).fillna(0.0).mean(),
@@ -103,14 +103,14 @@ def best_rivals(ert: Mapping[Axis, pd.DataFrame], method: str, factor: float) ->
     columns: dict[str, pd.Series] = {}
     for axis, frame in ert.items():
         table = at_factor(frame, factor).pivot(index="problem", columns="optimizer", values="ert")
-        own, rivals = table[method], table.drop(columns=method)
+        method_cost, rivals = table[method], table.drop(columns=method)
         least = rivals.min(axis=1)
-        share = (own / least).mask(np.isinf(own), np.inf).mask(np.isinf(least), 0.0)
+        share = (method_cost / least).mask(np.isinf(method_cost), np.inf).mask(np.isinf(least), 0.0)
         unit = UNITS[axis]
-        columns[unit] = own
+        columns[unit] = method_cost
         columns[f"{unit} of a rival"] = least
         columns[f"by {unit}"] = rivals.idxmin(axis=1).where(np.isfinite(least), "none")
-        columns[f"share of {unit}"] = share.mask(np.isinf(own) & np.isinf(least), 1.0)
+        columns[f"share of {unit}"] = share.mask(np.isinf(method_cost) & np.isinf(least), 1.0)
     return pd.DataFrame(columns).reset_index()
 
 
@@ -168,10 +168,10 @@ def results_table(
             "no value": grouped.size() - grouped.count(),
         }
     )
-    known = "optimum" in runs and bool(np.isfinite(runs["optimum"]).all())
-    best = runs["optimum" if known else "error"].min() * factor
+    recorded = "optimum" in runs and bool(np.isfinite(runs["optimum"]).all())
+    best = runs["optimum" if recorded else "error"].min() * factor
     gap = 100 * (table[f"mean error [{unit}]"] / best - 1) if best > 0 else np.nan
-    table[f"gap to {'optimum' if known else 'best of all runs'} [%]"] = np.round(gap, 6) + 0.0
+    table[f"gap to {'optimum' if recorded else 'best of all runs'} [%]"] = np.round(gap, 6) + 0.0
     if targets is None:
         targets = PAPER_TARGETS if runs["unit"].iloc[0] == "N" else ()
     nearly = float(runs["error"].min() * (1 + near_best))
@@ -179,9 +179,9 @@ def results_table(
     labels.append(f"best + {near_best * 100:g} %")
     clock = clock_of(runs)
     timed = curves[curves["id"].isin(clock.runs["id"])]
-    shown: dict[Axis, pd.DataFrame] = {"evaluations": curves, clock.axis: timed}
+    on_axes: dict[Axis, pd.DataFrame] = {"evaluations": curves, clock.axis: timed}
     for target, label in zip([*targets, nearly], labels, strict=True):
-        for axis, rows in shown.items():
+        for axis, rows in on_axes.items():
             reached = to_target(rows, axis, target)
             table[f"{UNITS[axis]} to {label}"] = reached.groupby("optimizer")[axis].median()
     reached = to_target(curves, "evaluations", nearly)

@@ -77,9 +77,9 @@ def _shares(
     """Share of each method's values that are at most each grid position."""
     grid = _log_grid(np.asarray(values, dtype=float)) if grid is None else grid
     pieces = []
-    for optimizer, mine in values.groupby(optimizers):
-        within = np.searchsorted(np.sort(mine.to_numpy(dtype=float)), grid, side="right")
-        share = within / len(mine)
+    for optimizer, of_method in values.groupby(optimizers):
+        within = np.searchsorted(np.sort(of_method.to_numpy(dtype=float)), grid, side="right")
+        share = within / len(of_method)
         pieces.append(pd.DataFrame({"optimizer": optimizer, name: grid, "share": share}))
     return pd.concat(pieces, ignore_index=True)
 

@@ -36,9 +36,9 @@ def references(runs: pd.DataFrame) -> pd.DataFrame:
     """
     require_columns(runs, ["problem", "error"], "runs")
     best = runs.groupby("problem")["error"].min()
-    known = runs.groupby("problem")["optimum"].min() if "optimum" in runs else best * np.nan
-    trusted = known.notna() & ~(best < known * (1 - ROUNDING))
-    error = known.where(trusted, best)
+    recorded = runs.groupby("problem")["optimum"].min() if "optimum" in runs else best * np.nan
+    trusted = recorded.notna() & ~(best < recorded * (1 - ROUNDING))
+    error = recorded.where(trusted, best)
     for problem, value in error.items():
         if not 0 < value < math.inf:
             raise ValueError(
@@ -105,7 +105,7 @@ def expected_running_time(
     """
     table = running_times(hits, axis)
     _, values = resampled(hits, axis, rng, resamples)
-    bounds = [interval(one, one) for one in values]
+    bounds = [interval(replicates, replicates) for replicates in values]
     table["low"] = [bound.low for bound in bounds]
     table["high"] = [bound.high for bound in bounds]
     return table[[*GROUP, "runs", "success", "ert", "low", "high", "median"]]
@@ -136,8 +136,8 @@ def at_factor(frame: pd.DataFrame, factor: float) -> pd.DataFrame:
     """The rows of one factor. Raises ValueError if there are none."""
     rows = frame[frame["factor"] == factor]
     if rows.empty:
-        known = ", ".join(f"{one:g}" for one in sorted(frame["factor"].unique()))
-        raise ValueError(f"factor is {factor!r}; the frame holds {known or 'no rows'}")
+        present = ", ".join(f"{value:g}" for value in sorted(frame["factor"].unique()))
+        raise ValueError(f"factor is {factor!r}; the frame holds {present or 'no rows'}")
     return rows
 
 

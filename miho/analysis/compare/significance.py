@@ -62,8 +62,8 @@ def friedman(scores: pd.DataFrame) -> FriedmanTest:
     if (table == table[:, :1]).all():
         return FriedmanTest(methods, problems, 0.0, 1.0, 0.0, 1.0)
     test = scipy.stats.friedmanchisquare(*table.T)
-    chi2, most = float(test.statistic), problems * (methods - 1)
-    f = (problems - 1) * chi2 / (most - chi2) if most - chi2 > 1e-9 * most else math.inf
+    chi2, largest = float(test.statistic), problems * (methods - 1)
+    f = (problems - 1) * chi2 / (largest - chi2) if largest - chi2 > 1e-9 * largest else math.inf
     p = float(scipy.stats.f.sf(f, methods - 1, (methods - 1) * (problems - 1)))
     return FriedmanTest(methods, problems, chi2, float(test.pvalue), f, p)
 
@@ -72,7 +72,7 @@ def critical_difference(methods: int, problems: int, level: float = 0.05) -> flo
     """The difference of two average ranks that Nemenyi's test calls significant.
 
     It allows for all pairs. The ranks of two methods depend on who else takes part (Benavoli,
-    Corani and Mangili 2016): the test of a pair by itself is `pairwise.pairwise`.
+    Corani and Mangili 2016): the test of a pair by itself is `pairwise`.
     """
     if methods < 2 or problems < 1 or not 0 < level < 1:
         raise ValueError(
@@ -138,10 +138,10 @@ def pairwise(scores: pd.DataFrame, method: str | None = None) -> pd.DataFrame:
     )
     columns = {name: scores[name].to_numpy(dtype=float) for name in names}
     rows = []
-    for mine, rival in pairs:
-        gain = _difference(columns[rival], columns[mine])
+    for first, rival in pairs:
+        gain = _difference(columns[rival], columns[first])
         p, effect = signed_rank(gain)
-        rows.append((mine, rival, int((gain > 0).sum()), int((gain < 0).sum()), p, effect))
+        rows.append((first, rival, int((gain > 0).sum()), int((gain < 0).sum()), p, effect))
     table = pd.DataFrame(rows, columns=["method", "rival", "wins", "losses", "p", "effect"])
     table.insert(5, "p_holm", holm(table["p"].to_numpy(dtype=float)))
     return table
@@ -205,20 +205,21 @@ def pairwise_speed_up(
     names, values = resampled(at_factor(hits, factor), axis, rng, resamples)
     problems, methods = names["problem"].unique(), sorted(names["optimizer"].unique())
     logs = np.full((len(methods), problems.size + 1, 1 + resamples), np.nan)
-    place = pd.Index(methods).get_indexer(names["optimizer"])
-    where = pd.Index(problems).get_indexer(names["problem"])
-    logs[place, where] = np.log(values)
+    method_places = pd.Index(methods).get_indexer(names["optimizer"])
+    problem_places = pd.Index(problems).get_indexer(names["problem"])
+    logs[method_places, problem_places] = np.log(values)
+    # Families are drawn, and of each drawn problem one of its resamples; row 0 is all as it is.
     groups = _members([families[name] if families else name for name in problems])
     drawn_groups = rng.integers(len(groups), size=(1 + resamples, len(groups)))
     drawn_groups[0] = np.arange(len(groups))
     rows = groups[drawn_groups].reshape(1 + resamples, -1)
     columns = rng.integers(1, 1 + resamples, size=rows.shape)
     columns[0] = 0
-    drawn = dict(zip(methods, logs[:, rows, columns], strict=True))
+    replicates = dict(zip(methods, logs[:, rows, columns], strict=True))
     return pd.DataFrame(
         [
-            {"method": mine, "rival": rival} | _speed_up(drawn[mine], drawn[rival])
-            for mine, rival in permutations(methods, 2)
+            {"method": method, "rival": rival} | _speed_up(replicates[method], replicates[rival])
+            for method, rival in permutations(methods, 2)
         ]
     )
 
@@ -233,25 +234,25 @@ def _members(families: list[str]) -> NDArray[np.intp]:
     return table
 
 
-def _speed_up(mine: Array, rival: Array) -> dict[str, float]:
+def _speed_up(method: Array, rival: Array) -> dict[str, float]:
     """The ratio of drawn log running times (1 + m, problems), not finite where not solved."""
-    both = np.isfinite(mine) & np.isfinite(rival)
-    sums = (np.where(both, rival, 0.0) - np.where(both, mine, 0.0)).sum(axis=1)
+    solved = np.isfinite(method) & np.isfinite(rival)
+    sums = (np.where(solved, rival, 0.0) - np.where(solved, method, 0.0)).sum(axis=1)
     means = np.full(len(sums), np.nan)
-    np.divide(sums, both.sum(axis=1), out=means, where=both.any(axis=1))
+    np.divide(sums, solved.sum(axis=1), out=means, where=solved.any(axis=1))
     ratios = np.exp(means[np.isfinite(means)])
-    ours = interval(ratios, ratios) if both[0].any() and ratios.size > 1 else None
+    bounds = interval(ratios, ratios) if solved[0].any() and ratios.size > 1 else None
     return {
-        "ratio": ours.estimate if ours else np.nan,
-        "low": ours.low if ours else np.nan,
-        "high": ours.high if ours else np.nan,
-        "problems": int(both[0].sum()),
-        "only_method": int((np.isfinite(mine[0]) & ~both[0]).sum()),
-        "only_rival": int((np.isfinite(rival[0]) & ~both[0]).sum()),
+        "ratio": bounds.estimate if bounds else np.nan,
+        "low": bounds.low if bounds else np.nan,
+        "high": bounds.high if bounds else np.nan,
+        "problems": int(solved[0].sum()),
+        "only_method": int((np.isfinite(method[0]) & ~solved[0]).sum()),
+        "only_rival": int((np.isfinite(rival[0]) & ~solved[0]).sum()),
     }
 
 
 def _difference(left: Array, right: Array) -> Array:
     """left - right, 0 where they are equal, also where both are infinite."""
-    same = left == right
-    return np.where(same, 0.0, np.where(same, 0.0, left) - np.where(same, 0.0, right))
+    equal = left == right
+    return np.where(equal, 0.0, np.where(equal, 0.0, left) - np.where(equal, 0.0, right))

@@ -54,7 +54,7 @@ class Printed:
 
 
 def of_advantage(
-    ours: Interval,
+    measured: Interval,
     paper: Printed,
     repetitions: int,
     *,
@@ -76,26 +76,26 @@ def of_advantage(
     """
     if repetitions < LEAST_REPETITIONS:
         return _too_few(repetitions)
-    if ours.high < paper.low:
+    if measured.high < paper.low:
         if miho_falling:
             return Verdict(ON_BUDGET, "below the paper, but MIHO was cut while its error fell")
         return Verdict(NOT_REPRODUCED, "the whole interval is below the paper's figure")
-    if ours.low < paper.low:
-        if ours.censored > TAIL:
+    if measured.low < paper.low:
+        if measured.censored > TAIL:
             return Verdict(ON_BUDGET, "runs were cut before they reached the target")
-        if ours.low <= no_advantage:
+        if measured.low <= no_advantage:
             return Verdict(
                 ON_REPETITIONS, "the interval holds the paper's figure and no advantage as well"
             )
     if rival_falling:
         return Verdict(ON_BUDGET, "as printed, but the rival was cut while its error fell")
-    if ours.low > paper.high:
+    if measured.low > paper.high:
         return Verdict(REPRODUCED, "the whole interval is above the paper's figure")
     return Verdict(REPRODUCED, "the interval holds the paper's figure or more")
 
 
 def of_level(
-    ours: Interval,
+    measured: Interval,
     paper: Printed,
     repetitions: int,
     *,
@@ -115,14 +115,14 @@ def of_level(
     """
     if repetitions < LEAST_REPETITIONS:
         return _too_few(repetitions)
-    if ours.high < paper.low or ours.low > paper.high:
+    if measured.high < paper.low or measured.low > paper.high:
         if at_floor:
             return Verdict(ON_DATA, "it is the floor of these data, which is not the paper's")
-        if falling and ours.low > paper.high:
+        if falling and measured.low > paper.high:
             return Verdict(ON_BUDGET, "above the paper, but cut while its error fell")
-        side = "above" if ours.low > paper.high else "below"
+        side = "above" if measured.low > paper.high else "below"
         return Verdict(NOT_REPRODUCED, f"the whole interval is {side} the paper's figure")
-    if ours.high - ours.low > WIDEST_LEVEL * paper.value:
+    if measured.high - measured.low > WIDEST_LEVEL * paper.value:
         return Verdict(
             ON_REPETITIONS, f"the interval is wider than {WIDEST_LEVEL * 100:g} % of the figure"
         )
@@ -149,8 +149,8 @@ def of_flatness(fall: Interval, limit: float, repetitions: int) -> Verdict:
     return Verdict(ON_REPETITIONS, f"the interval holds {limit * 100:g} %, the limit of negligible")
 
 
-def missing(methods: list[str]) -> Verdict:
-    """Of a claim about methods without runs."""
+def without_runs(methods: list[str]) -> Verdict:
+    """The verdict on a claim about methods that have no runs."""
     return Verdict(f"depends on {', '.join(methods)}", "there are no runs to compare with")
 
 
@@ -164,10 +164,10 @@ def with_missing_rivals(verdict: Verdict, methods: list[str]) -> Verdict:
 
 
 def at_this_size(verdict: Verdict, differences: Sequence[str]) -> Verdict:
-    """Of a claim that is about the full size: not tested where something of it differs.
+    """The verdict on a claim about the full size: not tested if settings or budgets differ.
 
-    `differences` say what, each in words. Repetitions are none: intervals and their rules account
-    for them.
+    `differences` name them in words. The number of repetitions is none of them, since intervals and
+    their rules account for it.
     """
     return Verdict(NOT_TESTED, "; ".join(differences)) if differences else verdict
 
@@ -179,20 +179,20 @@ def of_both_axes(
     definite = {REPRODUCED, NOT_REPRODUCED}
     if seconds.word == evaluations.word or not {seconds.word, evaluations.word} <= definite:
         return seconds, evaluations
-    both = Verdict(
+    on_both = Verdict(
         "depends on the axis",
         f"{seconds.word} in {unit}, {evaluations.word} in evaluations",
     )
-    return both, both
+    return on_both, on_both
 
 
-def without_claim(ours: Interval, repetitions: int) -> Verdict:
-    """Of a speed ratio the paper does not print: which side is faster, if the interval says so."""
+def without_claim(measured: Interval, repetitions: int) -> Verdict:
+    """On a speed ratio that the paper does not print: which is faster, if the interval decides."""
     if repetitions < LEAST_REPETITIONS:
         return Verdict("-", f"only {repetitions} repetitions")
-    if ours.low > 1:
+    if measured.low > 1:
         return Verdict("-", "MIHO is faster")
-    if ours.high < 1:
+    if measured.high < 1:
         return Verdict("-", "MIHO is slower")
     return Verdict("-", "undecided: the interval holds 1")
 

@@ -67,9 +67,9 @@ def error_curves(
         figure = Figure(figsize=(WIDTH, 1.45 * rows + 1.1), layout="constrained")
         panels = np.ravel(figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True))
         for ax, problem in zip(panels, problems, strict=False):
-            mine = runs[runs["problem"] == problem]
+            of_problem = runs[runs["problem"] == problem]
             best = float(best_known.loc[problem, "error"])
-            plot_gap(mine, curves[curves["problem"] == problem], axis, ax, best, grid, styles)
+            plot_gap(of_problem, curves[curves["problem"] == problem], axis, ax, best, grid, styles)
             title = textwrap.fill(f"{problem} *" if problem in starred else problem, 27)
             ax.set_title(title, loc="left", fontsize=8)
         for ax in panels[len(problems) :]:
@@ -109,8 +109,8 @@ def plot_gap(
             continue
         low, median, high = np.quantile(gaps[method], QUANTILES, axis=0, method="higher")
         low, median, high = (
-            np.where((grid <= ends[method]) & np.isfinite(one), one.clip(GAP_FLOOR), np.nan)
-            for one in (low, median, high)
+            np.where((grid <= ends[method]) & np.isfinite(q), q.clip(GAP_FLOOR), np.nan)
+            for q in (low, median, high)
         )
         ax.plot(grid, median, zorder=2 + 0.01 * order, **style.line)
         if style != style.muted:
@@ -143,8 +143,8 @@ def ecdf_figure(
         left.set(xlabel=AXIS_LABELS["evaluations"], ylabel="targets reached")
         plot_shares(over_time, clock.axis, right, highlight=highlight)
         right.set_xlabel(time_label(clock))
-        said = "a target is one problem, repetition and distance to the optimum"
-        caption(figure, said, clock.note if clock.axis == "seconds" else "", note)
+        explanation = "a target is one problem, repetition and distance to the optimum"
+        caption(figure, explanation, clock.note if clock.axis == "seconds" else "", note)
         label_shares(over_evaluations, "evaluations", right, highlight=highlight)
     return figure
 
@@ -181,8 +181,8 @@ def plot_shares(
     """The step function `share` over column `x` of each method, on a logarithmic scale of x."""
     require_columns(frame, ["optimizer", x, "share"], "frame")
     for order, (method, style) in enumerate(with_emphasis(frame["optimizer"], highlight).items()):
-        one = frame[frame["optimizer"] == method].sort_values(x)
-        ax.step(one[x], one["share"], where="post", zorder=2 + 0.01 * order, **style.line)
+        rows = frame[frame["optimizer"] == method].sort_values(x)
+        ax.step(rows[x], rows["share"], where="post", zorder=2 + 0.01 * order, **style.line)
     at = frame[x].to_numpy(dtype=float)
     at = at[np.isfinite(at) & (at > 0)]
     ax.set(xscale="log", ylim=(0, 1.02))
@@ -204,8 +204,8 @@ def label_shares(
     last, mean = shares.last(), shares.mean()
     styles = with_emphasis(frame["optimizer"], highlight)
     labels = [
-        EndLabel(last[one], f"{100 * last[one]:3.0f} %  {styles[one].name}", styles[one])
-        for one in sorted(styles, key=lambda method: (last[method], mean[method]))
+        EndLabel(last[name], f"{100 * last[name]:3.0f} %  {styles[name].name}", styles[name])
+        for name in sorted(styles, key=lambda method: (last[method], mean[method]))
     ]
     draw_end_labels(ax, labels)
 
@@ -216,13 +216,13 @@ def _errors(
     """Errors (n, g) of each method's n runs on the grid; inf where a run has no value yet."""
     at, errors = positions(curves, axis), curves["error"].to_numpy(dtype=float)
     rows = curves.groupby("id").indices
-    none = np.full(grid.size, np.inf)
-    found: dict[str, list[Array]] = {}
+    no_value = np.full(grid.size, np.inf)
+    by_method: dict[str, list[Array]] = {}
     for method, run in zip(runs["optimizer"], runs["id"], strict=True):
         index = rows.get(run)
-        one = none if index is None else step(at[index], errors[index], grid)
-        found.setdefault(method, []).append(np.where(np.isnan(one), np.inf, one))
-    return {method: np.array(ones) for method, ones in found.items()}
+        run_errors = no_value if index is None else step(at[index], errors[index], grid)
+        by_method.setdefault(method, []).append(np.where(np.isnan(run_errors), np.inf, run_errors))
+    return {method: np.array(ones) for method, ones in by_method.items()}
 
 
 def _legend(figure: Figure, styles: dict[str, MethodStyle]) -> None:
@@ -332,6 +332,6 @@ def short(value: float) -> str:
     if np.isnan(value):
         return "-"
     scales = ((1.0, ""), (1e3, "k"), (1e6, "M"), (1e9, "G"))
-    scale, suffix = next((one for one in scales if value < 999.5 * one[0]), scales[-1])
-    shown = value / scale
-    return f"{shown:.1f}{suffix}" if shown < 9.95 else f"{shown:.0f}{suffix}"
+    scale, suffix = next((entry for entry in scales if value < 999.5 * entry[0]), scales[-1])
+    mantissa = value / scale
+    return f"{mantissa:.1f}{suffix}" if mantissa < 9.95 else f"{mantissa:.0f}{suffix}"

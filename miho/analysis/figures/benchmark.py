@@ -69,7 +69,7 @@ def arrival_figure(frame: pd.DataFrame) -> Figure:
     with house_style():
         figure = Figure(figsize=(WIDTH / 2, 3.0), layout="constrained")
         ax = figure.subplots()
-        median = frame.groupby(["rows", "method"], as_index=False)["ms"].median()
+        median = frame.groupby(["rows", "method"])["ms"].median().reset_index()
         _lines(median, ax, "method", "ms", ARRIVAL_COLOURS)
         ax.set_ylabel("time to within 1 % of the optimum [ms]")
         ax.legend()
@@ -106,8 +106,8 @@ def overhead_figure(frame: pd.DataFrame) -> Figure:
 
 def _lines(frame: pd.DataFrame, ax: Axes, by: str, value: str, colours: dict[str, str]) -> None:
     for name, colour in colours.items():
-        one = frame[frame[by] == name].sort_values("rows")
-        ax.plot(one["rows"], one[value], color=colour, marker="o", markersize=3, label=name)
+        rows = frame[frame[by] == name].sort_values("rows")
+        ax.plot(rows["rows"], rows[value], color=colour, marker="o", markersize=3, label=name)
     ax.set(xscale="log", yscale="log", xlabel="rows of the data")
 
 

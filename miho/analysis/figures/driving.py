@@ -122,9 +122,9 @@ def plot_error(log: pd.DataFrame, column: str, factor: float, label: str, ax: Ax
     values = factor * log[column]
     ax.plot(log["distance"] / 1000, values, color=BLUE, linewidth=0.9)
     ax.axhline(0.0, color="black", linewidth=0.6)
-    most = float(values.abs().max())
-    ax.set_ylim(-1.45 * most, 1.45 * most)
-    ax.set_title(f"largest {most:.2f}", loc="right", pad=2, fontsize=8)
+    largest = float(values.abs().max())
+    ax.set_ylim(-1.45 * largest, 1.45 * largest)
+    ax.set_title(f"largest {largest:.2f}", loc="right", pad=2, fontsize=8)
     ax.set_ylabel(label)
     return ax
 
@@ -147,7 +147,7 @@ def _mark_departure(figure: Figure, at: float, text: str) -> None:
 
 
 def _legend(ax: Axes) -> None:
-    """In a row above the panel, where no line is."""
+    """The legend in a row above the panel, where it covers no curve."""
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, borderpad=0.1)
 
 
@@ -172,13 +172,14 @@ def lap_table(laps: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
     """
     rows = []
     for variant, group in laps.groupby("variant", observed=True, sort=False):
-        done = group[group["lap_time"].notna()]
-        row: dict[str, object] = {"variant": variant, "seeds": len(group), "finished": len(done)}
+        finished = group[group["lap_time"].notna()]
+        row: dict[str, object] = {"variant": variant, "seeds": len(group)}
+        row["finished"] = len(finished)
         for column, (_, factor, _) in MEASURES.items():
-            values = factor * done[column].to_numpy(dtype=float)
+            values = factor * finished[column].to_numpy(dtype=float)
             if values.size:
-                found = mean_error(values, rng)
-                ends = found.estimate, found.low, found.high
+                mean = mean_error(values, rng)
+                ends = mean.estimate, mean.low, mean.high
             else:
                 ends = math.nan, math.nan, math.nan
             row |= dict(zip((column, f"{column}_low", f"{column}_high"), ends, strict=True))
@@ -188,16 +189,16 @@ def lap_table(laps: pd.DataFrame, rng: np.random.Generator) -> pd.DataFrame:
 
 def lap_text(table: pd.DataFrame) -> str:
     """The table as text: mean and interval, "-" where no lap was finished."""
-    shown = pd.DataFrame({"knows": table["variant"].astype(str)})
-    shown["finished"] = [f"{row.finished} of {row.seeds}" for row in table.itertuples()]
+    columns = pd.DataFrame({"knows": table["variant"].astype(str)})
+    columns["finished"] = [f"{row.finished} of {row.seeds}" for row in table.itertuples()]
     for column, (name, _, digits) in MEASURES.items():
-        shown[name] = [
+        columns[name] = [
             "-" if math.isnan(mean) else f"{mean:.{digits}f} ({low:.{digits}f}, {high:.{digits}f})"
             for mean, low, high in zip(
                 table[column], table[f"{column}_low"], table[f"{column}_high"], strict=True
             )
         ]
-    return shown.to_string(index=False)
+    return columns.to_string(index=False)
 
 
 def lap_figure(laps: pd.DataFrame, table: pd.DataFrame, *, note: str = "") -> Figure:
@@ -209,13 +210,13 @@ def lap_figure(laps: pd.DataFrame, table: pd.DataFrame, *, note: str = "") -> Fi
             plot_measure(laps, table, column, ax)
         panels[0].set_yticks(range(len(table)), table["variant"].astype(str))
         panels[0].invert_yaxis()
-        told = "points: seeds; bars: mean and 95 % bootstrap interval"
+        explanation = "points: seeds; bars: mean and 95 % bootstrap interval"
         lost = table[table["finished"] < table["seeds"]]
         fates = ", ".join(
             f"{row.variant}: {row.finished} of {row.seeds} laps finished"
             for row in lost.itertuples()
         )
-        caption(figure, told, fates, note)
+        caption(figure, explanation, fates, note)
         figure.draw_without_rendering()
     return figure
 

@@ -115,9 +115,9 @@ def plot_engine_map(rpm: Array, throttle: Array, torque: Array, learned: Array, 
     )
     ax.clabel(lines, fontsize=7, colors="black", fmt="%g")
     for row, weight in zip(throttle, learned, strict=True):
-        known = weight > 0.999
-        if known.any():
-            ax.plot(rpm[known], np.full(known.sum(), row), color=blue, linewidth=1.4)
+        is_learned = weight > 0.999
+        if is_learned.any():
+            ax.plot(rpm[is_learned], np.full(is_learned.sum(), row), color=blue, linewidth=1.4)
     handles = [
         Patch(facecolor=blue, alpha=0.3, label="interpolated with\nlearned curves"),
         Line2D([], [], color=blue, linewidth=1.4, label="learned curve"),

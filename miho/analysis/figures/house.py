@@ -70,9 +70,9 @@ def save(figure: Figure, path_without_suffix: str | Path) -> list[Path]:
     with house_style():
         for path in paths:
             metadata = {"CreationDate": None} if path.suffix == ".pdf" else None
-            drawn = io.BytesIO()
-            figure.savefig(drawn, format=path.suffix[1:], dpi=200, metadata=metadata)
-            write_bytes(path, drawn.getvalue())
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format=path.suffix[1:], dpi=200, metadata=metadata)
+            write_bytes(path, buffer.getvalue())
     return paths
 
 
@@ -80,8 +80,8 @@ def time_label(clock: Clock) -> str:
     """The label of an axis over time: a clock other than the wall's says why it is there."""
     if clock.axis == "seconds":
         return AXIS_LABELS["seconds"]
-    why = textwrap.fill(f"({clock.disturbed})", TIME_LABEL_WIDTH)
-    return f"{AXIS_LABELS[clock.axis]}\n{why}"
+    reason = textwrap.fill(f"({clock.disturbed})", TIME_LABEL_WIDTH)
+    return f"{AXIS_LABELS[clock.axis]}\n{reason}"
 
 
 def caption(figure: Figure, *parts: str) -> None:
@@ -118,8 +118,9 @@ def draw_end_labels(ax: Axes, labels: Sequence[EndLabel], size: float = 8.0) -> 
         return
     figure.draw_without_rendering()
     height = ax.get_window_extent().height / figure.dpi * 72
-    ends = np.array([1.0 if np.isnan(one.value) else _fraction(ax, one.value) for one in labels])
-    spots = spread(ends, 1.45 * size / height)
+    values = [label.value for label in labels]
+    ends = np.array([1.0 if np.isnan(value) else _fraction(ax, value) for value in values])
+    spots = spread_apart(ends, 1.45 * size / height)
     for label, end, spot in zip(labels, ends, spots, strict=True):
         if not np.isnan(label.value):
             xs, ys = [1.0, 1.04, 1.11], [end, spot, spot]
@@ -138,18 +139,18 @@ def draw_end_labels(ax: Axes, labels: Sequence[EndLabel], size: float = 8.0) -> 
         )
 
 
-def spread(wanted: Array, gap: float, low: float = 0.0, high: float = 1.0) -> Array:
-    """Positions (n,) at least `gap` apart in the order of `wanted`, as near to it as possible.
+def spread_apart(targets: Array, gap: float, low: float = 0.0, high: float = 1.0) -> Array:
+    """Positions (n,) at least `gap` apart in the order of `targets`, as near to them as possible.
 
-    Least squares under the constraint, which is an isotonic regression of wanted_i - i gap. If
+    Least squares under the constraint, which is an isotonic regression of target_i - i gap. If
     they cannot fit between `low` and `high`, the gap shrinks until they do.
     """
-    count = len(wanted)
+    count = len(targets)
     if count > 1:
         gap = min(gap, (high - low) / (count - 1))
-    order = np.argsort(wanted, kind="stable")
+    order = np.argsort(targets, kind="stable")
     shifts = gap * np.arange(count)
-    fitted = isotonic_regression(wanted[order] - shifts).x
+    fitted = isotonic_regression(targets[order] - shifts).x
     placed = np.empty(count)
     placed[order] = np.clip(fitted, low, max(low, high - shifts[-1])) + shifts
     return placed

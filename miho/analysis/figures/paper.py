@@ -103,13 +103,15 @@ def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
     """
     runs, curves = one_problem(runs, curves)
     unit = str(runs["unit"].iloc[0])
-    shown, factor = shown_unit(unit)
+    shown_in, factor = shown_unit(unit)
+    # The irreducible error, and the clock that all runs may be compared on.
     low, high = (float(runs[f"irreducible_{end}"].mean()) for end in ("low", "high"))
     irreducible = (low, high) if np.isfinite(low) else None
     clock = clock_of(runs)
     with house_style():
         figure = Figure(figsize=(WIDTH, 3.3), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
+        # Left over time, of the runs that count there; right over evaluations, of all.
         timed = curves[curves["id"].isin(clock.runs["id"])]
         plot_error_over(timed, clock.axis, left, unit=unit, irreducible=irreducible)
         left.set_xlabel(time_label(clock))
@@ -127,7 +129,7 @@ def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
         )
         if irreducible is not None:
             left.annotate(
-                f"irreducible: {low * factor:.2f} to {high * factor:.2f} {shown}",
+                f"irreducible: {low * factor:.2f} to {high * factor:.2f} {shown_in}",
                 (0.02, high * factor),
                 xycoords=("axes fraction", "data"),
                 xytext=(0, 2),
@@ -156,20 +158,20 @@ def plot_error_over(
     drawn in kN. Runs without rows are unknown here: see `tidy.with_silent_runs`.
     """
     grid = log_grid(curves, axis) if grid is None else grid
-    shown, factor = shown_unit(unit)
-    found = summary(on_grid(curves, axis, grid), axis)
+    shown_in, factor = shown_unit(unit)
+    means = summary(on_grid(curves, axis, grid), axis)
     ends = curves.groupby("optimizer")[axis].max()
-    for order, (method, style) in enumerate(styles_of(found["optimizer"]).items()):
-        one = found[found["optimizer"] == method]
-        at = one[axis].to_numpy(dtype=float)
-        mean, low, high = (one[c].to_numpy(dtype=float) * factor for c in ("mean", "low", "high"))
+    for order, (method, style) in enumerate(styles_of(means["optimizer"]).items()):
+        rows = means[means["optimizer"] == method]
+        at = rows[axis].to_numpy(dtype=float)
+        mean, low, high = (rows[c].to_numpy(dtype=float) * factor for c in ("mean", "low", "high"))
         running = at <= ends[method]
         layer = 3 - 0.01 * order
         ax.fill_between(at, low, high, where=running, color=style.color, alpha=0.13, linewidth=0)
         ax.plot(at[running], mean[running], label=style.name, zorder=layer, **style.line)
         ax.plot(at[~running], mean[~running], color=style.color, linewidth=0.6, zorder=layer)
     ax.set(xscale="log", yscale="log", xlim=(grid[0], grid[-1]))
-    ax.set(xlabel=AXIS_LABELS[axis], ylabel=f"error [{shown}]")
+    ax.set(xlabel=AXIS_LABELS[axis], ylabel=f"error [{shown_in}]")
     if irreducible is not None:
         low_end, high_end = (end * factor for end in irreducible)
         ax.axhspan(low_end, high_end, color="black", alpha=0.1, linewidth=0, zorder=0)
@@ -204,12 +206,12 @@ MARGIN = 1.5
 class AxleCurve:
     """A curve: slip angles [deg] and forces [kN], and its root mean square error [kN] on the data.
 
-    seen: the slip angles [deg] between which it was learned; beyond them it is dashed.
+    learned: the slip angles [deg] between which it was learned; beyond them it is dashed.
     """
 
     points: Points
     error: float
-    seen: tuple[float, float]
+    learned: tuple[float, float]
 
 
 def fig4_right(data: Points, curves: Mapping[str, AxleCurve], *, note: str = "") -> Figure:
@@ -231,14 +233,14 @@ def plot_axle(data: Points, curves: Mapping[str, AxleCurve], ax: Axes) -> Axes:
     alpha, force = data
     ax.scatter(alpha, force, s=3, color=COLORS[0], alpha=0.12, linewidths=0, rasterized=True)
     for (name, curve), color in zip(curves.items(), (COLORS[3], "black"), strict=False):
-        at, known = curve.points
-        inside = (at >= curve.seen[0]) & (at <= curve.seen[1])
+        at, forces = curve.points
+        inside = (at >= curve.learned[0]) & (at <= curve.learned[1])
         label = f"{name}, error {curve.error:.2f} kN"
-        ax.plot(at, known, color=color, linewidth=0.9, linestyle=(0, (4, 2)))
-        ax.plot(at[inside], known[inside], color=color, linewidth=1.8, label=label)
+        ax.plot(at, forces, color=color, linewidth=0.9, linestyle=(0, (4, 2)))
+        ax.plot(at[inside], forces[inside], color=color, linewidth=1.8, label=label)
     reach = MARGIN * float(np.abs(alpha).max())
-    most = 1.3 * float(np.abs(force).max())
-    ax.set(xlim=(-reach, reach), ylim=(-most, most))
+    largest = 1.3 * float(np.abs(force).max())
+    ax.set(xlim=(-reach, reach), ylim=(-largest, largest))
     ax.set(xlabel="slip angle [deg]", ylabel="lateral force, both tires [kN]")
     ax.legend(loc="upper right", handlelength=1.6)
     return ax

@@ -103,8 +103,8 @@ def plot_ranks(ranks: pd.DataFrame, cd: float, ax: Axes) -> Axes:
     ax.plot([first, first + cd], [-1, -1], color=DARK, linewidth=1.2, marker="|", markersize=6)
     ax.text(first, -1.3, f"critical difference {cd:.2f}", fontsize=8, va="bottom")
     ax.set_ylim(len(rank) - 0.5, -2.2)
-    most = max(len(rank), first + cd)
-    ax.set_xlim(1 - 0.02 * most, 1.04 * most)
+    largest = max(len(rank), first + cd)
+    ax.set_xlim(1 - 0.02 * largest, 1.04 * largest)
     spacing = 5 if len(rank) > 9 else 1
     ticks = [place for place in range(1, len(rank) + 1) if place == 1 or place % spacing == 0]
     ax.xaxis.set_major_locator(FixedLocator(ticks))
@@ -115,7 +115,9 @@ def plot_cliques(ranks: pd.DataFrame, cliques: Sequence[Collection[str]], ax: Ax
     """A vertical bar per clique, on the rows of `plot_ranks`, a dot at each of its members."""
     rank = ranks.set_index("optimizer")["rank"].sort_values(kind="stable")
     spans = sorted(
-        sorted(rank.index.get_indexer(pd.Index(list(one)))) for one in cliques if len(one) > 1
+        sorted(rank.index.get_indexer(pd.Index(list(clique))))
+        for clique in cliques
+        if len(clique) > 1
     )
     for column, rows in enumerate(spans):
         if rows[0] < 0:
@@ -137,9 +139,9 @@ def speed_up_figure(
 ) -> Figure:
     """How many times less `method` spends than each rival, with 95 % intervals.
 
-    Frame: method, rival, ratio (rival's expected running time / mine), low, high, problems (both
-    arrive), only_method and only_rival. Above 1 `method` is faster; grey and hollow where the
-    interval holds 1.
+    Frame: method, rival, ratio (rival's expected running time / the method's), low, high, problems
+    (both arrive), only_method and only_rival. Above 1 `method` is faster; grey and hollow where
+    the interval holds 1.
     """
     with house_style():
         rivals = int((speed_ups["method"] == method).sum())
@@ -159,12 +161,12 @@ def plot_speed_up(speed_ups: pd.DataFrame, ax: Axes, *, method: str, axis: str) 
     )
     rows = speed_ups[speed_ups["method"] == method].sort_values("ratio", ascending=False)
     if rows.empty:
-        known = ", ".join(sorted(speed_ups["method"].unique()))
-        raise ValueError(f"method is {method!r}; expected one of {known}")
+        methods = ", ".join(sorted(speed_ups["method"].unique()))
+        raise ValueError(f"method is {method!r}; expected one of {methods}")
     method_rows(ax, rows["rival"])
     values = rows[["ratio", "low", "high"]].to_numpy(dtype=float)
-    shown = values[np.isfinite(values) & (values > 0)]
-    low, high = min(0.5, shown.min(initial=1)) / 1.3, max(2, shown.max(initial=1)) * 1.3
+    finite = values[np.isfinite(values) & (values > 0)]
+    low, high = min(0.5, finite.min(initial=1)) / 1.3, max(2, finite.max(initial=1)) * 1.3
     solved = rows[["problems", "only_method", "only_rival"]].to_numpy(dtype=int)
     beside: dict[str, Any] = {"transform": ax.get_yaxis_transform(), "fontsize": 8, "ha": "right"}
     for row, (interval, counts) in enumerate(zip(values, solved, strict=True)):

@@ -75,9 +75,9 @@ def fit_figure(
 
 def waterfall_figure(
     errors: Array,
-    here: NDArray[np.bool_],
+    ended_here: NDArray[np.bool_],
     unit: str,
-    known: float | None,
+    best_known: float | None,
     rounding: float,
     kind: str = "descents",
     dropped: int = 0,
@@ -87,31 +87,31 @@ def waterfall_figure(
     `kind` is what they are, such as brackets; the legend counts those that were `dropped` on fewer
     rows, whose errors nobody knows.
 
-    Filled are those that ended `here` (n,), in the optimum in question; `known` is the error of the
-    best known one. Errors up to `rounding` are drawn as that. The axis is logarithmic where errors
-    differ by a factor of LOGARITHMIC; else it spans LEAST_RANGE of them at least, on which those
-    that agree lie level.
+    Filled are those that `ended_here` (n,), in the optimum in question; `best_known` is the error
+    of the best known one. Errors up to `rounding` are drawn as that. The axis is logarithmic where
+    errors differ by a factor of LOGARITHMIC; else it spans LEAST_RANGE of them at least, on which
+    those that agree lie level.
     """
-    shown = np.maximum(errors, rounding)
+    heights = np.maximum(errors, rounding)
     number = np.arange(1, len(errors) + 1)
     with house_style():
         figure = Figure(figsize=(WIDTH * 0.75, 2.4), layout="constrained")
         ax = figure.subplots()
-        ax.plot(number, shown, color="#999999", linewidth=0.8, zorder=1)
+        ax.plot(number, heights, color="#999999", linewidth=0.8, zorder=1)
         size = float(np.clip(900 / len(errors), 6, 24))
-        for part, label, color, filled in ((here, "ended here", BLUE, True),
-                                           (~here, "elsewhere", RED, False)):  # fmt: skip
+        for part, label, color, filled in ((ended_here, "ended here", BLUE, True),
+                                           (~ended_here, "elsewhere", RED, False)):  # fmt: skip
             if part.any():
                 ax.scatter(
-                    number[part], shown[part], s=size, edgecolors=[color], linewidths=0.8,
+                    number[part], heights[part], s=size, edgecolors=[color], linewidths=0.8,
                     color=[color] if filled else "white", label=f"{label}: {part.sum():,}",
                 )  # fmt: skip
         if dropped:
             ax.plot([], [], " ", label=f"dropped on fewer rows: {dropped:,}")
-        low, high = float(shown[0]), float(shown[-1])
-        if known is not None:
-            low = min(low, max(known, rounding))
-            ax.axhline(max(known, rounding), color="#222222", linewidth=0.9, linestyle="--",
+        low, high = float(heights[0]), float(heights[-1])
+        if best_known is not None:
+            low = min(low, max(best_known, rounding))
+            ax.axhline(max(best_known, rounding), color="#222222", linewidth=0.9, linestyle="--",
                        zorder=0, label="best known optimum")  # fmt: skip
         if high > LOGARITHMIC * low > 0:
             ax.set_yscale("log")

@@ -65,7 +65,7 @@ def _data_uri(picture: bytes) -> str:
 
 
 def environment() -> jinja2.Environment:
-    """Where templates are read and filled in; all that is put in is escaped."""
+    """The environment of the templates, which escapes all values."""
     templates = jinja2.Environment(
         loader=jinja2.PackageLoader("miho.analysis.pages"),
         autoescape=True,

@@ -29,11 +29,11 @@ from miho.analysis.pages.run_tables import (
 )
 from miho.analysis.text import ends, significant
 from miho.identification import Report, identified
-from miho.identification.evidence import kind_of
+from miho.identification.standing import kind_of
 from miho.models.identified import parameters_text
 from miho.study import StoredRun, write_bytes, write_text
 from miho.study.places import inside
-from miho.study.provenance import flat, provenance
+from miho.study.provenance import flattened, provenance
 
 GRID = 200
 PARAMETERS = "parameters.json"
@@ -57,22 +57,22 @@ def save_report(
     report: Report,
     folder: str | Path,
     stored: StoredRun | None = None,
-    each: Callable[[str], None] = lambda step: None,
+    progress: Callable[[str], None] = lambda step: None,
 ) -> Path:
     """Write the page, the tables as CSV, the figures and parameters.json; the page's path.
 
     `stored` is the run in the store that the report is of, where there is one: page and
-    parameters.json then say what regenerates it. `each` is called with the name of every step.
+    parameters.json then say what regenerates it. `progress` is called with the name of every step.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    each("tables")
+    progress("tables")
     for name, table in report.tables.items():
         write_text(folder / f"{name}.csv", table.to_csv(index=False))
     settings = {} if stored is None else stored.config["model"]
     model = identified(report, _origin(report, stored))
     write_text(folder / PARAMETERS, parameters_text(model, settings))
-    each("figures")
+    progress("figures")
     figures = figures_of(report)
     for name, picture in figures.items():
         write_bytes(folder / f"{name}.png", picture)
@@ -134,7 +134,7 @@ def figures_of(report: Report) -> dict[str, bytes]:
             None if report.best_known is None else math.sqrt(report.best_known),
             math.sqrt(problem.rounding),
             kind_of(report.searches),
-            sum(each.dropped for each in report.searches),
+            sum(search.dropped for search in report.searches),
         )
     if profiles:
         quantile = report.at.quantile(report.level)
@@ -224,7 +224,7 @@ def _all_intervals(report: Report, kinds: list[str]) -> pd.DataFrame:
 
 def _explained(report: Report) -> str:
     return (
-        f"{100 * report.level:g} % intervals{_where(report)}: linearised (Student's t with "
+        f"{100 * report.level:g} % intervals{_local_optimum(report)}: linearised (Student's t with "
         f"{report.at.freedom} degrees of freedom), by profile likelihood"
         + (f", by {len(report.replicates)} bootstrap replicates." if report.replicates is not None
            else ".")
@@ -233,10 +233,10 @@ def _explained(report: Report) -> str:
 
 def _searched(report: Report) -> str:
     """What the picture of the descents shows."""
-    dropped = sum(each.dropped for each in report.searches)
-    finished = sum(each.finished for each in report.searches) - dropped
+    dropped = sum(search.dropped for search in report.searches)
+    finished = sum(search.finished for search in report.searches) - dropped
     kind = kind_of(report.searches)
-    screened = sum(each.screened for each in report.searches)
+    screened = sum(search.screened for search in report.searches)
     which = f"the best {len(report.descents):,} " * (finished > len(report.descents))
     starts = f", from the best of {screened:,} configurations" * bool(screened)
     caption = (
@@ -256,7 +256,7 @@ def _searched(report: Report) -> str:
     return caption
 
 
-def _where(report: Report) -> str:
+def _local_optimum(report: Report) -> str:
     return " of this local optimum, which is in doubt" * bool(report.standing.doubt)
 
 
@@ -265,7 +265,7 @@ def _rounded(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def _origin(report: Report, stored: StoredRun | None) -> dict[str, Any]:
-    """What regenerates the run, or what is known without one that is stored."""
+    """The provenance of the stored run, or without one the problem and its data."""
     if stored is not None:
         return provenance(stored)
     return {"problem": report.problem.name, "data": report.problem.dataset.digest}
@@ -273,5 +273,5 @@ def _origin(report: Report, stored: StoredRun | None) -> dict[str, Any]:
 
 def _origin_table(report: Report, stored: StoredRun | None) -> pd.DataFrame:
     place = {} if stored is None else {"run": str(stored.folder)}
-    facts = flat(place | _origin(report, stored))
+    facts = flattened(place | _origin(report, stored))
     return pd.DataFrame({"what": list(facts), "value": [str(value) for value in facts.values()]})

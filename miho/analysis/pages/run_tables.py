@@ -33,7 +33,7 @@ def parameter_table(report: Report) -> pd.DataFrame:
 
 
 def _heading(report: Report, kind: str) -> str:
-    """Of the column of intervals of a kind."""
+    """The heading of the column of intervals of a kind."""
     local = " of this local optimum" * bool(report.standing.doubt)
     return f"{100 * report.level:g} % interval ({kind}){local}"
 
@@ -41,26 +41,26 @@ def _heading(report: Report, kind: str) -> str:
 def values_table(stored: StoredRun) -> pd.DataFrame:
     """The parameters of a run as it stored them, without errors or intervals."""
     pairs = zip(stored.result["parameters"], stored.result["theta"], strict=True)
-    rows = [(each["name"], significant(value, 6), each["unit"]) for each, value in pairs]
+    rows = [(about["name"], significant(value, 6), about["unit"]) for about, value in pairs]
     return pd.DataFrame(rows, columns=["parameter", "value", "unit"])
 
 
 def derived_table(report: Report) -> pd.DataFrame:
     """The derived quantities as text, in handy units."""
     rows = []
-    chosen = interval_kind(report.derived)
+    kind = interval_kind(report.derived)
     for row in report.derived.to_dict("records"):
         if math.isnan(row["value"]):
             continue
         factor, unit = scaled(row["value"], row["unit"])
         value, error = row["value"] * factor, row["standard error"] * factor
-        low, high = (row[f"{chosen} {end}"] * factor for end in ("low", "high"))
+        low, high = (row[f"{kind} {end}"] * factor for end in ("low", "high"))
         rows.append(
             {
                 "derived": row["quantity"],
                 "value": with_error(value, error) if error > 0 else "-",
                 "unit": unit,
-                _heading(report, chosen): ends(low, high, error),
+                _heading(report, kind): ends(low, high, error),
             }
         )
     return pd.DataFrame(rows)
@@ -93,7 +93,7 @@ def error_table(report: Report) -> pd.DataFrame:
 
 
 def error_rows(report: Report) -> list[tuple[str, str]]:
-    """What a terminal says of the errors: the name of each row, and its text."""
+    """The errors as rows for a terminal: name and text of each."""
     table = error_table(report).set_index("on")
     unit = report.problem.unit
     rows = [

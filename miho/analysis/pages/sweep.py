@@ -105,11 +105,12 @@ def sweep_page(sweep: Sweep, about: Contents, best: Mapping[str, Best]) -> str:
     order = overall_order(runs)
     detail = Detail.fitting(runs.groupby(["problem", "optimizer"]).ngroups)
     # With many methods the chart opens with the best of them, and without bands.
-    most = int(runs.groupby(["problem", "optimizer"]).size().max())
-    shown = order if len(order) <= MANY_METHODS else order[:FIRST]
+    seeds = int(runs.groupby(["problem", "optimizer"]).size().max())
+    first_methods = order if len(order) <= MANY_METHODS else order[:FIRST]
     board = about.leaderboard
     if board is not None:
         board = board.assign(method=board["method"].map(printed(board["method"])))
+    explained = _explained(len(order), len(first_methods), seeds, detail)
     # Without the chart library a figure of each problem stands there, and no script.
     library = vega()
     script = None if library is None else library + Markup("\n") + asset("sweep.js")
@@ -130,14 +131,14 @@ def sweep_page(sweep: Sweep, about: Contents, best: Mapping[str, Best]) -> str:
         shared={
             "methods": {name: _look(style) for name, style in styles_of(order).items()},
             "problems": [str(name) for name in runs["problem"].unique()],
-            "shown": shown,
+            "shown": first_methods,
             "time": clock_of(runs).unit,
             "chart": CHART,
         },
-        mode="median" if most == 1 or len(shown) > BANDS else "band",
+        mode="median" if seeds == 1 or len(first_methods) > BANDS else "band",
         drawn=[] if script is None else _curves(sweep, about, detail),
         stills=_stills(sweep) if script is None else [],
-        explanation=STILL if script is None else _explained(len(order), len(shown), most, detail),
+        explanation=STILL if script is None else explained,
         problems=_problems(sweep, best),
         origin={
             "problems": problems_table(sweep),
@@ -153,17 +154,17 @@ def _curves(sweep: Sweep, about: Contents, detail: Detail) -> list[dict[str, Any
     finite = sweep.curves[sweep.curves["error"].notna()]
     curves = dict(iter(finite.groupby("problem", sort=False)))
     clock = clock_of(sweep.runs)
-    drawn = []
+    charts = []
     for name, runs in sweep.runs.groupby("problem", sort=False):
         best = about.references.get(str(name), math.nan)
         steps = curves.get(str(name), finite.iloc[:0])
         recorded = {"recorded": name not in about.unrecorded}
-        drawn.append(problem_curves(runs, clock, steps, best, detail) | recorded)
-    return drawn
+        charts.append(problem_curves(runs, clock, steps, best, detail) | recorded)
+    return charts
 
 
 def _stills(sweep: Sweep) -> list[tuple[str, bytes]]:
-    """Of each problem that logarithmic axes can show, its name and a figure of its errors."""
+    """Name and figure of errors of each problem that logarithmic axes can show."""
     finite = sweep.curves[sweep.curves["error"].notna() & (sweep.curves["evaluations"] > 0)]
     stills = []
     for name, curves in finite.groupby("problem", sort=False):
@@ -179,21 +180,21 @@ def _stills(sweep: Sweep) -> list[tuple[str, bytes]]:
     return stills
 
 
-def _explained(methods: int, shown: int, most: int, detail: Detail) -> str:
+def _explained(methods: int, first_methods: int, seeds: int, detail: Detail) -> str:
     sentences = [
         "Best error so far, as steps; after its end (dot) a method keeps its answer. Methods stand "
         "in the order of their final median. Move over the figure, or give it the focus and use "
         "the arrow keys, to read the values; press a method to hide or show it."
     ]
-    if most > 1:
+    if seeds > 1:
         sentences.append("The line is the median over seeds, the band reaches from 10 to 90 %.")
-    if most > detail.seeds:
+    if seeds > detail.seeds:
         sentences.append(
-            f"Of {most} seeds at most {detail.seeds} are drawn one by one, evenly over their final "
-            f"errors; median and band are of all."
+            f"Of {seeds} seeds at most {detail.seeds} are drawn one by one, evenly over their "
+            "final errors; median and band are of all."
         )
-    if shown < methods:
-        sentences.append(f"Of {methods} methods the best {shown} are shown at first.")
+    if first_methods < methods:
+        sentences.append(f"Of {methods} methods the best {first_methods} are shown at first.")
     sentences.append(f"Curves are kept at {detail.positions} positions of an axis.")
     return " ".join(sentences)
 

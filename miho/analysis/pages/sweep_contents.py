@@ -51,7 +51,7 @@ class Contents:
 
 @dataclass(frozen=True)
 class Configured:
-    """What a configuration knows of runs that their files do not: the defaults know nothing.
+    """What a configuration adds to the files of runs; the defaults add nothing.
 
     `runs` gives the runs of a comparison with the optima and families that are configured now.
     `differences` says in what a comparison differs from the paper's at full size; without it the
@@ -87,7 +87,7 @@ def contents(
         claims = _claims(comparison, configured)
     except ValueError as error:
         sentences.append(f"A table is left out: {error}.")
-    known, unrecorded = _references(sweep.runs)
+    best_known, unrecorded = _references(sweep.runs)
     return Contents(
         title=f"Runs of {root.resolve().name}",
         facts=_facts(sweep, comparison, made_by),
@@ -96,7 +96,7 @@ def contents(
         leaderboard_note=LEADERBOARD.format(timed=_timed(sweep, comparison)),
         claims=claims,
         claims_note=CLAIMS,
-        references=known,
+        references=best_known,
         unrecorded=unrecorded,
     )
 
@@ -112,7 +112,7 @@ def best_runs(sweep: Sweep) -> dict[str, Path]:
 def _leaderboard(
     sweep: Sweep, comparison: Comparison | None, configured: Configured
 ) -> pd.DataFrame | None:
-    """Of the comparison where there is one, as its own figures have it; else of all runs."""
+    """The leaderboard of the comparison, as its figures have it, or else of all runs."""
     runs, curves = sweep.runs, sweep.curves
     if comparison is not None and len(comparison.runs):
         runs, curves = configured.runs(comparison.runs), comparison.curves
@@ -122,7 +122,7 @@ def _leaderboard(
 
 
 def _timed(sweep: Sweep, comparison: Comparison | None) -> str:
-    """Such as "3 of 7"; of the runs of the leaderboard."""
+    """How many runs of the leaderboard were undisturbed, such as "3 of 7"."""
     runs = sweep.runs if comparison is None or comparison.runs.empty else comparison.runs
     return f"{int(undisturbed(runs).sum())} of {len(runs)}"
 
@@ -142,15 +142,15 @@ def _references(runs: pd.DataFrame) -> tuple[dict[str, float], set[str]]:
 
     Then the problems of which it is that of the best run, since none better is recorded.
     """
-    known, unrecorded = {}, set()
+    best_known, unrecorded = {}, set()
     for problem, group in runs.groupby("problem", sort=False):
-        known[str(problem)] = math.nan
+        best_known[str(problem)] = math.nan
         with contextlib.suppress(ValueError):
             row = references(group).iloc[0]
-            known[str(problem)] = float(row["error"])
+            best_known[str(problem)] = float(row["error"])
             if row["source"] != "known":
                 unrecorded.add(str(problem))
-    return known, unrecorded
+    return best_known, unrecorded
 
 
 def _facts(sweep: Sweep, comparison: Comparison | None, made_by: str) -> list[tuple[str, str]]:

@@ -41,8 +41,8 @@ class Detail:
 
 def _layer(name: str, mark: dict[str, Any], **encoding: Any) -> dict[str, Any]:
     """A layer of the chart; it draws the data set of its name, which the page's script fills."""
-    own = {"color": _channel("color", "nominal")} | encoding
-    return {"name": name, "data": {"name": name}, "mark": mark, "encoding": own}
+    channels = {"color": _channel("color", "nominal")} | encoding
+    return {"name": name, "data": {"name": name}, "mark": mark, "encoding": channels}
 
 
 def _channel(field: str, kind: str) -> dict[str, Any]:
@@ -106,8 +106,8 @@ def problem_curves(
         "evaluations": _axis(runs, curves, "evaluations", factor, detail),
         "seconds": _axis(timed, curves, clock.axis, factor, detail),
     }
-    known = rounded(best * factor, DIGITS) if math.isfinite(best) else None
-    return {"unit": unit, "best": known, "axes": axes}
+    best_known = rounded(best * factor, DIGITS) if math.isfinite(best) else None
+    return {"unit": unit, "best": best_known, "axes": axes}
 
 
 def _axis(
@@ -119,7 +119,7 @@ def _axis(
     rows = curves.groupby("id", sort=False).indices
     ids, spent = runs["id"].to_numpy(), runs[axis].to_numpy(dtype=float)
     rows_of = runs.groupby("optimizer", sort=False).indices
-    drawn = []
+    entries = []
     for method in final_order(runs):
         table = np.full((len(rows_of[method]), len(grid)), np.inf)
         for row, run in zip(table, ids[rows_of[method]], strict=True):
@@ -128,7 +128,7 @@ def _axis(
                 row[:] = np.where(np.isnan(errors_of_run), np.inf, errors_of_run)
         low, median, high = quantiles(table, QUANTILES)
         several = {"low": steps(low), "high": steps(high)} if len(table) > 1 else {}
-        drawn.append(
+        entries.append(
             {
                 "method": method,
                 "runs": len(table),
@@ -138,7 +138,7 @@ def _axis(
                 "seeds": [steps(table[number]) for number in _spread(table[:, -1], detail.seeds)],
             }
         )
-    return {"grid": grid.tolist(), "curves": drawn}
+    return {"grid": grid.tolist(), "curves": entries}
 
 
 def final_order(runs: pd.DataFrame) -> list[str]:
@@ -207,5 +207,5 @@ def _grid(at: Array, count: int) -> Array:
 def _spread(final: Array, count: int) -> NDArray[np.intp]:
     """At most `count` rows, evenly over the order of their final errors."""
     order: NDArray[np.intp] = np.argsort(final, kind="stable")
-    chosen = np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)
-    return order.take(chosen)
+    places = np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)
+    return order.take(places)

@@ -14,7 +14,7 @@ import pandas as pd
 from miho.analysis.text import significant
 from miho.study import Runs
 from miho.study.files import CONFIG, ENVIRONMENT, DamagedRun, read_checked
-from miho.study.provenance import flat
+from miho.study.provenance import flattened
 
 Settings = Mapping[str, str]
 
@@ -36,11 +36,11 @@ class Origin:
 
 
 def read_origins(
-    folders: Iterable[str], each: Callable[[], None] = lambda: None
+    folders: Iterable[str], progress: Callable[[], None] = lambda: None
 ) -> tuple[dict[str, Origin], dict[str, str]]:
     """The origin of each run folder, and of the folders that do not match their checksums why.
 
-    Curves are not read. `each` is called after every folder.
+    Curves are not read. `progress` is called after every folder.
     """
     origins, damaged = {}, {}
     configs: dict[str, Settings] = {}
@@ -51,7 +51,7 @@ def read_origins(
             damaged[folder] = str(damage)
         except (ValueError, LookupError, AttributeError, RecursionError) as bad:
             damaged[folder] = f"{folder}: {type(bad).__name__}: {bad}"
-        each()
+        progress()
     return origins, damaged
 
 
@@ -66,7 +66,7 @@ def _origin(folder: str, configs: dict[str, Settings]) -> Origin:
 
 def json_leaves(tree: Mapping[str, Any]) -> dict[str, str]:
     """The leaves of nested mappings: dotted path to JSON text."""
-    return {path: json.dumps(leaf, ensure_ascii=False) for path, leaf in flat(tree).items()}
+    return {path: json.dumps(leaf, ensure_ascii=False) for path, leaf in flattened(tree).items()}
 
 
 def plain(text: str) -> str:
@@ -126,10 +126,10 @@ class Sweep:
     origins: Mapping[str, Origin]
 
     @classmethod
-    def of(cls, stored: Runs, each: Callable[[], None] = lambda: None) -> Sweep:
-        """What a root holds; `each` is called after every folder read."""
+    def of(cls, stored: Runs, progress: Callable[[], None] = lambda: None) -> Sweep:
+        """What a root holds; `progress` is called after every folder read."""
         curves, runs, damaged = stored.curves, stored.runs, stored.damaged
-        origins, broken = read_origins(runs["folder"], each)
+        origins, broken = read_origins(runs["folder"], progress)
         broken |= dict.fromkeys(_malformed(runs), MALFORMED)
         if broken:
             runs = runs[~runs["folder"].isin(broken)]
@@ -137,7 +137,8 @@ class Sweep:
             rows = {"folder": list(broken), "reason": list(broken.values())}
             damaged = pd.concat([damaged, pd.DataFrame(rows)], ignore_index=True)
         origins = {folder: origins[folder] for folder in runs["folder"]}
-        runs = named(runs.assign(unit=runs["unit"].fillna("-")), list(origins.values()))
+        runs = runs.assign(unit=runs["unit"].fillna("-"))
+        runs = with_distinct_names(runs, list(origins.values()))
         names = runs.set_index("id")
         curves = curves.assign(
             **{name: curves["id"].map(names[name]) for name in ("problem", "optimizer")}
@@ -158,7 +159,7 @@ def _malformed(runs: pd.DataFrame) -> list[str]:
     return [str(folder) for folder in runs["folder"][~right]]
 
 
-def named(runs: pd.DataFrame, origins: Sequence[Origin]) -> pd.DataFrame:
+def with_distinct_names(runs: pd.DataFrame, origins: Sequence[Origin]) -> pd.DataFrame:
     """`runs` with what differs under one name added to `problem` and to `optimizer`.
 
     Runs are of one problem if they have the same data, model and loss, and of one method if all
@@ -168,7 +169,7 @@ def named(runs: pd.DataFrame, origins: Sequence[Origin]) -> pd.DataFrame:
     names = [str(name) for name in runs["problem"]]
     of_problem = [_under(origin.config, OF_PROBLEM) for origin in origins]
     kinds = [
-        (origin.data, _same(settings)) for origin, settings in zip(origins, of_problem, strict=True)
+        (origin.data, _key(settings)) for origin, settings in zip(origins, of_problem, strict=True)
     ]
     described = [
         {**settings, **_under(origin.config, ("dataset",)), "data": origin.data[:DIGEST]}
@@ -177,11 +178,12 @@ def named(runs: pd.DataFrame, origins: Sequence[Origin]) -> pd.DataFrame:
     problems = _labels(names, names, kinds, described, seeds)
 
     names = [str(name) for name in runs["optimizer"]]
-    rest = [
+    other_settings = [
         {**_outside(origin.config, OF_PROBLEM), "code": origin.code[:DIGEST]} for origin in origins
     ]
     within = list(zip(problems, names, strict=True))
-    methods = _labels(names, within, [_same(settings) for settings in rest], rest, seeds)
+    keys = [_key(settings) for settings in other_settings]
+    methods = _labels(names, within, keys, other_settings, seeds)
     return runs.assign(problem=problems, optimizer=methods)
 
 
@@ -194,7 +196,7 @@ def _outside(config: Settings, groups: Collection[str]) -> dict[str, str]:
     return {key: value for key, value in config.items() if key.partition(".")[0] not in groups}
 
 
-def _same(settings: Settings) -> Hashable:
+def _key(settings: Settings) -> Hashable:
     return frozenset(settings.items())
 
 
@@ -220,8 +222,8 @@ def _labels(
         keys = _varying([settings[row] for row in rows], [seeds[row] for row in rows])
         varying.setdefault(names[rows[0]], {}).update(dict.fromkeys(keys))
     return [
-        _label(name, list(varying[name]), chosen)
-        for name, chosen in zip(names, settings, strict=True)
+        _label(name, list(varying[name]), values)
+        for name, values in zip(names, settings, strict=True)
     ]
 
 

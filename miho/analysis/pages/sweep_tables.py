@@ -123,23 +123,23 @@ def warnings(sweep: Sweep) -> list[str]:
 
 
 def _gaps(runs: pd.DataFrame) -> list[str]:
-    """Of missing and few repetitions."""
+    """Warnings of missing and of few repetitions."""
     sentences = []
     pairs = Counter(zip(runs["problem"], runs["optimizer"], strict=True))
-    most = max(pairs.values())
+    largest = max(pairs.values())
     every = product(runs["problem"].unique(), runs["optimizer"].unique())
-    lacking = [pair for pair in every if pairs[pair] < most]
+    lacking = [pair for pair in every if pairs[pair] < largest]
     if lacking:
         problem, method = lacking[0]
         more = f", and {len(lacking) - 1} more like it" if len(lacking) > 1 else ""
         sentences.append(
-            f"Not every method has the same runs: {method} has {pairs[lacking[0]]} of {most} on "
+            f"Not every method has the same runs: {method} has {pairs[lacking[0]]} of {largest} on "
             f"{problem}{more}."
         )
-    if most < FEW:
+    if largest < FEW:
         sentences.append(
-            f"No method has more than {most} run{'s' * (most > 1)} on a problem, so medians hang "
-            "on chance and intervals are too short."
+            f"No method has more than {largest} run{'s' * (largest > 1)} on a problem, so medians "
+            "hang on chance and intervals are too short."
         )
     return sentences
 
@@ -158,9 +158,9 @@ def _ends(runs: pd.DataFrame) -> list[str]:
 
 
 def _mixtures(origins: list[Origin]) -> list[str]:
-    """Of machines, versions and load."""
+    """Warnings of different machines, versions and thread counts, and of load."""
     sentences = []
-    for what, keys in {
+    for subject, keys in {
         "machines": ("processor", "machine", "cores", "system"),
         "versions of Python or packages": ("python", "packages."),
         "numbers of threads": ("threads",),
@@ -171,7 +171,8 @@ def _mixtures(origins: list[Origin]) -> list[str]:
         }
         if len(kinds) > 1:
             sentences.append(
-                f"The runs come from {len(kinds)} different {what}: do not compare their seconds."
+                f"The runs come from {len(kinds)} different {subject}: do not compare their "
+                "seconds."
             )
     busy = sum(_busy(origin.environment) for origin in origins)
     if busy:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.data.tir_sampling import EMBEDDED_RANGES
-from miho.driving.assembly.engine import engine_of
+from miho.driving.assembly.engine import DATASETS, engine_of
 from miho.driving.grip import Grip
 from miho.driving.known_car import KnownCar
 from miho.driving.vehicle import Vehicle
@@ -42,9 +42,8 @@ def assembled(
 
 
 def _engine(problems: Mapping[str, CurveFit], thetas: Mapping[str, Array]) -> EngineMap:
-    names = {0.05: "torque_05", 0.15: "torque_15", 0.2: "torque_20"}
-    learned = {throttle: problems[name] for throttle, name in names.items()}
-    return engine_of(learned, {t: thetas[name] for t, name in names.items()}).integrated
+    learned = {throttle: problems[name] for throttle, name in DATASETS.items()}
+    return engine_of(learned, {t: thetas[name] for t, name in DATASETS.items()}).integrated
 
 
 def _brake(problems: Mapping[str, CurveFit], thetas: Mapping[str, Array]) -> Brake:

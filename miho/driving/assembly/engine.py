@@ -23,7 +23,7 @@ DATASETS = MappingProxyType({0.05: "torque_05", 0.15: "torque_15", 0.2: "torque_
 
 
 @dataclass(frozen=True)
-class Engine:
+class IdentifiedEngine:
     """What was identified and built; keys are throttle openings from 0 to 1.
 
     problems: the three identification problems. curves: what was learned from them. dyno: every
@@ -45,7 +45,7 @@ class Engine:
 
 def engine_of(
     problems: Mapping[float, CurveFit], thetas: Mapping[float, Array], seed: int = 0
-) -> Engine:
+) -> IdentifiedEngine:
     """The engine that identified parameters (4,) per throttle make, with the dyno of a seed."""
     curves = {
         throttle: learned_curve(problem, thetas[throttle], throttle)
@@ -57,7 +57,7 @@ def engine_of(
         *(dyno[name][trusted_rows] for name in ("throttle", "omega", "torque"))
     )
     integrated = trusted.integrate(list(curves.values()))
-    return Engine(problems, curves, dyno, trusted, integrated)
+    return IdentifiedEngine(problems, curves, dyno, trusted, integrated)
 
 
 def learned_curve(problem: CurveFit, theta: Array, throttle: float) -> TorqueCurve:
@@ -77,7 +77,7 @@ def truth_error(curve: TorqueCurve) -> float:
     return float(np.sqrt(np.mean(miss**2)))
 
 
-def fig5_data(engine: Engine) -> dict[str, Any]:
+def fig5_data(engine: IdentifiedEngine) -> dict[str, Any]:
     """The arguments of `fig5`, in rpm, percent and Nm."""
     samples, curves, truth, dyno, errors = {}, {}, {}, {}, {}
     for throttle, curve in engine.curves.items():

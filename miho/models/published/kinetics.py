@@ -15,7 +15,7 @@ Inputs = tuple[Any, ...]
 Theta = tuple[Any, ...]
 
 EQUILIBRIUM = 1.632
-"""Of the isomerization of n-pentane to isopentane at the temperature of the experiment."""
+"""Equilibrium constant of n-pentane and isopentane at the temperature of the experiment."""
 
 
 def michaelis_menten(inputs: Inputs, b: Theta) -> Any:
@@ -37,9 +37,9 @@ def isomerization(inputs: Inputs, b: Theta) -> Any:
 def _isomerization_derivatives(inputs: Inputs, b: Theta) -> tuple[Any, ...]:
     x1, x2, x3 = inputs
     share = 1 / (1 + b[1] * x1 + b[2] * x2 + b[3] * x3)
-    driven = (x2 - x3 / EQUILIBRIUM) * share
-    slope = -b[0] * b[2] * driven * share
-    return b[2] * driven, slope * x1, b[0] * driven + slope * x2, slope * x3
+    drive = (x2 - x3 / EQUILIBRIUM) * share
+    slope = -b[0] * b[2] * drive * share
+    return b[2] * drive, slope * x1, b[0] * drive + slope * x2, slope * x3
 
 
 def two_decays(inputs: Inputs, b: Theta) -> Any:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from experiments.app.progress import at_work, progress
 from miho.analysis.pages.run import report_folder, save_report
 from miho.identification import CurveFit, Report, make_report
-from miho.identification.report import SECONDS
+from miho.identification.report_steps import SECONDS
 from miho.methods.variable_projection import VariableProjection
 from miho.optim import Budget, Descents, Outcome, Parameter, RunRecord, minimize
 from miho.study import StoredRun, single_thread
@@ -36,26 +36,27 @@ LEAST_SECONDS = 10.0
 """A report may take as long as the run's budget, but this at least and `SECONDS` at most."""
 
 
-def reported(problem: CurveFit, stored: StoredRun, **settings: Any) -> Report:
+def report_of(problem: CurveFit, stored: StoredRun, **settings: Any) -> Report:
     """The report on a finished run of a problem; `settings` are those of `make_report`."""
     if not sys.stderr.isatty():
         print(f"report of {problem.name}: running", file=sys.stderr, flush=True)
     result = stored.result
     budget = stored.config["budget"].get("seconds")
-    known = {
+    defaults = {
         "seconds": SECONDS if budget is None else min(SECONDS, max(LEAST_SECONDS, budget)),
         "descents": descents_of(stored),
         "best_known": result.get("facts", {}).get("optimum"),
         "remedy": remedy(problem, stored, checked="check" in settings),
     }
-    with at_work("report") as each, single_thread():
-        return make_report(problem, np.array(result["theta"]), each=each, **known | settings)
+    with at_work("report") as show_stage, single_thread():
+        theta = np.array(result["theta"])
+        return make_report(problem, theta, progress=show_stage, **defaults | settings)
 
 
 def save_run(report: Report, stored: StoredRun, folder: Path | None = None) -> Path:
     """Write the report of a stored run, by default below its root; the path of its page."""
-    with at_work("report") as each:
-        return save_report(report, folder or report_folder(stored), stored, each)
+    with at_work("report") as show_stage:
+        return save_report(report, folder or report_folder(stored), stored, show_stage)
 
 
 def descents_of(stored: StoredRun) -> Descents | None:
@@ -69,7 +70,7 @@ def descents_of(stored: StoredRun) -> Descents | None:
         return None
 
 
-def check(problem: CurveFit, seconds: float, seed: int) -> RunRecord:
+def check_optimum(problem: CurveFit, seconds: float, seed: int) -> RunRecord:
     """Descents from independent starts within `seconds`, with progress; Ctrl-C ends it."""
     budget = Budget(seconds=seconds)
     with single_thread(), progress("check", budget, problem.unit) as observer:
@@ -87,8 +88,8 @@ def remedy(problem: CurveFit, stored: StoredRun, *, checked: bool = False) -> st
     """
     settings = stored.config["optimizer"]
     ways = []
-    if stored.result["outcome"] == Outcome.BUDGET and (more := larger_budget(stored)):
-        ways.append(f"a larger budget: {more}")
+    if stored.result["outcome"] == Outcome.BUDGET and (budget := larger_budget(stored)):
+        ways.append(f"a larger budget: {budget}")
     if stored.result["outcome"] == Outcome.BRACKETS:
         ways.append(f"more brackets: optimizer.brackets={10 * settings['brackets']}")
     if "screen" in settings and "starts" in settings:
@@ -99,7 +100,7 @@ def remedy(problem: CurveFit, stored: StoredRun, *, checked: bool = False) -> st
         ways.append(f"another method: optimizer={other}")
         ways.append(f"another seed: seed={stored.result['seed'] + 1}")
     ends = zip(problem.space.parameters, stored.result["theta"], strict=True)
-    lowest = sorted(((theta / p.high, p) for p, theta in ends if _wide(p)), key=lambda one: one[0])
+    lowest = sorted(((theta / p.high, p) for p, theta in ends if _wide(p)), key=lambda end: end[0])
     log = " ".join(_logarithmic(p) for _, p in lowest[:MOST_HINTS])
     name = problem.space.names[0]
     box = f"a narrower box: space.{name}.low=... space.{name}.high=..."

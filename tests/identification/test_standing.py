@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from miho import Budget, CurveFit, Dataset, Parameter, Space, minimize
 from miho.identification import Report, make_report
-from miho.identification.evidence import standing
 from miho.identification.irreducible import Irreducible
 from miho.identification.refit import refit
+from miho.identification.standing import standing
 from miho.methods.least_squares import LeastSquares
 from miho.methods.variable_projection import VariableProjection
 from miho.models.function_model import FunctionModel
@@ -56,44 +56,50 @@ def ended(*ends: float, started: int | None = None) -> Descents:
     ],
 )
 def test_descents_that_agree_are_evidence(descents: Descents | None, doubt: str) -> None:
-    found = standing(1.0, 1e-14, [descents] if descents else [])
-    assert doubt in found.doubt if doubt else not found.doubt
-    assert not found.certain
+    stand = standing(1.0, 1e-14, [descents] if descents else [])
+    assert doubt in stand.doubt if doubt else not stand.doubt
+    assert not stand.certain
 
 
 def test_the_evidence_counts_starts_descents_and_what_they_may_have_missed() -> None:
     """3 (3 + 1) / (20 * 19) is the share of Boender and Rinnooy Kan, of which 1 / 4 is better."""
-    found = ended(*[1.0] * 17, 2.0, 3.0, 3.0)
-    known = standing(1.0, 0.0, [replace(found, screened=1234)])
-    assert known.evidence == (
+    descents = ended(*[1.0] * 17, 2.0, 3.0, 3.0)
+    stand = standing(1.0, 0.0, [replace(descents, screened=1234)])
+    assert stand.evidence == (
         "1,234 starts screened for 20 descents; 17 of them ended here, and none found a better "
         "one; one more would find a better one with a probability of about 0.79 %"
     )
-    assert standing(1.0, 0.0, [found]).evidence.startswith("17 of 20 descents ended here, and none")
+    assert standing(1.0, 0.0, [descents]).evidence.startswith(
+        "17 of 20 descents ended here, and none"
+    )
     check = replace(ended(*[1.0] * 5), screened=100)
-    both = standing(1.0, 0.0, [found, check]).evidence
-    assert both.startswith("100 starts screened for 25 descents; 22 of them ended here"), both
+    evidence = standing(1.0, 0.0, [descents, check]).evidence
+    assert evidence.startswith("100 starts screened for 25 descents; 22 of them ended here"), (
+        evidence
+    )
 
 
 def test_what_was_dropped_on_fewer_rows_is_said_and_may_be_an_optimum_of_its_own() -> None:
     """Of 12, 2 were dropped: 3 optima at worst, so that 3 / (12 * 11) = 2.3 % find a better one."""
-    found = replace(
+    brackets = replace(
         ended(*[1.0] * 10), started=12, finished=12, screened=99, dropped=2, brackets=True
     )
-    known = standing(1.0, 0.0, [found])
-    assert known.evidence == (
+    stand = standing(1.0, 0.0, [brackets])
+    assert stand.evidence == (
         "99 starts screened for 12 brackets; 10 of them ended here, 2 were dropped on fewer rows "
         "as no better, and none found a better one; one more would find a better one with a "
         "probability of about 2.3 %"
     )
-    assert not known.doubt
-    few = replace(found, ends=(1.0,) * 7, started=8, finished=8, dropped=1)
+    assert not stand.doubt
+    few = replace(brackets, ends=(1.0,) * 7, started=8, finished=8, dropped=1)
     assert standing(1.0, 0.0, [few]).doubt == (
         "only 7 of 8 brackets ended here, 1 was dropped on fewer rows as no better, so that one "
         "more would find a better one with a probability of about 3.6 %"
     )
-    both = standing(1.0, 0.0, [found, ended(1.0)]).evidence
-    assert both.startswith("99 starts screened for 13 descents; 11 of them"), "not all are brackets"
+    evidence = standing(1.0, 0.0, [brackets, ended(1.0)]).evidence
+    assert evidence.startswith("99 starts screened for 13 descents; 11 of them"), (
+        "not all are brackets"
+    )
 
 
 def test_what_is_known_needs_no_descents() -> None:
@@ -273,8 +279,8 @@ def test_a_report_ends_in_time_and_says_what_is_missing() -> None:
     report = make_report(misra1a(), np.array([238.9, 5.5e-4]), seconds=1e-9)
     assert "profile intervals of b1, b2 are left out" in report.notes[-1]
     assert "still moving" in report.standing.doubt
-    asked = make_report(misra1a(), np.array([238.9, 5.5e-4]), seconds=1e-9, profiles=True)
-    assert all(asked.profiles), "what is asked for takes the time it takes"
+    requested = make_report(misra1a(), np.array([238.9, 5.5e-4]), seconds=1e-9, profiles=True)
+    assert all(requested.profiles), "what is asked for takes the time it takes"
 
 
 def nist(folder: Path, name: str) -> tuple[Array, Array, Array, float, float]:

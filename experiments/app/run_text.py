@@ -1,4 +1,4 @@
-"""What a command says of the runs that it has done, and its exit code."""
+"""What a command prints of the runs that it has done, and its exit code."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from experiments.app.build import Experiment
 from experiments.app.console import OK, SOME_FAILED
 from experiments.app.runs import State
 from miho.identification import Square, linear_optimum
-from miho.identification.evidence import kind_of
+from miho.identification.standing import kind_of
 from miho.identification.validation import root_mean_square
 from miho.optim import Descents, agreement, in_optimum
 from miho.study import Status, StoredRun
@@ -27,7 +27,7 @@ ENDINGS = {
 }
 
 
-def summary(states: Sequence[State]) -> int:
+def print_summary(states: Sequence[State]) -> int:
     """Print what became of the runs of a sweep; gives the exit code of the command."""
     if all(state.status in (Status.TO_DO, Status.DONE_BEFORE) for state in states):
         print("\n".join(state.line for state in states if state.line))
@@ -36,21 +36,21 @@ def summary(states: Sequence[State]) -> int:
     for state in bad:
         print(f"{state.status}: {state.request.words}: {state.reason}")
     for root in dict.fromkeys(state.request.root for state in states if state.error is not None):
-        print(_report_of(root, states))
+        print(_report_command(root, states))
     counts = Counter(state.status for state in states)
     text = ", ".join(f"{counts[status]} {status}" for status in Status if counts[status])
     print(f"{len(states)} runs: {text}")
     return SOME_FAILED if bad else OK
 
 
-def _report_of(root: str, states: Sequence[State]) -> str:
+def _report_command(root: str, states: Sequence[State]) -> str:
     """The command that reports on the runs of a root; --trust where their model is a file."""
     identities = (state.request.identity for state in states if state.request.root == root)
     models = (identity.config["model"] for identity in identities)
     files = sorted({str(model["path"]) for model in models if "path" in model})
-    what = f" (--trust runs {', '.join(files)})" if files else ""
+    files_run = f" (--trust runs {', '.join(files)})" if files else ""
     trust = " --trust" if files else ""
-    return f"how far to trust the best of them{what}: " + (
+    return f"how far to trust the best of them{files_run}: " + (
         f"python -m experiments.report {shlex.quote(root)}{trust}"
     )
 
@@ -68,10 +68,10 @@ def _print_errors(states: Sequence[State]) -> None:
         print(errors.agg(["count", "min", "median", "max"]).to_string(float_format="%.5g"))
 
 
-def report(experiment: Experiment, stored: StoredRun) -> str:
+def result_text(experiment: Experiment, stored: StoredRun) -> str:
     """The identified parameters, how far to trust them and how good they are; writes the page."""
     # Here, because figures take longer to import than a small run takes: only who draws them waits.
-    from experiments.optimum import descents_of, larger_budget, reported, save_run
+    from experiments.app.optimum import descents_of, larger_budget, report_of, save_run
     from miho.analysis.pages.run_tables import error_rows, report_text
 
     problem, result = experiment.problem, stored.result
@@ -85,20 +85,22 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
         return f"no finite value was found: {reasons}"
     unit = problem.unit
     rows: list[tuple[str, str]] = []
-    of_run = None
+    report = None
+    # The findings: parameters with intervals and notes, or bare where the report cannot be made.
     try:
-        of_run = reported(problem, stored)
+        report = report_of(problem, stored)
     except ValueError as reason:
         theta = np.array(result["theta"])
         values = zip(problem.space.parameters, result["theta"], strict=True)
-        listed = "\n".join(f"{p.name:<12} {value:.6g} {p.unit}" for p, value in values)
-        findings = f"{listed}\n\n- no standard errors: {reason}"
+        lines = "\n".join(f"{p.name:<12} {value:.6g} {p.unit}" for p, value in values)
+        findings = f"{lines}\n\n- no standard errors: {reason}"
         error = root_mean_square(problem.errors(theta))
         rows.append(("error", f"{error:.5g} {unit} (root mean square)"))
     else:
-        theta, findings = of_run.at.theta, report_text(of_run)
-        rows += error_rows(of_run)
-        rows.append(("optimum", of_run.standing.evidence))
+        theta, findings = report.at.theta, report_text(report)
+        rows += error_rows(report)
+        rows.append(("optimum", report.standing.evidence))
+    # How good the reported optimum is: its loss, and its gap to the best one that is known.
     loss = float(problem.loss(theta[None])[0])
     if not isinstance(problem.rho, Square):
         name = type(problem.rho).__name__
@@ -108,10 +110,11 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     if optimum is not None:
         best = min(optimum, loss, result["loss"])
         source = "recorded" if exact is None else "closed form"
-        gap, of_the_run = (_gap(each, best) for each in (loss, result["loss"]))
-        if gap != of_the_run:
-            gap += f"; of the run itself {of_the_run}"
+        gap, gap_of_run = _gap(loss, best), _gap(result["loss"], best)
+        if gap != gap_of_run:
+            gap += f"; of the run itself {gap_of_run}"
         rows.append(("best known", f"{math.sqrt(best):.5g} {unit} ({source}), gap {gap}"))
+    # What the run spent, how it ended, and where it is stored.
     rows += [
         ("evaluations", f"{result['evaluations']:,.0f}"),
         ("seconds", f"{result['seconds']:.3f} (set-up {result['setup_seconds']:.3f})"),
@@ -122,13 +125,13 @@ def report(experiment: Experiment, stored: StoredRun) -> str:
     if result.get("outside"):
         rows.append(("outside", f"at least {result['outside']:,} evaluations, beyond the box"))
     rows.append(("run", str(stored.folder)))
-    if of_run is not None:
-        rows.append(("report", str(save_run(of_run, stored))))
+    if report is not None:
+        rows.append(("report", str(save_run(report, stored))))
     return findings + "\n\n" + "\n".join(f"{name:<12} {value}" for name, value in rows)
 
 
 def _gap(loss: float, best: float) -> str:
-    """How much larger an error is than the best one."""
+    """How much larger the root of a loss is than that of the best one, in percent."""
     return f"{100 * (math.sqrt(loss / best) - 1) if best else 0.0:.4f} %"
 
 

@@ -1,4 +1,4 @@
-"""Whether the seconds of a run may be compared: what else the machine did meanwhile.
+"""CPU contention: whether other work on the machine falsified the seconds of a run.
 
 The thresholds below separate, on a virtual machine with two cores, runs of 20 ms to 1 s that had a
 core to themselves from runs that shared two cores with two to four busy processes. The latter had
@@ -29,14 +29,16 @@ SLOWER = 1.25
 """How much longer than its best the fixed work may take, before a run and after it."""
 
 JUDGED_SECONDS = 0.5
-"""From here on the work of others is told from the machine's counters, which tick at 10 ms."""
+"""The work of others is counted in runs of this many seconds or more: the machine's counters tick
+at 10 ms."""
 
-KERNEL_VALUES, KERNEL_REPEATS = 2**14, 3
+SINES, REPEATS = 2**14, 3
 FRESH_SECONDS = 0.1
+"""A measurement of the reference work serves for this long."""
 
 
 @dataclass
-class Kernel:
+class ReferenceWork:
     """Fixed work of about 1 ms, timed: 16,384 sines, the best of three.
 
     `best` is its shortest time in this process so far; `last` was measured at `at`, and serves as
@@ -46,18 +48,16 @@ class Kernel:
     best: float = math.inf
     last: float = math.inf
     at: float = -math.inf
-    values: tuple[float, ...] = field(
-        default=tuple(i / KERNEL_VALUES for i in range(KERNEL_VALUES)), repr=False
-    )
+    values: tuple[float, ...] = field(default=tuple(i / SINES for i in range(SINES)), repr=False)
 
     def measure(self) -> float:
         """Seconds now, relative to the best in this process (1 or more)."""
-        took = []
-        for _ in range(KERNEL_REPEATS):
+        durations = []
+        for _ in range(REPEATS):
             started = time.perf_counter()
             sum(map(math.sin, self.values))
-            took.append(time.perf_counter() - started)
-        self.last, self.at = min(took), time.perf_counter()
+            durations.append(time.perf_counter() - started)
+        self.last, self.at = min(durations), time.perf_counter()
         self.best = min(self.best, self.last)
         return self.last / self.best
 
@@ -68,14 +68,14 @@ class Kernel:
 
 
 @cache
-def kernel() -> Kernel:
-    """The one of this process."""
-    return Kernel()
+def reference_work() -> ReferenceWork:
+    """The reference work of this process."""
+    return ReferenceWork()
 
 
 @dataclass(frozen=True)
 class Counters:
-    """What the system has counted so far: seconds of wall and CPU time, switches, work of all."""
+    """Counters of the system: seconds of wall and CPU time, switches, CPU seconds of all cores."""
 
     wall: float
     cpu: float
@@ -85,7 +85,7 @@ class Counters:
 
     @classmethod
     def now(cls) -> Counters:
-        """Read them."""
+        """The counters as they are now."""
         return cls(
             time.perf_counter(),
             time.process_time(),
@@ -97,7 +97,7 @@ class Counters:
 
 @dataclass(frozen=True)
 class Timing:
-    """How a timed run went.
+    """What disturbed a timed run, and whether its seconds are valid.
 
     `load` is the load average of the last minute at start and end, for the record: it lags by a
     minute. `others` is how many cores the rest of the machine kept busy during the run, None where
@@ -123,30 +123,33 @@ class Timing:
     def as_dict(self) -> dict[str, Any]:
         """For a JSON file."""
         values = {name: value for name, value in vars(self).items() if name != "reasons"}
-        listed = {
+        plain = {
             name: list(value) if isinstance(value, tuple) else value
             for name, value in values.items()
         }
-        return {"valid": self.valid, "reasons": list(self.reasons), **listed}
+        return {"valid": self.valid, "reasons": list(self.reasons), **plain}
 
 
 class Stamp:
-    """What was read around a run; `judge` says what to think of its seconds."""
+    """Counters and reference work before and after a run; `judge` compares them."""
 
     def __init__(self) -> None:
-        self._before = kernel().recent()
+        self._before = reference_work().recent()
         self._start = self._end = Counters.now()
         self._after = self._before
         self._threads: tuple[int, ...] = ()
 
     def close(self) -> None:
-        """Read everything for the second time; libraries loaded meanwhile count as well."""
+        """Read everything again, after the run; libraries that it loaded count as well."""
         self._end = Counters.now()
-        self._after = kernel().recent()
+        self._after = reference_work().recent()
         self._threads = tuple(library_threads())
 
     def judge(self, seconds: float, cpu_seconds: float) -> Timing:
-        """`seconds` and `cpu_seconds` of the method's clock, without set-up and recording."""
+        """The timing of a run that took these seconds on the method's clock.
+
+        Neither they nor the CPU seconds contain set-up and recording.
+        """
         start, end = self._start, self._end
         wall, interruptions = end.wall - start.wall, end.switches - start.switches
         others = None
@@ -182,7 +185,7 @@ def stamped() -> Iterator[Stamp]:
 
 
 def _waiting(seconds: float, cpu_seconds: float) -> Iterator[str]:
-    """Whether the run had one core, no less and no more."""
+    """Reasons why the run did not have one core, no less and no more."""
     allowed = max(WAITED_SHARE * seconds, WAITED_SECONDS)
     if seconds - cpu_seconds > allowed:
         share = (seconds - cpu_seconds) / seconds
@@ -194,7 +197,7 @@ def _waiting(seconds: float, cpu_seconds: float) -> Iterator[str]:
 def _sharing(
     interruptions: int, wall: float, others: float | None, load: float | None
 ) -> Iterator[str]:
-    """Whether other work took the core away, or left none."""
+    """Reasons why other work took the core away, or left none."""
     if interruptions > INTERRUPTIONS + INTERRUPTIONS_PER_SECOND * wall:
         yield f"other work interrupted it {interruptions} times in {wall:.3g} s"
     cores = os.cpu_count() or 1
@@ -205,7 +208,7 @@ def _sharing(
 
 
 def _machine(kernels: tuple[float, float], threads: tuple[int, ...]) -> Iterator[str]:
-    """Whether the machine ran at its own speed, on one thread."""
+    """Reasons why the machine was slower than at its best, or ran several threads."""
     for when, relative in zip(("before", "after"), kernels, strict=True):
         if relative > SLOWER:
             yield f"fixed work {when} it took {relative:.2f} times as long as at best"

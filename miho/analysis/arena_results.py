@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from experiments.app.build import ConfigError
-from experiments.arena_problems import as_configured
-from experiments.comparison import read_comparison, write_origin, write_tables
-from miho.analysis import save
+from miho.analysis.compare.comparison import Comparison, write_origin, write_tables
 from miho.analysis.compare.leaderboard import (
     best_rivals,
     families,
@@ -33,6 +31,7 @@ from miho.analysis.compare.significance import (
 )
 from miho.analysis.curves import Axis
 from miho.analysis.figures.arena import ecdf_figure, error_curves, ert_table, profiles_figure
+from miho.analysis.figures.house import save
 from miho.analysis.figures.ranking import (
     area_figure,
     critical_difference_diagram,
@@ -85,75 +84,139 @@ CAPTIONS = {
 }
 
 
-def draw_arena(root: Path, output: Path) -> list[Path]:
-    """All tables and figures of the last arena below `root`; tables are printed.
+class TooFewError(ValueError):
+    """An arena has fewer methods or problems than its tests need."""
 
-    Raises ConfigError where it is too small for its tests.
+
+@dataclass(frozen=True, eq=False)
+class ArenaResults:
+    """The numbers that the tables and figures of an arena show.
+
+    clock: the runs that may be compared in seconds. hits, ert: when runs reached multiples of the
+    best known error, and the expected running times, on the axis of evaluations and on that of the
+    clock. areas: over the convergence curves. scores, family_scores: one number for each method on
+    a problem or a family of problems, the smaller the better. friedman: a test of either. order:
+    the methods by mean rank over problems. tested: the method that is tested against every other.
     """
-    comparison = read_comparison(root)
-    runs, curves, rng = as_configured(comparison.runs), comparison.curves, np.random.default_rng(0)
-    reached = hits(runs, curves)
-    clock = clock_of(runs)
-    timed = _on_the_clock(clock, reached)
-    on_axes: dict[Axis, pd.DataFrame] = {"evaluations": reached, clock.axis: timed}
-    ert = {axis: expected_running_time(rows, axis, rng) for axis, rows in on_axes.items()}
-    areas = area_over_curve(runs, curves)
-    solved = problem_scores(ert["evaluations"], areas, FACTOR)
-    kinds = families(runs)
-    by_family = family_scores(solved, kinds)
-    try:
-        tests = {"problems": friedman(solved), "families": friedman(by_family)}
-    except ValueError as error:
-        raise ConfigError(f"{root}: {error}") from None
-    order, sample = ranks(solved), f"{len(solved)} problems"
-    difference = critical_difference(len(order), len(solved))
-    speed_ups = pairwise_speed_up(reached, FACTOR, "evaluations", rng, families=kinds)
-    dimensions = dict(zip(runs["problem"], runs["dimension"], strict=True))
 
-    tables = {
-        "problems": _problems(runs, reached),
-        "profiles": _profiles(ert["evaluations"]),
-        "leaderboard": leaderboard(runs, curves),
-    }
-    method = next((name for name in TESTED if name in set(runs["optimizer"])), None)
-    facts: dict[str, object] = {"method": method, "unit": clock.unit, "close": CLOSE}
-    if method is not None:
-        plain = problem_scores(ert["evaluations"], None, FACTOR)
-        tables["tests"] = head_to_head(method, plain, solved, kinds, speed_ups)
-        rivals = {axis: rows[rows["optimizer"] != LOSSES_ONLY] for axis, rows in ert.items()}
-        tables["best_rivals"] = best_rivals(rivals, method, FACTOR)
-        facts |= separated(tables["tests"]) | ahead(tables["best_rivals"])
-    least = min(1.0, (len(order) - 1) * 2.0 ** (1 - len(by_family)))
-    facts |= {"problems": len(solved), "families": len(by_family), "least": least}
-    facts["timed"], facts["runs"] = int(undisturbed(runs).sum()), len(runs)
-    captions = {name: CAPTIONS[name].format(**facts) for name in tables}
-    paths = write_tables(comparison, tables, captions, output)
-    for what, test in tests.items():
-        print(_friedman(test, what))
-    whole = pd.concat([frame.assign(axis=axis) for axis, frame in ert.items()])
-    for name, frame in {"ert": whole, "speed_up": speed_ups, "aocc": areas}.items():
+    comparison: Comparison
+    clock: Clock
+    hits: Mapping[Axis, pd.DataFrame]
+    ert: Mapping[Axis, pd.DataFrame]
+    areas: pd.DataFrame
+    families: Mapping[str, str]
+    scores: pd.DataFrame
+    family_scores: pd.DataFrame
+    friedman: Mapping[str, FriedmanTest]
+    order: pd.DataFrame
+    speed_ups: pd.DataFrame
+    tested: str | None
+
+    @classmethod
+    def of(cls, comparison: Comparison) -> ArenaResults:
+        """The numbers of a comparison, of which runs have the columns `family` and `cut`.
+
+        Bootstrap replicates are drawn from seed 0. Raises TooFewError where there are too few
+        methods or problems for Friedman's test.
+        """
+        runs, curves, rng = comparison.runs, comparison.curves, np.random.default_rng(0)
+        reached = hits(runs, curves)
+        clock = clock_of(runs)
+        on_axes: dict[Axis, pd.DataFrame] = {
+            "evaluations": reached,
+            clock.axis: _on_the_clock(clock, reached),
+        }
+        ert = {axis: expected_running_time(rows, axis, rng) for axis, rows in on_axes.items()}
+        areas = area_over_curve(runs, curves)
+        scores = problem_scores(ert["evaluations"], areas, FACTOR)
+        family_of = families(runs)
+        by_family = family_scores(scores, family_of)
+        try:
+            tests = {"problems": friedman(scores), "families": friedman(by_family)}
+        except ValueError as error:
+            raise TooFewError(str(error)) from None
+        speed_ups = pairwise_speed_up(reached, FACTOR, "evaluations", rng, families=family_of)
+        methods = set(runs["optimizer"])
+        tested = next((name for name in TESTED if name in methods), None)
+        return cls(
+            comparison, clock, on_axes, ert, areas, family_of, scores, by_family, tests,
+            ranks(scores), speed_ups, tested,
+        )  # fmt: skip
+
+
+def write_arena(results: ArenaResults, output: Path) -> tuple[str, list[Path]]:
+    """Write all tables and figures of an arena, and where they come from.
+
+    Gives the tables and tests as text, and all paths.
+    """
+    tables, captions = arena_tables(results)
+    texts, paths = write_tables(results.comparison, tables, captions, output)
+    texts += [_friedman(test, groups) for groups, test in results.friedman.items()]
+    whole = pd.concat([frame.assign(axis=axis) for axis, frame in results.ert.items()])
+    frames = {"ert": whole, "speed_up": results.speed_ups, "aocc": results.areas}
+    for name, frame in frames.items():
         write_text(output / f"{name}.csv", frame.to_csv(index=False))
-    note = comparison.note
-    evaluations = ecdf(reached, "evaluations")
-    seconds = ecdf(timed, clock.axis)
-    data = data_profile(reached, dimensions, FACTOR)
-    performance = performance_profile(ert["evaluations"], FACTOR)
+    for name, figure in arena_figures(results).items():
+        paths += save(figure, output / name)
+    csv = [output / f"{name}.csv" for name in frames]
+    return "\n".join(texts), [*paths, *csv, write_origin(results.comparison, output)]
+
+
+def arena_tables(results: ArenaResults) -> tuple[dict[str, pd.DataFrame], dict[str, str]]:
+    """The tables of an arena and their captions, by name."""
+    runs, ert = results.comparison.runs, results.ert["evaluations"]
+    tables = {
+        "problems": _problems(runs, results.hits["evaluations"]),
+        "profiles": _profiles(ert),
+        "leaderboard": leaderboard(runs, results.comparison.curves),
+    }
+    method, problems = results.tested, len(results.scores)
+    facts: dict[str, object] = {"method": method, "unit": results.clock.unit, "close": CLOSE}
+    if method is not None:
+        plain = problem_scores(ert, None, FACTOR)
+        tables["tests"] = head_to_head(
+            method, plain, results.scores, results.families, results.speed_ups
+        )
+        rivals = {
+            axis: rows[rows["optimizer"] != LOSSES_ONLY] for axis, rows in results.ert.items()
+        }
+        tables["best_rivals"] = best_rivals(rivals, method, FACTOR)
+        facts |= separation(tables["tests"]) | lead(tables["best_rivals"])
+    by_family = len(results.family_scores)
+    # Of a signed-rank test over N families the smallest p is 2^(1 - N), times Holm's rivals.
+    least = min(1.0, (len(results.order) - 1) * 2.0 ** (1 - by_family))
+    facts |= {"problems": problems, "families": by_family, "least": least}
+    facts["timed"], facts["runs"] = int(undisturbed(runs).sum()), len(runs)
+    return tables, {name: CAPTIONS[name].format(**facts) for name in tables}
+
+
+def arena_figures(results: ArenaResults) -> dict[str, Figure]:
+    """The figures of an arena, by name."""
+    runs, curves, note = (
+        results.comparison.runs, results.comparison.curves, results.comparison.note
+    )  # fmt: skip
+    ert, order, clock = results.ert["evaluations"], results.order, results.clock
+    reached, timed = results.hits["evaluations"], results.hits[clock.axis]
+    dimensions = dict(zip(runs["problem"], runs["dimension"], strict=True))
+    problems = len(results.scores)
+    difference = critical_difference(len(order), problems)
     figures = {
         **_error_curves(runs, curves, note),
-        **_ert_tables(ert["evaluations"], order, note),
-        "ecdf": ecdf_figure(evaluations, seconds, clock, note=note),
-        "profiles": profiles_figure(data, performance, note=note),
-        "aocc": area_figure(areas, note=note),
+        **_ert_tables(ert, order, note),
+        "ecdf": ecdf_figure(
+            ecdf(reached, "evaluations"), ecdf(timed, clock.axis), clock, note=note
+        ),
+        "profiles": profiles_figure(
+            data_profile(reached, dimensions, FACTOR), performance_profile(ert, FACTOR), note=note
+        ),
+        "aocc": area_figure(results.areas, note=note),
         "ranks": critical_difference_diagram(
-            order, difference, cliques(order, difference), sample=sample, note=note
+            order, difference, cliques(order, difference), sample=f"{problems} problems", note=note
         ),
     }
-    if method is not None:
-        figures["speed_up"] = speed_up_figure(speed_ups, method=method, note=note)
-    for name, figure in figures.items():
-        paths += save(figure, output / name)
-    csv = [output / f"{name}.csv" for name in ("ert", "speed_up", "aocc")]
-    return [*paths, *csv, write_origin(comparison, output)]
+    if results.tested is not None:
+        figures["speed_up"] = speed_up_figure(results.speed_ups, method=results.tested, note=note)
+    return figures
 
 
 def _error_curves(runs: pd.DataFrame, curves: pd.DataFrame, note: str) -> dict[str, Figure]:
@@ -191,12 +254,12 @@ def pages(problems: pd.Series) -> dict[str, list[str]]:
 
 def _on_the_clock(clock: Clock, reached: pd.DataFrame) -> pd.DataFrame:
     """The hits of the seeds that may be compared on the clock."""
-    kept = pd.MultiIndex.from_frame(clock.runs[["problem", "seed"]])
-    return reached[pd.MultiIndex.from_frame(reached[["problem", "seed"]]).isin(kept)]
+    comparable = pd.MultiIndex.from_frame(clock.runs[["problem", "seed"]])
+    return reached[pd.MultiIndex.from_frame(reached[["problem", "seed"]]).isin(comparable)]
 
 
 def _problems(runs: pd.DataFrame, reached: pd.DataFrame) -> pd.DataFrame:
-    known = references(runs)
+    best_known = references(runs)
     first = runs.groupby("problem", sort=False).first()
     solved = at_factor(reached, FACTOR)
     methods = solved[solved["reached"]].groupby("problem")["optimizer"].nunique()
@@ -205,9 +268,9 @@ def _problems(runs: pd.DataFrame, reached: pd.DataFrame) -> pd.DataFrame:
             "problem": first.index,
             "family": first["family"].to_numpy(),
             "parameters": first["dimension"].astype(int).to_numpy(),
-            "best known error": known["error"].reindex(first.index).to_numpy(),
+            "best known error": best_known["error"].reindex(first.index).to_numpy(),
             "unit": first["unit"].to_numpy(),
-            "from": known["source"].reindex(first.index).to_numpy(),
+            "from": best_known["source"].reindex(first.index).to_numpy(),
             "solved by": methods.reindex(first.index).fillna(0).astype(int).to_numpy(),
         }
     )
@@ -225,12 +288,12 @@ def head_to_head(
     method: str,
     plain: pd.DataFrame,
     with_areas: pd.DataFrame,
-    kinds: Mapping[str, str],
+    family_of: Mapping[str, str],
     speed_ups: pd.DataFrame,
 ) -> pd.DataFrame:
     """A method against each rival, by scores without and with the tie-break of `problem_scores`."""
     ranked = pairwise(with_areas, method)[["rival", "p_holm"]]
-    strict = pairwise(family_scores(plain, kinds), method)[["rival", "p_holm"]]
+    strict = pairwise(family_scores(plain, family_of), method)[["rival", "p_holm"]]
     ranked = ranked.rename(columns={"p_holm": WITH_AREAS})
     strict = strict.rename(columns={"p_holm": "p by families"})
     faster = speed_ups[speed_ups["method"] == method]
@@ -240,21 +303,20 @@ def head_to_head(
         f"{row.ratio:.3g}× [{row.low:.3g}, {row.high:.3g}]" if row.problems else "-"
         for row in table.itertuples()
     ]
-    chosen = ["rival", "wins", "losses", "p_holm", WITH_AREAS, "p by families", "effect"]
-    chosen += ["speed-up"]
-    chosen += ["problems", "only_method", "only_rival"]
+    columns = ["rival", "wins", "losses", "p_holm", WITH_AREAS, "p by families", "effect"]
+    columns += ["speed-up", "problems", "only_method", "only_rival"]
     names = {"p_holm": PLAIN, "problems": "on problems"}
     names |= {"only_method": "only the method solves", "only_rival": "only the rival solves"}
-    return table[chosen].rename(columns=names)
+    return table[columns].rename(columns=names)
 
 
-def separated(tests: pd.DataFrame) -> dict[str, int]:
-    """How many rivals the tests tell from the method at 5 %, of how many."""
+def separation(tests: pd.DataFrame) -> dict[str, int]:
+    """The number of rivals, and of those that the tests separate from the method at 5 %."""
     plain, with_areas = (int((tests[name] < LEVEL).sum()) for name in (PLAIN, WITH_AREAS))
     return {"rivals": len(tests), "apart": plain, "apart_aocc": with_areas}
 
 
-def ahead(table: pd.DataFrame) -> dict[str, int]:
+def lead(table: pd.DataFrame) -> dict[str, int]:
     """On how many problems of `best_rivals` the method is ahead of the best rival."""
     evaluations, seconds = (table[name] for name in table.columns if name.startswith("share"))
     return {
@@ -264,10 +326,10 @@ def ahead(table: pd.DataFrame) -> dict[str, int]:
     }
 
 
-def _friedman(test: FriedmanTest, what: str) -> str:
+def _friedman(test: FriedmanTest, groups: str) -> str:
     difference = critical_difference(test.methods, test.problems)
     return (
-        f"Friedman's test over {test.problems} {what} and {test.methods} methods: "
+        f"Friedman's test over {test.problems} {groups} and {test.methods} methods: "
         f"chi2 = {test.chi2:.1f}, F = {test.f:.2f}, p = {test.p:.2g}; two mean ranks differ at 5 % "
         f"if they are {difference:.2f} apart (Nemenyi).\n"
     )

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from miho.study import environment_stamp, single_thread, validity
+from miho.study import contention, environment_stamp, single_thread
+from miho.study.contention import Counters, ReferenceWork, Stamp, stamped
 from miho.study.environment import machine_seconds
-from miho.study.validity import Counters, Kernel, Stamp, stamped
 
 CALM = Counters(wall=100.0, cpu=50.0, switches=7, machine=1000.0, load=0.5)
 
@@ -19,15 +19,15 @@ class Scripted:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, end: Counters, after: float = 1.0) -> None:
         readings = iter([CALM, end])
         pools = [{"num_threads": 1}]
-        kernel = Kernel()
-        monkeypatch.setattr(validity.Counters, "now", lambda: next(readings))
+        work = ReferenceWork()
+        monkeypatch.setattr(contention.Counters, "now", lambda: next(readings))
         measured = iter([1.0, after])
-        monkeypatch.setattr(kernel, "recent", lambda: next(measured))
-        monkeypatch.setattr(validity, "kernel", lambda: kernel)
+        monkeypatch.setattr(work, "recent", lambda: next(measured))
+        monkeypatch.setattr(contention, "reference_work", lambda: work)
         monkeypatch.setattr(
-            validity, "library_threads", lambda: [one["num_threads"] for one in pools]
+            contention, "library_threads", lambda: [pool["num_threads"] for pool in pools]
         )
-        monkeypatch.setattr(validity.os, "cpu_count", lambda: 2)
+        monkeypatch.setattr(contention.os, "cpu_count", lambda: 2)
         self.pools = pools
 
     def stamp(self) -> Stamp:
@@ -86,7 +86,7 @@ def test_other_work(monkeypatch: pytest.MonkeyPatch, end: Counters, reason: str 
 
 def test_load_counts_where_nothing_better_does(monkeypatch: pytest.MonkeyPatch) -> None:
     scripted = Scripted(monkeypatch, after(1.0, load=2.5))
-    monkeypatch.setattr(validity, "machine_seconds", lambda: None)
+    monkeypatch.setattr(contention, "machine_seconds", lambda: None)
     reasons = scripted.stamp().judge(1.0, 1.0).reasons
     assert reasons == ("the load average was 2.5 on 2 cores",)
 
@@ -115,16 +115,16 @@ def test_it_goes_into_a_json_file() -> None:
 
 
 def test_fixed_work_is_relative_to_its_best_and_used_again_while_fresh() -> None:
-    kernel = Kernel()
-    assert kernel.measure() == 1.0
-    best = kernel.best
+    work = ReferenceWork()
+    assert work.measure() == 1.0
+    best = work.best
     assert 1e-5 < best < 0.1
-    kernel.best = best / 2
-    assert kernel.recent() == kernel.last / kernel.best == pytest.approx(2.0)
-    kernel.at -= 1.0
-    last = kernel.last
-    kernel.recent()
-    assert kernel.last != last
+    work.best = best / 2
+    assert work.recent() == work.last / work.best == pytest.approx(2.0)
+    work.at -= 1.0
+    last = work.last
+    work.recent()
+    assert work.last != last
 
 
 def test_the_counters_rise() -> None:

@@ -1,4 +1,4 @@
-"""What is known of an optimum: whether the search may have ended in another one."""
+"""The standing of an optimum: the evidence that it is the best, or why that is in doubt."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from miho.identification.irreducible import Irreducible
 from miho.optim import Descents, agreement
 
 BEATEN = 0.1
-"""Where no curve can have an error that is lower by this fraction, one search is relied on, unless
-others ended elsewhere: a weak signal is missed by optima whose errors differ by less."""
+"""Where no curve can have an error that is lower by this fraction, one search is enough evidence,
+unless another ended elsewhere: optima whose errors differ by less may differ in a weak signal."""
 OVERLOOKED = 0.01
 """A recorded optimum is missed by an error that is larger by more than this fraction."""
 
 
 @dataclass(frozen=True)
 class Standing:
-    """How an optimum stands: `evidence` says in a sentence what is known of it.
+    """`evidence`: in a sentence, what is known of an optimum.
 
     `doubt` says why it may not be the best, and is empty where there is enough evidence that it is.
     `certain` if that does not rest on descents that agree, which may all have missed a better one.
@@ -29,8 +29,8 @@ class Standing:
 
 
 def kind_of(searches: Sequence[Descents]) -> str:
-    """What the descents of searches are: all of them brackets, or not."""
-    return "brackets" if searches and all(each.brackets for each in searches) else "descents"
+    """What the descents of these searches are called: brackets if all are, else descents."""
+    return "brackets" if searches and all(search.brackets for search in searches) else "descents"
 
 
 def standing(
@@ -42,41 +42,45 @@ def standing(
     irreducible: Irreducible | None = None,
     error: float = 0.0,
 ) -> Standing:
-    """What is known of an optimum of this loss.
+    """The evidence for an optimum of this loss, or the doubt about it.
 
     Losses up to `rounding` are 0; `searches` are the descents of the run, and of a check;
     `best_known` is the loss of the optimum where linear algebra or a record knows it. `error` is
     the root-mean-square error, which no curve undercuts by more than the lower end of the
     `irreducible` one says.
     """
+    # A known optimum decides alone.
     if best_known is not None:
         if loss <= best_known * (1 + OVERLOOKED) ** 2 + rounding:
             return Standing("the best known optimum is reached", certain=True)
         more = (loss / best_known) ** 0.5 - 1 if best_known > 0 else float("inf")
         doubt = f"the error is {100 * more:.3g} % higher than that of the best known optimum"
         return Standing(doubt, doubt)
-    finished = sum(each.finished for each in searches)
-    screened = sum(each.screened for each in searches)
-    dropped = sum(each.dropped for each in searches)
+    # How many of the descents of all searches ended in this optimum.
+    finished = sum(search.finished for search in searches)
+    screened = sum(search.screened for search in searches)
+    dropped = sum(search.dropped for search in searches)
     kind = kind_of(searches)
-    ends = [end for each in searches for end in each.ends]
+    ends = [end for search in searches for end in search.ends]
     agreed = agreement(ends, rounding, best=loss, finished=finished, dropped=dropped)
-    here = agreed.agreeing
+    ended_here = agreed.agreeing
     verb = "was" if dropped == 1 else "were"
-    elsewhere = f", {dropped} {verb} dropped on fewer rows as no better" * bool(dropped)
-    ended = f"{here or 'none'} of {finished} {kind} ended here{elsewhere}"
-    evidence = ended
+    drops = f", {dropped} {verb} dropped on fewer rows as no better" * bool(dropped)
+    count = f"{ended_here or 'none'} of {finished} {kind} ended here{drops}"
+    evidence = count
     if screened:
         evidence = (
-            f"{screened:,} starts screened for {finished} {kind}; {here or 'none'} of them "
-            f"ended here{elsewhere}"
+            f"{screened:,} starts screened for {finished} {kind}; {ended_here or 'none'} of them "
+            f"ended here{drops}"
         )
-    unseen = (
+    chance = (
         f"one more would find a better one with a probability of about {100 * agreed.better:.2g} %"
     )
+
+    # Enough evidence: descents that agree, or an error that no curve undercuts by much.
     if agreed.enough:
-        return Standing(f"{evidence}, and none found a better one; {unseen}")
-    if here == finished and irreducible is not None and error <= irreducible.high:
+        return Standing(f"{evidence}, and none found a better one; {chance}")
+    if ended_here == finished and irreducible is not None and error <= irreducible.high:
         below = max(0.0, 1 - irreducible.low / error) if error > 0 else 0.0
         if below <= BEATEN:
             reached = (
@@ -84,16 +88,17 @@ def standing(
                 f"{100 * below:.2g} % lower (95 % interval)"
             )
             return Standing(f"{evidence}; {reached}" if finished else reached, certain=True)
+    # Too little: how many, and where the others ended.
     if not searches:
-        once = "one search, and nothing in it tells whether a better optimum exists"
-        return Standing(once, once)
+        single = "one search, and nothing in it tells whether a better optimum exists"
+        return Standing(single, single)
     if not finished:
-        none = f"no {kind.removesuffix('s')} was finished"
-        return Standing(none, f"{none} within the budget")
+        unfinished = f"no {kind.removesuffix('s')} was finished"
+        return Standing(unfinished, f"{unfinished} within the budget")
     if agreed.optima > 1:
         errors = agreed.optima - dropped
-        others = f"; they ended at {errors} different errors" * (errors > 1)
-        others += f", so that {unseen}" * agreed.returned
-        evidence, ended = evidence + others, ended + others
-    doubt = f"{ended}, which are too few to rely on" if here == finished else f"only {ended}"
-    return Standing(evidence, doubt if here else ended)
+        elsewhere = f"; they ended at {errors} different errors" * (errors > 1)
+        elsewhere += f", so that {chance}" * agreed.returned
+        evidence, count = evidence + elsewhere, count + elsewhere
+    doubt = f"{count}, which are too few to rely on" if ended_here == finished else f"only {count}"
+    return Standing(evidence, doubt if ended_here else count)

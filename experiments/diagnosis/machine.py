@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from miho.optim import Budget, Parameter, Problem, RandomSearch, RunRecord, Space, minimize
 from miho.study import single_thread
+from miho.study.contention import ReferenceWork, stamped
 from miho.study.environment import machine_seconds
-from miho.study.validity import Kernel, stamped
 
 Array = NDArray[np.float64]
 
@@ -30,8 +30,8 @@ ENOUGH_VALID = 0.5
 ENOUGH, LITTLE = 2**30, 100 * 2**20
 
 
-class State(StrEnum):
-    """How bad it is: nothing, worth knowing, or something to mend."""
+class Severity(StrEnum):
+    """How bad what a check saw is: nothing, worth knowing, or something to mend."""
 
     OK = "ok"
     WARNING = "warning"
@@ -43,13 +43,13 @@ class Check:
     """What was looked at, how it is, and what was seen and is to be done."""
 
     name: str
-    state: State
+    severity: Severity
     message: str
 
     @property
     def line(self) -> str:
-        """For the terminal."""
-        return f"{self.name:<18} {self.state:<8} {self.message}"
+        """The check as a line for the terminal."""
+        return f"{self.name:<18} {self.severity:<8} {self.message}"
 
 
 def machine_checks(place: Path, *, timing: bool) -> Iterator[Check]:
@@ -60,7 +60,7 @@ def machine_checks(place: Path, *, timing: bool) -> Iterator[Check]:
     yield clock()
     yield disk(place)
     yield speed()
-    yield same_method() if timing else Check("A/A test", State.OK, "not run; --timing runs it")
+    yield same_method() if timing else Check("A/A test", Severity.OK, "not run; --timing runs it")
 
 
 def cores() -> Check:
@@ -70,9 +70,9 @@ def cores() -> Check:
     message = f"{usable} of {total}"
     if usable == 1:
         return Check(
-            "cores", State.WARNING, f"{message}; anything else that runs disturbs a timing"
+            "cores", Severity.WARNING, f"{message}; anything else that runs disturbs a timing"
         )
-    return Check("cores", State.OK, message)
+    return Check("cores", Severity.OK, message)
 
 
 def threads() -> Check:
@@ -84,13 +84,13 @@ def threads() -> Check:
     ]
     if several:
         message = f"{', '.join(several)} although one was asked for; set OMP_NUM_THREADS=1"
-        return Check("threads", State.FAILED, message)
+        return Check("threads", Severity.FAILED, message)
     names = ", ".join(sorted({pool["prefix"] for pool in pools})) or "no library found"
-    return Check("threads", State.OK, f"one in a run ({names})")
+    return Check("threads", Severity.OK, f"one in a run ({names})")
 
 
 def busy_cores(seconds: float = IDLE_SECONDS) -> float | None:
-    """How many cores the rest of the machine keeps busy while we sleep; None if nobody counts."""
+    """Cores that other work keeps busy while we sleep; None where the system does not count."""
     before, started = machine_seconds(), time.perf_counter()
     time.sleep(seconds)
     after, took = machine_seconds(), time.perf_counter() - started
@@ -103,11 +103,11 @@ def load() -> Check:
     averages = os.getloadavg() if hasattr(os, "getloadavg") else None
     message = f"load average {averages[0]:.2f}" if averages else "no load average here"
     if busy is None:
-        return Check("load", State.OK, message)
+        return Check("load", Severity.OK, message)
     message = f"other work keeps {busy:.2f} cores busy, {message}"
     if busy > BUSY_CORES:
-        return Check("load", State.WARNING, f"{message}; time nothing until it has ended")
-    return Check("load", State.OK, message)
+        return Check("load", Severity.WARNING, f"{message}; time nothing until it has ended")
+    return Check("load", Severity.OK, message)
 
 
 def clock() -> Check:
@@ -118,10 +118,10 @@ def clock() -> Check:
     info = time.get_clock_info("perf_counter")
     message = f"{info.implementation}, finest step {finest * 1e9:.0f} ns"
     if (steps < 0).any() or not info.monotonic:
-        return Check("clock", State.FAILED, f"{message}; it falls: no duration can be trusted")
+        return Check("clock", Severity.FAILED, f"{message}; it falls: no duration can be trusted")
     if finest > RESOLUTION:
-        return Check("clock", State.WARNING, f"{message}; short runs cannot be timed")
-    return Check("clock", State.OK, message)
+        return Check("clock", Severity.WARNING, f"{message}; short runs cannot be timed")
+    return Check("clock", Severity.OK, message)
 
 
 def disk(place: Path) -> Check:
@@ -129,41 +129,41 @@ def disk(place: Path) -> Check:
     free = shutil.disk_usage(place).free
     message = f"{free / 2**30:.1f} GiB free for {place}"
     if free < LITTLE:
-        return Check("disk", State.FAILED, f"{message}; make room before the next run")
+        return Check("disk", Severity.FAILED, f"{message}; make room before the next run")
     if free < ENOUGH:
-        return Check("disk", State.WARNING, f"{message}; a large sweep may not fit")
-    return Check("disk", State.OK, message)
+        return Check("disk", Severity.WARNING, f"{message}; a large sweep may not fit")
+    return Check("disk", Severity.OK, message)
 
 
 def speed() -> Check:
     """Whether fixed work takes the same time again and again."""
-    kernel = Kernel()
+    work = ReferenceWork()
     took = []
     for _ in range(KERNELS):
-        kernel.measure()
-        took.append(kernel.last)
+        work.measure()
+        took.append(work.last)
     spread = float(np.median(took) / min(took))
     message = f"fixed work {min(took) * 1e3:.3f} ms at best, median {spread:.2f} times that"
     if spread > STEADY:
         return Check(
-            "speed", State.WARNING, f"{message}; the cores are shared or change their clock"
+            "speed", Severity.WARNING, f"{message}; the cores are shared or change their clock"
         )
-    return Check("speed", State.OK, message)
+    return Check("speed", Severity.OK, message)
 
 
 def same_method() -> Check:
     """One optimizer under two names, interleaved: 40 runs of 20 ms each."""
-    found = same_method_twice(evaluations_in())
+    pairs = same_method_twice(evaluations_in())
     message = (
-        f"one method by two names: CPU {found.cpu_ratio:.3f}, wall {found.wall_ratio:.3f}, "
-        f"{int(found.valid.sum())} of {found.valid.size} runs valid"
+        f"one method by two names: CPU {pairs.cpu_ratio:.3f}, wall {pairs.wall_ratio:.3f}, "
+        f"{int(pairs.valid.sum())} of {pairs.valid.size} runs valid"
     )
-    if found.valid.mean() < ENOUGH_VALID:
-        return Check("A/A test", State.WARNING, f"{message}; not judged, the machine is busy")
-    if found.outside():
-        message += f"; {' and '.join(found.outside())}: compare no seconds on this machine now"
-        return Check("A/A test", State.FAILED, message)
-    return Check("A/A test", State.OK, message)
+    if pairs.valid.mean() < ENOUGH_VALID:
+        return Check("A/A test", Severity.WARNING, f"{message}; not judged, the machine is busy")
+    if pairs.outside():
+        message += f"; {' and '.join(pairs.outside())}: compare no seconds on this machine now"
+        return Check("A/A test", Severity.FAILED, message)
+    return Check("A/A test", Severity.OK, message)
 
 
 class Waves(Problem):

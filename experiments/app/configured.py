@@ -1,0 +1,106 @@
+"""What conf/ says of runs that are done: of their problems now, and of the paper's full size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, cast
+
+import pandas as pd
+from omegaconf import DictConfig, OmegaConf
+
+from experiments.app import schema
+from experiments.app.build import recorded_optimum, stored_part
+from experiments.app.compose import CONF, composed
+from miho.analysis.compare.bootstrap import ENDED_BY_ITSELF
+from miho.analysis.compare.claims import Differences
+from miho.study import StoredRun, read_run
+
+PROBLEM_PARTS = ("model", "dataset", "space", "loss")
+"""What makes a problem, and with it its optimum."""
+FULL_SIZE = "paper_fig6"
+"""The experiment that has the size of the paper's comparison."""
+
+
+def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
+    """`runs` with `optimum` as conf/problem has it now, and the columns `family` and `cut`.
+
+    An optimum is no part of a run's identity, so the store may hold one that was corrected since.
+    What was run with another model, dataset, space or loss than conf/problem has, or has no file
+    there, keeps what is stored. Where a problem has a resolution, smaller errors are equal to it,
+    and so is the optimum. `cut` is true where a run had spent its seconds before its evaluations
+    and had not ended by itself.
+    """
+    schema.register()
+    pieces = []
+    for name, on_problem in runs.groupby("problem", sort=False):
+        stored = read_run(Path(on_problem["folder"].iloc[0]))
+        family = str(name)
+        if (CONF / "problem" / f"{name}.yaml").exists():
+            cfg = composed([f"problem={name}"])
+            family = cfg.problem.family or family
+            optimum = recorded_optimum(cfg)
+            if optimum is not None and _is_same(stored, cfg):
+                error = on_problem["error"].clip(lower=cfg.problem.resolution)
+                on_problem = on_problem.assign(optimum=optimum, error=error)
+        pieces.append(on_problem.assign(family=family, cut=_cut(on_problem, stored)))
+    return pd.concat(pieces).loc[runs.index]
+
+
+def _is_same(stored: StoredRun, cfg: DictConfig) -> bool:
+    return all(_resolved(stored.config[key]) == _resolved(cfg[key]) for key in PROBLEM_PARTS)
+
+
+def _resolved(node: Any) -> Any:
+    """Plain settings; a run stores what became of a box that is `scaled`, and not that it was."""
+    plain = OmegaConf.to_container(node, resolve=True) if isinstance(node, DictConfig) else node
+    if not isinstance(plain, Mapping):
+        return plain
+    return {key: _resolved(value) for key, value in plain.items() if key != "scaled"}
+
+
+def _cut(runs: pd.DataFrame, stored: StoredRun) -> pd.Series:
+    """All runs of a problem have the budget of the `stored` one."""
+    budget = stored.config["budget"]
+    late = pd.Series(budget["seconds"] is not None, index=runs.index)
+    if budget["seconds"] is not None:
+        late &= runs["seconds"] >= budget["seconds"]
+    if budget["evaluations"] is not None:
+        late &= runs["evaluations"] < budget["evaluations"]
+    return late & ~runs["outcome"].isin(ENDED_BY_ITSELF)
+
+
+def differences(runs: pd.DataFrame) -> Differences:
+    """How stored runs of one comparison differ from the paper's at full size.
+
+    Methods that the paper's comparison does not hold are left out.
+    """
+    full = cast(DictConfig, OmegaConf.load(CONF / "experiment" / f"{FULL_SIZE}.yaml"))
+    methods, budget = {}, ""
+    for name, folder in runs.groupby("optimizer")["folder"].first().items():
+        stored = read_run(Path(folder))
+        budget = _smaller_budget(stored_part(stored, "budget"), full.budget)
+        if name not in full.comparison.methods:
+            continue
+        node = OmegaConf.load(CONF / "optimizer" / f"{name}.yaml")
+        expected = OmegaConf.merge(node, full.comparison.methods[name])
+        settings = {**stored_part(stored, "optimizer"), "name": name}
+        deviations = [
+            f"{key!s} = {settings.get(str(key))} instead of {value}"
+            for key, value in expected.items()
+            if settings.get(str(key)) != value
+        ]
+        if deviations:
+            methods[str(name)] = f"{name!s} has {', '.join(deviations)}"
+    return Differences(methods, budget)
+
+
+def _smaller_budget(budget: Mapping[str, Any], full: DictConfig) -> str:
+    """What of a budget ends a run sooner than the full one, in words."""
+    parts = []
+    for key, unit in (("seconds", "s"), ("evaluations", "evaluations")):
+        limit, expected = budget.get(key), full[key]
+        if isinstance(limit, int | float) and (expected is None or limit < expected):
+            instead = "" if expected is None else f" instead of {expected:,g}"
+            parts.append(f"at most {limit:,g} {unit} per run{instead}")
+    return ", ".join(parts)

@@ -1,0 +1,192 @@
+"""Figures of the paper, and what an arena shows, drawn from the runs that a root holds."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from experiments.app.build import ConfigError, build_dataset, rebuild
+from experiments.app.configured import as_configured, differences
+from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save
+from miho.analysis.arena_results import ArenaResults, TooFewError, write_arena
+from miho.analysis.compare.claims import MIHO, is_on_a_tire
+from miho.analysis.compare.comparison import Comparison, write_origin, write_tables
+from miho.analysis.figures.paper import AxleCurve, fig4_right
+from miho.analysis.timing import clock_of
+from miho.data import Dataset
+from miho.driving.assembly.engine import DATASETS, engine_of, fig5_data
+from miho.models import Axle
+from miho.study import StoredRun, load_runs, read_run
+from miho.study.provenance import IDENTITY, command_line, write_provenance
+
+TIRES = ("lf", "rf", "lr", "rr")
+HALF = np.array([1.0, 1.0, 0.5, 1.0, 0.5])
+"""From the curve (B, C, D, Sx, Sy) of an axle to that of either of two equal tires."""
+CAPTIONS = {
+    "results": "Evaluations and seconds are medians over repetitions; never: half of them or more "
+    "did not get there. Success: share of runs within 1 % of the best error.",
+    "claims": "The paper's claims; ours with 95 % bootstrap intervals.",
+}
+
+
+def read_comparison(root: Path) -> Comparison:
+    """The last comparison below `root`; raises ConfigError if it is not there or not whole."""
+    stored = load_runs(root)
+    comparison = Comparison.of(stored.runs, stored.curves, root)
+    if comparison is None:
+        raise ConfigError(
+            f"{root}: holds no comparison; run python -m experiments.compare root={root} first"
+        )
+    if comparison.missing:
+        raise ConfigError(
+            f"{root}: runs of the comparison are missing ({comparison.missing}); compare again"
+        )
+    return comparison
+
+
+def draw_arena(root: Path, output: Path) -> list[Path]:
+    """All tables and figures of the last arena below `root`; tables are printed.
+
+    Raises ConfigError where it is too small for its tests.
+    """
+    comparison = read_comparison(root)
+    try:
+        results = ArenaResults.of(replace(comparison, runs=as_configured(comparison.runs)))
+    except TooFewError as error:
+        raise ConfigError(f"{root}: {error}") from None
+    text, paths = write_arena(results, output)
+    print(text)
+    return paths
+
+
+def draw_comparison(root: Path, output: Path) -> list[Path]:
+    """Fig. 6, the results table, the table of the paper's claims, and their provenance.
+
+    The claims are about MIHO on a tire: without either there is no table of them.
+    """
+    comparison = read_comparison(root)
+    runs, curves, note = comparison.runs, comparison.curves, comparison.note
+    paths = save(fig6(runs, curves, note=note), output / "fig6")
+    tables = {"results": results_table(runs, curves)}
+    if is_on_a_tire(runs):
+        tables["claims"] = claims_table(runs, curves, MIHO, differences=differences(runs))
+    texts, table_paths = write_tables(comparison, tables, CAPTIONS, output)
+    print("\n".join(texts))
+    command = " ".join(word for word in comparison.command if not word.startswith("fresh="))
+    if advice := clock_of(runs).advice(command):
+        print(advice, file=sys.stderr)
+    return [*paths, *table_paths, write_origin(comparison, output)]
+
+
+def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:
+    """Fig. 4, left and middle: the best run of `optimizer` on each of the four tires."""
+    runs = _best_runs(root, "pacejka", [f"tire_{tire}" for tire in TIRES], optimizer)
+    samples, curves, errors = {}, {}, {}
+    for tire, stored in zip(TIRES, runs, strict=True):
+        problem = rebuild(stored)
+        dataset = problem.dataset
+        alpha = np.linspace(dataset["alpha"].min(), dataset["alpha"].max(), 400)
+        force = problem.model.predict(np.array([stored.result["theta"]]), alpha)[0]
+        samples[tire.upper()] = np.degrees(dataset["alpha"]), dataset["Fy"] / 1000
+        curves[tire.upper()] = np.degrees(alpha), force / 1000
+        errors[tire.upper()] = math.sqrt(stored.result["loss"]) / 1000
+    note = f"{len(dataset)} samples per tire; curves learned by {optimizer}; ISO-W signs"
+    figure = fig4(samples, curves, errors=errors, note=note)
+    return [*save(figure, output / "fig4"), _write_origin(output / "fig4.json", runs)]
+
+
+def draw_axle(root: Path, output: Path, optimizer: str) -> list[Path]:
+    """Fig. 4, right: the best run of `optimizer` on the first part of a driving log, over the rest.
+
+    Beside it stands the sum of both front tires' curves, as in the paper, where runs on them are.
+    """
+    learned = _axle_run(root, optimizer)
+    config = learned.config["dataset"]
+    later = {**config, "start": config["end"], "end": None}
+    data, identified_from = build_dataset(later), rebuild(learned).dataset
+    theta = np.array(learned.result["theta"])
+    axle = Axle(theta * HALF, theta * HALF)
+    curves = {"learned from other laps": _axle_curve(axle, data, identified_from["alpha"])}
+    runs = [learned]
+    try:
+        tires = _best_runs(root, "pacejka", ["tire_lf", "tire_rf"], optimizer)
+    except ConfigError:
+        tires = []
+    if tires and config["axle"] == "front":
+        left, right = (np.array(run.result["theta"]) for run in tires)
+        identified_from = rebuild(tires[0]).dataset
+        curves["sum of both learned tires"] = _axle_curve(
+            Axle(left, right), data, identified_from["alpha"]
+        )
+        runs += tires
+    points = np.degrees(data["alpha"]), data[data.output] / 1000
+    note = f"points: {len(data)} samples after {config['end']:g} s; learned by {optimizer}\n"
+    note += "from those before; dashed: beyond the slip angles learned from; ISO-W signs"
+    figure = fig4_right(points, curves, note=note)
+    return [
+        *save(figure, output / "fig4_right"),
+        _write_origin(output / "fig4_right.json", runs),
+    ]
+
+
+def _axle_run(root: Path, optimizer: str) -> StoredRun:
+    """The best run on an axle in a log of which the end was left out."""
+    runs = load_runs(root).runs
+    on_axle = runs["problem"].str.fullmatch(r"pacejka-.*_(front|rear)_axle")
+    for folder in runs[on_axle & (runs["optimizer"] == optimizer)].sort_values("error")["folder"]:
+        stored = read_run(Path(folder))
+        if stored.config["dataset"].get("end") is not None:
+            return stored
+    raise ConfigError(
+        f"{root}: no run of {optimizer} on an axle of a driving log up to some time; run python -m "
+        f"experiments.identify dataset=axle_log dataset.path=LOG.csv dataset.end=SECONDS "
+        f"optimizer={optimizer} root={root}"
+    )
+
+
+def _axle_curve(axle: Axle, data: Dataset, identified_alpha: np.ndarray) -> AxleCurve:
+    """Force over slip angle with its error on `data`; dashed beyond `identified_alpha` [rad]."""
+    alpha = np.linspace(-0.2, 0.2, 801)
+    error = float(np.sqrt(np.mean((axle.force(data["alpha"]) - data[data.output]) ** 2)))
+    low, high = np.degrees([identified_alpha.min(), identified_alpha.max()])
+    points = np.degrees(alpha), axle.force(alpha) / 1000
+    return AxleCurve(points, error / 1000, (float(low), float(high)))
+
+
+def draw_engine(root: Path, output: Path, optimizer: str) -> list[Path]:
+    """Fig. 5: the torque curves of the best runs of `optimizer`, and the map they go into."""
+    runs = _best_runs(root, "torquecubic", list(DATASETS.values()), optimizer)
+    problems = dict(zip(DATASETS, map(rebuild, runs), strict=True))
+    thetas = {
+        throttle: np.array(run.result["theta"])
+        for throttle, run in zip(DATASETS, runs, strict=True)
+    }
+    figure = fig5(**fig5_data(engine_of(problems, thetas)))
+    return [*save(figure, output / "fig5"), _write_origin(output / "fig5.json", runs)]
+
+
+def _best_runs(root: Path, model: str, datasets: Sequence[str], optimizer: str) -> list[StoredRun]:
+    """The best run of `optimizer` on each dataset, in order."""
+    all_runs = load_runs(root).runs
+    best = []
+    for dataset in datasets:
+        on_dataset = all_runs["problem"] == f"{model}-{dataset}"
+        runs = all_runs[on_dataset & (all_runs["optimizer"] == optimizer)]
+        if runs.empty:
+            raise ConfigError(
+                f"{root}: no run of {optimizer} on {dataset}; run python -m experiments.identify "
+                f"-m dataset={','.join(datasets)} optimizer={optimizer} root={root}"
+            )
+        best.append(read_run(Path(runs.sort_values("error", kind="stable").iloc[0]["folder"])))
+    return best
+
+
+def _write_origin(path: Path, stored: Sequence[StoredRun]) -> Path:
+    """What regenerates a figure of single runs, and what they ran on."""
+    facts = {"runs": [{key: run.result[key] for key in IDENTITY} for run in stored]}
+    return write_provenance(path, command_line("experiments.figures"), stored, facts)

@@ -1,0 +1,209 @@
+"""Is a folder of runs sound: damage, missing runs, and what interrupted runs left behind."""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import json
+import os
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from filelock import FileLock, Timeout
+
+from experiments.diagnosis.machine import Check, Severity
+from miho.study import Runs, load_runs
+from miho.study.environment import ARITHMETIC
+from miho.study.files import (
+    ENVIRONMENT,
+    LARGEST_SETTINGS,
+    MALFORMED,
+    PARTIAL,
+    RESULT,
+    decoded,
+    read_bytes,
+)
+from miho.study.manifest import missing_runs
+from miho.study.places import below
+
+QUARANTINE = ".quarantine"
+TEMPORARY = re.compile(r"\..+\.(\d+)")
+"""What `write_text` calls a file until it is whole: .NAME.PID."""
+LOCK, LISTED = "lock", 3
+IN_WORDS = {"processor": "kinds of CPU", "blas": "kernels of BLAS", "simd": "sets of SIMD"}
+"""What `ARITHMETIC` names."""
+
+
+def result_checks(root: Path, *, quarantine: bool) -> Iterator[Check]:
+    """One check after the other of an existing root; `quarantine` moves damaged runs aside."""
+    stored = load_runs(root)
+    yield runs(root, stored, quarantine=quarantine)
+    yield missing(root)
+    yield arithmetic(stored.runs["folder"])
+    files, links = files_and_links(root)
+    yield partial(files)
+    yield temporary(files)
+    yield locks(files)
+    yield leading_out(root, links)
+
+
+def files_and_links(root: Path) -> tuple[list[Path], list[Path]]:
+    """All files and all symbolic links below the root, without following any; not what is aside."""
+    files, links = [], []
+    for folder, folders, names in os.walk(root, followlinks=False):
+        if QUARANTINE in folders:
+            folders.remove(QUARANTINE)
+        for path in (Path(folder, name) for name in [*folders, *names]):
+            if path.is_symlink():
+                links.append(path)
+            elif path.name in names:
+                files.append(path)
+    return files, links
+
+
+def runs(root: Path, stored: Runs, *, quarantine: bool) -> Check:
+    """Finished runs, and those whose files do not match their checksums."""
+    message = f"{len(stored.runs)} finished, {len(stored.curves):,} rows of curves"
+    damaged = stored.damaged
+    if damaged.empty:
+        return Check("runs", Severity.OK, message)
+    message = f"{message}, {len(damaged)} damaged: {_some(damaged['reason'].tolist())}"
+    if not quarantine:
+        return Check("runs", Severity.FAILED, f"{message}; --quarantine moves them aside")
+    moved = [move_aside(root, Path(folder)) for folder in damaged["folder"]]
+    in_place = [folder for folder, to in zip(damaged["folder"], moved, strict=True) if to is None]
+    message = f"{message}; moved {len(moved) - len(in_place)} to {root / QUARANTINE}"
+    if in_place:
+        return Check(
+            "runs", Severity.FAILED, f"{message}, left {_some(in_place)}: in use or outside"
+        )
+    return Check("runs", Severity.OK, f"{message}; the next sweep runs them again")
+
+
+def missing(root: Path) -> Check:
+    """Runs that sweeps consisted of and that have no result."""
+    message = missing_runs(root)
+    if message is None:
+        return Check("missing runs", Severity.OK, "none")
+    return Check("missing runs", Severity.WARNING, message)
+
+
+def arithmetic(folders: Iterable[str]) -> Check:
+    """Whether all runs used one kind of CPU, BLAS kernel and SIMD, where their stamps record it."""
+    kinds: dict[str, Counter[str]] = {name: Counter() for name in ARITHMETIC}
+    for folder in folders:
+        with contextlib.suppress(OSError, *MALFORMED):
+            environment = decoded(read_bytes(f"{folder}/{ENVIRONMENT}", LARGEST_SETTINGS))
+            for name, counts in kinds.items():
+                if environment.get(name):
+                    counts[json.dumps(environment[name])] += 1
+    message = [
+        f"{len(counts)} {IN_WORDS[name]} ({', '.join(str(n) for n in counts.values())} runs)"
+        for name, counts in kinds.items()
+        if len(counts) > 1
+    ]
+    if not message:
+        return Check(
+            "arithmetic", Severity.OK, "one CPU and one kernel of BLAS, as far as runs say"
+        )
+    bits = "the same seed need not give the same bits"
+    return Check("arithmetic", Severity.WARNING, f"runs of {' and '.join(message)}: {bits}")
+
+
+def move_aside(root: Path, folder: Path) -> Path | None:
+    """Move a damaged run below ROOT/.quarantine and say where; None if it is in use or outside.
+
+    Nothing is deleted. Of a symbolic link the link is moved, whatever it leads to.
+    """
+    if not folder.parent.resolve().is_relative_to(root.resolve()) or folder == root:
+        return None
+    date = datetime.datetime.now(datetime.UTC).date().isoformat()
+    name = f"{date}-{folder.name}"
+    aside, number = root / QUARANTINE / name, 1
+    aside.parent.mkdir(exist_ok=True)
+    while os.path.lexists(aside):
+        number += 1
+        aside = aside.with_name(f"{name}-{number}")
+    if folder.is_symlink():
+        folder.rename(aside)
+        return aside
+    try:
+        with FileLock(folder / LOCK, timeout=0):
+            folder.rename(aside)
+    except Timeout:
+        return None
+    return aside
+
+
+def partial(files: Sequence[Path]) -> Check:
+    """Runs that were interrupted or failed; the best they had come to is kept."""
+    folders = {path.parent for path in files if path.name == PARTIAL}
+    folders -= {path.parent for path in files if path.name == RESULT}
+    if not folders:
+        return Check("partial runs", Severity.OK, "none")
+    names = _some(folders)
+    message = f"{len(folders)} interrupted or failed: {names}; the next sweep runs them again"
+    return Check("partial runs", Severity.WARNING, message)
+
+
+def temporary(files: Sequence[Path]) -> Check:
+    """Files that a process was writing when it was killed."""
+    stale = []
+    for path in files:
+        match = TEMPORARY.fullmatch(path.name)
+        if match and not _alive(int(match[1])):
+            stale.append(path)
+    if not stale:
+        return Check("temporary files", Severity.OK, "none of processes that have ended")
+    message = f"{len(stale)} of processes that have ended: {_some(stale)}; they can be deleted"
+    return Check("temporary files", Severity.WARNING, message)
+
+
+def locks(files: Sequence[Path]) -> Check:
+    """Runs that some process is running, as the kernel lists them; taking no lock ourselves."""
+    try:
+        lines = Path("/proc/locks").read_text(encoding="ascii").splitlines()
+    except OSError:
+        return Check("running", Severity.OK, "this system does not list locks")
+    holders = {}
+    for fields in (line.split() for line in lines if "->" not in line):
+        major, minor, inode = fields[5].split(":")
+        holders[os.makedev(int(major, 16), int(minor, 16)), int(inode)] = fields[4]
+    held = []
+    for path in (path for path in files if path.name == LOCK):
+        with contextlib.suppress(FileNotFoundError):  # it ended meanwhile
+            status = path.stat()
+            process = holders.get((status.st_dev, status.st_ino))
+            if process is not None:
+                held.append(f"{path.parent} by process {process}")
+    return Check("running", Severity.OK, f"{len(held)} runs: {_some(held)}" if held else "nothing")
+
+
+def leading_out(root: Path, links: Sequence[Path]) -> Check:
+    """Symbolic links to places outside of the root, and to nothing."""
+    out = [link for link in links if not below(link, root)]
+    if not out:
+        return Check("links", Severity.OK, "none leads out")
+    message = (
+        f"{len(out)} lead out of {root} or nowhere: {_some(out)}; remove them, none is followed"
+    )
+    return Check("links", Severity.FAILED, message)
+
+
+def _alive(process: int) -> bool:
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
+
+
+def _some(things: Sequence[object] | set[Path]) -> str:
+    """The first few, and how many more."""
+    names = sorted(map(str, things))
+    more = f" and {len(names) - LISTED} more" * (len(names) > LISTED)
+    return ", ".join(names[:LISTED]) + more

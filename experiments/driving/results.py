@@ -1,0 +1,86 @@
+"""What a drive leaves in its root: logs, figure, table, and what made them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pandas as pd
+from matplotlib.figure import Figure
+from omegaconf import DictConfig
+
+from experiments.app.build import build_optimizer
+from experiments.app.origin import regenerates
+from experiments.driving.car import Parts
+from experiments.driving.settings import factors_text
+from miho.analysis import save
+from miho.analysis.figures.driving import fig7, fig8
+from miho.driving.driver import Driver
+from miho.driving.outcome import Clearance, Departure, departure, outcome_table, plans
+from miho.driving.simulation import Drive
+from miho.driving.track import Track
+from miho.study import write_text
+
+
+def write_drive(
+    cfg: DictConfig, drive: Drive, driver: Driver, road: Track, parts: Parts
+) -> Departure | None:
+    """The log and what sensors showed of it as CSV, the figure, the table, and what made them.
+
+    Gives how the car left the road, if it did.
+    """
+    root = Path(cfg.root)
+    root.mkdir(parents=True, exist_ok=True)
+    log = pd.DataFrame(dict(drive.columns))
+    write_text(root / "log.csv", log.to_csv(index=False, float_format="%.6g"))
+    measured = pd.DataFrame(dict(drive.measured))
+    write_text(root / "measured.csv", measured.to_csv(index=False, float_format="%.6g"))
+    clearance = Clearance.of(drive, road)
+    off_road = departure(drive, clearance)
+    models = "true models" if not parts else f"models identified by {cfg.optimizer.name}"
+    figure = _figure(cfg, log, driver, off_road, f"{factors_text(cfg)}; {models}")
+    paths = save(figure, root / "figures" / cfg.drive.figure)
+    table = outcome_table(drive, driver, clearance, cfg.drive.road_friction)
+    if driver.sighting is not None:
+        table |= plans(driver, cfg.drive.start)
+    about = regenerates("experiments.drive", [build_optimizer(cfg)])
+    about |= {"seed": cfg.seed, "results": table}
+    about["identified"] = {
+        part: {"data": problem.dataset.digest, **dict(zip(problem.space.names, theta, strict=True))}
+        for part, (problem, theta) in parts.items()
+    }
+    write_text(root / "drive.json", json.dumps(about, indent=1) + "\n")
+    for name, value in table.items():
+        print(f"{name:<48} {value}")
+    print("\n".join(map(str, [*paths, root / "log.csv", root / "drive.json"])))
+    return off_road
+
+
+def _figure(
+    cfg: DictConfig, log: pd.DataFrame, driver: Driver, off_road: Departure | None, note: str
+) -> Figure:
+    """Fig. 7 over time, or Fig. 8 over distance, marked where the car left the road."""
+    if cfg.drive.figure == "fig7":
+        ratio = driver.speed.vehicle.steering_ratio
+        mark = (
+            None
+            if off_road is None
+            else (
+                float(log["time"].iloc[0]) + off_road.time,
+                f"the car left the road {off_road}",
+            )
+        )
+        passing = _passing(cfg, log)
+        return fig7(log, steering_ratio=ratio, obstacle=passing, departure=mark, note=note)
+    length = driver.plan.line.length
+    laps = [k * length for k in range(int(log["distance"].max() / length) + 1)]
+    mark = None if off_road is None else (off_road.distance, f"the car left the road {off_road}")
+    return fig8(log, laps=laps, departure=mark, note=note)
+
+
+def _passing(cfg: DictConfig, log: pd.DataFrame) -> float | None:
+    """When the car is beside the obstacle [s], if there is one."""
+    if cfg.drive.obstacle.sight is None:
+        return None
+    passed = log["distance"] >= cfg.drive.obstacle.s - cfg.drive.start
+    return float(log["time"][passed].iloc[0]) if passed.any() else None

@@ -1,0 +1,102 @@
+"""The seeds of a study of laps: what is to be done, doing it in workers, and its table."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import deque
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from omegaconf import DictConfig, OmegaConf
+from tqdm import tqdm
+
+from experiments.app.build import ConfigError
+from experiments.app.origin import driving_code, regenerates
+from experiments.driving.laps import VARIANTS, SeedJob, laps_of, methods_of, stored_laps
+from experiments.driving.settings import factors_text, track_and_vehicle
+from miho.analysis import save
+from miho.analysis.figures.driving import lap_figure, lap_table, lap_text
+from miho.study import write_text
+from miho.study.workers import Workers
+
+NEEDED = ("miho", "least_squares")
+POLL = 0.5
+TIME_LIMIT = 1800.0
+
+
+def write_study(cfg: DictConfig, root: Path, rows: list[dict[str, Any]]) -> None:
+    """The laps, their table as text and CSV, the figure, and what made them."""
+    laps = pd.DataFrame(rows)
+    laps["variant"] = pd.Categorical(laps["variant"], [variant.name for variant in VARIANTS])
+    laps = laps.sort_values(["variant", "seed"]).reset_index(drop=True)
+    table = lap_table(laps, np.random.default_rng(cfg.seed))
+    write_text(root / "laps.csv", laps.to_csv(index=False, float_format="%.6g"))
+    write_text(root / "table.csv", table.to_csv(index=False, float_format="%.6g"))
+    write_text(root / "table.txt", lap_text(table) + "\n")
+    note = f"one lap of {cfg.drive.track.name.upper()}, {factors_text(cfg)}, at most "
+    note += f"{3.6 * cfg.drive.top_speed:.0f} km/h; {laps['seed'].nunique()} seeds"
+    paths = save(lap_figure(laps, table, note=note), root / "figures" / "identification_buys")
+    about = regenerates("experiments.drive_study", methods_of(cfg).values())
+    about |= {"seeds": sorted(set(laps["seed"].tolist()))}
+    write_text(root / "drive_study.json", json.dumps(about, indent=1) + "\n")
+    print(lap_text(table))
+    names = ("laps.csv", "table.csv", "table.txt", "drive_study.json")
+    print("\n".join(map(str, [*paths, *(root / name for name in names)])))
+
+
+def check_study(cfg: DictConfig) -> None:
+    """Everything that can be wrong before the first seed."""
+    track_and_vehicle(cfg)
+    for key, value in (
+        ("comparison.repetitions", cfg.comparison.repetitions),
+        ("sweep.processes", cfg.sweep.processes),
+    ):
+        if value < 1:
+            raise ConfigError(f"{key}: is {value}; expected at least 1")
+    missing = [method for method in NEEDED if method not in cfg.comparison.methods]
+    if missing:
+        raise ConfigError(f"comparison.methods.{missing[0]}: is missing; the variants need it")
+
+
+def jobs_of(cfg: DictConfig, root: Path) -> list[SeedJob]:
+    """A job per seed; its setting leaves out how many seeds there are, and the root."""
+    parts = ("drive", "budget")
+    setting = {part: OmegaConf.to_container(cfg[part], resolve=True) for part in parts}
+    methods = OmegaConf.to_container(cfg.comparison.methods, resolve=True)
+    setting["comparison"] = {"methods": methods}
+    text = OmegaConf.to_yaml(OmegaConf.create(setting))
+    code = driving_code(methods_of(cfg).values())
+    return [
+        SeedJob(text, code, seed, str(root / f"seed_{seed:03d}"))
+        for seed in range(cfg.seed, cfg.seed + cfg.comparison.repetitions)
+    ]
+
+
+def each_seed(jobs: list[SeedJob], processes: int) -> Iterator[list[dict[str, Any]] | str]:
+    """The rows of each job, stored or computed in worker processes; or a line why it has none."""
+    waiting: deque[SeedJob] = deque()
+    for job in jobs:
+        stored = stored_laps(job)
+        if stored is None:
+            waiting.append(job)
+        else:
+            yield stored
+    count = len(jobs) - len(waiting)
+    bar = tqdm(total=len(jobs), initial=count, desc="seeds", disable=None)
+    workers: Workers[SeedJob, list[dict[str, Any]]] = Workers(
+        laps_of, processes, TIME_LIMIT, (laps_of.__module__,)
+    )
+    with bar, workers:
+        while waiting or workers.busy:
+            while waiting and workers.idle:
+                workers.start(waiting.popleft())
+            for ended in workers.wait(POLL):
+                count += 1
+                bar.update()
+                line = f"seed {ended.job.seed}: {ended.reason or 'done'} ({count} of {len(jobs)})"
+                tqdm.write(line, file=sys.stderr)
+                yield line if ended.result is None else ended.result

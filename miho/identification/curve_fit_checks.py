@@ -1,0 +1,150 @@
+"""Whether model, data and space fit together, and the model is what it declares."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.identification.curve_fit import CurveFit
+
+TRIALS = 5
+"""Configurations at which a new problem is tried out."""
+LINEAR = 1e-9
+"""A linear model's value halfway is the mean of both ends, to this fraction of their size."""
+FAR = 2.0
+"""A nominal value this factor beyond the data is far from them."""
+SMALLEST, LARGEST = 1e-140, 1e150
+"""The range of the output's largest magnitude: its square, the square of its rounding and the sum
+of squares over all rows then stay within double precision, 1e-308 to 1e308."""
+
+
+def check_curve_fit(problem: CurveFit) -> None:
+    """Raise ValueError for parts that do not fit together; warn of far nominal values.
+
+    So mistakes show before a search starts, and not as losses without a value in it.
+    """
+    model, dataset = problem.model, problem.dataset
+    model_name = model.name or type(model).__name__
+    if problem.space.names != tuple(model.parameters):
+        raise ValueError(_space_mismatch(model_name, list(model.parameters), problem.space.names))
+    if model.ordered and dataset.held_out is not None:
+        raise ValueError(f"{model_name} needs every row in order: no rows can be held out")
+    _ = problem.inputs  # raises for a column that the data lack
+
+    # Units agree between space, data and model.
+    declared = {f"parameter {p.name!r} of the space": p.unit for p in problem.space.parameters}
+    declared |= {f"column {name!r} of {dataset.name}": dataset.units[name] for name in model.inputs}
+    declared |= {f"output {dataset.output!r} of {dataset.name}": problem.unit}
+    needed_units = (*model.parameters.values(), *model.inputs.values(), model.output)
+    for (place, unit), needed in zip(declared.items(), needed_units, strict=True):
+        if unit != needed:
+            raise ValueError(f"{place} has unit {unit!r}; model {model_name} needs {needed!r}")
+
+    # The model's methods give the shapes that the search relies on.
+    thetas, rows = problem.space.decode(problem.space.initial(2)), len(dataset)
+    shapes = {
+        "predict": (model.predict(thetas, *problem.inputs).shape, (2, rows)),
+        "jacobian": (model.jacobian(thetas[0], *problem.inputs).shape, (rows, len(problem.space))),
+    }
+    for method, (actual, expected) in shapes.items():
+        if actual != expected:
+            raise ValueError(f"{model_name}.{method} gives shape {actual}; expected {expected}")
+
+    _check_output_size(problem)
+    _check_values(problem, model_name)
+    _check_nominal(problem, model_name)
+
+
+def _space_mismatch(model_name: str, needed: Sequence[str], declared: Sequence[str]) -> str:
+    """The message on a space that does not have the model's parameters in the model's order."""
+    lacking = [name for name in needed if name not in declared]
+    surplus = [name for name in declared if name not in needed]
+    differences = [f"lacks {', '.join(lacking)}"] * bool(lacking)
+    differences += [f"has {', '.join(surplus)} besides"] * bool(surplus)
+    if not differences:
+        differences = [f"has them in the order {', '.join(declared)}"]
+    return (
+        f"model {model_name} needs the parameters {', '.join(needed)}; the space "
+        f"{' and '.join(differences)}; choose the model's own space"
+    )
+
+
+def _check_output_size(problem: CurveFit) -> None:
+    """Refuse an output whose squares overflow, or vanish beside their rounding."""
+    largest = float(np.abs(problem.dataset[problem.dataset.output]).max(initial=0.0))
+    if largest and not SMALLEST < largest < LARGEST:
+        raise ValueError(
+            f"column {problem.dataset.output!r} of {problem.dataset.name} reaches {largest:.3g} "
+            f"{problem.unit}, whose square is beyond double precision; give it in a unit in "
+            f"which it reaches {SMALLEST:g} to {LARGEST:g}"
+        )
+
+
+def _check_values(problem: CurveFit, model_name: str) -> None:
+    """Refuse rows that are not finite at any trial configuration, and a false `linear`."""
+    model = problem.model
+    thetas = problem.space.decode(problem.space.initial(TRIALS))
+    try:
+        values = model.predict(thetas, *problem.inputs)
+    except ValueError:  # a model may fail on a part of the box; the run counts how often
+        return
+    never = np.flatnonzero(~np.isfinite(values).any(axis=0))
+    if never.size and np.isfinite(values).any():
+        at = ", ".join(
+            f"{name} = {column[never[0]]:g}"
+            for name, column in zip(model.inputs, problem.inputs, strict=True)
+        )
+        raise ValueError(
+            f"{model_name} is not finite at {at} (row {never[0] + 1} of {problem.dataset.name}), "
+            "whatever its parameters; remove the row or correct the model"
+        )
+    if model.linear:
+        _check_linear(problem, model_name, thetas)
+
+
+def _check_linear(problem: CurveFit, model_name: str, thetas: Array) -> None:
+    """Refuse a model that is not linear in its `linear` parameters.
+
+    Those are moved from the first of the configurations (n, d) to the second: halfway, a linear
+    model gives the mean of its values at both ends.
+    """
+    model, names = problem.model, problem.space.names
+    moved = thetas[0].copy()
+    for name in model.linear:
+        moved[names.index(name)] = thetas[1, names.index(name)]
+    first, last, middle = model.predict(
+        np.stack([thetas[0], moved, (thetas[0] + moved) / 2]), *problem.inputs
+    )
+    finite = np.isfinite(first) & np.isfinite(last) & np.isfinite(middle)
+    first, last, middle = first[finite], last[finite], middle[finite]
+    with np.errstate(over="ignore", invalid="ignore"):
+        size = np.abs(first) + np.abs(last)
+        bent = np.abs(first + last - 2 * middle) > LINEAR * (size + size.max(initial=0.0))
+    if bent.any():
+        raise ValueError(
+            f"{model_name} is not linear in {', '.join(model.linear)} as it declares; correct "
+            "`linear`"
+        )
+
+
+def _check_nominal(problem: CurveFit, model_name: str) -> None:
+    """Warn where parameters refer to conditions far from those of the data."""
+    for name, (nominal, value) in problem.model.nominal.items():
+        column = problem.dataset[name]
+        low, high = float(column.min()), float(column.max())
+        if not low / FAR <= value <= FAR * high:
+            unit = problem.dataset.units[name]
+            warnings.warn(
+                f"{model_name}: {nominal} is {value:g} {unit}, but {name} is {low:g} to "
+                f"{high:g} {unit} in {problem.dataset.name}: the coefficients refer to what was "
+                f"not measured, and their usual ranges need not hold; choose {nominal} near "
+                f"{float(np.median(column)):.4g}",
+                UserWarning,
+                stacklevel=3,
+            )

@@ -1,0 +1,217 @@
+"""From the parameters that a run ended with to their report, step by step."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from miho.identification.bootstrap import bootstrap
+from miho.identification.closed_form import linear_optimum
+from miho.identification.curve_fit import CurveFit
+from miho.identification.flags import lost_effect
+from miho.identification.profile_likelihood import Profile, likelihood_profile
+from miho.identification.refit import Deadline, OutOfTimeError, Refit, refit
+from miho.identification.report import REMEDY, Report, irreducible_of, rounding_of
+from miho.identification.standing import Standing, standing
+from miho.identification.uncertainty import Linearised, linearised
+from miho.identification.validation import conditions, leave_one_out, root_mean_square
+from miho.optim import Descents
+from miho.optim.seeds import stream
+from miho.quantities import Array
+
+MOST_PROFILES = 10
+"""Models with more parameters are profiled only if asked: each end costs several refits."""
+EVALUATIONS = 5000
+"""Evaluations at most of the descent to the optimum that the report is of."""
+TRIALS = 10
+"""Configurations at which a parameter without effect is tried again."""
+BETTER = 1e-4
+"""A sum of squares that is smaller by this fraction is another, better optimum."""
+SECONDS = 60.0
+"""Time limit, by default, of all that a report computes without being asked for it."""
+
+
+def make_report(
+    problem: CurveFit,
+    run: Array,
+    *,
+    descents: Descents | None = None,
+    check: Descents | None = None,
+    better: Array | None = None,
+    best_known: float | None = None,
+    replicates: int = 0,
+    profiles: bool | None = None,
+    level: float = 0.95,
+    seed: int = 0,
+    seconds: float = SECONDS,
+    remedy: str = REMEDY,
+    progress: Callable[[str], object] = lambda stage: None,
+) -> Report:
+    """The report on the optimum near `run` (d,), the parameters that a run of a problem ended with.
+
+    `descents` says where those of the run ended, `check` those of a check, and the report is of the
+    optimum near its result `better` (d,) if that is better; `best_known` is the loss
+    of a recorded optimum. `replicates` bootstrap estimates (1000 for an interval, 0 for none),
+    drawn from `seed`; `profiles` by default for models of up to MOST_PROFILES parameters, none for
+    data in events. What is computed by default ends after `seconds`; `Report.omitted` lists what is
+    missing then. What is asked for (replicates, profiles) takes the time it takes. `progress` is
+    called before each of many steps with the name of the stage. Raises ValueError where there is no
+    uncertainty to be had: fewer rows than parameters, or derivatives that are not finite.
+    """
+    if not 0 < level < 1:
+        raise ValueError(f"level is {level!r}; expected between 0 and 1, such as 0.95")
+    deadline = Deadline(time.perf_counter() + seconds)
+
+    # The optimum near the run's result, or near the better result of a check.
+    progress("optimum")
+    optimum = _optimum(problem, run, deadline)
+    if better is not None:
+        optimum = min(optimum, _optimum(problem, better, deadline), key=lambda fit: fit.cost)
+
+    # Its profiles; where a refit for one of them meets a better optimum, all again from there.
+    while True:
+        at = linearised(problem, optimum.theta)
+        curves, lacking = _profiles(problem, at, level, profiles, deadline, progress)
+        refits = (curve.best for curve in curves if curve)
+        lowest = min(refits, key=lambda fit: fit.cost, default=optimum)
+        if lowest.cost >= (1 - BETTER) * optimum.cost:
+            break
+        progress("better optimum")
+        optimum = _optimum(problem, lowest.theta, deadline)
+    omitted = [f"profile intervals of {lacking}"] if lacking else []
+
+    # Refits to other data: to rows drawn anew, and without one group of rows at a time.
+    held = np.flatnonzero(at.unidentifiable).tolist()  # no refit moves what the data do not see
+    estimates = None
+    if replicates:
+        rng = stream("bootstrap", problem.dataset.digest, seed)
+        estimates = bootstrap(
+            problem, at.theta, replicates, rng, lambda: progress("bootstrap"), held
+        )
+    left_out = []
+    for condition in conditions(problem):
+        progress(f"leave one {condition} out")
+        try:
+            left_out.append(leave_one_out(problem, at.theta, condition, held, deadline))
+        except OutOfTimeError:
+            omitted.append(f"errors with {condition} left out")
+            break
+
+    # What is known of the optimum.
+    searches = tuple(search for search in (descents, check) if search is not None)
+    exact = linear_optimum(problem)
+    best_known = best_known if exact is None else exact[1]
+    return Report(
+        problem=problem,
+        run=run,
+        at=at,
+        standing=_standing(problem, at, optimum, searches, best_known, exact is not None),
+        profiles=curves,
+        replicates=estimates,
+        left_out=pd.concat(left_out, ignore_index=True) if left_out else pd.DataFrame(),
+        level=level,
+        omitted=tuple(_omission(names, seconds) for names in omitted),
+        remedy=remedy,
+        searches=searches,
+        best_known=best_known,
+    )
+
+
+def _profiles(
+    problem: CurveFit,
+    at: Linearised,
+    level: float,
+    requested: bool | None,
+    deadline: Deadline,
+    progress: Callable[[str], object],
+) -> tuple[tuple[Profile | None, ...], str]:
+    """The profile of each parameter, None without one, and the names of those out of time.
+
+    Of a parameter at its bound, or not identifiable, there is none; nor where rows are not
+    independent, which a profile takes them for, or where the errors are rounding.
+    """
+    names = problem.space.names
+    curves: list[Profile | None] = [None] * len(names)
+    possible = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
+    possible &= not at.events
+    possible &= at.noise > rounding_of(problem)
+    indices = np.flatnonzero(possible)
+    by_default = len(names) <= MOST_PROFILES
+    for i in indices if (by_default if requested is None else requested) else ():
+        progress(f"profile of {names[i]}")
+        try:
+            curves[i] = likelihood_profile(
+                problem, at, int(i), level, None if requested else deadline
+            )
+        except OutOfTimeError:
+            return tuple(curves), ", ".join(names[k] for k in indices[indices >= i])
+    return tuple(curves), ""
+
+
+def _optimum(problem: CurveFit, start: Array, deadline: Deadline) -> Refit:
+    """The optimum near `start` (d,), or how far the deadline let the descent come.
+
+    Parameters without effect at the start are held, so that they keep the run's value.
+    """
+    derivatives = problem.jacobian(problem.space.clip(start))
+    ineffective = np.flatnonzero(~derivatives.any(axis=0)).tolist()
+    return refit(problem, start, fixed=ineffective, evaluations=EVALUATIONS, deadline=deadline)
+
+
+def _standing(
+    problem: CurveFit,
+    at: Linearised,
+    optimum: Refit,
+    searches: Sequence[Descents],
+    best_known: float | None,
+    linear: bool,
+) -> Standing:
+    """The standing of the optimum that the report is of; `linear`: the best known is exact."""
+    stand = standing(
+        optimum.cost / len(problem.dataset),
+        problem.resolution,
+        searches,
+        best_known=best_known,
+        irreducible=irreducible_of(problem),
+        error=root_mean_square(problem.errors(at.theta)),
+    )
+    if not optimum.converged and not linear:
+        moving = (
+            f"a descent from it was still moving after {optimum.evaluations:,} evaluations, so "
+            "standard errors and intervals are not those of an optimum"
+        )
+        return Standing(stand.evidence, _joined(stand.doubt, moving))
+    if at.unidentifiable.any():
+        lost = lost_effect(at, problem.space, _never_identifiable(problem))
+        return Standing(stand.evidence, _joined(stand.doubt, lost), certain=stand.certain)
+    return stand
+
+
+def _joined(*reasons: str) -> str:
+    return "; ".join(filter(None, reasons))
+
+
+def _never_identifiable(problem: CurveFit) -> NDArray[np.bool_]:
+    """Which parameters (d,) are unidentifiable at all of some configurations across the box.
+
+    The rank of the derivatives is the same almost everywhere for a smooth model, so such a
+    parameter cannot be identified from these inputs.
+    """
+    never = np.ones(len(problem.space), dtype=bool)
+    for theta in problem.space.decode(problem.space.initial(TRIALS)):
+        with contextlib.suppress(ValueError):
+            never &= linearised(problem, theta).unidentifiable
+    return never
+
+
+def _omission(results: str, seconds: float) -> str:
+    """A sentence on results that there was no time for."""
+    return (
+        f"{results} are left out: there were {seconds:g} s for such refits "
+        f"(--seconds {10 * seconds:g} gives more)."
+    )

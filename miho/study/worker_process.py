@@ -1,0 +1,196 @@
+"""The process of a worker: it runs jobs one after the other, or each in a process of its own."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Sequence
+from multiprocessing import connection
+from types import FrameType
+from typing import Any, NoReturn, TypeVar
+
+from miho.study.processes import adopt_orphans, child_has_ended, end_child, end_family, end_of
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+Answer = tuple[Result | None, str | None, str | None]
+"""A job's result, or else the reason why there is none, in one line, and its traceback."""
+
+INTERRUPTED = "interrupted"
+"""The reason of a job that was interrupted."""
+POLL = 0.02
+"""Seconds between two looks whether a job's process has ended, where the system cannot tell."""
+
+
+def serve(
+    work: Callable[[Job], Result],
+    prepare: Callable[[Job], object] | None,
+    alone: Callable[[Job], bool] | None,
+    pipe: connection.Connection,
+) -> None:
+    """A worker's life: a job, its answer, the next job."""
+    if hasattr(os, "fork"):
+        os.setsid()
+        adopt_orphans()
+    threading.Thread(target=_die_with_parent, daemon=True).start()
+    interrupts = _Interrupts()
+    while True:
+        try:
+            signal.signal(signal.SIGINT, interrupts.interrupt)
+            job = pipe.recv()
+            interrupts.interrupted = False
+            pipe.send(None)
+            if prepare is not None:
+                with contextlib.suppress(Exception):
+                    prepare(job)
+            if hasattr(os, "fork") and alone is not None and alone(job):
+                answer = _run_in_fork(work, job, interrupts)
+            else:
+                answer = _run_here(work, job, interrupts)
+            pipe.send(answer)
+        except (OSError, EOFError):  # the parent is gone
+            return
+
+
+class _Interrupts:
+    """Whether the parent interrupted the job in progress; goes on to the `process` that runs it."""
+
+    def __init__(self) -> None:
+        self.interrupted = False
+        self.process: int | None = None
+
+    def interrupt(self, number: int, frame: FrameType | None) -> None:
+        """A signal handler."""
+        self.interrupted = True
+        if self.process is not None:
+            os.kill(self.process, signal.SIGINT)
+
+
+def _run_here(work: Callable[[Job], Result], job: Job, interrupts: _Interrupts) -> Answer[Result]:
+    """The answer of a job that the worker's own process runs."""
+    try:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        return (None, INTERRUPTED, None) if interrupts.interrupted else _call(work, job)
+    except KeyboardInterrupt:  # between two lines of this function
+        return None, INTERRUPTED, None
+    finally:
+        signal.signal(signal.SIGINT, interrupts.interrupt)
+
+
+def _run_in_fork(
+    work: Callable[[Job], Result], job: Job, interrupts: _Interrupts
+) -> Answer[Result]:
+    """The answer of a job in a process of its own, or how that ended without one.
+
+    All processes that the job started are ended with it.
+    """
+    if interrupts.interrupted:
+        return None, INTERRUPTED, None
+    receiver, sender = multiprocessing.Pipe(duplex=False)
+    alive, life = os.pipe()  # the reading end is closed when this process ends, however it does
+    gc.freeze()  # no object here is collected in the fork, which would copy its page of memory
+
+    # SIGINT waits until it is known to which process it is to be passed on.
+    signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
+    process = os.fork()
+    if not process:
+        receiver.close()
+        os.close(life)
+        _run_and_exit(work, job, sender, alive)
+    interrupts.process = process
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+    sender.close()
+    os.close(alive)
+    # Wait for the answer or the end of the process, whichever comes first.
+    try:
+        with end_of(process) as sentinels:
+            answer = _receive(receiver, process, sentinels)
+    finally:
+        interrupts.process = None  # from now on its number may be another's
+        status = end_child(process)
+        receiver.close()
+        os.close(life)
+    return answer or (None, exit_reason(os.waitstatus_to_exitcode(status)), None)
+
+
+def _receive(
+    pipe: connection.Connection, process: int, sentinels: Sequence[int]
+) -> Answer[Any] | None:
+    """The answer that comes through the pipe before the process ends; None if there is none."""
+    while True:
+        connection.wait([pipe, *sentinels], None if sentinels else POLL)
+        if pipe.poll():
+            try:
+                answer: Answer[Any] = pipe.recv()
+            except Exception:  # noqa: BLE001 -- cut short by its death, or sent by the job itself
+                return None
+            return answer
+        if child_has_ended(process):
+            return None
+
+
+def _run_and_exit(
+    work: Callable[[Job], Result], job: Job, pipe: connection.Connection, alive: int
+) -> NoReturn:
+    """In the job's own process: do it, answer and end."""
+    code = 1
+    try:
+        os.setpgid(0, 0)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
+        threading.Thread(target=_die_with_worker, args=(alive,), daemon=True).start()
+        process = os.getpid()
+        answer = _call(work, job)
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(Exception):
+                stream.flush()
+        if os.getpid() == process:  # not a child that came back from the job as well
+            pipe.send(answer)
+        code = 0
+    finally:
+        os._exit(code)
+
+
+def _call(work: Callable[[Job], Result], job: Job) -> Answer[Result]:
+    """The answer of a job, whatever it raises."""
+    try:
+        return work(job), None, None
+    except KeyboardInterrupt:
+        return None, INTERRUPTED, traceback.format_exc()
+    except SystemExit as error:
+        return None, f"sys.exit({error.code!r})", traceback.format_exc()
+    except BaseException as error:  # noqa: BLE001 -- one job's fault must not end the others
+        message = " ".join(str(error).split())
+        return None, f"{type(error).__name__}: {message}", traceback.format_exc()
+
+
+def _die_with_parent() -> None:
+    """Wait for the end of the parent, then end this process and all that stem from it."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        connection.wait([parent.sentinel])
+        end_family(os.getpid())
+        os._exit(1)
+
+
+def _die_with_worker(alive: int) -> None:
+    """Wait until the worker's end closes this pipe, then end the process group of the job."""
+    with contextlib.suppress(OSError):
+        os.read(alive, 1)
+    with contextlib.suppress(OSError):
+        os.killpg(0, signal.SIGKILL)
+    os._exit(1)
+
+
+def exit_reason(exitcode: int) -> str:
+    """Why a process ended without an answer; negative exit codes are those of signals."""
+    if exitcode >= 0:
+        return f"its process ended with exit code {exitcode}"
+    name = signal.Signals(-exitcode).name
+    return f"killed by {name}" + ", perhaps for want of memory" * (name == "SIGKILL")
