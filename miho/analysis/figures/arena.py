@@ -169,7 +169,7 @@ def profiles_figure(
         left.set_title("data profile", loc="left")
         left.set(xlabel="evaluations / (dimension + 1)", ylabel="share solved")
         right.set_title("performance profile", loc="left")
-        right.set_xlabel("expected running time / best method's")
+        right.set_xlabel("running time / best method's")
         caption(figure, "left: share of runs, right: share of problems", note)
         label_shares(performance_profile, "tau", right, highlight=highlight)
     return figure
