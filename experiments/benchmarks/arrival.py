@@ -24,6 +24,8 @@ from miho.optim import MIHOGN, Budget, minimize
 ROWS = (3000, 30_000, 300_000, 3_000_000)
 SEEDS = {3000: 20, 30_000: 20, 300_000: 10, 3_000_000: 5}
 METHODS = ("miho_gn", "miho_qn", "least_squares")
+RIVALS = 30_000
+"""Rows up to which the others run: beyond, a run that fails takes minutes."""
 LOOK = "one look"
 
 
@@ -44,6 +46,8 @@ def measure(quick: bool) -> Measured:
         tidy.append({"rows": rows, "method": LOOK, "seed": 0, "ms": 1e3 * look, "evaluations": 1.0})
         for seed in range(SEEDS[rows] // (4 if quick else 1)):
             for name, method in methods.items():
+                if rows > RIVALS and name != METHODS[0]:
+                    continue
                 run = minimize(method, problem, budget, seed)
                 arrived = run.loss <= target
                 tidy.append(
@@ -59,7 +63,7 @@ def measure(quick: bool) -> Measured:
     bars = [Bar("miho_gn at 3,000 rows", ms.loc[3000, "miho_gn"], AT_MOST, 3.0, "ms")]
     if not quick:
         times = ms.loc[3_000_000, "miho_gn"] / ms.loc[30_000, "miho_gn"]
-        bars.append(Bar("miho_gn, 3,000,000 rows against 30,000", times, AT_MOST, 6.0, "times"))
+        bars.append(Bar("miho_gn, 3,000,000 rows against 30,000", times, AT_MOST, 4.0, "times"))
     return Measured(table.reset_index(), frame, bars)
 
 
