@@ -1,6 +1,6 @@
 """The curves of many runs in one file, which reads several times as fast as their own files.
 
-    root/.compact/curves    <SHA-256 of all that follows>, <header as JSON>, columns of float64
+    root/.compact/curves    <SHA-256 of all that follows>, NumPy's npz of digests, lengths, columns
 
 It is a cache and can always be rebuilt. Each curve is filed under the SHA-256 of the `curve.json`
 it was read from, so a run that was added, changed or replaced since then is never given another
@@ -10,68 +10,42 @@ one's numbers. Like every checksum here it finds damage and no forgery.
 from __future__ import annotations
 
 import contextlib
-import json
+import io
 import math
 import os
-import sys
-from array import array
-from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 
+import numpy as np
 import orjson
 from filelock import FileLock
+from numpy.typing import NDArray
 
-from miho.study.files import LARGEST
-from miho.study.identity import canonical
+from miho.study.files import write_bytes
 from miho.study.places import inside
 from miho.study.scan import CheckedRun, scan
 
+Curve = NDArray[np.float64]
+"""Rows `COLUMNS`, a column for each improvement and one for the end."""
+
 FOLDER, NAME = ".compact", "curves"
-FORMAT = 1
 COLUMNS = ("evaluations", "seconds", "cpu_seconds", "error")
-DOUBLE = 8
 DIGEST = 64
 
 
-@dataclass
-class Curves:
-    """Many curves, one after the other.
-
-    `columns` are of equal length; `spans` holds the first row of each curve and the row behind its
-    last by the SHA-256 of its `curve.json`.
-    """
-
-    columns: dict[str, array[float]] = field(
-        default_factory=lambda: {name: array("d") for name in COLUMNS}
-    )
-    spans: dict[str, tuple[int, int]] = field(default_factory=dict)
-
-    def add(self, digest: str, text: bytes) -> None:
-        """Append the curve that this JSON holds; raises ValueError if it holds none."""
-        try:
-            curve = orjson.loads(text)
-            columns = [array("d", curve[name]) for name in COLUMNS[:-1]]
-            columns.append(array("d", map(error_of, curve["loss"])))
-        except (ValueError, LookupError, TypeError, OverflowError) as error:
-            raise ValueError(f"holds no curve: {type(error).__name__}: {error}") from None
-        (length, *other_lengths) = {len(column) for column in columns}
-        if other_lengths:
-            raise ValueError("holds no curve: its columns differ in length")
-        if not all(math.isfinite(sum(column)) for column in columns[:-1]):
-            raise ValueError("holds no curve: what it spent is not finite")
-        start = len(self.columns["error"])
-        for name, column in zip(COLUMNS, columns, strict=True):
-            self.columns[name].extend(column)
-        self.spans[digest] = (start, start + length)
-
-    def gathered(self, name: str, digests: list[str]) -> array[float]:
-        """One column of these curves, in this order."""
-        column, rows = self.columns[name], array("d")
-        for digest in digests:
-            start, stop = self.spans[digest]
-            rows.extend(column[start:stop])
-        return rows
+def curve_of(text: bytes) -> Curve:
+    """The curve that a JSON text holds; raises ValueError if it holds none."""
+    try:
+        values = orjson.loads(text)
+        rows = [*(values[name] for name in COLUMNS[:-1]), list(map(error_of, values["loss"]))]
+        curve = np.array(rows)
+    except (ValueError, LookupError, TypeError, OverflowError) as error:
+        raise ValueError(f"holds no curve: {type(error).__name__}: {error}") from None
+    if curve.ndim != 2 or curve.dtype.kind not in "iuf":
+        raise ValueError("holds no curve: its columns are no lists of numbers")
+    if not np.isfinite(curve[:-1]).all():
+        raise ValueError("holds no curve: what it spent is not finite")
+    return curve.astype(float)
 
 
 def error_of(loss: float | None) -> float:
@@ -92,74 +66,51 @@ def compact(top: Path) -> int:
     """
     if not top.is_dir():
         raise FileNotFoundError(f"{top}: no such folder of runs; run something first")
-    curves = Curves()
+    curves: dict[str, Curve] = {}
     for run in scan(top):
         if isinstance(run, CheckedRun):
             with contextlib.suppress(ValueError):
-                curves.add(run.digest, without_theta(run.curve))
+                curves[run.digest] = curve_of(without_theta(run.curve))
     folder = inside(top, FOLDER)
     folder.mkdir(exist_ok=True)
     with FileLock(folder / "lock"):
-        _write(curves, folder)
-    return len(curves.spans)
+        write_bytes(folder / NAME, _packed(curves))
+    return len(curves)
 
 
-def compacted(top: Path) -> Curves:
-    """The curves of the last compaction; none if there was none or its file is damaged."""
+def compacted(top: Path) -> dict[str, Curve]:
+    """The curves of the last compaction by the SHA-256 of their `curve.json`.
+
+    None if there was no compaction, or its file is damaged: whatever is wrong with a cache, the
+    runs have files of their own.
+    """
     try:
-        return _read(str(top / FOLDER / NAME))
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError):
-        return Curves()
+        return _unpacked(top / FOLDER / NAME)
+    except Exception:  # noqa: BLE001 -- what a damaged archive raises is not documented
+        return {}
 
 
-def _write(curves: Curves, folder: Path) -> None:
-    header = canonical(
-        {
-            "format": FORMAT,
-            "byteorder": sys.byteorder,
-            "rows": len(curves.columns["error"]),
-            "spans": curves.spans,
-        }
+def _packed(curves: dict[str, Curve]) -> bytes:
+    archive = io.BytesIO()
+    np.savez(
+        archive,
+        digests=np.array(list(curves), dtype=f"S{DIGEST}"),
+        lengths=np.array([curve.shape[1] for curve in curves.values()], dtype=np.int64),
+        columns=np.hstack([np.empty((len(COLUMNS), 0)), *curves.values()]),
     )
-    parts = [header.encode() + b"\n", *(curves.columns[name].tobytes() for name in COLUMNS)]
-    digest = sha256()
-    for part in parts:
-        digest.update(part)
-    temporary = folder / f".{NAME}"
-    temporary.unlink(missing_ok=True)
-    try:
-        with temporary.open("xb") as file:
-            file.writelines([digest.hexdigest().encode() + b"\n", *parts])
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.replace(folder / NAME)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    data = archive.getvalue()
+    return sha256(data).hexdigest().encode() + b"\n" + data
 
 
-def _read(path: str) -> Curves:
+def _unpacked(path: Path) -> dict[str, Curve]:
     descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     with os.fdopen(descriptor, "rb") as file:
-        size = os.fstat(descriptor).st_size
-        expected = file.readline(DIGEST + 1)
-        line = file.readline(LARGEST)
-        header = json.loads(line)
-        rows = header["rows"]
-        columns = len(COLUMNS) * rows * DOUBLE
-        if [header["format"], header["byteorder"]] != [FORMAT, sys.byteorder]:
-            raise ValueError("written by another version or machine")
-        if not isinstance(rows, int) or size != len(expected) + len(line) + columns:
-            raise ValueError("not as long as its header says")
-        digest = sha256(line)
-        curves = Curves()
-        for column in curves.columns.values():
-            column.fromfile(file, rows)
-            digest.update(column)
-    if expected != digest.hexdigest().encode() + b"\n":
+        expected, data = file.readline(DIGEST + 1), file.read()
+    if expected != sha256(data).hexdigest().encode() + b"\n":
         raise ValueError("checksum does not match")
-    for key, (start, stop) in header["spans"].items():
-        if not 0 <= start <= stop <= rows:
-            raise ValueError("holds a curve that is not within its rows")
-        curves.spans[key] = (start, stop)
-    return curves
+    with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+        digests, lengths, columns = (archive[key] for key in ("digests", "lengths", "columns"))
+    if columns.shape != (len(COLUMNS), lengths.sum()) or len(digests) != len(lengths):
+        raise ValueError("its columns are not as long as its curves")
+    pieces = np.split(columns, np.cumsum(lengths)[:-1], axis=1)
+    return {digest.decode(): piece for digest, piece in zip(digests, pieces, strict=True)}

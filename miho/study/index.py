@@ -9,9 +9,10 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
-from miho.study.compaction import COLUMNS, compacted, error_of, without_theta
+from miho.study.compaction import COLUMNS, compacted, curve_of, error_of, without_theta
 from miho.study.scan import CheckedRun, Damage, scan
 
 RUN_COLUMNS = [
@@ -57,20 +58,19 @@ class Runs:
     @cached_property
     def _curves(self) -> tuple[pd.DataFrame, list[Damage]]:
         """The curves, and which of them were none although their checksum matched."""
-        cache, malformed, rows = compacted(self.top), [], []
+        cache, malformed, rows, curves = compacted(self.top), [], [], []
         for row, (digest, text) in enumerate(self.texts):
             try:
-                if digest not in cache.spans:
-                    cache.add(digest, text)
+                curves.append(cache[digest] if digest in cache else curve_of(text))
                 rows.append(row)
             except ValueError as error:
                 folder = str(self.keys["folder"].iloc[row])
                 malformed.append(Damage(folder, f"{folder}: {error}"))
-        digests = [self.texts[row][0] for row in rows]
-        lengths = [stop - start for start, stop in map(cache.spans.__getitem__, digests)]
         keys = self.keys[KEYS].iloc[rows].reset_index(drop=True)
+        lengths = [curve.shape[1] for curve in curves]
         table = keys.loc[keys.index.repeat(lengths)].reset_index(drop=True)
-        columns = {name: pd.Series(cache.gathered(name, digests), dtype=float) for name in COLUMNS}
+        joined = np.hstack([np.empty((len(COLUMNS), 0)), *curves])
+        columns = dict(zip(COLUMNS, joined, strict=True))
         return table.assign(**columns), malformed
 
 

@@ -101,7 +101,7 @@ def _compacted(folder: Path, ways: int, times: int, rng: np.random.Generator) ->
     for way in range(ways):
         path.write_bytes(_spoilt(good, foreign, way, times, rng))
         exchanged = way == ways - 1
-        unused = exchanged or not compacted(root).spans
+        unused = exchanged or not compacted(root)
         if exchanged or way % EVERY == 0:
             stored = load_runs(root)
             unused &= len(stored.runs) == COMPACTED_RUNS and _agrees(stored, expected)
