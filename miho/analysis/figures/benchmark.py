@@ -53,25 +53,23 @@ def loss_figure(frame: pd.DataFrame) -> Figure:
 def growth_figure(frame: pd.DataFrame) -> Figure:
     """Microseconds per evaluation over the rows. Frame: rows, method, us."""
     require_columns(frame, {"rows", "method", "us"}, "frame")
-    with house_style():
-        figure = Figure(figsize=(WIDTH / 2, 3.0), layout="constrained")
-        ax = figure.subplots()
-        _lines(frame, ax, "method", "us", GROWTH_COLOURS)
-        ax.set_ylabel("time per evaluation [µs]")
-        ax.legend()
-        figure.draw_without_rendering()
-    return figure
+    return _over_rows(frame, "us", GROWTH_COLOURS, "time per evaluation [µs]")
 
 
 def arrival_figure(frame: pd.DataFrame) -> Figure:
     """Median milliseconds to the optimum over the rows. Frame: rows, method, ms; a row per run."""
     require_columns(frame, {"rows", "method", "ms"}, "frame")
+    median = frame.groupby(["rows", "method"])["ms"].median().reset_index()
+    return _over_rows(median, "ms", ARRIVAL_COLOURS, "time to within 1 % of the optimum [ms]")
+
+
+def _over_rows(frame: pd.DataFrame, value: str, colours: dict[str, str], label: str) -> Figure:
+    """A line per method, half a page wide."""
     with house_style():
         figure = Figure(figsize=(WIDTH / 2, 3.0), layout="constrained")
         ax = figure.subplots()
-        median = frame.groupby(["rows", "method"])["ms"].median().reset_index()
-        _lines(median, ax, "method", "ms", ARRIVAL_COLOURS)
-        ax.set_ylabel("time to within 1 % of the optimum [ms]")
+        _lines(frame, ax, "method", value, colours)
+        ax.set_ylabel(label)
         ax.legend()
         figure.draw_without_rendering()
     return figure
