@@ -1,0 +1,320 @@
+"""Formulas as graphs: traced from plain functions, differentiated, and written out as functions.
+
+A function that is arithmetic and NumPy's functions of numbers, called with symbols for numbers,
+leaves the graph of what it computes. From that graph come its derivatives, by the chain rule from
+the result to the arguments (reverse accumulation; Griewank and Walther 2008, Ch. 3.2), and plain
+Python functions of both, which NumPy evaluates and numba compiles.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NoReturn
+
+import numpy as np
+
+from miho.compiled.elementary import atan, cos, sin
+
+MOST = 5000
+"""Operations at most: the compiler takes longer than the model for more."""
+TINY = 1e-100
+"""Beside a branch point derivatives are those at this distance, so that 0 times them is 0."""
+
+
+class NotAFormulaError(Exception):
+    """A function does something with its arguments that is not arithmetic on numbers."""
+
+
+class Symbol:
+    """A number that is not known yet: an argument, a constant, or an operation on symbols.
+
+    `operation` is a name in OPERATIONS with its `arguments`, ARGUMENT with the name to write for
+    it, or CONSTANT with a number. A symbol cannot be compared, nor asked for its value.
+    """
+
+    __slots__ = ("arguments", "operation")
+
+    def __init__(self, operation: str, *arguments: Any) -> None:
+        self.operation = operation
+        self.arguments = arguments
+
+    @property
+    def number(self) -> float | None:
+        """The value of a constant."""
+        return self.arguments[0] if self.operation == CONSTANT else None
+
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **keywords: Any) -> Any:
+        name = UFUNCS.get(ufunc.__name__)
+        if name is None or method != "__call__" or keywords:
+            raise NotAFormulaError(ufunc.__name__)
+        return operation(name, *inputs)
+
+    def __add__(self, other: Any) -> Any:
+        return operation("add", self, other)
+
+    def __radd__(self, other: Any) -> Any:
+        return operation("add", other, self)
+
+    def __sub__(self, other: Any) -> Any:
+        return operation("subtract", self, other)
+
+    def __rsub__(self, other: Any) -> Any:
+        return operation("subtract", other, self)
+
+    def __mul__(self, other: Any) -> Any:
+        return operation("multiply", self, other)
+
+    def __rmul__(self, other: Any) -> Any:
+        return operation("multiply", other, self)
+
+    def __truediv__(self, other: Any) -> Any:
+        return operation("divide", self, other)
+
+    def __rtruediv__(self, other: Any) -> Any:
+        return operation("divide", other, self)
+
+    def __pow__(self, other: Any) -> Any:
+        return operation("power", self, other)
+
+    def __rpow__(self, other: Any) -> Any:
+        return operation("power", other, self)
+
+    def __neg__(self) -> Any:
+        return operation("negative", self)
+
+    def __pos__(self) -> Any:
+        return self
+
+    def __abs__(self) -> Any:
+        return operation("absolute", self)
+
+    def _refuse(self, *_: object) -> NoReturn:
+        raise NotAFormulaError("a symbol has no value")
+
+    __bool__ = __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = _refuse  # type: ignore[assignment]
+    __float__ = __int__ = __index__ = __iter__ = __len__ = __getitem__ = _refuse
+    __hash__ = object.__hash__
+
+
+ARGUMENT, CONSTANT = "argument", "constant"
+
+
+def argument(name: str) -> Symbol:
+    """The symbol of an argument, written as `name`."""
+    return Symbol(ARGUMENT, name)
+
+
+def constant(value: float) -> Symbol:
+    """The symbol of a number."""
+    return Symbol(CONSTANT, float(value))
+
+
+def operation(name: str, *arguments: Any) -> Symbol:
+    """An operation on symbols and numbers, simplified where one of them is 0 or 1."""
+    symbols = [_symbol(value) for value in arguments]
+    numbers = [symbol.number for symbol in symbols]
+    if None not in numbers:
+        with np.errstate(all="ignore"):
+            value = float(getattr(np, name)(*numbers))
+        return constant(value)
+    simple = _simplified(name, symbols, numbers)
+    return Symbol(name, *symbols) if simple is None else simple
+
+
+def _symbol(value: Any) -> Symbol:
+    if isinstance(value, Symbol):
+        return value
+    number = np.asarray(value)
+    if number.ndim or number.dtype.kind not in "fiu":
+        raise NotAFormulaError(f"{value!r} is no number")
+    return constant(float(number))
+
+
+def _simplified(
+    name: str, symbols: Sequence[Symbol], numbers: Sequence[float | None]
+) -> Symbol | None:
+    """A shorter form of the same value, None without one."""
+    if name in ("add", "subtract", "multiply", "divide", "power"):
+        (left, right), (a, b) = symbols, numbers
+        if (name in ("add", "subtract") and b == 0) or (name != "add" and b == 1):
+            return None if name == "subtract" and b == 1 else left
+        if (name == "add" and a == 0) or (name == "multiply" and a == 1):
+            return right
+        if name == "multiply" and 0 in (a, b):
+            return constant(0.0)
+        if name == "divide" and a == 0:
+            return constant(0.0)
+        if name == "subtract" and a == 0:
+            return operation("negative", right)
+        if name == "multiply" and -1 in (a, b):
+            return operation("negative", right if a == -1 else left)
+        if name == "power" and b == 2:
+            return Symbol("multiply", left, left)
+        if name == "power" and b == 0.5:
+            return Symbol("sqrt", left)
+    if name == "negative" and symbols[0].operation == "negative":
+        inner: Symbol = symbols[0].arguments[0]
+        return inner
+    if name == "square":
+        return Symbol("multiply", symbols[0], symbols[0])
+    return symbols[0] if name == "positive" else None
+
+
+Partials = Callable[..., tuple[Any, ...]]
+
+
+def _power_partials(z: Symbol, a: Symbol, b: Symbol) -> tuple[Any, ...]:
+    """Of a^b, whose base is above 0 unless b is a whole number."""
+    whole = b.number is not None and b.number.is_integer()
+    base = a if whole else np.maximum(a, TINY)
+    return b * base ** (b - 1), z * np.log(np.maximum(a, TINY))
+
+
+OPERATIONS: Mapping[str, tuple[str, Partials]] = {
+    "add": ("{} + {}", lambda z, a, b: (1, 1)),
+    "subtract": ("{} - {}", lambda z, a, b: (1, -1)),
+    "multiply": ("{} * {}", lambda z, a, b: (b, a)),
+    "divide": ("{} / {}", lambda z, a, b: (1 / b, -z / b)),
+    "power": ("{} ** {}", _power_partials),
+    "negative": ("-{}", lambda z, a: (-1,)),
+    "absolute": ("np.abs({})", lambda z, a: (np.sign(a),)),
+    "sign": ("np.sign({})", lambda z, a: (0,)),
+    "exp": ("np.exp({})", lambda z, a: (z,)),
+    "expm1": ("np.expm1({})", lambda z, a: (z + 1,)),
+    "log": ("np.log({})", lambda z, a: (1 / a,)),
+    "log1p": ("np.log1p({})", lambda z, a: (1 / (1 + a),)),
+    "log10": ("np.log10({})", lambda z, a: (1 / (math.log(10) * a),)),
+    "log2": ("np.log2({})", lambda z, a: (1 / (math.log(2) * a),)),
+    "sqrt": ("np.sqrt({})", lambda z, a: (0.5 / np.maximum(z, TINY),)),
+    "sin": ("sin({})", lambda z, a: (np.cos(a),)),
+    "cos": ("cos({})", lambda z, a: (-np.sin(a),)),
+    "tan": ("np.tan({})", lambda z, a: (1 + z * z,)),
+    "arcsin": ("np.arcsin({})", lambda z, a: (1 / np.sqrt(1 - a * a),)),
+    "arccos": ("np.arccos({})", lambda z, a: (-1 / np.sqrt(1 - a * a),)),
+    "arctan": ("atan({})", lambda z, a: (1 / (1 + a * a),)),
+    "sinh": ("np.sinh({})", lambda z, a: (np.cosh(a),)),
+    "cosh": ("np.cosh({})", lambda z, a: (np.sinh(a),)),
+    "tanh": ("np.tanh({})", lambda z, a: (1 - z * z,)),
+    "arcsinh": ("np.arcsinh({})", lambda z, a: (1 / np.sqrt(1 + a * a),)),
+    "arccosh": ("np.arccosh({})", lambda z, a: (1 / np.sqrt(a * a - 1),)),
+    "arctanh": ("np.arctanh({})", lambda z, a: (1 / (1 - a * a),)),
+    "hypot": (
+        "np.hypot({}, {})",
+        lambda z, a, b: (a / np.maximum(z, TINY), b / np.maximum(z, TINY)),
+    ),
+    "arctan2": (
+        "np.arctan2({}, {})",
+        lambda z, y, x: (x / (x * x + y * y), -y / (x * x + y * y)),
+    ),
+    "minimum": (
+        "np.minimum({}, {})",
+        lambda z, a, b: (0.5 - 0.5 * np.sign(a - b), 0.5 + 0.5 * np.sign(a - b)),
+    ),
+    "maximum": (
+        "np.maximum({}, {})",
+        lambda z, a, b: (0.5 + 0.5 * np.sign(a - b), 0.5 - 0.5 * np.sign(a - b)),
+    ),
+}
+"""How an operation is written, and its partial derivatives given its value and arguments."""
+UFUNCS = {name: name for name in (*OPERATIONS, "square", "positive")} | {
+    "true_divide": "divide",
+    "float_power": "power",
+    "fabs": "absolute",
+    "fmin": "minimum",
+    "fmax": "maximum",
+}
+"""NumPy's functions of numbers that leave a symbol, by their own names."""
+
+
+def trace(function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Symbol | None:
+    """What a function gives for symbols, None for one that is no formula or a very long one."""
+    try:
+        result = _symbol(function(*arguments, **keywords))
+    except Exception:  # noqa: BLE001 -- whatever a user's function raises: it is no formula
+        return None
+    return result if len(_ordered([result])) <= MOST else None
+
+
+def gradient(result: Symbol, variables: Sequence[Symbol]) -> list[Symbol]:
+    """The derivatives of a result with respect to arguments."""
+    adjoints: dict[Symbol, Any] = {result: constant(1.0)}
+    for symbol in reversed(_ordered([result])):
+        adjoint = adjoints.get(symbol)
+        if adjoint is None or symbol.operation in (ARGUMENT, CONSTANT):
+            continue
+        partials = OPERATIONS[symbol.operation][1](symbol, *symbol.arguments)
+        for child, partial in zip(symbol.arguments, partials, strict=True):
+            if child.operation != CONSTANT:
+                adjoints[child] = adjoints.get(child, 0) + adjoint * partial
+    return [_symbol(adjoints.get(variable, 0.0)) for variable in variables]
+
+
+def arguments_of(results: Iterable[Symbol]) -> set[str]:
+    """The names of the arguments that results depend on."""
+    return {s.arguments[0] for s in _ordered(results) if s.operation == ARGUMENT}
+
+
+def written(
+    name: str, signature: Mapping[str, Sequence[str]], results: Sequence[Symbol], single: bool
+) -> Callable[..., Any]:
+    """A plain function that computes results, each operation once.
+
+    `signature` maps its arguments, which are tuples, to the names of what they hold. It gives the
+    `single` result, or a tuple of all.
+    """
+    lines = [f"def {name}({', '.join(signature)}):"]
+    lines += [f"    ({', '.join(names)},) = {tuple_}" for tuple_, names in signature.items()]
+    places: dict[Symbol, str] = {}
+    values: dict[str, str] = {}  # by what they are computed from, so that none is computed twice
+    for symbol in _ordered(results):
+        if symbol.operation == ARGUMENT:
+            places[symbol] = symbol.arguments[0]
+        elif symbol.operation == CONSTANT:
+            places[symbol] = _literal(symbol.arguments[0])
+        else:
+            formula = _formula(symbol, places)
+            if formula not in values:
+                values[formula] = f"_{len(values)}"
+                lines.append(f"    {values[formula]} = {formula}")
+            places[symbol] = values[formula]
+    given = ", ".join(places[result] for result in results)
+    lines.append(f"    return {given if single else f'({given},)'}")
+    names = {"np": np, "sin": sin, "cos": cos, "atan": atan}
+    exec(compile("\n".join(lines), f"<{name}>", "exec"), names)  # noqa: S102 -- lines of our own
+    function: Callable[..., Any] = names[name]  # type: ignore[assignment]
+    return function
+
+
+def _formula(symbol: Symbol, places: Mapping[Symbol, str]) -> str:
+    """An operation as it is written; a power by a whole number, which is multiplied out, as one."""
+    parts = [places[child] for child in symbol.arguments]
+    if symbol.operation == "power":
+        exponent = symbol.arguments[1].number
+        if exponent is not None and exponent.is_integer():
+            parts[1] = f"({int(exponent)})"
+    return OPERATIONS[symbol.operation][0].format(*parts)
+
+
+def _literal(number: float) -> str:
+    """A number as it is written in a formula."""
+    if math.isfinite(number):
+        return f"({number!r})"
+    return "np.nan" if math.isnan(number) else f"({math.copysign(1, number)!r} * np.inf)"
+
+
+def _ordered(results: Iterable[Symbol]) -> list[Symbol]:
+    """All symbols that results depend on, each after its arguments."""
+    order: list[Symbol] = []
+    seen: set[Symbol] = set()
+    stack: list[tuple[Symbol, bool]] = [(result, False) for result in results]
+    while stack:
+        symbol, complete = stack.pop()
+        if complete:
+            order.append(symbol)
+        elif symbol not in seen:
+            seen.add(symbol)
+            stack.append((symbol, True))
+            if symbol.operation not in (ARGUMENT, CONSTANT):
+                stack += [(child, False) for child in symbol.arguments]
+    return order
