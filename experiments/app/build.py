@@ -231,6 +231,7 @@ def build_dataset(node: Mapping[str, Any]) -> Dataset:
 
 SCALABLE = ("low", "high", "mean", "std", "sigma_max")
 UNSET = (MISSING, None)
+UNBOUNDED = {"low": -math.inf, "high": math.inf}
 
 
 def scaled_by(dataset: Dataset, node: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -268,7 +269,11 @@ def build_space(node: Mapping[str, Any]) -> Space:
     for name, settings in plain.items():
         if settings.pop("scaled", None):
             raise ConfigError(f"space.{name}.scaled: needs data; give low and high")
+        held = settings.get("fixed") is not None or settings.get("tied") is not None
         missing = [key for key, value in settings.items() if value == MISSING]
+        if held:
+            settings.update({key: end for key, end in UNBOUNDED.items() if key in missing})
+            missing = [key for key in missing if key not in UNBOUNDED]
         if missing:
             raise ConfigError(f"space.{name}.{missing[0]}: is missing; expected unit, low and high")
     try:

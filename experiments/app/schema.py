@@ -15,7 +15,8 @@ class ParameterConfig:
 
     `scaled` gives some of them in multiples of the largest magnitude of a column of the data:
     {by: alpha, low: -0.5, high: 0.5}, where `by: output` is the column to be explained. A value
-    that stands beside it, such as space.D.high=8000, counts instead.
+    that stands beside it, such as space.D.high=8000, counts instead. `fixed` holds the parameter
+    at a number, `tied` at an expression of others, such as '1 - a - b'.
     """
 
     unit: str = MISSING
@@ -26,6 +27,8 @@ class ParameterConfig:
     std: float | None = None
     sigma_max: float | None = None
     sigma_min: float = 0.0
+    fixed: float | None = None
+    tied: str | None = None
     scaled: dict[str, Any] | None = None
 
 

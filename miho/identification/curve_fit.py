@@ -12,13 +12,15 @@ from numpy.typing import NDArray
 
 from miho.compiled import kernel_for
 from miho.data.dataset import Dataset
-from miho.identification.curve_fit_checks import TRIALS, check_curve_fit
+from miho.identification.curve_fit_checks import TRIALS, check_curve_fit, ties_of
 from miho.identification.irreducible import irreducible_interval, irreducible_limit
 from miho.identification.loss import Loss, Square, slope
 from miho.identification.row_order import row_order
 from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
+from miho.models.tied import tie
+from miho.models.traced import TracedExpression
 from miho.optim.problem import LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
@@ -43,6 +45,8 @@ SORTED_ROWS, NEIGHBOUR_ROWS = 100_000, 20_000
 the search for nearest neighbours takes longer the more inputs there are."""
 REMEMBERED = 1 << 20
 """Numbers of errors to remember for the derivatives of a robust loss at the same configurations."""
+WORTH_COMPILING = 20_000
+"""Rows from which on a search with a function of the user's takes longer than compiling it."""
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
 
@@ -54,7 +58,9 @@ class CurveFit(LeastSquaresProblem):
     `rho` is the loss of one residual: the square of the paper's Eq. 5, or one that outliers cannot
     dominate; `residuals` and `jacobian` are then of the transformed residuals, whose mean square
     is the loss, and `errors` are the differences themselves. The space must name the model's
-    parameters in the model's order, and the units of space, data and model must agree. `label`
+    parameters in the model's order, and the units of space, data and model must agree; where it
+    fixes or ties some, `model` and `space` become those of the free ones (`miho.models.tied`),
+    and everything else follows. `label`
     names the problem: the same data in two spaces are two problems. The square loss of a model
     that is an `Expression` is compiled, and evaluates batches on `threads` threads. `compressed`
     takes it, to 1e-9 of itself, from far fewer values than points, if the model has one input and
@@ -62,7 +68,9 @@ class CurveFit(LeastSquaresProblem):
     changes a run of a method that works with residuals, such as `MIHOGN`, the default.
 
     A plain function may stand for the model, with annotations as `miho.models.FunctionModel`
-    describes them; its `linear` parameters are then declared by giving that class itself.
+    describes them. One of arithmetic and NumPy's functions of numbers gets exact derivatives. It is
+    compiled from WORTH_COMPILING rows on, like a tied expression, or where `compiled` is true;
+    where that is false, every model is evaluated by NumPy.
     """
 
     model: Model
@@ -72,9 +80,14 @@ class CurveFit(LeastSquaresProblem):
     label: str | None = None
     threads: int = 1
     compressed: bool = False
+    compiled: bool | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "model", _model(self.model))
+        model = _model(self.model)
+        if self.space.free is not self.space:
+            model = tie(model, ties_of(model, self.space))
+        object.__setattr__(self, "model", model)
+        object.__setattr__(self, "space", self.space.free)
         check_curve_fit(self)
         if self.compressed and (self.kernel is None or self.kernel.few_nodes is None):
             raise ValueError(
@@ -148,7 +161,7 @@ class CurveFit(LeastSquaresProblem):
     @cached_property
     def kernel(self) -> FitKernel | None:  # type: ignore[override]
         """Compiled forms of the square loss of a model that is an expression."""
-        if not (isinstance(self.model, Expression) and self._square):
+        if not (isinstance(self.model, Expression) and self._square and self._worth_compiling):
             return None
         thetas = self.space.decode(self.space.initial(TRIALS))
         name = self.model.name or type(self.model).__name__
@@ -156,6 +169,13 @@ class CurveFit(LeastSquaresProblem):
             self.model, np.array(self.inputs), self._output, self._order, thetas,
             name=name, threads=self.threads, compressed=self.compressed,
         )  # fmt: skip
+
+    @property
+    def _worth_compiling(self) -> bool:
+        if self.compiled is not None:
+            return self.compiled
+        traced = isinstance(self.model, TracedExpression)
+        return not traced or len(self.dataset) >= WORTH_COMPILING
 
     @cached_property
     def _order(self) -> NDArray[np.intp]:
@@ -271,10 +291,12 @@ class CurveFit(LeastSquaresProblem):
 
 def _model(model: object) -> Model:
     """A model as it is, and a function made into one."""
+    if callable(model) and not isinstance(model, type | Model):
+        model = FunctionModel(model)
+    if isinstance(model, FunctionModel):
+        return model.formula or model
     if isinstance(model, Model):
         return model
-    if callable(model) and not isinstance(model, type):
-        return FunctionModel(model)
     raise ValueError(
         f"the model is {model!r}; expected an object of a model class, such as Pacejka(), or a "
         'function such as: def decay(t: "s", *, a: "V", b: "1/s") -> "V"'

@@ -8,6 +8,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from miho.models.model import Model
+from miho.models.symbolic import arguments_of
+from miho.models.tied import Ties
+from miho.optim.space import Space
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -15,6 +19,8 @@ if TYPE_CHECKING:
 
 TRIALS = 5
 """Configurations at which a new problem is tried out."""
+DRAWN = 4096
+"""Configurations that are drawn to see whether any keeps all limits."""
 LINEAR = 1e-9
 """A linear model's value halfway is the mean of both ends, to this fraction of their size."""
 FAR = 2.0
@@ -59,6 +65,63 @@ def check_curve_fit(problem: CurveFit) -> None:
     _check_output_size(problem)
     _check_values(problem, model_name)
     _check_nominal(problem, model_name)
+
+
+def ties_of(model: Model, space: Space) -> Ties:
+    """How the model's parameters follow from the free ones of a space.
+
+    Raises ValueError for a space without all of the model's parameters, with one that nothing
+    depends on, with other units, or with no configuration in which tied ones keep their limits.
+    """
+    name = model.name or type(model).__name__
+    parameters = {parameter.name: parameter for parameter in space.parameters}
+    if [p for p in parameters if p in model.parameters] != list(model.parameters):
+        raise ValueError(_space_mismatch(name, list(model.parameters), space.names))
+    for parameter in space.parameters:
+        needed = model.parameters.get(parameter.name, parameter.unit)
+        if parameter.unit != needed:
+            raise ValueError(
+                f"parameter {parameter.name!r} of the space has unit {parameter.unit!r}; model "
+                f"{name} needs {needed!r}"
+            )
+    held = {p.name: p.fixed if p.tied is None else p.tied for p in space.parameters if not p.free}
+    limits = {p.name: (p.low, p.high) for p in space.parameters if p.tied is not None}
+    ties = Ties(
+        tuple(model.parameters),
+        {p.name: p.unit for p in space.free.parameters},
+        {key: value for key, value in held.items() if value is not None},
+        {key: ends for key, ends in limits.items() if key in model.parameters},
+    )
+    needed_symbols = arguments_of(ties.graphs)
+    for symbol, free in zip(ties.arguments, ties.free, strict=True):
+        if symbol.arguments[0] not in needed_symbols:
+            raise ValueError(
+                f"space.{free}: model {name} has no parameter {free}, and none is tied to it; "
+                "remove it"
+            )
+    _check_limits(ties, space.free)
+    return ties
+
+
+def _check_limits(ties: Ties, free: Space) -> None:
+    """Refuse limits of tied parameters that none of many configurations keeps."""
+    thetas = ties.whole(free.decode(free.initial(DRAWN, "uniform")))
+    kept = np.ones(DRAWN, dtype=bool)
+    for name, (low, high) in ties.limits.items():
+        values = thetas[:, ties.parameters.index(name)]
+        inside = (values >= low) & (values <= high)
+        if not inside.any():
+            raise ValueError(
+                f"space.{name}.tied: {ties.ties[name]!r} is {np.nanmin(values):.4g} to "
+                f"{np.nanmax(values):.4g} in the box of the others, never {low:g} to {high:g}; "
+                "widen a range"
+            )
+        kept &= inside
+    if not kept.any():
+        raise ValueError(
+            f"space: {', '.join(ties.limits)} keep their ranges together in none of {DRAWN:,} "
+            "configurations; widen a range"
+        )
 
 
 def _space_mismatch(model_name: str, needed: Sequence[str], declared: Sequence[str]) -> str:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.identification.uncertainty import Linearised
 from miho.models.model import Model
+from miho.models.tied import TiedExpression, TiedModel
 from miho.quantities import Array
 
 REACH = 1.5
@@ -31,14 +32,35 @@ class Derived:
 def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
     """The derived quantities of a tire (N over alpha first) or a torque curve (Nm over omega).
 
-    Further inputs of the model are held at their median in the data. Other models have none.
+    Further inputs of the model are held at their median in the data. Other models have none, but
+    for the parameters that are tied to others.
     """
+    if isinstance(model, TiedModel | TiedExpression):
+        return _tied(model, dataset)
     first = next(iter(model.inputs))
     if first == "alpha" and model.output == "N":
         return _tire(model, dataset)
     if first == "omega" and model.output == "Nm":
         return _torque(model, dataset)
     return ()
+
+
+def _tied(model: TiedModel | TiedExpression, dataset: Dataset) -> tuple[Derived, ...]:
+    """The parameters that are tied by an expression, and the quantities of the whole model."""
+    ties, units = model.ties, model.model.parameters
+
+    def parameter(k: int) -> Callable[[Array], Array]:
+        return lambda thetas: ties.whole(thetas)[:, k]
+
+    def of_whole(quantity: Derived) -> Derived:
+        return replace(quantity, evaluate=lambda thetas: quantity.evaluate(ties.whole(thetas)))
+
+    parameters = [
+        Derived(f"{name} = {ties.ties[name]}", units[name], parameter(k))
+        for k, name in enumerate(ties.parameters)
+        if isinstance(ties.ties.get(name), str)
+    ]
+    return (*parameters, *(of_whole(quantity) for quantity in derived(model.model, dataset)))
 
 
 def delta_method(quantity: Derived, at: Linearised) -> tuple[float, float]:

@@ -8,6 +8,7 @@ import traceback
 import types
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.models.model import DifferencedModel, Model
+from miho.models.symbolic import NotAFormulaError, Symbol, jointly_linear, trace
+from miho.models.traced import TracedExpression
 from miho.quantities import Array
 from miho.regular_file import read_regular
 
@@ -35,7 +38,7 @@ class FunctionModel(DifferencedModel):
     one row of parameters at a time, as numbers, and gives (N,) or a number: slower, but it may
     branch. `linear` names the parameters in which the output is jointly linear; nobody checks it
     but `miho.testing.check_model`. Derivatives are central differences, which count
-    two evaluations for each parameter.
+    two evaluations for each parameter; `formula` has exact ones.
 
     Raises ValueError for another signature, and where the function raises or gives another
     shape; NaN and infinity are values like any other, so NumPy does not warn of them.
@@ -85,6 +88,16 @@ class FunctionModel(DifferencedModel):
         object.__setattr__(self, "parameters", types.MappingProxyType(parameters))
         object.__setattr__(self, "output", output)
         object.__setattr__(self, "linear", tuple(self.linear))
+
+    @property
+    def formula(self) -> FunctionFormula | None:
+        """The function as a formula, None for one that does more than arithmetic on numbers."""
+        formula = FunctionFormula(self)
+        try:
+            _ = formula.graph
+        except NotAFormulaError:
+            return None
+        return formula
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
@@ -168,6 +181,56 @@ class FunctionModel(DifferencedModel):
         return literal if isinstance(literal, str) else annotation
 
 
+@dataclass(frozen=True)
+class FunctionFormula(TracedExpression):
+    """A function of arithmetic and NumPy's functions of numbers, traced once.
+
+    So its derivatives are exact, its loss can be compiled, and the parameters in which it is
+    jointly linear are known, unless the function model declares them itself.
+    """
+
+    function: FunctionModel
+
+    @cached_property
+    def graph(self) -> Symbol:
+        """The function's result; raises NotAFormulaError for one that is no formula."""
+        theta = dict(zip(self.parameters, self.arguments, strict=True))
+        return trace(self.function.function, *self.columns, **theta)
+
+    @cached_property
+    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The parameters in which the function declares to be linear, or is."""
+        if self.function.linear:
+            return self.function.linear
+        names = list(self.parameters)
+        return tuple(names[k] for k in jointly_linear(self.graph, self.arguments))
+
+    @property
+    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Units by name."""
+        return self.function.inputs
+
+    @property
+    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Units by name."""
+        return self.function.parameters
+
+    @property
+    def output(self) -> str:  # type: ignore[override]
+        """The unit of the result."""
+        return self.function.output
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """The function's name."""
+        return self.function.name
+
+    @property
+    def source(self) -> Path | None:  # type: ignore[override]
+        """The file that the function was read from."""
+        return self.function.source
+
+
 REMEDY = "write it with NumPy functions that broadcast, or set batched to false"
 
 
@@ -210,7 +273,8 @@ def load_function(
         raise ValueError(
             f"{source}: has no function {function!r}; it has {', '.join(public) or 'none'}"
         )
-    return FunctionModel(chosen, batched, tuple(linear), source)
+    model = FunctionModel(chosen, batched, tuple(linear), source)
+    return model.formula or model
 
 
 def _line(error: BaseException, file: str) -> int | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache
 from typing import Any, NoReturn
 
 import numpy as np
@@ -92,7 +93,7 @@ class Symbol:
     def _refuse(self, *_: object) -> NoReturn:
         raise NotAFormulaError("a symbol has no value")
 
-    __bool__ = __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = _refuse  # type: ignore[assignment]
+    __bool__ = __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = _refuse
     __float__ = __int__ = __index__ = __iter__ = __len__ = __getitem__ = _refuse
     __hash__ = object.__hash__
 
@@ -100,8 +101,9 @@ class Symbol:
 ARGUMENT, CONSTANT = "argument", "constant"
 
 
+@cache
 def argument(name: str) -> Symbol:
-    """The symbol of an argument, written as `name`."""
+    """The one symbol of an argument that is written as `name`."""
     return Symbol(ARGUMENT, name)
 
 
@@ -167,8 +169,8 @@ Partials = Callable[..., tuple[Any, ...]]
 def _power_partials(z: Symbol, a: Symbol, b: Symbol) -> tuple[Any, ...]:
     """Of a^b, whose base is above 0 unless b is a whole number."""
     whole = b.number is not None and b.number.is_integer()
-    base = a if whole else np.maximum(a, TINY)
-    return b * base ** (b - 1), z * np.log(np.maximum(a, TINY))
+    above = operation("maximum", a, TINY)
+    return b * (a if whole else above) ** (b - 1), z * operation("log", above)
 
 
 OPERATIONS: Mapping[str, tuple[str, Partials]] = {
@@ -227,13 +229,18 @@ UFUNCS = {name: name for name in (*OPERATIONS, "square", "positive")} | {
 """NumPy's functions of numbers that leave a symbol, by their own names."""
 
 
-def trace(function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Symbol | None:
-    """What a function gives for symbols, None for one that is no formula or a very long one."""
+def trace(function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Symbol:
+    """What a function gives for symbols.
+
+    Raises NotAFormulaError for one that is no formula, or too long a one to be compiled.
+    """
     try:
         result = _symbol(function(*arguments, **keywords))
-    except Exception:  # noqa: BLE001 -- whatever a user's function raises: it is no formula
-        return None
-    return result if len(_ordered([result])) <= MOST else None
+    except Exception as error:
+        raise NotAFormulaError(str(error)) from error
+    if len(_ordered([result])) > MOST:
+        raise NotAFormulaError(f"it has more than {MOST} operations")
+    return result
 
 
 def gradient(result: Symbol, variables: Sequence[Symbol]) -> list[Symbol]:
@@ -250,6 +257,20 @@ def gradient(result: Symbol, variables: Sequence[Symbol]) -> list[Symbol]:
     return [_symbol(adjoints.get(variable, 0.0)) for variable in variables]
 
 
+def jointly_linear(result: Symbol, variables: Sequence[Symbol]) -> list[int]:
+    """Positions of variables in which a result is jointly linear, as many as come first."""
+    positions: list[int] = []
+    dependence = [arguments_of([slope]) for slope in gradient(result, variables)]
+    names = [variable.arguments[0] for variable in variables]
+    used = arguments_of([result])
+    for k, name in enumerate(names):
+        others = [names[i] for i in positions]
+        bent = any(name in dependence[i] for i in positions)
+        if name in used and not bent and dependence[k].isdisjoint([name, *others]):
+            positions.append(k)
+    return positions
+
+
 def arguments_of(results: Iterable[Symbol]) -> set[str]:
     """The names of the arguments that results depend on."""
     return {s.arguments[0] for s in _ordered(results) if s.operation == ARGUMENT}
@@ -260,8 +281,9 @@ def written(
 ) -> Callable[..., Any]:
     """A plain function that computes results, each operation once.
 
-    `signature` maps its arguments, which are tuples, to the names of what they hold. It gives the
-    `single` result, or a tuple of all.
+    `signature` maps its arguments, which are tuples, to the names of the symbols that they hold:
+    p0 and x0 rather than a user's names, which could be those of functions. It gives the `single`
+    result, or a tuple of all.
     """
     lines = [f"def {name}({', '.join(signature)}):"]
     lines += [f"    ({', '.join(names)},) = {tuple_}" for tuple_, names in signature.items()]
@@ -280,9 +302,9 @@ def written(
             places[symbol] = values[formula]
     given = ", ".join(places[result] for result in results)
     lines.append(f"    return {given if single else f'({given},)'}")
-    names = {"np": np, "sin": sin, "cos": cos, "atan": atan}
+    names: dict[str, Any] = {"np": np, "sin": sin, "cos": cos, "atan": atan}
     exec(compile("\n".join(lines), f"<{name}>", "exec"), names)  # noqa: S102 -- lines of our own
-    function: Callable[..., Any] = names[name]  # type: ignore[assignment]
+    function: Callable[..., Any] = names[name]
     return function
 
 

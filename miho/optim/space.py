@@ -29,25 +29,41 @@ class Parameter:
     What is left out follows from the range: mean in the middle, std a quarter of the range,
     sigma_max a tenth of it. `mean` and `std` describe the initial distribution, truncated to the
     range (Alg. 1, line 4); sigma is the mutation's standard deviation (Eq. 2).
+
+    A parameter is not searched for if it is `fixed` to a number, as it also is by low = high, or
+    `tied` to others by an expression, such as "1 - a - b". Neither needs a range; one that a tied
+    parameter has is a limit, beyond which no configuration has a value.
     """
 
     name: str
     unit: str
-    low: float
-    high: float
+    low: float = -math.inf
+    high: float = math.inf
     scale: str = "linear"
     mean: float | None = None
     std: float | None = None
     sigma_max: float | None = None
     sigma_min: float = 0.0
+    fixed: float | None = None
+    tied: str | None = None
 
     def __post_init__(self) -> None:
         label = f"parameter {self.name!r}"
+        if (
+            self.fixed is None
+            and self.tied is None
+            and math.isfinite(self.low)
+            and self.low == self.high
+        ):
+            object.__setattr__(self, "fixed", self.low)
+        if not self.free:
+            self._check_held(label)
+            return
         one_of(f"{label}: scale", self.scale, SCALES)
         if not (self.low < self.high and math.isfinite(self.high - self.low)):
             raise ValueError(
                 f"{label}: low is {self.low!r} and high is {self.high!r}; "
-                "expected finite bounds with low < high"
+                "expected finite bounds with low < high, or fixed or tied"
             )
         if self.scale == "log" and self.low <= 0:
             raise ValueError(f"{label}: low is {self.low!r}; expected above 0 on the log scale")
@@ -59,6 +75,23 @@ class Parameter:
             raise ValueError(
                 f"{label}: sigma_min is {self.sigma_min!r} and sigma_max is "
                 f"{self.largest_sigma!r}; expected 0 <= sigma_min <= sigma_max, finite"
+            )
+
+    @property
+    def free(self) -> bool:
+        """Whether it is searched for."""
+        return self.fixed is None and self.tied is None
+
+    def _check_held(self, label: str) -> None:
+        if self.fixed is not None and self.tied is not None:
+            raise ValueError(
+                f"{label}: is fixed to {self.fixed!r} and tied to {self.tied!r}; choose one"
+            )
+        if self.fixed is not None and not math.isfinite(self.fixed):
+            raise ValueError(f"{label}: fixed is {self.fixed!r}; expected a finite number")
+        if not self.low <= self.high:
+            raise ValueError(
+                f"{label}: low is {self.low!r} and high is {self.high!r}; expected low <= high"
             )
 
     @property
@@ -92,6 +125,19 @@ class Space:
 
     def __len__(self) -> int:
         return len(self.parameters)
+
+    @cached_property
+    def free(self) -> Space:
+        """The parameters that are searched for."""
+        if all(parameter.free for parameter in self.parameters):
+            return self
+        free = tuple(parameter for parameter in self.parameters if parameter.free)
+        if not free:
+            raise ValueError(
+                f"every parameter of the space is fixed or tied ({', '.join(self.names)}); "
+                "leave one free"
+            )
+        return replace(self, parameters=free)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -1,0 +1,316 @@
+"""A model some of whose parameters are fixed or tied to others: a model of the free ones.
+
+What identifies sees fewer parameters and nothing else: every method, interval and check works on
+the free ones as on any model's.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import difflib
+import operator
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from miho.models.expression import Expression
+from miho.models.model import Model
+from miho.models.symbolic import (
+    NotAFormulaError,
+    Symbol,
+    argument,
+    arguments_of,
+    constant,
+    gradient,
+    operation,
+    trace,
+    written,
+)
+from miho.models.traced import Remade, TracedExpression
+from miho.quantities import Array
+
+OPERATORS: Mapping[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+    ast.USub: operator.neg,
+    ast.UAdd: operator.pos,
+}
+FUNCTIONS = {name: name for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "tanh")} | {
+    "abs": "absolute",
+    "atan": "arctan",
+    "min": "minimum",
+    "max": "maximum",
+}
+"""Functions that an expression may call, and the operations that they are."""
+CONSTANTS = {"pi": np.pi}
+LONGEST = 1000
+"""No expression has more characters."""
+
+
+@dataclass(frozen=True)
+class Ties(Remade):
+    """How a model's parameters follow from free ones.
+
+    `parameters` are the model's, in its order; `free` maps the free ones to their units, in the
+    order of theta: parameters of the model, and others that occur in expressions only. `ties` maps
+    the model's other parameters to a number, or to an expression of free, tied and fixed ones. No
+    configuration has a value in which a tied parameter leaves its `limits`.
+
+    Raises ValueError for an expression that is no arithmetic, an unknown name, or a cycle.
+    """
+
+    parameters: tuple[str, ...]
+    free: Mapping[str, str]
+    ties: Mapping[str, float | str]
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        _ = self.graphs
+
+    @cached_property
+    def graphs(self) -> tuple[Symbol, ...]:
+        """The model's parameters, in its order, as formulas of the free ones."""
+        made: dict[str, Symbol] = dict(zip(self.free, self.arguments, strict=True))
+        return tuple(self._resolved(name, made, ()) for name in self.parameters)
+
+    @cached_property
+    def arguments(self) -> list[Symbol]:
+        """The free parameters."""
+        return [argument(f"p{k}") for k in range(len(self.free))]
+
+    def _resolved(self, name: str, made: dict[str, Symbol], above: tuple[str, ...]) -> Symbol:
+        """The formula of a parameter; `above` are those whose expressions led here."""
+        if name in above:
+            cycle = " -> ".join([*above[above.index(name) :], name])
+            raise ValueError(f"space.{name}.tied: {cycle} is a cycle; tie to a free parameter")
+        if name not in made:
+            tie = self.ties[name]
+            if isinstance(tie, str):
+                place = f"space.{name}.tied"
+                names = {k: v for k, v in made.items() if k in self.free} | dict.fromkeys(self.ties)
+                made[name] = parsed(
+                    tie, place, names, lambda other: self._resolved(other, made, (*above, name))
+                )
+            else:
+                made[name] = constant(tie)
+        return made[name]
+
+    @property
+    def _signature(self) -> dict[str, list[str]]:
+        return {"theta": [symbol.arguments[0] for symbol in self.arguments]}
+
+    @cached_property
+    def formula(self) -> Callable[[tuple[Any, ...]], tuple[Any, ...]]:
+        """The model's parameters, a function of the tuple of free ones."""
+        return written("parameters", self._signature, self.graphs, single=False)
+
+    @cached_property
+    def slopes(self) -> tuple[tuple[Symbol, ...], ...]:
+        """The derivatives of the model's parameters with respect to the free ones, (d, f)."""
+        return tuple(tuple(gradient(graph, self.arguments)) for graph in self.graphs)
+
+    @cached_property
+    def wall(self) -> Symbol | None:
+        """0 within all limits and NaN outside, None without limits."""
+        total: Any = None
+        for name, bounds in self.limits.items():
+            graph = self.graphs[self.parameters.index(name)]
+            for sign, bound in zip((1, -1), bounds, strict=True):
+                if np.isfinite(bound):
+                    inside = operation("sqrt", sign * graph - sign * bound)
+                    total = inside if total is None else total + inside
+        return None if total is None else Symbol("multiply", constant(0.0), total)
+
+    @cached_property
+    def wall_formula(self) -> Callable[[tuple[Any, ...]], Any] | None:
+        """The wall, a function of the tuple of free parameters."""
+        wall = self.wall
+        return None if wall is None else written("wall", self._signature, [wall], single=True)
+
+    def whole(self, thetas: Array) -> Array:
+        """The model's parameters (n, d) of free ones (n, f)."""
+        with np.errstate(all="ignore"):
+            columns = self.formula(tuple(thetas.T))
+        return np.stack([np.broadcast_to(column, len(thetas)) for column in columns], axis=1)
+
+    def whole_slopes(self, theta: Array) -> Array:
+        """The derivatives (d, f) of the model's parameters at free ones (f,)."""
+        flat = [slope for row in self.slopes for slope in row]
+        values = written("slopes", self._signature, flat, single=False)(tuple(theta))
+        return np.array(values, dtype=float).reshape(len(self.parameters), len(self.free))
+
+    def linear(self, names: Sequence[str]) -> tuple[str, ...]:
+        """The free parameters in which a model is jointly linear that is so in these of its own.
+
+        The others must not depend on them, nor a limit.
+        """
+        dependence: dict[str, set[str]] = {}  # of each slope of a linear one, by free parameter
+        barred: set[str] = set()
+        places = [symbol.arguments[0] for symbol in self.arguments]
+        for name, graph, row in zip(self.parameters, self.graphs, self.slopes, strict=True):
+            if name not in names or name in self.limits:
+                barred |= arguments_of([graph])
+                continue
+            for place, slope in zip(places, row, strict=True):
+                dependence.setdefault(place, set()).update(arguments_of([slope]))
+        used = arguments_of(self.graphs)
+        linear: list[str] = []
+        for place in places:
+            others = {place, *linear}
+            bent = not dependence.get(place, set()).isdisjoint(others)
+            bent |= any(place in dependence[other] for other in linear)
+            if place in used and place not in barred and not bent:
+                linear.append(place)
+        free = list(self.free)
+        return tuple(free[places.index(place)] for place in linear)
+
+
+def tie(model: Model, ties: Ties) -> Model:
+    """The model of the free parameters."""
+    if isinstance(model, Expression):
+        tied = TiedExpression(model, ties)
+        with contextlib.suppress(NotAFormulaError):
+            _ = tied.graph
+            return tied
+    return TiedModel(model, ties)
+
+
+def whole_model(model: Model) -> Model:
+    """The model of all parameters that a tied model stands for, and another one as it is."""
+    return model.model if isinstance(model, TiedModel | TiedExpression) else model
+
+
+class _Tied(Remade, Model):
+    """What both kinds of tied models take from the model that they stand for."""
+
+    model: Any
+    ties: Ties
+
+    @property
+    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+        return self.model.inputs  # type: ignore[no-any-return]
+
+    @property
+    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+        return self.ties.free
+
+    @property
+    def output(self) -> str:  # type: ignore[override]
+        return self.model.output  # type: ignore[no-any-return]
+
+    @cached_property
+    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+        return self.ties.linear(self.model.linear)
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        return self.model.name or type(self.model).__name__.lower()
+
+    @property
+    def source(self) -> Path | None:  # type: ignore[override]
+        return self.model.source  # type: ignore[no-any-return]
+
+    @property
+    def nominal(self) -> Mapping[str, tuple[str, float]]:  # type: ignore[override]
+        return self.model.nominal  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class TiedModel(_Tied):
+    """A model of the free parameters alone."""
+
+    model: Model
+    ties: Ties
+
+    @property
+    def ordered(self) -> bool:  # type: ignore[override]
+        """As the model."""
+        return self.model.ordered
+
+    @property
+    def jacobian_cost(self) -> int:  # type: ignore[override]
+        """That of all parameters' derivatives."""
+        cost = self.model.jacobian_cost
+        return len(self.model.parameters) if cost is None else cost
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        """Outputs (n, N) of free parameters (n, f) at input columns (N,); NaN beyond a limit."""
+        values = self.model.predict(self.ties.whole(thetas), *inputs)
+        if self.ties.wall_formula is not None:
+            with np.errstate(invalid="ignore"):
+                values += self.ties.wall_formula(tuple(thetas.T))[:, None]
+        return values
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Derivatives of the outputs, (N, f), at free parameters (f,)."""
+        derivatives = self.model.jacobian(self.ties.whole(theta[None])[0], *inputs)
+        return np.asarray(derivatives @ self.ties.whole_slopes(theta))
+
+
+@dataclass(frozen=True)
+class TiedExpression(_Tied, TracedExpression):
+    """An expression of the free parameters alone."""
+
+    model: Expression
+    ties: Ties
+
+    @cached_property
+    def graph(self) -> Symbol:
+        """The output; raises NotAFormulaError for an expression that cannot be traced."""
+        output = trace(self.model.value, self.columns, self.ties.graphs)
+        return output if self.ties.wall is None else Symbol("add", output, self.ties.wall)
+
+
+def parsed(
+    text: str,
+    place: str,
+    names: Mapping[str, object],
+    symbol_of: Callable[[str], Symbol],
+) -> Symbol:
+    """The formula of an expression of `names`, by an allow-list of arithmetic; nothing is run."""
+    try:
+        tree = ast.parse(text.strip() if len(text) <= LONGEST else "(", mode="eval").body
+    except (SyntaxError, ValueError, MemoryError, RecursionError):
+        raise ValueError(f"{place}: {text[:80]!r} is no expression; {EXAMPLE}") from None
+
+    def convert(node: ast.AST) -> Any:
+        if isinstance(node, ast.Constant) and isinstance(node.value, int | float):
+            return constant(node.value)
+        if isinstance(node, ast.Name):
+            if node.id in names:
+                return symbol_of(node.id)
+            if node.id in CONSTANTS:
+                return constant(CONSTANTS[node.id])
+            near = difflib.get_close_matches(node.id, names, 1)
+            hint = f"did you mean {near[0]}?" if near else f"choose from {', '.join(names)}"
+            raise ValueError(f"{place}: {text!r} has no parameter {node.id}; {hint}")
+        if isinstance(node, ast.BinOp) and type(node.op) in OPERATORS:
+            return OPERATORS[type(node.op)](convert(node.left), convert(node.right))
+        if isinstance(node, ast.UnaryOp) and type(node.op) in OPERATORS:
+            return OPERATORS[type(node.op)](convert(node.operand))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and not node.keywords:
+            wanted = 2 if node.func.id in ("min", "max") else 1
+            if node.func.id in FUNCTIONS and len(node.args) == wanted:
+                return operation(FUNCTIONS[node.func.id], *map(convert, node.args))
+        part = ast.get_source_segment(text.strip(), node) or text
+        raise ValueError(f"{place}: {part[:80]!r} is not allowed; {EXAMPLE}")
+
+    try:
+        result: Symbol = convert(tree)
+    except RecursionError:
+        raise ValueError(f"{place}: {text[:80]!r} is nested too deep; {EXAMPLE}") from None
+    return result
+
+
+EXAMPLE = (
+    "give numbers, names of parameters, + - * / ** and "
+    f"{', '.join(FUNCTIONS)}, such as '1 - a - b' or '2 * sqrt(C)'"
+)

@@ -1,0 +1,56 @@
+"""Expressions that are known as a graph, from which their formulas are written when needed."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from functools import cached_property
+from typing import Any
+
+from miho.compiled.kernel import Formula
+from miho.models.expression import Expression
+from miho.models.symbolic import Symbol, argument, gradient, written
+
+
+class Remade:
+    """A frozen dataclass whose cached properties are made again after unpickling."""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields alone."""
+        return {field.name: vars(self)[field.name] for field in fields(self)}  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class TracedExpression(Remade, Expression):
+    """An expression whose `graph` is a formula of the symbols in `columns` and `arguments`."""
+
+    @property
+    @abstractmethod
+    def graph(self) -> Symbol:
+        """The output."""
+
+    @cached_property
+    def columns(self) -> tuple[Symbol, ...]:
+        """The inputs, x0, x1 and so on."""
+        return tuple(argument(f"x{k}") for k in range(len(self.inputs)))
+
+    @cached_property
+    def arguments(self) -> tuple[Symbol, ...]:
+        """The parameters, p0, p1 and so on."""
+        return tuple(argument(f"p{k}") for k in range(len(self.parameters)))
+
+    @cached_property
+    def value(self) -> Formula:
+        """The output at the inputs."""
+        return self._written("value", [self.graph], single=True)
+
+    @cached_property
+    def derivatives(self) -> Formula:
+        """The derivatives of the output with respect to the parameters."""
+        return self._written("derivatives", gradient(self.graph, self.arguments), single=False)
+
+    def _written(self, name: str, results: list[Symbol], single: bool) -> Callable[..., Any]:
+        groups = {"inputs": self.columns, "theta": self.arguments}
+        signature = {key: [s.arguments[0] for s in symbols] for key, symbols in groups.items()}
+        return written(name, signature, results, single)
