@@ -6,6 +6,7 @@ from miho.exports import at_first_use
 
 if TYPE_CHECKING:
     from miho.data import Dataset
+    from miho.fitting import Fit, fit
     from miho.identification import CurveFit
     from miho.models import load_tir
     from miho.optim import (
@@ -25,9 +26,9 @@ if TYPE_CHECKING:
     from miho.study import load_runs
 
 __all__ = [
-    "MIHO", "MIHOGN", "MIHOQN", "AskTell", "Budget", "CurveFit", "Dataset",
-    "LeastSquaresProblem", "Optimizer", "Oracle", "Parameter", "Problem", "Space", "load_runs",
-    "load_tir", "minimize",
+    "MIHO", "MIHOGN", "MIHOQN", "AskTell", "Budget", "CurveFit", "Dataset", "Fit",
+    "LeastSquaresProblem", "Optimizer", "Oracle", "Parameter", "Problem", "Space", "fit",
+    "load_runs", "load_tir", "minimize",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

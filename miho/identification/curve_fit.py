@@ -20,7 +20,7 @@ from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.models.tied import tie
-from miho.models.traced import TracedExpression
+from miho.models.traced import Remade, TracedExpression
 from miho.optim.problem import LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
@@ -52,7 +52,7 @@ BLOCK = 50_000
 
 
 @dataclass(frozen=True, eq=False)
-class CurveFit(LeastSquaresProblem):
+class CurveFit(Remade, LeastSquaresProblem):
     """Mean squared difference between model and data, in the output's unit squared.
 
     `rho` is the loss of one residual: the square of the paper's Eq. 5, or one that outliers cannot

@@ -49,7 +49,7 @@ def check_curve_fit(problem: CurveFit) -> None:
     declared |= {f"output {dataset.output!r} of {dataset.name}": problem.unit}
     needed_units = (*model.parameters.values(), *model.inputs.values(), model.output)
     for (place, unit), needed in zip(declared.items(), needed_units, strict=True):
-        if unit != needed:
+        if unit != needed and needed and unit:
             raise ValueError(f"{place} has unit {unit!r}; model {model_name} needs {needed!r}")
 
     # The model's methods give the shapes that the search relies on.
@@ -78,8 +78,8 @@ def ties_of(model: Model, space: Space) -> Ties:
     if [p for p in parameters if p in model.parameters] != list(model.parameters):
         raise ValueError(_space_mismatch(name, list(model.parameters), space.names))
     for parameter in space.parameters:
-        needed = model.parameters.get(parameter.name, parameter.unit)
-        if parameter.unit != needed:
+        needed = model.parameters.get(parameter.name, "")
+        if parameter.unit != needed and needed and parameter.unit:
             raise ValueError(
                 f"parameter {parameter.name!r} of the space has unit {parameter.unit!r}; model "
                 f"{name} needs {needed!r}"

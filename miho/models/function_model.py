@@ -1,6 +1,7 @@
 """A model made of a plain Python function, such as a user writes in a file of their own."""
 
 from __future__ import annotations
+import __future__
 
 import ast
 import inspect
@@ -28,7 +29,8 @@ COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEY
 class FunctionModel(DifferencedModel):
     """A function whose positional arguments are input columns, keyword-only ones parameters.
 
-    Annotations are units, as strings; the model is called after the function:
+    Annotations that are strings are units, and a part without one takes any; the model is called
+    after the function:
 
         def decay(t: "s", *, a: "V", b: "1/s") -> "V":
             return a * np.exp(-b * t)
@@ -36,9 +38,10 @@ class FunctionModel(DifferencedModel):
     The function gets columns (N,), read-only, and parameters (n, 1), so that NumPy's functions
     give (n, N); a result (n, 1) is the same for all rows of data. With `batched` false it gets
     one row of parameters at a time, as numbers, and gives (N,) or a number: slower, but it may
-    branch. `linear` names the parameters in which the output is jointly linear; nobody checks it
-    but `miho.testing.check_model`. Derivatives are central differences, which count
-    two evaluations for each parameter; `formula` has exact ones.
+    branch. `columns` names the arguments that are input columns, and all others are parameters,
+    for a function without keyword-only ones. `linear` names the parameters in which the output is
+    jointly linear; nobody checks it but `miho.testing.check_model`. Derivatives are central
+    differences, which count two evaluations for each parameter; `formula` has exact ones.
 
     Raises ValueError for another signature, and where the function raises or gives another
     shape; NaN and infinity are values like any other, so NumPy does not warn of them.
@@ -48,6 +51,7 @@ class FunctionModel(DifferencedModel):
     batched: bool = True
     linear: tuple[str, ...] = ()
     source: Path | None = None
+    columns: tuple[str, ...] = ()
     inputs: Mapping[str, str] = field(init=False)
     parameters: Mapping[str, str] = field(init=False)
     output: str = field(init=False)
@@ -59,6 +63,8 @@ class FunctionModel(DifferencedModel):
         except (TypeError, ValueError):
             raise ValueError(f"{self.function!r} is not a function with a signature") from None
         name = getattr(self.function, "__name__", type(self.function).__name__)
+        code = getattr(self.function, "__code__", None)
+        source = bool(code and code.co_flags & __future__.annotations.compiler_flag)
         object.__setattr__(self, "name", name)
         columns: dict[str, str] = {}
         parameters: dict[str, str] = {}
@@ -70,9 +76,12 @@ class FunctionModel(DifferencedModel):
                 raise ValueError(
                     f"{self._place}: {label} has a default, which no search would use; remove it"
                 )
-            group = columns if argument.kind in COLUMN else parameters
-            group[argument.name] = self._unit(argument.annotation, label, argument.name)
-        output = self._unit(signature.return_annotation, "the result", ") ->")
+            column = argument.kind in COLUMN
+            if self.columns:
+                column = argument.name in self.columns
+            group = columns if column else parameters
+            group[argument.name] = _unit(argument.annotation, source)
+        output = _unit(signature.return_annotation, source)
         if not columns or not parameters:
             raise ValueError(
                 f"{self._place}: has {len(columns)} input columns and {len(parameters)} "
@@ -88,6 +97,11 @@ class FunctionModel(DifferencedModel):
         object.__setattr__(self, "parameters", types.MappingProxyType(parameters))
         object.__setattr__(self, "output", output)
         object.__setattr__(self, "linear", tuple(self.linear))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """What it was made of, from which it is made again."""
+        parts = (self.function, self.batched, self.linear, self.source, self.columns)
+        return FunctionModel, parts
 
     @property
     def formula(self) -> FunctionFormula | None:
@@ -167,18 +181,18 @@ class FunctionModel(DifferencedModel):
         place = f"{self.source}:{line}: {self.name}" if line else self._place
         return f"{place} raises {type(error).__name__}: {error}"
 
-    def _unit(self, annotation: Any, label: str, before: str) -> str:
-        """The unit; `from __future__ import annotations` gives the source of the string."""
-        if not isinstance(annotation, str):
-            example = f'{before} "m"' if before.endswith(">") else f'{before}: "m"'
-            raise ValueError(
-                f"{self._place}: {label} has no unit; annotate it with a string, such as {example}"
-            )
+
+def _unit(annotation: Any, source: bool) -> str:
+    """The unit in an annotation, "" for one that is no string.
+
+    With `from __future__ import annotations` an annotation is its `source`: a string is in quotes.
+    """
+    if source and isinstance(annotation, str):
         try:
-            literal = ast.literal_eval(annotation)
+            annotation = ast.literal_eval(annotation)
         except (SyntaxError, ValueError):
-            return annotation
-        return literal if isinstance(literal, str) else annotation
+            return ""
+    return annotation if isinstance(annotation, str) else ""
 
 
 @dataclass(frozen=True)

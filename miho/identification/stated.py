@@ -1,0 +1,53 @@
+"""The parameters of a model as a user stated them: free, fixed and tied ones."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from miho.identification.curve_fit import CurveFit
+from miho.identification.uncertainty import Linearised
+from miho.models.tied import TiedExpression, TiedModel
+from miho.quantities import Array
+
+FREE = "free"
+
+
+class Stated(NamedTuple):
+    """One parameter: value, unit and standard error; `held` is FREE, "fixed" or an expression.
+
+    The error is 0 for a fixed one, NaN for one at its bound, infinite for one that the data do not
+    determine.
+    """
+
+    name: str
+    unit: str
+    value: float
+    standard_error: float
+    held: str
+
+
+def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], Array]:
+    """The model's parameters, then those of the space only, and the derivatives of all of them
+    with respect to the free ones, (d, f), to first order in which errors propagate."""
+    model = problem.model
+    units = {parameter.name: parameter.unit for parameter in problem.space.parameters}
+    slopes = np.eye(len(units))
+    errors = dict(zip(units, at.standard_errors, strict=True))
+    values = dict(zip(units, at.theta, strict=True))
+    if not isinstance(model, TiedModel | TiedExpression):
+        return [Stated(n, units[n], values[n], errors[n], FREE) for n in units], slopes
+    ties, own = model.ties, model.model.parameters
+    rows = ties.whole_slopes(at.theta)
+    values |= dict(zip(ties.parameters, ties.whole(at.theta[None])[0], strict=True))
+    spread = dict(zip(ties.parameters, at.spread(rows), strict=True))
+    extra = [name for name in units if name not in own]
+    stated = []
+    for name in (*own, *extra):
+        tie = ties.ties.get(name)
+        held = FREE if tie is None else f"= {tie}" if isinstance(tie, str) else "fixed"
+        error = errors[name] if name in errors else spread[name]
+        stated.append(Stated(name, units.get(name) or own.get(name, ""), values[name], error, held))
+    chosen = [list(units).index(name) for name in extra]
+    return stated, np.vstack([rows, slopes[chosen]])
