@@ -48,6 +48,10 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         NUMERICS | TABLES | {"jinja2", "markupsafe", "pooch", "vl_convert"},
     ),
     "miho.analysis": ({"miho.analysis", "miho.study"}, NUMERICS | TABLES),
+    "miho.fitting": (
+        {"miho.identification", "miho.optim", "miho.models", "miho.data", "miho.analysis"},
+        NUMERICS | TABLES,
+    ),
     "miho.methods": ({"miho.methods", "miho.optim"}, NUMERICS),
     "miho.testing": ({"miho.testing", "miho.optim", "miho.models"}, NUMERICS),
     "baselines": (

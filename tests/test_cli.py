@@ -276,7 +276,7 @@ calls = 0
 def line(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N") -> "N":
     global calls
     calls += 1
-    if calls > {after}:
+    if alpha.size and calls > {after}:
         {late}
     return Sy - B * D * (alpha - Sx)
 """

@@ -17,7 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.models.model import DifferencedModel, Model
-from miho.models.symbolic import NotAFormulaError, Symbol, jointly_linear, trace
+from miho.models.symbolic import (
+    NotAFormulaError,
+    Symbol,
+    arguments_of,
+    jointly_linear,
+    trace,
+)
 from miho.models.traced import TracedExpression
 from miho.quantities import Array
 from miho.regular_file import read_regular
@@ -105,13 +111,13 @@ class FunctionModel(DifferencedModel):
 
     @property
     def formula(self) -> FunctionFormula | None:
-        """The function as a formula, None for one that does more than arithmetic on numbers."""
+        """The function as a formula of its parameters, None where it is more than arithmetic."""
         formula = FunctionFormula(self)
         try:
-            _ = formula.graph
+            used = arguments_of([formula.graph])
         except NotAFormulaError:
             return None
-        return formula
+        return formula if any(p.arguments[0] in used for p in formula.arguments) else None
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""

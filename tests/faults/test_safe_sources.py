@@ -16,6 +16,9 @@ ALLOWED = {
     # the model in a file of the user's, the one door for code
     ("miho/models/function_model.py", "exec"),
     ("miho/models/function_model.py", "compile"),
+    # formulas that are written from a graph of known operations and numbers
+    ("miho/models/symbolic.py", "exec"),
+    ("miho/models/symbolic.py", "compile"),
     # the conformance suite copies what it has just made
     ("miho/testing/optimizers.py", "pickle"),
 }

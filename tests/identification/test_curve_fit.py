@@ -277,10 +277,7 @@ def test_a_function_is_a_model() -> None:
     assert fit.name == "decay-d"
     assert fit.loss(np.array([[2.0, 1.5]]))[0] == 0
     for wrong, message in (
-        (
-            lambda t, a, b: a,
-            "argument 't' has no unit; annotate it with a string, such as t: \"m\"",
-        ),
+        (lambda t, a, b: a, "has 3 input columns and 0 parameters; expected at least one of each"),
         (Pacejka, "expected an object of a model class"),
         ("decay", "the model is 'decay'; expected"),
     ):
