@@ -51,6 +51,8 @@ def fit(
     y: Any,
     space: Space | Mapping[str, Any] | None = None,
     *,
+    sigma: Any = None,
+    sigma_known: bool = True,
     start: Mapping[str, float] | None = None,
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
@@ -71,6 +73,9 @@ def fit(
     {"low": 1, "high": 1e6, "scale": "log"}, or a `Parameter`. `fixed` holds parameters at numbers;
     `tied` at expressions of others, which may be parameters of the space only.
 
+    `sigma` is the standard deviation of the errors: a number, one for each row (N,), or the name of
+    a column of `x`; with `sigma_known` false up to a factor, which the residuals then tell.
+
     `method` searches within the bounds, `MIHOGN()` by default. With a `start` of every free
     parameter there is one descent from there, and bounds are not needed. `loss` is what a residual
     costs: its square, or one that outliers cannot dominate. The function is `compiled` at its first
@@ -78,10 +83,12 @@ def fit(
 
     Raises ValueError for what does not fit together, and where no finite value was found.
     """
-    dataset, chosen = _data(model, x, y)
+    dataset, chosen, sigma = _data(model, x, y, sigma)
     bounds = _space(chosen, space, start, fixed or {}, tied or {})
     rho = Square() if loss is None else loss
-    problem = CurveFit(chosen, dataset, bounds, rho, compiled=compiled)
+    problem = CurveFit(
+        chosen, dataset, bounds, rho, compiled=compiled, sigma=sigma, sigma_known=sigma_known
+    )
     if start is not None:
         descent = refit(problem, np.array([float(start[name]) for name in problem.space.names]))
         if not math.isfinite(descent.cost):
@@ -186,7 +193,8 @@ class Fit(Remade):
         table = self.parameters.to_string(float_format=lambda number: f"{number:.5g}")
         rows = len(self.problem.dataset)
         error = f"error {self.error:.5g} {self.problem.unit}".rstrip()
-        return f"{table}\n{error} (root mean square of {rows:,} rows); {self.optimum}"
+        weights = "" if self.problem.weights is None else ", weighted by sigma"
+        return f"{table}\n{error} (root mean square of {rows:,} rows{weights}); {self.optimum}"
 
     def __repr__(self) -> str:
         """As it is printed, so that an interpreter shows it."""
@@ -199,13 +207,13 @@ class Fit(Remade):
         return f"{table}<p>{last}</p>"
 
 
-def _data(model: Any, x: Any, y: Any) -> tuple[Dataset, Model]:
-    """The dataset, and the model with the units that its function declares."""
-    columns = x if isinstance(x, Mapping) or hasattr(x, "columns") else None
+def _data(model: Any, x: Any, y: Any, sigma: Any) -> tuple[Dataset, Model, str | float | None]:
+    """The dataset, the model with the units that its function declares, and sigma as it has it."""
+    by_name = isinstance(x, Mapping) or hasattr(x, "columns")
     if isinstance(y, str):
-        if columns is None or y not in columns:
+        if not by_name or y not in x:
             raise ValueError(f"y is {y!r}, which is no column of x; give its values or its name")
-        output, values = y, columns[y]
+        output, values = y, x[y]
     else:
         output, values = "y", y
     if not isinstance(model, Model):
@@ -213,8 +221,17 @@ def _data(model: Any, x: Any, y: Any) -> tuple[Dataset, Model]:
     inputs = _inputs(model, x)
     while output in inputs:
         output += "_"
-    units = {**model.inputs, output: model.output}
-    return Dataset(model.name or "data", {**inputs, output: values}, units, output), model
+    columns, units = {**inputs, output: values}, {**model.inputs, output: model.output}
+    if isinstance(sigma, str):
+        if not by_name or sigma not in x:
+            raise ValueError(f"sigma is {sigma!r}, which is no column of x; give values or a name")
+        sigma = x[sigma]
+    if sigma is not None and np.ndim(sigma):
+        name = "sigma"
+        while name in columns:
+            name += "_"
+        columns[name], units[name], sigma = sigma, model.output, name
+    return Dataset(model.name or "data", columns, units, output), model, sigma
 
 
 def _column_names(function: Any, x: Any) -> tuple[str, ...]:

@@ -34,7 +34,7 @@ from experiments.app.safety import (
 from experiments.app.schema import Config
 from miho.data import Dataset
 from miho.identification import CurveFit, Loss, linear_optimum
-from miho.identification.irreducible import irreducible_interval
+from miho.identification.report import irreducible_of
 from miho.models import Model
 from miho.models.expression import Expression
 from miho.optim import Budget, Optimizer, Parameter, Space
@@ -81,15 +81,12 @@ class Experiment:
 
 @lru_cache(maxsize=4)
 def _facts(problem: CurveFit) -> Mapping[str, Any]:
-    dataset, model = problem.dataset, problem.model
     facts: dict[str, Any] = {"unit": problem.unit}
-    if len(model.inputs) == 1:
-        (column,) = model.inputs
-        floor = irreducible_interval(dataset[column], dataset[dataset.output])
-        if math.isfinite(floor.value):
-            facts["irreducible"] = floor.value
-        if floor.resolved:
-            facts |= {"irreducible_low": floor.low, "irreducible_high": floor.high}
+    floor = irreducible_of(problem)
+    if math.isfinite(floor.value):
+        facts["irreducible"] = floor.value
+    if floor.resolved:
+        facts |= {"irreducible_low": floor.low, "irreducible_high": floor.high}
     optimum = linear_optimum(problem)
     if optimum is not None:
         facts["optimum"] = optimum[1]
@@ -135,6 +132,8 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
         config = {key: _part(setting, key) for key in ("model", "dataset", "loss", "budget")}
         config["space"] = scaled_by(problem.dataset, _part(setting, "space"))
         config["problem"] = {key: setting["problem"][key] for key in ("name", "compressed")}
+        if setting["problem"]["sigma"] is not None:
+            config["problem"] |= {key: setting["problem"][key] for key in SIGMA}
         identity = Identity(
             problem=problem.name,
             optimizer=name,
@@ -182,7 +181,7 @@ def build_problem(cfg: Settings, dataset: Dataset | None = None) -> CurveFit:
     space = build_space(scaled_by(dataset, _part(setting, "space")))
     rho = instantiate(_part(setting, "loss"), "loss", Loss)
     settings = _part(setting, "problem")
-    switches = {key: settings[key] for key in ("threads", "compressed")}
+    switches = {key: settings[key] for key in ("threads", "compressed", *SIGMA)}
     try:
         return CurveFit(model, dataset, space, rho, settings["name"], **switches)
     except (TypeError, ValueError) as error:
@@ -209,8 +208,9 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
         raise ConfigError(f"{stored.folder}: its data have changed since; identify again")
     try:
         name, space = config["problem"].get("name"), build_space(config["space"])
-        compressed = config["problem"].get("compressed", False)
-        return CurveFit(model, dataset, space, rho, name, compressed=compressed)
+        switches = {key: config["problem"][key] for key in SIGMA if key in config["problem"]}
+        switches["compressed"] = config["problem"].get("compressed", False)
+        return CurveFit(model, dataset, space, rho, name, **switches)
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{stored.folder}: {error}") from None
 
@@ -231,6 +231,8 @@ def build_dataset(node: Mapping[str, Any]) -> Dataset:
 
 SCALABLE = ("low", "high", "mean", "std", "sigma_max")
 UNSET = (MISSING, None)
+HELD = ("fixed", "tied")
+SIGMA = ("sigma", "sigma_known")
 UNBOUNDED = {"low": -math.inf, "high": math.inf}
 
 
@@ -242,6 +244,9 @@ def scaled_by(dataset: Dataset, node: Mapping[str, Any]) -> dict[str, dict[str, 
     space: dict[str, dict[str, Any]] = {}
     for name, settings in node.items():
         plain = {key: value for key, value in settings.items() if key != "scaled"}
+        for key in HELD:  # which a run's identity names only where a parameter is held
+            if plain.get(key) is None:
+                plain.pop(key, None)
         scaled = dict(settings.get("scaled") or {})
         if scaled:
             prefix = f"space.{name}.scaled"

@@ -51,7 +51,8 @@ class ProblemConfig:
     output's unit, and `evidence` says how it is known. Of data without errors, an error below
     `resolution` is rounding, and counts as equal to it in an arena. `compressed` and `threads` are
     those of `miho.CurveFit`: they make losses faster, which methods that work with residuals
-    (`miho_gn`, least squares) do not ask for.
+    (`miho_gn`, least squares) do not ask for. `sigma` is the standard deviation of the errors, a
+    number or a column of the dataset, known as it is or up to a factor (`sigma_known`).
     """
 
     name: str | None = None
@@ -61,6 +62,8 @@ class ProblemConfig:
     evidence: str = ""
     compressed: bool = False
     threads: int = 1
+    sigma: Any = None
+    sigma_known: bool = True
 
 
 @dataclass

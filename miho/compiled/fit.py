@@ -22,11 +22,15 @@ from miho.compiled.arrays import cause
 from miho.compiled.compressed import CompressedLoss
 from miho.compiled.fused import FusedLoss
 from miho.compiled.kernel import Climb, Formulas, Rows
+from miho.compiled.signature import signature_of
 from miho.quantities import Array
 
 Values = Callable[[Array], Array]
 """(theta (d,)) -> losses, residuals or derivatives (..., rows) at one configuration."""
 
+AGREED: set[tuple[str, str]] = set()
+"""Signatures of formulas and kinds of values that agreed with NumPy's: once in a process is enough,
+so that many fits of a model pay for one comparison."""
 COMPARED = 1000
 """Rows on which compiled values are compared with NumPy's."""
 CLOSE = 1e-9
@@ -94,6 +98,8 @@ class FitKernel:
         return FusedLoss(self.model, self.X, self.y, self.order, self.threads)
 
     def _agrees(self, kind: str) -> bool:
+        if (self._signature, kind) in AGREED:
+            return True
         if kind not in self._disagreements:
             rows = self.order[:COMPARED]
             part = FusedLoss(self.model, self.X[:, rows], self.y[rows], np.arange(rows.size))
@@ -106,7 +112,13 @@ class FitKernel:
                     UserWarning,
                     stacklevel=4,
                 )
+            else:
+                AGREED.add((self._signature, kind))
         return not self._disagreements[kind]
+
+    @cached_property
+    def _signature(self) -> str:
+        return signature_of(self.model.value, self.model.derivatives)
 
     @cached_property
     def _disagreements(self) -> dict[str, str]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from miho.compiled import kernel_for
 from miho.data.dataset import Dataset
-from miho.identification.curve_fit_checks import TRIALS, check_curve_fit, ties_of
+from miho.identification.curve_fit_checks import TRIALS, check_curve_fit, check_sigma, ties_of
 from miho.identification.irreducible import irreducible_interval, irreducible_limit
 from miho.identification.loss import Loss, Square, slope
 from miho.identification.row_order import row_order
@@ -21,6 +21,7 @@ from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.models.tied import tie
 from miho.models.traced import Remade, TracedExpression
+from miho.models.weighted import weighted
 from miho.optim.problem import LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
@@ -71,6 +72,11 @@ class CurveFit(Remade, LeastSquaresProblem):
     describes them. One of arithmetic and NumPy's functions of numbers gets exact derivatives. It is
     compiled from WORTH_COMPILING rows on, like a tied expression, or where `compiled` is true;
     where that is false, every model is evaluated by NumPy.
+
+    `sigma` is the standard deviation of the errors, a number or a column of the data, in the
+    output's unit: known as it is, or if not `sigma_known` up to one factor for all rows, which the
+    residuals then tell. Residuals and errors are weighted by `scale` / sigma, so that they and the
+    loss keep the output's unit.
     """
 
     model: Model
@@ -81,6 +87,8 @@ class CurveFit(Remade, LeastSquaresProblem):
     threads: int = 1
     compressed: bool = False
     compiled: bool | None = None
+    sigma: str | float | None = None
+    sigma_known: bool = True
 
     def __post_init__(self) -> None:
         model = _model(self.model)
@@ -89,6 +97,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         object.__setattr__(self, "model", model)
         object.__setattr__(self, "space", self.space.free)
         check_curve_fit(self)
+        check_sigma(self)
         if self.compressed and (self.kernel is None or self.kernel.few_nodes is None):
             raise ValueError(
                 f"compressed is true for {self.model.name or type(self.model).__name__} with "
@@ -128,6 +137,8 @@ class CurveFit(Remade, LeastSquaresProblem):
         """
         if not self._square or self.model.ordered or len(self.dataset) < FEWEST:
             return math.inf
+        if self.weights is not None:
+            return math.inf  # neighbouring rows do not scatter alike
         most_rows = SORTED_ROWS if len(self.inputs) == 1 else NEIGHBOUR_ROWS
         sample = slice(None, None, -(-len(self.dataset) // most_rows))
         X, y = np.array(self.inputs)[:, sample], self._output[sample]
@@ -154,19 +165,48 @@ class CurveFit(Remade, LeastSquaresProblem):
         """The model's input columns, (N,) each."""
         return tuple(self.dataset[column] for column in self.model.inputs)
 
-    @cached_property
+    @property
     def _output(self) -> Array:
         return self.dataset[self.dataset.output]
 
     @cached_property
+    def scale(self) -> float | None:
+        """The root of the harmonic mean of sigma^2, in the output's unit; None without sigma."""
+        if self.sigma is None:
+            return None
+        sigma = self.dataset[self.sigma] if isinstance(self.sigma, str) else np.array([self.sigma])
+        return float(1 / np.sqrt(np.mean(1 / sigma**2)))
+
+    @cached_property
+    def weights(self) -> Array | None:
+        """What residuals are multiplied by, (N,), of mean square 1; None where all count alike."""
+        if not isinstance(self.sigma, str) or self.scale is None:
+            return None
+        return np.asarray(self.scale / self.dataset[self.sigma])
+
+    @cached_property
+    def _fitted(self) -> Model:
+        """The model of `_target` over `_columns`, the weighted output."""
+        return self.model if self.weights is None else weighted(self.model)
+
+    @cached_property
+    def _columns(self) -> tuple[Array, ...]:
+        return self.inputs if self.weights is None else (*self.inputs, self.weights)
+
+    @cached_property
+    def _target(self) -> Array:
+        return self._output if self.weights is None else self._output * self.weights
+
+    @cached_property
     def kernel(self) -> FitKernel | None:  # type: ignore[override]
         """Compiled forms of the square loss of a model that is an expression."""
-        if not (isinstance(self.model, Expression) and self._square and self._worth_compiling):
+        model = self._fitted
+        if not (isinstance(model, Expression) and self._square and self._worth_compiling):
             return None
         thetas = self.space.decode(self.space.initial(TRIALS))
         name = self.model.name or type(self.model).__name__
         return kernel_for(
-            self.model, np.array(self.inputs), self._output, self._order, thetas,
+            model, np.array(self._columns), self._target, self._order, thetas,
             name=name, threads=self.threads, compressed=self.compressed,
         )  # fmt: skip
 
@@ -212,34 +252,34 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Mean squared error (n,) of parameter rows (n, d), over a fidelity of the data rows."""
-        inputs, output, rows = self.inputs, self._output, self._rows(fidelity)
+        columns, output, rows = self._columns, self._target, self._rows(fidelity)
         if self.kernel is not None:
             losses = self.kernel.losses(thetas, rows)
             if losses is not None:
                 return losses
         if rows < output.size:
             part = self._order[:rows]
-            inputs, output = tuple(column[part] for column in inputs), output[part]
+            columns, output = tuple(column[part] for column in columns), output[part]
         block = max(1, BLOCK // output.size)
         if len(thetas) <= block:
-            return self._block_loss(thetas, inputs, output)
+            return self._block_loss(thetas, columns, output)
         losses = np.empty(len(thetas))
         for start in range(0, len(thetas), block):
             batch = slice(start, start + block)
-            losses[batch] = self._block_loss(thetas[batch], inputs, output)
+            losses[batch] = self._block_loss(thetas[batch], columns, output)
         return losses
 
-    def _block_loss(self, thetas: Array, inputs: tuple[Array, ...], output: Array) -> Array:
-        residuals = self.model.predict(thetas, *inputs)
+    def _block_loss(self, thetas: Array, columns: tuple[Array, ...], output: Array) -> Array:
+        residuals = self._fitted.predict(thetas, *columns)
         residuals -= output
         return mean_square(self.rho.transform(residuals))
 
     def errors(self, theta: Array, fidelity: float = 1.0) -> Array:
-        """Model minus data, (m,)."""
+        """Model minus data, weighted, (m,)."""
         return np.asarray(self._errors(theta[None], fidelity)[0])
 
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
-        """Model minus data, transformed by rho, (m,)."""
+        """Model minus data, weighted and transformed by rho, (m,)."""
         return np.asarray(self.residual_rows(theta[None], fidelity)[0])
 
     def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
@@ -259,8 +299,8 @@ class CurveFit(Remade, LeastSquaresProblem):
             residuals = self.kernel.residuals(thetas)
             if residuals is not None:
                 return residuals
-        errors = self.model.predict(thetas, *self._inputs_of(part))
-        errors -= self._output if part is None else self._output[part]
+        errors = self._fitted.predict(thetas, *self._columns_of(part))
+        errors -= self._target if part is None else self._target[part]
         return np.asarray(errors)
 
     @cached_property
@@ -275,7 +315,7 @@ class CurveFit(Remade, LeastSquaresProblem):
             derivatives = self.kernel.jacobian(theta)
             if derivatives is not None:
                 return derivatives
-        derivatives = self.model.jacobian(theta, *self._inputs_of(part))
+        derivatives = self._fitted.jacobian(theta, *self._columns_of(part))
         if self._square:
             return derivatives
         errors = self._latest_errors.get((theta.tobytes(), len(derivatives)))
@@ -283,10 +323,14 @@ class CurveFit(Remade, LeastSquaresProblem):
             errors = self.errors(theta, fidelity)
         return np.asarray(slope(self.rho, errors)[:, None] * derivatives)
 
-    def _inputs_of(self, part: NDArray[np.intp] | None) -> tuple[Array, ...]:
+    def error_slopes(self, theta: Array) -> Array:
+        """Derivatives of the errors, (N, d)."""
+        return self._fitted.jacobian(theta, *self._columns)
+
+    def _columns_of(self, part: NDArray[np.intp] | None) -> tuple[Array, ...]:
         if part is None:
-            return self.inputs
-        return tuple(column[part] for column in self.inputs)
+            return self._columns
+        return tuple(column[part] for column in self._columns)
 
 
 def _model(model: object) -> Model:

@@ -67,6 +67,31 @@ def check_curve_fit(problem: CurveFit) -> None:
     _check_nominal(problem, model_name)
 
 
+def check_sigma(problem: CurveFit) -> None:
+    """Raise ValueError for standard deviations that are not positive numbers of the data."""
+    sigma = problem.sigma
+    if sigma is None:
+        return
+    if not isinstance(sigma, str):
+        if isinstance(sigma, bool) or not isinstance(sigma, int | float) or not 0 < sigma < np.inf:
+            raise ValueError(f"sigma is {sigma!r}; expected a number above 0, or a column's name")
+        return
+    column, dataset = problem.dataset[sigma], problem.dataset
+    if sigma in problem.model.inputs or sigma == dataset.output:
+        raise ValueError(f"sigma is {sigma!r}, which the model explains or reads; give another one")
+    if dataset.units[sigma] != problem.unit and dataset.units[sigma] and problem.unit:
+        raise ValueError(
+            f"sigma: column {sigma!r} has unit {dataset.units[sigma]!r}; expected that of "
+            f"{dataset.output!r}, {problem.unit!r}"
+        )
+    wrong = np.flatnonzero(column <= 0)
+    if wrong.size:
+        raise ValueError(
+            f"sigma: column {sigma!r} is {column[wrong[0]]:g} in row {wrong[0] + 1} of "
+            f"{dataset.name}; expected numbers above 0"
+        )
+
+
 def ties_of(model: Model, space: Space) -> Ties:
     """How the model's parameters follow from the free ones of a space.
 

@@ -46,7 +46,7 @@ def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
 
 
 def _tied(model: TiedModel | TiedExpression, dataset: Dataset) -> tuple[Derived, ...]:
-    """The parameters that are tied by an expression, and the quantities of the whole model."""
+    """The parameters that are held, and the quantities of the whole model."""
     ties, units = model.ties, model.model.parameters
 
     def parameter(k: int) -> Callable[[Array], Array]:
@@ -55,11 +55,12 @@ def _tied(model: TiedModel | TiedExpression, dataset: Dataset) -> tuple[Derived,
     def of_whole(quantity: Derived) -> Derived:
         return replace(quantity, evaluate=lambda thetas: quantity.evaluate(ties.whole(thetas)))
 
-    parameters = [
-        Derived(f"{name} = {ties.ties[name]}", units[name], parameter(k))
-        for k, name in enumerate(ties.parameters)
-        if isinstance(ties.ties.get(name), str)
-    ]
+    parameters = []
+    for k, name in enumerate(ties.parameters):
+        tie = ties.ties.get(name)
+        if tie is not None:
+            label = f"{name} = {tie}" if isinstance(tie, str) else f"{name}, fixed"
+            parameters.append(Derived(label, units[name], parameter(k)))
     return (*parameters, *(of_whole(quantity) for quantity in derived(model.model, dataset)))
 
 

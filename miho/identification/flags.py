@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -24,6 +25,8 @@ UNEVEN = 0.25
 """A sandwich standard error this far from the usual one, as a fraction of it, is noted."""
 RESEMBLING = 0.1
 """Correlation of neighbouring rows' errors from which on they are not independent."""
+SURPRISING = 5e-4
+"""A sum of squares that a sigma taken as known gives this rarely, on either side, is mentioned."""
 CHANCE = 0.01
 """Uneven spread is mentioned if chance makes it this rarely."""
 OUTLIERS = 0.7
@@ -262,3 +265,21 @@ def _entangled(correlation: Array) -> list[list[int]]:
 
 def _listed(words: Sequence[str]) -> str:
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def sigma_disagrees(problem: CurveFit, at: Linearised) -> list[str]:
+    """Whether the errors are larger or smaller than sigma, if that is known, says they are."""
+    if not at.noise_known:
+        return []
+    squares = float(np.sum(problem.errors(at.theta) ** 2)) / at.noise**2
+    freedom = at.freedom
+    tails = scipy.special.chdtr(freedom, squares), scipy.special.chdtrc(freedom, squares)
+    if min(tails) >= SURPRISING:
+        return []
+    times = math.sqrt(squares / freedom)
+    meaning = "too small, or the model is wrong" if times > 1 else "too large"
+    return [
+        f"the errors are {times:.3g} times as large as sigma says (chi-squared {squares:.4g} with "
+        f"{freedom} degrees of freedom): sigma is {meaning}. Standard errors take it as it is; "
+        "sigma_known=False estimates a common factor."
+    ]

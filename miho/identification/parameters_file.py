@@ -11,8 +11,11 @@ import numpy as np
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import refit
-from miho.identification.uncertainty import linearised
+from miho.identification.stated import stated_parameters
+from miho.identification.uncertainty import Linearised, linearised
 from miho.models.identified import Identified, Value
+from miho.models.model import Model
+from miho.models.tied import whole_model
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -35,12 +38,12 @@ def identified(report: Report, origin: Mapping[str, Any]) -> Identified:
     """The model that a report is of; `origin` says what regenerates the run."""
     kind = interval_kind(report.parameters)
     doubt = report.standing.doubt
+    values = {row["parameter"]: _value(row, kind) for row in report.parameters.to_dict("records")}
+    model, values, correlation = _whole(report.problem, report.at, values, report.level)
     return Identified(
-        model=report.problem.model,
-        parameters={
-            row["parameter"]: _value(row, kind) for row in report.parameters.to_dict("records")
-        },
-        correlation=report.at.correlation,
+        model=model,
+        parameters=values,
+        correlation=correlation,
         ranges=_ranges(report.problem),
         derived={
             row["quantity"]: _value(row, "linearised")
@@ -65,21 +68,47 @@ def identified_at(problem: CurveFit, theta: Array) -> Identified:
     Errors are NaN where there are no such intervals, as for data with fewer rows than parameters.
     """
     size = len(theta)
-    errors, ends = np.full(size, math.nan), np.full((size, 2), math.nan)
-    correlation = np.eye(size)
+    errors, ends, at = np.full(size, math.nan), np.full((size, 2), math.nan), None
     with contextlib.suppress(ValueError):
         at = linearised(problem, refit(problem, theta).theta)
-        errors, ends, correlation = at.standard_errors, at.intervals(), at.correlation
+        errors, ends = at.standard_errors, at.intervals()
     parameters = {
         p.name: Value(float(theta[i]), p.unit, float(errors[i]), *map(float, ends[i]))
         for i, p in enumerate(problem.space.parameters)
     }
+    model, correlation = problem.model, np.eye(size)
+    if at is not None:
+        model, parameters, correlation = _whole(problem, at, parameters)
     loss = float(problem.loss(theta[None])[0])
     derived = {}
     if "vx" in problem.dataset.columns and "vx" not in problem.model.inputs:
         derived[MEAN_SPEED] = Value(float(problem.dataset["vx"].mean()), "m/s")
     about = {"problem": problem.name, "data": problem.dataset.digest, "error": math.sqrt(loss)}
-    return Identified(problem.model, parameters, correlation, _ranges(problem), derived, about)
+    return Identified(model, parameters, correlation, _ranges(problem), derived, about)
+
+
+def _whole(
+    problem: CurveFit, at: Linearised, free: Mapping[str, Value], level: float = 0.95
+) -> tuple[Model, dict[str, Value], Array]:
+    """The model of all parameters, their values from those of the free ones, their correlation.
+
+    Tied ones get linearised intervals; a fixed one is as exact as it was given.
+    """
+    model = whole_model(problem.model)
+    if model is problem.model:
+        return model, dict(free), at.correlation
+    stated, slopes = stated_parameters(problem, at)
+    values = {}
+    for one in stated[: len(model.parameters)]:
+        reach = at.quantile(level) * one.standard_error
+        ends = one.value - reach, one.value + reach
+        tied = Value(one.value, model.parameters[one.name], one.standard_error, *ends)
+        values[one.name] = free.get(one.name, tied)
+    slopes = slopes[: len(values)]
+    covariance = slopes @ at.covariance @ slopes.T
+    errors = np.sqrt(np.diag(covariance))
+    usable = np.where(errors > 0, errors, np.nan)
+    return model, values, np.asarray(covariance / np.outer(usable, usable))
 
 
 def _ranges(problem: CurveFit) -> dict[str, tuple[float, float]]:

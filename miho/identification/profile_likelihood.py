@@ -84,6 +84,8 @@ class _SignedRoot:
         psi, stiffness = problem.rho.influence(problem.errors(at.theta))
         # The variance of the errors, cost / freedom for the square loss.
         self._unit = float(psi @ psi / at.freedom / stiffness.mean())
+        if at.noise_known:
+            self._unit = at.noise**2
         self._direction = _conditional_direction(at, index)
         # Along directions that the data do not see a refit would take many steps, in vain.
         self._fixed = {index, *_superfluous(at)}

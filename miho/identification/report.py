@@ -22,6 +22,7 @@ from miho.identification.flags import (
     outliers,
     profile_shapes,
     run_differs,
+    sigma_disagrees,
     too_few,
     uneven_spread,
 )
@@ -242,6 +243,7 @@ class Report:
         sentences += profile_shapes(self.at, space, self.profiles, self.level)
         # The errors: whether standard errors may be computed from them as they are.
         sentences += uneven_spread(self.problem, self.at)
+        sentences += sigma_disagrees(self.problem, self.at)
         sentences += independence(self.problem, self.at)
         sentences += outliers(self.problem, self.at)
         # The model: whether its errors are larger than noise, and follow a column.
@@ -314,7 +316,10 @@ def rounding_of(problem: CurveFit) -> float:
 
 
 def irreducible_of(problem: CurveFit) -> Irreducible:
-    """Estimate of the error no curve in the same single input can beat; NaN for more inputs."""
-    if len(problem.inputs) != 1:
+    """Estimate of the error no curve in the same single input can beat.
+
+    NaN for more inputs, and for rows of different weights, whose neighbours do not scatter alike.
+    """
+    if len(problem.inputs) != 1 or problem.weights is not None:
         return Irreducible(math.nan, math.nan, math.nan)
     return irreducible_interval(problem.inputs[0], problem.dataset[problem.dataset.output])

@@ -39,7 +39,8 @@ class Linearised:
     are held.
 
     `noise` is the standard deviation of the errors in the output's unit, `freedom` the degrees of
-    freedom of Student's t. `unidentifiable` (d,) marks the parameters that a null direction moves.
+    freedom of Student's t, which is the normal distribution if the noise is known and no estimate
+    (`noise_known`). `unidentifiable` (d,) marks the parameters that a null direction moves.
     """
 
     theta: Array
@@ -51,6 +52,7 @@ class Linearised:
     at_bound: NDArray[np.bool_]
     null_directions: Array
     unidentifiable: NDArray[np.bool_]
+    noise_known: bool = False
 
     @cached_property
     def standard_errors(self) -> Array:
@@ -68,7 +70,9 @@ class Linearised:
         return np.asarray(self.covariance / np.outer(usable, usable))
 
     def quantile(self, level: float = 0.95) -> float:
-        """How many standard errors the two-sided interval reaches (Student's t)."""
+        """How many standard errors the two-sided interval reaches (Student's t, or normal)."""
+        if self.noise_known:
+            return float(scipy.special.ndtri((1 + level) / 2))
         return float(scipy.special.stdtrit(self.freedom, (1 + level) / 2))
 
     def intervals(self, level: float = 0.95) -> Array:
@@ -98,7 +102,7 @@ def linearised(problem: CurveFit, theta: Array) -> Linearised:
     """
     # Parameters at a bound are held; the others cost a degree of freedom each.
     errors = problem.errors(theta)
-    J = problem.model.jacobian(theta, *problem.inputs)
+    J = problem.error_slopes(theta)
     if not (np.isfinite(J).all() and np.isfinite(errors).all()):
         raise ValueError(f"{problem.name}: the derivatives at the optimum are not all finite")
     at_bound = _at_bound(problem.space, theta)
@@ -117,6 +121,9 @@ def linearised(problem: CurveFit, theta: Array) -> Linearised:
             f"{problem.name}: most errors are beyond the scale of the loss; choose a larger scale"
         )
     variance = float(psi @ psi) / freedom / shrink**2
+    noise_known = problem.scale is not None and problem.sigma_known
+    if noise_known:
+        variance = float(problem.scale or 0.0) ** 2
     # Pseudo-inverse of J.T J by singular values, with each column scaled to unit length.
     scale = np.linalg.norm(J[:, free], axis=0)
     scale[scale == 0] = 1.0
@@ -152,6 +159,7 @@ def linearised(problem: CurveFit, theta: Array) -> Linearised:
         at_bound=at_bound,
         null_directions=null_directions,
         unidentifiable=unidentifiable,
+        noise_known=noise_known,
     )
 
 

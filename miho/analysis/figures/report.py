@@ -39,7 +39,7 @@ class Column:
     @property
     def label(self) -> str:
         """Name and unit, as on an axis."""
-        return f"{self.name} [{self.unit}]"
+        return f"{self.name} [{self.unit}]" if self.unit else self.name
 
 
 def fit_figure(
