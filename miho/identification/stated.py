@@ -39,7 +39,7 @@ def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], 
     if not isinstance(model, TiedModel | TiedExpression):
         return [Stated(n, units[n], values[n], errors[n], FREE) for n in units], slopes
     ties, own = model.ties, model.model.parameters
-    rows = ties.whole_slopes(at.theta)
+    rows = ties.whole_slopes(at.theta[None])[0]
     values |= dict(zip(ties.parameters, ties.whole(at.theta[None])[0], strict=True))
     spread = dict(zip(ties.parameters, at.spread(rows), strict=True))
     extra = [name for name in units if name not in own]

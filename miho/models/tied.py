@@ -141,11 +141,17 @@ class Ties(Remade):
             columns = self.formula(tuple(thetas.T))
         return np.stack([np.broadcast_to(column, len(thetas)) for column in columns], axis=1)
 
-    def whole_slopes(self, theta: Array) -> Array:
-        """The derivatives (d, f) of the model's parameters at free ones (f,)."""
+    @cached_property
+    def _slope_formula(self) -> Callable[[tuple[Any, ...]], tuple[Any, ...]]:
         flat = [slope for row in self.slopes for slope in row]
-        values = written("slopes", self._signature, flat, single=False)(tuple(theta))
-        return np.array(values, dtype=float).reshape(len(self.parameters), len(self.free))
+        return written("slopes", self._signature, flat, single=False)
+
+    def whole_slopes(self, thetas: Array) -> Array:
+        """The derivatives (n, d, f) of the model's parameters at free ones (n, f)."""
+        with np.errstate(all="ignore"):
+            values = self._slope_formula(tuple(thetas.T))
+        columns = [np.broadcast_to(value, len(thetas)) for value in values]
+        return np.stack(columns, 1).reshape(len(thetas), len(self.parameters), len(self.free))
 
     def linear(self, names: Sequence[str]) -> tuple[str, ...]:
         """The free parameters in which a model is jointly linear that is so in these of its own.
@@ -252,7 +258,7 @@ class TiedModel(_Tied):
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives of the outputs, (N, f), at free parameters (f,)."""
         derivatives = self.model.jacobian(self.ties.whole(theta[None])[0], *inputs)
-        return np.asarray(derivatives @ self.ties.whole_slopes(theta))
+        return np.asarray(derivatives @ self.ties.whole_slopes(theta[None])[0])
 
 
 @dataclass(frozen=True)

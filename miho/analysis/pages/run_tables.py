@@ -58,7 +58,7 @@ def derived_table(report: Report) -> pd.DataFrame:
         rows.append(
             {
                 "derived": row["quantity"],
-                "value": with_error(value, error) if error > 0 else "-",
+                "value": with_error(value, error) if error > 0 else to_error(value, error),
                 "unit": unit,
                 _heading(report, kind): ends(low, high, error),
             }

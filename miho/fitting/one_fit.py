@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -12,17 +11,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from miho.data.dataset import Dataset
+from miho.fitting.statement import data_of, inputs_of, space_of
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
 from miho.identification.standing import standing
 from miho.identification.stated import stated_parameters
 from miho.identification.uncertainty import Linearised, linearised
-from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.models.traced import Remade
-from miho.optim import MIHOGN, Budget, Descents, Optimizer, Parameter, Space, minimize
+from miho.optim import MIHOGN, Budget, Descents, Optimizer, Space, minimize
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -33,8 +31,6 @@ if TYPE_CHECKING:
 
 GRID = 400
 """Points of a curve that is drawn."""
-FAR = 1e6
-"""A parameter without bounds is sought so many times its start on either side of it."""
 
 
 class Prediction(NamedTuple):
@@ -83,8 +79,8 @@ def fit(
 
     Raises ValueError for what does not fit together, and where no finite value was found.
     """
-    dataset, chosen, sigma = _data(model, x, y, sigma)
-    bounds = _space(chosen, space, start, fixed or {}, tied or {})
+    dataset, chosen, sigma = data_of(model, x, y, sigma)
+    bounds = space_of(chosen, space, start, fixed or {}, tied or {})
     rho = Square() if loss is None else loss
     problem = CurveFit(
         chosen, dataset, bounds, rho, compiled=compiled, sigma=sigma, sigma_known=sigma_known
@@ -94,6 +90,16 @@ def fit(
         if not math.isfinite(descent.cost):
             raise ValueError(f"{problem.name}: is not finite at the start; give another one")
         return Fit(problem, descent.theta, descent.theta)
+    return searched(problem, method, budget, seed)
+
+
+def searched(
+    problem: CurveFit,
+    method: Optimizer | None = None,
+    budget: Budget | None = None,
+    seed: int = 0,
+) -> Fit:
+    """The optimum of a problem, by `MIHOGN()` unless another method is given."""
     run = minimize(method or MIHOGN(), problem, budget, seed)
     if run.theta is None:
         raise ValueError(f"{problem.name}: no finite value was found: {run.error or run.rejected}")
@@ -165,7 +171,7 @@ class Fit(Remade):
 
     def predict(self, x: Any) -> Prediction:
         """The curve at inputs, given as to `fit`, with its interval at `level`."""
-        inputs = _inputs(self.problem.model, x)
+        inputs = inputs_of(self.problem.model, x)
         columns = np.broadcast_arrays(*(np.atleast_1d(c).astype(float) for c in inputs.values()))
         value = self.problem.model.predict(self.theta[None], *columns)[0]
         spread = self.uncertainty.spread(self.problem.model.jacobian(self.theta, *columns))
@@ -205,116 +211,3 @@ class Fit(Remade):
         table = self.parameters.to_html(float_format=lambda number: f"{number:.5g}")
         last = escape(str(self).rpartition("\n")[2])
         return f"{table}<p>{last}</p>"
-
-
-def _data(model: Any, x: Any, y: Any, sigma: Any) -> tuple[Dataset, Model, str | float | None]:
-    """The dataset, the model with the units that its function declares, and sigma as it has it."""
-    by_name = isinstance(x, Mapping) or hasattr(x, "columns")
-    if isinstance(y, str):
-        if not by_name or y not in x:
-            raise ValueError(f"y is {y!r}, which is no column of x; give its values or its name")
-        output, values = y, x[y]
-    else:
-        output, values = "y", y
-    if not isinstance(model, Model):
-        model = FunctionModel(model, columns=_column_names(model, x))
-    inputs = _inputs(model, x)
-    while output in inputs:
-        output += "_"
-    columns, units = {**inputs, output: values}, {**model.inputs, output: model.output}
-    if isinstance(sigma, str):
-        if not by_name or sigma not in x:
-            raise ValueError(f"sigma is {sigma!r}, which is no column of x; give values or a name")
-        sigma = x[sigma]
-    if sigma is not None and np.ndim(sigma):
-        name = "sigma"
-        while name in columns:
-            name += "_"
-        columns[name], units[name], sigma = sigma, model.output, name
-    return Dataset(model.name or "data", columns, units, output), model, sigma
-
-
-def _column_names(function: Any, x: Any) -> tuple[str, ...]:
-    """Which arguments of a function are columns: those before the *, else as many as x has."""
-    try:
-        arguments = inspect.signature(function).parameters
-    except (TypeError, ValueError):
-        return ()  # which the function model refuses
-    if any(a.kind is a.KEYWORD_ONLY for a in arguments.values()):
-        return ()
-    if isinstance(x, Mapping) or hasattr(x, "columns"):
-        return tuple(name for name in arguments if name in x)
-    return tuple(arguments)[: len(x) if isinstance(x, tuple) else 1]
-
-
-def _inputs(model: Model, x: Any) -> dict[str, Any]:
-    """The input columns by name."""
-    names = list(model.inputs)
-    if isinstance(x, Mapping) or hasattr(x, "columns"):
-        lacking = [name for name in names if name not in x]
-        if lacking:
-            raise ValueError(
-                f"x has no column {', '.join(lacking)}; {model.name} needs {', '.join(names)}"
-            )
-        return {name: np.asarray(x[name], dtype=float) for name in names}
-    columns = x if isinstance(x, tuple) else (x,)
-    if len(columns) != len(names):
-        raise ValueError(
-            f"x is {len(columns)} columns; {model.name} needs {len(names)}: {', '.join(names)}; "
-            "give them as a tuple or by name"
-        )
-    return dict(zip(names, (np.asarray(column, dtype=float) for column in columns), strict=True))
-
-
-def _space(
-    model: Model,
-    bounds: Space | Mapping[str, Any] | None,
-    start: Mapping[str, float] | None,
-    fixed: Mapping[str, float],
-    tied: Mapping[str, str],
-) -> Space:
-    """The space that bounds, start, and what is fixed or tied make, the model's parameters first.
-
-    Parameters without bounds reach FAR times their start to either side.
-    """
-    given = bounds if isinstance(bounds, Mapping) else {}
-    if isinstance(bounds, Space):
-        given = {parameter.name: parameter for parameter in bounds.parameters}
-    names = list(dict.fromkeys([*model.parameters, *given]))
-    for label, part in (("start", start or {}), ("fixed", fixed), ("tied", tied)):
-        for name in part:
-            if name not in names:
-                raise ValueError(f"{label}: {name} is no parameter; choose from {', '.join(names)}")
-    parameters = []
-    for name in names:
-        unit = model.parameters.get(name, "")
-        settings = _settings(name, given.get(name))
-        if name in fixed:
-            settings |= {"fixed": float(fixed[name])}
-        elif name in tied:
-            settings |= {"tied": tied[name]}
-        elif start is not None and name in start and "low" not in settings:
-            reach = FAR * max(abs(float(start[name])), 1.0)
-            settings |= {"low": start[name] - reach, "high": start[name] + reach}
-        elif not settings:
-            raise ValueError(
-                f"{name} has no bounds; give them, as in {{{name!r}: (0, 10)}}, or a start of "
-                "every parameter"
-            )
-        elif start is not None and name not in start and "fixed" not in settings:
-            raise ValueError(f"start: lacks {name}; give a start of every free parameter")
-        parameters.append(Parameter(**{"name": name, "unit": unit, **settings}))
-    return Space(tuple(parameters))
-
-
-def _settings(name: str, given: Any) -> dict[str, Any]:
-    """The settings of a parameter from the forms that they may have."""
-    if given is None:
-        return {}
-    if isinstance(given, Parameter):
-        return vars(given).copy()
-    if isinstance(given, Mapping):
-        return dict(given)
-    if isinstance(given, Sequence) and not isinstance(given, str) and len(given) == 2:
-        return {"low": float(given[0]), "high": float(given[1])}
-    raise ValueError(f"bounds of {name} are {given!r}; expected (low, high), such as (0, 10)")

@@ -1,0 +1,13 @@
+"""A problem stated, searched and asked in one call."""
+
+from typing import TYPE_CHECKING
+
+from miho.exports import at_first_use
+
+if TYPE_CHECKING:
+    from miho.fitting.many_fits import fit_many
+    from miho.fitting.one_fit import Fit, Prediction, fit
+
+__all__ = ["Fit", "Prediction", "fit", "fit_many"]
+
+__getattr__, __dir__ = at_first_use(__name__)

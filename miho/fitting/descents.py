@@ -1,0 +1,231 @@
+"""Levenberg–Marquardt descents of many datasets side by side, each within the box of the space."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.models.expression import Expression
+from miho.models.model import Model
+from miho.optim import Space
+from miho.quantities import Array
+
+NUMBERS = 2_000_000
+"""Values of the model and its derivatives at a time."""
+STEPS = 200
+"""Steps of a descent at most."""
+DAMPING, EASED, HARDENED, MOST_DAMPED = 1e-3, 0.1, 4.0, 1e10
+"""Levenberg's parameter at first, its factor after a step that gains and after one that does not,
+and the size from which on no step gains."""
+STANDSTILL = 1e-13
+"""A step that gains less than this share of the sum of squares is the last."""
+LEAST = 1e-300
+CUBE_ROOT = float(np.cbrt(np.finfo(float).eps))
+SMALL = 1e-6
+"""A parameter near 0 is moved as one that is this share of its range."""
+
+Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Where descents ended: configurations (M, d), sums of squares (M,), and which converged."""
+
+    thetas: Array
+    squares: Array
+    converged: NDArray[np.bool_]
+
+    def better_of(self, other: Ends) -> Ends:
+        """The lower of two ends of each dataset."""
+        lower = other.squares < self.squares
+        return Ends(
+            np.where(lower[:, None], other.thetas, self.thetas),
+            np.where(lower, other.squares, self.squares),
+            np.where(lower, other.converged, self.converged),
+        )
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Many datasets of one model: columns (p, M, N) and outputs (M, N), `rows` (M,) of them real.
+
+    Shorter datasets are filled up with their last row, which `real` (M, N) leaves out.
+    """
+
+    model: Model
+    space: Space
+    columns: Array
+    outputs: Array
+    rows: NDArray[np.intp]
+    real: NDArray[np.bool_]
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        space: Space,
+        columns: Sequence[Sequence[Array]],
+        outputs: Sequence[Array],
+    ) -> Batch:
+        """Datasets of columns (p, N) and outputs (N,), with N of their own.
+
+        Raises ValueError for columns of different lengths, and for what is not finite.
+        """
+        rows = np.array([output.size for output in outputs])
+        for k, parts in enumerate(columns):
+            whole = (*parts, outputs[k])
+            if {part.size for part in whole} != {rows[k]} or not rows[k]:
+                raise ValueError(f"dataset {k}: columns differ in length or are empty")
+            if not all(np.isfinite(part).all() for part in whole):
+                raise ValueError(
+                    f"dataset {k}: holds values that are not finite; remove those rows"
+                )
+        places = np.minimum(np.arange(rows.max()), rows[:, None] - 1)
+        filled = [
+            np.array([part[place] for part, place in zip(parts, places, strict=True)])
+            for parts in (*zip(*columns, strict=True), outputs)
+        ]
+        real = np.arange(rows.max()) < rows[:, None]
+        return cls(model, space, np.array(filled[:-1]), filled[-1], rows, real)
+
+    def residuals(self, thetas: Array, which: Indices) -> Array:
+        """Model minus data (n, N) of datasets `which` (n,) at configurations (n, d)."""
+        inputs = self.columns[:, which]
+        if isinstance(self.model, Expression):
+            with np.errstate(all="ignore"):
+                values = self.model.value(tuple(inputs), tuple(thetas.T[:, :, None]))
+        elif self._alike:
+            values = self.model.predict(thetas, *self.columns[:, 0])
+        else:
+            parts = zip(thetas, inputs.transpose(1, 0, 2), strict=True)
+            values = np.vstack([self.model.predict(theta[None], *part) for theta, part in parts])
+        return np.where(self.real[which], values - self.outputs[which], 0.0)
+
+    @cached_property
+    def _alike(self) -> bool:
+        """Whether all datasets have the same columns."""
+        return bool((self.columns == self.columns[:, :1]).all())
+
+    def slopes(self, thetas: Array, which: Indices) -> Array:
+        """Their derivatives, (n, N, d)."""
+        inputs = self.columns[:, which]
+        if isinstance(self.model, Expression):
+            with np.errstate(all="ignore"):
+                slopes = self.model.derivatives(tuple(inputs), tuple(thetas.T[:, :, None]))
+            shape = inputs.shape[1:]
+            J = np.stack([np.broadcast_to(slope, shape) for slope in slopes], axis=-1)
+        elif self._alike:
+            J = self._differences(thetas)
+        else:
+            parts = zip(thetas, inputs.transpose(1, 0, 2), strict=True)
+            J = np.stack([self.model.jacobian(theta, *part) for theta, part in parts])
+        return np.where(self.real[which][..., None], J, 0.0)
+
+    def _differences(self, thetas: Array) -> Array:
+        """Central differences (n, N, d), of all datasets over the same columns at once."""
+        width = np.maximum(np.abs(thetas), SMALL * (self.space.high - self.space.low))
+        slopes = []
+        for k, step in enumerate((CUBE_ROOT * width).T):
+            moved = np.zeros_like(thetas)
+            moved[:, k] = step
+            ends = (self.model.predict(thetas + s * moved, *self.columns[:, 0]) for s in (1, -1))
+            slopes.append(np.subtract(*ends) / (2 * step)[:, None])
+        return np.stack(slopes, axis=-1)
+
+    @staticmethod
+    def squares(residuals: Array) -> Array:
+        """Sums of squares (n,), infinite where a residual is not finite."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            sums = np.einsum("ij,ij->i", residuals, residuals)
+        return np.where(np.isfinite(sums), sums, np.inf)
+
+    def covariance(self, ends: Ends) -> Array:
+        """Covariance (M, d, d) at the ends; NaN at a bound and where rows are too few."""
+        low, high = self.space.low, self.space.high
+        held = (ends.thetas <= low) | (ends.thetas >= high)
+        freedom = self.rows - (~held).sum(axis=1)
+        covariance = np.full((*held.shape, held.shape[1]), np.nan)
+        for chunk in self.chunks(np.flatnonzero(freedom > 0)):
+            A = normal_matrix(self.slopes(ends.thetas[chunk], chunk), held[chunk])
+            scale = np.sqrt(np.maximum(np.diagonal(A, axis1=1, axis2=2), LEAST))
+            scales = scale[:, :, None] * scale[:, None, :]
+            inverse = np.linalg.pinv(A / scales, hermitian=True) / scales
+            inverse[held[chunk][:, :, None] | held[chunk][:, None, :]] = np.nan
+            variance = ends.squares[chunk] / freedom[chunk]
+            covariance[chunk] = inverse * variance[:, None, None]
+        return covariance
+
+    def chunks(self, which: Indices) -> list[Indices]:
+        """The datasets in parts of about NUMBERS values and derivatives."""
+        size = max(1, NUMBERS // (self.outputs.shape[1] * (len(self.space) + 1)))
+        return [which[k : k + size] for k in range(0, which.size, size)]
+
+
+def normal_matrix(J: Array, held: NDArray[np.bool_]) -> Array:
+    """J.T J (n, d, d) of J (n, N, d), with 1 on the diagonal for what is held (n, d)."""
+    J = np.where(held[:, None, :], 0.0, J)
+    A = J.transpose(0, 2, 1) @ J
+    diagonal = np.arange(A.shape[1])
+    A[:, diagonal, diagonal] += held
+    return np.asarray(A)
+
+
+def descend(batch: Batch, which: Indices, starts: Array, progress: Callable[[int], object]) -> Ends:
+    """Descents of the datasets `which`, each from the best of some starts (s, d)."""
+    ends = [
+        _descend(batch, chunk, starts) for chunk in batch.chunks(which) if not progress(chunk[0])
+    ]
+    return Ends(*(np.concatenate(parts) for parts in zip(*map(_fields, ends), strict=True)))
+
+
+def _fields(ends: Ends) -> tuple[Array, Array, NDArray[np.bool_]]:
+    return ends.thetas, ends.squares, ends.converged
+
+
+def _descend(batch: Batch, which: Indices, starts: Array) -> Ends:
+    """Those of one chunk, in search coordinates, in which a logarithmic scale is even."""
+    space = batch.space
+    low, high = space.bounds
+    log = np.array([parameter.scale == "log" for parameter in space.parameters])
+    n, d = which.size, low.size
+    # The best start of each dataset.
+    x, squares = np.empty((n, d)), np.full(n, np.inf)
+    for start in starts:
+        values = batch.squares(batch.residuals(np.tile(start, (n, 1)), which))
+        won = values < squares
+        x[won], squares[won] = space.encode(start), values[won]
+    damping, moving = np.full(n, DAMPING), np.isfinite(squares)
+    converged = np.zeros(n, dtype=bool)
+    for _ in range(STEPS):
+        k = np.flatnonzero(moving)
+        if not k.size:
+            break
+        # A step of each that still moves; what is at a bound and would leave the box is held.
+        thetas = space.decode(x[k])
+        r = batch.residuals(thetas, which[k])
+        J = batch.slopes(thetas, which[k]) * np.where(log, thetas, 1.0)[:, None, :]
+        gradient = np.einsum("ijk,ij->ik", J, r)
+        held = ((x[k] <= low) & (gradient > 0)) | ((x[k] >= high) & (gradient < 0))
+        A = normal_matrix(J, held)
+        usable = np.isfinite(A).all(axis=(1, 2)) & np.isfinite(gradient).all(axis=1)
+        A[~usable], gradient[held] = np.eye(d), 0.0
+        scale = np.sqrt(np.maximum(np.diagonal(A, axis1=1, axis2=2), LEAST))
+        A /= scale[:, :, None] * scale[:, None, :]
+        A[:, np.arange(d), np.arange(d)] += damping[k, None]
+        step = np.linalg.solve(A, -(gradient / scale)[..., None])[..., 0] / scale
+        trial = np.clip(x[k] + np.where(usable[:, None], step, 0.0), low, high)
+        values = batch.squares(batch.residuals(space.decode(trial), which[k]))
+        # Taken if it gains; the last if it gains next to nothing, or no step does.
+        gain = squares[k] - values
+        taken = gain > 0
+        x[k[taken]], squares[k[taken]] = trial[taken], values[taken]
+        damping[k] *= np.where(taken, EASED, HARDENED)
+        last = np.abs(gain) <= STANDSTILL * (squares[k] + LEAST)
+        stuck = ~usable | (damping[k] > MOST_DAMPED)
+        converged[k] |= last | (stuck & usable)
+        moving[k] = ~(last | stuck)
+    return Ends(np.clip(space.decode(x), space.low, space.high), squares, converged)

@@ -1,0 +1,130 @@
+"""A problem as it is stated in a call: columns and bounds by name, units where there are some."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from miho.data.dataset import Dataset
+from miho.models.function_model import FunctionModel
+from miho.models.model import Model
+from miho.optim import Parameter, Space
+
+FAR = 1e6
+"""A parameter without bounds is sought so many times its start on either side of it."""
+
+
+def data_of(model: Any, x: Any, y: Any, sigma: Any) -> tuple[Dataset, Model, str | float | None]:
+    """The dataset, the model with the units that its function declares, and sigma as it has it."""
+    by_name = isinstance(x, Mapping) or hasattr(x, "columns")
+    if isinstance(y, str):
+        if not by_name or y not in x:
+            raise ValueError(f"y is {y!r}, which is no column of x; give its values or its name")
+        output, values = y, x[y]
+    else:
+        output, values = "y", y
+    if not isinstance(model, Model):
+        model = FunctionModel(model, columns=_column_names(model, x))
+    inputs = inputs_of(model, x)
+    while output in inputs:
+        output += "_"
+    columns, units = {**inputs, output: values}, {**model.inputs, output: model.output}
+    if isinstance(sigma, str):
+        if not by_name or sigma not in x:
+            raise ValueError(f"sigma is {sigma!r}, which is no column of x; give values or a name")
+        sigma = x[sigma]
+    if sigma is not None and np.ndim(sigma):
+        name = "sigma"
+        while name in columns:
+            name += "_"
+        columns[name], units[name], sigma = sigma, model.output, name
+    return Dataset(model.name or "data", columns, units, output), model, sigma
+
+
+def _column_names(function: Any, x: Any) -> tuple[str, ...]:
+    """Which arguments of a function are columns: those before the *, else as many as x has."""
+    try:
+        arguments = inspect.signature(function).parameters
+    except (TypeError, ValueError):
+        return ()  # which the function model refuses
+    if any(a.kind is a.KEYWORD_ONLY for a in arguments.values()):
+        return ()
+    if isinstance(x, Mapping) or hasattr(x, "columns"):
+        return tuple(name for name in arguments if name in x)
+    return tuple(arguments)[: len(x) if isinstance(x, tuple) else 1]
+
+
+def inputs_of(model: Model, x: Any) -> dict[str, Any]:
+    """The input columns by name."""
+    names = list(model.inputs)
+    if isinstance(x, Mapping) or hasattr(x, "columns"):
+        lacking = [name for name in names if name not in x]
+        if lacking:
+            raise ValueError(
+                f"x has no column {', '.join(lacking)}; {model.name} needs {', '.join(names)}"
+            )
+        return {name: np.asarray(x[name], dtype=float) for name in names}
+    columns = x if isinstance(x, tuple) else (x,)
+    if len(columns) != len(names):
+        raise ValueError(
+            f"x is {len(columns)} columns; {model.name} needs {len(names)}: {', '.join(names)}; "
+            "give them as a tuple or by name"
+        )
+    return dict(zip(names, (np.asarray(column, dtype=float) for column in columns), strict=True))
+
+
+def space_of(
+    model: Model,
+    bounds: Space | Mapping[str, Any] | None,
+    start: Mapping[str, float] | None,
+    fixed: Mapping[str, float],
+    tied: Mapping[str, str],
+) -> Space:
+    """The space that bounds, start, and what is fixed or tied make, the model's parameters first.
+
+    Parameters without bounds reach FAR times their start to either side.
+    """
+    given = bounds if isinstance(bounds, Mapping) else {}
+    if isinstance(bounds, Space):
+        given = {parameter.name: parameter for parameter in bounds.parameters}
+    names = list(dict.fromkeys([*model.parameters, *given]))
+    for label, part in (("start", start or {}), ("fixed", fixed), ("tied", tied)):
+        for name in part:
+            if name not in names:
+                raise ValueError(f"{label}: {name} is no parameter; choose from {', '.join(names)}")
+    parameters = []
+    for name in names:
+        unit = model.parameters.get(name, "")
+        settings = _settings(name, given.get(name))
+        if name in fixed:
+            settings |= {"fixed": float(fixed[name])}
+        elif name in tied:
+            settings |= {"tied": tied[name]}
+        elif start is not None and name in start and "low" not in settings:
+            reach = FAR * max(abs(float(start[name])), 1.0)
+            settings |= {"low": start[name] - reach, "high": start[name] + reach}
+        elif not settings:
+            raise ValueError(
+                f"{name} has no bounds; give them, as in {{{name!r}: (0, 10)}}, or a start of "
+                "every parameter"
+            )
+        elif start is not None and name not in start and "fixed" not in settings:
+            raise ValueError(f"start: lacks {name}; give a start of every free parameter")
+        parameters.append(Parameter(**{"name": name, "unit": unit, **settings}))
+    return Space(tuple(parameters))
+
+
+def _settings(name: str, given: Any) -> dict[str, Any]:
+    """The settings of a parameter from the forms that they may have."""
+    if given is None:
+        return {}
+    if isinstance(given, Parameter):
+        return vars(given).copy()
+    if isinstance(given, Mapping):
+        return dict(given)
+    if isinstance(given, Sequence) and not isinstance(given, str) and len(given) == 2:
+        return {"low": float(given[0]), "high": float(given[1])}
+    raise ValueError(f"bounds of {name} are {given!r}; expected (low, high), such as (0, 10)")

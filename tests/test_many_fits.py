@@ -1,0 +1,93 @@
+"""`miho.fit_many`, against SciPy's fit of each dataset alone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.optimize import curve_fit
+
+import miho
+
+BOX = {"a": (0, 10), "b": (0.05, 20), "c": (-5, 5)}
+t = np.linspace(0, 3, 50)
+rng = np.random.default_rng(0)
+TRUTH = np.stack([rng.uniform(0.5, 5, 60), rng.uniform(0.3, 5, 60), rng.uniform(-1, 1, 60)], 1)
+
+
+def decay(t, a, b, c):
+    return a * np.exp(-b * t) + c
+
+
+def opaque(t, a, b, c):
+    return np.where(t > -1, decay(t, a, b, c), 0.0)
+
+
+y = np.array([decay(t, *theta) for theta in TRUTH]) + 0.02 * rng.standard_normal((60, 50))
+NAMES = ["a", "b", "c"]
+ERRORS = ["a_error", "b_error", "c_error"]
+
+
+@pytest.mark.parametrize("model", [decay, opaque])
+def test_each_is_scipys_fit(model) -> None:
+    table = miho.fit_many(model, t, y, BOX)
+    assert table["converged"].all()
+    assert table.attrs["better"] == 0
+    for k in range(0, 60, 7):
+        theta, covariance = curve_fit(decay, t, y[k], TRUTH[k], xtol=1e-12)
+        # Both end where the sum of squares changes by 1e-10 of itself or less.
+        assert table.loc[k, NAMES].tolist() == pytest.approx(theta, rel=1e-4)
+        errors = np.sqrt(np.diag(covariance))
+        assert table.loc[k, ERRORS].tolist() == pytest.approx(errors, rel=1e-3)
+
+
+def test_groups_of_a_frame_may_differ_in_length_and_columns() -> None:
+    frames = []
+    for k in range(8):
+        rows = slice(0, 30 + 2 * k)
+        frames.append(pd.DataFrame({"run": f"r{k}", "t": t[rows] + 0.01 * k, "V": y[k, rows]}))
+    table = miho.fit_many(decay, pd.concat(frames), "V", BOX, by="run")
+    assert list(table.index) == [f"r{k}" for k in range(8)]
+    assert table["rows"].tolist() == [30 + 2 * k for k in range(8)]
+    for k, frame in enumerate(frames):
+        theta, _ = curve_fit(decay, frame["t"], frame["V"], TRUTH[k], xtol=1e-12)
+        assert table.loc[f"r{k}", NAMES].tolist() == pytest.approx(theta, rel=1e-4)
+
+
+def test_tied_and_fixed_parameters_have_columns_too() -> None:
+    table = miho.fit_many(decay, t, y[:9], {"a": (0, 10)}, fixed={"c": 0.1}, tied={"b": "2 * a"})
+    assert (table["c"] == 0.1).all()
+    assert (table["c_error"] == 0).all()
+    assert table["b"].tolist() == pytest.approx((2 * table["a"]).tolist())
+    assert table["b_error"].tolist() == pytest.approx((2 * table["a_error"]).tolist())
+    theta, _ = curve_fit(lambda t, a: a * np.exp(-2 * a * t) + 0.1, t, y[4], 2.0, xtol=1e-12)
+    assert table.loc[4, "a"] == pytest.approx(theta[0], rel=1e-4)
+
+
+def test_a_parameter_at_its_bound_has_no_error() -> None:
+    table = miho.fit_many(decay, t, y[:9], {**BOX, "a": (0, 0.2)})
+    assert (table["a"] == 0.2).all()
+    assert table["a_error"].isna().all()
+
+
+def test_many_optima_are_told_of() -> None:
+    """A sine's phase and period: descents from a few others' optima end in wrong periods."""
+    phases = rng.uniform(0.5, 9.0, 40)
+    waves = np.array([np.sin(w * 4 * t) for w in phases]) + 0.01 * rng.standard_normal((40, 50))
+    with pytest.warns(UserWarning, match="have a better optimum than their descent found"):
+        table = miho.fit_many(lambda t, w: np.sin(w * 4 * t), t, waves, {"w": (0.1, 10)})
+    assert table.attrs["better"] > 0
+
+
+def test_what_does_not_fit_together_is_refused_in_a_line() -> None:
+    frame = pd.DataFrame({"run": 1, "t": t, "V": y[0]})
+    for arguments, keywords, message in (
+        ((decay, t, y[0], BOX), {}, "y has shape \\(50,\\); give \\(datasets, rows\\)"),
+        ((decay, frame, "V", BOX), {"by": "lap"}, "by is 'lap' and y is 'V'; give a data frame"),
+        ((decay, t[:7], y, BOX), {}, "differ in length"),
+        ((decay, t, np.where(y > 1, np.nan, y), BOX), {}, "not finite"),
+        ((decay, t, y, {"a": (0, 1)}), {}, "b has no bounds"),
+    ):
+        with pytest.raises(ValueError, match=message) as caught:
+            miho.fit_many(*arguments, **keywords)
+        assert "\n" not in str(caught.value)
