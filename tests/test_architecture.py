@@ -49,7 +49,14 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     ),
     "miho.analysis": ({"miho.analysis", "miho.study"}, NUMERICS | TABLES),
     "miho.fitting": (
-        {"miho.identification", "miho.optim", "miho.models", "miho.data", "miho.analysis"},
+        {
+            "miho.fitting",
+            "miho.identification",
+            "miho.optim",
+            "miho.models",
+            "miho.data",
+            "miho.analysis",
+        },
         NUMERICS | TABLES,
     ),
     "miho.methods": ({"miho.methods", "miho.optim"}, NUMERICS),

@@ -78,9 +78,7 @@ def fit_many(
     ends = descend(batch, everyone, np.array([search(int(k)) for k in few]), progress)
     worst_off = np.argsort(ends.squares, kind="stable")[:: max(1, len(keys) // SEARCHED)]
     ends = ends.better_of(descend(batch, everyone, ends.thetas[worst_off[:SEARCHED]], progress))
-    checked = np.random.default_rng(seed).permutation(everyone)[
-        : min(MOST_CHECKED, max(1, int(CHECKED * len(keys))))
-    ]
+    checked = np.random.default_rng(seed).permutation(everyone)[:CHECKED]
     better = 0
     for k in checked:
         theta = search(int(k))
