@@ -50,8 +50,8 @@ def assumptions(design: Design) -> list[str]:
     report = design.report
     problem, at = report.problem, report.at
     sentences = [
-        "this holds as far as the model is right, the errors of new rows are like the present ones "
-        f"(standard deviation {at.noise:.3g} {problem.unit}), and the optimum is near this one: "
+        "this holds as far as the model is right, new errors are like the present ones (standard "
+        f"deviation {at.noise:.3g}{_unit(problem.unit)}), and the optimum is near this one: "
         "measure, fit again, and ask again."
     ]
     if report.standing.doubt:
@@ -98,6 +98,10 @@ def _what(design: Design) -> str:
     places = places_of(design.chosen, design.candidates, dict(design.report.problem.model.inputs))
     count = len(design.chosen)
     rows = f"{count:,} row{'s' * (count != 1)}"
+    if design.groups is not None:
+        numbers = [f"{value:g}" if isinstance(value, float) else str(value)
+                   for value in design.chosen[design.groups].unique()]  # fmt: skip
+        return f"{rows} of {design.groups} {', '.join(numbers)}"
     if len(places) == 1:
         return f"{rows} at {places[0][1]}"
     named = [f"{number:,} at {place}" for number, place in places[:MOST_PLACES]]
@@ -135,7 +139,7 @@ def range_text(name: str, values: Array, unit: str) -> str:
     elif unit == "N" and max(abs(low), abs(high)) >= KILO:
         low, high, unit = low / KILO, high / KILO, "kN"
     ends = [f"{end:.3g}" for end in (low, high)]
-    return f"{name} {' to '.join(dict.fromkeys(ends))}{'' if unit == '-' else f' {unit}'}"
+    return f"{name} {' to '.join(dict.fromkeys(ends))}{_unit(unit)}"
 
 
 def _narrowing(row: dict[Hashable, Any]) -> str:
@@ -154,8 +158,11 @@ def _narrowing(row: dict[Hashable, Any]) -> str:
 def _half_width(row: dict[Hashable, Any], state: str, in_percent: bool) -> str:
     if in_percent:
         return f"±{_two_digits(row[f'{state} %'])} %"
-    unit = "" if row["unit"] == "-" else f" {row['unit']}"
-    return f"±{_two_digits(row[f'{state} half width'])}{unit}"
+    return f"±{_two_digits(row[f'{state} half width'])}{_unit(row['unit'])}"
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "-" else f" {unit}"
 
 
 def _two_digits(value: float) -> str:

@@ -45,6 +45,7 @@ class Design:
     group: NDArray[np.intp]
     counts: NDArray[np.intp]
     goal: str
+    groups: str | None
     quantities: pd.DataFrame
     gradients: Array
 
@@ -188,10 +189,9 @@ def optimal_design(
     quantities, gradients = _quantities(problem, at)
     names = list(quantities["quantity"])
     if goal is not None and goal not in names:
-        raise ValueError(f"goal is {goal!r}; choose from {', '.join(names)}, or None for all")
-    design = Design(
-        report, frame, group, np.zeros(count, dtype=np.intp), goal or "", quantities, gradients
-    )
+        raise ValueError(f"goal is {goal!r}; choose from {'; '.join(names)}; or None for all")
+    nothing = np.zeros(count, dtype=np.intp)
+    design = Design(report, frame, group, nothing, goal or "", groups, quantities, gradients)
     blocks, root = _whitened(report, *design._derivatives, group)
     target = None if goal is None else root.T @ gradients[names.index(goal)]
     return replace(design, counts=best_groups(blocks, size, target, repeats))

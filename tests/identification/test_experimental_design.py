@@ -222,7 +222,7 @@ def test_a_model_with_a_memory_runs_each_group_by_itself() -> None:
         ({"x": [1.0]}, {"size": 0}, "size is 0; expected a whole number of at least 1"),
         ({"x": [1.0]}, {"size": 2}, "size is 2, more than the 1 candidates"),
         ({"x": [1.0]}, {"repeats": 0}, "repeats is 0"),
-        ({"x": [1.0]}, {"goal": "c"}, "goal is 'c'; choose from a, b, or None for all"),
+        ({"x": [1.0]}, {"goal": "c"}, "goal is 'c'; choose from a; b; or None for all"),
         ({"x": [1.0]}, {"groups": "sweep"}, "groups is 'sweep'; columns are x"),
     ],
 )
