@@ -6,7 +6,7 @@ from miho.exports import at_first_use
 
 if TYPE_CHECKING:
     from miho.data import Dataset
-    from miho.identification import CurveFit
+    from miho.identification import CurveFit, compare_models
     from miho.models import load_tir
     from miho.optim import (
         MIHO,
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "MIHO", "MIHOGN", "MIHOQN", "AskTell", "Budget", "CurveFit", "Dataset",
-    "LeastSquaresProblem", "Optimizer", "Oracle", "Parameter", "Problem", "Space", "load_runs",
-    "load_tir", "minimize",
+    "LeastSquaresProblem", "Optimizer", "Oracle", "Parameter", "Problem", "Space", "compare_models",
+    "load_runs", "load_tir", "minimize",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

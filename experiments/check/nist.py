@@ -98,6 +98,8 @@ def by_miho(fit: PublishedFit, seed: int) -> Estimate:
     """The default method in the box, and the linearised standard errors of its report."""
     problem = boxed(fit)
     record = minimize(MIHOGN(), problem, seed=seed)
+    if record.theta is None:
+        return np.full(len(problem.space), np.nan), np.full(len(problem.space), np.nan)
     at = make_report(problem, record.theta, descents=record.descents, profiles=False).at
     return at.theta, at.standard_errors
 
@@ -105,16 +107,23 @@ def by_miho(fit: PublishedFit, seed: int) -> Estimate:
 def by_curve_fit(fit: PublishedFit, start: Array) -> Estimate:
     """`scipy.optimize.curve_fit` as it comes: MINPACK's Levenberg-Marquardt, differences."""
     curve = _curve(fit)
-    theta, covariance = scipy.optimize.curve_fit(
-        lambda _, *b: curve(np.array(b)), np.arange(len(fit.dataset)), fit.dataset["y"], start
-    )
+
+    def values(_: Array, *theta: float) -> Array:
+        return curve(np.array(theta))
+
+    rows = np.arange(len(fit.dataset))
+    theta, covariance = scipy.optimize.curve_fit(values, rows, fit.dataset["y"], start)
     return theta, np.sqrt(np.diag(covariance))
 
 
 def by_least_squares(fit: PublishedFit, start: Array) -> Estimate:
     """`scipy.optimize.least_squares` as it comes: trust region, differences."""
     curve = _curve(fit)
-    solution = scipy.optimize.least_squares(lambda b: curve(b) - fit.dataset["y"], start)
+
+    def residuals(theta: Array) -> Array:
+        return curve(theta) - fit.dataset["y"]
+
+    solution = scipy.optimize.least_squares(residuals, start)
     freedom = len(fit.dataset) - start.size
     J = np.asarray(solution.jac)
     inverse = np.linalg.inv(J.T @ J)

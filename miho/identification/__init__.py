@@ -10,14 +10,16 @@ if TYPE_CHECKING:
     from miho.identification.experimental_design import Design, optimal_design
     from miho.identification.irreducible import irreducible_error
     from miho.identification.loss import Cauchy, Huber, Loss, Square
+    from miho.identification.model_comparison import ModelComparison, compare_models
     from miho.identification.parameters_file import identified
     from miho.identification.report import Report
     from miho.identification.report_steps import make_report
     from miho.identification.uncertainty import Linearised, linearised
 
 __all__ = [
-    "Cauchy", "CurveFit", "Design", "Huber", "Linearised", "Loss", "Report", "Square", "identified",
-    "irreducible_error", "linear_optimum", "linearised", "make_report", "optimal_design",
+    "Cauchy", "CurveFit", "Design", "Huber", "Linearised", "Loss", "ModelComparison", "Report",
+    "Square", "compare_models", "identified", "irreducible_error", "linear_optimum", "linearised",
+    "make_report", "optimal_design",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)
