@@ -39,8 +39,9 @@ BEYOND = 10.0
 """Factor from the published starts to the ends of the box."""
 MOST = 11
 """Digits that are certified."""
-DIGITS, ERROR_DIGITS = 6, 4
-"""What a problem is called solved from: digits of all parameters, and of all standard errors."""
+FOUND, DIGITS, ERROR_DIGITS = 2, 6, 4
+"""Digits of all parameters from which on the optimum is found, and a problem is solved; and of all
+standard errors."""
 ALIKE: Mapping[str, tuple[tuple[int, ...], ...]] = {
     "three_decays": ((0, 1), (2, 3), (4, 5)),
     "two_peaks": ((2, 3, 4), (5, 6, 7)),
@@ -199,15 +200,24 @@ def main() -> None:
     shown = results.copy()
     for name in columns:
         shown[name] = [f"{theta:.1f} / {error:.1f}" for theta, error in results[name]]
-    print(shown.to_string(index=False))
-    print()
-    for name in columns:
-        enough = [theta >= DIGITS for theta, _ in results[name]]
-        errors = [
-            both and e >= ERROR_DIGITS for both, (_, e) in zip(enough, results[name], strict=True)
-        ]
-        print(f"{name}: parameters to {DIGITS} digits on {sum(enough)} of {len(results)}, standard "
-              f"errors to {ERROR_DIGITS} on {sum(errors)} of these")  # fmt: skip
+    print(f"{shown.to_string(index=False)}\n\n{summary(results).to_string(index=False)}")
+
+
+def summary(results: pd.DataFrame) -> pd.DataFrame:
+    """On how many of the problems there are enough digits, a row per criterion."""
+    criteria: Mapping[str, Callable[[float, float], bool]] = {
+        f"{FOUND} digits of all parameters": lambda theta, _: theta >= FOUND,
+        f"{DIGITS} digits of all parameters": lambda theta, _: theta >= DIGITS,
+        f"and {ERROR_DIGITS} of all standard errors": lambda theta, error: (
+            theta >= DIGITS and error >= ERROR_DIGITS
+        ),
+    }
+    columns = [name for name in results.columns if name != "problem"]
+    return pd.DataFrame(
+        {"problems with": key}
+        | {name: sum(enough(*score) for score in results[name]) for name in columns}
+        for key, enough in criteria.items()
+    )
 
 
 if __name__ == "__main__":
