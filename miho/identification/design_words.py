@@ -95,7 +95,9 @@ def table_text(design: Design) -> str:
 
 def _what(design: Design) -> str:
     """The chosen rows and where they lie."""
-    places = places_of(design.chosen, design.candidates, dict(design.report.problem.model.inputs))
+    inputs = design.report.problem.model.inputs
+    varying = {name: unit for name, unit in inputs.items() if np.ptp(design.candidates[name]) > 0}
+    places = places_of(design.chosen, design.candidates, varying or dict(inputs))
     count = len(design.chosen)
     rows = f"{count:,} row{'s' * (count != 1)}"
     if design.groups is not None:
@@ -136,8 +138,8 @@ def range_text(name: str, values: Array, unit: str) -> str:
     low, high = float(values.min()), float(values.max())
     if unit == "rad":
         low, high, unit = math.degrees(low), math.degrees(high), "deg"
-    elif unit == "N" and max(abs(low), abs(high)) >= KILO:
-        low, high, unit = low / KILO, high / KILO, "kN"
+    elif unit in ("N", "Pa") and max(abs(low), abs(high)) >= KILO:
+        low, high, unit = low / KILO, high / KILO, f"k{unit}"
     ends = [f"{end:.3g}" for end in (low, high)]
     return f"{name} {' to '.join(dict.fromkeys(ends))}{_unit(unit)}"
 
@@ -172,18 +174,27 @@ def _two_digits(value: float) -> str:
 def _undetermined(design: Design) -> list[str]:
     """Sentences on what present data leave open: for these rows, for others, or for good."""
     table, none = design.table, design.undeterminable
-    names = table["quantity"]
-    open_now = set(names[np.isinf(table["present half width"])])
-    open_after = set(names[np.isinf(table["expected half width"])])
+    names = list(table["quantity"])
+    now, after = (
+        [
+            name
+            for name, half in zip(names, table[f"{state} half width"], strict=True)
+            if np.isinf(half)
+        ]
+        for state in ("present", "expected")
+    )
+    closed = [name for name in now if name not in after]
+    left = [name for name in now if name in after and name not in none]
     sentences = []
-    for name in (name for name in names if name in open_now):
-        if name not in open_after:
-            sentences.append(f"the present data do not determine {name}; these rows would.")
-        elif name not in none:
-            sentences.append(
-                f"these rows would not determine {name}; others of the candidates would: choose "
-                f"more rows, or some for {name}."
-            )
+    if closed:
+        sentences.append(
+            f"the present data do not determine {', '.join(closed)}; these rows would."
+        )
+    if left:
+        sentences.append(
+            f"these rows would not determine {', '.join(left)}; others of the candidates would: "
+            "choose more rows, or some for that goal."
+        )
     if none:
         inputs = ", ".join(design.report.problem.model.inputs)
         sentences.append(

@@ -18,7 +18,10 @@ from miho.quantities import Array
 PASSES = 20
 """Times through the whole selection at most; it is usually stable after two or three."""
 BETTER = 1e-9
-"""An exchange that gains less than this fraction of the criterion is rounding."""
+"""An exchange that gains less than this fraction of what a row gains is rounding."""
+ENOUGH = 1e-4
+"""A pass that lowers the criterion, a logarithm, by less is the last: on a fine grid rows would
+move to a neighbour for long."""
 
 
 class Information:
@@ -32,6 +35,7 @@ class Information:
 
     def __init__(self, blocks: Array, target: Array | None = None) -> None:
         self._blocks, self._target = blocks, target
+        self._rows = blocks.reshape(-1, blocks.shape[2])
         self.renew(np.zeros(len(blocks), dtype=np.intp))
 
     def renew(self, counts: NDArray[np.intp]) -> None:
@@ -48,11 +52,11 @@ class Information:
             self._by_target = projected @ self._target
 
     @property
-    def variance(self) -> float:
-        """The variance of the target; NaN without one."""
+    def criterion(self) -> float:
+        """What is to be small: ln of the determinant of the covariance, or of the variance."""
         if self._target is None:
-            return math.nan
-        return float(self._target @ self._covariance @ self._target)
+            return float(np.linalg.slogdet(self._covariance)[1])
+        return math.log(float(self._target @ self._covariance @ self._target))
 
     def gains(self) -> Array:
         """How much each block (G,) would add: ln of the determinant, or fall of the variance."""
@@ -72,7 +76,8 @@ class Information:
         projected = self._covariance @ block.T
         inverse = np.linalg.inv(sign * np.eye(len(block)) + block @ projected)
         self._covariance = self._covariance - projected @ inverse @ projected.T
-        shared = self._blocks @ projected  # covariance of each prediction with those of the block
+        # The covariance of each prediction (G, k) with those of the block.
+        shared = (self._rows @ projected).reshape(*self._blocks.shape[:2], -1)
         if self._target is not None:
             self._by_target = self._by_target - shared @ (inverse @ self._by_target[group])
         self._predicted = self._predicted - np.einsum("gkm,glm->gkl", shared @ inverse, shared)
@@ -83,9 +88,9 @@ def best_groups(
 ) -> NDArray[np.intp]:
     """How often to take each group (G,): `size` in all, each at most `repeats` times.
 
-    Blocks and target as in `Information`. A local optimum: no exchange of one group for another is
-    better. For a target, whose rows may tell little one by one, it is the better of two: from rows
-    that are added for the target, and from those that are best for all parameters.
+    Blocks and target as in `Information`. A local optimum, in which exchanges of one group for
+    another hardly gain anything. For a target, whose rows may tell little one by one, it is the
+    better of two: from rows that are added for the target, and from those for all parameters.
     """
     nothing = np.zeros(len(blocks), dtype=np.intp)
     for_all = _added(Information(blocks), nothing, size, repeats)
@@ -96,7 +101,7 @@ def best_groups(
     for start in (_added(information, nothing, size, repeats), for_all):
         counts = _exchanged(information, start, repeats)
         information.renew(counts)
-        ends.append((information.variance, counts))
+        ends.append((information.criterion, counts))
     return min(ends, key=lambda end: end[0])[1]
 
 
@@ -116,11 +121,11 @@ def _added(
 def _exchanged(
     information: Information, counts: NDArray[np.intp], repeats: int
 ) -> NDArray[np.intp]:
-    """Each group in turn replaced by the best one, until none is better than what is there."""
+    """Each group in turn replaced by the best one, until that gains hardly anything."""
     counts = counts.copy()
+    information.renew(counts)
     for _ in range(PASSES):
-        information.renew(counts)
-        before = counts.copy()
+        before = information.criterion
         for group in np.repeat(np.arange(len(counts)), counts).tolist():
             information.add(group, -1)
             counts[group] -= 1
@@ -129,6 +134,7 @@ def _exchanged(
             best = best if gains[best] > (1 + BETTER) * gains[group] else group
             information.add(best)
             counts[best] += 1
-        if (counts == before).all():
+        information.renew(counts)
+        if information.criterion > before - ENOUGH:
             break
     return counts

@@ -36,7 +36,8 @@ def test_one_input_is_counted() -> None:
 
 
 def test_two_inputs_are_a_map() -> None:
-    left, _ = design_figure(rows("x [m]", "y [N]", "z [-]"), table()).axes
+    frame = rows("x [m]", "same [-]", "y [N]", "z [-]").assign(**{"same [-]": 1.0})
+    left, _ = design_figure(frame, table()).axes
     counts = [len(np.asarray(part.get_offsets())) for part in left.collections]
     assert counts == [8, 4, 1]
     assert (left.get_xlabel(), left.get_ylabel()) == ("x [m]", "y [N]")

@@ -92,6 +92,6 @@ def test_what_cannot_be_advised_is_said_in_one_line(
 
 @pytest.mark.slow
 def test_advised_rows_are_as_good_as_the_best_of_random_ones() -> None:
-    """By simulation, each spread known to 4 %; the best random choice is 5 to 25 % worse."""
-    table = next_measurement.compared(choices=20, replicates=300).set_index("goal")
+    """By simulation, each spread known to 5 %; the best random choice is 5 % worse or more."""
+    table = next_measurement.compared(choices=20, replicates=200).set_index("goal")
     assert (table["advised"] <= table["best of random"]).all()

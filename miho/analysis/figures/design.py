@@ -19,11 +19,12 @@ GREY, PALE = "#6e6e6e", "#cfcfcf"
 def design_figure(rows: pd.DataFrame, table: pd.DataFrame) -> Figure:
     """Two panels: the rows over one or two inputs, and half widths before and after.
 
-    `rows` has a column for each input, of which the first two are drawn, and `row`: present,
-    candidate or chosen; `table` has the columns `quantity` and the half widths of
+    `rows` has a column for each input, of which the first two that vary are drawn, and `row`:
+    present, candidate or chosen; `table` has the columns `quantity` and the half widths of
     `miho.identification.Design.table`.
     """
-    inputs = [name for name in rows.columns if name != "row"]
+    every = [name for name in rows.columns if name != "row"]
+    inputs = [name for name in every if rows[name].nunique() > 1] or every[:1]
     with house_style():
         height = max(2.4, 0.8 + 0.22 * len(table))
         figure = Figure(figsize=(WIDTH, height), layout="constrained")
