@@ -7,7 +7,6 @@ small, c-optimal ones the variance of one parameter or derived quantity.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,19 +14,20 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from miho.data.dataset import Dataset
+from miho.identification.candidates import (
+    Candidates,
+    candidate_rows,
+    derivatives,
+    group_numbers,
+)
 from miho.identification.curve_fit import CurveFit
 from miho.identification.derived import derived, gradient
 from miho.identification.design_words import advice, assumptions, table_text
 from miho.identification.exchange import Information, best_groups
 from miho.identification.report import Report, rounding_of
 from miho.identification.uncertainty import INVOLVED, SINGULAR, Linearised
-from miho.models.model import Model
 from miho.quantities import Array
 from miho.validate import whole
-
-Candidates = pd.DataFrame | Dataset | Mapping[str, Array]
-"""Rows that could be measured; or levels of each input, of which each combination is a row."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,9 +35,10 @@ class Design:
     """Rows to measure next, and what they would tell.
 
     `candidates` (m rows) has the model's inputs in their SI units, `group` (m,) the number of the
-    group, from 0, that is measured as a whole, and `counts` (G,) how often each is chosen. `goal`
-    is the parameter or derived quantity that the choice is for, "" for all parameters.
-    `gradients` (q, d) are the derivatives of the quantities in `table`.
+    group, from 0, that is measured as a whole, and `counts` (G,) how often each is chosen. `groups`
+    is the column that numbers the groups, None if each row is one; `goal` the parameter or derived
+    quantity that the choice is for, "" for all parameters. `gradients` (q, d) are the derivatives
+    of the `quantities` (q rows).
     """
 
     report: Report
@@ -126,8 +127,9 @@ class Design:
         frame = self.candidates.iloc[np.unique(self.group, return_index=True)[1]].copy()
         for name, slope in zip(self.quantities["quantity"], self.gradients, strict=True):
             target = root.T @ slope
-            fall = Information(blocks, target).gains() / max(float(target @ target), 1e-300)
-            frame[f"narrows {name} by %"] = 100 * (1 - np.sqrt(np.maximum(0.0, 1 - fall)))
+            fall = Information(blocks, target).gains()
+            left = 1 - np.divide(fall, target @ target, out=np.zeros_like(fall), where=fall > 0)
+            frame[f"narrows {name} by %"] = 100 * (1 - np.sqrt(np.maximum(0.0, left)))
         return frame
 
     @property
@@ -171,11 +173,24 @@ def optimal_design(
     that do not fit.
     """
     problem, at = report.problem, report.at
-    frame = _table_of(problem.model, candidates)
-    group = _group_numbers(problem.model, frame, groups)
+    frame = candidate_rows(problem.model, candidates)
+    group = group_numbers(problem.model, frame, groups)
+    _check(problem, at, int(group.max()) + 1, size, repeats)
+    quantities, gradients = _quantities(problem, at)
+    names = list(quantities["quantity"])
+    if goal is not None and goal not in names:
+        raise ValueError(f"goal is {goal!r}; choose from {'; '.join(names)}; or None for all")
+    nothing = np.zeros(int(group.max()) + 1, dtype=np.intp)
+    design = Design(report, frame, group, nothing, goal or "", groups, quantities, gradients)
+    blocks, root = _whitened(report, *design._derivatives, group)
+    target = None if goal is None else root.T @ gradients[names.index(goal)]
+    return replace(design, counts=best_groups(blocks, size, target, repeats))
+
+
+def _check(problem: CurveFit, at: Linearised, count: int, size: int, repeats: int) -> None:
+    """Raise ValueError if so many cannot be chosen of `count`, or if there is nothing to gain."""
     whole("size", size, 1)
     whole("repeats", repeats, 1)
-    count = int(group.max()) + 1
     if size > count * repeats:
         raise ValueError(
             f"size is {size}, more than the {count} candidates, each up to {repeats} times; choose "
@@ -186,15 +201,6 @@ def optimal_design(
             f"{problem.name}: every row is reproduced to rounding, so there is no noise that "
             "further rows could average out"
         )
-    quantities, gradients = _quantities(problem, at)
-    names = list(quantities["quantity"])
-    if goal is not None and goal not in names:
-        raise ValueError(f"goal is {goal!r}; choose from {'; '.join(names)}; or None for all")
-    nothing = np.zeros(count, dtype=np.intp)
-    design = Design(report, frame, group, nothing, goal or "", groups, quantities, gradients)
-    blocks, root = _whitened(report, *design._derivatives, group)
-    target = None if goal is None else root.T @ gradients[names.index(goal)]
-    return replace(design, counts=best_groups(blocks, size, target, repeats))
 
 
 def with_rows(at: Linearised, J: Array, more: int) -> Linearised:
@@ -212,25 +218,6 @@ def with_rows(at: Linearised, J: Array, more: int) -> Linearised:
         null_directions=null,
         unidentifiable=np.asarray(moved.any(axis=0)),
     )
-
-
-def derivatives(model: Model, theta: Array, rows: pd.DataFrame, group: NDArray[np.intp]) -> Array:
-    """Derivatives (m, d) of predictions; a model with a memory sees each group by itself."""
-    columns = [rows[name].to_numpy(float) for name in model.inputs]
-    if model.ordered:
-        J = np.empty((len(rows), theta.size))
-        for number in range(group.max() + 1):
-            part = group == number
-            J[part] = model.jacobian(theta, *(column[part] for column in columns))
-    else:
-        J = model.jacobian(theta, *columns)
-    if not np.isfinite(J).all():
-        row = int(np.flatnonzero(~np.isfinite(J).all(axis=1))[0])
-        raise ValueError(
-            f"candidate row {row} (from 0): the model's derivatives are not finite there; leave "
-            "it out"
-        )
-    return J
 
 
 def _inverse_root(J: Array, free: NDArray[np.intp]) -> tuple[Array, Array, NDArray[np.bool_]]:
@@ -293,50 +280,3 @@ def _quantities(problem: CurveFit, at: Linearised) -> tuple[pd.DataFrame, Array]
             rows.append((quantity.name, "derived", value, quantity.unit))
             gradients.append(slope)
     return pd.DataFrame(rows, columns=["quantity", "kind", "value", "unit"]), np.array(gradients)
-
-
-def _table_of(model: Model, candidates: Candidates) -> pd.DataFrame:
-    """The candidates as rows; raises ValueError where they do not fit the model."""
-    if isinstance(candidates, Dataset):
-        frame = pd.DataFrame(dict(candidates.columns))
-        for name, unit in model.inputs.items():
-            if candidates.units.get(name, unit) != unit:
-                raise ValueError(
-                    f"candidates: {name!r} is in {candidates.units[name]}; the model takes {unit}"
-                )
-    elif isinstance(candidates, pd.DataFrame):
-        frame = candidates.reset_index(drop=True)
-    else:
-        levels = [np.ravel(np.asarray(values, dtype=float)) for values in candidates.values()]
-        grid = np.meshgrid(*levels, indexing="ij")
-        frame = pd.DataFrame(dict(zip(candidates, map(np.ravel, grid), strict=True)))
-    missing = [name for name in model.inputs if name not in frame.columns]
-    if missing or frame.empty:
-        raise ValueError(
-            f"candidates: {'no column ' + repr(missing[0]) if missing else 'no rows'}; give rows "
-            f"with all inputs of the model, {', '.join(model.inputs)}"
-        )
-    for name in model.inputs:
-        values = pd.to_numeric(frame[name], errors="coerce").to_numpy(float)
-        if not np.isfinite(values).all():
-            row = int(np.flatnonzero(~np.isfinite(values))[0])
-            raise ValueError(
-                f"candidates: {name!r} in row {row} (from 0) is {frame[name].iloc[row]!r}; give a "
-                "finite number"
-            )
-        frame = frame.assign(**{name: values})
-    return frame
-
-
-def _group_numbers(model: Model, frame: pd.DataFrame, groups: str | None) -> NDArray[np.intp]:
-    """The group of each candidate (m,), numbered from 0; each row is its own without `groups`."""
-    if groups is None:
-        if model.ordered:
-            raise ValueError(
-                "groups is None, and the model needs rows in order; name the column that numbers "
-                "the manoeuvres to choose from"
-            )
-        return np.arange(len(frame))
-    if groups not in frame.columns:
-        raise ValueError(f"groups is {groups!r}; columns are {', '.join(map(str, frame.columns))}")
-    return np.asarray(pd.factorize(frame[groups])[0], dtype=np.intp)

@@ -49,10 +49,8 @@ class ModelComparison:
         rows = []
         for report in self.reports:
             n, k = len(report.problem.dataset), free_parameters(report)
-            squares = n * report.error**2
+            K, squares = k + 1, n * report.error**2
             deviance = n * (math.log(2 * math.pi * squares / n) + 1)  # -2 ln of the likelihood
-            K = k + 1
-            correction = 2 * K * (K + 1) / (n - K - 1) if n > K + 1 else math.inf
             rows.append(
                 {
                     "model": report.problem.name,
@@ -60,7 +58,7 @@ class ModelComparison:
                     "squares": squares,
                     "deviation": math.sqrt(squares / (n - k)),
                     "AIC": deviance + 2 * K,
-                    "AICc": deviance + 2 * K + correction,
+                    "AICc": deviance + 2 * K + 2 * K * (K + 1) / (n - K - 1),
                     "BIC": deviance + K * math.log(n),
                 }
             )
@@ -145,35 +143,45 @@ def compare_models(*reports: Report) -> ModelComparison:
     """
     if len(reports) < 2:
         raise ValueError(f"{len(reports)} report to compare; give at least two")
-    first = reports[0].problem
     names = [report.problem.name for report in reports]
-    for report, name in zip(reports, names, strict=True):
-        problem = report.problem
+    for name in names:
         if names.count(name) > 1:
             raise ValueError(f"two reports are called {name!r}; give one CurveFit another label")
-        one, other = first.dataset, problem.dataset
-        same = one.output == other.output and first.unit == problem.unit
-        if not same or not np.array_equal(one[one.output], other[other.output]):
-            raise ValueError(
-                f"{names[0]} and {name} are fits of different data ({one.output} in {len(one)} "
-                f"rows of {one.name}, {other.output} in {len(other)} of {other.name}); compare "
-                "models on the same rows of the same output"
-            )
-        if not isinstance(problem.rho, Square):
-            raise ValueError(
-                f"{name} has the loss {type(problem.rho).__name__}; criteria and tests are those "
-                "of Square"
-            )
-        if report.error <= rounding_of(problem):
-            raise ValueError(
-                f"{name} reproduces every row to rounding, so there is no noise to compare with"
-            )
-        if len(other) <= free_parameters(report) + 2:
-            raise ValueError(
-                f"{name}: {len(other)} rows for {free_parameters(report)} parameters; a comparison "
-                "needs at least three more"
-            )
+    for report in reports:
+        _check_same_data(reports[0], report)
+        _check_comparable(report)
     return ModelComparison(tuple(reports))
+
+
+def _check_same_data(first: Report, second: Report) -> None:
+    """Raise ValueError unless both are of the same rows of the same output."""
+    one, other = first.problem.dataset, second.problem.dataset
+    same = one.output == other.output and first.problem.unit == second.problem.unit
+    if not same or not np.array_equal(one[one.output], other[other.output]):
+        raise ValueError(
+            f"{first.problem.name} and {second.problem.name} are fits of different data "
+            f"({one.output} in {len(one)} rows of {one.name}, {other.output} in {len(other)} of "
+            f"{other.name}); compare models on the same rows of the same output"
+        )
+
+
+def _check_comparable(report: Report) -> None:
+    """Raise ValueError where criteria are none: another loss, no noise, or too few rows."""
+    problem, k = report.problem, free_parameters(report)
+    if not isinstance(problem.rho, Square):
+        raise ValueError(
+            f"{problem.name} has the loss {type(problem.rho).__name__}; criteria and tests are "
+            "those of Square"
+        )
+    if report.error <= rounding_of(problem):
+        raise ValueError(
+            f"{problem.name} reproduces every row to rounding, so there is no noise to compare with"
+        )
+    if len(problem.dataset) <= k + 2:
+        raise ValueError(
+            f"{problem.name}: {len(problem.dataset)} rows for {k} parameters; a comparison needs "
+            "at least three more"
+        )
 
 
 def free_parameters(report: Report) -> int:

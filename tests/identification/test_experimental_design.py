@@ -218,6 +218,7 @@ def test_a_model_with_a_memory_runs_each_group_by_itself() -> None:
         ({"z": [1.0]}, {}, "candidates: no column 'x'; give rows with all inputs of the model, x"),
         (pd.DataFrame({"x": []}), {}, "candidates: no rows"),
         (pd.DataFrame({"x": [1, "b"]}), {}, r"'x' in row 1 \(from 0\) is 'b'; give a finite"),
+        ({"x": ["b"]}, {}, r"'x' in row 0 \(from 0\) is 'b'; give a finite"),
         ({"x": [1.0, np.inf]}, {}, r"'x' in row 1 \(from 0\) is (np.float64\()?inf"),
         ({"x": [1.0]}, {"size": 0}, "size is 0; expected a whole number of at least 1"),
         ({"x": [1.0]}, {"size": 2}, "size is 2, more than the 1 candidates"),
