@@ -11,6 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from miho.identification.flags import independence
+from miho.identification.report import CHANCE, UNMODELLED, Report
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def assumptions(design: Design) -> list[str]:
             "the errors of present rows depend on each other, as those of new ones will: read by "
             "what factor the widths fall, not the widths."
         )
-    return sentences + _beyond(design)
+    return sentences + _not_noise(report) + _beyond(design)
 
 
 def table_text(design: Design) -> str:
@@ -203,6 +204,19 @@ def _undetermined(design: Design) -> list[str]:
             "or fix a parameter."
         )
     return sentences
+
+
+def _not_noise(report: Report) -> list[str]:
+    """A sentence if the errors follow a column, which more rows do not average out."""
+    trends = report.trends.to_dict("records")
+    strongest = max(trends, key=lambda row: row["explained"])
+    if not (strongest["explained"] > UNMODELLED and strongest["p"] < CHANCE):
+        return []
+    return [
+        f"{100 * strongest['explained']:.0f} % of the errors' variance follows "
+        f"{strongest['column']}: that is no noise, and a model that allows for it comes before "
+        "more rows."
+    ]
 
 
 def _beyond(design: Design) -> list[str]:

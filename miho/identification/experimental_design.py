@@ -276,7 +276,7 @@ def _quantities(problem: CurveFit, at: Linearised) -> tuple[pd.DataFrame, Array]
         gradients.append(np.eye(at.theta.size)[i])
     for quantity in derived(problem.model, problem.dataset):
         value, slope = float(quantity.evaluate(at.theta[None])[0]), gradient(quantity, at)
-        if np.isfinite(value) and np.isfinite(slope).all():
+        if np.isfinite(value) and np.isfinite(slope).all() and slope.any():
             rows.append((quantity.name, "derived", value, quantity.unit))
             gradients.append(slope)
     return pd.DataFrame(rows, columns=["quantity", "kind", "value", "unit"]), np.array(gradients)

@@ -1,6 +1,7 @@
 """Which rows to measure next: textbook designs, exhaustive search, and bad input."""
 
 import itertools
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
@@ -201,6 +202,18 @@ def test_widths_of_dependent_rows_fall_by_the_factor_of_independent_ones() -> No
         design.table["expected half width"] / design.table["present half width"], fall, rtol=1e-8
     )
     assert "depend on each other" in str(design)
+
+
+def test_errors_that_follow_a_column_are_no_noise() -> None:
+    problem = plane(Plane(), np.linspace(1, 2, 40), w=np.zeros(40))
+    data = problem.dataset
+    rng = np.random.default_rng(2)
+    w = rng.uniform(0, 1, 40)
+    columns = {**data.columns, "w": w, "y": data["y"] + np.sin(6 * w)}
+    report = quick(replace(problem, dataset=replace(data, columns=columns)), [2.0, 3.0])
+    design = optimal_design(report, {"u": [0.5, 1.0], "v": [0.5, 2.5]}, 1)
+    assert "of the errors' variance follows w: that is no noise" in str(design)
+    assert "that is no noise" not in str(optimal_design(straight_line(), {"x": [1.0]}, 1))
 
 
 def test_a_model_with_a_memory_runs_each_group_by_itself() -> None:
