@@ -6,6 +6,7 @@ python -m experiments.report runs/identify --quick             # without interva
 python -m experiments.report runs/identify/PROBLEM/METHOD/ID   # one run
 python -m experiments.report runs/identify --bootstrap 1000    # with bootstrap intervals
 python -m experiments.report runs/identify/PROBLEM/METHOD/ID --check  # is there a better optimum?
+python -m experiments.report runs/identify/PROBLEM/METHOD/ID --next candidates.csv --rows 200
 """
 
 from __future__ import annotations
@@ -41,6 +42,14 @@ def main() -> int:
         help="for what is not asked for by name (those of the run's budget, "
         f"{LEAST_SECONDS:g} to {SECONDS:g})",
     )  # fmt: skip
+    parser.add_argument(
+        "--next", type=Path, dest="candidates", metavar="CSV",
+        help="of one run: rows that could be measured next, to choose from (docs/"
+        "next-measurement.md)",
+    )  # fmt: skip
+    parser.add_argument("--rows", type=int, help="how many of them, or of their --groups")
+    parser.add_argument("--goal", help="parameter or derived quantity to narrow; all parameters")
+    parser.add_argument("--groups", metavar="COLUMN", help="rows to be measured together")
     parser.add_argument("--level", type=float, default=0.95, help="of the intervals (0.95)")
     parser.add_argument("--trust", action="store_true", help="run models in files of your own")
     parser.add_argument(
@@ -53,12 +62,16 @@ def main() -> int:
         parser.error("--bootstrap must be at least 0 and --level between 0 and 1")
     if any(limit is not None and not limit > 0 for limit in (arguments.seconds, arguments.check)):
         parser.error("--seconds and --check must be above 0")
+    if (arguments.candidates is None) != (arguments.rows is None):
+        parser.error("--next needs --rows, how many of the candidates to choose, and they need it")
     path = arguments.path
     options = Options(**{name: value for name, value in vars(arguments).items() if name != "path"})
     if (path / "result.json").is_file():
         if arguments.quick:
             parser.error("--quick is for a root of runs; this is the folder of one run")
         return SOME_FAILED if report_on_run(read_run(path), options)[1] else OK
+    if arguments.candidates is not None:
+        parser.error("--next is for one run; name its folder, ROOT/PROBLEM/METHOD/ID")
     return report_on_root(path, options)
 
 

@@ -15,6 +15,7 @@ from experiments.app.build import ConfigError, rebuild
 from experiments.app.configured import as_configured, differences
 from experiments.app.console import OK, SOME_FAILED
 from experiments.app.explain import one_line
+from experiments.app.next_measurement import advise
 from experiments.app.optimum import check_optimum, report_of, save_run
 from experiments.app.progress import at_work
 from miho.analysis.pages.html import PAGE
@@ -41,7 +42,8 @@ class Options:
     """How to report: `bootstrap` replicates, `profile` likelihood (None: as many as are quick),
     `level` of the intervals, a `check` for a better optimum of so many seconds, at most `seconds`
     for what is not asked for by name, whether to `trust` models in files, none of it (`quick`), and
-    the folder to write to (None: the root).
+    the folder to write to (None: the root). `candidates` is a file of rows that could be measured
+    next, of which to choose so many `rows` (or `groups`) for a `goal`.
     """
 
     bootstrap: int
@@ -52,6 +54,10 @@ class Options:
     trust: bool
     quick: bool
     output: Path | None
+    candidates: Path | None = None
+    rows: int | None = None
+    goal: str | None = None
+    groups: str | None = None
 
 
 def read_sweep(root: Path) -> Sweep:
@@ -130,6 +136,18 @@ def report_on_run(stored: StoredRun, options: Options) -> tuple[Best, bool]:
         f"{result['problem']}: {stored.folder}\n\n{report_text(report)}\n\n{errors}\n"
         f"optimum: {report.standing.evidence}\nreport {path}\n"
     )
+    if options.candidates is not None and options.rows is not None:
+        print(
+            advise(
+                report,
+                stored,
+                options.candidates,
+                options.rows,
+                options.goal,
+                options.groups,
+                folder,
+            )
+        )
     return Best(*name, parameter_table(report), report.notes, page), False
 
 

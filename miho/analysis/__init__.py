@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from miho.analysis.compare.claims import claims_table
     from miho.analysis.compare.leaderboard import leaderboard, results_table
     from miho.analysis.export import write_csv, write_ioh, write_parquet
+    from miho.analysis.figures.design import design_figure
     from miho.analysis.figures.engine import fig5
     from miho.analysis.figures.house import save
     from miho.analysis.figures.paper import fig4, fig6, plot_error_over, plot_tires
@@ -19,9 +20,9 @@ if TYPE_CHECKING:
     from miho.analysis.text import to_markdown
 
 __all__ = [
-    "claims_table", "fig4", "fig5", "fig6", "leaderboard", "plot_error_over", "plot_tires",
-    "results_table", "save", "save_report", "save_sweep_page", "to_markdown", "write_csv",
-    "write_ioh", "write_parquet",
+    "claims_table", "design_figure", "fig4", "fig5", "fig6", "leaderboard", "plot_error_over",
+    "plot_tires", "results_table", "save", "save_report", "save_sweep_page", "to_markdown",
+    "write_csv", "write_ioh", "write_parquet",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

@@ -137,7 +137,31 @@ class Layout:
         def fault(header: str, row: int | None, problem: str) -> ValueError:
             return file_fault(header, None if row is None else int(rows[row]), problem)
 
-        # SI units, in which each column has a plausible size; then ISO-W signs.
+        columns, units = self.si_columns(numbers, fault)
+        # Something has to vary: the output, and one column besides.
+        header = dict(zip(self.columns, self.names, strict=True))
+        constant = [key for key, column in columns.items() if np.ptp(column) == 0]
+        if self.output in constant or len(constant) >= max(1, len(columns) - 1):
+            key = self.output if self.output in constant else constant[0]
+            problem = f"column {header[key]!r} has the same value in every row"
+            remedy = "choose one that varies: nothing can be identified from this one"
+            raise fault(header[key], None, f"{problem}; {remedy}")
+        file_columns = {key: all_numbers[key] for key in self.names}
+        where = (self.where or {}).items()
+        chosen = [f"{key} from {low:g} to {high:g}" for key, (low, high) in where]
+        chosen += [f"one of every {self.every} rows"] if self.every > 1 else []
+        reading = Reading.of(path, file_columns, self.units, [*notes, *chosen])
+        dataset = Dataset(name, columns, units, self.output, reading=reading)
+        return dataset.hold_out(self.held_out) if self.held_out else dataset
+
+    def si_columns(
+        self, numbers: Mapping[str, Array], fault: Fault
+    ) -> tuple[dict[str, Array], dict[str, str]]:
+        """The columns (n,) and their units, from the file's numbers by its own names.
+
+        SI units, in which each column has a plausible size, and ISO-W signs; raises what `fault`
+        makes.
+        """
         columns, units = {}, {}
         header = dict(zip(self.columns, self.names, strict=True))
         for key, spelling in zip(self.columns, self.units, strict=True):
@@ -152,20 +176,7 @@ class Layout:
         sign_fault = sign_problem(columns, units)
         if sign_fault:
             raise fault(header[sign_fault[0]], None, sign_fault[1])
-        # Something has to vary: the output, and one column besides.
-        constant = [key for key, column in columns.items() if np.ptp(column) == 0]
-        if self.output in constant or len(constant) >= max(1, len(columns) - 1):
-            key = self.output if self.output in constant else constant[0]
-            problem = f"column {header[key]!r} has the same value in every row"
-            remedy = "choose one that varies: nothing can be identified from this one"
-            raise fault(header[key], None, f"{problem}; {remedy}")
-        file_columns = {key: all_numbers[key] for key in self.names}
-        where = (self.where or {}).items()
-        chosen = [f"{key} from {low:g} to {high:g}" for key, (low, high) in where]
-        chosen += [f"one of every {self.every} rows"] if self.every > 1 else []
-        reading = Reading.of(path, file_columns, self.units, [*notes, *chosen])
-        dataset = Dataset(name, columns, units, self.output, reading=reading)
-        return dataset.hold_out(self.held_out) if self.held_out else dataset
+        return columns, units
 
     def _rows(self, path: str, numbers: Mapping[str, Array]) -> NDArray[np.intp]:
         """The rows that `where` and `every` choose, (n,)."""

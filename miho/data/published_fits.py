@@ -19,7 +19,7 @@ class PublishedFit:
     `title` says what it is and where it is from, `collection` is the set of problems it belongs to
     (nist, mgh, bw), `model` names the formula in `miho.models.PublishedModel`. `starts` are
     parameter rows to begin from, `optimum` is the best one, and `squares` its sum of squared
-    residuals, to the digits published.
+    residuals, to the digits published; `standard_errors` those of its parameters, where they were.
     """
 
     name: str
@@ -30,6 +30,7 @@ class PublishedFit:
     optimum: tuple[float, ...]
     squares: float
     dataset: Dataset
+    standard_errors: tuple[float, ...] = ()
 
 
 def published_names() -> tuple[str, ...]:
@@ -41,8 +42,9 @@ def published_fit(name: str) -> PublishedFit:
     """The published problem `name`.
 
     A file holds the title, a line each for the collection, the model, the starts, the optimum, its
-    sum of squares and the columns, the output first, then the rows. An output log(y) is the natural
-    logarithm of what stands in the file. Columns have no units (-), as the models.
+    standard errors if they were published, its sum of squares and the columns, the output first,
+    then the rows. An output log(y) is the natural logarithm of what stands in the file. Columns
+    have no units (-), as the models.
     """
     if name not in published_names():
         raise ValueError(f"name is {name!r}; choose from {', '.join(published_names())}")
@@ -62,6 +64,7 @@ def published_fit(name: str) -> PublishedFit:
         optimum=tuple(map(float, fields["optimum"])),
         squares=float(fields["squares"][0]),
         dataset=Dataset(name, columns, dict.fromkeys(columns, "-"), "y"),
+        standard_errors=tuple(map(float, fields.get("errors", ()))),
     )
 
 

@@ -7,16 +7,19 @@ from miho.exports import at_first_use
 if TYPE_CHECKING:
     from miho.identification.closed_form import linear_optimum
     from miho.identification.curve_fit import CurveFit
+    from miho.identification.experimental_design import Design, optimal_design
     from miho.identification.irreducible import irreducible_error
     from miho.identification.loss import Cauchy, Huber, Loss, Square
+    from miho.identification.model_comparison import ModelComparison, compare_models
     from miho.identification.parameters_file import identified
     from miho.identification.report import Report
     from miho.identification.report_steps import make_report
     from miho.identification.uncertainty import Linearised, linearised
 
 __all__ = [
-    "Cauchy", "CurveFit", "Huber", "Linearised", "Loss", "Report", "Square", "identified",
-    "irreducible_error", "linear_optimum", "linearised", "make_report",
+    "Cauchy", "CurveFit", "Design", "Huber", "Linearised", "Loss", "ModelComparison", "Report",
+    "Square", "compare_models", "identified", "irreducible_error", "linear_optimum", "linearised",
+    "make_report", "optimal_design",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

@@ -1,0 +1,75 @@
+"""What to measure next, from a stored run and a file of rows that could be measured."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from experiments.app.build import ConfigError, stored_part
+from miho.analysis.figures.design import design_figure
+from miho.analysis.figures.house import png
+from miho.data.csv import TextFormat, TextTable
+from miho.data.measurements import Layout
+from miho.data.units import UNITS
+from miho.identification import Report, optimal_design
+from miho.study import StoredRun, write_bytes, write_text
+
+ROWS, TABLE, FIGURE = "next_rows.csv", "next.csv", "next.png"
+
+
+def advise(
+    report: Report,
+    stored: StoredRun,
+    path: Path,
+    rows: int,
+    goal: str | None,
+    groups: str | None,
+    folder: Path,
+) -> str:
+    """The advice in words; the chosen lines of the file, the table and a figure go to `folder`.
+
+    The file is read as the run's own was, if it was one (columns, headers, units, signs); else
+    it names the model's inputs, in the model's units. Raises ConfigError or CSVError.
+    """
+    table, frame = read_candidates(report, stored, path, groups)
+    try:
+        design = optimal_design(report, frame, rows, goal=goal, groups=groups)
+    except ValueError as error:
+        raise ConfigError(f"--next {path}: {error}") from None
+    lines = [table.lines[0], *(table.lines[table.first + row] for row in design.chosen.index)]
+    write_text(folder / ROWS, "\n".join(lines) + "\n")
+    write_text(folder / TABLE, design.table.to_csv(index=False))
+    write_bytes(folder / FIGURE, png(design_figure(design.rows, design.table)))
+    return f"what to measure next: {design}\n\nrows {folder / ROWS}\nfigure {folder / FIGURE}\n"
+
+
+def read_candidates(
+    report: Report, stored: StoredRun, path: Path, groups: str | None
+) -> tuple[TextTable, pd.DataFrame]:
+    """The file, and its rows: the model's inputs in their units, and the column of groups."""
+    inputs = report.problem.model.inputs
+    settings = stored_part(stored, "dataset")
+    columns = list(inputs)
+    units = [unit if unit in UNITS else f"own:{unit}" for unit in inputs.values()]
+    headers, reading, text = list(columns), dict[str, Any](), TextFormat()
+    if "columns" in settings and "units" in settings:
+        named = list(settings["columns"])
+        spelled = dict(zip(named, settings["units"], strict=True))
+        called = dict(zip(named, settings.get("headers") or named, strict=True))
+        units, headers = [spelled[name] for name in columns], [called[name] for name in columns]
+        reading = {
+            "convention": settings.get("convention", "iso-w"),
+            "flip": [name for name in settings.get("flip") or () if name in columns],
+            "ranges": {k: v for k, v in (settings.get("ranges") or {}).items() if k in columns},
+        }
+        written = {field.name for field in fields(TextFormat)} & set(settings) - {"drop_rows"}
+        text = TextFormat(**{name: settings[name] for name in written})
+    layout = Layout(columns, units, columns[0], headers, **reading)
+    extra = [groups] if groups is not None and groups not in headers else []
+    table = TextTable(path, [*headers, *extra], header=True, text=text)
+    numbers = table.numbers()
+    frame = pd.DataFrame(layout.si_columns(numbers, table.fault)[0])
+    return table, frame if groups is None else frame.assign(**{groups: numbers[groups]})

@@ -1,0 +1,235 @@
+"""What to measure next, in words: where the chosen rows lie, what they buy, and what is assumed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from miho.identification.flags import independence
+from miho.identification.report import CHANCE, UNMODELLED, Report
+from miho.quantities import Array
+
+if TYPE_CHECKING:
+    from miho.identification.experimental_design import Design
+
+GAP = 0.1
+"""Chosen values that lie apart by more than this fraction of the candidates' range are two
+places."""
+MOST_PLACES, MOST_QUANTITIES = 4, 3
+"""As many are named in a sentence."""
+LINEAR = 0.5
+"""A parameter known less well than to this fraction of itself strains the linearised model."""
+KILO = 1000.0
+
+
+def advice(design: Design) -> str:
+    """One or two sentences: which rows would narrow what, and what evenly spread rows would."""
+    table = design.table
+    if design.goal:
+        subject = table[table["quantity"] == design.goal]
+    else:
+        parameters = table[table["kind"] == "parameter"]
+        ratio = parameters["expected half width"] / parameters["present half width"]
+        order = ratio.fillna(1.0).sort_values(kind="stable").index
+        subject = parameters.loc[order].head(MOST_QUANTITIES)
+    records = subject.to_dict("records")
+    words = f"{_what(design)} would narrow {', '.join(_narrowing(row) for row in records)}."
+    first = records[0]
+    if math.isfinite(first["evenly half width"]):
+        even = _half_width(first, "evenly", in_percent=not math.isnan(first["evenly %"]))
+        words += f" As many rows spread evenly over all candidates: {first['quantity']} to {even}."
+    return words
+
+
+def assumptions(design: Design) -> list[str]:
+    """What the numbers rest on, and what these rows would leave open; a sentence each."""
+    report = design.report
+    problem, at = report.problem, report.at
+    sentences = [
+        "this holds as far as the model is right, new errors are like the present ones (standard "
+        f"deviation {at.noise:.3g}{_unit(problem.unit)}), and the optimum is near this one: "
+        "measure, fit again, and ask again."
+    ]
+    if report.standing.doubt:
+        sentences.append(
+            f"the optimum is in doubt ({report.standing.doubt}): another one would ask for other "
+            "rows."
+        )
+    sentences += _undetermined(design)
+    held = [problem.space.names[i] for i in np.flatnonzero(at.at_bound)]
+    if held:
+        sentences.append(f"held at a bound, and left out here: {', '.join(held)}.")
+    table = design.table
+    vague = table[(table["present half width"] > LINEAR * table["value"].abs())]
+    vague = vague[np.isfinite(vague["present half width"]) & (vague["quantity"] == design.goal)]
+    if len(vague):
+        sentences.append(
+            f"{design.goal} is known so little yet that a linearised model may mislead: measure a "
+            "part of these rows, and choose the others after the next fit."
+        )
+    if independence(problem, at):
+        sentences.append(
+            "the errors of present rows depend on each other, as those of new ones will: read by "
+            "what factor the widths fall, not the widths."
+        )
+    return sentences + _not_noise(report) + _beyond(design)
+
+
+def table_text(design: Design) -> str:
+    """The table for a terminal."""
+    rows = []
+    for row in design.table.to_dict("records"):
+        cells = {"": row["quantity"], "value": f"{row['value']:.4g}", "unit": row["unit"]}
+        for state in ("present", "expected", "evenly"):
+            half, percent = row[f"{state} half width"], row[f"{state} %"]
+            cells[state] = "not determined" if math.isinf(half) else f"±{_two_digits(half)}"
+            cells[f"{state} %"] = "" if math.isnan(percent) else f"±{_two_digits(percent)} %"
+        rows.append(cells)
+    level = f"half widths of {100 * design.report.level:g} % intervals"
+    return f"{pd.DataFrame(rows).to_string(index=False)}\n({level})"
+
+
+def _what(design: Design) -> str:
+    """The chosen rows and where they lie."""
+    inputs = design.report.problem.model.inputs
+    varying = {name: unit for name, unit in inputs.items() if np.ptp(design.candidates[name]) > 0}
+    places = places_of(design.chosen, design.candidates, varying or dict(inputs))
+    count = len(design.chosen)
+    rows = f"{count:,} row{'s' * (count != 1)}"
+    if design.groups is not None:
+        numbers = [f"{value:g}" if isinstance(value, float) else str(value)
+                   for value in design.chosen[design.groups].unique()]  # fmt: skip
+        return f"{rows} of {design.groups} {', '.join(numbers)}"
+    if len(places) == 1:
+        return f"{rows} at {places[0][1]}"
+    named = [f"{number:,} at {place}" for number, place in places[:MOST_PLACES]]
+    others = sum(number for number, _ in places[MOST_PLACES:])
+    return f"{rows} ({'; '.join([*named, *([f'{others:,} elsewhere'] if others else [])])})"
+
+
+def places_of(
+    chosen: pd.DataFrame, candidates: pd.DataFrame, inputs: dict[str, str]
+) -> list[tuple[int, str]]:
+    """Where chosen rows lie: how many and in which ranges of the inputs, the most rows first."""
+    labels = pd.DataFrame(
+        {name: _clusters(chosen[name].to_numpy(), candidates[name].to_numpy()) for name in inputs},
+        index=chosen.index,
+    )
+    places = []
+    for _, part in chosen.groupby([labels[name] for name in inputs], sort=True):
+        ranges = [range_text(name, part[name].to_numpy(), unit) for name, unit in inputs.items()]
+        places.append((len(part), ", ".join(ranges)))
+    return sorted(places, key=lambda place: -place[0])
+
+
+def _clusters(values: Array, candidates: Array) -> NDArray[np.intp]:
+    """The number of the cluster of each value (n,), in rising order."""
+    levels, index = np.unique(values, return_inverse=True)
+    cut = np.diff(levels, prepend=levels[0]) > GAP * np.ptp(candidates)
+    return np.asarray(np.cumsum(cut)[index])
+
+
+def range_text(name: str, values: Array, unit: str) -> str:
+    """The range of a column in words, such as "alpha 4 to 7 deg"."""
+    low, high = float(values.min()), float(values.max())
+    if unit == "rad":
+        low, high, unit = math.degrees(low), math.degrees(high), "deg"
+    elif unit in ("N", "Pa") and max(abs(low), abs(high)) >= KILO:
+        low, high, unit = low / KILO, high / KILO, f"k{unit}"
+    ends = [f"{end:.3g}" for end in (low, high)]
+    return f"{name} {' to '.join(dict.fromkeys(ends))}{_unit(unit)}"
+
+
+def _narrowing(row: dict[Hashable, Any]) -> str:
+    """A quantity with its half widths before and after, in % where both are a part of it."""
+    name = row["quantity"]
+    if math.isinf(row["expected half width"]):
+        return f"{name} not at all"
+    if math.isinf(row["present half width"]):
+        after = _half_width(row, "expected", in_percent=not math.isnan(row["expected %"]))
+        return f"{name}, which the present data do not determine, to {after}"
+    in_percent = not math.isnan(row["present %"])
+    before, after = (_half_width(row, state, in_percent) for state in ("present", "expected"))
+    return f"{name} from {before} to {after}"
+
+
+def _half_width(row: dict[Hashable, Any], state: str, in_percent: bool) -> str:
+    if in_percent:
+        return f"±{_two_digits(row[f'{state} %'])} %"
+    return f"±{_two_digits(row[f'{state} half width'])}{_unit(row['unit'])}"
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "-" else f" {unit}"
+
+
+def _two_digits(value: float) -> str:
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def _undetermined(design: Design) -> list[str]:
+    """Sentences on what present data leave open: for these rows, for others, or for good."""
+    table, none = design.table, design.undeterminable
+    names = list(table["quantity"])
+    now, after = (
+        [
+            name
+            for name, half in zip(names, table[f"{state} half width"], strict=True)
+            if np.isinf(half)
+        ]
+        for state in ("present", "expected")
+    )
+    closed = [name for name in now if name not in after]
+    left = [name for name in now if name in after and name not in none]
+    sentences = []
+    if closed:
+        sentences.append(
+            f"the present data do not determine {', '.join(closed)}; these rows would."
+        )
+    if left:
+        sentences.append(
+            f"these rows would not determine {', '.join(left)}; others of the candidates would: "
+            "choose more rows, or some for that goal."
+        )
+    if none:
+        inputs = ", ".join(design.report.problem.model.inputs)
+        sentences.append(
+            f"no candidate determines {', '.join(none)}: even with all of them, every prediction "
+            f"can stay as it is while they change. Add candidates with other values of {inputs}, "
+            "or fix a parameter."
+        )
+    return sentences
+
+
+def _not_noise(report: Report) -> list[str]:
+    """A sentence if the errors follow a column, which more rows do not average out."""
+    trends = report.trends.to_dict("records")
+    strongest = max(trends, key=lambda row: row["explained"])
+    if not (strongest["explained"] > UNMODELLED and strongest["p"] < CHANCE):
+        return []
+    return [
+        f"{100 * strongest['explained']:.0f} % of the errors' variance follows "
+        f"{strongest['column']}: that is no noise, and a model that allows for it comes before "
+        "more rows."
+    ]
+
+
+def _beyond(design: Design) -> list[str]:
+    """Sentences on chosen rows outside the ranges of the data."""
+    problem = design.report.problem
+    sentences = []
+    for (name, unit), data in zip(problem.model.inputs.items(), problem.inputs, strict=True):
+        values = design.chosen[name].to_numpy()
+        outside = (values < data.min()) | (values > data.max())
+        if outside.any():
+            sentences.append(
+                f"{np.count_nonzero(outside):,} of the rows lie beyond the data, which have "
+                f"{range_text(name, data, unit)}: nobody has seen yet whether the model holds "
+                "there."
+            )
+    return sentences
