@@ -44,14 +44,19 @@ def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
 def delta_method(quantity: Derived, at: Linearised) -> tuple[float, float]:
     """Value and standard error of a derived quantity, to first order in the parameters."""
     value = float(quantity.evaluate(at.theta[None])[0])
+    return value, float(at.spread(gradient(quantity, at))[0])
+
+
+def gradient(quantity: Derived, at: Linearised) -> Array:
+    """Derivatives (1, d) of a quantity by the parameters: differences over 1 % of their errors."""
     step = 1e-2 * np.sqrt(np.diag(at.covariance))
     step[(step == 0) & ~at.at_bound] = 1e-6
     moving = np.flatnonzero(step)
-    gradient = np.zeros((1, at.theta.size))
+    derivatives = np.zeros((1, at.theta.size))
     if moving.size:
         high, low = (quantity.evaluate(at.theta + sign * np.diag(step)[moving]) for sign in (1, -1))
-        gradient[0, moving] = (high - low) / (2 * step[moving])
-    return value, float(at.spread(gradient)[0])
+        derivatives[0, moving] = (high - low) / (2 * step[moving])
+    return derivatives
 
 
 def _at(model: Model, dataset: Dataset, values: Array) -> tuple[Array, ...]:

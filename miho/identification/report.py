@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from miho.identification.bootstrap import percentile_intervals
+from miho.identification.bootstrap import percentile_intervals, percentiles
 from miho.identification.curve_fit import CurveFit
-from miho.identification.derived import delta_method, derived
+from miho.identification.derived import delta_method, derived, gradient
 from miho.identification.flags import (
     doubtful,
     identifiability,
@@ -105,7 +105,7 @@ class Report:
                 [(p.low, p.high) if p else no_interval for p in self.profiles]
             )
         if self.replicates is not None:
-            ends["bootstrap"] = self._percentiles(self.replicates)
+            ends["bootstrap"] = self._percentiles(self.replicates, np.eye(len(space)))
         for name, interval in ends.items():
             frame[f"{name} low"], frame[f"{name} high"] = interval.T
         return frame
@@ -122,7 +122,8 @@ class Report:
         rows = []
         for quantity in derived(self.problem.model, self.problem.dataset):
             value, error = delta_method(quantity, self.at)
-            reach = self.at.quantile(self.level) * error
+            slope = gradient(quantity, self.at)
+            reach = float(self.at.quantiles(slope, self.level)[0]) * error
             row: dict[str, Any] = {
                 "quantity": quantity.name,
                 "value": value,
@@ -135,7 +136,7 @@ class Report:
                 values = quantity.evaluate(self.replicates)
                 values = values[np.isfinite(values)]
                 if values.size:
-                    interval = self._percentiles(values[:, None])[0]
+                    interval = self._percentiles(values[:, None], slope)[0]
                     row["bootstrap low"], row["bootstrap high"] = interval
             rows.append(row)
         return pd.DataFrame(rows)
@@ -263,7 +264,10 @@ class Report:
                     )
         return sentences
 
-    def _percentiles(self, replicates: Array) -> Array:
+    def _percentiles(self, replicates: Array, gradients: Array) -> Array:
+        """Ends (q, 2) for replicates (n, q) of quantities with gradients (q, d)."""
+        if self.at.dependence is not None:
+            return percentiles(replicates, self.at.quantiles(gradients, self.level))
         units = self.at.events or len(self.problem.dataset)
         return percentile_intervals(replicates, units, self.at.freedom, self.level)
 
@@ -273,10 +277,9 @@ class Report:
         The interval is of the curve, not of new measurements.
         """
         model = self.problem.model
-        spread = self.at.spread(model.jacobian(self.at.theta, *inputs))
         return (
             model.predict(self.at.theta[None], *inputs)[0],
-            self.at.quantile(self.level) * spread,
+            self.at.reach(model.jacobian(self.at.theta, *inputs), self.level),
         )
 
     def __repr__(self) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from miho.identification.bootstrap import bootstrap
+from miho.identification.bootstrap import block_length, bootstrap, stretched
 from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import lost_effect
@@ -75,7 +75,7 @@ def make_report(
 
     # Its profiles; where a refit for one of them meets a better optimum, all again from there.
     while True:
-        at = linearised(problem, optimum.theta)
+        at = _uncertainty(problem, optimum.theta)
         curves, lacking = _profiles(problem, at, level, profiles, deadline, progress)
         refits = (curve.best for curve in curves if curve)
         lowest = min(refits, key=lambda fit: fit.cost, default=optimum)
@@ -90,9 +90,12 @@ def make_report(
     estimates = None
     if replicates:
         rng = stream("bootstrap", problem.dataset.digest, seed)
+        block = 1 if at.dependence is None else block_length(problem.errors(at.theta))
         estimates = bootstrap(
-            problem, at.theta, replicates, rng, lambda: progress("bootstrap"), held
+            problem, at.theta, replicates, rng, lambda: progress("bootstrap"), held, block
         )
+        if at.dependence is not None:
+            estimates = stretched(estimates, problem, at, block)
     left_out = []
     for condition in conditions(problem):
         progress(f"leave one {condition} out")
@@ -120,6 +123,15 @@ def make_report(
         searches=searches,
         best_known=best_known,
     )
+
+
+def _uncertainty(problem: CurveFit, theta: Array) -> Linearised:
+    """That of the optimum (d,), for rows that may depend on their neighbours.
+
+    Errors that are rounding are as alike as the rounding is, which tells nothing.
+    """
+    neighbours = root_mean_square(problem.errors(theta)) > rounding_of(problem)
+    return linearised(problem, theta, neighbours)
 
 
 def _profiles(
