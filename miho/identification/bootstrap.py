@@ -11,6 +11,7 @@ import scipy  # which loads its packages where they are used: importing them tak
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import refit
 from miho.identification.uncertainty import Linearised, events_of
+from miho.optim.space import Space
 from miho.quantities import Array
 
 TINY = 1e-12
@@ -75,19 +76,19 @@ def block_length(errors: Array) -> int:
     return max(1, round(min(float(length), 3 * math.sqrt(rows), rows / 3)))
 
 
-def stretched(replicates: Array, problem: CurveFit, at: Linearised, block: int) -> Array:
+def stretched(
+    replicates: Array, at: Linearised, influence: Array, block: int, space: Space
+) -> Array:
     """Replicates (n, d) of blocks, stretched about the optimum to the spread of `at.sandwich`.
 
     Blocks cut what depends on each other, and the errors of a fit vary less than those of the
     data, so that replicates scatter too little, the more the stronger the dependence. To first
-    order their covariance is known; the linear map is the one nearest to none that takes it to the
-    sandwich. Parameters without a standard error stay, and so does the box.
+    order their covariance follows from the rows' `influence` (N, d); the linear map is the one
+    nearest to none that takes it to the sandwich. Parameters without a standard error stay, and all
+    stay within the box.
     """
     known = np.flatnonzero(np.isfinite(at.standard_errors) & (at.standard_errors > 0))
-    psi, stiffness = problem.rho.influence(problem.errors(at.theta))
-    J = problem.model.jacobian(at.theta, *problem.inputs)
-    scores = J * (psi / stiffness.mean())[:, None] @ at.independent.covariance / at.noise**2
-    totals = np.cumsum(np.vstack([scores, scores[:block]])[:, known], axis=0)
+    totals = np.cumsum(np.vstack([influence, influence[:block]])[:, known], axis=0)
     sums = totals[block:] - totals[:-block]  # of each block, by where it begins
     drawn = sums.T @ sums / block
     target = at.sandwich[np.ix_(known, known)]
@@ -99,7 +100,7 @@ def stretched(replicates: Array, problem: CurveFit, at: Linearised, block: int) 
     stretch = axes / np.sqrt(np.maximum(size, TINY)) @ axes.T
     result = replicates.copy()
     result[:, known] = at.theta[known] + (root @ stretch @ away).T
-    return np.clip(result, problem.space.low, problem.space.high)
+    return np.clip(result, space.low, space.high)
 
 
 def _block_weights(rows: int, block: int, rng: np.random.Generator) -> Array:

@@ -57,11 +57,12 @@ def make_report(
     `descents` says where those of the run ended, `check` those of a check, and the report is of the
     optimum near its result `better` (d,) if that is better; `best_known` is the loss
     of a recorded optimum. `replicates` bootstrap estimates (1000 for an interval, 0 for none),
-    drawn from `seed`; `profiles` by default for models of up to MOST_PROFILES parameters, none for
-    data in events. What is computed by default ends after `seconds`; `Report.omitted` lists what is
-    missing then. What is asked for (replicates, profiles) takes the time it takes. `progress` is
-    called before each of many steps with the name of the stage. Raises ValueError where there is no
-    uncertainty to be had: fewer rows than parameters, or derivatives that are not finite.
+    drawn from `seed`, in blocks where rows depend on their neighbours; `profiles` by default for
+    models of up to MOST_PROFILES parameters, none for data in events. What is computed by default
+    ends after `seconds`; `Report.omitted` lists what is missing then. What is asked for
+    (replicates, profiles) takes the time it takes. `progress` is called before each of many steps
+    with the name of the stage. Raises ValueError where there is no uncertainty to be had: fewer
+    rows than parameters, or derivatives that are not finite.
     """
     if not 0 < level < 1:
         raise ValueError(f"level is {level!r}; expected between 0 and 1, such as 0.95")
@@ -90,12 +91,13 @@ def make_report(
     estimates = None
     if replicates:
         rng = stream("bootstrap", problem.dataset.digest, seed)
-        block = 1 if at.dependence is None else block_length(problem.errors(at.theta))
+        block = 1 if at.dependence is None else block_length(at.dependence.errors)
         estimates = bootstrap(
             problem, at.theta, replicates, rng, lambda: progress("bootstrap"), held, block
         )
         if at.dependence is not None:
-            estimates = stretched(estimates, problem, at, block)
+            influence = at.dependence.influence
+            estimates = stretched(estimates, at, influence, block, problem.space)
     left_out = []
     for condition in conditions(problem):
         progress(f"leave one {condition} out")
