@@ -118,7 +118,7 @@ def autoregression(errors: Array, basis: Array) -> tuple[Autoregression, list[Au
     likelihood = _RestrictedLikelihood(errors, basis, start.size)
     end = scipy.optimize.minimize(
         likelihood.with_slope,
-        np.clip(start, -NEAREST, NEAREST),
+        start,
         jac=True,
         method="L-BFGS-B",
         bounds=[(-NEAREST, NEAREST)] * start.size,
@@ -196,8 +196,10 @@ def _burg(errors: Array, highest: int) -> Array:
     """Partial autocorrelations (p,) by Burg's recursion, of the best order up to the highest."""
     forward, backward = errors[1:], errors[:-1]
     partial, spread = [], [float(np.mean(errors**2))]
+    nearest = float(np.tanh(NEAREST))
     for _ in range(highest):
         k = 2 * float(forward @ backward) / float(forward @ forward + backward @ backward)
+        k = min(max(k, -nearest), nearest)
         partial.append(k)
         spread.append(spread[-1] * (1 - k**2))
         forward, backward = (forward - k * backward)[1:], (backward - k * forward)[:-1]

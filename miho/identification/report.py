@@ -256,7 +256,10 @@ class Report:
             if row["explained"] > UNMODELLED and row["p"] < CHANCE:
                 share = f"{100 * row['explained']:.0f} % of the errors' variance follows"
                 if row["an input"] == "yes":
-                    sentences.append(f"{share} {row['column']}: the model has the wrong shape.")
+                    drift = ", unless the noise drifts from row to row" * bool(self.at.dependence)
+                    sentences.append(
+                        f"{share} {row['column']}: the model has the wrong shape{drift}."
+                    )
                 else:
                     sentences.append(
                         f"{share} {row['column']}, which is no input of the model: it is not "

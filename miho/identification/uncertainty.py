@@ -235,7 +235,7 @@ def _dependent(
     (f, r) turns sums of errors times it into changes of those parameters.
     """
     alike = likeness(errors, basis)
-    if alike.correlation <= RESEMBLING or alike.score <= SCORE:
+    if alike.correlation <= RESEMBLING or alike.score <= SCORE or not basis.shape[1]:
         return at
     model, sides = autoregression(errors, basis)
     few_rows = errors.size / at.freedom
