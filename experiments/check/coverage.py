@@ -1,28 +1,40 @@
 """How often the 95 % intervals hold the truth, on synthetic tire data.
 
 python -m experiments.check.coverage [--bootstrapped 500]   # with it half an hour
+python -m experiments.check.coverage --correlation 0.8 [--bootstrapped 500]
+python -m experiments.check.coverage --noises [--sets 200]  # linear models, other dependence
 
 Each data set has 300 slip angles, uniform within 0.3 rad, the force of Eq. 4 and normal noise:
 size, parameters and noise of the authors' sample data, tire A. Intervals are linearised and by
 profile likelihood on all sets, by bootstrap on the first ones.
+
+With a correlation the rows are in the order of a drive: the slip angle swings one and a half times
+through its range, and the noise is autoregressive, of the first order and a third of the size. The
+intervals are then those that a report gives, which takes rows for dependent where it finds that
+neighbours are alike; before them those that take them for independent.
+
+`--noises` is of linear models, whose estimates need no search, on noise of several kinds: for each
+the least and the most often that a parameter is held, as if rows were independent and as a report
+gives it, and how many times as wide its intervals are (medians). Columns of the models: a quadratic
+drift, the derivatives of the tire's force over that drive (swing), and at random slip angles.
 """
 
 from __future__ import annotations
 
 import argparse
+from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 from scipy.stats import binomtest
 from tqdm import tqdm
 
 from miho.data import Dataset
-from miho.identification import CurveFit, linearised
-from miho.identification.bootstrap import bootstrap, percentile_intervals
-from miho.identification.profile_likelihood import likelihood_profile
+from miho.identification import CurveFit, linearised, make_report
 from miho.identification.refit import refit
-from miho.models import Pacejka
+from miho.models import Model, Pacejka
 from miho.optim import Parameter, Space
 from miho.optim.seeds import stream
 
@@ -32,6 +44,20 @@ TRUTH = np.array([17.35, 1.665, 2655.7, -0.0074, 116.4])
 NOISE = 391.33
 ROWS = 300
 FEW = 100
+SETTLING = 500
+"""Values of a noise before its first row, so that it is stationary."""
+NOISES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
+    "white": ((1.0,), (1.0,)),
+    "AR(1) 0.3": ((1.0, -0.3), (1.0,)),
+    "AR(1) 0.8": ((1.0, -0.8), (1.0,)),
+    "AR(1) 0.95": ((1.0, -0.95), (1.0,)),
+    "AR(2) 1.3, -0.6": ((1.0, -1.3, 0.6), (1.0,)),
+    "AR(2) 0.5, 0.35": ((1.0, -0.5, -0.35), (1.0,)),
+    "MA(5) equal": ((1.0,), (1.0,) * 6),
+}
+"""Poles and zeros of each noise, as `scipy.signal.lfilter` takes them."""
+DESIGNS = ("drift", "swing", "random")
+LENGTHS = (60, 300, 3000)
 SPACE = Space(
     (
         Parameter("B", "1/rad", 2.0, 40.0),
@@ -43,37 +69,123 @@ SPACE = Space(
 )
 
 
-def synthetic(number: int) -> CurveFit:
-    """The fit to one synthetic data set."""
+def synthetic(number: int, correlation: float = 0.0) -> CurveFit:
+    """The fit to one synthetic data set; with a correlation, to one of a drive."""
     rng = stream("coverage", number)
-    alpha = rng.uniform(-0.3, 0.3, ROWS)
-    force = Pacejka().predict(TRUTH[None], alpha)[0] + NOISE * rng.standard_normal(ROWS)
+    if correlation:
+        alpha = 0.3 * np.sin(3 * np.pi * np.arange(ROWS) / ROWS)
+        noise = NOISE / 3 * autoregressive(correlation, ROWS, rng)
+    else:
+        alpha = rng.uniform(-0.3, 0.3, ROWS)
+        noise = NOISE * rng.standard_normal(ROWS)
+    force = Pacejka().predict(TRUTH[None], alpha)[0] + noise
     units = {"alpha": "rad", "Fy": "N"}
     data = Dataset(f"synthetic_{number}", {"alpha": alpha, "Fy": force}, units, "Fy")
     return CurveFit(Pacejka(), data, SPACE)
 
 
-def intervals(problem: CurveFit, replicates: int) -> dict[str, Array]:
+def autoregressive(correlation: float, rows: int, rng: np.random.Generator) -> Array:
+    """Stationary normal noise (rows,) of variance 1 with this correlation between neighbours."""
+    innovations = np.sqrt(1 - correlation**2) * rng.standard_normal(rows)
+    innovations[0] /= np.sqrt(1 - correlation**2)
+    return np.asarray(lfilter([1.0], [1.0, -correlation], innovations))
+
+
+def intervals(problem: CurveFit, replicates: int, dependent: bool) -> dict[str, Array]:
     """Intervals (5, 2) of each kind; the search starts at the truth, as a global one would end."""
-    at = linearised(problem, refit(problem, TRUTH).theta)
-    profiles = [likelihood_profile(problem, at, i) for i in range(TRUTH.size)]
-    by_kind = {
-        "linearised": at.intervals(),
-        "profile": np.array([(p.low, p.high) for p in profiles]),
-    }
-    if replicates:
-        rng = stream("bootstrap", problem.dataset.digest)
-        thetas = bootstrap(problem, at.theta, replicates, rng)
-        by_kind["bootstrap"] = percentile_intervals(thetas, ROWS, at.freedom)
+    report = make_report(problem, refit(problem, TRUTH).theta, replicates=replicates, profiles=True)
+    by_kind = {"for independent rows": report.at.independent.intervals()} if dependent else {}
+    for kind in ("linearised", "profile", "bootstrap"):
+        if f"{kind} low" in report.parameters:
+            by_kind[kind] = report.parameters[[f"{kind} low", f"{kind} high"]].to_numpy()
     return by_kind
 
 
-def coverage(sets: int, bootstrapped: int, replicates: int) -> pd.DataFrame:
+@dataclass(frozen=True)
+class LinearModel(Model):
+    """The sum of its inputs times a parameter each."""
+
+    columns: int
+
+    @property
+    def inputs(self) -> dict[str, str]:  # type: ignore[override]
+        """x0, x1, ..."""
+        return {f"x{k}": "-" for k in range(self.columns)}
+
+    @property
+    def parameters(self) -> dict[str, str]:  # type: ignore[override]
+        """b0, b1, ..."""
+        return {f"b{k}": "-" for k in range(self.columns)}
+
+    output = "-"
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        """Sums (n, N)."""
+        return np.asarray(thetas @ np.array(inputs))
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """The inputs, (N, d)."""
+        return np.array(inputs).T
+
+
+def design(kind: str, rows: int, rng: np.random.Generator) -> Array:
+    """Columns (rows, d), each of unit size."""
+    along = np.arange(rows) / rows
+    if kind == "drift":
+        X = np.stack([np.ones(rows), along, along**2], axis=1)
+    else:
+        swing = 0.3 * np.sin(3 * np.pi * along)
+        alpha = swing if kind == "swing" else rng.uniform(-0.3, 0.3, rows)
+        X = Pacejka().jacobian(TRUTH, alpha)
+    return np.asarray(X / np.linalg.norm(X, axis=0))
+
+
+def linear_fit(X: Array, noise: Array) -> tuple[CurveFit, Array]:
+    """The fit of columns (N, d) to noise (N,), of which all true parameters are 0; its optimum."""
+    model = LinearModel(X.shape[1])
+    columns = {**dict(zip(model.inputs, X.T, strict=True)), "y": noise}
+    data = Dataset("linear", columns, dict.fromkeys(columns, "-"), "y")
+    space = Space(tuple(Parameter(name, "-", -1e6, 1e6) for name in model.parameters))
+    return CurveFit(model, data, space), np.asarray(np.linalg.lstsq(X, noise, rcond=None)[0], float)
+
+
+def held(name: str, kind: str, rows: int, sets: int) -> dict[str, object]:
+    """A row of the table of noises."""
+    poles, zeros = NOISES[name]
+    independent, given, wider = [], [], []
+    for number in range(sets):
+        rng = stream("coverage", name, kind, rows, number)
+        noise = lfilter(zeros, poles, rng.standard_normal(rows + SETTLING))[SETTLING:]
+        problem, theta = linear_fit(design(kind, rows, rng), noise)
+        at = linearised(problem, theta, neighbours=True)
+        reach = at.intervals()[:, 1] - theta
+        plain = at.independent.intervals()[:, 1] - theta
+        independent.append(np.abs(theta) <= plain)
+        given.append(np.abs(theta) <= reach)
+        wider.append(reach / plain)
+    row: dict[str, object] = {"noise": name, "columns": kind, "rows": rows}
+    for label, hits in (("independent", independent), ("report", given)):
+        shares = 100 * np.mean(hits, axis=0)
+        row[label] = f"{shares.min():.1f} to {shares.max():.1f} %"
+    factors = np.median(wider, axis=0)
+    return {**row, "wider": f"{factors.min():.1f} to {factors.max():.1f}"}
+
+
+def noises(sets: int) -> pd.DataFrame:
+    """Coverage of linear models on each kind of noise, as the head of this file describes it."""
+    cases = [(name, kind, rows) for name in NOISES for kind in DESIGNS for rows in LENGTHS]
+    return pd.DataFrame([held(*case, sets) for case in tqdm(cases, disable=None)])
+
+
+def coverage(
+    sets: int, bootstrapped: int, replicates: int, correlation: float = 0.0
+) -> pd.DataFrame:
     """Share of sets whose interval holds the truth, a row per kind and number of sets."""
     hits: dict[str, list[NDArray[np.bool_]]] = {}
     for number in tqdm(range(sets), desc="data sets", disable=None):
-        problem = synthetic(number)
-        for kind, ends in intervals(problem, replicates * (number < bootstrapped)).items():
+        problem = synthetic(number, correlation)
+        drawn = replicates * (number < bootstrapped)
+        for kind, ends in intervals(problem, drawn, correlation > 0).items():
             hits.setdefault(kind, []).append((ends[:, 0] <= TRUTH) & (ends[:, 1] >= TRUTH))
     rows = []
     for kind, held in hits.items():
@@ -93,8 +205,17 @@ def main() -> None:
     parser.add_argument("--sets", type=int, default=500)
     parser.add_argument("--bootstrapped", type=int, default=100)
     parser.add_argument("--replicates", type=int, default=1000)
+    parser.add_argument("--correlation", type=float, default=0.0)
+    parser.add_argument("--noises", action="store_true")
     arguments = parser.parse_args()
-    table = coverage(arguments.sets, arguments.bootstrapped, arguments.replicates)
+    if arguments.noises:
+        print(noises(arguments.sets).to_string(index=False))
+        return
+    if not 0 <= arguments.correlation < 1:
+        parser.error(f"--correlation is {arguments.correlation:g}; expected from 0 to below 1")
+    table = coverage(
+        arguments.sets, arguments.bootstrapped, arguments.replicates, arguments.correlation
+    )
     print("Share of data sets whose nominal 95 % interval holds the truth, with the interval of")
     print("that share for so many sets (Clopper and Pearson):\n")
     print(table.to_string(index=False))

@@ -122,17 +122,20 @@ class Fit(Remade):
 
     @cached_property
     def uncertainty(self) -> Linearised:
-        """Standard errors and correlations; raises ValueError with no more rows than parameters."""
-        return linearised(self.problem, self.theta)
+        """Standard errors and correlations, which allow for errors that depend on neighbours'.
+
+        Raises ValueError with no more rows than parameters.
+        """
+        return linearised(self.problem, self.theta, neighbours=True)
 
     @cached_property
     def parameters(self) -> pd.DataFrame:
         """A row per parameter, free, fixed or tied: value, standard error, linearised interval."""
         import pandas as pd
 
-        stated, _ = stated_parameters(self.problem, self.uncertainty)
+        stated, slopes = stated_parameters(self.problem, self.uncertainty)
         frame = pd.DataFrame(stated).set_index("name").rename_axis(None)
-        reach = self.uncertainty.quantile(self.level) * frame["standard_error"]
+        reach = self.uncertainty.quantiles(slopes, self.level) * frame["standard_error"]
         frame.insert(3, "low", frame["value"] - reach)
         frame.insert(4, "high", frame["value"] + reach)
         return frame[["value", "standard_error", "low", "high", "unit", "held"]]
@@ -174,8 +177,8 @@ class Fit(Remade):
         inputs = inputs_of(self.problem.model, x)
         columns = np.broadcast_arrays(*(np.atleast_1d(c).astype(float) for c in inputs.values()))
         value = self.problem.model.predict(self.theta[None], *columns)[0]
-        spread = self.uncertainty.spread(self.problem.model.jacobian(self.theta, *columns))
-        reach = self.uncertainty.quantile(self.level) * spread
+        slopes = self.problem.model.jacobian(self.theta, *columns)
+        reach = self.uncertainty.reach(slopes, self.level)
         return Prediction(value, value - reach, value + reach)
 
     def plot(self) -> Figure:

@@ -10,8 +10,12 @@ import scipy  # which loads its packages where they are used: importing them tak
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import refit
-from miho.identification.uncertainty import events_of
+from miho.identification.uncertainty import Linearised, events_of
+from miho.optim.space import Space
 from miho.quantities import Array
+
+TINY = 1e-12
+"""A variance that is this fraction of another is none."""
 
 
 def bootstrap(
@@ -21,24 +25,89 @@ def bootstrap(
     rng: np.random.Generator,
     progress: Callable[[], object] = lambda: None,
     held: Sequence[int] = (),
+    block: int = 1,
 ) -> Array:
     """Estimates (replicates, d) from rows drawn with replacement, near the optimum `theta` (d,).
 
     Whole rows are drawn (Efron and Tibshirani 1993, Ch. 9.5), so that nothing is assumed of the
     errors but that rows are independent; whole events, if the data have a column that numbers
-    them. The parameters at the positions `held` stay where they are. `progress` is called after
-    every replicate.
+    them. Of rows that depend on their neighbours, as many as `block` are drawn together, from
+    anywhere in the data, whose end is followed by its beginning (Politis and Romano 1992). The
+    parameters at the positions `held` stay where they are. `progress` is called after every
+    replicate.
     """
     event = events_of(problem.dataset)
     index = np.arange(len(problem.dataset)) if event is None else event
     units = int(index.max()) + 1
     estimates = np.empty((replicates, theta.size))
     for replicate in range(replicates):
-        counts = rng.multinomial(units, np.full(units, 1 / units))
-        weights = counts[index].astype(float)
+        if block > 1:
+            weights = _block_weights(units, block, rng)
+        else:
+            counts = rng.multinomial(units, np.full(units, 1 / units))
+            weights = counts[index].astype(float)
         estimates[replicate] = refit(problem, theta, weights, held, tolerance=1e-6).theta
         progress()
     return estimates
+
+
+def block_length(errors: Array) -> int:
+    """Rows to draw together, for errors (N,) that depend on their neighbours.
+
+    The length of circular blocks that Politis and White estimate (Econometric Reviews 23, 2004),
+    corrected by Patton, Politis and White (Econometric Reviews 28, 2009): the autocovariances that
+    differ from 0, weighted by a flat-top window. 1 where none does.
+    """
+    rows = errors.size
+    run, farthest = max(5, int(np.sqrt(np.log10(rows)))), math.ceil(math.sqrt(rows))
+    centred = errors - errors.mean()
+    lags = min(farthest + run, rows - 1)
+    products = np.array([centred[k:] @ centred[: rows - k] for k in range(lags + 1)]) / rows
+    large = np.abs(products[1:]) > 2 * np.sqrt(np.log10(rows) / rows) * products[0]
+    # The last lag before a run of small ones, or the last large one.
+    runs = np.convolve(~large, np.ones(run, dtype=int), "valid")
+    quiet = np.flatnonzero(runs == run)
+    last = int(quiet[0]) if quiet.size else int(np.flatnonzero(large)[-1]) + 1
+    k = np.arange(1, min(2 * max(last, 1), lags) + 1)
+    window = np.minimum(1.0, 2 * (1 - k / k[-1]))
+    slope = 2 * float(np.sum(window * k * products[k]))
+    spectrum = products[0] + 2 * float(np.sum(window * products[k]))
+    length = (1.5 * (slope / spectrum) ** 2 * rows) ** (1 / 3)
+    return max(1, round(min(float(length), 3 * math.sqrt(rows), rows / 3)))
+
+
+def stretched(
+    replicates: Array, at: Linearised, influence: Array, block: int, space: Space
+) -> Array:
+    """Replicates (n, d) of blocks, stretched about the optimum to the spread of `at.sandwich`.
+
+    Blocks cut what depends on each other, and the errors of a fit vary less than those of the
+    data, so that replicates scatter too little, the more the stronger the dependence. To first
+    order their covariance follows from the rows' `influence` (N, d); the linear map is the one
+    nearest to none that takes it to the sandwich. Parameters without a standard error stay, and all
+    stay within the box.
+    """
+    known = np.flatnonzero(np.isfinite(at.standard_errors) & (at.standard_errors > 0))
+    totals = np.cumsum(np.vstack([influence, influence[:block]])[:, known], axis=0)
+    sums = totals[block:] - totals[:-block]  # of each block, by where it begins
+    drawn = sums.T @ sums / block
+    target = at.sandwich[np.ix_(known, known)]
+    root = np.linalg.cholesky(target + TINY * np.diag(np.diag(at.covariance)[known]))
+    inner = scipy.linalg.solve_triangular(root, drawn, lower=True)
+    inner = scipy.linalg.solve_triangular(root, inner.T, lower=True)
+    size, axes = np.linalg.eigh(inner)
+    away = scipy.linalg.solve_triangular(root, (replicates - at.theta)[:, known].T, lower=True)
+    stretch = axes / np.sqrt(np.maximum(size, TINY)) @ axes.T
+    result = replicates.copy()
+    result[:, known] = at.theta[known] + (root @ stretch @ away).T
+    return np.clip(result, space.low, space.high)
+
+
+def _block_weights(rows: int, block: int, rng: np.random.Generator) -> Array:
+    """How often each row (N,) is drawn, in blocks of which the last is cut."""
+    starts = rng.integers(0, rows, -(-rows // block))
+    drawn = (starts[:, None] + np.arange(block)).ravel()[:rows] % rows
+    return np.bincount(drawn, minlength=rows).astype(float)
 
 
 def percentile_intervals(replicates: Array, units: int, freedom: int, level: float = 0.95) -> Array:
@@ -51,3 +120,15 @@ def percentile_intervals(replicates: Array, units: int, freedom: int, level: flo
     reach = math.sqrt(units / freedom) * scipy.special.stdtrit(freedom, (1 + level) / 2)
     tail = float(scipy.special.ndtr(-reach))
     return np.quantile(replicates, [tail, 1 - tail], axis=0).T
+
+
+def percentiles(replicates: Array, reach: Array) -> Array:
+    """The percentiles of columns (n, q) between which a normal one is within `reach` (q,) standard
+    deviations, (q, 2)."""
+    tails = scipy.special.ndtr(-reach)
+    return np.array(
+        [
+            np.quantile(column, [tail, 1 - tail])
+            for column, tail in zip(replicates.T, tails, strict=True)
+        ]
+    )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Cauchy, Huber
 from miho.identification.profile_likelihood import Profile
-from miho.identification.uncertainty import EVENT, Linearised
+from miho.identification.uncertainty import EVENT, Dependence, Linearised
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 
@@ -23,8 +23,8 @@ LOPSIDED = 0.2
 """A profile's end this far from the linearised one, as a fraction of the half width, is noted."""
 UNEVEN = 0.25
 """A sandwich standard error this far from the usual one, as a fraction of it, is noted."""
-RESEMBLING = 0.1
-"""Correlation of neighbouring rows' errors from which on they are not independent."""
+FEWEST_FREE = 4
+"""Degrees of freedom of rows that depend on each other below which intervals may be too narrow."""
 SURPRISING = 5e-4
 """A sum of squares that a sigma taken as known gives this rarely, on either side, is mentioned."""
 CHANCE = 0.01
@@ -176,8 +176,12 @@ def uneven_spread(problem: CurveFit, at: Linearised) -> list[str]:
 
 def _chance_of_spread(problem: CurveFit, at: Linearised) -> float:
     """How often even errors would look as uneven (White 1980, without cross products)."""
-    squares = problem.errors(at.theta) ** 2
-    J = problem.model.jacobian(at.theta, *problem.inputs)[:, at.standard_errors > 0] ** 2
+    errors = problem.errors(at.theta)
+    if at.dependence is not None:
+        errors = at.dependence.model.innovations(errors)
+    squares = errors**2
+    J = problem.model.jacobian(at.theta, *problem.inputs)[-errors.size :, at.standard_errors > 0]
+    J = J**2
     size = J.max(axis=0)
     columns = np.column_stack([np.ones(squares.size), J / np.where(size > 0, size, 1.0)])
     fitted = columns @ np.linalg.lstsq(columns, squares, rcond=None)[0]
@@ -196,19 +200,29 @@ def independence(problem: CurveFit, at: Linearised) -> list[str]:
     sentences = []
     if EVENT in problem.dataset.columns:
         sentences.append("the rows are of too few events to allow for what they share.")
-    errors = problem.errors(at.theta)
-    centred = errors - errors.mean()
-    total = float(centred @ centred)
-    r = float(centred[1:] @ centred[:-1]) / total if total > 0 else 0.0
-    if r > max(RESEMBLING, 3 / np.sqrt(errors.size)):
-        factor = np.sqrt((1 + r) / (1 - r)) if r < 1 else np.inf
-        sentences.append(
-            f"the errors of neighbouring rows are alike (correlation {r:.2f}), so the rows say "
-            f"less than their number: standard errors are too small by a factor of about "
-            f"{factor:.1f}, unless the model's shape is at fault. A column {EVENT!r} that numbers "
-            "stretches of rows allows for it."
-        )
+    if at.dependence is not None and not at.unidentifiable.all():
+        sentences.append(_alike(at, at.dependence))
     return sentences
+
+
+def _alike(at: Linearised, dependence: Dependence) -> str:
+    """How alike neighbouring rows are, and how much wider that makes the intervals."""
+    usable = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
+    axes = np.eye(usable.size)[usable]
+    wider = at.reach(axes) / at.independent.reach(axes)
+    factors = list(dict.fromkeys(f"{factor:.1f}" for factor in np.sort(wider)[[0, -1]]))
+    sentence = (
+        f"the errors of neighbouring rows are alike (correlation {dependence.correlation:.2f}), so "
+        "the rows say less than their number: standard errors and intervals allow for that, which "
+        f"makes intervals {' to '.join(factors)} times as wide as those of independent rows. If "
+        "the model's shape is at fault, a better one narrows them."
+    )
+    if at.freedom < FEWEST_FREE:
+        sentence += (
+            " The errors resemble each other over so much of the data that even these may be too "
+            "narrow: longer data help, more rows in the same time do not."
+        )
+    return sentence
 
 
 def outliers(problem: CurveFit, at: Linearised) -> list[str]:

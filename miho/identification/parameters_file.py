@@ -99,8 +99,9 @@ def _whole(
         return model, dict(free), at.correlation
     stated, slopes = stated_parameters(problem, at)
     values = {}
-    for one in stated[: len(model.parameters)]:
-        reach = at.quantile(level) * one.standard_error
+    quantiles = at.quantiles(slopes, level)
+    for one, quantile in zip(stated[: len(model.parameters)], quantiles, strict=False):
+        reach = quantile * one.standard_error
         ends = one.value - reach, one.value + reach
         tied = Value(one.value, model.parameters[one.name], one.standard_error, *ends)
         values[one.name] = free.get(one.name, tied)

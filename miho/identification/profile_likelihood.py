@@ -49,16 +49,26 @@ def likelihood_profile(
     """Profile of the parameter at position `index` (Bates and Watts 1988, Ch. 6.1.2).
 
     The interval holds the values v for which the smallest sum of squares with the parameter fixed
-    at v exceeds the smallest of all by less than F(1, freedom) allows. Every refit starts where
-    the linearised model expects its optimum; where the residuals are not finite there is a wall.
+    at v exceeds the smallest of all by less than F(1, freedom) allows. Where rows depend on each
+    other, tau is divided by how many times wider that makes the parameter's linearised interval
+    (Kent, Biometrika 69, 1982), so that the profile keeps its shape. Every refit starts where the
+    linearised model expects its optimum; where the residuals are not finite there is a wall.
     Raises OutOfTimeError after the deadline.
     """
     quantile = at.quantile(level)
-    tau = _SignedRoot(problem, at, index, WALL * quantile, deadline)
-    step = quantile * float(at.standard_errors[index])
-    low = _end(tau, -1, problem.space.low[index], quantile, step)
-    high = _end(tau, 1, problem.space.high[index], quantile, step)
+    tau = _SignedRoot(problem, at, index, level, deadline)
+    # First to the ends of independent rows: where a poor optimum makes neighbours alike, a better
+    # one may lie between. From there to those of rows that depend on each other.
+    first = at.independent.quantile(level) / _widening(at, index, level)
+    step = at.independent.quantile(level) * float(at.independent.standard_errors[index])
+    ends = []
+    for sign, bound in ((-1, problem.space.low[index]), (1, problem.space.high[index])):
+        end = _end(tau, sign, bound, first, step, tau.centre)
+        if np.isfinite(end) and quantile > first + CLOSE:
+            end = _end(tau, sign, bound, quantile, step * (quantile / first - 1), end)
+        ends.append(end)
     values = np.array(sorted(tau.points))
+    low, high = ends
     return Profile(values, np.array([tau.points[v][0] for v in values]), low, high, tau.best)
 
 
@@ -75,17 +85,18 @@ class _SignedRoot:
         problem: CurveFit,
         at: Linearised,
         index: int,
-        largest: float,
+        level: float,
         deadline: Deadline | None,
     ) -> None:
         self._problem, self._index, self._deadline = problem, index, deadline
-        self._largest = largest
+        self._largest = WALL * at.quantile(level)
         self._cost = float(np.sum(problem.residuals(at.theta) ** 2))
         psi, stiffness = problem.rho.influence(problem.errors(at.theta))
         # The variance of the errors, cost / freedom for the square loss.
-        self._unit = float(psi @ psi / at.freedom / stiffness.mean())
+        variance = float(psi @ psi / at.independent.freedom / stiffness.mean())
         if at.noise_known:
-            self._unit = at.noise**2
+            variance = at.noise**2
+        self._unit = variance * _widening(at, index, level) ** 2
         self._direction = _conditional_direction(at, index)
         # Along directions that the data do not see a refit would take many steps, in vain.
         self._fixed = {index, *_superfluous(at)}
@@ -117,15 +128,18 @@ class _SignedRoot:
         )
 
 
-def _end(tau: _SignedRoot, sign: int, bound: float, quantile: float, step: float) -> float:
+def _end(
+    tau: _SignedRoot, sign: int, bound: float, quantile: float, step: float, inside: float
+) -> float:
     """Where |tau| reaches the quantile on one side; infinite if it does not within the box.
 
-    `sign` is -1 for the lower end and 1 for the upper, `bound` that of the box there, and `step`
-    the distance at which a linear model would reach the quantile.
+    `sign` is -1 for the lower end and 1 for the upper, `bound` that of the box there, `inside` a
+    value that is not beyond the end, and `step` the distance from it at which a linear model would
+    reach the quantile.
     """
-    inside = centre = tau.centre
-    if centre + step == centre:  # known better than it can be written
-        return centre
+    centre = tau.centre
+    if inside + step == inside:  # known better than it can be written
+        return inside
 
     # Outwards until a point lies beyond the end.
     for _ in range(EXPANSIONS):
@@ -155,6 +169,19 @@ def _end(tau: _SignedRoot, sign: int, bound: float, quantile: float, step: float
     return float(solution.x)
 
 
+def _quantile(at: Linearised, index: int, level: float) -> float:
+    """How many standard errors the linearised interval of a parameter reaches."""
+    return float(at.quantiles(np.eye(at.theta.size)[index : index + 1], level)[0])
+
+
+def _widening(at: Linearised, index: int, level: float) -> float:
+    """How many times wider than for independent rows a profile is, for tau up to `at.quantile`."""
+    if at.dependence is None:
+        return 1.0
+    errors, independent = at.standard_errors[index], at.independent.standard_errors[index]
+    return float(_quantile(at, index, level) / at.quantile(level) * (errors / independent))
+
+
 def _superfluous(at: Linearised) -> list[int]:
     """As many parameters as there are null directions: with these fixed, all others are seen."""
     if not len(at.null_directions):
@@ -165,5 +192,5 @@ def _superfluous(at: Linearised) -> list[int]:
 
 def _conditional_direction(at: Linearised, index: int) -> Array:
     """How the other parameters follow when one moves by 1, in the linearised model, (d,)."""
-    column = at.covariance[:, index]
+    column = at.independent.covariance[:, index]
     return column / column[index] if column[index] > 0 else np.zeros_like(column)

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from miho.identification.bootstrap import percentile_intervals
+from miho.identification.bootstrap import percentile_intervals, percentiles
 from miho.identification.curve_fit import CurveFit
-from miho.identification.derived import delta_method, derived
+from miho.identification.derived import delta_method, derived, gradient
 from miho.identification.flags import (
     doubtful,
     identifiability,
@@ -106,7 +106,7 @@ class Report:
                 [(p.low, p.high) if p else no_interval for p in self.profiles]
             )
         if self.replicates is not None:
-            ends["bootstrap"] = self._percentiles(self.replicates)
+            ends["bootstrap"] = self._percentiles(self.replicates, np.eye(len(space)))
         for name, interval in ends.items():
             frame[f"{name} low"], frame[f"{name} high"] = interval.T
         return frame
@@ -123,7 +123,8 @@ class Report:
         rows = []
         for quantity in derived(self.problem.model, self.problem.dataset):
             value, error = delta_method(quantity, self.at)
-            reach = self.at.quantile(self.level) * error
+            slope = gradient(quantity, self.at)[None]
+            reach = float(self.at.quantiles(slope, self.level)[0]) * error
             row: dict[str, Any] = {
                 "quantity": quantity.name,
                 "value": value,
@@ -136,7 +137,7 @@ class Report:
                 values = quantity.evaluate(self.replicates)
                 values = values[np.isfinite(values)]
                 if values.size:
-                    interval = self._percentiles(values[:, None])[0]
+                    interval = self._percentiles(values[:, None], slope)[0]
                     row["bootstrap low"], row["bootstrap high"] = interval
             rows.append(row)
         return pd.DataFrame(rows)
@@ -257,7 +258,10 @@ class Report:
             if row["explained"] > UNMODELLED and row["p"] < CHANCE:
                 share = f"{100 * row['explained']:.0f} % of the errors' variance follows"
                 if row["an input"] == "yes":
-                    sentences.append(f"{share} {row['column']}: the model has the wrong shape.")
+                    drift = ", unless the noise drifts from row to row" * bool(self.at.dependence)
+                    sentences.append(
+                        f"{share} {row['column']}: the model has the wrong shape{drift}."
+                    )
                 else:
                     sentences.append(
                         f"{share} {row['column']}, which is no input of the model: it is not "
@@ -265,7 +269,10 @@ class Report:
                     )
         return sentences
 
-    def _percentiles(self, replicates: Array) -> Array:
+    def _percentiles(self, replicates: Array, gradients: Array) -> Array:
+        """Ends (q, 2) for replicates (n, q) of quantities with gradients (q, d)."""
+        if self.at.dependence is not None:
+            return percentiles(replicates, self.at.quantiles(gradients, self.level))
         units = self.at.events or len(self.problem.dataset)
         return percentile_intervals(replicates, units, self.at.freedom, self.level)
 
@@ -275,10 +282,9 @@ class Report:
         The interval is of the curve, not of new measurements.
         """
         model = self.problem.model
-        spread = self.at.spread(model.jacobian(self.at.theta, *inputs))
         return (
             model.predict(self.at.theta[None], *inputs)[0],
-            self.at.quantile(self.level) * spread,
+            self.at.reach(model.jacobian(self.at.theta, *inputs), self.level),
         )
 
     def __repr__(self) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from miho.identification.bootstrap import bootstrap
+from miho.identification.bootstrap import block_length, bootstrap, stretched
 from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import lost_effect
@@ -57,11 +57,12 @@ def make_report(
     `descents` says where those of the run ended, `check` those of a check, and the report is of the
     optimum near its result `better` (d,) if that is better; `best_known` is the loss
     of a recorded optimum. `replicates` bootstrap estimates (1000 for an interval, 0 for none),
-    drawn from `seed`; `profiles` by default for models of up to MOST_PROFILES parameters, none for
-    data in events. What is computed by default ends after `seconds`; `Report.omitted` lists what is
-    missing then. What is asked for (replicates, profiles) takes the time it takes. `progress` is
-    called before each of many steps with the name of the stage. Raises ValueError where there is no
-    uncertainty to be had: fewer rows than parameters, or derivatives that are not finite.
+    drawn from `seed`, in blocks where rows depend on their neighbours; `profiles` by default for
+    models of up to MOST_PROFILES parameters, none for data in events. What is computed by default
+    ends after `seconds`; `Report.omitted` lists what is missing then. What is asked for
+    (replicates, profiles) takes the time it takes. `progress` is called before each of many steps
+    with the name of the stage. Raises ValueError where there is no uncertainty to be had: fewer
+    rows than parameters, or derivatives that are not finite.
     """
     if not 0 < level < 1:
         raise ValueError(f"level is {level!r}; expected between 0 and 1, such as 0.95")
@@ -75,7 +76,7 @@ def make_report(
 
     # Its profiles; where a refit for one of them meets a better optimum, all again from there.
     while True:
-        at = linearised(problem, optimum.theta)
+        at = _uncertainty(problem, optimum.theta)
         curves, lacking = _profiles(problem, at, level, profiles, deadline, progress)
         refits = (curve.best for curve in curves if curve)
         lowest = min(refits, key=lambda fit: fit.cost, default=optimum)
@@ -90,9 +91,13 @@ def make_report(
     estimates = None
     if replicates:
         rng = stream("bootstrap", problem.dataset.digest, seed)
+        block = 1 if at.dependence is None else block_length(at.dependence.errors)
         estimates = bootstrap(
-            problem, at.theta, replicates, rng, lambda: progress("bootstrap"), held
+            problem, at.theta, replicates, rng, lambda: progress("bootstrap"), held, block
         )
+        if at.dependence is not None:
+            influence = at.dependence.influence
+            estimates = stretched(estimates, at, influence, block, problem.space)
     left_out = []
     for condition in conditions(problem):
         progress(f"leave one {condition} out")
@@ -120,6 +125,15 @@ def make_report(
         searches=searches,
         best_known=best_known,
     )
+
+
+def _uncertainty(problem: CurveFit, theta: Array) -> Linearised:
+    """That of the optimum (d,), for rows that may depend on their neighbours.
+
+    Errors that are rounding are as alike as the rounding is, which tells nothing.
+    """
+    neighbours = root_mean_square(problem.errors(theta)) > rounding_of(problem)
+    return linearised(problem, theta, neighbours)
 
 
 def _profiles(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,6 +10,7 @@ import scipy  # which loads its packages where they are used: importing them tak
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
+from miho.identification.autocorrelation import Autoregression, autoregression, likeness
 from miho.identification.curve_fit import CurveFit
 from miho.optim.space import Space
 from miho.quantities import Array
@@ -24,6 +25,50 @@ SINGULAR = 1e-10
 predictions."""
 INVOLVED = 1e-6
 """A component of a null direction above this fraction makes a parameter unidentifiable."""
+RESEMBLING = 0.1
+"""Correlation of neighbouring rows' errors from which on they are not independent ..."""
+SCORE = 2.33
+"""... if it is this many standard deviations of independent ones, as chance makes it in 1 %."""
+NEWTON_STEPS = 8
+"""Enough for all digits of an inverse of the trigamma function."""
+
+
+@dataclass(frozen=True, eq=False)
+class Dependence:
+    """How the errors depend on those of neighbouring rows, in the order of the data.
+
+    `correlation` is that of one row with the next, less what a fit brings about by itself, `model`
+    what the covariance follows from, and `sides` (2 p, d, d) are the covariances of models at one
+    standard error to either side of it. `errors` (N,) are those of the rows, as a robust loss takes
+    them, and `influence` (N, d) is what each adds to the estimates, to first order. `independent`
+    is the uncertainty if rows were independent.
+    """
+
+    correlation: float
+    model: Autoregression
+    sides: Array
+    errors: Array
+    influence: Array
+    independent: Linearised
+
+    def freedom(self, gradients: Array) -> Array:
+        """Degrees of freedom (n,) of quantities with these gradients (n, d) in the parameters.
+
+        Those of a mean square whose logarithm is as uncertain as that of the quantity's variance
+        (Smyth, Statistical Applications in Genetics and Molecular Biology 3, 2004), by the number
+        of rows and, to first order, by the model of the dependence; at least 1.
+        """
+        variances = np.einsum("ij,sjk,ik->si", gradients, self.sides, gradients)
+        known = (variances > 0).all(axis=0)
+        logs = np.log(variances, out=np.zeros_like(variances), where=known)
+        high, low = np.split(logs, 2)
+        rows = scipy.special.polygamma(1, self.independent.freedom / 2)
+        uncertainty = rows + np.sum(((high - low) / 2) ** 2, axis=0)
+        half = 0.5 + 1 / uncertainty  # to where trigamma is that, by Newton's method on 1/trigamma
+        for _ in range(NEWTON_STEPS):
+            trigamma = scipy.special.polygamma(1, half)
+            half += trigamma * (1 - trigamma / uncertainty) / scipy.special.polygamma(2, half)
+        return np.asarray(np.maximum(2 * half, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +86,11 @@ class Linearised:
     `noise` is the standard deviation of the errors in the output's unit, `freedom` the degrees of
     freedom of Student's t, which is the normal distribution if the noise is known and no estimate
     (`noise_known`). `unidentifiable` (d,) marks the parameters that a null direction moves.
+
+    With `dependence` both allow errors that depend on those of neighbouring rows, as an
+    autoregressive model of the errors says, and the sandwich innovations of any spread; `freedom`
+    is then the smallest of any parameter, and `intervals` and `reach` take for each quantity its
+    own.
     """
 
     theta: Array
@@ -53,6 +103,12 @@ class Linearised:
     null_directions: Array
     unidentifiable: NDArray[np.bool_]
     noise_known: bool = False
+    dependence: Dependence | None = None
+
+    @property
+    def independent(self) -> Linearised:
+        """The same as if rows were independent."""
+        return self if self.dependence is None else self.dependence.independent
 
     @cached_property
     def standard_errors(self) -> Array:
@@ -71,14 +127,25 @@ class Linearised:
 
     def quantile(self, level: float = 0.95) -> float:
         """How many standard errors the two-sided interval reaches (Student's t, or normal)."""
-        if self.noise_known:
+        if self.noise_known and self.dependence is None:
             return float(scipy.special.ndtri((1 + level) / 2))
         return float(scipy.special.stdtrit(self.freedom, (1 + level) / 2))
 
     def intervals(self, level: float = 0.95) -> Array:
         """Lower and upper ends, (d, 2)."""
-        reach = self.quantile(level) * self.standard_errors
+        reach = self.quantiles(np.eye(self.theta.size), level) * self.standard_errors
         return np.stack([self.theta - reach, self.theta + reach], axis=1)
+
+    def quantiles(self, gradients: Array, level: float = 0.95) -> Array:
+        """`quantile` (n,) for quantities with these gradients (n, d) in the parameters."""
+        if self.dependence is None:
+            return np.full(len(gradients), self.quantile(level))
+        freedom = self.dependence.freedom(gradients)
+        return np.asarray(scipy.special.stdtrit(freedom, (1 + level) / 2))
+
+    def reach(self, gradients: Array, level: float = 0.95) -> Array:
+        """Half widths (n,) of the intervals of quantities with these gradients (n, d)."""
+        return self.quantiles(gradients, level) * self.spread(gradients)
 
     def spread(self, gradients: Array) -> Array:
         """Standard errors (n,) of quantities with these gradients (n, d) in the parameters.
@@ -93,12 +160,13 @@ class Linearised:
         return np.asarray(errors)
 
 
-def linearised(problem: CurveFit, theta: Array) -> Linearised:
+def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Linearised:
     """Uncertainty of the optimum `theta` (d,) of a problem.
 
-    With a robust loss the covariance is that of an M-estimator (Huber 1981, Ch. 7.6). Raises
-    ValueError if there are not more rows than parameters, if a derivative is not finite, or if
-    a robust loss sees little else than outliers.
+    With a robust loss the covariance is that of an M-estimator (Huber 1981, Ch. 7.6). With
+    `neighbours` it is one that allows errors to depend on those of neighbouring rows, where they
+    are alike and no events are numbered. Raises ValueError if there are not more rows than
+    parameters, if a derivative is not finite, or if a robust loss sees little else than outliers.
     """
     # Parameters at a bound are held; the others cost a degree of freedom each.
     errors = problem.errors(theta)
@@ -149,7 +217,7 @@ def linearised(problem: CurveFit, theta: Array) -> Linearised:
     null_directions[:, free] = Vt[~determined] / scale
     unidentifiable = np.zeros(theta.size, dtype=bool)
     unidentifiable[free] = (np.abs(Vt[~determined]) > INVOLVED).any(axis=0)
-    return Linearised(
+    at = Linearised(
         theta=theta,
         covariance=_square(theta.size, free, covariance),
         sandwich=_square(theta.size, free, sandwich),
@@ -160,6 +228,54 @@ def linearised(problem: CurveFit, theta: Array) -> Linearised:
         null_directions=null_directions,
         unidentifiable=unidentifiable,
         noise_known=noise_known,
+    )
+    if not neighbours or events:
+        return at
+    return _dependent(at, psi / shrink, U[:, determined], free, half[:, determined])
+
+
+def _dependent(
+    at: Linearised, errors: Array, basis: Array, free: NDArray[np.intp], half: Array
+) -> Linearised:
+    """The same for errors (N,) that depend on those of neighbouring rows, if these are alike.
+
+    `basis` (N, r) is orthonormal and spans the derivatives by the `free` parameters, and `half`
+    (f, r) turns sums of errors times it into changes of those parameters.
+    """
+    alike = likeness(errors, basis)
+    if alike.correlation <= RESEMBLING or alike.score <= SCORE or not basis.shape[1]:
+        return at
+    model, sides = autoregression(errors, basis)
+    few_rows = errors.size / at.freedom
+
+    def covariance(model: Autoregression, squares: Array | None = None) -> Array:
+        # Never below that of independent rows, as errors that swing in a wave may seem to allow.
+        rows = np.full(errors.size, at.noise**2) if squares is None else errors**2 * few_rows
+        least = (basis.T * rows) @ basis
+        excess, axes = np.linalg.eigh(model.variance_of_sums(basis, squares) - least)
+        total = least + axes * np.maximum(excess, 0.0) @ axes.T
+        return _square(at.theta.size, free, half @ total @ half.T)
+
+    # White's estimate of the innovations, with the factor for few rows; the first have no own.
+    squares = np.full(errors.size, model.variance)
+    squares[model.partial.size :] = model.innovations(errors) ** 2 * few_rows
+    influence = np.zeros((errors.size, at.theta.size))
+    influence[:, free] = errors[:, None] * basis @ half.T
+    dependence = Dependence(
+        correlation=alike.correlation,
+        model=model,
+        sides=np.array([covariance(side) for side in sides]),
+        errors=errors,
+        influence=influence,
+        independent=at,
+    )
+    freedom = dependence.freedom(np.eye(at.theta.size)[np.isfinite(at.standard_errors)])
+    return replace(
+        at,
+        covariance=covariance(model),
+        sandwich=covariance(model, squares),
+        freedom=int(freedom.min(initial=at.freedom)),
+        dependence=dependence,
     )
 
 

@@ -224,9 +224,10 @@ def _all_intervals(report: Report, kinds: list[str]) -> pd.DataFrame:
 
 
 def _explained(report: Report) -> str:
+    least = "" if report.at.dependence is None else "at least "
     return (
         f"{100 * report.level:g} % intervals{_local_optimum(report)}: linearised (Student's t with "
-        f"{report.at.freedom} degrees of freedom), by profile likelihood"
+        f"{least}{report.at.freedom} degrees of freedom), by profile likelihood"
         + (f", by {len(report.replicates)} bootstrap replicates." if report.replicates is not None
            else ".")
     )  # fmt: skip

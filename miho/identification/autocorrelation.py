@@ -1,0 +1,223 @@
+"""Errors that depend on those of the rows before: a test, a model, and what they leave to sums."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+import scipy  # which loads its packages where they are used: importing them takes a second
+
+from miho.quantities import Array
+
+HIGHEST_ORDER = 20
+ROWS_PER_COEFFICIENT = 8
+"""Rows beyond the parameters that each coefficient of an autoregressive model needs at least."""
+NEAREST = 3.0
+"""Partial autocorrelations are tanh of at most this, 0.995: beyond, errors wander without end."""
+STEP = 1e-4
+"""Step of the differences of the likelihood, in atanh of a partial autocorrelation."""
+WIDE_STEP = 0.05
+"""That of its second derivatives, below which rounding shows."""
+LEAST_INFORMATION = 1.0
+"""Less is taken for as much: atanh of a partial autocorrelation is known to 1 before any data."""
+
+
+class Likeness(NamedTuple):
+    """Autocorrelation at lag 1, less what a fit alone brings about, and how many standard
+    deviations of independent errors that is."""
+
+    correlation: float
+    score: float
+
+
+def likeness(errors: Array, basis: Array) -> Likeness:
+    """How alike neighbouring errors (N,) of a fit are, in the order of the rows.
+
+    `basis` (N, d) are orthonormal columns that the errors are orthogonal to, as those of a fit are
+    to its derivatives. Mean and variance of the statistic for independent errors are exact for
+    normal ones (Durbin and Watson, Biometrika 37, 1950). Zeros where there are too few rows for a
+    model of their dependence.
+    """
+    rows, d = basis.shape
+    freedom, total = rows - d, float(errors @ errors)
+    if freedom < ROWS_PER_COEFFICIENT or total == 0:
+        return Likeness(0.0, 0.0)
+    shifted = np.zeros_like(basis)  # A basis, where e.T A e is the sum of neighbours' products
+    shifted[1:] += basis[:-1] / 2
+    shifted[:-1] += basis[1:] / 2
+    inner = basis.T @ shifted
+    mean = -float(np.trace(inner)) / freedom
+    squares = (rows - 1) / 2 - 2 * np.sum(shifted**2) + np.sum(inner**2)
+    variance = 2 * (squares - freedom * mean**2) / freedom / (freedom + 2)
+    excess = float(errors[1:] @ errors[:-1]) / total - mean
+    return Likeness(excess, float(excess / np.sqrt(variance)) if variance > 0 else 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Autoregression:
+    """A stationary autoregressive model e_t = sum_k phi_k e_(t-k) + u_t of errors.
+
+    `partial` (p,) are its partial autocorrelations, within +-1, `variance` that of the innovations
+    u, in the errors' unit squared.
+    """
+
+    partial: Array
+    variance: float
+
+    @cached_property
+    def coefficients(self) -> Array:
+        """phi (p,)."""
+        return np.asarray(_coefficients(self.partial[None])[0])
+
+    @cached_property
+    def autocovariances(self) -> Array:
+        """Covariance of e_t with e_t, ..., e_(t-p+1), (p,): the Durbin-Levinson recursion."""
+        left = self.variance / np.prod(1 - self.partial**2)
+        values = [left]
+        for k in range(1, self.partial.size):
+            before = _coefficients(self.partial[None, : k - 1])[0]
+            values.append(self.partial[k - 1] * left + before @ np.array(values[:0:-1]))
+            left *= 1 - self.partial[k - 1] ** 2
+        return np.array(values[: self.partial.size])
+
+    def innovations(self, errors: Array) -> Array:
+        """u of all rows (N,) but the first p, (N - p,)."""
+        p = self.partial.size
+        lags = np.lib.stride_tricks.sliding_window_view(errors, p + 1)
+        return np.asarray(lags @ np.append(-self.coefficients[::-1], 1.0))
+
+    def variance_of_sums(self, columns: Array, squares: Array | None = None) -> Array:
+        """Covariance (d, d) of the sums of errors times `columns` (N, d), columns.T Gamma columns.
+
+        A sum of errors is one of innovations, whose weights are the columns filtered backwards,
+        and of the p errors before the first row. `squares` (N,) are squared innovations to take
+        instead of their variance, where that changes from row to row.
+        """
+        p, phi = self.partial.size, self.coefficients
+        weights = scipy.signal.lfilter([1.0], np.append(1.0, -phi), columns[::-1], axis=0)[::-1]
+        each = self.variance if squares is None else squares[:, None]
+        before = np.array([phi[m:] @ weights[: p - m] for m in range(p)])
+        presample = before.T @ scipy.linalg.toeplitz(self.autocovariances) @ before
+        return np.asarray(weights.T @ (each * weights) + presample)
+
+
+def autoregression(errors: Array, basis: Array) -> tuple[Autoregression, list[Autoregression]]:
+    """The model of errors (N,) that a fit left, and those at one standard error to either side.
+
+    The order, 1 at least, is that of the smallest corrected information criterion (Hurvich and
+    Tsai, Biometrika 76, 1989) over Burg's recursion. Errors of a fit are less alike than those of
+    the data, which it followed; so the model is that of the largest restricted likelihood, which
+    knows the `basis` (N, d) that was fitted (Cheang and Reinsel, JASA 95, 2000). The others, first
+    on one side and then on the other, are along p independent directions of the coefficients.
+    """
+    rows, d = basis.shape
+    highest = min(HIGHEST_ORDER, int(10 * np.log10(rows)), (rows - d) // ROWS_PER_COEFFICIENT)
+    start = np.arctanh(_burg(errors, highest))
+    likelihood = _RestrictedLikelihood(errors, basis, start.size)
+    end = scipy.optimize.minimize(
+        likelihood.with_slope,
+        start,
+        jac=True,
+        method="L-BFGS-B",
+        bounds=[(-NEAREST, NEAREST)] * start.size,
+    ).x
+    information, directions = np.linalg.eigh(likelihood.curvature(end) / 2)
+    sides = directions / np.sqrt(np.maximum(information, LEAST_INFORMATION))
+    return likelihood.model(end), [likelihood.model(end + s) for s in (*sides.T, *-sides.T)]
+
+
+class _RestrictedLikelihood:
+    """-2 log of the restricted likelihood of autoregressive models of one order, but for constants.
+
+    The exact quadratic form of an autoregressive model is one in (1, -phi) as well, with sums of
+    products of shifted columns (Box and Jenkins 1970, A7.4), so that an evaluation does not depend
+    on the number of rows. The variance of the innovations is the best for each model.
+    """
+
+    def __init__(self, errors: Array, basis: Array, order: int) -> None:
+        columns = np.column_stack([basis, errors / np.linalg.norm(errors)])
+        self._size = float(errors @ errors)
+        self._freedom = basis.shape[0] - basis.shape[1]
+        self._order, k = order, columns.shape[1]
+        self._products = _shifted_products(columns, order).reshape(-1, k * k)
+
+    def _values(self, z: Array) -> tuple[Array, Array]:
+        """Values (n,) and variances of the innovations (n,) at rows z (n, p), atanh of partial."""
+        partial = np.tanh(z)
+        a = np.column_stack([np.ones(len(z)), -_coefficients(partial)])
+        form = (a[:, :, None] * a[:, None, :]).reshape(len(z), -1) @ self._products
+        k = round(float(np.sqrt(form.shape[1])))
+        form = form.reshape(-1, k, k)
+        floor = 1e-12 * np.trace(form, axis1=1, axis2=2)  # rounding, where a mean has no weight
+        root = np.linalg.cholesky(
+            (form + form.swapaxes(1, 2)) / 2 + floor[:, None, None] * np.eye(k)
+        )
+        diagonal = 2 * np.log(np.diagonal(root, axis1=1, axis2=2))
+        determinant = -np.log1p(-(partial**2)) @ np.arange(1.0, z.shape[1] + 1)
+        value = self._freedom * diagonal[:, -1] + diagonal[:, :-1].sum(axis=1) + determinant
+        return value, np.exp(diagonal[:, -1]) / self._freedom * self._size
+
+    def with_slope(self, z: Array) -> tuple[float, Array]:
+        """Value and derivatives (p,) at z (p,)."""
+        step = STEP * np.eye(z.size)
+        values = self._values(np.vstack([z, z + step, z - step]))[0]
+        high, low = values[1:].reshape(2, -1)
+        return float(values[0]), (high - low) / (2 * STEP)
+
+    def curvature(self, z: Array) -> Array:
+        """Second derivatives (p, p) at z (p,)."""
+        step = WIDE_STEP * np.eye(z.size)
+        corners = [
+            z + (i * step[:, None] + j * step[None, :]).reshape(-1, z.size)
+            for i, j in ((1, 1), (-1, -1), (1, -1), (-1, 1))
+        ]
+        same, opposite, cross, other = self._values(np.vstack(corners))[0].reshape(4, -1)
+        second = (same + opposite - cross - other) / (4 * WIDE_STEP**2)
+        return np.asarray(second.reshape(z.size, z.size))
+
+    def model(self, z: Array) -> Autoregression:
+        """The model at z (p,), moved to where it is stationary."""
+        z = np.clip(z, -NEAREST, NEAREST)
+        return Autoregression(np.tanh(z), float(self._values(z[None])[1][0]))
+
+
+def _coefficients(partial: Array) -> Array:
+    """Coefficients (n, p) of partial autocorrelations (n, p): the Durbin-Levinson recursion."""
+    phi = partial[:, :0]
+    for k in range(partial.shape[1]):
+        last = partial[:, k : k + 1]
+        phi = np.hstack([phi - last * phi[:, ::-1], last])
+    return phi
+
+
+def _burg(errors: Array, highest: int) -> Array:
+    """Partial autocorrelations (p,) by Burg's recursion, of the best order up to the highest."""
+    forward, backward = errors[1:], errors[:-1]
+    partial, spread = [], [float(np.mean(errors**2))]
+    nearest = float(np.tanh(NEAREST))
+    for _ in range(highest):
+        k = 2 * float(forward @ backward) / float(forward @ forward + backward @ backward)
+        k = min(max(k, -nearest), nearest)
+        partial.append(k)
+        spread.append(spread[-1] * (1 - k**2))
+        forward, backward = (forward - k * backward)[1:], (backward - k * forward)[:-1]
+    order, rows = np.arange(highest + 1), errors.size
+    criterion = rows * np.log(spread) + 2 * (order + 1) * rows / (rows - order - 2)
+    return np.array(partial[: 1 + int(np.argmin(criterion[1:]))])
+
+
+def _shifted_products(columns: Array, order: int) -> Array:
+    """Sums of columns[i + t] times columns[j + t] over t < N - i - j, (p + 1, p + 1, k, k)."""
+    rows, k = columns.shape
+    D = np.empty((order + 1, order + 1, k, k))
+    for j in range(order + 1):
+        D[0, j] = columns[: rows - j].T @ columns[j:]
+        D[j, 0] = D[0, j].T
+    for i in range(order):
+        for j in range(order):
+            ends = np.outer(columns[i], columns[j])
+            ends += np.outer(columns[rows - 1 - j], columns[rows - 1 - i])
+            D[i + 1, j + 1] = D[i, j] - ends
+    return D

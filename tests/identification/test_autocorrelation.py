@@ -1,0 +1,198 @@
+"""Errors that depend on their neighbours: against dense matrices, closed forms and simulation."""
+
+import numpy as np
+import pytest
+import scipy.linalg
+import scipy.optimize
+import scipy.signal
+import scipy.special
+
+from miho.identification import make_report
+from miho.identification.autocorrelation import Autoregression, autoregression, likeness
+from miho.identification.bootstrap import block_length, bootstrap, stretched
+from miho.identification.refit import refit
+from miho.identification.uncertainty import Linearised, linearised
+from tests.identification.published import line
+
+Array = np.ndarray
+
+MODEL = Autoregression(np.tanh(np.array([0.9, -0.5, 0.3])), 2.0)
+
+
+def covariance(model: Autoregression, rows: int) -> Array:
+    """Of the errors, (rows, rows), from how long an innovation is felt."""
+    impulse = np.zeros(4000)
+    impulse[0] = 1.0
+    felt = scipy.signal.lfilter([1.0], np.append(1.0, -model.coefficients), impulse)
+    values = [felt[k:] @ felt[: felt.size - k] for k in range(rows)]
+    return np.asarray(model.variance * scipy.linalg.toeplitz(values))
+
+
+def fitted(rows: int, columns: int, seed: int = 0) -> tuple[Array, Array]:
+    """What a fit of some columns leaves of autoregressive errors, and the columns' basis."""
+    rng = np.random.default_rng(seed)
+    basis = np.linalg.qr(rng.standard_normal((rows, columns)))[0]
+    errors = rng.multivariate_normal(np.zeros(rows), covariance(MODEL, rows))
+    return errors - basis @ (basis.T @ errors), basis
+
+
+def drive(rho: float, rows: int, seed: int = 0) -> Array:
+    """A first-order process of standard deviation 1, (rows,)."""
+    shocks = np.sqrt(1 - rho**2) * np.random.default_rng(seed).standard_normal(rows + 500)
+    return np.asarray(scipy.signal.lfilter([1.0], [1.0, -rho], shocks)[500:])
+
+
+def test_the_variance_of_sums_is_that_of_the_dense_matrix() -> None:
+    """Rounding of some thousand products; a wrong start shows in the third digit."""
+    dense = covariance(MODEL, 80)
+    X = np.random.default_rng(0).standard_normal((80, 4))
+    np.testing.assert_allclose(MODEL.autocovariances, dense[0, :3], rtol=1e-10)
+    np.testing.assert_allclose(MODEL.variance_of_sums(X), X.T @ dense @ X, rtol=1e-9, atol=1e-9)
+
+
+def test_innovations_are_what_the_errors_were_made_of() -> None:
+    shocks = np.random.default_rng(0).standard_normal(50)
+    errors = scipy.signal.lfilter([1.0], np.append(1.0, -MODEL.coefficients), shocks)
+    np.testing.assert_allclose(MODEL.innovations(errors), shocks[3:], atol=1e-12)
+
+
+def test_the_model_has_the_largest_restricted_likelihood() -> None:
+    """Of dense matrices, searched by Nelder and Mead, to the roots of their tolerances."""
+    errors, basis = fitted(70, 3)
+    model, sides = autoregression(errors, basis)
+
+    def criterion(z: Array) -> float:
+        V = covariance(Autoregression(np.tanh(z), 1.0), 70)
+        W = np.linalg.inv(V)
+        A = basis.T @ W @ basis
+        rest = errors - basis @ np.linalg.solve(A, basis.T @ W @ errors)
+        logs = np.linalg.slogdet(A)[1] + np.linalg.slogdet(V)[1]
+        return float(67 * np.log(rest @ W @ rest) + logs)
+
+    z = np.arctanh(model.partial)
+    best = scipy.optimize.minimize(criterion, z, method="Nelder-Mead", options={"xatol": 1e-6})
+    np.testing.assert_allclose(z, best.x, atol=1e-3)
+    # At one standard error to either side -2 log is larger by 1, but for what is not a parabola.
+    assert len(sides) == 2 * z.size
+    higher = [criterion(np.arctanh(side.partial)) - best.fun for side in sides]
+    assert np.mean(higher) == pytest.approx(1.0, rel=0.3)
+
+
+def test_the_test_of_neighbours_has_its_moments() -> None:
+    """Those of e.T A e / e.T e for e = M u and normal u, from dense traces."""
+    errors, basis = fitted(40, 3)
+    A = (np.eye(40, k=1) + np.eye(40, k=-1)) / 2
+    M = np.eye(40) - basis @ basis.T
+    mean = np.trace(M @ A) / 37
+    variance = 2 * (np.trace(M @ A @ M @ A) - 37 * mean**2) / (37 * 39)
+    r = errors @ A @ errors / (errors @ errors)
+    expected = (r - mean, (r - mean) / np.sqrt(variance))
+    np.testing.assert_allclose(likeness(errors, basis), expected, rtol=1e-10)
+
+
+def line_through(noise: Array, x: Array) -> tuple[Linearised, Array]:
+    """The uncertainty of a line through noise, for rows that may be dependent; its columns."""
+    problem = line(1 + 2 * x + noise, x)
+    at = linearised(problem, refit(problem, np.zeros(2)).theta, neighbours=True)
+    return at, np.stack([np.ones_like(x), x], axis=1)
+
+
+@pytest.mark.parametrize("along", ["in order", "at random"])
+def test_standard_errors_are_those_of_the_true_covariance(along: str) -> None:
+    """4000 rows know the sum of autocovariances to (2 / 0.2) sqrt(0.36 / 4000) = 9 %, so a standard
+    error to 5 %: three of these."""
+    x = np.linspace(-1, 1, 4000)
+    x = x if along == "in order" else np.random.default_rng(1).permutation(x)
+    at, X = line_through(drive(0.8, 4000), x)
+    pinv = np.linalg.pinv(X)
+    dense = scipy.linalg.toeplitz(0.8 ** np.arange(4000))
+    known = np.sqrt(np.diag(pinv @ dense @ pinv.T))
+    np.testing.assert_allclose(at.standard_errors, known, rtol=0.15)
+    np.testing.assert_allclose(np.sqrt(np.diag(at.sandwich)), known, rtol=0.15)
+    assert at.dependence is not None
+    assert at.dependence.correlation == pytest.approx(0.8, abs=0.03)
+
+
+def test_the_degrees_of_freedom_of_a_mean() -> None:
+    """The log of the variance of a mean, 1 / (1 - phi)^2 innovation variances, varies by
+    (2 / (1 - phi))^2 (1 - phi^2) / N + 2 / N; estimated at another phi, so to a third."""
+    at, _ = line_through(drive(0.8, 600), np.linspace(-1, 1, 600))
+    assert at.dependence is not None
+    phi = float(at.dependence.model.coefficients.sum())
+    spread = (2 / (1 - phi)) ** 2 * (1 - phi**2) / 600 + 2 / 600
+    freedom = at.dependence.freedom(np.array([[1.0, 0.0]]))[0]
+    assert scipy.special.polygamma(1, freedom / 2) == pytest.approx(spread, rel=1 / 3)
+    assert at.freedom <= freedom < at.independent.freedom
+
+
+def test_independent_rows_keep_their_numbers_to_the_last_bit() -> None:
+    x = np.linspace(-1, 1, 300)
+    problem = line(1 + 2 * x + np.random.default_rng(0).standard_normal(300), x)
+    plain = linearised(problem, refit(problem, np.zeros(2)).theta)
+    at = linearised(problem, plain.theta, neighbours=True)
+    assert at.dependence is None
+    assert at.independent is at
+    np.testing.assert_array_equal(at.covariance, plain.covariance)
+    reach = plain.quantile() * plain.standard_errors
+    np.testing.assert_array_equal(
+        at.intervals(), np.stack([at.theta - reach, at.theta + reach], axis=1)
+    )
+
+
+def test_errors_in_a_wave_do_not_narrow_intervals() -> None:
+    """Over whole periods they cancel, which another shape of the model would not do."""
+    x = np.linspace(-1, 1, 300)
+    wave = np.cos(2 * np.pi * 10 * np.arange(300) / 300)
+    at, _ = line_through(wave + 0.1 * np.random.default_rng(0).standard_normal(300), x)
+    assert at.dependence is not None
+    ratio = at.standard_errors / at.independent.standard_errors
+    assert (ratio >= 1 - 1e-12).all()  # sums of 300 products
+
+
+def test_a_report_allows_for_neighbours() -> None:
+    """Of a line the profile is the linearised interval, and the band at 0 that of the intercept."""
+    x = np.linspace(-1, 1, 400)
+    problem = line(1 + 2 * x + 0.1 * drive(0.8, 400), x)
+    report = make_report(problem, refit(problem, np.zeros(2)).theta, replicates=200)
+    table = report.parameters
+    ends = report.at.intervals()
+    np.testing.assert_array_equal(table[["linearised low", "linearised high"]], ends)
+    np.testing.assert_allclose(
+        table[["profile low", "profile high"]], ends, rtol=0, atol=5e-3 * np.ptp(ends)
+    )
+    curve, half = report.band(np.array([0.0]))
+    np.testing.assert_allclose([curve[0] - half[0], curve[0] + half[0]], ends[0], rtol=1e-12)
+    assert report.replicates is not None
+    spread = np.sqrt(np.diag(report.at.sandwich))
+    np.testing.assert_allclose(report.replicates.std(axis=0), spread, rtol=0.3)
+    factor = np.ptp(ends, axis=1) / np.ptp(report.at.independent.intervals(), axis=1)
+    (note,) = [note for note in report.notes if "neighbouring rows are alike" in note]
+    assert f"{factor.min():.1f}" in note
+    assert f"{factor.max():.1f} times as wide" in note
+
+
+def test_the_length_of_blocks_is_the_best_one() -> None:
+    """Of a first-order process, 2 rho / (1 - rho^2) of G over g, in the limit of long data:
+    (1.5 G^2 N)^(1/3); from 100,000 rows it is known to some percent."""
+    for rho in (0.5, 0.8):
+        ratio = 2 * rho / (1 - rho**2)
+        best = (1.5 * ratio**2 * 1e5) ** (1 / 3)
+        assert block_length(drive(rho, 100_000)) == pytest.approx(best, rel=0.15)
+    assert block_length(drive(0.0, 2000)) <= 3
+
+
+def test_blocks_are_stretched_to_the_sandwich() -> None:
+    """400 replicates know a standard deviation to 4 %; three of these, and 5 % for what is not
+    linear in the weights."""
+    x = np.linspace(-1, 1, 500)
+    problem = line(1 + 2 * x + drive(0.8, 500), x)
+    at = linearised(problem, refit(problem, np.zeros(2)).theta, neighbours=True)
+    assert at.dependence is not None
+    block = block_length(at.dependence.errors)
+    drawn = bootstrap(problem, at.theta, 400, np.random.default_rng(0), block=block)
+    expected = np.sqrt(np.diag(at.sandwich))
+    replicates = stretched(drawn, at, at.dependence.influence, block, problem.space)
+    np.testing.assert_allclose(replicates.std(axis=0), expected, rtol=0.17)
+    assert (drawn.std(axis=0) < expected).all()
+    rows = bootstrap(problem, at.theta, 400, np.random.default_rng(0))
+    assert (2 * rows.std(axis=0) < expected).all()
