@@ -71,7 +71,7 @@ class Design:
         """Those of the present rows (N, d) and of the candidates (m, d)."""
         problem, at = self.report.problem, self.report.at
         return (
-            problem.model.jacobian(at.theta, *problem.inputs),
+            problem.error_slopes(at.theta),
             derivatives(problem.model, at.theta, self.candidates, self.group),
         )
 

@@ -17,10 +17,12 @@ import numpy as np
 import pandas as pd
 import scipy  # which loads its packages where they are used: importing them takes a second
 
+from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import independence
 from miho.identification.loss import Square
 from miho.identification.refit import refit
 from miho.identification.report import Report, rounding_of
+from miho.quantities import Array
 
 REPRODUCED = 1e-6
 """A model contains another if it follows the other's curve to this fraction of the sum of squares
@@ -50,7 +52,11 @@ class ModelComparison:
         for report in self.reports:
             n, k = len(report.problem.dataset), free_parameters(report)
             K, squares = k + 1, n * report.error**2
-            deviance = n * (math.log(2 * math.pi * squares / n) + 1)  # -2 ln of the likelihood
+            # -2 ln of the likelihood, in which the variance is a parameter unless sigma is known
+            deviance = n * (math.log(2 * math.pi * squares / n) + 1)
+            if report.at.noise_known:
+                variance = report.at.noise**2
+                K, deviance = k, n * math.log(2 * math.pi * variance) + squares / variance
             rows.append(
                 {
                     "model": report.problem.name,
@@ -149,6 +155,7 @@ def compare_models(*reports: Report) -> ModelComparison:
             raise ValueError(f"two reports are called {name!r}; give one CurveFit another label")
     for report in reports:
         _check_same_data(reports[0], report)
+        _check_same_sigma(reports[0], report)
         _check_comparable(report)
     return ModelComparison(tuple(reports))
 
@@ -163,6 +170,22 @@ def _check_same_data(first: Report, second: Report) -> None:
             f"({one.output} in {len(one)} rows of {one.name}, {other.output} in {len(other)} of "
             f"{other.name}); compare models on the same rows of the same output"
         )
+
+
+def _check_same_sigma(first: Report, second: Report) -> None:
+    """Raise ValueError unless both take the errors of the rows for the same."""
+    one, other = first.problem, second.problem
+    same = (one.sigma is None) == (other.sigma is None) and one.sigma_known == other.sigma_known
+    if same and one.sigma is not None and other.sigma is not None:
+        same = one.scale == other.scale and np.array_equal(_weights(one), _weights(other))
+    if not same:
+        raise ValueError(
+            f"{one.name} and {other.name} have different sigma; compare models with the same"
+        )
+
+
+def _weights(problem: CurveFit) -> Array:
+    return np.ones(1) if problem.weights is None else problem.weights
 
 
 def _check_comparable(report: Report) -> None:

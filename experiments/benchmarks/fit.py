@@ -1,0 +1,95 @@
+"""A fit from a script: `miho.fit` and `fit_many` beside SciPy's curve_fit and lmfit, if installed.
+
+python -m experiments.benchmarks.fit [--quick] [--output FOLDER]
+
+`miho.fit` searches a wide box without a start; `miho.fit, start` and the others descend from 20 %
+beside the optimum. They take turns, compiled before.
+"""
+
+from __future__ import annotations
+
+import importlib
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import pandas as pd
+
+import miho
+from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, turns
+from miho.analysis.figures.benchmark import run_figure
+from miho.quantities import Array
+
+ROWS, MANY, SHORT = 300, 10_000, 50
+TRUTH = {"a": 3.0, "b": 0.7, "c": 6.0, "d": 1.2, "e": 2.0}
+BOX = {"a": (-20, 20), "b": (0.01, 20), "c": (0, 10), "d": (0.05, 10), "e": (-20, 20)}
+NEAR = {name: 1.2 * value for name, value in TRUTH.items()}
+
+
+def bump(x: Array, a: float, b: float, c: float, d: float, e: float) -> Array:
+    """A decay and a peak: five parameters, two of them linear."""
+    return a * np.exp(-b * x) + e * np.exp(-(((x - c) / d) ** 2))
+
+
+def decay(x: Array, a: float, b: float, c: float) -> Array:
+    """A decay to a level."""
+    return a * np.exp(-b * x) + c
+
+
+def opaque(x: Array, a: float, b: float, c: float) -> Array:
+    """The same in a form that is no formula, and cannot be compiled."""
+    return np.where(x > -1, decay(x, a, b, c), 0.0)
+
+
+def measure(quick: bool) -> Measured:
+    """Milliseconds of one fit, seconds of many."""
+    rng = np.random.default_rng(0)
+    x = np.linspace(0, 10, ROWS)
+    y = bump(x, **TRUTH) + 0.05 * rng.standard_normal(ROWS)
+    seconds = turns(_jobs(x, y), 5 if quick else 30)
+    rows = [{"form": name, "seconds": float(np.median(s))} for name, s in seconds.items()]
+    frame = pd.DataFrame(rows)
+    of = dict(zip(frame["form"], frame["seconds"], strict=True))
+    bars = [
+        Bar("miho.fit of 300 rows", 1e3 * of["miho.fit"], AT_MOST, 10.0, "ms"),
+        Bar("against curve_fit", of["miho.fit"] / of["curve_fit"], AT_MOST, 5.0, "times"),
+    ]
+    if "lmfit" in of:
+        bars.append(Bar("against lmfit", of["miho.fit"] / of["lmfit"], AT_MOST, 1.0, "times"))
+    t = np.linspace(0, 3, SHORT)
+    count = MANY // (10 if quick else 1)
+    theta = rng.uniform([[0.5], [0.3], [-1.0]], [[5.0], [5.0], [1.0]], (3, count))[..., None]
+    values = decay(t, *theta) + 0.02 * rng.standard_normal((count, SHORT))
+    box = {"a": (0, 10), "b": (0.05, 20), "c": (-5, 5)}
+    notes = []
+    for model, limit in ((decay, 3.0), (opaque, 20.0)):
+        miho.fit_many(model, t, values[:100], box)
+        started = time.perf_counter()
+        table = miho.fit_many(model, t, values, box)
+        taken = time.perf_counter() - started
+        bars.append(Bar(f"fit_many of {count:,}, {model.__name__}", taken, AT_MOST, limit, "s"))
+        notes.append(f"{model.__name__}: {int(table['converged'].sum()):,} of {count:,} converged")
+    frame["speedup"] = of["curve_fit"] / frame["seconds"]
+    return Measured(frame.assign(ms=1e3 * frame["seconds"])[["form", "ms"]], frame, bars, notes)
+
+
+def _jobs(x: Array, y: Array) -> dict[str, Callable[[], object]]:
+    """The fits that take turns."""
+    optimize = importlib.import_module("scipy.optimize")
+    jobs: dict[str, Callable[[], object]] = {
+        "curve_fit": partial(optimize.curve_fit, bump, x, y, list(NEAR.values())),
+        "miho.fit": partial(miho.fit, bump, x, y, BOX),
+        "miho.fit, start": partial(miho.fit, bump, x, y, start=NEAR),
+        "miho.fit, not compiled": partial(miho.fit, bump, x, y, BOX, compiled=False),
+    }
+    try:
+        lmfit = importlib.import_module("lmfit")
+    except ImportError:
+        return jobs
+    jobs["lmfit"] = partial(lmfit.Model(bump).fit, y, x=x, **NEAR)
+    return jobs
+
+
+if __name__ == "__main__":
+    benchmark(__doc__, measure, run_figure, "fit")
