@@ -231,7 +231,7 @@ def build_dataset(node: Mapping[str, Any]) -> Dataset:
 
 SCALABLE = ("low", "high", "mean", "std", "sigma_max")
 UNSET = (MISSING, None)
-HELD = ("fixed", "tied")
+HELD = ("fixed", "tied", "prior")
 SIGMA = ("sigma", "sigma_known")
 UNBOUNDED = {"low": -math.inf, "high": math.inf}
 

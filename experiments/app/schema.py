@@ -16,7 +16,8 @@ class ParameterConfig:
     `scaled` gives some of them in multiples of the largest magnitude of a column of the data:
     {by: alpha, low: -0.5, high: 0.5}, where `by: output` is the column to be explained. A value
     that stands beside it, such as space.D.high=8000, counts instead. `fixed` holds the parameter
-    at a number, `tied` at an expression of others, such as '1 - a - b'.
+    at a number, `tied` at an expression of others, such as '1 - a - b'; `prior` is the mean and the
+    standard deviation of what is known of it besides the data.
     """
 
     unit: str = MISSING
@@ -29,6 +30,7 @@ class ParameterConfig:
     sigma_min: float = 0.0
     fixed: float | None = None
     tied: str | None = None
+    prior: list[float] | None = None
     scaled: dict[str, Any] | None = None
 
 

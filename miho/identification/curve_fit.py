@@ -15,6 +15,7 @@ from miho.data.dataset import Dataset
 from miho.identification.curve_fit_checks import TRIALS, check_curve_fit, check_sigma, ties_of
 from miho.identification.irreducible import irreducible_interval, irreducible_limit
 from miho.identification.loss import Loss, Square, slope
+from miho.identification.prior import PriorResiduals
 from miho.identification.row_order import row_order
 from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
@@ -121,7 +122,10 @@ class CurveFit(Remade, LeastSquaresProblem):
     @property
     def linear(self) -> tuple[str, ...]:  # type: ignore[override]
         """The parameters in which the residuals are linear."""
-        return self.model.linear if self._square else ()
+        if not self._square:
+            return ()
+        bent = {p.name for p in self.space.parameters if p.prior and p.scale == "log"}
+        return tuple(name for name in self.model.linear if name not in bent)
 
     @property
     def unit(self) -> str:
@@ -137,8 +141,8 @@ class CurveFit(Remade, LeastSquaresProblem):
         """
         if not self._square or self.model.ordered or len(self.dataset) < FEWEST:
             return math.inf
-        if self.weights is not None:
-            return math.inf  # neighbouring rows do not scatter alike
+        if self.weights is not None or self.prior is not None:
+            return math.inf  # neighbouring rows do not scatter alike, or are not all
         most_rows = SORTED_ROWS if len(self.inputs) == 1 else NEIGHBOUR_ROWS
         sample = slice(None, None, -(-len(self.dataset) // most_rows))
         X, y = np.array(self.inputs)[:, sample], self._output[sample]
@@ -201,7 +205,8 @@ class CurveFit(Remade, LeastSquaresProblem):
     def kernel(self) -> FitKernel | None:  # type: ignore[override]
         """Compiled forms of the square loss of a model that is an expression."""
         model = self._fitted
-        if not (isinstance(model, Expression) and self._square and self._worth_compiling):
+        plain = self._square and self.prior is None
+        if not (isinstance(model, Expression) and plain and self._worth_compiling):
             return None
         thetas = self.space.decode(self.space.initial(TRIALS))
         name = self.model.name or type(self.model).__name__
@@ -218,6 +223,23 @@ class CurveFit(Remade, LeastSquaresProblem):
         return not traced or len(self.dataset) >= WORTH_COMPILING
 
     @cached_property
+    def prior(self) -> PriorResiduals | None:
+        """The residuals of the parameters that have a prior, None without any."""
+        if all(parameter.prior is None for parameter in self.space.parameters):
+            return None
+        return PriorResiduals(self.space, self.scale or 1.0)
+
+    @property
+    def residual_count(self) -> int:
+        """How many residuals there are: the rows of data, and those of priors."""
+        return len(self.dataset) + (0 if self.prior is None else self.prior.indices.size)
+
+    @property
+    def _all_rows(self) -> bool:
+        """Whether a loss needs every row: of a model with a memory, and beside priors."""
+        return self.model.ordered or self.prior is not None
+
+    @cached_property
     def _order(self) -> NDArray[np.intp]:
         """The fixed order of the rows of which a fidelity takes the first ones."""
         return row_order(self.inputs, stream("fidelity", self.dataset.digest))
@@ -225,7 +247,7 @@ class CurveFit(Remade, LeastSquaresProblem):
     @property
     def order(self) -> NDArray[np.intp] | None:  # type: ignore[override]
         """The order in which a fidelity takes the rows."""
-        return None if self.model.ordered else self._order
+        return None if self._all_rows else self._order
 
     def cost(self, fidelity: float) -> float:
         """The fraction of rows that a fidelity uses; all of them where their order matters."""
@@ -234,11 +256,11 @@ class CurveFit(Remade, LeastSquaresProblem):
     @property
     def rows(self) -> int | None:  # type: ignore[override]
         """Rows of the data, if a model may be asked for some of them."""
-        return None if self.model.ordered else len(self.dataset)
+        return None if self._all_rows else len(self.dataset)
 
     def _rows(self, fidelity: float) -> int:
         N = len(self.dataset)
-        return N if self.model.ordered else min(N, math.ceil(fidelity * N * (1 - FRACTION)))
+        return N if self._all_rows else min(N, math.ceil(fidelity * N * (1 - FRACTION)))
 
     def _part(self, fidelity: float) -> NDArray[np.intp] | None:
         """The rows that a fidelity uses, None for all."""
@@ -272,21 +294,27 @@ class CurveFit(Remade, LeastSquaresProblem):
     def _block_loss(self, thetas: Array, columns: tuple[Array, ...], output: Array) -> Array:
         residuals = self._fitted.predict(thetas, *columns)
         residuals -= output
-        return mean_square(self.rho.transform(residuals))
+        return mean_square(self._with_prior(thetas, self.rho.transform(residuals)))
+
+    def _with_prior(self, thetas: Array, residuals: Array) -> Array:
+        """Residuals (n, N) and behind them those of priors."""
+        if self.prior is None:
+            return residuals
+        return np.hstack([residuals, self.prior.residuals(thetas)])
 
     def errors(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Model minus data, weighted, (m,)."""
         return np.asarray(self._errors(theta[None], fidelity)[0])
 
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
-        """Model minus data, weighted and transformed by rho, (m,)."""
+        """Model minus data, weighted and transformed by rho, and those of priors, (m,)."""
         return np.asarray(self.residual_rows(theta[None], fidelity)[0])
 
     def residual_rows(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Residuals (n, m) of parameter rows (n, d), evaluated side by side."""
         errors = self._errors(thetas, fidelity)
         if self._square:
-            return errors
+            return self._with_prior(thetas, errors)
         for theta, row in zip(thetas, errors, strict=True):
             while len(self._latest_errors) >= max(1, REMEMBERED // row.size):
                 del self._latest_errors[next(iter(self._latest_errors))]
@@ -316,6 +344,8 @@ class CurveFit(Remade, LeastSquaresProblem):
             if derivatives is not None:
                 return derivatives
         derivatives = self._fitted.jacobian(theta, *self._columns_of(part))
+        if self.prior is not None:
+            return np.vstack([derivatives, self.prior.slopes(theta)])
         if self._square:
             return derivatives
         errors = self._latest_errors.get((theta.tobytes(), len(derivatives)))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from miho.identification.loss import Square
 from miho.models.model import Model
 from miho.models.symbolic import arguments_of
 from miho.models.tied import Ties
@@ -70,6 +71,8 @@ def check_curve_fit(problem: CurveFit) -> None:
 def check_sigma(problem: CurveFit) -> None:
     """Raise ValueError for standard deviations that are not positive numbers of the data."""
     sigma = problem.sigma
+    if problem.prior is not None:
+        _check_prior(problem)
     if sigma is None:
         return
     if not isinstance(sigma, str):
@@ -90,6 +93,18 @@ def check_sigma(problem: CurveFit) -> None:
             f"sigma: column {sigma!r} is {column[wrong[0]]:g} in row {wrong[0] + 1} of "
             f"{dataset.name}; expected numbers above 0"
         )
+
+
+def _check_prior(problem: CurveFit) -> None:
+    """Refuse priors where their weight beside the data is not known."""
+    name = next(p.name for p in problem.space.parameters if p.prior is not None)
+    if problem.sigma is None or not problem.sigma_known:
+        raise ValueError(
+            f"space.{name}.prior: how much it counts beside the data depends on their errors; give "
+            "sigma, a number or a column, as known"
+        )
+    if not isinstance(problem.rho, Square):
+        raise ValueError(f"space.{name}.prior: priors need the loss Square")
 
 
 def ties_of(model: Model, space: Space) -> Ties:

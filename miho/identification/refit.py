@@ -133,7 +133,10 @@ class _Objective:
         self._start = self.best = space.clip(start)
         self._fixed = list(fixed)
         self._free = np.array([i for i in range(self.best.size) if i not in fixed], dtype=int)
-        self._root = None if weights is None else np.sqrt(weights)
+        self._root = None
+        if weights is not None:  # residuals of priors behind the rows keep theirs
+            self._root = np.ones(problem.residual_count)
+            self._root[: weights.size] = np.sqrt(weights)
         self._logarithmic = np.array([p.scale == "log" for p in space.parameters])
         share = (space.encode(self._start) - self._low) / (self._high - self._low)
         self.first = np.clip(share[self._free], 0.0, 1.0)
@@ -151,7 +154,7 @@ class _Objective:
         try:
             values = self._problem.residuals(theta)
         except ValueError:
-            values = np.full(len(self._problem.dataset), np.nan)
+            values = np.full(self._problem.residual_count, np.nan)
         values = values if self._root is None else values * self._root
         with np.errstate(over="ignore", invalid="ignore"):
             cost = float(values @ values)

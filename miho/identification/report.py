@@ -27,6 +27,7 @@ from miho.identification.flags import (
     uneven_spread,
 )
 from miho.identification.irreducible import Irreducible, irreducible_interval
+from miho.identification.prior import prior_notes, prior_table
 from miho.identification.profile_likelihood import Profile
 from miho.identification.standing import Standing
 from miho.identification.uncertainty import Linearised
@@ -143,6 +144,11 @@ class Report:
         return pd.DataFrame(rows)
 
     @cached_property
+    def priors(self) -> pd.DataFrame:
+        """A row per prior: what it says, and how much of what is known it gives."""
+        return prior_table(self.problem, self.at)
+
+    @cached_property
     def errors(self) -> pd.DataFrame:
         """Errors in the output's unit, on the training rows, on held-out ones and irreducible.
 
@@ -245,6 +251,7 @@ class Report:
         # The errors: whether standard errors may be computed from them as they are.
         sentences += uneven_spread(self.problem, self.at)
         sentences += sigma_disagrees(self.problem, self.at)
+        sentences += prior_notes(self.priors)
         sentences += independence(self.problem, self.at)
         sentences += outliers(self.problem, self.at)
         # The model: whether its errors are larger than noise, and follow a column.
@@ -308,6 +315,7 @@ class Report:
             "parameters": self.parameters,
             "correlation": self.correlation.rename_axis("parameter").reset_index(),
             "derived": self.derived,
+            "priors": self.priors,
             "errors": self.errors,
             "left_out": self.left_out,
             "trends": self.trends,

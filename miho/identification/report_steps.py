@@ -187,7 +187,7 @@ def _standing(
 ) -> Standing:
     """The standing of the optimum that the report is of; `linear`: the best known is exact."""
     stand = standing(
-        optimum.cost / len(problem.dataset),
+        optimum.cost / problem.residual_count,
         problem.resolution,
         searches,
         best_known=best_known,

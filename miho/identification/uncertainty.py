@@ -171,6 +171,9 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
     # Parameters at a bound are held; the others cost a degree of freedom each.
     errors = problem.errors(theta)
     J = problem.error_slopes(theta)
+    if problem.prior is not None:  # whose residuals are rows like those of the data
+        errors = np.append(errors, problem.prior.residuals(theta[None])[0])
+        J = np.vstack([J, problem.prior.slopes(theta)])
     if not (np.isfinite(J).all() and np.isfinite(errors).all()):
         raise ValueError(f"{problem.name}: the derivatives at the optimum are not all finite")
     at_bound = _at_bound(problem.space, theta)
@@ -203,7 +206,7 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
     # Sandwich estimate, with its factor for few rows; rows of one event add up before the square.
     spread = U * (psi / shrink)[:, None]
     few_rows = errors.size / freedom
-    event = events_of(problem.dataset)
+    event = events_of(problem.dataset) if problem.prior is None else None
     events = 0
     if event is not None:
         spread = np.array([np.bincount(event, column) for column in spread.T]).T
@@ -229,7 +232,7 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
         unidentifiable=unidentifiable,
         noise_known=noise_known,
     )
-    if not neighbours or events:
+    if not neighbours or events or problem.prior is not None:
         return at
     return _dependent(at, psi / shrink, U[:, determined], free, half[:, determined])
 

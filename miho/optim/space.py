@@ -33,6 +33,10 @@ class Parameter:
     A parameter is not searched for if it is `fixed` to a number, as it also is by low = high, or
     `tied` to others by an expression, such as "1 - a - b". Neither needs a range; one that a tied
     parameter has is a limit, beyond which no configuration has a value.
+
+    `prior` is what is known of a free one besides the data: mean and standard deviation of a normal
+    distribution, or on the log scale median and standard deviation in natural-log units. The bounds
+    truncate it. Unlike `mean` and `std`, which only say where searches start, it counts.
     """
 
     name: str
@@ -46,6 +50,7 @@ class Parameter:
     sigma_min: float = 0.0
     fixed: float | None = None
     tied: str | None = None
+    prior: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         label = f"parameter {self.name!r}"
@@ -56,6 +61,8 @@ class Parameter:
             and self.low == self.high
         ):
             object.__setattr__(self, "fixed", self.low)
+        if self.prior is not None:
+            self._check_prior(label)
         if not self.free:
             self._check_held(label)
             return
@@ -81,6 +88,21 @@ class Parameter:
     def free(self) -> bool:
         """Whether it is searched for."""
         return self.fixed is None and self.tied is None
+
+    def _check_prior(self, label: str) -> None:
+        try:
+            mean, std = map(float, self.prior or ())
+        except (TypeError, ValueError):
+            raise ValueError(
+                f"{label}: prior is {self.prior!r}; expected mean and standard deviation"
+            ) from None
+        positive = self.scale != "log" or mean > 0
+        if not (self.free and math.isfinite(mean) and 0 < std < math.inf and positive):
+            raise ValueError(
+                f"{label}: prior is {self.prior!r}; expected a finite mean, above 0 on the log "
+                "scale, and a standard deviation above 0, of a parameter that is free"
+            )
+        object.__setattr__(self, "prior", (mean, std))
 
     def _check_held(self, label: str) -> None:
         if self.fixed is not None and self.tied is not None:

@@ -1,0 +1,103 @@
+"""Priors as residuals, against the closed form of Bayesian linear regression, and by coverage."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import miho
+from miho.identification import make_report
+
+t = np.linspace(0, 1, 40)
+rng = np.random.default_rng(3)
+SIGMA = 0.2
+
+
+def line(t, a, b):
+    return a + b * t
+
+
+def decay(t, a, b):
+    return a * np.exp(-b * t)
+
+
+def test_a_line_with_priors_is_bayesian_linear_regression() -> None:
+    """Posterior mean and covariance (Gelman et al. 2013, Ch. 14.8)."""
+    y = 1 + 2 * t + SIGMA * rng.standard_normal(40)
+    mean, std = np.array([1.2, 1.5]), np.array([0.1, 0.3])
+    X = np.stack([np.ones(40), t], axis=1)
+    precision = X.T @ X / SIGMA**2 + np.diag(1 / std**2)
+    covariance = np.linalg.inv(precision)
+    expected = covariance @ (X.T @ y / SIGMA**2 + mean / std**2)
+    space = {
+        "a": {"low": -5, "high": 5, "prior": (1.2, 0.1)},
+        "b": {"low": -5, "high": 5, "prior": (1.5, 0.3)},
+    }
+    fit = miho.fit(line, t, y, space, sigma=SIGMA, compiled=False)
+    assert list(fit.values.values()) == pytest.approx(expected, rel=1e-6)
+    assert fit.uncertainty.covariance == pytest.approx(covariance, rel=1e-6)
+    report = fit.report()
+    row = report.parameters.iloc[1]
+    half = 1.959964 * np.sqrt(covariance[1, 1])
+    assert (row["profile high"] - row["profile low"]) / 2 == pytest.approx(half, rel=2e-3)
+    alone = np.sqrt(np.diag(np.linalg.inv(X.T @ X / SIGMA**2)))
+    table = report.priors.set_index("parameter")
+    assert table["error from the data alone"].tolist() == pytest.approx(alone, rel=1e-6)
+    share = 100 * (1 - np.diag(covariance) / alone**2)
+    assert table["of the priors [%]"].tolist() == pytest.approx(share, rel=1e-4)
+    assert any("of what is known of a the priors give" in note for note in report.notes)
+
+
+def test_a_prior_on_the_log_scale_is_log_normal() -> None:
+    """Where the data say nothing of b, it stays at the median with the prior's spread."""
+    y = np.full(40, 2.0) + SIGMA * rng.standard_normal(40)
+    space = {"a": (0, 5), "b": {"low": 0.01, "high": 100, "scale": "log", "prior": (3.0, 0.2)}}
+    fit = miho.fit(lambda t, a, b: a + 0 * b * t, t, y, space, sigma=SIGMA, compiled=False)
+    assert fit.values["b"] == pytest.approx(3.0, rel=1e-6)
+    assert fit.parameters.loc["b", "standard_error"] == pytest.approx(0.2 * 3.0, rel=1e-6)
+    assert fit.report().priors["of the priors [%]"].tolist() == pytest.approx([100.0])
+
+
+def test_intervals_hold_truths_that_are_drawn_from_the_prior() -> None:
+    """Of 400 truths 95 % +- 1.1 % (one standard error): within four of those."""
+    inside = 0
+    space = {
+        "a": (0, 10),
+        "b": {"low": 0.01, "high": 20, "scale": "log", "prior": (1.5, 0.2)},
+    }
+    for _ in range(400):
+        b = 1.5 * np.exp(0.2 * rng.standard_normal())
+        y = decay(t, 2.0, b) + SIGMA * rng.standard_normal(40)
+        fit = miho.fit(decay, t, y, start={"a": 2.0, "b": 1.5}, space=space, sigma=SIGMA,
+                       compiled=False)  # fmt: skip
+        reach = 1.959964 * fit.parameters.loc["b", "standard_error"] / fit.values["b"]
+        inside += abs(np.log(b / fit.values["b"])) <= reach
+    assert 0.905 <= inside / 400 <= 0.994
+
+
+def test_refits_of_a_report_keep_the_prior() -> None:
+    y = decay(t, 2.0, 1.5) + SIGMA * rng.standard_normal(40)
+    space = {"a": (0, 5), "b": {"low": 0, "high": 10, "prior": (1.5, 1e-4)}}
+    fit = miho.fit(decay, t, y, space, sigma=SIGMA, compiled=False)
+    report = make_report(fit.problem, fit.theta, replicates=50)
+    assert report.replicates is not None
+    assert np.ptp(report.replicates[:, 1]) < 1e-3
+    assert np.ptp(report.replicates[:, 0]) > 0.01
+
+
+@pytest.mark.parametrize(
+    ("prior", "sigma", "message"),
+    [
+        ((1.0, 0.1), None, "space.b.prior: how much it counts beside the data"),
+        ((1.0, 0.0), 0.2, "prior is \\(1.0, 0.0\\); expected a finite mean"),
+        ((1.0,), 0.2, "expected mean and standard deviation"),
+        (("x", 1), 0.2, "expected mean and standard deviation"),
+    ],
+)
+def test_a_prior_that_cannot_count_is_refused(prior: object, sigma: object, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        miho.fit(
+            decay, t, t, {"a": (0, 5), "b": {"low": 0, "high": 5, "prior": prior}}, sigma=sigma,
+            compiled=False,
+        )  # fmt: skip
+    assert "\n" not in str(caught.value)
