@@ -6,7 +6,7 @@ from miho.exports import at_first_use
 
 if TYPE_CHECKING:
     from miho.data import Dataset
-    from miho.fitting import Fit, fit, fit_many
+    from miho.fitting import Fit, Part, fit, fit_joint, fit_many
     from miho.identification import CurveFit, compare_models
     from miho.models import load_tir
     from miho.optim import (
@@ -26,9 +26,28 @@ if TYPE_CHECKING:
     from miho.study import load_runs
 
 __all__ = [
-    "MIHO", "MIHOGN", "MIHOQN", "AskTell", "Budget", "CurveFit", "Dataset", "Fit",
-    "LeastSquaresProblem", "Optimizer", "Oracle", "Parameter", "Problem", "Space", "compare_models",
-    "fit", "fit_many", "load_runs", "load_tir", "minimize",
+    "MIHO",
+    "MIHOGN",
+    "MIHOQN",
+    "AskTell",
+    "Budget",
+    "CurveFit",
+    "Dataset",
+    "Fit",
+    "LeastSquaresProblem",
+    "Optimizer",
+    "Oracle",
+    "Parameter",
+    "Part",
+    "Problem",
+    "Space",
+    "compare_models",
+    "fit",
+    "fit_joint",
+    "fit_many",
+    "load_runs",
+    "load_tir",
+    "minimize",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

@@ -27,7 +27,8 @@ def data_of(model: Any, x: Any, y: Any, sigma: Any) -> tuple[Dataset, Model, str
     else:
         output, values = "y", y
     if not isinstance(model, Model):
-        model = FunctionModel(model, columns=_column_names(model, x))
+        function = FunctionModel(model, columns=_column_names(model, x))
+        model = function.formula or function
     inputs = inputs_of(model, x)
     while output in inputs:
         output += "_"

@@ -7,13 +7,14 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from miho.optim.space import Space
 from miho.quantities import Array
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from miho.identification.curve_fit import CurveFit
     from miho.identification.uncertainty import Linearised
 
@@ -67,6 +68,8 @@ class PriorResiduals:
 def prior_table(problem: CurveFit, at: Linearised) -> pd.DataFrame:
     """What each prior added: its mean and standard deviation, the standard error from the data
     alone, and the share of what is known of the parameter that the priors give."""
+    import pandas as pd
+
     if problem.prior is None:
         return pd.DataFrame()
     J = problem.error_slopes(at.theta)[:, ~at.at_bound]

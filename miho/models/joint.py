@@ -1,0 +1,131 @@
+"""Several models of rows of their own with parameters in common: several outputs or datasets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.models.model import Model
+from miho.quantities import Array
+
+PART = "part of the row"
+"""The first input: the position of the part that a row belongs to."""
+
+
+class JointPart(NamedTuple):
+    """A model with the names that its parameters, in its order, have among all."""
+
+    name: str
+    model: Model
+    parameters: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class JointModel(Model):
+    """The output of the part that a row belongs to; columns that other parts read may be anything.
+
+    A parameter of one name is one parameter. Inputs of one name stand in one column; they and such
+    parameters must agree in their units. Raises ValueError if not. `output` is the parts' unit, ""
+    where they differ.
+    """
+
+    parts: tuple[JointPart, ...]
+
+    def __post_init__(self) -> None:
+        for group in ("inputs", "parameters"):
+            units: dict[str, tuple[str, str]] = {}
+            for part in self.parts:
+                own: Mapping[str, str] = part.model.inputs
+                if group == "parameters":
+                    values = part.model.parameters.values()
+                    own = dict(zip(part.parameters, values, strict=True))
+                for name, unit in own.items():
+                    first, needed = units.setdefault(name, (part.name, unit))
+                    if unit != needed:
+                        raise ValueError(
+                            f"{name} has the unit {needed!r} in {first} and {unit!r} in "
+                            f"{part.name}; use one, or another name"
+                        )
+
+    @cached_property
+    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+        """The part, then the inputs of all."""
+        units = {PART: "-"}
+        for part in self.parts:
+            units |= part.model.inputs
+        return units
+
+    @cached_property
+    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+        """Those of all parts, in the order in which they come first."""
+        units: dict[str, str] = {}
+        for part in self.parts:
+            own = zip(part.parameters, part.model.parameters.values(), strict=True)
+            units |= {name: unit for name, unit in own if name not in units}
+        return units
+
+    @property
+    def output(self) -> str:  # type: ignore[override]
+        """The parts' unit, "" where they differ."""
+        units = {part.model.output for part in self.parts}
+        return units.pop() if len(units) == 1 else ""
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """The names of the parts."""
+        return "-".join(part.name for part in self.parts)
+
+    @property
+    def ordered(self) -> bool:  # type: ignore[override]
+        """Whether any part needs every row in order."""
+        return any(part.model.ordered for part in self.parts)
+
+    @cached_property
+    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The parameters in which every part that has them is linear.
+
+        A row depends on one part, so those are jointly linear that are so in each.
+        """
+
+        def bent(name: str) -> bool:
+            return any(
+                name in part.parameters
+                and list(part.model.parameters)[part.parameters.index(name)]
+                not in part.model.linear
+                for part in self.parts
+            )
+
+        return tuple(name for name in self.parameters if not bent(name))
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        """Outputs (n, N) of parameter rows (n, d) at input columns (N,), the first the part."""
+        values = np.empty((len(thetas), inputs[0].size))
+        for part, rows, chosen, columns in self._shares(inputs):
+            values[:, rows] = part.model.predict(thetas[:, chosen], *columns)
+        return values
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Derivatives of the outputs, (N, d), at one configuration (d,)."""
+        derivatives = np.zeros((inputs[0].size, theta.size))
+        for part, rows, chosen, columns in self._shares(inputs):
+            slopes = part.model.jacobian(theta[chosen], *columns)
+            derivatives[rows[:, None], chosen] = slopes
+        return derivatives
+
+    def _shares(
+        self, inputs: tuple[Array, ...]
+    ) -> list[tuple[JointPart, NDArray[np.intp], list[int], list[Array]]]:
+        """Each part with its rows, the positions of its parameters, and its columns."""
+        names, places = list(self.inputs), list(self.parameters)
+        shares = []
+        for k, part in enumerate(self.parts):
+            rows = np.flatnonzero(inputs[0] == k)
+            if rows.size:
+                columns = [inputs[names.index(name)][rows] for name in part.model.inputs]
+                shares.append((part, rows, [places.index(n) for n in part.parameters], columns))
+        return shares
