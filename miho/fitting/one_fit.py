@@ -56,7 +56,7 @@ def fit(
     method: Optimizer | None = None,
     budget: Budget | None = None,
     seed: int = 0,
-    compiled: bool = True,
+    compiled: bool | None = None,
 ) -> Fit:
     """Fit a model to data, within bounds and without a start, or from a start without a search.
 
@@ -74,14 +74,17 @@ def fit(
 
     `method` searches within the bounds, `MIHOGN()` by default. With a `start` of every free
     parameter there is one descent from there, and bounds are not needed. `loss` is what a residual
-    costs: its square, or one that outliers cannot dominate. The function is `compiled` at its first
-    fit, if it is arithmetic: that takes seconds, later fits milliseconds.
+    costs: its square, or one that outliers cannot dominate. For a search an arithmetic function is
+    compiled at its first fit, unless `compiled` is false: that takes seconds, later fits
+    milliseconds.
 
     Raises ValueError for what does not fit together, and where no finite value was found.
     """
     dataset, chosen, sigma = data_of(model, x, y, sigma)
     bounds = space_of(chosen, space, start, fixed or {}, tied or {})
     rho = Square() if loss is None else loss
+    if compiled is None and start is None:
+        compiled = True
     problem = CurveFit(
         chosen, dataset, bounds, rho, compiled=compiled, sigma=sigma, sigma_known=sigma_known
     )
@@ -100,7 +103,7 @@ def searched(
     seed: int = 0,
 ) -> Fit:
     """The optimum of a problem, by `MIHOGN()` unless another method is given."""
-    run = minimize(method or MIHOGN(), problem, budget, seed)
+    run = minimize(method or MIHOGN(), problem, budget, seed, rehearse=False)
     if run.theta is None:
         raise ValueError(f"{problem.name}: no finite value was found: {run.error or run.rejected}")
     return Fit(problem, refit(problem, run.theta).theta, run.theta, run.descents)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any, NoReturn
 
 import numpy as np
@@ -302,8 +302,14 @@ def written(
             places[symbol] = values[formula]
     given = ", ".join(places[result] for result in results)
     lines.append(f"    return {given if single else f'({given},)'}")
+    return _function(name, "\n".join(lines))
+
+
+@lru_cache(maxsize=256)
+def _function(name: str, text: str) -> Callable[..., Any]:
+    """The function of this text, made once for all fits of a model."""
     names: dict[str, Any] = {"np": np, "sin": sin, "cos": cos, "atan": atan}
-    exec(compile("\n".join(lines), f"<{name}>", "exec"), names)  # noqa: S102 -- lines of our own
+    exec(compile(text, f"<{name}>", "exec"), names)  # noqa: S102 -- lines of our own
     function: Callable[..., Any] = names[name]
     return function
 

@@ -94,20 +94,24 @@ def minimize(
     *,
     checkpoint: Checkpoint | None = None,
     observer: Callable[[Oracle], None] | None = None,
+    rehearse: bool = True,
 ) -> RunRecord:
     """Minimise the problem's loss; always returns a record, whatever model or method did.
 
     `seed` is the repetition: (problem, seed) fixes the common initial configurations, the
     method's name is mixed in only for its own stream. A `checkpoint` of the same optimizer,
     problem and seed is continued under the new, larger budget. `observer` is called with the
-    oracle about ten times a second, off the method's clock, to show progress. The first Ctrl-C
-    ends the run as `interrupted` after the evaluation in progress, the second at once.
+    oracle about ten times a second, off the method's clock, to show progress. What is compiled at
+    its first use is used before the clock starts, unless nobody compares seconds and `rehearse` is
+    false. The first Ctrl-C ends the run as `interrupted` after the evaluation in progress, the
+    second at once.
     """
     if checkpoint is not None:
         checkpoint = _resumable(checkpoint, optimizer, problem, seed)
     space = problem.space.seeded(problem.name, seed)
     setup_started = time.perf_counter()
-    warm_up(optimizer, problem)
+    if rehearse:
+        warm_up(optimizer, problem)
     setup_seconds = time.perf_counter() - setup_started
 
     meter = None if checkpoint is None else checkpoint.meter
