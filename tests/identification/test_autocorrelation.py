@@ -191,7 +191,7 @@ def test_blocks_are_stretched_to_the_sandwich() -> None:
     block = block_length(at.dependence.errors)
     drawn = bootstrap(problem, at.theta, 400, np.random.default_rng(0), block=block)
     expected = np.sqrt(np.diag(at.sandwich))
-    replicates = stretched(drawn, at, at.dependence.influence, block, problem.space)
+    replicates = stretched(drawn, at, problem.space)
     np.testing.assert_allclose(replicates.std(axis=0), expected, rtol=0.17)
     assert (drawn.std(axis=0) < expected).all()
     rows = bootstrap(problem, at.theta, 400, np.random.default_rng(0))
