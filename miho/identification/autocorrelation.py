@@ -20,6 +20,8 @@ STEP = 1e-4
 """Step of the differences of the likelihood, in atanh of a partial autocorrelation."""
 WIDE_STEP = 0.05
 """That of its second derivatives, below which rounding shows."""
+ROUNDING = 1e-14
+"""Of sums of products of columns of length 1, as a fraction of the sum of their weights' sizes."""
 LEAST_INFORMATION = 1.0
 """Less is taken for as much: atanh of a partial autocorrelation is known to 1 before any data."""
 
@@ -150,11 +152,9 @@ class _RestrictedLikelihood:
         form = (a[:, :, None] * a[:, None, :]).reshape(len(z), -1) @ self._products
         k = round(float(np.sqrt(form.shape[1])))
         form = form.reshape(-1, k, k)
-        floor = 1e-12 * np.trace(form, axis1=1, axis2=2)  # rounding, where a mean has no weight
-        root = np.linalg.cholesky(
-            (form + form.swapaxes(1, 2)) / 2 + floor[:, None, None] * np.eye(k)
-        )
-        diagonal = 2 * np.log(np.diagonal(root, axis1=1, axis2=2))
+        floor = ROUNDING * np.sum(np.abs(a), axis=1) ** 2
+        form = (form + form.swapaxes(1, 2)) / 2 + floor[:, None, None] * np.eye(k)
+        diagonal = 2 * np.log(np.diagonal(np.linalg.cholesky(form), axis1=1, axis2=2))
         determinant = -np.log1p(-(partial**2)) @ np.arange(1.0, z.shape[1] + 1)
         value = self._freedom * diagonal[:, -1] + diagonal[:, :-1].sum(axis=1) + determinant
         return value, np.exp(diagonal[:, -1]) / self._freedom * self._size

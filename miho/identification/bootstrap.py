@@ -31,10 +31,10 @@ def bootstrap(
 
     Whole rows are drawn (Efron and Tibshirani 1993, Ch. 9.5), so that nothing is assumed of the
     errors but that rows are independent; whole events, if the data have a column that numbers
-    them. Of rows that depend on their neighbours, as many as `block` are drawn together, from
-    anywhere in the data, whose end is followed by its beginning (Politis and Romano 1992). The
-    parameters at the positions `held` stay where they are. `progress` is called after every
-    replicate.
+    them. Rows that depend on their neighbours are weighted by `block` rows at a time, exponentially
+    (Rubin, Annals of Statistics 9, 1981): no weight is 0, so that what only a few rows of the data
+    determine stays determined. The parameters at the positions `held` stay where they are.
+    `progress` is called after every replicate.
     """
     event = events_of(problem.dataset)
     index = np.arange(len(problem.dataset)) if event is None else event
@@ -76,21 +76,23 @@ def block_length(errors: Array) -> int:
     return max(1, round(min(float(length), 3 * math.sqrt(rows), rows / 3)))
 
 
-def stretched(
-    replicates: Array, at: Linearised, influence: Array, block: int, space: Space
-) -> Array:
+def stretched(replicates: Array, at: Linearised, space: Space) -> Array:
     """Replicates (n, d) of blocks, stretched about the optimum to the spread of `at.sandwich`.
 
     Blocks cut what depends on each other, and the errors of a fit vary less than those of the
-    data, so that replicates scatter too little, the more the stronger the dependence. To first
-    order their covariance follows from the rows' `influence` (N, d); the linear map is the one
-    nearest to none that takes it to the sandwich. Parameters without a standard error stay, and all
-    stay within the box.
+    data, so that replicates scatter too little, the more the stronger the dependence. The linear
+    map is the one nearest to none that takes their covariance to the sandwich; its standard
+    deviations are half of what holds the middle 68 %, since blocks may hold all rows that
+    determine a parameter. Parameters without a standard error stay, all stay within the box, and
+    replicates that are too few to know their covariance stay as they are.
     """
-    known = np.flatnonzero(np.isfinite(at.standard_errors) & (at.standard_errors > 0))
-    totals = np.cumsum(np.vstack([influence, influence[:block]])[:, known], axis=0)
-    sums = totals[block:] - totals[:-block]  # of each block, by where it begins
-    drawn = sums.T @ sums / block
+    below, above = np.quantile(replicates, scipy.special.ndtr([-1.0, 1.0]), axis=0)
+    known = np.flatnonzero(np.isfinite(at.standard_errors) & (above > below))
+    if len(replicates) <= 2 * known.size or not known.size:
+        return replicates
+    deviations = (above - below)[known] / 2
+    correlation = np.atleast_2d(np.corrcoef(replicates[:, known].T))
+    drawn = correlation * np.outer(deviations, deviations)
     target = at.sandwich[np.ix_(known, known)]
     root = np.linalg.cholesky(target + TINY * np.diag(np.diag(at.covariance)[known]))
     inner = scipy.linalg.solve_triangular(root, drawn, lower=True)
@@ -104,10 +106,9 @@ def stretched(
 
 
 def _block_weights(rows: int, block: int, rng: np.random.Generator) -> Array:
-    """How often each row (N,) is drawn, in blocks of which the last is cut."""
-    starts = rng.integers(0, rows, -(-rows // block))
-    drawn = (starts[:, None] + np.arange(block)).ravel()[:rows] % rows
-    return np.bincount(drawn, minlength=rows).astype(float)
+    """A weight for each row (N,), the same within blocks of rows that begin anywhere."""
+    place = (np.arange(rows) + rng.integers(rows)) % rows // block
+    return np.asarray(rng.exponential(size=-(-rows // block))[place])
 
 
 def percentile_intervals(replicates: Array, units: int, freedom: int, level: float = 0.95) -> Array:

@@ -200,15 +200,14 @@ def independence(problem: CurveFit, at: Linearised) -> list[str]:
     sentences = []
     if EVENT in problem.dataset.columns:
         sentences.append("the rows are of too few events to allow for what they share.")
-    if at.dependence is not None and not at.unidentifiable.all():
-        sentences.append(_alike(at, at.dependence))
+    usable = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
+    if at.dependence is not None and usable.any():
+        sentences.append(_alike(at, at.dependence, np.eye(usable.size)[usable]))
     return sentences
 
 
-def _alike(at: Linearised, dependence: Dependence) -> str:
-    """How alike neighbouring rows are, and how much wider that makes the intervals."""
-    usable = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
-    axes = np.eye(usable.size)[usable]
+def _alike(at: Linearised, dependence: Dependence, axes: Array) -> str:
+    """How alike neighbours are, and how much wider intervals of parameters along `axes` (n, d)."""
     wider = at.reach(axes) / at.independent.reach(axes)
     factors = list(dict.fromkeys(f"{factor:.1f}" for factor in np.sort(wider)[[0, -1]]))
     sentence = (

@@ -96,8 +96,7 @@ def make_report(
             problem, at.theta, replicates, rng, lambda: progress("bootstrap"), held, block
         )
         if at.dependence is not None:
-            influence = at.dependence.influence
-            estimates = stretched(estimates, at, influence, block, problem.space)
+            estimates = stretched(estimates, at, problem.space)
     left_out = []
     for condition in conditions(problem):
         progress(f"leave one {condition} out")

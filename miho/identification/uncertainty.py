@@ -40,15 +40,13 @@ class Dependence:
     `correlation` is that of one row with the next, less what a fit brings about by itself, `model`
     what the covariance follows from, and `sides` (2 p, d, d) are the covariances of models at one
     standard error to either side of it. `errors` (N,) are those of the rows, as a robust loss takes
-    them, and `influence` (N, d) is what each adds to the estimates, to first order. `independent`
-    is the uncertainty if rows were independent.
+    them. `independent` is the uncertainty if rows were independent.
     """
 
     correlation: float
     model: Autoregression
     sides: Array
     errors: Array
-    influence: Array
     independent: Linearised
 
     def freedom(self, gradients: Array) -> Array:
@@ -262,14 +260,11 @@ def _dependent(
     # White's estimate of the innovations, with the factor for few rows; the first have no own.
     squares = np.full(errors.size, model.variance)
     squares[model.partial.size :] = model.innovations(errors) ** 2 * few_rows
-    influence = np.zeros((errors.size, at.theta.size))
-    influence[:, free] = errors[:, None] * basis @ half.T
     dependence = Dependence(
         correlation=alike.correlation,
         model=model,
         sides=np.array([covariance(side) for side in sides]),
         errors=errors,
-        influence=influence,
         independent=at,
     )
     freedom = dependence.freedom(np.eye(at.theta.size)[np.isfinite(at.standard_errors)])

@@ -191,8 +191,23 @@ def test_blocks_are_stretched_to_the_sandwich() -> None:
     block = block_length(at.dependence.errors)
     drawn = bootstrap(problem, at.theta, 400, np.random.default_rng(0), block=block)
     expected = np.sqrt(np.diag(at.sandwich))
-    replicates = stretched(drawn, at, at.dependence.influence, block, problem.space)
+    replicates = stretched(drawn, at, problem.space)
     np.testing.assert_allclose(replicates.std(axis=0), expected, rtol=0.17)
     assert (drawn.std(axis=0) < expected).all()
     rows = bootstrap(problem, at.theta, 400, np.random.default_rng(0))
     assert (2 * rows.std(axis=0) < expected).all()
+
+
+def test_a_held_parameter_is_no_obstacle() -> None:
+    """One parameter at its bound, and both: the other's intervals allow for neighbours."""
+    x = np.linspace(-1, 1, 200)
+    noise = 0.1 * drive(0.8, 200)
+    held = make_report(line(1 + 2 * x + noise, x, b=(-1, 1.9)), np.array([1.0, 1.9]))
+    assert held.at.at_bound.tolist() == [False, True]
+    assert held.at.dependence is not None
+    factor = held.at.reach(np.eye(2))[0] / held.at.independent.reach(np.eye(2))[0]
+    (note,) = [note for note in held.notes if "neighbouring rows are alike" in note]
+    assert f"makes intervals {factor:.1f} times as wide" in note
+    both = make_report(line(200 + 2 * x + noise, x, b=(-1, 1.9)), np.array([100.0, 1.9]))
+    assert both.at.at_bound.all()
+    assert both.at.dependence is None
