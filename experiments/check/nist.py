@@ -96,13 +96,13 @@ def judged(fit: PublishedFit, estimate: Estimate) -> tuple[float, float]:
 
 
 def by_miho(fit: PublishedFit, seed: int) -> Estimate:
-    """The default method in the box, and the linearised standard errors of its report."""
+    """The default method in the box, and its report's standard errors for independent rows."""
     problem = boxed(fit)
     record = minimize(MIHOGN(), problem, seed=seed)
     if record.theta is None:
         return np.full(len(problem.space), np.nan), np.full(len(problem.space), np.nan)
     at = make_report(problem, record.theta, descents=record.descents, profiles=False).at
-    return at.theta, at.standard_errors
+    return at.theta, at.independent.standard_errors
 
 
 def by_curve_fit(fit: PublishedFit, start: Array) -> Estimate:
