@@ -10,7 +10,7 @@ import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 
 from experiments.app import schema
-from experiments.app.build import recorded_optimum, stored_part
+from experiments.app.build import HELD, recorded_optimum, stored_part
 from experiments.app.compose import CONF, composed
 from miho.analysis.compare.bootstrap import ENDED_BY_ITSELF
 from miho.analysis.compare.claims import Differences
@@ -56,7 +56,8 @@ def _resolved(node: Any) -> Any:
     plain = OmegaConf.to_container(node, resolve=True) if isinstance(node, DictConfig) else node
     if not isinstance(plain, Mapping):
         return plain
-    return {key: _resolved(value) for key, value in plain.items() if key != "scaled"}
+    unset = [key for key in ("scaled", *HELD) if key == "scaled" or plain.get(key) is None]
+    return {key: _resolved(value) for key, value in plain.items() if key not in unset}
 
 
 def _cut(runs: pd.DataFrame, stored: StoredRun) -> pd.Series:

@@ -28,9 +28,9 @@ from miho.quantities import Array
 Values = Callable[[Array], Array]
 """(theta (d,)) -> losses, residuals or derivatives (..., rows) at one configuration."""
 
-AGREED: set[tuple[str, str]] = set()
-"""Signatures of formulas and kinds of values that agreed with NumPy's: once in a process is enough,
-so that many fits of a model pay for one comparison."""
+AGREED: set[tuple[str, str, int]] = set()
+"""Signatures of formulas, kinds of values and rows on which they agreed with NumPy's: once in a
+process is enough, so that many fits of a model pay for one comparison."""
 COMPARED = 1000
 """Rows on which compiled values are compared with NumPy's."""
 CLOSE = 1e-9
@@ -98,7 +98,8 @@ class FitKernel:
         return FusedLoss(self.model, self.X, self.y, self.order, self.threads)
 
     def _agrees(self, kind: str) -> bool:
-        if (self._signature, kind) in AGREED:
+        key = (self._signature, kind, min(self.y.size, COMPARED))
+        if key in AGREED:
             return True
         if kind not in self._disagreements:
             rows = self.order[:COMPARED]
@@ -113,7 +114,7 @@ class FitKernel:
                     stacklevel=4,
                 )
             else:
-                AGREED.add((self._signature, kind))
+                AGREED.add(key)
         return not self._disagreements[kind]
 
     @cached_property

@@ -12,8 +12,10 @@ from miho.data.dataset import Dataset
 from miho.fitting.one_fit import Fit, searched
 from miho.fitting.statement import FAR, data_of, space_of
 from miho.identification.curve_fit import CurveFit
+from miho.identification.curve_fit_checks import traced_where_alike
 from miho.identification.refit import refit
 from miho.identification.stated import stated_parameters
+from miho.models.function_model import FunctionModel
 from miho.models.joint import PART, JointModel, JointPart
 from miho.models.model import Model
 from miho.models.tied import whole_model
@@ -74,6 +76,13 @@ def fit_joint(
         if not any(name in part.model.parameters for part in members):
             raise ValueError(f"local: {name} is no parameter of any part")
     bounds = space_of(model, _with_local(space, local, members), None, fixed or {}, tied or {})
+    named = {parameter.name: parameter for parameter in bounds.parameters}
+    for k, (part, dataset) in enumerate(zip(members, datasets, strict=True)):
+        if isinstance(part.model, FunctionModel):
+            own = zip(part.model.parameters, part.parameters, strict=True)
+            space = Space(tuple(replace(named[joint], name=name) for name, joint in own))
+            members[k] = part._replace(model=traced_where_alike(part.model, dataset, space))
+    model = JointModel(tuple(members))
     sigma = [np.asarray(p.sigma, dtype=float) for p in stated.values()] if all(given) else None
     start = None
     if sigma is None:

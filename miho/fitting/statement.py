@@ -27,8 +27,7 @@ def data_of(model: Any, x: Any, y: Any, sigma: Any) -> tuple[Dataset, Model, str
     else:
         output, values = "y", y
     if not isinstance(model, Model):
-        function = FunctionModel(model, columns=_column_names(model, x))
-        model = function.formula or function
+        model = FunctionModel(model, columns=_column_names(model, x))
     inputs = inputs_of(model, x)
     while output in inputs:
         output += "_"
@@ -105,8 +104,11 @@ def space_of(
         elif name in tied:
             settings |= {"tied": tied[name]}
         elif start is not None and name in start and "low" not in settings:
-            reach = FAR * max(abs(float(start[name])), 1.0)
-            settings |= {"low": start[name] - reach, "high": start[name] + reach}
+            at = float(start[name])
+            ends = at - FAR * max(abs(at), 1.0), at + FAR * max(abs(at), 1.0)
+            if settings.get("scale") == "log" and at > 0:
+                ends = at / FAR, at * FAR
+            settings = {"low": ends[0], "high": ends[1], **settings}
         elif not settings:
             raise ValueError(
                 f"{name} has no bounds; give them, as in {{{name!r}: (0, 10)}}, or a start of "

@@ -12,7 +12,13 @@ from numpy.typing import NDArray
 
 from miho.compiled import kernel_for
 from miho.data.dataset import Dataset
-from miho.identification.curve_fit_checks import TRIALS, check_curve_fit, check_sigma, ties_of
+from miho.identification.curve_fit_checks import (
+    TRIALS,
+    check_curve_fit,
+    check_sigma,
+    ties_of,
+    traced_where_alike,
+)
 from miho.identification.irreducible import irreducible_interval, irreducible_limit
 from miho.identification.loss import Loss, Square, slope
 from miho.identification.prior import PriorResiduals
@@ -93,6 +99,8 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     def __post_init__(self) -> None:
         model = _model(self.model)
+        if isinstance(model, FunctionModel):
+            model = traced_where_alike(model, self.dataset, self.space)
         if self.space.free is not self.space:
             model = tie(model, ties_of(model, self.space))
         object.__setattr__(self, "model", model)
@@ -367,8 +375,6 @@ def _model(model: object) -> Model:
     """A model as it is, and a function made into one."""
     if callable(model) and not isinstance(model, type | Model):
         model = FunctionModel(model)
-    if isinstance(model, FunctionModel):
-        return model.formula or model
     if isinstance(model, Model):
         return model
     raise ValueError(

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from miho.data.dataset import Dataset
 from miho.identification.loss import Square
+from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.models.symbolic import arguments_of
 from miho.models.tied import Ties
@@ -107,6 +109,27 @@ def _check_prior(problem: CurveFit) -> None:
         raise ValueError(f"space.{name}.prior: priors need the loss Square")
 
 
+def traced_where_alike(model: FunctionModel, dataset: Dataset, space: Space) -> Model:
+    """The function as a formula, if both give the same on the data at some configurations."""
+    lacking = [name for name in model.inputs if name not in dataset.columns]
+    if lacking:
+        return model  # which is refused
+    parameters = {parameter.name: parameter for parameter in space.parameters}
+    rng = np.random.default_rng(0)
+    thetas = np.empty((TRIALS, len(model.parameters)))
+    for k, name in enumerate(model.parameters):
+        draws, known = rng.random(TRIALS), parameters.get(name)
+        thetas[:, k] = 0.5 + draws
+        if known is not None and known.free:
+            low, high = (np.log(known.low), np.log(known.high)) if known.scale == "log" else (
+                known.low, known.high)  # fmt: skip
+            values = low + draws * (high - low)
+            thetas[:, k] = np.exp(values) if known.scale == "log" else values
+        elif known is not None and known.fixed is not None:
+            thetas[:, k] = known.fixed
+    return model.formula_at(thetas, *(dataset[name] for name in model.inputs))
+
+
 def ties_of(model: Model, space: Space) -> Ties:
     """How the model's parameters follow from the free ones of a space.
 
@@ -124,13 +147,19 @@ def ties_of(model: Model, space: Space) -> Ties:
                 f"parameter {parameter.name!r} of the space has unit {parameter.unit!r}; model "
                 f"{name} needs {needed!r}"
             )
+    for parameter in space.parameters:
+        if not parameter.free and parameter.name not in model.parameters:
+            raise ValueError(
+                f"space.{parameter.name}: model {name} has no parameter {parameter.name} to fix or "
+                "tie; write it into the expressions"
+            )
     held = {p.name: p.fixed if p.tied is None else p.tied for p in space.parameters if not p.free}
     limits = {p.name: (p.low, p.high) for p in space.parameters if p.tied is not None}
     ties = Ties(
         tuple(model.parameters),
         {p.name: p.unit for p in space.free.parameters},
         {key: value for key, value in held.items() if value is not None},
-        {key: ends for key, ends in limits.items() if key in model.parameters},
+        {key: ends for key, ends in limits.items() if np.isfinite(ends).any()},
     )
     needed_symbols = arguments_of(ties.graphs)
     for symbol, free in zip(ties.arguments, ties.free, strict=True):

@@ -203,6 +203,9 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
 
     # Sandwich estimate, with its factor for few rows; rows of one event add up before the square.
     spread = U * (psi / shrink)[:, None]
+    if problem.prior is not None:  # one draw of each prior says nothing of its spread
+        rows = len(problem.dataset)
+        spread[rows:] = U[rows:] * problem.prior.scale
     few_rows = errors.size / freedom
     event = events_of(problem.dataset) if problem.prior is None else None
     events = 0

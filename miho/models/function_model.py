@@ -28,6 +28,8 @@ from miho.models.traced import TracedExpression
 from miho.quantities import Array
 from miho.regular_file import read_regular
 
+COMPARED, CLOSE = 1000, 1e-9
+"""Rows on which a formula is compared with its function, and how close they have to be."""
 COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
@@ -118,6 +120,24 @@ class FunctionModel(DifferencedModel):
         except NotAFormulaError:
             return None
         return formula if any(p.arguments[0] in used for p in formula.arguments) else None
+
+    def formula_at(self, thetas: Array, *inputs: Array) -> Model:
+        """Its formula, if that gives what the function gives at parameter rows (n, d) and columns.
+
+        Else this model: a function may tell arrays from symbols, or not be element by element.
+        """
+        formula = self.formula
+        if formula is None:
+            return self
+        rows = np.unique(np.linspace(0, inputs[0].size - 1, COMPARED).round().astype(int))
+        columns = [column[rows] for column in inputs]
+        try:
+            own, traced = self.predict(thetas, *columns), formula.predict(thetas, *columns)
+        except ValueError:
+            return self
+        size = np.abs(own[np.isfinite(own)]).max(initial=0.0)
+        alike = np.allclose(own, traced, rtol=CLOSE, atol=CLOSE * size, equal_nan=True)
+        return formula if alike else self
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
@@ -293,8 +313,7 @@ def load_function(
         raise ValueError(
             f"{source}: has no function {function!r}; it has {', '.join(public) or 'none'}"
         )
-    model = FunctionModel(chosen, batched, tuple(linear), source)
-    return model.formula or model
+    return FunctionModel(chosen, batched, tuple(linear), source)
 
 
 def _line(error: BaseException, file: str) -> int | None:

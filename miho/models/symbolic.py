@@ -19,7 +19,7 @@ from miho.compiled.elementary import atan, cos, sin
 
 MOST = 5000
 """Operations at most: the compiler takes longer than the model for more."""
-TINY = 1e-100
+TINY, HUGE = 1e-100, 1e150
 """Beside a branch point derivatives are those at this distance, so that 0 times them is 0."""
 
 
@@ -94,6 +94,7 @@ class Symbol:
         raise NotAFormulaError("a symbol has no value")
 
     __bool__ = __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = _refuse
+    __array__ = __array_function__ = _refuse
     __float__ = __int__ = __index__ = __iter__ = __len__ = __getitem__ = _refuse
     __hash__ = object.__hash__
 
@@ -167,24 +168,39 @@ Partials = Callable[..., tuple[Any, ...]]
 
 
 def _power_partials(z: Symbol, a: Symbol, b: Symbol) -> tuple[Any, ...]:
-    """Of a^b, whose base is above 0 unless b is a whole number."""
-    whole = b.number is not None and b.number.is_integer()
-    above = operation("maximum", a, TINY)
-    return b * (a if whole else above) ** (b - 1), z * operation("log", above)
+    """Of a^b. A negative base has a value for a whole exponent only, and then the sign of z."""
+    above = operation("maximum", operation("absolute", a), TINY)
+    if b.number is not None and b.number.is_integer():
+        return b * a ** (b - 1), constant(0.0)
+    sign = operation("sign", z) * operation("sign", a)
+    slope = sign + 1 - operation("absolute", sign)  # 1 at a base of 0
+    return b * above ** (b - 1) * slope, z * operation("log", above)
+
+
+def _above(value: Any) -> Symbol:
+    """At least TINY."""
+    return operation("maximum", value, TINY)
+
+
+def _bounded(value: Any) -> Symbol:
+    """A partial derivative that is not infinite, so that 0 times it is 0."""
+    if isinstance(value, Symbol) and value.operation in (ARGUMENT, CONSTANT):
+        return value
+    return operation("minimum", operation("maximum", value, -HUGE), HUGE)
 
 
 OPERATIONS: Mapping[str, tuple[str, Partials]] = {
     "add": ("{} + {}", lambda z, a, b: (1, 1)),
     "subtract": ("{} - {}", lambda z, a, b: (1, -1)),
     "multiply": ("{} * {}", lambda z, a, b: (b, a)),
-    "divide": ("{} / {}", lambda z, a, b: (1 / b, -z / b)),
+    "divide": ("{} / {}", lambda z, a, b: (1 / b, _bounded(-z / b))),
     "power": ("{} ** {}", _power_partials),
     "negative": ("-{}", lambda z, a: (-1,)),
     "absolute": ("np.abs({})", lambda z, a: (np.sign(a),)),
     "sign": ("np.sign({})", lambda z, a: (0,)),
-    "exp": ("np.exp({})", lambda z, a: (z,)),
+    "exp": ("np.exp({})", lambda z, a: (_bounded(z),)),
     "expm1": ("np.expm1({})", lambda z, a: (z + 1,)),
-    "log": ("np.log({})", lambda z, a: (1 / a,)),
+    "log": ("np.log({})", lambda z, a: (_bounded(1 / a),)),
     "log1p": ("np.log1p({})", lambda z, a: (1 / (1 + a),)),
     "log10": ("np.log10({})", lambda z, a: (1 / (math.log(10) * a),)),
     "log2": ("np.log2({})", lambda z, a: (1 / (math.log(2) * a),)),
@@ -192,14 +208,14 @@ OPERATIONS: Mapping[str, tuple[str, Partials]] = {
     "sin": ("sin({})", lambda z, a: (np.cos(a),)),
     "cos": ("cos({})", lambda z, a: (-np.sin(a),)),
     "tan": ("np.tan({})", lambda z, a: (1 + z * z,)),
-    "arcsin": ("np.arcsin({})", lambda z, a: (1 / np.sqrt(1 - a * a),)),
-    "arccos": ("np.arccos({})", lambda z, a: (-1 / np.sqrt(1 - a * a),)),
+    "arcsin": ("np.arcsin({})", lambda z, a: (1 / _above(np.sqrt(1 - a * a)),)),
+    "arccos": ("np.arccos({})", lambda z, a: (-1 / _above(np.sqrt(1 - a * a)),)),
     "arctan": ("atan({})", lambda z, a: (1 / (1 + a * a),)),
-    "sinh": ("np.sinh({})", lambda z, a: (np.cosh(a),)),
-    "cosh": ("np.cosh({})", lambda z, a: (np.sinh(a),)),
+    "sinh": ("np.sinh({})", lambda z, a: (_bounded(np.cosh(a)),)),
+    "cosh": ("np.cosh({})", lambda z, a: (_bounded(np.sinh(a)),)),
     "tanh": ("np.tanh({})", lambda z, a: (1 - z * z,)),
     "arcsinh": ("np.arcsinh({})", lambda z, a: (1 / np.sqrt(1 + a * a),)),
-    "arccosh": ("np.arccosh({})", lambda z, a: (1 / np.sqrt(a * a - 1),)),
+    "arccosh": ("np.arccosh({})", lambda z, a: (1 / _above(np.sqrt(a * a - 1)),)),
     "arctanh": ("np.arctanh({})", lambda z, a: (1 / (1 - a * a),)),
     "hypot": (
         "np.hypot({}, {})",
@@ -207,7 +223,7 @@ OPERATIONS: Mapping[str, tuple[str, Partials]] = {
     ),
     "arctan2": (
         "np.arctan2({}, {})",
-        lambda z, y, x: (x / (x * x + y * y), -y / (x * x + y * y)),
+        lambda z, y, x: (x / _above(x * x + y * y), -y / _above(x * x + y * y)),
     ),
     "minimum": (
         "np.minimum({}, {})",
@@ -223,8 +239,6 @@ UFUNCS = {name: name for name in (*OPERATIONS, "square", "positive")} | {
     "true_divide": "divide",
     "float_power": "power",
     "fabs": "absolute",
-    "fmin": "minimum",
-    "fmax": "maximum",
 }
 """NumPy's functions of numbers that leave a symbol, by their own names."""
 
@@ -262,7 +276,9 @@ def jointly_linear(result: Symbol, variables: Sequence[Symbol]) -> list[int]:
     positions: list[int] = []
     dependence = [arguments_of([slope]) for slope in gradient(result, variables)]
     names = [variable.arguments[0] for variable in variables]
-    used = arguments_of([result])
+    used = arguments_of([result]) - arguments_of(
+        s for s in _ordered([result]) if s.operation in ("sign", "minimum", "maximum", "absolute")
+    )  # whose derivatives are constant on either side of a bend
     for k, name in enumerate(names):
         others = [names[i] for i in positions]
         bent = any(name in dependence[i] for i in positions)

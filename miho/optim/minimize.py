@@ -106,6 +106,10 @@ def minimize(
     false. The first Ctrl-C ends the run as `interrupted` after the evaluation in progress, the
     second at once.
     """
+    if problem.space.free is not problem.space:
+        raise ValueError(
+            f"{problem.name}: fixed and tied parameters need a CurveFit; leave them out of the space"
+        )
     if checkpoint is not None:
         checkpoint = _resumable(checkpoint, optimizer, problem, seed)
     space = problem.space.seeded(problem.name, seed)
