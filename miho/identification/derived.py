@@ -31,14 +31,15 @@ class Derived:
 def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
     """The derived quantities of a tire (N over alpha first) or a torque curve (Nm over omega).
 
-    Further inputs of the model are held at their median in the data. Other models have none.
+    Further inputs of the model are held at their median in the data. Other models have those that
+    they declare.
     """
     first = next(iter(model.inputs))
     if first == "alpha" and model.output == "N":
         return _tire(model, dataset)
     if first == "omega" and model.output == "Nm":
         return _torque(model, dataset)
-    return ()
+    return tuple(Derived(name, unit, values) for name, (unit, values) in model.derived.items())
 
 
 def delta_method(quantity: Derived, at: Linearised) -> tuple[float, float]:

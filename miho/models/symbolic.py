@@ -92,7 +92,7 @@ class Symbol:
     def _refuse(self, *_: object) -> NoReturn:
         raise NotAFormulaError("a symbol has no value")
 
-    __bool__ = __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = _refuse  # type: ignore[assignment]
+    __bool__ = __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = _refuse
     __float__ = __int__ = __index__ = __iter__ = __len__ = __getitem__ = _refuse
     __hash__ = object.__hash__
 
@@ -167,8 +167,8 @@ Partials = Callable[..., tuple[Any, ...]]
 def _power_partials(z: Symbol, a: Symbol, b: Symbol) -> tuple[Any, ...]:
     """Of a^b, whose base is above 0 unless b is a whole number."""
     whole = b.number is not None and b.number.is_integer()
-    base = a if whole else np.maximum(a, TINY)
-    return b * base ** (b - 1), z * np.log(np.maximum(a, TINY))
+    above = operation("maximum", a, TINY)
+    return b * (a if whole else above) ** (b - 1), z * operation("log", above)
 
 
 OPERATIONS: Mapping[str, tuple[str, Partials]] = {
@@ -265,24 +265,48 @@ def written(
     """
     lines = [f"def {name}({', '.join(signature)}):"]
     lines += [f"    ({', '.join(names)},) = {tuple_}" for tuple_, names in signature.items()]
+    statements, places = assignments(results)
+    lines += [f"    {line}" for line, _ in statements]
+    given = ", ".join(places)
+    lines.append(f"    return {given if single else f'({given},)'}")
+    return defined(name, lines)
+
+
+def assignments(
+    results: Sequence[Symbol], names: Mapping[str, str] | None = None
+) -> tuple[list[tuple[str, frozenset[str]]], list[str]]:
+    """Lines that compute results, each operation once, and what to write for each result.
+
+    With each line come the arguments that it depends on; `names` is what to write for these, if
+    not their own names.
+    """
+    lines: list[tuple[str, frozenset[str]]] = []
     places: dict[Symbol, str] = {}
+    needs: dict[Symbol, frozenset[str]] = {}
     values: dict[str, str] = {}  # by what they are computed from, so that none is computed twice
     for symbol in _ordered(results):
         if symbol.operation == ARGUMENT:
-            places[symbol] = symbol.arguments[0]
+            name = symbol.arguments[0]
+            needs[symbol] = frozenset([name])
+            places[symbol] = name if names is None else names[name]
         elif symbol.operation == CONSTANT:
+            needs[symbol] = frozenset()
             places[symbol] = _literal(symbol.arguments[0])
         else:
             formula = _formula(symbol, places)
+            needs[symbol] = frozenset().union(*(needs[child] for child in symbol.arguments))
             if formula not in values:
                 values[formula] = f"_{len(values)}"
-                lines.append(f"    {values[formula]} = {formula}")
+                lines.append((f"{values[formula]} = {formula}", needs[symbol]))
             places[symbol] = values[formula]
-    given = ", ".join(places[result] for result in results)
-    lines.append(f"    return {given if single else f'({given},)'}")
-    names = {"np": np, "sin": sin, "cos": cos, "atan": atan}
+    return lines, [places[result] for result in results]
+
+
+def defined(name: str, lines: Iterable[str]) -> Callable[..., Any]:
+    """The function of that name that lines define, with NumPy and our elementary functions."""
+    names: dict[str, Any] = {"np": np, "sin": sin, "cos": cos, "atan": atan}
     exec(compile("\n".join(lines), f"<{name}>", "exec"), names)  # noqa: S102 -- lines of our own
-    function: Callable[..., Any] = names[name]  # type: ignore[assignment]
+    function: Callable[..., Any] = names[name]
     return function
 
 
