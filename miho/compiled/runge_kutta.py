@@ -44,7 +44,7 @@ def _between(course: Course, j: int, share: float, u: Array) -> None:
     """The inputs at a share of the way from row j to row j + 1."""
     for k in range(u.size):
         u[k] = course.u[j, k]
-        if not course.held:
+        if share > 0 and not course.held:
             u[k] += share * (course.u[j + 1, k] - course.u[j, k])
 
 
@@ -54,6 +54,7 @@ def _compile_values(formulas: Signed, S: int, K: int) -> Callable[[Array, Course
     sign = signing(formulas.signature)
 
     @register_jitable
+    @sign
     def begin(course: Course, m: int, lanes: int, p: Array, x: Array) -> None:
         for s in range(S):
             k = course.parameters[m, s]
@@ -61,6 +62,7 @@ def _compile_values(formulas: Signed, S: int, K: int) -> Callable[[Array, Course
                 x[s * LANES + i] = course.values[m, s] if k < 0 else p[k * LANES + i]
 
     @register_jitable
+    @sign
     def advance(course: Course, j: int, lanes: int, p: Array, u: Array, work: Any) -> None:
         """From row j to row j + 1, in place."""
         x, at, after, dx = work
@@ -102,7 +104,7 @@ def _compile_values(formulas: Signed, S: int, K: int) -> Callable[[Array, Course
                 m = course.reset[j]
                 if m >= 0 and (j == 0 or not course.restart):
                     begin(course, m, lanes, p, x)
-                u[:] = course.u[j]
+                _between(course, j, 0.0, u)
                 outputs(course.t[j], u, x, p, y, lanes)
                 for r in range(course.first[j], course.first[j + 1]):
                     row = course.rows[r]
@@ -127,21 +129,25 @@ def _compile_sensitivities(
     sign = signing(formulas.signature)
 
     @register_jitable
+    @sign
     def begin(course: Course, m: int, p: Array, x: Array, x_p: Array) -> None:
-        x_p[:] = 0.0
         for s in range(S):
-            k = course.parameters[m, s]
-            x[s] = course.values[m, s] if k < 0 else p[k]
-            if k >= 0:
-                x_p[s, k] = 1.0
+            start = course.parameters[m, s]
+            x[s] = course.values[m, s] if start < 0 else p[start]
+            for k in range(p.size):
+                x_p[s, k] = 1.0 if k == start else 0.0
 
     @register_jitable
+    @sign
     def advance(course: Course, j: int, p: Array, u: Array, work: Any) -> None:
         """From row j to row j + 1, in place."""
         x, at, after, dx, x_p, at_p, after_p, dx_p = work
         h = (course.t[j + 1] - course.t[j]) / course.substeps
         for substep in range(course.substeps):
-            at[:], at_p[:], after[:], after_p[:] = x, x_p, x, x_p
+            for s in range(S):
+                at[s] = after[s] = x[s]
+                for k in range(p.size):
+                    at_p[s, k] = after_p[s, k] = x_p[s, k]
             for stage in range(4):
                 ahead = ((stage + 1) // 2) / 2
                 weight = h / 3 if stage in (1, 2) else h / 6
@@ -156,7 +162,10 @@ def _compile_sensitivities(
                     after[s] += weight * dx[s]
                     for k in range(p.size):
                         after_p[s, k] += weight * dx_p[s, k]
-            x[:], x_p[:] = after, after_p
+            for s in range(S):
+                x[s] = after[s]
+                for k in range(p.size):
+                    x_p[s, k] = after_p[s, k]
 
     @njit(cache=True, nogil=True, error_model="numpy")
     @sign
@@ -173,11 +182,12 @@ def _compile_sensitivities(
             m = course.reset[j]
             if m >= 0 and (j == 0 or not course.restart):
                 begin(course, m, p, x, x_p)
-            u[:] = course.u[j]
+            _between(course, j, 0.0, u)
             varied_outputs(course.t[j], u, x, p, x_p, y, y_p)
             for r in range(course.first[j], course.first[j + 1]):
                 row = course.rows[r]
-                out[row] = y_p[course.output[row]]
+                for k in range(p.size):
+                    out[row, k] = y_p[course.output[row], k]
             if m >= 0 and j and course.restart:
                 begin(course, m, p, x, x_p)
 

@@ -1,6 +1,7 @@
 """The equations of a motion, from plain functions: rates of states, outputs, and derivatives."""
 
 from __future__ import annotations
+import __future__
 
 import ast
 import inspect
@@ -38,7 +39,10 @@ class Declared:
     @classmethod
     def of(cls, function: Callable[..., Any]) -> Declared:
         """What a function's signature says."""
-        name = _name(function)
+        inner = function.func if isinstance(function, partial) else function
+        name = str(getattr(inner, "__name__", type(inner).__name__))
+        flags = getattr(getattr(inner, "__code__", None), "co_flags", 0)
+        postponed = bool(flags & __future__.annotations.compiler_flag)
         try:
             signature = inspect.signature(function)
         except (TypeError, ValueError):
@@ -50,8 +54,10 @@ class Declared:
                 raise ValueError(f"{name}: {each} stands for any argument; name each")
             if each.default is each.empty:
                 group = columns if each.kind in COLUMN else parameters
-                group[each.name] = _unit(each.annotation)
-        return cls(function, name, columns, parameters, _unit(signature.return_annotation))
+                group[each.name] = _unit(each.annotation, postponed)
+        return cls(
+            function, name, columns, parameters, _unit(signature.return_annotation, postponed)
+        )
 
     def __call__(self, values: Mapping[str, Any]) -> Any:
         """The result, of values by name."""
@@ -59,20 +65,17 @@ class Declared:
         return self.function(*arguments, **{name: values[name] for name in self.parameters})
 
 
-def _name(function: Callable[..., Any]) -> str:
-    inner = function.func if isinstance(function, partial) else function
-    return str(getattr(inner, "__name__", type(inner).__name__))
-
-
-def _unit(annotation: Any) -> str:
-    """The unit; `from __future__ import annotations` gives the source of the string."""
+def _unit(annotation: Any, postponed: bool) -> str:
+    """The unit in an annotation that is a text, which `postponed` evaluation puts in quotes."""
     if not isinstance(annotation, str):
         return NO_UNIT
+    if not postponed:
+        return annotation
     try:
         literal = ast.literal_eval(annotation)
     except (SyntaxError, ValueError):
-        return annotation
-    return literal if isinstance(literal, str) else annotation
+        return NO_UNIT  # a type
+    return literal if isinstance(literal, str) else NO_UNIT
 
 
 @dataclass(frozen=True)
@@ -139,7 +142,10 @@ class Equations:
         return dict(zip(names, (t, *u, *x, *p), strict=True))
 
     def _rates(self, values: Mapping[str, Any]) -> Sequence[Any]:
-        result = self.rhs(values)
+        return self._one_each(self.rhs(values))
+
+    def _one_each(self, result: Any) -> list[Any]:
+        """The derivatives in a result, one for each state; raises ValueError."""
         rates = list(result) if isinstance(result, tuple | list | np.ndarray) else [result]
         if len(rates) != len(self.states):
             raise ValueError(
@@ -201,14 +207,15 @@ class Equations:
     def _graphs(self) -> tuple[list[Symbol], list[Symbol]] | None:
         """Rates and outputs as formulas of t, u0, ..., x0, ..., p0, ...; None if they are none."""
         values = self._values(argument("t"), *self._symbols)
-        graphs = [
-            [trace(lambda f=f, k=k: f(values)[k]) for k in range(count)]
-            for f, count in ((self._rates, len(self.states)), (self._observed, len(self.outputs)))
-        ]
-        if any(graph is None for group in graphs for graph in group):
+        try:
+            results = self.rhs(values), self._observed(values)
+        except Exception:  # noqa: BLE001 -- whatever a user's function raises: it is no formula
             return None
+        groups = self._one_each(results[0]), results[1]
+        graphs = [[trace(lambda y=y: y) for y in group] for group in groups]
         rates, outputs = ([graph for graph in group if graph is not None] for group in graphs)
-        return rates, outputs
+        whole = len(rates) == len(self.states) and len(outputs) == len(self.outputs)
+        return (rates, outputs) if whole else None
 
     @cached_property
     def _formulas(self) -> _Formulas | None:

@@ -103,6 +103,10 @@ class Trajectory(Model):
             object.__setattr__(self, "name", self._rhs.name)
         self._check_starts()
         self._check_outputs()
+        strange = self.units.keys() - {self.time, *self._columns, *self.parameters}
+        if strange:
+            raise ValueError(f"units has {min(strange)!r}, which no function takes; remove it")
+        _ = self.equations.flat  # raises where rhs does not give a derivative for each state
         for quantity in map(Declared.of, self.quantities):
             unknown = [*quantity.columns, *(quantity.parameters.keys() - self.parameters.keys())]
             if unknown:
@@ -401,8 +405,9 @@ def _agreeing(given: Mapping[str, str], groups: Iterable[Mapping[str, str]]) -> 
     units: dict[str, str] = {}
     for group in groups:
         for name, declared in group.items():
-            unit, known = given.get(name, declared), units.get(name, NO_UNIT)
-            if NO_UNIT not in (unit, known) and unit != known:
-                raise ValueError(f"argument {name} has the units {known!r} and {unit!r}")
-            units[name] = unit if known == NO_UNIT else known
+            for unit in (declared, given.get(name, NO_UNIT)):
+                known = units.get(name, NO_UNIT)
+                if NO_UNIT not in (unit, known) and unit != known:
+                    raise ValueError(f"argument {name} has the units {known!r} and {unit!r}")
+                units[name] = unit if known == NO_UNIT else known
     return units
