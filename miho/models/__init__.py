@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from miho.models.published import PublishedModel
     from miho.models.simplified_tire import SimplifiedTire, from_simplified, simplify
     from miho.models.single_track import FrontRear, SingleTrack
-    from miho.models.single_track_motion import single_track_response
+    from miho.models.single_track_motion import single_track_drive, single_track_response
     from miho.models.tir import load_tir, write_tir
     from miho.models.tir_reader import TirError
     from miho.models.tire import Pacejka, PacejkaCurvature
@@ -34,7 +34,7 @@ __all__ = [
     "PacejkaCurvature", "PacejkaLandmarks", "PublishedModel", "SimplifiedTire", "SingleTrack",
     "TirError", "TorqueCubic", "TorqueCurve", "Trajectory", "central_stiffness",
     "cornering_stiffness", "from_simplified", "load_function", "load_tir", "mf61_lateral", "play",
-    "read_parameters", "simplify", "single_track_response", "write_tir",
+    "read_parameters", "simplify", "single_track_drive", "single_track_response", "write_tir",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

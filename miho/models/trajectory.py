@@ -103,11 +103,13 @@ class Trajectory(Model):
             object.__setattr__(self, "name", self._rhs.name)
         self._check_starts()
         self._check_outputs()
-        strange = self.units.keys() - {self.time, *self._columns, *self.parameters}
-        if strange:
-            raise ValueError(f"units has {min(strange)!r}, which no function takes; remove it")
+        quantities = [Declared.of(quantity) for quantity in self.quantities]
+        known = {self.time, *self._columns, *self.parameters, *(q.name for q in quantities)}
+        if self.units.keys() - known:
+            strange = min(self.units.keys() - known)
+            raise ValueError(f"units has {strange!r}, which no function takes; remove it")
         _ = self.equations.flat  # raises where rhs does not give a derivative for each state
-        for quantity in map(Declared.of, self.quantities):
+        for quantity in quantities:
             unknown = [*quantity.columns, *(quantity.parameters.keys() - self.parameters.keys())]
             if unknown:
                 raise ValueError(
@@ -231,7 +233,9 @@ class Trajectory(Model):
             return lambda thetas: np.asarray(quantity(dict(zip(names, thetas.T, strict=True))))
 
         declared = map(Declared.of, self.quantities)
-        return {q.name.replace("_", " "): (q.unit, of_rows(q)) for q in declared}
+        return {
+            q.name.replace("_", " "): (self.units.get(q.name, q.unit), of_rows(q)) for q in declared
+        }
 
     @cached_property
     def equations(self) -> Equations:
