@@ -26,7 +26,7 @@ DRIVE_TRUTH = MappingProxyType(
 )  # fmt: skip
 """The axles of the car that is driven, in SI units: nearly neutral, so that both saturate."""
 
-STYLES = MappingProxyType({"lively": 0.15, "gentle": 0.01})
+STYLES = MappingProxyType({"lively": 0.12, "gentle": 0.06})
 """Largest steering angle [rad]."""
 GUST, TWIST = 400.0, 40.0
 """Standard deviation of the disturbing forces [N] along and across, and of their moment [Nm]."""
@@ -36,7 +36,7 @@ RATE = 50.0
 def tire_drive(
     vehicle: Mapping[str, object],
     style: str = "lively",
-    duration: float = 60.0,
+    duration: float = 120.0,
     noise: float = 1.0,
     disturbance: float = 0.0,
     seed: int = 0,
@@ -67,9 +67,9 @@ def tire_drive(
 
 
 def _manoeuvre(t: Array, style: str) -> tuple[Array, Array]:
-    """Acceleration [m/s^2] and steering angle [rad] at times t [s]: -0.5 to 2.5 Hz, swelling."""
+    """Acceleration [m/s^2] and steering angle [rad] at times t [s]: up to 0.8 Hz, swelling."""
     swell = 0.5 + 0.5 * np.sin(2 * np.pi * t / 23.0)
-    weave = np.sin(2 * np.pi * (t + 1.5 * np.sin(2 * np.pi * t / 31.0)))
+    weave = np.sin(2 * np.pi * (0.5 * t + 1.5 * np.sin(2 * np.pi * t / 31.0)))
     return 2.0 * np.cos(2 * np.pi * t / 19.0), STYLES[style] * swell * weave
 
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from miho.models.tir_reader import TirError
     from miho.models.tire import Pacejka, PacejkaCurvature
     from miho.models.tire_landmarks import PacejkaLandmarks
-    from miho.models.trajectory import Trajectory
+    from miho.models.trajectory import Trajectory, load_trajectory
 
 __all__ = [
     "Axle", "Brake", "BrakeCommand", "BrakeDeceleration", "BrakePlay", "BrakePressure",
@@ -33,8 +33,9 @@ __all__ = [
     "LateralMagicFormula", "Longitudinal", "Model", "OutsideDataWarning", "Pacejka",
     "PacejkaCurvature", "PacejkaLandmarks", "PublishedModel", "SimplifiedTire", "SingleTrack",
     "TirError", "TorqueCubic", "TorqueCurve", "Trajectory", "central_stiffness",
-    "cornering_stiffness", "from_simplified", "load_function", "load_tir", "mf61_lateral", "play",
-    "read_parameters", "simplify", "single_track_drive", "single_track_response", "write_tir",
+    "cornering_stiffness", "from_simplified", "load_function", "load_tir", "load_trajectory",
+    "mf61_lateral", "play", "read_parameters", "simplify", "single_track_drive",
+    "single_track_response", "write_tir",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

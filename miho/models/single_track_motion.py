@@ -64,7 +64,7 @@ def single_track_drive(
         scales=list(DRIVE_NOISE.values()),
         interpolation="hold",
         restart=restart,
-        substeps=2,
+        substeps=5,
         units=MOTION | BENT | STIFFNESSES | {"ax": "m/s^2"},
         name="single_track_drive",
         quantities=[front_cornering_stiffness, rear_cornering_stiffness],
