@@ -29,6 +29,8 @@ MEASURED, IDENTIFIED = "measured", "identified"
 OUTPUT = "output"
 """The column that says which output a row is of, counted from 0."""
 SMALLEST = 1e-12
+LARGEST = 1e100
+"""Derivatives beyond are those of a motion that diverges: their squares would overflow."""
 NOTICEABLE = 0.25
 """Standard errors by which the solver's own error may move a parameter before it is told."""
 
@@ -281,16 +283,17 @@ class Trajectory(Model):
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives of the outputs (N, d), by the equations that they obey along the solution."""
-        course = self._course(inputs)
+        course, theta = self._course(inputs), np.array(theta, dtype=float)
+        motion = Sensitivities(self.equations, theta, np.maximum(np.abs(theta), SMALLEST))
         if self._compiled is not None:
             out = np.empty((inputs[0].size, theta.size))
-            self._compiled.derive(np.array(theta, dtype=float), course, out)
-            return out
-        scale = np.maximum(np.abs(theta), SMALLEST)
-        motion = Sensitivities(self.equations, np.array(theta, dtype=float), scale)
-        if self.solver == RUNGE_KUTTA:
-            return along(course, motion, runge_kutta(course, motion))
-        return along(course, motion, self._stiff(course, motion))
+            self._compiled.derive(theta, course, out)
+        elif self.solver == RUNGE_KUTTA:
+            out = along(course, motion, runge_kutta(course, motion))
+        else:
+            out = along(course, motion, self._stiff(course, motion))
+        out[~(np.abs(out) < LARGEST)] = np.nan
+        return out
 
     def _stiff(self, course: Course, motion: Values | Sensitivities) -> Solution:
         return stiff(course, motion, self.solver, self.tolerance)
