@@ -68,31 +68,27 @@ def _compile_values(formulas: Signed, S: int, K: int) -> Callable[[Array, Course
         x, at, after, dx = work
         h = (course.t[j + 1] - course.t[j]) / course.substeps
         for substep in range(course.substeps):
-            for s in range(S):
-                for i in range(lanes):
-                    at[s * LANES + i] = after[s * LANES + i] = x[s * LANES + i]
+            for i in range(S * LANES):  # a length that the compiler knows, so unused lanes too
+                at[i] = after[i] = x[i]
             for stage in range(4):
                 ahead = ((stage + 1) // 2) / 2
                 weight = h / 3 if stage in (1, 2) else h / 6
                 if stage:
-                    for s in range(S):
-                        for i in range(lanes):
-                            at[s * LANES + i] = x[s * LANES + i] + ahead * h * dx[s * LANES + i]
+                    for i in range(S * LANES):
+                        at[i] = x[i] + ahead * h * dx[i]
                 _between(course, j, (substep + ahead) / course.substeps, u)
                 rates(course.t[j] + (substep + ahead) * h, u, at, p, dx, lanes)
-                for s in range(S):
-                    for i in range(lanes):
-                        after[s * LANES + i] += weight * dx[s * LANES + i]
-            for s in range(S):
-                for i in range(lanes):
-                    x[s * LANES + i] = after[s * LANES + i]
+                for i in range(S * LANES):
+                    after[i] += weight * dx[i]
+            for i in range(S * LANES):
+                x[i] = after[i]
 
     @njit(cache=True, nogil=True, error_model="numpy")
     @sign
     def solve(thetas: Array, course: Course, out: Array) -> None:
         u, p = np.empty(course.u.shape[1]), np.empty(thetas.shape[1] * LANES)
-        x, y = np.empty(S * LANES), np.empty(K * LANES)
-        work = (x, np.empty(S * LANES), np.empty(S * LANES), np.empty(S * LANES))
+        x, y = np.zeros(S * LANES), np.empty(K * LANES)
+        work = (x, np.zeros(S * LANES), np.zeros(S * LANES), np.zeros(S * LANES))
         for block in range(0, len(thetas), LANES):
             lanes = min(LANES, len(thetas) - block)
             for k in range(thetas.shape[1]):
