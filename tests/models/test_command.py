@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import miho
+from experiments.app.safety import TargetError, allowed, find_target
+from miho.models import Model
 from miho.models.command import CommandModel
 
 PROGRAM = """\
@@ -70,3 +72,9 @@ def test_what_cannot_be_run_is_named(model: CommandModel) -> None:
         CommandModel("rm -r x", model.inputs, model.parameters, "V")
     with pytest.raises(ValueError, match=r"seconds is 0; expected a positive number"):
         CommandModel(["x"], model.inputs, model.parameters, "V", seconds=0)
+
+
+def test_no_configuration_can_name_a_program() -> None:
+    assert "miho.models.CommandModel" not in allowed(Model)
+    with pytest.raises(TargetError, match="is not a class or function that gives a Model"):
+        find_target("miho.models.command.CommandModel", Model)

@@ -6,6 +6,7 @@ import pickle
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,9 @@ import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from miho.models import Trajectory
+import miho
+from miho.identification import make_report
+from miho.models import Trajectory, load_trajectory
 from miho.testing import check_model
 
 Array = NDArray[np.float64]
@@ -294,6 +297,51 @@ def test_a_step_that_is_too_long_is_told_with_what_to_set() -> None:
     needed = int(remark.split("substeps to ")[1].split(",")[0])
     assert replace(coarse, substeps=needed).remarks(theta, 1e-6, T) == []
     assert replace(coarse, substeps=needed // 2).remarks(theta, 1e-6, T) != []
+
+
+def test_the_report_tells_of_a_step_that_is_too_long() -> None:
+    """Nine steps a period: the optimum moves to make up for it."""
+    t = np.linspace(0, 4, 41)
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(t.size)
+    x = oscillation(t, np.array([100.0, 1.5, 0.3])) + noise
+    data = miho.Dataset("swing", {"t": t, "x": x}, {"t": "-", "x": "-"}, "x")
+    ranges = {"k": (90, 110), "c": (1, 2), "x_0": (0.2, 0.4)}
+    space = miho.Space(tuple(miho.Parameter(name, "-", *ends) for name, ends in ranges.items()))
+    for substeps, told in ((1, True), (10, False)):
+        model = replace(OSCILLATOR, substeps=substeps, units={"t": "-"})
+        problem = miho.CurveFit(model, data, space)
+        record = miho.minimize(miho.MIHOGN(), problem, seed=0)
+        notes = make_report(problem, record.theta, descents=record.descents).notes
+        assert any("half the time step" in note for note in notes) == told
+
+
+FILE = """
+def lag(x: "m", u: "V", *, k: "1/s", gain: "m/V" = 2.0):
+    return k * (gain * u - x)
+
+def doubled(x: "m") -> "m":
+    return 2 * x
+
+def time_constant(*, k: "1/s") -> "s":
+    return 1 / k
+"""
+
+
+def test_functions_of_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "lag.py"
+    path.write_text(FILE)
+    model = load_trajectory(str(path), "lag", {"x": 0.0}, ["doubled"], quantities=["time_constant"])
+    assert (dict(model.inputs), dict(model.parameters), model.output, model.source) == (
+        {"t": "s", "u": "V"}, {"k": "1/s"}, "m", path,
+    )  # fmt: skip
+    unit, values = model.derived["time constant"]
+    assert (unit, values(np.array([[4.0], [0.5]])).tolist()) == ("s", [0.25, 2.0])
+    y = model.predict(np.array([[2.0]]), ROWS, np.ones(ROWS.size))[0]
+    np.testing.assert_allclose(y, 4 * (1 - np.exp(-2 * ROWS)), atol=1e-4)
+    for wrong in ({"rhs": "none"}, {"outputs": ["none"]}, {"quantities": ["none"]}):
+        settings = {"rhs": "lag", "states": {"x": 0.0}, "outputs": ["x"]} | wrong
+        with pytest.raises(ValueError, match=f"lag.py: has no function 'none', which {min(wrong)}"):
+            load_trajectory(str(path), **settings)  # type: ignore[arg-type]
 
 
 def pull(x: Any, *, k: "N/m") -> "N":  # type: ignore[name-defined]  # noqa: F821, UP037
