@@ -133,8 +133,6 @@ class Equations:
             self._varied("varied_outputs", outputs),
         )
 
-    # What the user's functions give.
-
     def _values(
         self, t: Any, u: Iterable[Any], x: Iterable[Any], p: Iterable[Any]
     ) -> dict[str, Any]:
@@ -194,8 +192,6 @@ class Equations:
         high, low = np.hsplit(self._called(function, t, u, *np.split(moved, [x.size])), 2)
         slopes = (high - low) / (2 * step)
         return slopes[:, : x.size], slopes[:, x.size :]
-
-    # What they are as formulas.
 
     @cached_property
     def _symbols(self) -> tuple[list[Symbol], list[Symbol], list[Symbol]]:

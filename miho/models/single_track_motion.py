@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from miho.models.layout import MEASURED
 from miho.models.model import Model
 from miho.models.single_track import SingleTrack
-from miho.models.trajectory import MEASURED, Trajectory
+from miho.models.trajectory import Trajectory
 from miho.models.vehicle_settings import from_settings
 
 

@@ -15,8 +15,9 @@ from miho.models.equations import NO_UNIT, Declared, Equations
 from miho.models.function_model import executed
 from miho.models.integration import Path as Solution
 from miho.models.integration import Sensitivities, Values, along, runge_kutta, stiff
+from miho.models.layout import IDENTIFIED, MEASURED, OUTPUT, Layout
 from miho.models.model import Model
-from miho.quantities import Array, Integers
+from miho.quantities import Array
 from miho.validate import one_of, positive, whole
 
 if TYPE_CHECKING:
@@ -25,9 +26,6 @@ if TYPE_CHECKING:
 RUNGE_KUTTA = "RK4"
 SOLVERS = (RUNGE_KUTTA, "Radau", "BDF", "LSODA")
 INTERPOLATIONS = ("linear", "hold")
-MEASURED, IDENTIFIED = "measured", "identified"
-OUTPUT = "output"
-"""The column that says which output a row is of, counted from 0."""
 SMALLEST = 1e-12
 LARGEST = 1e100
 """Derivatives beyond are those of a motion that diverges: their squares would overflow."""
@@ -106,12 +104,15 @@ class Trajectory(Model):
             object.__setattr__(self, "name", self._rhs.name)
         self._check_starts()
         self._check_outputs()
+        self._check_names()
+        _ = self.equations.flat  # raises where rhs does not give a derivative for each state
+
+    def _check_names(self) -> None:
         quantities = [Declared.of(quantity) for quantity in self.quantities]
         known = {self.time, *self._columns, *self.parameters, *(q.name for q in quantities)}
         if self.units.keys() - known:
             strange = min(self.units.keys() - known)
             raise ValueError(f"units has {strange!r}, which no function takes; remove it")
-        _ = self.equations.flat  # raises where rhs does not give a derivative for each state
         for quantity in quantities:
             unknown = [*quantity.columns, *(quantity.parameters.keys() - self.parameters.keys())]
             if unknown:
@@ -165,8 +166,6 @@ class Trajectory(Model):
                 f"outputs have the units {', '.join(self._output_units)}; give scales, the "
                 "standard deviations of their errors, so that they can be weighed"
             )
-
-    # What the functions declare.
 
     @cached_property
     def _rhs(self) -> Declared:
@@ -263,8 +262,6 @@ class Trajectory(Model):
 
         return trajectories(flat, len(self.states), len(self.outputs))
 
-    # The solution.
-
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
         course = self._course(inputs)
@@ -322,8 +319,6 @@ class Trajectory(Model):
             f"substeps to {needed}, it is {self.substeps}."
         ]
 
-    # The data as a course.
-
     def _course(self, inputs: tuple[Array, ...]) -> Course:
         """The course that columns (N,) describe, made once for the same read-only columns."""
         key = [id(column) for column in inputs]
@@ -331,81 +326,29 @@ class Trajectory(Model):
         course: Course | None
         columns, course = self._latest
         if course is None or key != [id(column) for column in columns]:
-            course = self._new_course(dict(zip(self.inputs, inputs, strict=True)))
+            course = self._layout.course(dict(zip(self.inputs, inputs, strict=True)))
             if not any(column.flags.writeable for column in inputs):
                 self._latest[:] = inputs, course
         return course
 
     @cached_property
+    def _layout(self) -> Layout:
+        return Layout(
+            self.time,
+            tuple(self._driven),
+            self.states,
+            tuple(self.parameters),
+            len(self.outputs),
+            self.restart,
+            self.segments,
+            self.interpolation == "hold",
+            self.substeps,
+        )
+
+    @cached_property
     def _latest(self) -> list[Any]:
         """The latest columns and their course."""
         return [(), None]
-
-    def _new_course(self, columns: Mapping[str, Array]) -> Course:
-        t = columns[self.time]
-        output = columns.get(OUTPUT, np.zeros(t.size))
-        kind = output.astype(int)
-        if (kind != output).any() or kind.min() < 0 or kind.max() >= len(self.outputs):
-            raise ValueError(
-                f"column {OUTPUT} is {output.min():g} to {output.max():g}; expected whole numbers "
-                f"from 0 to {len(self.outputs) - 1}, which count the outputs"
-            )
-        for k in range(len(self.outputs)):
-            if not (np.diff(t[kind == k]) > 0).all():
-                raise ValueError(
-                    f"{self.time} does not increase from row to row; give one record in order of "
-                    "time"
-                )
-        # Rows of one time stand for one state of the motion.
-        times, earliest, at = np.unique(t, return_index=True, return_inverse=True)
-        given = np.column_stack([columns[name] for name in self._driven] or [np.empty((t.size, 0))])
-        u = given[earliest]
-        differs = np.argwhere(given != u[at])
-        if differs.size:
-            row, k = differs[0]
-            raise ValueError(
-                f"column {list(self._driven)[k]} has two values at {self.time} = {t[row]:g}; "
-                "give the outputs of one time the same inputs"
-            )
-        reset, values, parameters = self._starts(columns, earliest)
-        return Course(
-            t=times,
-            u=u,
-            substeps=self.substeps,
-            held=self.interpolation == "hold",
-            first=np.searchsorted(np.sort(at), np.arange(times.size + 1)),
-            rows=np.argsort(at, kind="stable"),
-            output=kind,
-            reset=reset,
-            values=values,
-            parameters=parameters,
-            restart=self.restart is not None,
-        )
-
-    def _starts(
-        self, columns: Mapping[str, Array], earliest: Integers
-    ) -> tuple[Integers, Array, Integers]:
-        """Which start there is at each time (N,), -1 for none; and what it sets the states to."""
-        N, count = earliest.size, self.segments
-        if self.restart is not None:
-            at = np.arange(0, N, self.restart)
-        elif count > N:
-            raise ValueError(f"segments is {count} for {N} times; expected at most as many")
-        else:
-            at = np.arange(count) * N // count
-        reset = np.full(N, -1)
-        reset[at] = np.arange(at.size)
-        values = np.zeros((at.size, len(self.states)))
-        parameters = np.full(values.shape, -1)
-        names = list(self.parameters)
-        for s, (state, start) in enumerate(self.states.items()):
-            if start == MEASURED:
-                values[:, s] = columns[state][earliest[at]]
-            elif start == IDENTIFIED:
-                parameters[:, s] = [names.index(f"{state}_{m}") for m in range(at.size)]
-            else:
-                values[:, s] = start
-        return reset, values, parameters
 
 
 def _agreeing(given: Mapping[str, str], groups: Iterable[Mapping[str, str]]) -> dict[str, str]:
