@@ -240,6 +240,21 @@ def test_segments_start_at_states_of_their_own() -> None:
     np.testing.assert_allclose(J[10:20, 2], np.exp(-1.7 * ROWS[:10]), atol=1e-6)
 
 
+@pytest.mark.parametrize("start", [{"restart": 4}, {"segments": 4, "states": {"x": "identified"}}])
+def test_all_solvers_go_the_same_way(start: dict[str, Any]) -> None:
+    """Compiled, in NumPy with a right-hand side that branches, and SciPy's at 1e-8."""
+    model = replace(DRIVEN, substeps=10, **start)
+    branching = replace(model, rhs=lambda x, force, *, k: force - k * x if k < 9 else force)
+    others = branching, replace(model, solver="Radau"), replace(model, solver="LSODA")
+    columns = (ROWS, FORCE, NOISY)[: len(model.inputs)]
+    theta = np.array([1.7, 0.5, -1.0, 2.0, 0.1])[: len(model.parameters)]
+    values, slopes = model.predict(theta[None], *columns), model.jacobian(theta, *columns)
+    for other in others:
+        assert other._compiled is None
+        np.testing.assert_allclose(other.predict(theta[None], *columns), values, atol=1e-6)
+        np.testing.assert_allclose(other.jacobian(theta, *columns), slopes, atol=1e-6)
+
+
 def test_inputs_are_straight_between_rows_or_held() -> None:
     """x' = force from 0: the trapezoidal sum, or the sum of the earlier rows; k = 0."""
     dt = np.diff(ROWS)
