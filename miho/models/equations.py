@@ -13,7 +13,16 @@ from typing import Any
 import numpy as np
 
 from miho.compiled.course import LANES, FlatEquations
-from miho.models.symbolic import Symbol, argument, assignments, defined, gradient, trace, written
+from miho.models.symbolic import (
+    NotAFormulaError,
+    Symbol,
+    argument,
+    assignments,
+    defined,
+    gradient,
+    trace,
+    written,
+)
 from miho.quantities import Array
 
 COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
@@ -208,10 +217,11 @@ class Equations:
         except Exception:  # noqa: BLE001 -- whatever a user's function raises: it is no formula
             return None
         groups = self._one_each(results[0]), results[1]
-        graphs = [[trace(lambda y=y: y) for y in group] for group in groups]
-        rates, outputs = ([graph for graph in group if graph is not None] for group in graphs)
-        whole = len(rates) == len(self.states) and len(outputs) == len(self.outputs)
-        return (rates, outputs) if whole else None
+        try:
+            rates, outputs = ([trace(lambda y=y: y) for y in group] for group in groups)
+        except NotAFormulaError:
+            return None
+        return rates, outputs
 
     @cached_property
     def _formulas(self) -> _Formulas | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import cache, lru_cache
 from typing import Any, NoReturn
 
 import numpy as np
@@ -100,8 +101,9 @@ class Symbol:
 ARGUMENT, CONSTANT = "argument", "constant"
 
 
+@cache
 def argument(name: str) -> Symbol:
-    """The symbol of an argument, written as `name`."""
+    """The one symbol of an argument that is written as `name`."""
     return Symbol(ARGUMENT, name)
 
 
@@ -227,13 +229,18 @@ UFUNCS = {name: name for name in (*OPERATIONS, "square", "positive")} | {
 """NumPy's functions of numbers that leave a symbol, by their own names."""
 
 
-def trace(function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Symbol | None:
-    """What a function gives for symbols, None for one that is no formula or a very long one."""
+def trace(function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Symbol:
+    """What a function gives for symbols.
+
+    Raises NotAFormulaError for one that is no formula, or too long a one to be compiled.
+    """
     try:
         result = _symbol(function(*arguments, **keywords))
-    except Exception:  # noqa: BLE001 -- whatever a user's function raises: it is no formula
-        return None
-    return result if len(_ordered([result])) <= MOST else None
+    except Exception as error:
+        raise NotAFormulaError(str(error)) from error
+    if len(_ordered([result])) > MOST:
+        raise NotAFormulaError(f"it has more than {MOST} operations")
+    return result
 
 
 def gradient(result: Symbol, variables: Sequence[Symbol]) -> list[Symbol]:
@@ -304,8 +311,14 @@ def assignments(
 
 def defined(name: str, lines: Iterable[str]) -> Callable[..., Any]:
     """The function of that name that lines define, with NumPy and our elementary functions."""
+    return _function(name, "\n".join(lines))
+
+
+@lru_cache(maxsize=256)
+def _function(name: str, text: str) -> Callable[..., Any]:
+    """The function of this text, made once for all fits of a model."""
     names: dict[str, Any] = {"np": np, "sin": sin, "cos": cos, "atan": atan}
-    exec(compile("\n".join(lines), f"<{name}>", "exec"), names)  # noqa: S102 -- lines of our own
+    exec(compile(text, f"<{name}>", "exec"), names)  # noqa: S102 -- lines of our own
     function: Callable[..., Any] = names[name]
     return function
 
