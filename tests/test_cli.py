@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
 from experiments import compare as comparing
 from experiments import figures
@@ -333,6 +334,29 @@ def test_a_folder_of_further_options(identify: Command, own: Path, tmp_path: Pat
     assert words == ["python", "-m", "experiments.report", str(tmp_path / "runs"), "--trust"]
     assert f"--trust runs {own / 'decay.py'}" in hint
     assert "Mine." in identify("--config-dir", str(own), "experiment", "--help")[1]
+
+
+def test_a_trajectory_as_the_manual_shows_it(
+    identify: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """x'' = (force - 8 x - 0.9 x') / 2 by SciPy, for a right-hand side and a YAML of the page."""
+    page = (Path(__file__).parent.parent / "docs" / "trajectories.md").read_text(encoding="utf-8")
+    (settings,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
+    (function,) = re.findall(r"(def swing.*?)\n\n\n", page, re.DOTALL)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "options" / "experiment").mkdir(parents=True)
+    (tmp_path / "options" / "experiment" / "swing.yaml").write_text(settings)
+    (tmp_path / "swing.py").write_text(function)
+    t = np.linspace(0, 10, 201)
+    system = ([[0, 1], [-4, -0.45]], [[0], [0.5]], [[1, 0]], [[0]])
+    _, x, _ = lsim(system, np.sin(t), t, [0.0, 0.4])
+    rows = zip(t, np.sin(t), x + 0.001 * np.cos(40 * t), strict=True)
+    lines = [",".join(map(repr, map(float, row))) for row in rows]
+    (tmp_path / "swing.csv").write_text("\n".join(["t,force,x", *lines]) + "\n")
+    code, out, err = identify("--config-dir", "options", "experiment=swing", "root=runs")
+    assert code == 0, err
+    values = {name: float(value) for name, value in re.findall(r"^ +(k|c|v_0) +(\S+)", out, re.M)}
+    assert values == pytest.approx({"k": 8.0, "c": 0.9, "v_0": 0.4}, rel=0.01)
 
 
 def test_a_space_on_the_command_line_replaces_the_chosen_one(identify: Command, own: Path) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from miho.data import load_csv, load_mat
-from miho.models import Pacejka, load_function
+from miho.models import Pacejka, load_function, load_trajectory
 from miho.models.identified import read_parameters
 from miho.models.tir import load_tir
 from miho.regular_file import NotAFileError, check_regular, read_regular
@@ -19,6 +19,7 @@ READERS: dict[str, Callable[[str], object]] = {
     "mat": lambda path: load_mat(path, ["alpha", "Fy"], ["rad", "N"], "Fy"),
     "tir": load_tir,
     "function": load_function,
+    "trajectory": lambda path: load_trajectory(path, "rhs", {"x": 0.0}, ["x"]),
     "parameters": lambda path: read_parameters(path, Pacejka()),
 }
 

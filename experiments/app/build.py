@@ -1,8 +1,9 @@
 """From a composed configuration to objects: the one place that instantiates targets.
 
 A configuration can name only public classes and functions of our own packages, so no file that it
-comes with can run other code. There is one door: `miho.models.load_function` runs the Python file
-that `model.path` names, which a user chooses on the command line or in a YAML of their own.
+comes with can run other code. There is one door: `miho.models.load_function` and `load_trajectory`
+run the Python file that `model.path` names, which a user chooses on the command line or in a YAML
+of their own.
 """
 
 from __future__ import annotations

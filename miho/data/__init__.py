@@ -18,12 +18,14 @@ if TYPE_CHECKING:
         published_names,
     )
     from miho.data.seong import DataUnavailableError, load_seong_sample
+    from miho.data.stacking import stacked
     from miho.data.synthetic_brake import (
         brake_deceleration_test,
         brake_pressure_test,
         brake_step_test,
         brake_torque_test,
     )
+    from miho.data.synthetic_drive import tire_drive
     from miho.data.synthetic_engine import dyno_test, engine_driving_log, load_engine_drive
     from miho.data.synthetic_handling import simulated_axle_drive, simulated_weave
     from miho.data.synthetic_outliers import tire_outlier_test
@@ -46,7 +48,8 @@ __all__ = [
     "engine_driving_log", "load_axle_samples", "load_braking_samples", "load_csv",
     "load_driving_log", "load_engine_drive", "load_mat", "load_published", "load_seong_sample",
     "load_torque_samples", "published_fit", "published_names", "sample_axle", "sample_lateral",
-    "sample_tir", "simulated_axle_drive", "simulated_weave", "steering_test", "tire_outlier_test",
+    "sample_tir", "simulated_axle_drive", "simulated_weave", "stacked", "steering_test",
+    "tire_drive", "tire_outlier_test",
     "unmodelled_spread",
 ]  # fmt: skip
 

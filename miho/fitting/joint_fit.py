@@ -77,11 +77,11 @@ def fit_joint(
             raise ValueError(f"local: {name} is no parameter of any part")
     bounds = space_of(model, _with_local(space, local, members), None, fixed or {}, tied or {})
     named = {parameter.name: parameter for parameter in bounds.parameters}
-    for k, (part, dataset) in enumerate(zip(members, datasets, strict=True)):
-        if isinstance(part.model, FunctionModel):
-            own = zip(part.model.parameters, part.parameters, strict=True)
-            space = Space(tuple(replace(named[joint], name=name) for name, joint in own))
-            members[k] = part._replace(model=traced_where_alike(part.model, dataset, space))
+    for k, (member, dataset) in enumerate(zip(members, datasets, strict=True)):
+        if isinstance(member.model, FunctionModel):
+            own = zip(member.model.parameters, member.parameters, strict=True)
+            ranges = Space(tuple(replace(named[joint], name=name) for name, joint in own))
+            members[k] = member._replace(model=traced_where_alike(member.model, dataset, ranges))
     model = JointModel(tuple(members))
     sigma = [np.asarray(p.sigma, dtype=float) for p in stated.values()] if all(given) else None
     start = None

@@ -32,8 +32,8 @@ class Derived:
 def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
     """The derived quantities of a tire (N over alpha first) or a torque curve (Nm over omega).
 
-    Further inputs of the model are held at their median in the data. Other models have none, but
-    for the parameters that are tied to others.
+    Further inputs of the model are held at their median in the data. Other models have those that
+    they declare; parameters that are held come before.
     """
     if isinstance(model, TiedModel | TiedExpression):
         return _tied(model, dataset)
@@ -42,7 +42,7 @@ def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
         return _tire(model, dataset)
     if first == "omega" and model.output == "Nm":
         return _torque(model, dataset)
-    return ()
+    return tuple(Derived(name, unit, values) for name, (unit, values) in model.derived.items())
 
 
 def _tied(model: TiedModel | TiedExpression, dataset: Dataset) -> tuple[Derived, ...]:

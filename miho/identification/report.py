@@ -254,7 +254,8 @@ class Report:
         sentences += prior_notes(self.priors)
         sentences += independence(self.problem, self.at)
         sentences += outliers(self.problem, self.at)
-        # The model: whether its errors are larger than noise, and follow a column.
+        # The model: whether it computes well, its errors are larger than noise or follow a column.
+        sentences += self.problem.model.remarks(self.at.theta, self.at.noise, *self.problem.inputs)
         error, irreducible = self.error, self.irreducible
         if irreducible.resolved and 0 < SUSPICIOUS * irreducible.high < error:
             sentences.append(

@@ -20,20 +20,22 @@ if TYPE_CHECKING:
     from miho.models.published import PublishedModel
     from miho.models.simplified_tire import SimplifiedTire, from_simplified, simplify
     from miho.models.single_track import FrontRear, SingleTrack
-    from miho.models.single_track_response import SingleTrackResponse
+    from miho.models.single_track_motion import single_track_drive, single_track_response
     from miho.models.tir import load_tir, write_tir
     from miho.models.tir_reader import TirError
     from miho.models.tire import Pacejka, PacejkaCurvature
     from miho.models.tire_landmarks import PacejkaLandmarks
+    from miho.models.trajectory import Trajectory, load_trajectory
 
 __all__ = [
     "Axle", "Brake", "BrakeCommand", "BrakeDeceleration", "BrakePlay", "BrakePressure",
     "BrakeResponse", "BrakeTorque", "EngineMap", "FrontRear", "FunctionModel", "Identified",
     "LateralMagicFormula", "Longitudinal", "Model", "OutsideDataWarning", "Pacejka",
     "PacejkaCurvature", "PacejkaLandmarks", "PublishedModel", "SimplifiedTire", "SingleTrack",
-    "SingleTrackResponse", "TirError", "TorqueCubic", "TorqueCurve", "central_stiffness",
-    "cornering_stiffness", "from_simplified", "load_function", "load_tir", "mf61_lateral", "play",
-    "read_parameters", "simplify", "write_tir",
+    "TirError", "TorqueCubic", "TorqueCurve", "Trajectory", "central_stiffness",
+    "cornering_stiffness", "from_simplified", "load_function", "load_tir", "load_trajectory",
+    "mf61_lateral", "play", "read_parameters", "simplify", "single_track_drive",
+    "single_track_response", "write_tir",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

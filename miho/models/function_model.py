@@ -284,19 +284,7 @@ def load_function(
     Raises FileNotFoundError, and ValueError with file and line for a file that cannot be used.
     """
     source = Path(path)
-    module = types.ModuleType(source.stem)
-    module.__file__ = str(source)
-    # Read and compiled here: an import would leave its cache beside the file and trust it even
-    # after an edit within the same second.
-    text = read_regular(source)
-    try:
-        exec(compile(text, str(source), "exec", dont_inherit=True), module.__dict__)  # noqa: S102 -- the user's file
-    except SyntaxError as error:
-        raise ValueError(f"{source}:{error.lineno or 1}: {error.msg}; correct it") from None
-    except (Exception, SystemExit) as error:
-        line = _line(error, str(source))
-        place = f"{source}:{line}" if line else str(source)
-        raise ValueError(f"{place}: raises {type(error).__name__}: {error}") from error
+    module = executed(source)
     public = {
         name: value
         for name, value in vars(module).items()
@@ -314,6 +302,27 @@ def load_function(
             f"{source}: has no function {function!r}; it has {', '.join(public) or 'none'}"
         )
     return FunctionModel(chosen, batched, tuple(linear), source)
+
+
+def executed(source: Path) -> types.ModuleType:
+    """The module that a Python file gives when it is run, which this does.
+
+    Raises FileNotFoundError, and ValueError with file and line for a file that cannot be used.
+    """
+    module = types.ModuleType(source.stem)
+    module.__file__ = str(source)
+    # Read and compiled here: an import would leave its cache beside the file and trust it even
+    # after an edit within the same second.
+    text = read_regular(source)
+    try:
+        exec(compile(text, str(source), "exec", dont_inherit=True), module.__dict__)  # noqa: S102 -- the user's file
+    except SyntaxError as error:
+        raise ValueError(f"{source}:{error.lineno or 1}: {error.msg}; correct it") from None
+    except (Exception, SystemExit) as error:
+        line = _line(error, str(source))
+        place = f"{source}:{line}" if line else str(source)
+        raise ValueError(f"{place}: raises {type(error).__name__}: {error}") from error
+    return module
 
 
 def _line(error: BaseException, file: str) -> int | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import final
@@ -29,7 +29,9 @@ class Model(ABC):
     of the data in order, as one with a memory does. `nominal` gives of some inputs the value that
     the parameters refer to, as (what it is called, value): far outside of the data, their values
     are extrapolations. `jacobian_cost` is how many rows of `predict` a Jacobian takes the time of:
-    None for the number of parameters, as which derivatives of a model's own count.
+    None for the number of parameters, as which derivatives of a model's own count. `derived` gives
+    quantities that are reported with their intervals, by name: the unit, and a function of
+    parameter rows (n, d) with values (n,).
     """
 
     inputs: Mapping[str, str]
@@ -41,6 +43,7 @@ class Model(ABC):
     ordered: bool = False
     nominal: Mapping[str, tuple[str, float]] = MappingProxyType({})
     jacobian_cost: int | None = None
+    derived: Mapping[str, tuple[str, Callable[[Array], Array]]] = MappingProxyType({})
 
     @abstractmethod
     def predict(self, thetas: Array, *inputs: Array) -> Array:
@@ -52,6 +55,13 @@ class Model(ABC):
     @abstractmethod
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives of the outputs, (N, d), at one configuration (d,)."""
+
+    def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
+        """Sentences for the report on what the model itself gets wrong at an optimum (d,).
+
+        `noise` is the standard deviation of the errors there.
+        """
+        return []
 
 
 class DifferencedModel(Model):

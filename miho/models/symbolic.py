@@ -303,21 +303,45 @@ def written(
     """
     lines = [f"def {name}({', '.join(signature)}):"]
     lines += [f"    ({', '.join(names)},) = {tuple_}" for tuple_, names in signature.items()]
+    statements, places = assignments(results)
+    lines += [f"    {line}" for line, _ in statements]
+    given = ", ".join(places)
+    lines.append(f"    return {given if single else f'({given},)'}")
+    return defined(name, lines)
+
+
+def assignments(
+    results: Sequence[Symbol], names: Mapping[str, str] | None = None
+) -> tuple[list[tuple[str, frozenset[str]]], list[str]]:
+    """Lines that compute results, each operation once, and what to write for each result.
+
+    With each line come the arguments that it depends on; `names` is what to write for these, if
+    not their own names.
+    """
+    lines: list[tuple[str, frozenset[str]]] = []
     places: dict[Symbol, str] = {}
+    needs: dict[Symbol, frozenset[str]] = {}
     values: dict[str, str] = {}  # by what they are computed from, so that none is computed twice
     for symbol in _ordered(results):
         if symbol.operation == ARGUMENT:
-            places[symbol] = symbol.arguments[0]
+            name = symbol.arguments[0]
+            needs[symbol] = frozenset([name])
+            places[symbol] = name if names is None else names[name]
         elif symbol.operation == CONSTANT:
+            needs[symbol] = frozenset()
             places[symbol] = _literal(symbol.arguments[0])
         else:
             formula = _formula(symbol, places)
+            needs[symbol] = frozenset().union(*(needs[child] for child in symbol.arguments))
             if formula not in values:
                 values[formula] = f"_{len(values)}"
-                lines.append(f"    {values[formula]} = {formula}")
+                lines.append((f"{values[formula]} = {formula}", needs[symbol]))
             places[symbol] = values[formula]
-    given = ", ".join(places[result] for result in results)
-    lines.append(f"    return {given if single else f'({given},)'}")
+    return lines, [places[result] for result in results]
+
+
+def defined(name: str, lines: Iterable[str]) -> Callable[..., Any]:
+    """The function of that name that lines define, with NumPy and our elementary functions."""
     return _function(name, "\n".join(lines))
 
 

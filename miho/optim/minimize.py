@@ -108,7 +108,7 @@ def minimize(
     """
     if problem.space.free is not problem.space:
         raise ValueError(
-            f"{problem.name}: fixed and tied parameters need a CurveFit; leave them out of the space"
+            f"{problem.name}: fixed and tied parameters need a CurveFit; leave them out"
         )
     if checkpoint is not None:
         checkpoint = _resumable(checkpoint, optimizer, problem, seed)

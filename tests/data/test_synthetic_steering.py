@@ -7,7 +7,7 @@ from scipy.optimize import least_squares
 from miho.data import steering_test
 from miho.data.synthetic_handling import NOISE
 from miho.data.synthetic_steering import AMPLITUDE, TRUTH
-from miho.models import SingleTrackResponse
+from miho.models import single_track_response
 
 CAR = {"mass": 800.0, "lf": 1.7, "lr": 1.271, "Izz": 850.0}
 TRUE = np.array([*TRUTH["front"].values(), *TRUTH["rear"].values(), CAR["Izz"]])
@@ -15,7 +15,7 @@ TRUE = np.array([*TRUTH["front"].values(), *TRUTH["rear"].values(), CAR["Izz"]])
 
 def test_parameters_are_recovered() -> None:
     """Within four standard errors of linear theory, none above 5 %."""
-    data, model = steering_test(CAR), SingleTrackResponse(CAR)
+    data, model = steering_test(CAR), single_track_response(CAR)
     inputs = [data[name] for name in model.inputs]
 
     def residuals(x: np.ndarray) -> np.ndarray:
@@ -36,7 +36,7 @@ def test_the_tires_are_far_from_linear() -> None:
     data = steering_test(CAR, noise=0.0)
     t, vx, steering = data["t"], data["vx"], data["steering"]
     assert 0.9 * AMPLITUDE < np.abs(steering).max() <= AMPLITUDE
-    linear = SingleTrackResponse(CAR).predict(TRUE[None], t, vx, 1e-4 * steering)[0] / 1e-4
+    linear = single_track_response(CAR).predict(TRUE[None], t, vx, 1e-4 * steering)[0] / 1e-4
     assert np.std(data["yaw_rate"] - linear) > 0.25 * np.std(linear)
 
 

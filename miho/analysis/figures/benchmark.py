@@ -19,6 +19,9 @@ GROWTH_COLOURS = {
 ARRIVAL_COLOURS = {
     "miho_gn": RED, "miho_qn": ORANGE, "least_squares": BLUE, "one look": BLACK,
 }  # fmt: skip
+SENSITIVITY_COLOURS = {
+    "values": BLUE, "values, batch": GREEN, "and sensitivities": RED, "and differences": ORANGE,
+}  # fmt: skip
 BAR_HEIGHT = 0.22  # inches
 LABEL_ROOM = 2.2
 """A logarithmic axis ends this factor beyond its longest bar, so that its number fits."""
@@ -61,6 +64,12 @@ def arrival_figure(frame: pd.DataFrame) -> Figure:
     require_columns(frame, {"rows", "method", "ms"}, "frame")
     median = frame.groupby(["rows", "method"])["ms"].median().reset_index()
     return _over_rows(median, "ms", ARRIVAL_COLOURS, "time to within 1 % of the optimum [ms]")
+
+
+def sensitivity_figure(frame: pd.DataFrame) -> Figure:
+    """Microseconds per evaluation of a simulated car over the rows. Frame: rows, method, us."""
+    require_columns(frame, {"rows", "method", "us"}, "frame")
+    return _over_rows(frame, "us", SENSITIVITY_COLOURS, "time per evaluation [µs]")
 
 
 def _over_rows(frame: pd.DataFrame, value: str, colours: dict[str, str], label: str) -> Figure:

@@ -4,15 +4,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from miho.data import steering_test
-from miho.models import SingleTrackResponse
+from miho.data import steering_test, tire_drive
+from miho.data.synthetic_drive import DRIVE_TRUTH
+from miho.models import single_track_drive, single_track_response
 from miho.models.model import central_differences
 from miho.testing import check_model
 
 Array = NDArray[np.float64]
 
 CAR = {"mass": 800.0, "lf": 1.7, "lr": 1.271, "Izz": 850.0}
-MODEL = SingleTrackResponse(CAR)
+MODEL = single_track_response(CAR)
 TRUE = np.array([18.0, 1.5, 5500.0, 18.0, 1.5, 8000.0, 850.0])
 EXACT = steering_test(CAR, noise=0.0)
 INPUTS = [EXACT[name] for name in MODEL.inputs]
@@ -94,4 +95,11 @@ def test_rows_out_of_order_and_a_car_without_mass_are_refused() -> None:
     with pytest.raises(ValueError, match="t does not increase"):
         MODEL.predict(TRUE[None], t[::-1], vx, steering)
     with pytest.raises(ValueError, match=r"vehicle\.mass is missing"):
-        SingleTrackResponse({name: CAR[name] for name in ("lf", "lr", "Izz")})
+        single_track_response({name: CAR[name] for name in ("lf", "lr", "Izz")})
+
+
+@pytest.mark.parametrize("restart", [None, 1, 20])
+def test_the_motion_in_the_plane_keeps_its_contract(restart: int | None) -> None:
+    data, model = tire_drive(CAR, "lively", duration=3.0), single_track_drive(CAR, restart=restart)
+    thetas = np.array(list(DRIVE_TRUTH.values())) * np.array([[1.0], [1.1]])
+    check_model(model, thetas, *(data[name] for name in model.inputs))

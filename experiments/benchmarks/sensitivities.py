@@ -1,0 +1,105 @@
+"""What the derivatives of a simulated motion cost, against the motion alone.
+
+python -m experiments.benchmarks.sensitivities [--quick] [--output FOLDER]
+
+The single-track car of `conf/problem/single_track`, 7 parameters: one evaluation (values), one of a
+batch of 64 (values, batch), one with the sensitivities that are integrated with it, and one with
+central differences of the solver, which are 14 values in one batch. The fastest of many calls in
+turns counts. Exactness is the largest difference of a sensitivity from complex steps through the
+same Runge-Kutta steps in NumPy, as a fraction of the largest in its column.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, interleaved
+from miho.analysis.figures.benchmark import sensitivity_figure
+from miho.data import steering_test
+from miho.models import Model, single_track_response
+from miho.models.model import central_differences
+from miho.quantities import Array
+
+CAR = {"mass": 800.0, "lf": 1.7, "lr": 1.271, "Izz": 850.0}
+THETA = np.array([18.0, 1.5, 5500.0, 18.0, 1.5, 8000.0, 850.0])
+ROWS, JUDGED = (100, 300, 1000, 3000), 300
+BATCH = 64
+
+
+def both(derivatives: Callable[..., Array], model: Model, *inputs: Array) -> None:
+    """Values and derivatives at one configuration."""
+    model.predict(THETA[None], *inputs)
+    derivatives(THETA, *inputs)
+
+
+def jobs_of(model: Model, inputs: tuple[Array, ...]) -> dict[str, Callable[[], Any]]:
+    """What is timed, by name."""
+    batch = np.tile(THETA, (BATCH, 1))
+    return {
+        "values": partial(model.predict, THETA[None], *inputs),
+        "values, batch": partial(model.predict, batch, *inputs),
+        "and sensitivities": partial(both, model.jacobian, model, *inputs),
+        "and differences": partial(both, partial(central_differences, model), model, *inputs),
+    }
+
+
+def complex_steps(t: Array, vx: Array, steering: Array) -> Array:
+    """Derivatives (N, 7) of the same Runge-Kutta steps, without subtraction: written out anew."""
+    B_f, C_f, D_f, B_r, C_r, D_r, Izz = (THETA + 1e-30j * np.eye(7) * THETA).T
+    lf, lr, mass = CAR["lf"], CAR["lr"], CAR["mass"]
+
+    def rates(z: Any, v: float, delta: float) -> Any:
+        alpha_f, alpha_r = (
+            np.arctan((z[0] + lf * z[1]) / v) - delta,
+            np.arctan((z[0] - lr * z[1]) / v),
+        )
+        front = -D_f * np.sin(C_f * np.arctan(B_f * alpha_f)) * np.cos(delta)
+        rear = -D_r * np.sin(C_r * np.arctan(B_r * alpha_r))
+        return np.array([(front + rear) / mass - v * z[1], (lf * front - lr * rear) / Izz])
+
+    z = np.zeros((2, 7), dtype=complex)
+    yaw_rates = [z[1]]
+    for j, h in enumerate(np.diff(t)):
+        v, delta = ((c[j], (c[j] + c[j + 1]) / 2, c[j + 1]) for c in (vx, steering))
+        k1 = rates(z, v[0], delta[0])
+        k2 = rates(z + h / 2 * k1, v[1], delta[1])
+        k3 = rates(z + h / 2 * k2, v[1], delta[1])
+        k4 = rates(z + h * k3, v[2], delta[2])
+        z = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        yaw_rates.append(z[1])
+    return np.asarray(np.imag(yaw_rates) / 1e-30 / THETA)
+
+
+def measure(quick: bool) -> Measured:
+    """All lengths of the record; the bars at 300 rows."""
+    model, tidy, table = single_track_response(CAR), [], []
+    for rows in ROWS:
+        data = steering_test(CAR, duration=rows / 50)
+        inputs = tuple(data[name] for name in model.inputs)
+        seconds = interleaved(jobs_of(model, inputs), 20 if quick else 200)
+        seconds["values, batch"] /= BATCH
+        us = {name: 1e6 * value for name, value in seconds.items()}
+        tidy += [{"rows": rows, "method": name, "us": value} for name, value in us.items()]
+        table.append({"rows": rows} | {f"{name} [us]": value for name, value in us.items()})
+        if rows == JUDGED:
+            ratio, differences = (
+                us[name] / us["values"] for name in ("and sensitivities", "and differences")
+            )
+            exact = complex_steps(*inputs)
+            off = np.abs(model.jacobian(THETA, *inputs) - exact).max(axis=0)
+            error = float((off / np.abs(exact).max(axis=0)).max())
+    bars = [
+        Bar("with sensitivities, 300 rows", ratio, AT_MOST, 8, "evaluations"),
+        Bar("sensitivities against complex steps", error, AT_MOST, 1e-6),
+    ]
+    notes = [f"with central differences, 300 rows: {differences:.1f} evaluations"]
+    return Measured(pd.DataFrame(table), pd.DataFrame(tidy), bars, notes)
+
+
+if __name__ == "__main__":
+    benchmark(__doc__, measure, sensitivity_figure, "sensitivities")

@@ -1,0 +1,304 @@
+"""The equations of a motion, from plain functions: rates of states, outputs, and derivatives."""
+
+from __future__ import annotations
+import __future__
+
+import ast
+import inspect
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from miho.compiled.course import LANES, FlatEquations
+from miho.models.symbolic import (
+    NotAFormulaError,
+    Symbol,
+    argument,
+    assignments,
+    defined,
+    gradient,
+    trace,
+    written,
+)
+from miho.quantities import Array
+
+COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
+NO_UNIT = "-"
+ROOT = float(np.cbrt(np.finfo(float).eps))
+"""A step of central differences, relative: it leaves an error near 1e-10 of smooth functions."""
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A plain function with the units of its arguments, "-" for those without an annotation.
+
+    Positional arguments are `columns`: states, inputs and time; keyword-only ones `parameters`,
+    or constants if they have a default. Raises ValueError for arguments without a name.
+    """
+
+    function: Callable[..., Any]
+    name: str
+    columns: Mapping[str, str]
+    parameters: Mapping[str, str]
+    unit: str
+
+    @classmethod
+    def of(cls, function: Callable[..., Any]) -> Declared:
+        """What a function's signature says."""
+        inner = function.func if isinstance(function, partial) else function
+        name = str(getattr(inner, "__name__", type(inner).__name__))
+        flags = getattr(getattr(inner, "__code__", None), "co_flags", 0)
+        postponed = bool(flags & __future__.annotations.compiler_flag)
+        try:
+            signature = inspect.signature(function)
+        except (TypeError, ValueError):
+            raise ValueError(f"{function!r} is not a function with a signature") from None
+        columns: dict[str, str] = {}
+        parameters: dict[str, str] = {}
+        for each in signature.parameters.values():
+            if each.kind in (each.VAR_POSITIONAL, each.VAR_KEYWORD):
+                raise ValueError(f"{name}: {each} stands for any argument; name each")
+            if each.default is each.empty:
+                group = columns if each.kind in COLUMN else parameters
+                group[each.name] = _unit(each.annotation, postponed)
+        return cls(
+            function, name, columns, parameters, _unit(signature.return_annotation, postponed)
+        )
+
+    def __call__(self, values: Mapping[str, Any]) -> Any:
+        """The result, of values by name."""
+        arguments = [values[name] for name in self.columns]
+        return self.function(*arguments, **{name: values[name] for name in self.parameters})
+
+
+def _unit(annotation: Any, postponed: bool) -> str:
+    """The unit in an annotation that is a text, which `postponed` evaluation puts in quotes."""
+    if not isinstance(annotation, str):
+        return NO_UNIT
+    if not postponed:
+        return annotation
+    try:
+        literal = ast.literal_eval(annotation)
+    except (SyntaxError, ValueError):
+        return NO_UNIT  # a type
+    return literal if isinstance(literal, str) else NO_UNIT
+
+
+@dataclass(frozen=True)
+class Equations:
+    """dx/dt = rhs(t, x, u, p) and outputs y = h(t, x, u, p) / scale, of states x (S,).
+
+    Functions take their arguments by name: the time, states, inputs u (q,) and parameters p (d,).
+    An output is a function or the name of a state. Arrays may have a further axis of n parameter
+    rows. What traces (`miho.models.symbolic`) is differentiated exactly and has a `flat` form to
+    compile; of anything else central differences of rhs and h are taken.
+    """
+
+    rhs: Declared
+    outputs: tuple[str | Declared, ...]
+    scales: tuple[float, ...]
+    time: str
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    parameters: tuple[str, ...]
+
+    def rates(self, t: float, u: Array, x: Array, p: Array) -> Array:
+        """The derivatives of the states, (S,) or (S, n)."""
+        if self._formulas is None:
+            return self._called(self._rates, t, u, x, p)
+        return _stacked(self._formulas.rates((t, *u, *x, *p)), x.shape[1:])
+
+    def observed(self, t: float, u: Array, x: Array, p: Array) -> Array:
+        """The outputs, (K,) or (K, n)."""
+        if self._formulas is None:
+            return self._called(self._observed, t, u, x, p)
+        return _stacked(self._formulas.outputs((t, *u, *x, *p)), x.shape[1:])
+
+    def rate_slopes(self, t: float, u: Array, x: Array, p: Array) -> tuple[Array, Array]:
+        """The derivatives of the rates of states (S,) by states (S, S) and parameters (S, d)."""
+        if self._formulas is None:
+            return self._differences(self._rates, t, u, x, p)
+        return self._split(self._formulas.rate_slopes((t, *u, *x, *p)))
+
+    def output_slopes(self, t: float, u: Array, x: Array, p: Array) -> tuple[Array, Array]:
+        """The derivatives of the outputs by states (K, S) and parameters (K, d)."""
+        if self._formulas is None:
+            return self._differences(self._observed, t, u, x, p)
+        return self._split(self._formulas.output_slopes((t, *u, *x, *p)))
+
+    @cached_property
+    def flat(self) -> FlatEquations | None:
+        """The equations for the compiler, None if they do not trace."""
+        if self._graphs is None:
+            return None
+        rates, outputs = self._graphs
+        return FlatEquations(
+            self._in_lanes("rates", rates),
+            self._in_lanes("outputs", outputs),
+            self._varied("varied_rates", rates),
+            self._varied("varied_outputs", outputs),
+        )
+
+    def _values(
+        self, t: Any, u: Iterable[Any], x: Iterable[Any], p: Iterable[Any]
+    ) -> dict[str, Any]:
+        names = (self.time, *self.inputs, *self.states, *self.parameters)
+        return dict(zip(names, (t, *u, *x, *p), strict=True))
+
+    def _rates(self, values: Mapping[str, Any]) -> Sequence[Any]:
+        return self._one_each(self.rhs(values))
+
+    def _one_each(self, result: Any) -> list[Any]:
+        """The derivatives in a result, one for each state; raises ValueError."""
+        rates = list(result) if isinstance(result, tuple | list | np.ndarray) else [result]
+        if len(rates) != len(self.states):
+            raise ValueError(
+                f"{self.rhs.name}: gives {len(rates)} derivatives for the states "
+                f"{', '.join(self.states)}; give one for each, in their order"
+            )
+        return rates
+
+    def _observed(self, values: Mapping[str, Any]) -> Sequence[Any]:
+        results = [values[h] if isinstance(h, str) else h(values) for h in self.outputs]
+        return [
+            y if scale == 1 else y / scale for y, scale in zip(results, self.scales, strict=True)
+        ]
+
+    def _called(
+        self, function: Callable[..., Sequence[Any]], t: float, u: Array, x: Array, p: Array
+    ) -> Array:
+        """Results (K, n) of n parameter rows: at once, or one by one for functions that branch."""
+        if x.ndim == 1:
+            return self._called(function, t, u, x[:, None], p[:, None])[:, 0]
+        try:
+            return _stacked(function(self._values(t, u, x, p)), x.shape[1:])
+        except Exception:  # noqa: BLE001 -- it branches, or fails alone too, which is told below
+            rows = zip(x.T.tolist(), p.T.tolist(), strict=True)
+            return np.array([self._of_numbers(function, t, u, *row) for row in rows]).T
+
+    def _of_numbers(
+        self, function: Callable[..., Sequence[Any]], t: float, u: Any, x: Any, p: Any
+    ) -> Array:
+        try:
+            return np.array(function(self._values(t, u, x, p)), dtype=float)
+        except ArithmeticError:  # division by zero, overflow: no value
+            count = len(self.states) if function == self._rates else len(self.outputs)
+            return np.full(count, np.nan)
+        except (TypeError, ValueError, AttributeError, LookupError) as error:
+            raise ValueError(
+                f"{self.rhs.name}: right-hand side or output raises {type(error).__name__}: {error}"
+            ) from error
+
+    def _differences(
+        self, function: Callable[..., Sequence[Any]], t: float, u: Array, x: Array, p: Array
+    ) -> tuple[Array, Array]:
+        at = np.concatenate([x, p])
+        step = ROOT * np.maximum(np.abs(at), ROOT)
+        moved = np.hstack([at[:, None] + np.diag(step), at[:, None] - np.diag(step)])
+        high, low = np.hsplit(self._called(function, t, u, *np.split(moved, [x.size])), 2)
+        slopes = (high - low) / (2 * step)
+        return slopes[:, : x.size], slopes[:, x.size :]
+
+    @cached_property
+    def _symbols(self) -> tuple[list[Symbol], list[Symbol], list[Symbol]]:
+        groups = (("u", self.inputs), ("x", self.states), ("p", self.parameters))
+        u, x, p = ([argument(f"{g}{k}") for k in range(len(names))] for g, names in groups)
+        return u, x, p
+
+    @cached_property
+    def _graphs(self) -> tuple[list[Symbol], list[Symbol]] | None:
+        """Rates and outputs as formulas of t, u0, ..., x0, ..., p0, ...; None if they are none."""
+        values = self._values(argument("t"), *self._symbols)
+        try:
+            results = self.rhs(values), self._observed(values)
+        except Exception:  # noqa: BLE001 -- whatever a user's function raises: it is no formula
+            return None
+        groups = self._one_each(results[0]), results[1]
+        try:
+            rates, outputs = ([trace(lambda y=y: y) for y in group] for group in groups)
+        except NotAFormulaError:
+            return None
+        return rates, outputs
+
+    @cached_property
+    def _formulas(self) -> _Formulas | None:
+        if self._graphs is None:
+            return None
+        (rates, outputs), (u, x, p) = self._graphs, self._symbols
+        arguments = {"values": ["t", *(s.arguments[0] for s in (*u, *x, *p))]}
+
+        def formula(name: str, results: Sequence[Symbol]) -> Callable[..., Any]:
+            return written(name, arguments, results, single=False)
+
+        def slopes(results: Sequence[Symbol]) -> list[Symbol]:
+            return [slope for result in results for slope in gradient(result, [*x, *p])]
+
+        return _Formulas(
+            formula("rates", rates),
+            formula("outputs", outputs),
+            formula("rate_slopes", slopes(rates)),
+            formula("output_slopes", slopes(outputs)),
+        )
+
+    def _split(self, slopes: Sequence[Any]) -> tuple[Array, Array]:
+        S, d = len(self.states), len(self.parameters)
+        both = np.array(slopes, dtype=float).reshape(-1, S + d)
+        return both[:, :S], both[:, S:]
+
+    def _in_lanes(self, name: str, results: Sequence[Symbol]) -> Callable[..., None]:
+        """Results of several parameter rows; what inputs and time alone decide is done once."""
+        u, x, p = self._symbols
+        places = {"t": "t"} | {s.arguments[0]: f"u[{k}]" for k, s in enumerate(u)}
+        places |= {s.arguments[0]: f"x[{k * LANES} + i]" for k, s in enumerate(x)}
+        places |= {s.arguments[0]: f"p[{k * LANES} + i]" for k, s in enumerate(p)}
+        shared = frozenset(["t", *(s.arguments[0] for s in u)])
+        lines, results_at = assignments(results, places)
+        return defined(
+            name,
+            [
+                f"def {name}(t, u, x, p, out, lanes):",
+                *(f"    {line}" for line, needs in lines if needs <= shared),
+                "    for i in range(lanes):",
+                *(f"        {line}" for line, needs in lines if not needs <= shared),
+                *(f"        out[{k * LANES} + i] = {at}" for k, at in enumerate(results_at)),
+            ],
+        )
+
+    def _varied(self, name: str, results: Sequence[Symbol]) -> Callable[..., None]:
+        """Results and their derivatives by the chain rule, for one parameter row."""
+        u, x, p = self._symbols
+        places = {"t": "t"}
+        for group, symbols in (("u", u), ("x", x), ("p", p)):
+            places |= {s.arguments[0]: f"{group}[{k}]" for k, s in enumerate(symbols)}
+        slopes = [gradient(result, [*x, *p]) for result in results]
+        lines, at = assignments([*results, *(slope for row in slopes for slope in row)], places)
+        body = [line for line, _ in lines]
+        written_at = iter(at[len(results) :])
+        for k, row in enumerate(slopes):
+            by = [(slope.number != 0, next(written_at)) for slope in row]
+            chain = [f"{at} * x_p[{s}, k]" for s, (moves, at) in enumerate(by[: len(x)]) if moves]
+            body.append("for k in range(p.size):")
+            body.append(f"    out_p[{k}, k] = {' + '.join(chain) or '0.0'}")
+            directly = enumerate(by[len(x) :])
+            body += [f"out_p[{k}, {q}] += {at}" for q, (moves, at) in directly if moves]
+            body.append(f"out[{k}] = {at[k]}")
+        head = f"def {name}(t, u, x, p, x_p, out, out_p):"
+        return defined(name, [head, *(f"    {line}" for line in body)])
+
+
+@dataclass(frozen=True)
+class _Formulas:
+    """What was traced, as plain functions of the tuple (t, *u, *x, *p)."""
+
+    rates: Callable[..., Any]
+    outputs: Callable[..., Any]
+    rate_slopes: Callable[..., Any]
+    output_slopes: Callable[..., Any]
+
+
+def _stacked(results: Iterable[Any], columns: tuple[int, ...]) -> Array:
+    """Results as rows (K, n) or numbers (K,), of which some may not depend on the row."""
+    return np.array([np.broadcast_to(result, columns) for result in results], dtype=float)
