@@ -73,6 +73,12 @@ def fit_many(
         dataset = data_of(chosen, *parts[k], None)[0]
         return searched(CurveFit(chosen, dataset, bounds, compiled=False), seed=seed).theta
 
+    taken = {"error", "rows", "converged", *(f"{name}_error" for name in problem.space.names)}
+    clash = sorted(taken.intersection(bounds.names))
+    if clash:
+        raise ValueError(f"{', '.join(clash)}: columns of the table have these names; use others")
+    if any(parameter.prior is not None for parameter in bounds.parameters):
+        raise ValueError("priors need miho.fit; leave them out")
     everyone = np.arange(len(keys))
     few = np.unique(np.linspace(0, len(keys) - 1, SEARCHED).round().astype(int))
     ends = descend(batch, everyone, np.array([search(int(k)) for k in few]), progress)
@@ -101,18 +107,25 @@ def fit_many(
 def _parts(x: Any, y: Any, by: str | None) -> tuple[list[Hashable], list[tuple[Any, Any]]]:
     """The name of each dataset, and its columns and output."""
     if by is not None:
-        if not hasattr(x, "groupby") or by not in x or not isinstance(y, str) or y not in x:
+        named = isinstance(by, str) and isinstance(y, str) and hasattr(x, "groupby")
+        if not named or by not in x or y not in x:
             raise ValueError(
                 f"by is {by!r} and y is {y!r}; give a data frame x that has both as columns"
             )
-        groups = list(x.groupby(by, sort=False))
+        groups = list(x.groupby(by, sort=False, dropna=False))
+        if not groups:
+            raise ValueError("the data frame has no rows; give some")
         return [key for key, _ in groups], [(group, y) for _, group in groups]
+    if isinstance(y, str):
+        raise ValueError(f"y is {y!r}; give by= as well, the column that tells datasets apart")
     values = np.asarray(y, dtype=float)
     if values.ndim != 2 or not values.size:
         raise ValueError(f"y has shape {values.shape}; give (datasets, rows), or a data frame, by=")
 
     def row(column: Any, k: int) -> Array:
         column = np.asarray(column, dtype=float)
+        if column.ndim == 2 and len(column) != len(values):
+            raise ValueError(f"x has {len(column)} datasets and y {len(values)}; give as many")
         return np.asarray(column[k] if column.ndim == 2 else column)
 
     def part(k: int) -> tuple[Any, Array]:
@@ -134,15 +147,17 @@ def _table(problem: CurveFit, batch: Batch, ends: Ends, index: pd.Index) -> pd.D
     import pandas as pd
 
     covariance = batch.covariance(ends)
+    unknown = np.isnan(np.diagonal(covariance, axis1=1, axis2=2))
     names, values, model = problem.space.names, ends.thetas, problem.model
     if isinstance(model, TiedModel | TiedExpression):
         extra = [k for k, name in enumerate(names) if name not in model.ties.parameters]
         slopes = np.broadcast_to(np.eye(len(names))[extra], (len(values), len(extra), len(names)))
         slopes = np.concatenate([model.ties.whole_slopes(values), slopes], axis=1)
         values = np.concatenate([model.ties.whole(values), values[:, extra]], axis=1)
-        covariance = slopes @ covariance @ slopes.transpose(0, 2, 1)
+        covariance = slopes @ np.nan_to_num(covariance) @ slopes.transpose(0, 2, 1)
+        unknown = ((slopes != 0) & unknown[:, None, :]).any(axis=2)
         names = (*model.ties.parameters, *(names[k] for k in extra))
-    errors = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    errors = np.where(unknown, np.nan, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
     columns: dict[str, Any] = {}
     for k, name in enumerate(names):
         columns |= {name: values[:, k], f"{name}_error": errors[:, k]}

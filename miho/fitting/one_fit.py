@@ -16,7 +16,7 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
 from miho.identification.standing import standing
-from miho.identification.stated import stated_parameters
+from miho.identification.stated import at_limits, stated_parameters, whole_values
 from miho.identification.uncertainty import Linearised, linearised
 from miho.models.model import Model
 from miho.models.traced import Remade
@@ -136,9 +136,15 @@ class Fit(Remade):
         """A row per parameter, free, fixed or tied: value, standard error, linearised interval."""
         import pandas as pd
 
-        stated, slopes = stated_parameters(self.problem, self.uncertainty)
+        try:
+            at = self.uncertainty
+        except ValueError:  # as many parameters as rows: values without errors
+            values = whole_values(self.problem, self.theta)
+            frame = pd.DataFrame({"value": values})
+            return frame.assign(standard_error=math.nan, low=math.nan, high=math.nan)
+        stated, slopes = stated_parameters(self.problem, at)
         frame = pd.DataFrame(stated).set_index("name").rename_axis(None)
-        reach = self.uncertainty.quantiles(slopes, self.level) * frame["standard_error"]
+        reach = at.quantiles(slopes, self.level) * frame["standard_error"]
         frame.insert(3, "low", frame["value"] - reach)
         frame.insert(4, "high", frame["value"] + reach)
         return frame[["value", "standard_error", "low", "high", "unit", "held"]]
@@ -146,7 +152,7 @@ class Fit(Remade):
     @property
     def values(self) -> dict[str, float]:
         """The parameters' values by name."""
-        return {str(name): value for name, value in self.parameters["value"].items()}
+        return whole_values(self.problem, self.theta)
 
     @cached_property
     def error(self) -> float:
@@ -158,7 +164,8 @@ class Fit(Remade):
         """What is known of the optimum: how many searches ended in it."""
         loss = float(self.problem.loss(self.theta[None])[0])
         searches = () if self.descents is None else (self.descents,)
-        return standing(loss, self.problem.resolution, searches).evidence
+        evidence = standing(loss, self.problem.resolution, searches).evidence
+        return "; ".join([evidence, *at_limits(self.problem, self.theta)])
 
     def report(self, **settings: Any) -> Report:
         """All that can be told, with profile intervals; `settings` are those of `make_report`.

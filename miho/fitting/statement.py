@@ -31,12 +31,17 @@ def data_of(model: Any, x: Any, y: Any, sigma: Any) -> tuple[Dataset, Model, str
     inputs = inputs_of(model, x)
     while output in inputs:
         output += "_"
-    columns, units = {**inputs, output: values}, {**model.inputs, output: model.output}
+    columns, units = (
+        {**inputs, output: _numbers(output, values)},
+        {**model.inputs, output: model.output},
+    )
     if isinstance(sigma, str):
         if not by_name or sigma not in x:
             raise ValueError(f"sigma is {sigma!r}, which is no column of x; give values or a name")
         sigma = x[sigma]
-    if sigma is not None and np.ndim(sigma):
+    if sigma is not None and not np.ndim(sigma):
+        sigma = float(sigma)
+    elif sigma is not None:
         name = "sigma"
         while name in columns:
             name += "_"
@@ -66,14 +71,25 @@ def inputs_of(model: Model, x: Any) -> dict[str, Any]:
             raise ValueError(
                 f"x has no column {', '.join(lacking)}; {model.name} needs {', '.join(names)}"
             )
-        return {name: np.asarray(x[name], dtype=float) for name in names}
+        return {name: _numbers(name, x[name]) for name in names}
     columns = x if isinstance(x, tuple) else (x,)
     if len(columns) != len(names):
         raise ValueError(
             f"x is {len(columns)} columns; {model.name} needs {len(names)}: {', '.join(names)}; "
             "give them as a tuple or by name"
         )
-    return dict(zip(names, (np.asarray(column, dtype=float) for column in columns), strict=True))
+    return {name: _numbers(name, column) for name, column in zip(names, columns, strict=True)}
+
+
+def _numbers(name: str, values: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """A column of real numbers; what would lose something on the way is refused."""
+    array = np.asarray(values)
+    if np.ma.is_masked(values) or array.dtype.kind in "cmM":
+        raise ValueError(
+            f"{name} is {array.dtype}{' with masked values' * bool(np.ma.is_masked(values))}; give "
+            "real numbers, and leave out rows without one"
+        )
+    return array.astype(float)
 
 
 def space_of(
@@ -91,6 +107,9 @@ def space_of(
     if isinstance(bounds, Space):
         given = {parameter.name: parameter for parameter in bounds.parameters}
     names = list(dict.fromkeys([*model.parameters, *given]))
+    for name in fixed:
+        if name in tied:
+            raise ValueError(f"{name} is fixed to {fixed[name]!r} and tied to {tied[name]!r}")
     for label, part in (("start", start or {}), ("fixed", fixed), ("tied", tied)):
         for name in part:
             if name not in names:
@@ -114,10 +133,21 @@ def space_of(
                 f"{name} has no bounds; give them, as in {{{name!r}: (0, 10)}}, or a start of "
                 "every parameter"
             )
-        elif start is not None and name not in start and "fixed" not in settings:
+        elif start is not None and name not in start and not _held(settings):
             raise ValueError(f"start: lacks {name}; give a start of every free parameter")
-        parameters.append(Parameter(**{"name": name, "unit": unit, **settings}))
+        try:
+            parameters.append(Parameter(**{"name": name, "unit": unit, **settings}))
+        except TypeError as error:
+            raise ValueError(f"bounds of {name}: {error}") from None
     return Space(tuple(parameters))
+
+
+def _held(settings: Mapping[str, Any]) -> bool:
+    """Whether a parameter is not searched for."""
+    low, high = settings.get("low"), settings.get("high")
+    return bool(settings.get("fixed") is not None or settings.get("tied")) or (
+        low is not None and low == high
+    )
 
 
 def _settings(name: str, given: Any) -> dict[str, Any]:
@@ -128,6 +158,8 @@ def _settings(name: str, given: Any) -> dict[str, Any]:
         return vars(given).copy()
     if isinstance(given, Mapping):
         return dict(given)
+    if isinstance(given, np.ndarray):
+        given = given.tolist()
     if isinstance(given, Sequence) and not isinstance(given, str) and len(given) == 2:
         return {"low": float(given[0]), "high": float(given[1])}
     raise ValueError(f"bounds of {name} are {given!r}; expected (low, high), such as (0, 10)")

@@ -12,6 +12,7 @@ import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
 
 from miho.identification.curve_fit import CurveFit
+from miho.identification.limits import along_limits
 from miho.quantities import Array
 
 EVALUATIONS = 200
@@ -108,7 +109,13 @@ def refit(
     except (_NoDerivatives, OutOfTimeError):
         converged = False
     costs = objective.costs
-    return Refit(objective.best, costs[-1], bool(converged), len(costs) - 1)
+    end = Refit(objective.best, costs[-1], bool(converged), len(costs) - 1)
+    if weights is None:
+        theta = along_limits(problem, end.theta, fixed)
+        if theta is not end.theta:
+            cost = float(np.sum(problem.residuals(theta) ** 2))
+            end = Refit(theta, cost, True, end.evaluations)
+    return end
 
 
 class _Objective:

@@ -30,6 +30,7 @@ from miho.identification.irreducible import Irreducible, irreducible_interval
 from miho.identification.prior import prior_notes, prior_table
 from miho.identification.profile_likelihood import Profile
 from miho.identification.standing import Standing
+from miho.identification.stated import at_limits
 from miho.identification.uncertainty import Linearised
 from miho.identification.validation import (
     BINS,
@@ -252,6 +253,7 @@ class Report:
         sentences += uneven_spread(self.problem, self.at)
         sentences += sigma_disagrees(self.problem, self.at)
         sentences += prior_notes(self.priors)
+        sentences += [f"{text}." for text in at_limits(self.problem, self.at.theta)]
         sentences += independence(self.problem, self.at)
         sentences += outliers(self.problem, self.at)
         # The model: whether it computes well, its errors are larger than noise or follow a column.

@@ -12,6 +12,8 @@ from miho.models.tied import TiedExpression, TiedModel
 from miho.quantities import Array
 
 FREE = "free"
+NEAR = 1e-6
+"""A tied parameter this close to a limit, as a share of it or of its range, is at the limit."""
 
 
 class Stated(NamedTuple):
@@ -51,3 +53,31 @@ def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], 
         stated.append(Stated(name, units.get(name) or own.get(name, ""), values[name], error, held))
     chosen = [list(units).index(name) for name in extra]
     return stated, np.vstack([rows, slopes[chosen]])
+
+
+def whole_values(problem: CurveFit, theta: Array) -> dict[str, float]:
+    """Values of all parameters by name, those of the model first, at free ones (f,)."""
+    model, free = problem.model, dict(zip(problem.space.names, theta.tolist(), strict=True))
+    if not isinstance(model, TiedModel | TiedExpression):
+        return free
+    whole = model.ties.whole(theta[None])[0].tolist()
+    return {**dict(zip(model.ties.parameters, whole, strict=True)), **free}
+
+
+def at_limits(problem: CurveFit, theta: Array) -> list[str]:
+    """A sentence for each tied parameter that ends at a limit of its range."""
+    model = problem.model
+    if not isinstance(model, TiedModel | TiedExpression):
+        return []
+    values = whole_values(problem, theta)
+    return [
+        f"{name} ends at its limit {end:g}, so the errors of what it is tied to are no optimum's"
+        for name, ends in model.ties.limits.items()
+        for end in ends
+        if np.isfinite(end) and abs(values[name] - end) <= NEAR * max(abs(end), _width(ends))
+    ]
+
+
+def _width(ends: tuple[float, float]) -> float:
+    width = ends[1] - ends[0]
+    return width if np.isfinite(width) else 0.0

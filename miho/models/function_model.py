@@ -124,7 +124,8 @@ class FunctionModel(DifferencedModel):
     def formula_at(self, thetas: Array, *inputs: Array) -> Model:
         """Its formula, if that gives what the function gives at parameter rows (n, d) and columns.
 
-        Else this model: a function may tell arrays from symbols, or not be element by element.
+        Else this model: a function may tell arrays from symbols, or not be element by element, or
+        have values where the formula has no derivatives.
         """
         formula = self.formula
         if formula is None:
@@ -137,7 +138,9 @@ class FunctionModel(DifferencedModel):
             return self
         size = np.abs(own[np.isfinite(own)]).max(initial=0.0)
         alike = np.allclose(own, traced, rtol=CLOSE, atol=CLOSE * size, equal_nan=True)
-        return formula if alike else self
+        slopes = np.stack([formula.jacobian(theta, *columns) for theta in thetas])
+        usable = np.isfinite(slopes).all(axis=2) | ~np.isfinite(own)
+        return formula if alike and usable.all() else self
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""

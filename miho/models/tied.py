@@ -228,6 +228,11 @@ class _Tied(Remade, Model):
     def nominal(self) -> Mapping[str, tuple[str, float]]:  # type: ignore[override]
         return self.model.nominal  # type: ignore[no-any-return]
 
+    def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
+        """Those of the model of all parameters."""
+        whole = self.ties.whole(theta[None])[0]
+        return self.model.remarks(whole, noise, *inputs)  # type: ignore[no-any-return]
+
 
 @dataclass(frozen=True)
 class TiedModel(_Tied):
@@ -282,14 +287,16 @@ def parsed(
     symbol_of: Callable[[str], Symbol],
 ) -> Symbol:
     """The formula of an expression of `names`, by an allow-list of arithmetic; nothing is run."""
+    if not isinstance(text, str):
+        raise ValueError(f"{place}: {text!r} is no expression; {EXAMPLE}")
     try:
         tree = ast.parse(text.strip() if len(text) <= LONGEST else "(", mode="eval").body
     except (SyntaxError, ValueError, MemoryError, RecursionError):
         raise ValueError(f"{place}: {text[:80]!r} is no expression; {EXAMPLE}") from None
 
     def convert(node: ast.AST) -> Any:
-        if isinstance(node, ast.Constant) and isinstance(node.value, int | float):
-            return constant(node.value)
+        if isinstance(node, ast.Constant) and type(node.value) in (int, float):
+            return constant(float(node.value))  # type: ignore[arg-type]
         if isinstance(node, ast.Name):
             if node.id in names:
                 return symbol_of(node.id)
@@ -311,8 +318,12 @@ def parsed(
 
     try:
         result: Symbol = convert(tree)
+    except OverflowError:
+        raise ValueError(f"{place}: {text[:80]!r} has a number that is too large") from None
     except RecursionError:
         raise ValueError(f"{place}: {text[:80]!r} is nested too deep; {EXAMPLE}") from None
+    if result.number is not None and not np.isfinite(result.number):
+        raise ValueError(f"{place}: {text[:80]!r} is {result.number:g}; expected a finite number")
     return result
 
 
