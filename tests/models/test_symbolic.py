@@ -1,0 +1,137 @@
+"""Traced functions: the same values, exact derivatives, and refusal of what is no formula."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import miho
+from miho.models.function_model import FunctionModel
+from miho.models.model import central_differences
+from miho.models.symbolic import NotAFormulaError, argument, jointly_linear, trace
+
+t = np.linspace(0.0, 3.0, 31)
+THETAS = np.array([[0.7, 1.3, 2.1], [1.9, 0.4, 0.6]])
+FORMULAS: dict[str, Callable[..., Any]] = {
+    "arithmetic": lambda t, a, b, c: (a * t - b) / (c + t**2) + 3 - (-t) * +a,
+    "exponentials": lambda t, a, b, c: a * np.exp(-b * t) + np.expm1(c * t) - np.log1p(a * t),
+    "logarithms": lambda t, a, b, c: np.log(a + t) + np.log10(b + t) * np.log2(c + t),
+    "waves": lambda t, a, b, c: a * np.sin(b * t) + np.cos(c * t) * np.tan(0.3 * t),
+    "arcs": lambda t, a, b, c: np.arctan(a * t) + np.arcsin(t / (4 + b)) + np.arccos(t / (4 + c)),
+    "hyperbolas": lambda t, a, b, c: np.tanh(a * t) + np.sinh(b * t) - np.cosh(c * t),
+    "inverse hyperbolas": lambda t, a, b, c: (
+        np.arcsinh(a * t) + np.arccosh(1.5 + b * t) + np.arctanh(t / (4 + c))
+    ),
+    "powers": lambda t, a, b, c: (1 + a * t) ** b + c**t + t ** (1 + b) + np.power(1 + t, -2),
+    "roots": lambda t, a, b, c: np.sqrt(a + t) + np.square(b * t) + abs(c - t) ** 3,
+    "bends": lambda t, a, b, c: np.minimum(a * t, b + 0.01) + np.maximum(c * t, 1.003),
+    "planes": lambda t, a, b, c: np.hypot(a * t, b) + np.arctan2(a * t, c + t),
+}
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_values_and_derivatives_are_the_functions(name: str) -> None:
+    """Central differences leave some 1e-10 of a derivative's size, a few digits less at bends."""
+    model = FunctionModel(FORMULAS[name], columns=("t",))
+    formula = model.formula_at(THETAS, t)
+    assert formula is not model
+    np.testing.assert_allclose(
+        formula.predict(THETAS, t), model.predict(THETAS, t), rtol=1e-13, atol=1e-13
+    )
+    for theta in THETAS:
+        exact = formula.jacobian(theta, t)
+        by_differences = central_differences(model, theta, t)
+        size = np.abs(exact).max()
+        np.testing.assert_allclose(exact, by_differences, rtol=1e-7, atol=1e-8 * size)
+
+
+def _kept(t: Any, a: Any, b: Any) -> Any:
+    total = a * t
+    copy = total
+    copy += b
+    return total
+
+
+OTHERS: dict[str, Callable[..., Any]] = {
+    "a mean": lambda t, a, b: a * (t - np.mean(t)) + b,
+    "a branch on the type": lambda t, a, b: a * t + b * isinstance(t, np.ndarray),
+    "an attribute": lambda t, a, b: a * t + b * hasattr(t, "shape"),
+    "a sum": lambda t, a, b: a * t / np.sum(t) + b,
+    "a condition": lambda t, a, b: np.where(t > 1, a * t, b),
+    "a size": lambda t, a, b: a * t + b * np.size(t),
+    "a change in place": _kept,
+    "a norm": lambda t, a, b: a * t / np.linalg.norm(t) + b,
+    "no derivative where there is a value": lambda t, a, b: a * np.exp(b * np.log(t)),
+}
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_what_is_more_than_a_formula_is_taken_as_it_is(name: str) -> None:
+    function = OTHERS[name]
+    with np.errstate(divide="ignore"):
+        y = np.asarray(function(t, 1.5, 0.7), dtype=float)
+        fit = miho.fit(function, t, y, {"a": (0.1, 5), "b": (0.1, 5)}, compiled=False)
+    assert fit.error == pytest.approx(0, abs=1e-6 * np.abs(y).max())
+
+
+def test_a_symbol_has_no_value() -> None:
+    x = argument("x0")
+    refused: tuple[Callable[[Any], Any], ...] = (
+        lambda x: 1 if x > 0 else 2, lambda x: x == 1, float, len, list, np.asarray, np.mean,
+    )  # fmt: skip
+    for function in refused:
+        with pytest.raises(NotAFormulaError):
+            trace(function, x)
+    assert trace(lambda x: 3, x).number == 3
+
+
+FINITE: dict[str, tuple[Callable[..., Any], dict[str, float], dict[str, tuple[float, float]]]] = {
+    "a logistic that overflows": (
+        lambda t, a, b, c: a / (1 + np.exp(-b * (300 * t - c))),
+        {"a": 2.0, "b": 0.02, "c": 400.0}, {"a": (0, 5), "b": (0, 10), "c": (0, 900)},
+    ),
+    "an arc of what is clamped": (
+        lambda t, a, b: b * np.arcsin(np.minimum(a * t, 1.0)),
+        {"a": 0.7, "b": 2.0}, {"a": (0.1, 5), "b": (0, 9)},
+    ),
+    "a power at 0": (
+        lambda t, a, b: a * t**b, {"a": 0.7, "b": 1.6}, {"a": (0.1, 5), "b": (0.1, 9)},
+    ),
+    "a root at 0": (
+        lambda t, a, b: b * np.sqrt(a * t), {"a": 0.7, "b": 1.6}, {"a": (0.1, 5), "b": (1.5, 1.7)},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FINITE)
+def test_a_fit_needs_no_more_than_finite_values(name: str) -> None:
+    """Where differences give a derivative, formulas must give one too, or leave it to them."""
+    function, truth, box = FINITE[name]
+    y = function(t, *truth.values())
+    fit = miho.fit(function, t, y, box, compiled=False)
+    assert fit.error <= 1e-6 * np.abs(y).max()
+
+
+def test_a_negative_base_has_whole_powers() -> None:
+    n = np.arange(12.0)
+    fit = miho.fit(
+        lambda n, c, r: c * r**n, n, 2 * (-0.7) ** n, {"c": (0, 5), "r": (-0.99, 0.99)},
+        compiled=False,
+    )  # fmt: skip
+    assert fit.values == pytest.approx({"c": 2.0, "r": -0.7}, rel=1e-6)
+
+
+def test_linear_parameters_are_found_and_bends_are_not_taken_for_lines() -> None:
+    a, b, c, x = (argument(name) for name in ("p0", "p1", "p2", "x0"))
+    cases: dict[str, tuple[Any, list[int]]] = {
+        "a peak": (a * np.exp(-b * x) + c, [0, 2]),
+        "a product": (a * (x + b) + c, [0, 2]),
+        "a sign": (a + b * np.sign(x - c), [0, 1]),
+        "a bend": (np.minimum(a * x, 1) + b, [1]),
+        "none": (np.exp(a + b) * np.exp(c), []),
+    }
+    for name, (graph, expected) in cases.items():
+        assert jointly_linear(graph, [a, b, c]) == expected, name

@@ -1,0 +1,89 @@
+"""Tied models against the same written out, and limits against constrained least squares."""
+
+from __future__ import annotations
+
+import pickle
+
+import numpy as np
+import pytest
+
+import miho
+from miho.models import Pacejka
+from miho.models.model import central_differences
+from miho.models.tied import TiedModel, Ties, tie, whole_model
+
+ALPHA = np.linspace(-0.2, 0.2, 21)
+VALUES = {"B": 12.0, "C": 1.5, "D": 4000.0, "Sx": 0.003, "Sy": 10.0}
+
+
+@pytest.mark.parametrize(
+    ("ties", "linear"),
+    [
+        ({"C": 1.6}, ("D", "Sy")),
+        ({"Sy": "100 * Sx"}, ("D",)),
+        ({"Sy": "2 * D"}, ("D",)),
+        ({"C": "1 + B / 30", "Sy": "D * 0.01 + 3"}, ("D",)),
+        ({"D": "exp(Sy / 10)"}, ()),
+        ({"D": "B * 300", "B": "8 * C"}, ("Sy",)),
+    ],
+)
+def test_a_tied_model_is_the_whole_one_at_tied_values(ties, linear: tuple[str, ...]) -> None:
+    model = Pacejka()
+    free = {name: unit for name, unit in model.parameters.items() if name not in ties}
+    tied = tie(model, Ties(tuple(model.parameters), free, ties))
+    theta = np.array([VALUES[name] for name in free])
+    whole = tied.ties.whole(theta[None])  # type: ignore[attr-defined]
+    assert np.array_equal(tied.predict(theta[None], ALPHA), model.predict(whole, ALPHA))
+    J = tied.jacobian(theta, ALPHA)
+    np.testing.assert_allclose(
+        J, central_differences(tied, theta, ALPHA), rtol=1e-6, atol=1e-8 * np.abs(J).max()
+    )
+    assert tied.linear == linear
+    by_numpy = TiedModel(model, tied.ties)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(by_numpy.jacobian(theta, ALPHA), J, rtol=1e-10)
+    assert whole_model(tied) is model
+    copy = pickle.loads(pickle.dumps(tied))
+    assert np.array_equal(copy.predict(theta[None], ALPHA), tied.predict(theta[None], ALPHA))
+
+
+@pytest.mark.parametrize(
+    ("ties", "message"),
+    [
+        ({"B": "C", "C": "B"}, "B -> C -> B is a cycle"),
+        ({"B": "q + 1"}, "has no parameter q"),
+        ({"B": "C +"}, "is no expression"),
+        ({"B": "__import__('os')"}, "is not allowed"),
+        ({"B": "C.real"}, "'C.real' is not allowed"),
+        ({"B": "[C][0]"}, "is not allowed"),
+        ({"B": "C if C else 1"}, "is not allowed"),
+        ({"B": "1" * 400}, "a number that is too large"),
+        ({"B": "1 / 0"}, "expected a finite number"),
+        ({"B": "True"}, "is not allowed"),
+        ({"B": "(" * 300 + "C" + ")" * 300}, "is no expression|nested too deep"),
+        ({"B": "C" + " + C" * 1000}, "is no expression"),
+    ],
+)
+def test_only_arithmetic_is_an_expression(ties: dict[str, str], message: str) -> None:
+    free = {name: "" for name in VALUES if name not in ties}
+    with pytest.raises(ValueError, match=message) as caught:
+        Ties(tuple(VALUES), free, ties)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_limit_that_is_active_is_followed(seed: int) -> None:
+    """Shares that sum to 1, the third truly 0: its limit holds, and the others' optimum along it is
+    that of one unknown, in closed form."""
+    A = np.random.default_rng(3).random((50, 3))
+    y = A @ [0.6, 0.4, 0.0] + 0.02 * np.random.default_rng(seed).standard_normal(50)
+    fit = miho.fit(
+        lambda x, y, z, a, b, c: a * x + b * y + c * z, tuple(A.T), y,
+        dict.fromkeys("abc", (0, 1)), tied={"c": "1 - a - b"}, compiled=False,
+    )  # fmt: skip
+    X = np.stack([A[:, 0] - A[:, 2], A[:, 1] - A[:, 2]], axis=1)
+    a, b = np.linalg.lstsq(X, y - A[:, 2], rcond=None)[0]
+    if a + b > 1:  # then on the line a + b = 1
+        a = float(np.linalg.lstsq((A[:, 0] - A[:, 1])[:, None], y - A[:, 1], rcond=None)[0][0])
+        b = 1 - a
+        assert "c ends at its limit 0" in fit.optimum
+    assert [fit.values["a"], fit.values["b"]] == pytest.approx([a, b], abs=1e-4)
