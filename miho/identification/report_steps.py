@@ -66,6 +66,11 @@ def make_report(
     """
     if not 0 < level < 1:
         raise ValueError(f"level is {level!r}; expected between 0 and 1, such as 0.95")
+    if replicates and problem.prior is not None:
+        raise ValueError(
+            f"replicates is {replicates}: rows that are drawn anew say nothing of priors; leave the "
+            "bootstrap out, profile intervals allow for them"
+        )
     deadline = Deadline(time.perf_counter() + seconds)
 
     # The optimum near the run's result, or near the better result of a check.

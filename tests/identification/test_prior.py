@@ -75,14 +75,14 @@ def test_intervals_hold_truths_that_are_drawn_from_the_prior() -> None:
     assert 0.905 <= inside / 400 <= 0.994
 
 
-def test_refits_of_a_report_keep_the_prior() -> None:
+def test_a_bootstrap_beside_priors_is_refused_and_the_sandwich_is_like_the_covariance() -> None:
     y = decay(t, 2.0, 1.5) + SIGMA * rng.standard_normal(40)
-    space = {"a": (0, 5), "b": {"low": 0, "high": 10, "prior": (1.5, 1e-4)}}
+    space = {"a": (0, 5), "b": {"low": 0, "high": 10, "prior": (1.5, 1e-2)}}
     fit = miho.fit(decay, t, y, space, sigma=SIGMA, compiled=False)
-    report = make_report(fit.problem, fit.theta, replicates=50)
-    assert report.replicates is not None
-    assert np.ptp(report.replicates[:, 1]) < 1e-3
-    assert np.ptp(report.replicates[:, 0]) > 0.01
+    with pytest.raises(ValueError, match="say nothing of priors; leave the bootstrap out"):
+        make_report(fit.problem, fit.theta, replicates=50)
+    at = fit.uncertainty
+    assert np.sqrt(at.sandwich[1, 1]) == pytest.approx(at.standard_errors[1], rel=0.1)
 
 
 @pytest.mark.parametrize(
