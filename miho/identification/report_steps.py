@@ -68,7 +68,7 @@ def make_report(
         raise ValueError(f"level is {level!r}; expected between 0 and 1, such as 0.95")
     if replicates and problem.prior is not None:
         raise ValueError(
-            f"replicates is {replicates}: rows that are drawn anew say nothing of priors; leave the "
+            f"replicates is {replicates}: rows drawn anew say nothing of priors; leave the "
             "bootstrap out, profile intervals allow for them"
         )
     deadline = Deadline(time.perf_counter() + seconds)
