@@ -125,6 +125,14 @@ def test_a_model_of_ours_and_a_data_frame() -> None:
     assert fit.parameters["unit"].tolist() == ["1/rad", "-", "N", "rad", "N"]
 
 
+def test_columns_may_stand_anywhere_and_be_called_as_parameters_are() -> None:
+    frame = pd.DataFrame({"b": 0.0, "V": y, "t": t})
+    swapped = miho.fit(lambda a, t, b: decay(t, a, b), frame, "V", BOX, compiled=False)
+    assert swapped.values == pytest.approx(miho.fit(decay, t, y, BOX, compiled=False).values)
+    with pytest.raises(ValueError, match="x has the columns b, V; none is an argument"):
+        miho.fit(decay, frame[["b", "V"]], "V", BOX)
+
+
 def test_a_fit_is_pickled_printed_and_drawn() -> None:
     fit = miho.fit(decay, t, y, BOX, compiled=False)
     copy = pickle.loads(pickle.dumps(fit))

@@ -61,7 +61,8 @@ def fit_many(
     import pandas as pd
 
     keys, parts = _parts(x, y, by)
-    first, chosen, _ = data_of(model, *parts[0], None)
+    named = space.names if isinstance(space, Space) else tuple(space)
+    first, chosen, _ = data_of(model, *parts[0], None, {*named, *(fixed or ()), *(tied or ())})
     bounds = space_of(chosen, space, None, fixed or {}, tied or {})
     problem = CurveFit(chosen, first, bounds, compiled=False)
     columns = [list(inputs_of(chosen, columns).values()) for columns, _ in parts]

@@ -80,7 +80,9 @@ def fit(
 
     Raises ValueError for what does not fit together, and where no finite value was found.
     """
-    dataset, chosen, sigma = data_of(model, x, y, sigma)
+    named = space.names if isinstance(space, Space) else tuple(space or ())
+    parameters = {*named, *(start or ()), *(fixed or ()), *(tied or ())}
+    dataset, chosen, sigma = data_of(model, x, y, sigma, parameters)
     bounds = space_of(chosen, space, start, fixed or {}, tied or {})
     rho = Square() if loss is None else loss
     if compiled is None and start is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,13 @@ FAR = 1e6
 """A parameter without bounds is sought so many times its start on either side of it."""
 
 
-def data_of(model: Any, x: Any, y: Any, sigma: Any) -> tuple[Dataset, Model, str | float | None]:
-    """The dataset, the model with the units that its function declares, and sigma as it has it."""
+def data_of(
+    model: Any, x: Any, y: Any, sigma: Any, parameters: Collection[str] = ()
+) -> tuple[Dataset, Model, str | float | None]:
+    """The dataset, the model with the units that its function declares, and sigma as it has it.
+
+    `parameters` are known to be no columns, even where `x` has some of their names.
+    """
     by_name = isinstance(x, Mapping) or hasattr(x, "columns")
     if isinstance(y, str):
         if not by_name or y not in x:
@@ -27,7 +32,7 @@ def data_of(model: Any, x: Any, y: Any, sigma: Any) -> tuple[Dataset, Model, str
     else:
         output, values = "y", y
     if not isinstance(model, Model):
-        model = FunctionModel(model, columns=_column_names(model, x))
+        model = FunctionModel(model, columns=_column_names(model, x, parameters))
     inputs = inputs_of(model, x)
     while output in inputs:
         output += "_"
@@ -49,7 +54,7 @@ def data_of(model: Any, x: Any, y: Any, sigma: Any) -> tuple[Dataset, Model, str
     return Dataset(model.name or "data", columns, units, output), model, sigma
 
 
-def _column_names(function: Any, x: Any) -> tuple[str, ...]:
+def _column_names(function: Any, x: Any, parameters: Collection[str]) -> tuple[str, ...]:
     """Which arguments of a function are columns: those before the *, else as many as x has."""
     try:
         arguments = inspect.signature(function).parameters
@@ -58,7 +63,13 @@ def _column_names(function: Any, x: Any) -> tuple[str, ...]:
     if any(a.kind is a.KEYWORD_ONLY for a in arguments.values()):
         return ()
     if isinstance(x, Mapping) or hasattr(x, "columns"):
-        return tuple(name for name in arguments if name in x)
+        names = tuple(name for name in arguments if name in x and name not in parameters)
+        if not names:
+            raise ValueError(
+                f"x has the columns {', '.join(map(str, x))}; none is an argument of the model "
+                f"({', '.join(arguments)}) without bounds"
+            )
+        return names
     return tuple(arguments)[: len(x) if isinstance(x, tuple) else 1]
 
 

@@ -188,9 +188,11 @@ class FunctionModel(DifferencedModel):
         """The function's result, which must be real numbers; ValueError if it is not, or raises."""
         try:
             with np.errstate(all="ignore"):
-                result = self.function(
-                    *columns, **dict(zip(self.parameters, parameters, strict=True))
-                )
+                named = dict(zip(self.parameters, parameters, strict=True))
+                if self.columns:  # which may stand between parameters
+                    named |= dict(zip(self.inputs, columns, strict=True))
+                    columns = ()
+                result = self.function(*columns, **named)
             values = np.asarray(result)
         except MemoryError:
             raise
@@ -237,8 +239,11 @@ class FunctionFormula(TracedExpression):
     @cached_property
     def graph(self) -> Symbol:
         """The function's result; raises NotAFormulaError for one that is no formula."""
-        theta = dict(zip(self.parameters, self.arguments, strict=True))
-        return trace(self.function.function, *self.columns, **theta)
+        named = dict(zip(self.parameters, self.arguments, strict=True))
+        if self.function.columns:
+            named |= dict(zip(self.inputs, self.columns, strict=True))
+            return trace(self.function.function, **named)
+        return trace(self.function.function, *self.columns, **named)
 
     @cached_property
     def linear(self) -> tuple[str, ...]:  # type: ignore[override]
