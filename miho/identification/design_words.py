@@ -165,7 +165,7 @@ def _half_width(row: dict[Hashable, Any], state: str, in_percent: bool) -> str:
 
 
 def _unit(unit: str) -> str:
-    return "" if unit == "-" else f" {unit}"
+    return f" {unit}" if unit.strip("-") else ""
 
 
 def _two_digits(value: float) -> str:

@@ -142,7 +142,7 @@ class Design:
             "chosen": self.chosen[list(inputs)],
         }
         frame = pd.concat([part.assign(row=name) for name, part in parts.items()])
-        names = {name: f"{name} [{unit}]" for name, unit in inputs.items()}
+        names = {name: f"{name} [{unit}]" if unit else name for name, unit in inputs.items()}
         return frame.rename(columns=names).reset_index(drop=True)
 
     def __str__(self) -> str:

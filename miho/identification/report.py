@@ -299,7 +299,7 @@ class Report:
 
     def __repr__(self) -> str:
         """One line: of which problem, with which error."""
-        error = f"error {self.error:.5g} {self.problem.unit}"
+        error = f"error {self.error:.5g} {self.problem.unit}".rstrip()
         return f"<Report of {self.problem.name}: {', '.join(self.problem.space.names)}; {error}>"
 
     def __str__(self) -> str:
@@ -308,7 +308,7 @@ class Report:
         kind = next(kind for kind in kinds if f"{kind} low" in self.parameters)
         columns = ["parameter", "value", "unit", "standard error", f"{kind} low", f"{kind} high"]
         table = self.parameters[columns].to_string(index=False, float_format="%.5g")
-        error = f"error: {self.error:.5g} {self.problem.unit}"
+        error = f"error: {self.error:.5g} {self.problem.unit}".rstrip()
         return "\n\n".join([table, "\n".join([error, *(f"- {note}" for note in self.notes)])])
 
     @property

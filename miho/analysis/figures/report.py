@@ -39,7 +39,12 @@ class Column:
     @property
     def label(self) -> str:
         """Name and unit, as on an axis."""
-        return f"{self.name} [{self.unit}]" if self.unit else self.name
+        return in_unit(self.name, self.unit)
+
+
+def in_unit(name: str, unit: str) -> str:
+    """A name as on an axis, without brackets where no unit is known."""
+    return f"{name} [{unit}]" if unit else name
 
 
 def fit_figure(
@@ -121,7 +126,7 @@ def waterfall_figure(
         else:
             middle, half = (low + high) / 2, 0.6 * max(high - low, LEAST_RANGE * high)
             ax.set_ylim(middle - half, middle + half)
-        ax.set(xlabel=f"{kind}, the best first", ylabel=f"error [{unit}]")
+        ax.set(xlabel=f"{kind}, the best first", ylabel=in_unit("error", unit))
         ax.set_xlim(0.5, len(errors) + 0.5)
         ax.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1, steps=[1, 2, 5, 10]))
         figure.legend(*ax.get_legend_handles_labels(), loc="outside upper right", ncols=3)
@@ -191,7 +196,7 @@ def profile_figure(
             ax.axhline(-quantile, color="#888888", linewidth=0.7, linestyle="--")
             ax.axhline(quantile, color="#888888", linewidth=0.7, linestyle="--")
             ax.plot(values, tau, color=BLUE, marker="o", markersize=2.5, linewidth=1.2)
-            ax.set(xlabel=f"{name} [{units[name]}]")
+            ax.set(xlabel=in_unit(name, units[name]))
             ax.locator_params(axis="x", nbins=4)
         for ax in panels[len(profiles) :]:
             ax.remove()
