@@ -133,6 +133,17 @@ def test_columns_may_stand_anywhere_and_be_called_as_parameters_are() -> None:
         miho.fit(decay, frame[["b", "V"]], "V", BOX)
 
 
+def test_errors_that_drift_widen_intervals_and_it_is_said() -> None:
+    drift = np.zeros(60)
+    for k in range(1, 60):  # a first-order autoregression of 0.9
+        drift[k] = 0.9 * drift[k - 1] + 0.05 * noise[k]
+    fit = miho.fit(decay, t, decay(t, 2.0, 1.5) + drift, BOX, compiled=False)
+    assert "intervals allow for errors that depend" in str(fit)
+    assert "intervals allow" not in str(miho.fit(decay, t, y, BOX, compiled=False))
+    plain = fit.uncertainty.independent.standard_errors
+    assert (fit.parameters["standard_error"].to_numpy() > 1.2 * plain).all()
+
+
 def test_a_fit_is_pickled_printed_and_drawn() -> None:
     fit = miho.fit(decay, t, y, BOX, compiled=False)
     copy = pickle.loads(pickle.dumps(fit))

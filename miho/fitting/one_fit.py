@@ -215,7 +215,18 @@ class Fit(Remade):
         rows = len(self.problem.dataset)
         error = f"error {self.error:.5g} {self.problem.unit}".rstrip()
         weights = "" if self.problem.weights is None else ", weighted by sigma"
-        return f"{table}\n{error} (root mean square of {rows:,} rows{weights}); {self.optimum}"
+        alike = "; intervals allow for errors that depend on those of neighbouring rows"
+        return (
+            f"{table}\n{error} (root mean square of {rows:,} rows{weights}); {self.optimum}"
+            f"{alike * self._dependent}"
+        )
+
+    @property
+    def _dependent(self) -> bool:
+        try:
+            return self.uncertainty.dependence is not None
+        except ValueError:  # too few rows to tell
+            return False
 
     def __repr__(self) -> str:
         """As it is printed, so that an interpreter shows it."""
