@@ -7,9 +7,12 @@ engine              curves and map of the engine against the true one
 ert                 expected running times against those of iohinspector
 false_ends          how often `miho_gn` agrees on a wrong optimum
 mf61_lateral        27 coefficients of MF 6.1 from noisy samples
+next_measurement    that advised rows narrow intervals as much as the best of random ones
+nist                digits of parameters and standard errors on NIST's problems, beside others'
 optima              the best known optimum of each problem, found anew
 published_problems  writes conf/problem of the published problems by their rule
 row_order           what the first rows of an order determine
+stated_coverage     the same as coverage, with ties, priors, sigma and several data sets
 
 What takes seconds of it is a test as well, in tests/experiments/test_check.py.
 """

@@ -1,0 +1,123 @@
+"""How often 95 % intervals hold the truth where a problem has ties, priors, sigma or several parts.
+
+python -m experiments.check.stated_coverage [--sets 500]   # some minutes
+
+Each data set is a decay of 40 rows with normal noise. `tied`: two terms, the second rate tied to
+the first and a gap, one amplitude fixed. `sigma`: rows of which half have ten times the noise, as
+stated. `prior`: a rate with a log-normal prior, from which each set's truth is drawn. `two sets`
+share the rate, with amplitudes of their own and unequal noise, which is stated or is estimated.
+Linearised intervals on all, profile intervals where the parameter is free; the search of `two sets`
+is `fit_joint`'s own, of the others a descent from the truth.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.stats import binomtest
+from tqdm import tqdm
+
+import miho
+from miho import Fit, Part
+from miho.optim.seeds import stream
+from miho.quantities import Array
+
+T = np.linspace(0, 2, 40)
+NOISE = 0.05
+Truth = dict[str, float]
+
+
+def decay(t: Array, a: float, b: float) -> Array:
+    """A decay."""
+    return a * np.exp(-b * t)
+
+
+def two(t: Array, a: float, b: float, c: float, d: float) -> Array:
+    """Two of them."""
+    return decay(t, a, b) + decay(t, c, d)
+
+
+def tied(rng: np.random.Generator) -> tuple[Fit, Truth]:
+    """A rate tied to another and a gap, and an amplitude fixed."""
+    truth = {"a": 1.0, "b": 0.7, "d": 3.7, "gap": 3.0}
+    y = two(T, 1.0, 0.7, 2.0, 3.7) + NOISE * rng.standard_normal(T.size)
+    start = {name: truth[name] for name in ("a", "b", "gap")}
+    bounds = {"a": (0, 5), "b": (0, 5), "gap": (0, 20)}
+    fit = miho.fit(two, T, y, bounds, start=start, fixed={"c": 2.0}, tied={"d": "b + gap"})
+    return fit, truth
+
+
+def sigma(rng: np.random.Generator) -> tuple[Fit, Truth]:
+    """Rows of unequal, stated noise."""
+    truth = {"a": 2.0, "b": 1.5}
+    deviation = np.where(np.arange(T.size) % 2, NOISE, 10 * NOISE)
+    y = decay(T, **truth) + deviation * rng.standard_normal(T.size)
+    return miho.fit(decay, T, y, {"a": (0, 9), "b": (0, 9)}, sigma=deviation, start=truth), truth
+
+
+def prior(rng: np.random.Generator) -> tuple[Fit, Truth]:
+    """A rate that is drawn from its prior."""
+    truth = {"a": 2.0, "b": 1.5 * float(np.exp(0.15 * rng.standard_normal()))}
+    y = decay(T, **truth) + 4 * NOISE * rng.standard_normal(T.size)
+    rate = {"low": 0.01, "high": 50, "scale": "log", "prior": (1.5, 0.15)}
+    fit = miho.fit(decay, T, y, {"a": (0, 9), "b": rate}, sigma=4 * NOISE, start=truth)
+    return fit, truth
+
+
+def joint(rng: np.random.Generator, stated: bool) -> tuple[Fit, Truth]:
+    """Two sets that share a rate."""
+    truth = {"a_left": 2.0, "a_right": 3.0, "b": 1.5}
+    parts = {}
+    for name, rows, deviation in (("left", T, NOISE), ("right", T[::2], 4 * NOISE)):
+        y = decay(rows, truth[f"a_{name}"], 1.5) + deviation * rng.standard_normal(rows.size)
+        parts[name] = Part(decay, rows, y, deviation if stated else None)
+    return miho.fit_joint(parts, {"a": (0, 9), "b": (0, 9)}, local=["a"]), truth
+
+
+CASES: dict[str, Callable[[np.random.Generator], tuple[Fit, Truth]]] = {
+    "tied": tied,
+    "sigma": sigma,
+    "prior": prior,
+    "two sets, sigma stated": lambda rng: joint(rng, stated=True),
+    "two sets, sigma estimated": lambda rng: joint(rng, stated=False),
+}
+
+
+def coverage(case: str, sets: int) -> list[dict[str, Any]]:
+    """A row for each parameter."""
+    hits: dict[tuple[str, str], list[bool]] = {}
+    for number in tqdm(range(sets), desc=case, disable=None):
+        fit, truth = CASES[case](stream("stated", case, number))
+        table = fit.parameters
+        profiles = fit.report(profiles=True).parameters.set_index("parameter")
+        for name, value in truth.items():
+            low, high = map(float, table.loc[name, ["low", "high"]])
+            hits.setdefault((name, "linearised"), []).append(low <= value <= high)
+            if name in profiles.index:
+                low, high = map(float, profiles.loc[name, ["profile low", "profile high"]])
+                hits.setdefault((name, "profile"), []).append(low <= value <= high)
+    rows: dict[str, dict[str, Any]] = {}
+    for (name, kind), inside in hits.items():
+        share = binomtest(sum(inside), len(inside)).proportion_ci()
+        text = f"{100 * np.mean(inside):.1f} % [{100 * share.low:.0f}, {100 * share.high:.0f}]"
+        rows.setdefault(name, {"case": case, "parameter": name})[kind] = text
+    return list(rows.values())
+
+
+def main() -> None:
+    """Print a row for each parameter of each case."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--sets", type=int, default=500)
+    arguments = parser.parse_args()
+    rows = [row for case in CASES for row in coverage(case, arguments.sets)]
+    print("Share of data sets whose nominal 95 % interval holds the truth, with the interval of")
+    print("that share for so many sets (Clopper and Pearson):\n")
+    print(pd.DataFrame(rows).fillna("-").to_string(index=False))
+
+
+if __name__ == "__main__":
+    main()
