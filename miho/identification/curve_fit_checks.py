@@ -110,7 +110,12 @@ def _check_prior(problem: CurveFit) -> None:
 
 
 def traced_where_alike(model: FunctionModel, dataset: Dataset, space: Space) -> Model:
-    """The function as a formula, if both give the same on the data at some configurations."""
+    """The function as a formula, if both give the same on the data at some configurations.
+
+    One that was read from a file is called for each evaluation, whatever else it does.
+    """
+    if model.source is not None:
+        return model
     lacking = [name for name in model.inputs if name not in dataset.columns]
     if lacking:
         return model  # which is refused

@@ -19,7 +19,7 @@ from miho.compiled.elementary import atan, cos, sin
 
 MOST = 5000
 """Operations at most: the compiler takes longer than the model for more."""
-TINY, HUGE = 1e-100, 1e150
+TINY, HUGE = 1e-100, 1e300
 """Beside a branch point derivatives are those at this distance, so that 0 times them is 0."""
 
 
