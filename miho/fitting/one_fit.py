@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -105,7 +106,13 @@ def searched(
     seed: int = 0,
 ) -> Fit:
     """The optimum of a problem, by `MIHOGN()` unless another method is given."""
-    run = minimize(method or MIHOGN(), problem, budget, seed, rehearse=False)
+    method = method or MIHOGN()
+    if problem.kernel is not None and method.uncompiled:
+        sys.stderr.write(
+            "miho: compiling the search, once on this machine, for about half a minute "
+            "(compiled=False does without)\n"
+        )
+    run = minimize(method, problem, budget, seed, rehearse=False)
     if run.theta is None:
         raise ValueError(f"{problem.name}: no finite value was found: {run.error or run.rejected}")
     return Fit(problem, refit(problem, run.theta).theta, run.theta, run.descents)
