@@ -61,9 +61,9 @@ def fit_joint(
     stated = {name: Part(*part) for name, part in parts.items()}
     if len(stated) < 2:
         raise ValueError(f"{len(stated)} part; give at least two, or use miho.fit")
-    given = [part.sigma is not None for part in stated.values()]
-    if any(given) and not all(given):
-        lacking = [name for name, has in zip(stated, given, strict=True) if not has]
+    has_sigma = [part.sigma is not None for part in stated.values()]
+    if any(has_sigma) and not all(has_sigma):
+        lacking = [name for name, has in zip(stated, has_sigma, strict=True) if not has]
         raise ValueError(f"{', '.join(lacking)}: lacks sigma, which other parts have; give it too")
     datasets, members = [], []
     for name, part in stated.items():
@@ -83,11 +83,11 @@ def fit_joint(
             ranges = Space(tuple(replace(named[joint], name=name) for name, joint in own))
             members[k] = member._replace(model=traced_where_alike(member.model, dataset, ranges))
     model = JointModel(tuple(members))
-    sigma = [np.asarray(p.sigma, dtype=float) for p in stated.values()] if all(given) else None
+    sigma = [np.asarray(p.sigma, dtype=float) for p in stated.values()] if all(has_sigma) else None
     start = None
     if sigma is None:
         sigma, start = _estimated(model, datasets, bounds, method, budget, seed)
-    problem = _problem(model, datasets, bounds, sigma, known=all(given))
+    problem = _problem(model, datasets, bounds, sigma, known=all(has_sigma))
     if start is None:
         fit = searched(problem, method, budget, seed)
     else:
@@ -108,11 +108,11 @@ class JointFit(Fit):
         if name not in names:
             raise ValueError(f"no part {name!r}; choose from {', '.join(names)}")
         part, rows = model.parts[names.index(name)], self.problem.dataset
-        mine = rows[PART] == names.index(name)
-        columns = {key: rows[key][mine] for key in (*part.model.inputs, rows.output)}
+        of_part = rows[PART] == names.index(name)
+        columns = {key: rows[key][of_part] for key in (*part.model.inputs, rows.output)}
         units = {**part.model.inputs, rows.output: part.model.output}
         stated, slopes = stated_parameters(self.problem, self.uncertainty)
-        places = [[one.name for one in stated].index(p) for p in part.parameters]
+        places = [[parameter.name for parameter in stated].index(p) for p in part.parameters]
         values, own = np.array([stated[k].value for k in places]), slopes[places]
         # The space only says that these values are inside.
         parameters = zip(part.model.parameters.items(), values, strict=True)
@@ -143,14 +143,14 @@ def _with_local(
     space: Space | Mapping[str, Any], local: Collection[str], parts: list[JointPart]
 ) -> dict[str, Any]:
     """Bounds by name, those of a local parameter under the name of each part's own."""
-    given: dict[str, Any] = dict(space) if isinstance(space, Mapping) else {}
+    ranges: dict[str, Any] = dict(space) if isinstance(space, Mapping) else {}
     if isinstance(space, Space):
-        given = {parameter.name: parameter for parameter in space.parameters}
-    bounds = {name: value for name, value in given.items() if name not in local}
+        ranges = {parameter.name: parameter for parameter in space.parameters}
+    bounds = {name: value for name, value in ranges.items() if name not in local}
     for part in parts:
         for name in part.model.parameters:
-            if name in local and name in given:
-                value = given[name]
+            if name in local and name in ranges:
+                value = ranges[name]
                 if isinstance(value, Parameter):
                     value = replace(value, name=f"{name}_{part.name}")
                 bounds.setdefault(f"{name}_{part.name}", value)

@@ -114,10 +114,10 @@ def space_of(
 
     Parameters without bounds reach FAR times their start to either side.
     """
-    given = bounds if isinstance(bounds, Mapping) else {}
+    ranges = bounds if isinstance(bounds, Mapping) else {}
     if isinstance(bounds, Space):
-        given = {parameter.name: parameter for parameter in bounds.parameters}
-    names = list(dict.fromkeys([*model.parameters, *given]))
+        ranges = {parameter.name: parameter for parameter in bounds.parameters}
+    names = list(dict.fromkeys([*model.parameters, *ranges]))
     for name in fixed:
         if name in tied:
             raise ValueError(f"{name} is fixed to {fixed[name]!r} and tied to {tied[name]!r}")
@@ -128,7 +128,7 @@ def space_of(
     parameters = []
     for name in names:
         unit = model.parameters.get(name, "")
-        settings = _settings(name, given.get(name))
+        settings = _settings(name, ranges.get(name))
         if name in fixed:
             settings |= {"fixed": float(fixed[name])}
         elif name in tied:
@@ -161,16 +161,16 @@ def _held(settings: Mapping[str, Any]) -> bool:
     )
 
 
-def _settings(name: str, given: Any) -> dict[str, Any]:
+def _settings(name: str, bounds: Any) -> dict[str, Any]:
     """The settings of a parameter from the forms that they may have."""
-    if given is None:
+    if bounds is None:
         return {}
-    if isinstance(given, Parameter):
-        return vars(given).copy()
-    if isinstance(given, Mapping):
-        return dict(given)
-    if isinstance(given, np.ndarray):
-        given = given.tolist()
-    if isinstance(given, Sequence) and not isinstance(given, str) and len(given) == 2:
-        return {"low": float(given[0]), "high": float(given[1])}
-    raise ValueError(f"bounds of {name} are {given!r}; expected (low, high), such as (0, 10)")
+    if isinstance(bounds, Parameter):
+        return vars(bounds).copy()
+    if isinstance(bounds, Mapping):
+        return dict(bounds)
+    if isinstance(bounds, np.ndarray):
+        bounds = bounds.tolist()
+    if isinstance(bounds, Sequence) and not isinstance(bounds, str) and len(bounds) == 2:
+        return {"low": float(bounds[0]), "high": float(bounds[1])}
+    raise ValueError(f"bounds of {name} are {bounds!r}; expected (low, high), such as (0, 10)")

@@ -54,7 +54,7 @@ the search for nearest neighbours takes longer the more inputs there are."""
 REMEMBERED = 1 << 20
 """Numbers of errors to remember for the derivatives of a robust loss at the same configurations."""
 WORTH_COMPILING = 20_000
-"""Rows from which on a search with a function of the user's takes longer than compiling it."""
+"""Rows from which on a search by NumPy takes seconds, as compiling a user's function does."""
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
 

@@ -180,7 +180,7 @@ def ties_of(model: Model, space: Space) -> Ties:
 def _check_limits(ties: Ties, free: Space) -> None:
     """Refuse limits of tied parameters that none of many configurations keeps."""
     thetas = ties.whole(free.decode(free.initial(DRAWN, "uniform")))
-    kept = np.ones(DRAWN, dtype=bool)
+    within_all = np.ones(DRAWN, dtype=bool)
     for name, (low, high) in ties.limits.items():
         values = thetas[:, ties.parameters.index(name)]
         inside = (values >= low) & (values <= high)
@@ -190,8 +190,8 @@ def _check_limits(ties: Ties, free: Space) -> None:
                 f"{np.nanmax(values):.4g} in the box of the others, never {low:g} to {high:g}; "
                 "widen a range"
             )
-        kept &= inside
-    if not kept.any():
+        within_all &= inside
+    if not within_all.any():
         raise ValueError(
             f"space: {', '.join(ties.limits)} keep their ranges together in none of {DRAWN:,} "
             "configurations; widen a range"

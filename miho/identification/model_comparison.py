@@ -162,25 +162,25 @@ def compare_models(*reports: Report) -> ModelComparison:
 
 def _check_same_data(first: Report, second: Report) -> None:
     """Raise ValueError unless both are of the same rows of the same output."""
-    one, other = first.problem.dataset, second.problem.dataset
-    same = one.output == other.output and first.problem.unit == second.problem.unit
-    if not same or not np.array_equal(one[one.output], other[other.output]):
+    left, right = first.problem.dataset, second.problem.dataset
+    same = left.output == right.output and first.problem.unit == second.problem.unit
+    if not same or not np.array_equal(left[left.output], right[right.output]):
         raise ValueError(
             f"{first.problem.name} and {second.problem.name} are fits of different data "
-            f"({one.output} in {len(one)} rows of {one.name}, {other.output} in {len(other)} of "
-            f"{other.name}); compare models on the same rows of the same output"
+            f"({left.output} in {len(left)} rows of {left.name}, {right.output} in {len(right)} of "
+            f"{right.name}); compare models on the same rows of the same output"
         )
 
 
 def _check_same_sigma(first: Report, second: Report) -> None:
     """Raise ValueError unless both take the errors of the rows for the same."""
-    one, other = first.problem, second.problem
-    same = (one.sigma is None) == (other.sigma is None) and one.sigma_known == other.sigma_known
-    if same and one.sigma is not None and other.sigma is not None:
-        same = one.scale == other.scale and np.array_equal(_weights(one), _weights(other))
+    left, right = first.problem, second.problem
+    same = (left.sigma is None) == (right.sigma is None) and left.sigma_known == right.sigma_known
+    if same and left.sigma is not None and right.sigma is not None:
+        same = left.scale == right.scale and np.array_equal(_weights(left), _weights(right))
     if not same:
         raise ValueError(
-            f"{one.name} and {other.name} have different sigma; compare models with the same"
+            f"{left.name} and {right.name} have different sigma; compare models with the same"
         )
 
 

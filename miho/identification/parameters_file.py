@@ -100,11 +100,13 @@ def _whole(
     stated, slopes = stated_parameters(problem, at)
     values = {}
     quantiles = at.quantiles(slopes, level)
-    for one, quantile in zip(stated[: len(model.parameters)], quantiles, strict=False):
-        reach = quantile * one.standard_error
-        ends = one.value - reach, one.value + reach
-        tied = Value(one.value, model.parameters[one.name], one.standard_error, *ends)
-        values[one.name] = free.get(one.name, tied)
+    for parameter, quantile in zip(stated[: len(model.parameters)], quantiles, strict=False):
+        reach = quantile * parameter.standard_error
+        ends = parameter.value - reach, parameter.value + reach
+        tied = Value(
+            parameter.value, model.parameters[parameter.name], parameter.standard_error, *ends
+        )
+        values[parameter.name] = free.get(parameter.name, tied)
     slopes = slopes[: len(values)]
     covariance = slopes @ at.covariance @ slopes.T
     errors = np.sqrt(np.diag(covariance))

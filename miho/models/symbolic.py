@@ -305,8 +305,8 @@ def written(
     lines += [f"    ({', '.join(names)},) = {tuple_}" for tuple_, names in signature.items()]
     statements, places = assignments(results)
     lines += [f"    {line}" for line, _ in statements]
-    given = ", ".join(places)
-    lines.append(f"    return {given if single else f'({given},)'}")
+    returned = ", ".join(places)
+    lines.append(f"    return {returned if single else f'({returned},)'}")
     return defined(name, lines)
 
 

@@ -78,30 +78,32 @@ class Ties(Remade):
     @cached_property
     def graphs(self) -> tuple[Symbol, ...]:
         """The model's parameters, in its order, as formulas of the free ones."""
-        made: dict[str, Symbol] = dict(zip(self.free, self.arguments, strict=True))
-        return tuple(self._resolved(name, made, ()) for name in self.parameters)
+        formulas: dict[str, Symbol] = dict(zip(self.free, self.arguments, strict=True))
+        return tuple(self._resolved(name, formulas, ()) for name in self.parameters)
 
     @cached_property
     def arguments(self) -> list[Symbol]:
         """The free parameters."""
         return [argument(f"p{k}") for k in range(len(self.free))]
 
-    def _resolved(self, name: str, made: dict[str, Symbol], above: tuple[str, ...]) -> Symbol:
+    def _resolved(self, name: str, formulas: dict[str, Symbol], above: tuple[str, ...]) -> Symbol:
         """The formula of a parameter; `above` are those whose expressions led here."""
         if name in above:
             cycle = " -> ".join([*above[above.index(name) :], name])
             raise ValueError(f"space.{name}.tied: {cycle} is a cycle; tie to a free parameter")
-        if name not in made:
+        if name not in formulas:
             tie = self.ties[name]
             if isinstance(tie, str):
                 place = f"space.{name}.tied"
-                names = {k: v for k, v in made.items() if k in self.free} | dict.fromkeys(self.ties)
-                made[name] = parsed(
-                    tie, place, names, lambda other: self._resolved(other, made, (*above, name))
+                names = {k: v for k, v in formulas.items() if k in self.free} | dict.fromkeys(
+                    self.ties
+                )
+                formulas[name] = parsed(
+                    tie, place, names, lambda other: self._resolved(other, formulas, (*above, name))
                 )
             else:
-                made[name] = constant(tie)
-        return made[name]
+                formulas[name] = constant(tie)
+        return formulas[name]
 
     @property
     def _signature(self) -> dict[str, list[str]]:
