@@ -11,9 +11,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from miho.compiled.gauss_newton_candidates import (
     AT_KNOWN,
     COPY,
@@ -31,9 +28,9 @@ from miho.compiled.gauss_newton_candidates import (
     Minima,
     views,
 )
-from miho.compiled.triangular import compiled, entry, fold, norm, solve_in_box
+from miho.compiled.triangular import compiled, fold, norm, solve_in_box
 from miho.compiled.workspace import CHUNK, Work, clear, copy
-from miho.quantities import Array, Integers
+from miho.quantities import Array
 
 ACCEPTED, GOOD, POOR = 1e-4, 0.75, 0.25
 """Gain over predicted gain: above the first a trial is taken; above the second the damping falls,
@@ -274,8 +271,9 @@ def nears_known_minimum(
 ) -> bool:
     """Whether a candidate is on its way to a minimum that is known, and no better."""
     near = rules.near * c.loss[i] * m
-    for k in range(minima.loss.size):
-        worse = c.loss[i] >= minima.loss[k] * (1 - rules.better)
+    for k in range(minima.loss.size if rules.ending else 0):
+        loss = minima.sums[k, rules.level] / m
+        worse = minima.determined[k] and c.loss[i] >= loss * (1 - rules.better)
         if worse and square_distance(c, i, minima.x[k], box) <= near:
             return True
     return False
@@ -371,29 +369,3 @@ def is_copy(c: GNCandidates, i: int, j: int, box: GNBox) -> bool:
     if not (modelled and close):
         return False
     return bool(square_distance(c, i, c.x[j], box) <= COPY * c.x.shape[1] * c.loss[i])
-
-
-def distinct(c: GNCandidates, box: GNBox) -> NDArray[np.intp]:
-    """Positions of the candidates, sorted by loss, that are no copies of better ones."""
-    originals = np.empty(c.loss.size, np.intp)
-    return originals[: _distinct(*c[:4], box, originals)]
-
-
-@entry
-def _distinct(
-    numbers: Array,
-    counts: Integers,
-    R: Array,
-    derivatives: Array,
-    box: GNBox,
-    originals: NDArray[np.intp],
-) -> int:
-    c, count = views(numbers, counts, R, derivatives), 0
-    for j in range(c.loss.size):
-        new = True
-        for i in originals[:count]:
-            new = new and not is_copy(c, i, j, box)
-        if new:
-            originals[count] = j
-            count += 1
-    return count

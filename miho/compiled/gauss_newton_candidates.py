@@ -19,6 +19,10 @@ ENTER, SLOPES, READY, TRIED, RECORD, DONE, AT_KNOWN, UNUSABLE = range(8)
 """Stages. A candidate needs next: the residuals where it is (ENTER), the derivatives there, a step,
 the residuals of its trial, or the residuals of a solution whose loss only algebra gave (RECORD). Or
 its descent has ended: at a minimum (DONE), on the way to a known one, or without usable values."""
+PHASE, LEVEL, SIZE, ACTIVE, STORED = range(5)
+"""Where a bracket stands, in the array `place` (5,): its phase; its level; how many candidates it
+has, the first ones; how many of them make steps; of how many rows derivatives are stored (0: they
+are not)."""
 COPY, COPY_LOSS = 0.5, 0.05
 """A candidate is a copy of a better one within this squared distance, in units of d / rows of the
 loss, if their losses differ by less than this share."""
@@ -77,19 +81,18 @@ class GNCandidates(NamedTuple):
         c.stage[:], c.projects[:] = ENTER, projects
         return c
 
-    def take(self, index: Any) -> GNCandidates:
-        """Copies of those that an index array, mask or slice selects, in its order."""
-        return _from_arrays(*(array[index] for array in self[:4]))
+    def first(self) -> GNCandidates:
+        """A copy of the first, without derivatives."""
+        nothing = np.zeros((1, self.x.shape[1] + 1, 0))
+        return _from_arrays(
+            self.numbers[:1].copy(), self.counts[:1].copy(), self.R[:1].copy(), nothing
+        )
 
-    def joined(self, more: GNCandidates) -> GNCandidates:
-        """Copies of these and of `more`, one after the other."""
-        pairs = zip(self[:4], more[:4], strict=True)
-        return _from_arrays(*(np.concatenate(pair) for pair in pairs))
-
-    def with_room_for(self, m: int) -> GNCandidates:
-        """The same with room for the derivatives of m rows."""
-        n, d = self.x.shape
-        return self._replace(derivatives=np.zeros((n, d + 1, m)))
+    def with_derivatives(self, stored: Array, size: int, m: int) -> GNCandidates:
+        """The same with derivatives of m rows of the first `size`, in the numbers `stored`."""
+        n = self.x.shape[1] + 1
+        derivatives = stored[: size * n * m].reshape((size, n, m))
+        return _from_arrays(*self[:3], derivatives)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copied and pickled as views of four arrays, which a tuple of fields would not stay."""
@@ -147,10 +150,43 @@ class GNBox(NamedTuple):
 
 
 class Minima(NamedTuple):
-    """Known minima: x (k, d) in unit coordinates, loss (k,) over the rows of the level."""
+    """Known minima: x (k, d) in unit coordinates, loss (k,), sums of squares over the rows of each
+    level (k, levels), and whether the data determine all parameters there (k,)."""
 
     x: Array
     loss: Array
+    sums: Array
+    determined: NDArray[np.bool_]
+
+
+class GNSettings(NamedTuple):
+    """The settings of the search, of the problem and of one bracket, by which its phases go on.
+
+    The first are those of `MIHOGN`. A loss up to `rounding` is 0, derivatives cost `slope_cost`
+    evaluations, and residuals are `compiled` or not. Candidates of the bracket have their linear
+    parameters solved for if it `projects`, and are `solved` thereby if there are no others. A rung
+    costs about `rung_budget` evaluations, a candidate that goes on `allowance` rows, and
+    derivatives are stored in `room` numbers at most.
+    """
+
+    eta: int
+    steps: int
+    lead: int
+    reach: float
+    secants: int
+    tolerance: float
+    level_tolerance: float
+    digits: float
+    patience: float
+    progress: float
+    rounding: float
+    slope_cost: int
+    compiled: bool
+    projects: bool
+    solved: bool
+    rung_budget: float
+    allowance: int
+    room: int
 
 
 class GNRules(NamedTuple):
@@ -162,7 +198,8 @@ class GNRules(NamedTuple):
     Broyden's derivatives. A candidate that gains less than the share `progress` of its loss over
     `patience` rows crawls: it stops as soon as it has spent `allowance` rows (`patience` 0: never).
     It is on its way to a known minimum within the squared distance `near`, in shares of its sum of
-    squares, unless its loss is lower than there by the share `better`.
+    squares, unless its loss is lower than there by the share `better`; only such minima that the
+    data determine are `ending` a descent: elsewhere it may come past and go on.
     """
 
     level: int
@@ -176,4 +213,5 @@ class GNRules(NamedTuple):
     progress: float
     near: float
     better: float
+    ending: bool
     rounding: float

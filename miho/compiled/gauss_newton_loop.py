@@ -1,6 +1,6 @@
 """The compiled loop of Gauss-Newton steps, for problems whose residuals are compiled.
 
-All candidates of a rung make their steps in one call. Derivatives are folded into triangular
+A whole bracket is one call. Derivatives are folded into triangular
 factors chunk by chunk, so that memory does not grow with the number of rows.
 """
 
@@ -17,27 +17,32 @@ from miho.compiled.gauss_newton import (
     take_factor,
     to_units,
 )
+from miho.compiled.gauss_newton_bracket import candidates_at, next_phase, rules_of
 from miho.compiled.gauss_newton_candidates import (
+    ACTIVE,
     RECORD,
     SLOPES,
+    STORED,
     UNUSABLE,
     GNBox,
     GNCandidates,
     GNRules,
+    GNSettings,
     Minima,
-    views,
 )
 from miho.compiled.triangular import compiled, entry, fold, square_sum
-from miho.compiled.workspace import CHUNK, Work, clear, work
+from miho.compiled.workspace import CHUNK, Work, clear, copy, work
 from miho.quantities import Array, Integers
 
-FINISHED, PAUSED = range(2)
-"""How a block of steps ended: no candidate needs anything, or the next evaluation would cost more
-rows than were allowed."""
+FINISHED, PAUSED, REACHED = range(3)
+"""How a block of steps ended: no candidate needs anything; the next evaluation would cost more rows
+than were allowed; or the target is reached."""
+SPENT, IMPROVEMENTS, NANS, INFINITIES, UNUSABLES = range(5)
+"""What a block did, in the array `tally` (5,): rows spent, improvements, and what it rejected."""
 
 
 @entry
-def advance(
+def run_bracket(
     residuals: Any,
     slopes: Any,
     X: Array,
@@ -45,7 +50,55 @@ def advance(
     numbers: Array,
     counts: Integers,
     R: Array,
-    derivatives: Array,
+    stored: Array,
+    place: Integers,
+    order: Integers,
+    box: GNBox,
+    level_rows: Integers,
+    minima: Minima,
+    settings: GNSettings,
+    most: int,
+    best: float,
+    target: float,
+    at: Integers,
+    losses: Array,
+    thetas: Array,
+    tally: Integers,
+    room: Array,
+) -> int:
+    """Take a bracket to its end; how it ended. Goes on where it was cut off.
+
+    `numbers` to `R` are the arrays of `GNCandidates`, `stored` (.,) holds their derivatives;
+    `residuals` and `slopes` are those of `Rows`. At most `most` rows are spent. Each improvement of
+    `best` is listed: the rows spent up to and with it (`at`), its loss and its theta; one that
+    reaches `target` ends the block. `room` is for `work`.
+    """
+    while True:
+        c = candidates_at(numbers, counts, R, stored, place)
+        rules = rules_of(place, level_rows, R.shape[1], settings)
+        m = level_rows[rules.level]
+        w = work(room, R.shape[1], m if place[STORED] else CHUNK, level_rows.size)
+        for i in range(place[ACTIVE]):
+            state = descend(
+                residuals, slopes, X, y, c, i, box, level_rows, minima, rules, settings.slope_cost,
+                most, best, target, at, losses, thetas, tally, w,
+            )  # fmt: skip
+            if state != FINISHED:
+                return state
+            if tally[IMPROVEMENTS]:
+                best = losses[tally[IMPROVEMENTS] - 1]
+        if not next_phase(c, place, order, box, level_rows, minima, settings):
+            return FINISHED
+
+
+@compiled
+def descend(
+    residuals: Any,
+    slopes: Any,
+    X: Array,
+    y: Array,
+    c: GNCandidates,
+    i: int,
     box: GNBox,
     level_rows: Integers,
     minima: Minima,
@@ -57,58 +110,47 @@ def advance(
     at: Integers,
     losses: Array,
     thetas: Array,
-    room: Array,
-) -> tuple[int, int, int, int, int, int]:
-    """Give each candidate its steps: (state, rows spent, improvements, NaN, inf, unusable).
-
-    `numbers` to `derivatives` are the arrays of `GNCandidates`; `residuals` and `slopes` are those
-    of `Rows`. At most `most` rows are spent. Each improvement of `best` is listed: the rows spent
-    up to and with it (`at`), its loss and its theta; one that reaches `target` ends the block.
-    `room` is for `work`.
-    """
-    c = views(numbers, counts, R, derivatives)
+    tally: Integers,
+    w: Work,
+) -> int:
+    """Give a candidate its steps, one evaluation after the other, until it needs none."""
     m = level_rows[rules.level]
-    w = work(room, R.shape[1], m if derivatives.shape[2] else CHUNK, level_rows.size)
-    spent = improvements = nans = infinities = unusable = 0
-    for i in range(c.x.shape[0]):
-        # One evaluation after the other, until this candidate needs none.
-        while prepare(c, i, box, m, minima, rules, w):
-            stage = c.stage[i]
-            project = c.projects[i] and stage != RECORD
-            cost = m * (box.linear.size + 1 if project else 1)
-            if stage == SLOPES:
-                cost = m * slope_cost
-            if spent + cost > most:
-                return PAUSED, spent, improvements, nans, infinities, unusable
-            spent += cost
-            c.spent[i] += cost
-            # Derivatives, where it is.
-            if stage == SLOPES:
-                to_units(c.x[i], box, w.theta)
-                fill(residuals, slopes, X, y, c, i, box, m, False, w)
-                take_factor(c, i, box, w)
-                unusable += c.stage[i] == UNUSABLE
-                continue
-            # Or a look at its trial, recorded if it is an improvement over all rows.
-            to_units(c.x[i] if stage == RECORD else c.trial[i], box, w.theta)
-            keep = c.derivatives.shape[2] > 0 and not project
-            loss = look(residuals, X, y, level_rows, m, keep, w) / m
-            nans += math.isnan(loss)
-            infinities += math.isinf(loss)
-            if m == y.size and loss < best:
-                best = loss
-                at[improvements], losses[improvements] = spent - cost + m, loss
-                for k in range(w.theta.size):
-                    thetas[improvements, k] = w.theta[k]
-                improvements += 1
-            # The linear parameters are solved for from there.
-            if project and math.isfinite(loss):
-                fill(residuals, slopes, X, y, c, i, box, m, True, w)
-                loss = solve_linear(c, i, box, m, w)
-            after_evaluation(c, i, loss, box, m, rules, best, w)
-            if best <= target:
-                return FINISHED, spent, improvements, nans, infinities, unusable
-    return FINISHED, spent, improvements, nans, infinities, unusable
+    while prepare(c, i, box, m, minima, rules, w):
+        stage = c.stage[i]
+        project = c.projects[i] and stage != RECORD
+        cost = m * (box.linear.size + 1 if project else 1)
+        if stage == SLOPES:
+            cost = m * slope_cost
+        if tally[SPENT] + cost > most:
+            return PAUSED
+        tally[SPENT] += cost
+        c.spent[i] += cost
+        # Derivatives, where it is.
+        if stage == SLOPES:
+            to_units(c.x[i], box, w.theta)
+            fill(residuals, slopes, X, y, c, i, box, m, False, w)
+            take_factor(c, i, box, w)
+            tally[UNUSABLES] += c.stage[i] == UNUSABLE
+            continue
+        # Or a look at its trial, recorded if it is an improvement over all rows.
+        to_units(c.x[i] if stage == RECORD else c.trial[i], box, w.theta)
+        keep = c.derivatives.shape[2] > 0 and not project
+        loss = look(residuals, X, y, level_rows, m, keep, w) / m
+        tally[NANS] += math.isnan(loss)
+        tally[INFINITIES] += math.isinf(loss)
+        if m == y.size and loss < best:
+            best, k = loss, tally[IMPROVEMENTS]
+            at[k], losses[k] = tally[SPENT] - cost + m, loss
+            copy(w.theta, thetas[k])
+            tally[IMPROVEMENTS] += 1
+        # The linear parameters are solved for from there.
+        if project and math.isfinite(loss):
+            fill(residuals, slopes, X, y, c, i, box, m, True, w)
+            loss = solve_linear(c, i, box, m, w)
+        after_evaluation(c, i, loss, box, m, rules, best, w)
+        if best <= target:
+            return REACHED
+    return FINISHED
 
 
 @compiled

@@ -15,7 +15,16 @@ from miho.compiled.gauss_newton import (
     take_factor,
     to_units,
 )
-from miho.compiled.gauss_newton_candidates import ENTER, TRIED, GNBox, GNRules, Minima, views
+from miho.compiled.gauss_newton_bracket import candidates_at, next_phase
+from miho.compiled.gauss_newton_candidates import (
+    ENTER,
+    TRIED,
+    GNBox,
+    GNRules,
+    GNSettings,
+    Minima,
+    views,
+)
 from miho.compiled.triangular import entry, square_sum
 from miho.compiled.workspace import Work, copy
 from miho.quantities import Array, Integers
@@ -23,17 +32,17 @@ from miho.quantities import Array, Integers
 
 @entry
 def next_to_evaluate(
-    numbers: Array, counts: Integers, R: Array, derivatives: Array, i: int, box: GNBox, m: int,
-    minima: Minima, rules: GNRules, w: Work,
+    numbers: Array, counts: Integers, R: Array, derivatives: Array, i: int, active: int, box: GNBox,
+    m: int, minima: Minima, rules: GNRules, w: Work,
 ) -> int:  # fmt: skip
-    """The first candidate from i on that needs an evaluation, their number if none does.
+    """The first candidate from i on that needs an evaluation, `active` if none before that does.
 
     What it needs is to be evaluated at w.theta.
     """
     c = views(numbers, counts, R, derivatives)
-    while i < c.stage.size and not prepare(c, i, box, m, minima, rules, w):
+    while i < active and not prepare(c, i, box, m, minima, rules, w):
         i += 1
-    if i < c.stage.size:
+    if i < active:
         trial = c.stage[i] == ENTER or c.stage[i] == TRIED
         to_units(c.trial[i] if trial else c.x[i], box, w.theta)
     return i
@@ -45,17 +54,18 @@ def entering(
     counts: Integers,
     R: Array,
     derivatives: Array,
+    active: int,
     box: GNBox,
     index: Integers,
     thetas: Array,
 ) -> int:
-    """How many candidates are to be looked at for the first time, without projection.
+    """How many of the first `active` are to be looked at for the first time, without projection.
 
     Writes their positions to `index` (n,), and where they are, in units, to `thetas` (n, d).
     """
     c = views(numbers, counts, R, derivatives)
     count = 0
-    for i in range(c.stage.size):
+    for i in range(active):
         if c.stage[i] == ENTER and not c.projects[i]:
             index[count] = i
             to_units(c.trial[i], box, thetas[count])
@@ -116,3 +126,13 @@ def solve_columns(
     p, m = box.linear.size, columns.shape[1]
     refold(columns, p, p, m, w)
     return float(solve_linear(views(numbers, counts, R, derivatives), i, box, m, w))
+
+
+@entry
+def after_steps(
+    numbers: Array, counts: Integers, R: Array, stored: Array, place: Integers, order: Integers,
+    box: GNBox, level_rows: Integers, minima: Minima, settings: GNSettings,
+) -> bool:  # fmt: skip
+    """`next_phase`."""
+    c = candidates_at(numbers, counts, R, stored, place)
+    return bool(next_phase(c, place, order, box, level_rows, minima, settings))

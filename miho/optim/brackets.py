@@ -1,4 +1,4 @@
-"""Brackets of successive halving over rows of data: settings, sizes, phases and starts.
+"""Brackets of successive halving over rows of data: settings, sizes and starts.
 
 What `MIHOGN` and `MIHOQN` share, whose descents differ in their steps.
 """
@@ -14,12 +14,6 @@ from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 from miho.validate import positive_settings, whole, whole_settings
 
-SCREEN, RUNG, LEAD, FINISH, REVIVE, POLISH, CLOSED = range(7)
-"""Phases of a bracket: first looks at its starts; steps of a rung; more steps of the rung's best;
-the last candidate to its end on all rows; a stalled candidate of an earlier bracket, which goes on;
-more digits for the best of all brackets; and none, the bracket has ended."""
-UNLIMITED = 1 << 40
-"""Steps of a candidate that goes on as long as it makes progress."""
 KINDS = "own", "scale", "uniform"
 DRAWS = "thirds", *KINDS
 DECADES = 3

@@ -1,4 +1,4 @@
-"""Gauss-Newton steps of a run's candidates: in compiled blocks, or evaluation by evaluation."""
+"""The brackets of Gauss-Newton descents: in compiled blocks, or evaluation by evaluation."""
 
 from __future__ import annotations
 
@@ -8,19 +8,23 @@ import numpy as np
 
 from miho.compiled import Block
 from miho.compiled.gauss_newton import is_free
+from miho.compiled.gauss_newton_bracket import rules_of
 from miho.compiled.gauss_newton_candidates import (
+    ACTIVE,
     RECORD,
+    SIZE,
     SLOPES,
+    STORED,
     UNUSABLE,
     GNBox,
     GNCandidates,
     GNRules,
-    Minima,
 )
-from miho.compiled.gauss_newton_loop import FINISHED, advance
+from miho.compiled.gauss_newton_loop import FINISHED, run_bracket
 from miho.compiled.gauss_newton_parts import (
     after_evaluations,
     after_one_evaluation,
+    after_steps,
     entering,
     factor_columns,
     next_to_evaluate,
@@ -29,6 +33,7 @@ from miho.compiled.gauss_newton_parts import (
 from miho.compiled.kernel import INFINITE, NAN
 from miho.compiled.workspace import CHUNK, Work, room_for, work
 from miho.optim.meter import BudgetExhausted, UnusableValueError
+from miho.optim.miho_gn_state import MIHOGNState
 from miho.optim.oracle import Oracle
 from miho.quantities import Array, Integers
 
@@ -36,41 +41,40 @@ EVENTS = 4096
 """Looks at all rows in one block at most: each may be an improvement, which needs room."""
 
 
-def give_steps(
-    oracle: Oracle,
-    c: GNCandidates,
-    box: GNBox,
-    level_rows: Integers,
-    minima: Minima,
-    rules: GNRules,
-) -> None:
-    """Give each candidate its steps, compiled where the problem is.
+def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
+    """Take a bracket to its end, compiled where the problem is, and go on where it was cut off.
 
-    Goes on where it was cut off. Raises as the oracle does at the end of the budget.
+    Raises as the oracle does at the end of the budget.
     """
     # A problem without compiled residuals is asked for each evaluation.
     kernel = oracle.kernel
     rows = None if kernel is None else kernel.rows
-    m = int(level_rows[rules.level])
+    c, d, level_rows = state.candidates, state.d, state.level_rows
     if rows is None:
-        d = c.x.shape[1]
-        w = work(np.empty(room_for(d, m, level_rows.size)), d, m, level_rows.size)
-        _step_by_step(oracle, c, box, level_rows, minima, rules, w)
+        _step_by_step(oracle, state)
+        while after_steps(
+            *c[:3], state.stored, state.place, state.order, state.box, level_rows, state.minima,
+            state.settings,
+        ):  # fmt: skip
+            _step_by_step(oracle, state)
         return
     # Room for one block's improvements, and for the compiled code to work in.
-    N, d, slope_cost = rows.y.size, c.x.shape[1], oracle.jacobian_cost
-    least = float(max(box.linear.size + 1, slope_cost))
-    most = EVENTS if rules.last else 0
-    at, losses, thetas = np.empty(most, np.int64), np.empty(most), np.empty((most, d))
-    room = np.empty(room_for(d, m if c.derivatives.shape[2] else CHUNK, level_rows.size))
+    N, slope_cost = rows.y.size, state.settings.slope_cost
+    least = float(max(state.box.linear.size + 1, slope_cost))
+    at, losses, thetas = np.empty(EVENTS, np.int64), np.empty(EVENTS), np.empty((EVENTS, d))
+    stored = [m for m in level_rows.tolist() if (d + 1) * m <= state.stored.size]
+    room = np.empty(room_for(d, max([CHUNK, *stored]), level_rows.size))
 
     # The oracle says how many evaluations a block may spend, and records what it did.
     def block(most: float, best: float, target: float) -> Block:
         limit = round(min(most, EVENTS) * N)  # most is of whole rows but for its rounding
-        state, spent, k, nans, infinities, unusable = advance(
-            rows.residuals, rows.slopes, rows.X, rows.y, *c[:4], box, level_rows, minima, rules,
-            slope_cost, limit, best, target, at, losses, thetas, room,
+        tally = np.zeros(5, np.int64)
+        ended = run_bracket(
+            rows.residuals, rows.slopes, rows.X, rows.y, *c[:3], state.stored, state.place,
+            state.order, state.box, level_rows, state.minima, state.settings, limit, best, target,
+            at, losses, thetas, tally, room,
         )  # fmt: skip
+        spent, k, nans, infinities, unusable = tally.tolist()
         counts = {
             NAN: nans,
             INFINITE: infinities,
@@ -82,29 +86,26 @@ def give_steps(
             losses[:k],
             thetas[:k],
             counts,
-            state == FINISHED,
+            ended == FINISHED,
         )
 
     oracle.spend(block, least)
 
 
-def _step_by_step(
-    oracle: Oracle,
-    c: GNCandidates,
-    box: GNBox,
-    level_rows: Integers,
-    minima: Minima,
-    rules: GNRules,
-    w: Work,
-) -> None:
-    """The same steps, with each evaluation made by the problem."""
-    p, m = box.linear.size, int(level_rows[rules.level])
+def _step_by_step(oracle: Oracle, state: MIHOGNState) -> None:
+    """Give each candidate its steps, with each evaluation made by the problem."""
+    box, level_rows, active = state.box, state.level_rows, int(state.place[ACTIVE])
+    rules = rules_of(state.place, level_rows, state.d, state.settings)
+    p, d, m = box.linear.size, state.d, state.rows
+    w = work(np.empty(room_for(d, m, level_rows.size)), d, m, level_rows.size)
+    size, with_derivatives = int(state.place[SIZE]), int(state.place[STORED])
+    c = state.candidates.with_derivatives(state.stored, size, with_derivatives)
     fidelity = 1.0 if rules.last else m / int(level_rows[-1])
     share = 1.0 if rules.last else oracle.cost(fidelity)
     if not (rules.last and rules.steps):
-        _evaluate_entering(oracle, fidelity, c, box, level_rows, rules, w)
+        _evaluate_entering(oracle, fidelity, c, active, box, level_rows, rules, w)
     i = 0
-    while (i := next_to_evaluate(*c[:4], i, box, m, minima, rules, w)) < c.stage.size:
+    while (i := next_to_evaluate(*c[:4], i, active, box, m, state.minima, rules, w)) < active:
         stage = c.stage[i]
         project = bool(c.projects[i]) and stage != RECORD
         cost = p + 1 if project else 1
@@ -133,6 +134,7 @@ def _evaluate_entering(
     oracle: Oracle,
     fidelity: float,
     c: GNCandidates,
+    active: int,
     box: GNBox,
     level_rows: Integers,
     rules: GNRules,
@@ -140,8 +142,8 @@ def _evaluate_entering(
 ) -> None:
     """Look at all that enter a level in one batch: models that work on arrays are faster so."""
     m = int(level_rows[rules.level])
-    index, thetas = np.empty(c.stage.size, np.int64), np.empty(c.x.shape)
-    count = entering(*c[:4], box, index, thetas)
+    index, thetas = np.empty(active, np.int64), np.empty((active, c.x.shape[1]))
+    count = entering(*c[:4], active, box, index, thetas)
     index, thetas = index[:count], thetas[:count]
     while index.size:
         r = oracle.residual_rows(thetas, fidelity)

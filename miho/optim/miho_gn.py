@@ -16,27 +16,14 @@ from miho.compiled.gauss_newton_candidates import (
     UNUSABLE,
     GNBox,
     GNCandidates,
-    GNRules,
+    GNSettings,
     Minima,
 )
-from miho.optim.brackets import (
-    CLOSED,
-    DRAWS,
-    FINISH,
-    LEAD,
-    POLISH,
-    REVIVE,
-    RUNG,
-    SCREEN,
-    UNLIMITED,
-    check_brackets,
-    draw_starts,
-    luby,
-    rows_by_level,
-)
+from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE, SOLVED
+from miho.optim.brackets import DRAWS, check_brackets, draw_starts, luby, rows_by_level
 from miho.optim.evidence import in_optimum
 from miho.optim.meter import Budget, UnusableValueError
-from miho.optim.miho_gn_state import MIHOGNState, box_of, square_distances, usable
+from miho.optim.miho_gn_state import ROOM, MIHOGNState, box_of, square_distances
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
@@ -44,18 +31,8 @@ from miho.optim.seeds import stream
 from miho.quantities import Array
 from miho.validate import one_of, positive_settings, whole, whole_settings
 
-NEAR, NEAR_LAST = 9.0, 0.1
-"""A candidate is at a known minimum within this squared distance, in shares of its sum of squares
-and units of d / rows: the first is 3 standard deviations. On all rows it is at most the second, a
-share alone."""
-BETTER = 4.0
-"""But not if its loss is lower than there by so many d / rows: more than fewer rows may explain."""
-ENTERING = 1e-3
-"""The largest damping at the start of a level, for a candidate that was done on the one before."""
 SOLVED_FIRST = 9
 """A problem that is linear in all parameters is solved on one row in so many, then on all."""
-POLISHING = 50
-"""Steps for more digits at most: in a narrow valley they would go on for long."""
 ATTEMPTS = 1000
 """Looks for a usable configuration of a problem that does not say how many rows it has."""
 
@@ -134,20 +111,31 @@ class MIHOGN(Resumable[MIHOGNState]):
             if oracle.cost(level_rows[0] / N) >= 1:  # fewer rows are not cheaper
                 level_rows = level_rows[-1:]
         oracle.meter.starts.brackets = True
-        no_points = np.empty((0, len(space)))
+        nobody, nowhere = GNCandidates.at(np.empty((0, len(space))), 0, 0, False), np.empty(0)
+        sums = np.empty((0, len(level_rows)))
+        place = np.full(5, CLOSED)
         return MIHOGNState(
             space,
             box,
             rng,
             np.array(level_rows),
-            _has_rows(oracle),
-            oracle.jacobian_cost,
-            candidates=GNCandidates.at(no_points, len(level_rows), self.damping, False),
-            minima=no_points,
-            minima_losses=np.empty(0),
-            minima_sums=np.empty((0, len(level_rows))),
-            determined=np.empty(0, bool),
+            self._settings(oracle, solved=not box.nonlinear.size),
+            nobody,
+            Minima(nobody.x.copy(), nowhere, sums, np.empty(0, bool)),
+            place,
+            order=np.empty(0, np.int64),
+            stored=nowhere,
         )
+
+    def _settings(self, oracle: Oracle, solved: bool) -> GNSettings:
+        """The settings by which brackets go on, before the first."""
+        return GNSettings(
+            self.eta, self.steps, self.lead, float(self.reach), self.secants, float(self.tolerance),
+            float(self.level_tolerance), float(self.digits), float(self.patience),
+            float(self.progress), float(oracle.rounding), oracle.jacobian_cost,
+            _has_rows(oracle), projects=False, solved=solved,
+            rung_budget=0.0, allowance=0, room=ROOM,
+        )  # fmt: skip
 
     def _levels(self, N: int, box: GNBox) -> tuple[int, ...]:
         d = box.low.size
@@ -167,25 +155,21 @@ class MIHOGN(Resumable[MIHOGNState]):
         if not state.level_rows[-1]:
             self._count_rows(state, oracle)
             return
+        from miho.optim.gauss_newton_steps import run_phases  # which needs numba
+
         if state.phase == CLOSED:
             self._draw(state, oracle)
-        if (state.candidates.stage < DONE).any():
-            from miho.optim.gauss_newton_steps import give_steps  # which needs numba
-
-            # Only determined minima end a descent: elsewhere it may come past and go on.
-            ending = state.determined & (state.phase != POLISH)
-            minima = Minima(state.minima[ending], state.level_losses[ending])
-            rules = self._rules(state, oracle)
-            give_steps(oracle, state.candidates, state.box, state.level_rows, minima, rules)
-        phases = {
-            SCREEN: self._after_screen,
-            RUNG: self._after_rung,
-            LEAD: self._after_lead,
+        if state.phase < CLOSED:
+            run_phases(oracle, state)
+        endings = {
+            EMPTY: self._close,
+            RETURNED: self._after_return,
+            SOLVED: self._end,
             FINISH: self._after_finish,
             REVIVE: self._after_revival,
-            POLISH: self._after_polish,
+            POLISH: self._end,
         }
-        phases[state.phase](state, oracle)
+        endings[state.phase](state, oracle)
 
     def rehearsals(
         self, problem: Problem, toy: LeastSquaresProblem, theta: Array
@@ -197,10 +181,6 @@ class MIHOGN(Resumable[MIHOGNState]):
 
         def rehearse() -> None:
             oracle = Oracle(problem, Budget(evaluations=len(theta) + 2))
-            from miho.compiled.gauss_newton import distinct
-
-            nobody = GNCandidates.at(np.empty((0, len(theta))), 1, self.damping, False)
-            distinct(nobody, box_of(oracle.space, oracle.linear))
             if _has_rows(oracle):
                 self.run(oracle, stream())
                 return
@@ -217,10 +197,10 @@ class MIHOGN(Resumable[MIHOGNState]):
     @property
     def uncompiled(self) -> bool:
         """Whether the steps are not in numba's cache."""
-        from miho.compiled.gauss_newton_loop import advance
+        from miho.compiled.gauss_newton_loop import run_bracket
         from miho.compiled.triangular import in_cache
 
-        return not in_cache(advance)
+        return not in_cache(run_bracket)
 
     def _count_rows(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Look once at all residuals of a problem that does not say how many there are."""
@@ -230,136 +210,50 @@ class MIHOGN(Resumable[MIHOGNState]):
         state.attempts += 1
         state.finished = not state.level_rows[-1] and state.attempts == ATTEMPTS
 
-    def _rules(self, state: MIHOGNState, oracle: Oracle) -> GNRules:
-        """What the candidates of this phase may do."""
-        share = state.d / state.rows  # of a loss, which so many rows do not tell from noise
-        alone = state.phase in (LEAD, FINISH, REVIVE)
-        polishes = state.phase == POLISH
-        steps = {
-            SCREEN: 0,
-            RUNG: self.steps,
-            LEAD: self.lead - self.steps,
-            POLISH: POLISHING,
-        }
-        tolerance = self.digits if polishes else self.tolerance
-        return GNRules(
-            level=state.level,
-            last=state.last,
-            steps=steps.get(state.phase, UNLIMITED),
-            reach=self.reach,
-            secants=self.secants,
-            tolerance=tolerance if state.last else self.level_tolerance * share,
-            patience=int(self.patience * (state.d + 1) * state.rows) if alone else 0,
-            allowance=state.allowance if state.phase == REVIVE else 0,
-            progress=self.progress,
-            near=min(NEAR * share, NEAR_LAST) if state.last else NEAR * share,
-            better=0.0 if state.last else BETTER * share,
-            rounding=0.0 if polishes else oracle.rounding,
-        )
-
     # The phases of a bracket.
 
     def _draw(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Begin a bracket: draw its starts, to be looked at on the first level."""
+        """Begin a bracket: say what it may cost, and draw its starts."""
+        from miho.compiled.gauss_newton_bracket import make_room
+
         state.bracket += 1
-        state.projects = state.linear or self._projects(state)
-        state.rung_budget = (state.d + 1) * min(self.base * luby(state.bracket), self.largest)
-        state.level, state.phase, state.spent_before = 0, SCREEN, oracle.evaluations
-        n = min(max(round(state.rung_budget / state.look_cost), self.least), self.most)
+        projects = state.linear or self._projects(state)
+        look_cost = int(state.level_rows[0]) / int(state.level_rows[-1])
+        look_cost *= 1 + projects * state.box.linear.size
+        budget = (state.d + 1) * min(self.base * luby(state.bracket), self.largest)
+        state.settings = state.settings._replace(projects=projects, rung_budget=float(budget))
+        state.spent_before = oracle.evaluations
+        # Its starts, to be looked at on the first level.
+        n = min(max(round(budget / look_cost), self.least), self.most)
         n = 1 if state.linear else n
         starts = draw_starts(state.space, n, state.rng, state.bracket == 1, self.draws)
         oracle.record_screened(n * (not state.linear))
         x = (starts - state.box.origin) / state.box.width
-        state.candidates = GNCandidates.at(x, state.level_rows.size, self.damping, state.projects)
-        state.make_room()
+        state.admit(GNCandidates.at(x, state.level_rows.size, self.damping, projects), 0)
+        make_room(state.candidates, state.place, state.level_rows, state.settings)
 
     def _projects(self, state: MIHOGNState) -> bool:
         every = self.projecting and state.bracket % self.projecting == 0
         return bool(every and state.box.linear.size)
-
-    def _after_screen(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Keep the best starts; a linear problem is solved already, so look on more rows."""
-        state.candidates = usable(state.candidates)
-        if not state.linear:
-            self._rung(state, oracle, entering=False)
-        elif not state.candidates.loss.size:
-            self._close(state, oracle)
-        elif state.last:
-            state.finished = True  # solved: nothing descended, and nothing has to agree
-        else:
-            state.level += 1
-            self._enter(state)
-
-    def _rung(self, state: MIHOGNState, oracle: Oracle, entering: bool) -> None:
-        """Give the best candidates their steps on this level; the last one, all that it needs."""
-        size = state.candidates.loss.size
-        if not size:
-            self._close(state, oracle)
-            return
-        affordable = max(state.rung_budget / (self.steps * state.step_cost), 1)
-        n = int(min(affordable, max(1, size // self.eta)))
-        state.candidates = state.candidates.take(slice(n))
-        if entering:
-            self._enter(state)
-        state.begin(FINISH if state.last and n == 1 else RUNG)
-
-    def _enter(self, state: MIHOGNState) -> None:
-        """Have the candidates evaluated on the rows of the next level."""
-        c = state.candidates
-        done = c.stage == DONE
-        c.projects[:] = state.projects & (state.linear | ~done | (not state.last))
-        c.damping[done] = np.minimum(c.damping[done], ENTERING)
-        state.look_again()
-
-    def _after_rung(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Give the best one more steps, while the others wait."""
-        state.candidates = usable(state.candidates)
-        if state.last or not state.candidates.loss.size:
-            self._prune(state, oracle)
-            return
-        state.waiting = state.candidates.take(slice(1, None))
-        state.candidates = state.candidates.take(slice(1))
-        state.begin(LEAD)
-
-    def _after_lead(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Go on with all of the rung."""
-        if state.waiting is not None:
-            state.candidates, state.waiting = usable(state.candidates.joined(state.waiting)), None
-        self._prune(state, oracle)
-
-    def _prune(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """Go on, on more rows, with the candidates that may lead to a minimum that is not known."""
-        c = state.candidates
-        least = float(state.level_losses.min(initial=math.inf))
-        ended = (c.stage == AT_KNOWN) | ((c.stage == DONE) & (c.loss >= least))
-        if ended.all():
-            if c.loss.size:
-                self._record_return(state, oracle)
-            self._close(state, oracle)
-            return
-        from miho.compiled.gauss_newton import distinct
-
-        c = c.take(~ended)
-        state.candidates = c.take(distinct(c, state.box))
-        entering = not state.last
-        state.level += entering
-        self._rung(state, oracle, entering)
 
     def _after_finish(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Revive the best candidate that stalled in an earlier bracket, if there is any.
 
         It may spend as much as this bracket has.
         """
+        from miho.compiled.gauss_newton_bracket import begin, look_again
+
         earlier = state.stalled.copy()
         self._record_end(state, oracle)
         self._close(state, oracle)
         if earlier and state.phase == CLOSED:
             best = min(range(len(earlier)), key=lambda k: float(earlier[k].loss[0]))
-            state.candidates = state.stalled.pop(best)
-            state.look_again()
             spent = oracle.evaluations - state.spent_before
-            state.allowance = int(spent * int(state.level_rows[-1]))
-            state.begin(REVIVE)
+            allowance = int(spent * int(state.level_rows[-1]))
+            state.settings = state.settings._replace(allowance=allowance)
+            state.admit(state.stalled.pop(best), state.level_rows.size - 1)
+            look_again(state.candidates, state.place, state.level_rows, state.settings)
+            begin(state.candidates, state.place, REVIVE, 1)
 
     def _after_revival(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Record its end, as that of a bracket."""
@@ -374,13 +268,18 @@ class MIHOGN(Resumable[MIHOGNState]):
             self._record_return(state, oracle)
         elif c.stage[0] == DONE:
             oracle.record_descent(math.inf, loss)
-            best = float(state.minima_losses.min(initial=math.inf))
+            best = float(state.minima.loss.min(initial=math.inf))
             if loss < best or not in_optimum(best, loss, oracle.resolution):
                 if not in_optimum(loss, best, oracle.resolution):
                     state.best_found_after = oracle.evaluations
                 state.add_minimum(c)
         elif c.stage[0] != UNUSABLE:
-            state.stalled.append(c.with_room_for(0))
+            state.stalled.append(c.first())
+
+    def _after_return(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Record the bracket's end."""
+        self._record_return(state, oracle)
+        self._close(state, oracle)
 
     def _record_return(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Record the end of a bracket whose best candidate leads to nothing new.
@@ -389,27 +288,30 @@ class MIHOGN(Resumable[MIHOGNState]):
         that is done is at a minimum that the data do not determine if it is near it, as far as
         these rows can tell; else it is not known where it would have ended on all rows.
         """
-        c, rules = state.candidates, self._rules(state, oracle)
+        from miho.compiled.gauss_newton_bracket import rules_of
+
+        c, known = state.candidates, state.minima
+        rules = rules_of(state.place, state.level_rows, state.d, state.settings)
         loss = float(c.loss[0])
         if state.last and c.stage[0] == DONE:
             oracle.record_descent(math.inf, loss)
             return
-        distances = square_distances(c, state.minima, state.box)
+        distances = square_distances(c, known.x, state.box)
         matches = loss >= (1 - rules.better) * state.level_losses
         if c.stage[0] == AT_KNOWN:
-            matches &= state.determined
+            matches &= known.determined
         else:
-            matches &= ~state.determined & (loss <= (1 + COPY_LOSS) * state.level_losses)
+            matches &= ~known.determined & (loss <= (1 + COPY_LOSS) * state.level_losses)
             matches &= distances <= rules.near * loss * state.rows
         if matches.any():
             nearest = np.argmin(np.where(matches, distances, math.inf))
-            oracle.record_descent(math.inf, float(state.minima_losses[nearest]))
+            oracle.record_descent(math.inf, float(known.loss[nearest]))
         else:
             oracle.record_dropped()
 
     def _close(self, state: MIHOGNState, oracle: Oracle) -> None:
         """End the bracket, and the search if the ends of its brackets are evidence enough."""
-        state.phase = CLOSED
+        state.close()
         agreement = oracle.agreement
         # A doubtful optimum asks for more ends, and for a longer search.
         long_enough = oracle.evaluations >= self.longer * state.best_found_after
@@ -421,23 +323,26 @@ class MIHOGN(Resumable[MIHOGNState]):
 
     def _plausible(self, state: MIHOGNState, oracle: Oracle) -> bool:
         """Whether the data determine the best minimum so far, and noise explains its loss."""
-        best = int(np.argmin(state.minima_losses))
-        return bool(state.determined[best] and state.minima_losses[best] <= oracle.noise)
+        known = state.minima
+        best = int(np.argmin(known.loss))
+        return bool(known.determined[best] and known.loss[best] <= oracle.noise)
 
     def _polish(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Descend from the run's best for more digits than it took to tell minima apart."""
         state.finished = not math.isfinite(oracle.best)
         if state.finished:
             return
+        from miho.compiled.gauss_newton_bracket import ENTERING, begin, make_room
+
         best = state.space.encode(oracle.trace.theta[-1][None])
         x = np.clip((best - state.box.origin) / state.box.width, 0.0, 1.0)
-        state.level = state.level_rows.size - 1
-        state.candidates = GNCandidates.at(x, state.level_rows.size, ENTERING, False)
-        state.make_room()
-        state.begin(POLISH)
+        levels = state.level_rows.size
+        state.admit(GNCandidates.at(x, levels, ENTERING, False), levels - 1)
+        make_room(state.candidates, state.place, state.level_rows, state.settings)
+        begin(state.candidates, state.place, POLISH, 1)
 
-    def _after_polish(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """End the search."""
+    def _end(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """End the search, polished or solved: then nothing descended, and nothing has to agree."""
         state.finished = True
 
 

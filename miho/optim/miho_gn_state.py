@@ -8,8 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.compiled.gauss_newton_candidates import ENTER, UNUSABLE, GNBox, GNCandidates
-from miho.optim.brackets import CLOSED
+from miho.compiled.gauss_newton_candidates import (
+    LEVEL,
+    PHASE,
+    GNBox,
+    GNCandidates,
+    GNSettings,
+    Minima,
+)
+from miho.compiled.phases import CLOSED, SCREEN
 from miho.optim.space import Space
 from miho.quantities import Array
 
@@ -22,38 +29,29 @@ nothing is compiled for the residuals again."""
 
 @dataclass
 class MIHOGNState:
-    """Where the search stands: a bracket's phase and level, and its `candidates`.
+    """Where the search stands: its bracket, and the known minima.
 
-    `level_rows` (levels,): how many rows each level looks at, all of them on the last (0 as long as
-    that is not known, after so many `attempts` to find out). `minima` (k, d): known minima in unit
-    coordinates, with `minima_losses` (k,) on all rows, `minima_sums` (k, levels) of squares over
-    each level's rows, and whether the data determine all parameters there, `determined` (k,). The
-    best of them was found after `best_found_after` evaluations. `waiting` are candidates that wait
-    while the best of their rung goes on, `stalled` those that made too little progress, one each.
-    `rung_budget` is what a rung of the bracket may cost in evaluations, `spent_before` what the
-    brackets before it have; `allowance` is what a revived candidate may spend, in rows.
+    `place` (5,) is where the bracket stands, `settings` how it goes on, `order` (n,) and `stored`
+    room for the positions of its `candidates` and for their derivatives. `level_rows` (levels,):
+    how many rows each level looks at, all of them on the last (0 as long as that is not known,
+    after so many `attempts` to find out). The best of the `minima` was found after
+    `best_found_after` evaluations. `stalled` are candidates that made too little progress, one
+    each; before the bracket, `spent_before` evaluations were spent.
     """
 
     space: Space
     box: GNBox
     rng: np.random.Generator
     level_rows: NDArray[np.int64]
-    compiled: bool
-    slope_cost: int
+    settings: GNSettings
     candidates: GNCandidates
-    minima: Array
-    minima_losses: Array
-    minima_sums: Array
-    determined: NDArray[np.bool_]
-    waiting: GNCandidates | None = None
+    minima: Minima
+    place: NDArray[np.int64]
+    order: NDArray[np.int64]
+    stored: Array
     stalled: list[GNCandidates] = field(default_factory=list)
     bracket: int = 0
-    projects: bool = False
-    phase: int = CLOSED
-    level: int = 0
-    rung_budget: float = 0.0
     spent_before: float = 0.0
-    allowance: int = 0
     best_found_after: float = 0.0
     attempts: int = 0
     finished: bool = False
@@ -64,14 +62,19 @@ class MIHOGNState:
         return len(self.space)
 
     @property
+    def phase(self) -> int:
+        """The bracket's phase."""
+        return int(self.place[PHASE])
+
+    @property
     def rows(self) -> int:
         """How many rows this level looks at."""
-        return int(self.level_rows[self.level])
+        return int(self.level_rows[self.place[LEVEL]])
 
     @property
     def last(self) -> bool:
         """Whether that is all rows."""
-        return self.level == self.level_rows.size - 1
+        return bool(self.place[LEVEL] == self.level_rows.size - 1)
 
     @property
     def linear(self) -> bool:
@@ -79,49 +82,36 @@ class MIHOGNState:
         return not self.box.nonlinear.size
 
     @property
-    def look_cost(self) -> float:
-        """What one look on this level costs, in evaluations."""
-        return self.rows / int(self.level_rows[-1]) * (1 + self.projects * self.box.linear.size)
-
-    @property
-    def step_cost(self) -> float:
-        """What a step costs: derivatives and a look."""
-        return self.look_cost + self.slope_cost * self.rows / int(self.level_rows[-1])
-
-    @property
     def level_losses(self) -> Array:
         """The losses of the known minima over the rows of this level, (k,)."""
-        return np.asarray(self.minima_sums[:, self.level] / self.rows)
+        return np.asarray(self.minima.sums[:, self.place[LEVEL]] / self.rows)
+
+    def close(self) -> None:
+        """Have no bracket, until the next is drawn."""
+        self.place[PHASE] = CLOSED
+
+    def admit(self, c: GNCandidates, level: int) -> None:
+        """Have candidates of a new bracket, or one that goes on alone, on this level."""
+        n, d = c.x.shape
+        self.candidates, self.order = c, np.empty(n, np.int64)
+        self.place[:] = SCREEN, level, n, n, 0
+        numbers, most = 0, self.settings.room
+        for rows in self.level_rows[level:].tolist():
+            if (d + 1) * rows <= most:
+                numbers = max(numbers, min(n * (d + 1) * rows, most))
+            n = max(1, n // self.settings.eta)
+        self.stored = np.zeros(numbers)
 
     def add_minimum(self, c: GNCandidates) -> None:
         """Remember where the first candidate has ended as a known minimum."""
-        loss = float(c.loss[0])
-        sums = c.sums if c.sums[0, -1] > 0 else loss * self.level_rows[None]
-        self.minima = np.vstack([self.minima, c.x])
-        self.minima_losses = np.append(self.minima_losses, loss)
-        self.minima_sums = np.vstack([self.minima_sums, sums])
-        self.determined = np.append(self.determined, determines(c, self.box, self.rows))
-
-    def begin(self, phase: int) -> None:
-        """Begin a phase: steps and progress are counted from here."""
-        c = self.candidates
-        c.trials[:] = c.spent[:] = c.spent_at_mark[:] = 0
-        c.loss_at_mark[:] = c.loss
-        self.phase = phase
-
-    def look_again(self) -> None:
-        """Have residuals and derivatives of the candidates evaluated where they are."""
-        c = self.candidates
-        c.loss[:] = c.predicted_gain[:] = np.inf
-        c.stage[:], c.growth[:], c.secants[:], c.trial[:] = ENTER, 2.0, 0, c.x
-        self.make_room()
-
-    def make_room(self) -> None:
-        """Make room for the candidates' derivatives on this level, where they are to be stored."""
-        c = self.candidates
-        stores = c.loss.size * (self.d + 1) * self.rows <= ROOM
-        stores &= not (self.compiled and c.projects.all())
-        self.candidates = c.with_room_for(self.rows if stores else 0)
+        loss, known = float(c.loss[0]), self.minima
+        sums = c.sums[:1] if c.sums[0, -1] > 0 else loss * self.level_rows[None]
+        self.minima = Minima(
+            np.vstack([known.x, c.x[:1]]),
+            np.append(known.loss, loss),
+            np.vstack([known.sums, sums]),
+            np.append(known.determined, determines(c, self.box, self.rows)),
+        )
 
 
 def box_of(space: Space, linear: tuple[str, ...]) -> GNBox:
@@ -137,12 +127,6 @@ def box_of(space: Space, linear: tuple[str, ...]) -> GNBox:
         np.array([names.index(name) for name in linear], dtype=np.int64),
         np.array([k for k, name in enumerate(names) if name not in linear], dtype=np.int64),
     )
-
-
-def usable(c: GNCandidates) -> GNCandidates:
-    """Those with finite losses, the best first."""
-    order = np.argsort(c.loss, kind="stable")
-    return c.take(order[(c.stage[order] != UNUSABLE) & np.isfinite(c.loss[order])])
 
 
 def square_distances(c: GNCandidates, minima: Array, box: GNBox) -> Array:
@@ -162,7 +146,7 @@ def determines(c: GNCandidates, box: GNBox, m: int) -> bool:
     They do if it is off the bounds, and its standard deviation, by the linear model there, is less
     than its range.
     """
-    if (c.x < BOUND).any() or (c.x > 1 - BOUND).any():
+    if (c.x[0] < BOUND).any() or (c.x[0] > 1 - BOUND).any():
         return False
     n = box.nonlinear.size if c.projects[0] else box.low.size
     R = c.R[0, :n, :n]

@@ -7,19 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from miho.optim.brackets import (
-    CLOSED,
-    FINISH,
-    LEAD,
-    REVIVE,
-    RUNG,
-    SCREEN,
-    UNLIMITED,
-    check_brackets,
-    draw_starts,
-    luby,
-    rows_by_level,
-)
+from miho.compiled.phases import CLOSED, FINISH, LEAD, REVIVE, RUNG, SCREEN, UNLIMITED
+from miho.optim.brackets import check_brackets, draw_starts, luby, rows_by_level
 from miho.optim.miho_qn_state import (
     NEAR_LAST,
     MIHOQNState,

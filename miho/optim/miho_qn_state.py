@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.optim.brackets import CLOSED
+from miho.compiled.phases import CLOSED
 from miho.optim.quasi_newton_candidates import LossRequest, QNBox, QNCandidates
 from miho.optim.simplex import Simplex
 from miho.optim.space import Space

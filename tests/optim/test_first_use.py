@@ -35,10 +35,9 @@ for _, one in compiled.buffer:
     function = one.data["dispatcher"]
     if function.py_func.__module__.startswith(STEPS) and function.stats.cache_path:
         names.add(function.py_func.__qualname__.split(".")[0])
-from miho.compiled.gauss_newton import _distinct
-from miho.compiled.gauss_newton_loop import advance
+from miho.compiled.gauss_newton_loop import run_bracket
 assert given.error is None, given.error
-print(*sorted(names), len(advance.signatures), len(_distinct.signatures))
+print(*sorted(names), len(run_bracket.signatures))
 """
 
 
@@ -53,7 +52,7 @@ def test_a_compiled_problem_compiles_its_own_steps_once(tmp_path: Path) -> None:
     command = [sys.executable, "-c", FIRST_RUN]
     process = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
     assert process.returncode == 0, process.stderr
-    assert process.stdout.split() == ["_distinct", "advance", "1", "1"]
+    assert process.stdout.split() == ["run_bracket", "1"]
 
 
 @pytest.mark.slow
@@ -69,7 +68,7 @@ def test_two_workers_compile_the_steps_once(tmp_path: Path) -> None:
     process = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
     assert process.returncode == 0, process.stderr
     saved = [line for line in process.stdout.splitlines() if "data saved to" in line]
-    assert sum("gauss_newton_loop.advance." in line for line in saved) == 1, saved
+    assert sum("gauss_newton_loop.run_bracket." in line for line in saved) == 1, saved
     assert len(saved) == len(set(saved))
 
 

@@ -89,7 +89,7 @@ def test_a_share_is_what_it_was_however_often_a_run_is_cut() -> None:
         cut = minimize(MIHOGN(), problem, budget, seed=0, checkpoint=cut.checkpoint)
     assert whole.checkpoint is not None
     state = whole.checkpoint.state
-    assert state.stalled or state.allowance
+    assert state.stalled or state.settings.allowance
     assert not any(c.derivatives.size for c in state.stalled), "which wait for long"
     assert same(cut, whole)
 
@@ -99,14 +99,14 @@ def test_without_room_for_derivatives_steps_pay_for_their_own(
     problem: LeastSquaresProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with_room = minimize(MIHOGN(), problem, seed=2)
-    monkeypatch.setattr("miho.optim.miho_gn_state.ROOM", 0)
+    monkeypatch.setattr("miho.optim.miho_gn.ROOM", 0)
     whole = minimize(MIHOGN(), problem, seed=2)
     assert whole.outcome is Outcome.CONVERGED
     assert whole.loss == pytest.approx(with_room.loss, rel=1e-8)  # at which steps end
     cut = minimize(MIHOGN(), problem, Budget(evaluations=7), seed=2)
     for evaluations in range(14, 7 * math.ceil(whole.evaluations / 7) + 1, 7):
         assert cut.checkpoint is not None
-        assert not cut.checkpoint.state.candidates.derivatives.size
+        assert not cut.checkpoint.state.stored.size
         budget = Budget(evaluations=evaluations)
         cut = minimize(MIHOGN(), problem, budget, seed=2, checkpoint=cut.checkpoint)
     assert cut.trace.loss == whole.trace.loss
@@ -131,11 +131,11 @@ def test_sums_of_a_minimum_are_of_the_rows_of_each_level() -> None:
     assert record.checkpoint is not None
     state = record.checkpoint.state
     assert state.level_rows.size > 2
-    assert state.minima_losses.size
+    assert state.minima.loss.size
     space = problem.space
     low, high = space.bounds
-    thetas = space.decode(low + (high - low) * state.minima)
-    for rows, sums in zip(state.level_rows, state.minima_sums.T, strict=True):
+    thetas = space.decode(low + (high - low) * state.minima.x)
+    for rows, sums in zip(state.level_rows, state.minima.sums.T, strict=True):
         assert sums / rows == pytest.approx(problem.loss(thetas, rows / 600), rel=1e-9)
 
 
