@@ -54,9 +54,7 @@ def signature_of(*functions: Callable[..., object], shape: tuple[int, ...] = ())
     Functions are told apart by their code, the files it stands in, the values that they close over
     and the numbers, functions and classes among their globals, whose own code counts likewise.
     """
-    digest = hashlib.sha256(repr(shape).encode())
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(_text(str(path)))
+    digest = hashlib.sha256(_package() + repr(shape).encode())
     queue: list[Any] = list(functions)
     for function in queue:  # which grows
         code = function.__code__
@@ -118,6 +116,13 @@ def _names(code: CodeType) -> Iterator[str]:
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
             yield from _names(constant)
+
+
+@cache
+def _package() -> bytes:
+    """A digest of the code of this package."""
+    texts = [_text(str(path)) for path in sorted(Path(__file__).parent.glob("*.py"))]
+    return hashlib.sha256(b"".join(texts)).digest()
 
 
 @cache

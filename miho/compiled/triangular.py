@@ -31,7 +31,9 @@ def entry(function: Function) -> Function:
 
 
 def in_cache(function: Any) -> bool:
-    """Whether numba's cache on disk holds an entry, so that it need not be compiled."""
+    """Whether an entry is compiled, or numba's cache on disk holds it."""
+    if function.signatures:
+        return True
     name = function.py_func.__qualname__
     return any(Path(function.stats.cache_path).glob(f"*.{name}-*.nbi"))
 

@@ -20,6 +20,10 @@ EVALUATIONS = 200
 STANDSTILL = 1e-8
 """A descent whose second half gains less than this fraction of the sum of squares is at its end."""
 
+AT_OPTIMUM = 1e-16
+"""A start from which the linear model promises less than this fraction of the sum of squares is the
+optimum: by 1e-8 sqrt(N) of a standard error."""
+
 
 class OutOfTimeError(Exception):
     """The seconds that a report may take are over."""
@@ -85,14 +89,21 @@ def refit(
     if not objective.first.size or objective.costs[-1] == 0:
         return Refit(objective.best, objective.costs[-1])
 
-    def residuals(part: Array) -> Array:  # the solver begins with a point that is evaluated already
+    # The solver begins with a point that is evaluated already.
+    def residuals(part: Array) -> Array:
         return start_values if objective.is_first(part) else objective.residuals(part)
 
+    def jacobian(part: Array) -> Array:
+        return start_slopes if objective.is_first(part) else objective.jacobian(part)
+
     try:
+        start_slopes = objective.jacobian(objective.first)
+        if at_optimum(start_slopes, start_values, objective.first):
+            return _limited(problem, objective, weights, fixed, True)
         solution = scipy.optimize.least_squares(
             residuals,
             objective.first,
-            jac=objective.jacobian,
+            jac=jacobian,
             bounds=(0.0, 1.0),
             x_scale="jac",
             ftol=tolerance,
@@ -108,8 +119,35 @@ def refit(
         converged = True
     except (_NoDerivatives, OutOfTimeError):
         converged = False
+    return _limited(problem, objective, weights, fixed, bool(converged))
+
+
+def at_optimum(J: Array, r: Array, part: Array) -> bool:
+    """Whether residuals r (N,) with derivatives J (N, f) leave nothing to gain inside of the box.
+
+    `part` (f,) is 0 and 1 at the bounds, where a parameter stays if its gradient points outwards.
+    """
+    slope = J.T @ r
+    held = ((part == 0) & (slope >= 0)) | ((part == 1) & (slope <= 0))
+    J = J[:, ~held]
+    with np.errstate(all="ignore"):
+        J = J / np.sqrt((J**2).sum(axis=0))
+        if J.shape[1] >= r.size or not np.isfinite(J).all():
+            return False
+    Q = np.linalg.qr(J)[0]
+    return bool(np.sum((Q.T @ r) ** 2) <= AT_OPTIMUM * (r @ r))
+
+
+def _limited(
+    problem: CurveFit,
+    objective: _Objective,
+    weights: Array | None,
+    fixed: Collection[int],
+    converged: bool,
+) -> Refit:
+    """Where the objective has ended, moved along the limits of tied parameters."""
     costs = objective.costs
-    end = Refit(objective.best, costs[-1], bool(converged), len(costs) - 1)
+    end = Refit(objective.best, costs[-1], converged, len(costs) - 1)
     if weights is None:
         theta = along_limits(problem, end.theta, fixed)
         if theta is not end.theta:

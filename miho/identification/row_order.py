@@ -87,7 +87,7 @@ def _covering(columns: list[Array], rows: Rows, rng: np.random.Generator) -> Ite
     if upper > 1 - RARE or (upper >= RARE and rng.random() < 0.5):
         sides.reverse()
     halves = []
-    for side in map(np.flatnonzero, sides):
+    for (side,) in map(np.nonzero, sides):
         halves.append(_covering([column[side] for column in columns], rows[side], rng))
     del columns, rows, split, sides, side  # so that of a large pool each row is in memory once
     while halves:
@@ -101,7 +101,8 @@ def _covering(columns: list[Array], rows: Rows, rng: np.random.Generator) -> Ite
 
 def _split(columns: list[Array]) -> NDArray[np.bool_] | None:
     """Which rows of a box are in its upper half; None for a box without any length."""
-    lows, highs = [column.min() for column in columns], [column.max() for column in columns]
+    lows = [float(np.minimum.reduce(column)) for column in columns]
+    highs = [float(np.maximum.reduce(column)) for column in columns]
     longest = max((high - low for low, high in zip(lows, highs, strict=True)), default=0.0)
     if not longest > 0:
         return None
@@ -111,5 +112,7 @@ def _split(columns: list[Array]) -> NDArray[np.bool_] | None:
             middle = low + (high - low) / 2
             # Between two neighbouring floating-point numbers there is no middle: it rounds to high.
             splits.append(column > (middle if middle < high else low))
+    if len(splits) == 1:
+        return splits[0]
     imbalances = [abs(2 * np.count_nonzero(split) - split.size) for split in splits]
     return splits[int(np.argmax(imbalances))]

@@ -21,7 +21,6 @@ from miho.models.symbolic import (
     NotAFormulaError,
     Symbol,
     arguments_of,
-    jointly_linear,
     trace,
 )
 from miho.models.traced import TracedExpression
@@ -138,7 +137,7 @@ class FunctionModel(DifferencedModel):
             return self
         size = np.abs(own[np.isfinite(own)]).max(initial=0.0)
         alike = np.allclose(own, traced, rtol=CLOSE, atol=CLOSE * size, equal_nan=True)
-        slopes = np.stack([formula.jacobian(theta, *columns) for theta in thetas])
+        slopes = formula.jacobian(thetas, *columns)
         usable = np.isfinite(slopes).all(axis=2) | ~np.isfinite(own)
         return formula if alike and usable.all() else self
 
@@ -250,8 +249,7 @@ class FunctionFormula(TracedExpression):
         """The parameters in which the function declares to be linear, or is."""
         if self.function.linear:
             return self.function.linear
-        names = list(self.parameters)
-        return tuple(names[k] for k in jointly_linear(self.graph, self.arguments))
+        return self.jointly_linear
 
     @property
     def inputs(self) -> Mapping[str, str]:  # type: ignore[override]

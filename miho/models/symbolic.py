@@ -271,10 +271,15 @@ def gradient(result: Symbol, variables: Sequence[Symbol]) -> list[Symbol]:
     return [_symbol(adjoints.get(variable, 0.0)) for variable in variables]
 
 
-def jointly_linear(result: Symbol, variables: Sequence[Symbol]) -> list[int]:
-    """Positions of variables in which a result is jointly linear, as many as come first."""
+def jointly_linear(
+    result: Symbol, variables: Sequence[Symbol], slopes: Sequence[Symbol]
+) -> list[int]:
+    """Positions of variables in which a result is jointly linear, as many as come first.
+
+    `slopes` are its derivatives with respect to them.
+    """
     positions: list[int] = []
-    dependence = [arguments_of([slope]) for slope in gradient(result, variables)]
+    dependence = [arguments_of([slope]) for slope in slopes]
     names = [variable.arguments[0] for variable in variables]
     used = arguments_of([result]) - arguments_of(
         s for s in _ordered([result]) if s.operation in ("sign", "minimum", "maximum", "absolute")

@@ -7,10 +7,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 from miho.compiled.kernel import Formula
 from miho.models.expression import Expression
-from miho.models.symbolic import Symbol, argument, gradient, written
+from miho.models.symbolic import Symbol, argument, gradient, jointly_linear, written
+
+Known = tuple[Formula, tuple[int, ...]]
+KNOWN: WeakKeyDictionary[Formula, Known] = WeakKeyDictionary()
+"""Derivatives, and positions of jointly linear parameters, of formulas of this process: thousands
+of fits of one function need them once."""
 
 
 class Remade:
@@ -48,7 +54,25 @@ class TracedExpression(Remade, Expression):
     @cached_property
     def derivatives(self) -> Formula:
         """The derivatives of the output with respect to the parameters."""
-        return self._written("derivatives", gradient(self.graph, self.arguments), single=False)
+        return self._known[0]
+
+    @property
+    def jointly_linear(self) -> tuple[str, ...]:
+        """The parameters in which the output is jointly linear, as many as come first."""
+        names = tuple(self.parameters)
+        return tuple(names[k] for k in self._known[1])
+
+    @cached_property
+    def _known(self) -> Known:
+        known = KNOWN.get(self.value)
+        if known is None:
+            slopes = gradient(self.graph, self.arguments)
+            known = (
+                self._written("derivatives", slopes, single=False),
+                tuple(jointly_linear(self.graph, self.arguments, slopes)),
+            )
+            KNOWN[self.value] = known
+        return known
 
     def _written(self, name: str, results: list[Symbol], single: bool) -> Callable[..., Any]:
         groups = {"inputs": self.columns, "theta": self.arguments}

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from miho.optim.space import Parameter, Space
+from miho.optim.space import Space
 from miho.quantities import Array
 from miho.validate import positive_settings, whole, whole_settings
 
@@ -82,38 +82,31 @@ def draw_starts(
             starts[every] = space.sample(len(shares), rng)
             continue
         if kind == "scale":
-            columns = [by_scale(shares[:, i], p) for i, p in enumerate(space.parameters)]
-            shares = np.stack(columns, axis=1)
+            shares = by_scale(shares, space)
         starts[every] = low + (high - low) * shares
     if first:
         starts[0] = space.initial(1)[0]
     return np.minimum(np.maximum(starts, low), high)
 
 
-def by_scale(u: Array, parameter: Parameter) -> Array:
-    """Uniform shares u (n,) of a range as shares whose sizes are log-uniform.
+def by_scale(u: Array, space: Space) -> Array:
+    """Uniform shares u (n, d) of the ranges as shares whose sizes are log-uniform.
 
     That is for parameters on the linear scale whose range spans zero, or more than a decade next to
     it: sizes are then drawn from the last DECADES below each end, and both signs are equally
     likely. Shares of any other range are given back as they are; so are those on the log scale,
     which are log-uniform already.
     """
-    low, high = parameter.low, parameter.high
-    if parameter.scale == "log":
-        return u
-    if low < 0 < high:
-        below = u < 0.5
-        sizes = np.where(below, -_size(1 - 2 * u, 0.0, -low), _size(2 * u - 1, 0.0, high))
-    elif 0 <= 10 * low < high:
-        sizes = _size(u, low, high)
-    elif low < 10 * high <= 0:
-        sizes = -_size(1 - u, -high, -low)
-    else:
-        return u
-    return np.asarray((sizes - low) / (high - low))
-
-
-def _size(u: Array, low: float, high: float) -> Array:
-    """Log-uniform sizes for uniform u (n,), from `low`, or DECADES below `high`, to `high`."""
-    low = max(low, high * 10.0**-DECADES)
-    return np.asarray(low * (high / low) ** np.clip(u, 0.0, 1.0))
+    low, high = space.low, space.high
+    linear = np.array([p.scale != "log" for p in space.parameters])
+    spanning, above = (low < 0) & (high > 0), (low >= 0) & (10 * low < high)
+    below = (high <= 0) & (low < 10 * high)
+    negative = below | (spanning & (u < 0.5))
+    # Sizes reach from the end near zero to the far one.
+    shares = np.where(spanning, np.abs(2 * u - 1), np.where(below, 1 - u, u))
+    far = np.where(negative, -low, high)
+    near = np.maximum(np.where(negative, -high, low), far * 10.0**-DECADES)
+    with np.errstate(all="ignore"):  # of ranges that are not scaled
+        sizes = near * (far / near) ** np.clip(shares, 0.0, 1.0)
+        scaled = (np.where(negative, -sizes, sizes) - low) / (high - low)
+    return np.where(linear & (spanning | above | below), scaled, u)

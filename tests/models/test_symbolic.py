@@ -11,7 +11,7 @@ import pytest
 import miho
 from miho.models.function_model import FunctionModel
 from miho.models.model import central_differences
-from miho.models.symbolic import NotAFormulaError, argument, jointly_linear, trace
+from miho.models.symbolic import NotAFormulaError, argument, gradient, jointly_linear, trace
 
 t = np.linspace(0.0, 3.0, 31)
 THETAS = np.array([[0.7, 1.3, 2.1], [1.9, 0.4, 0.6]])
@@ -134,4 +134,4 @@ def test_linear_parameters_are_found_and_bends_are_not_taken_for_lines() -> None
         "none": (np.exp(a + b) * np.exp(c), []),
     }
     for name, (graph, expected) in cases.items():
-        assert jointly_linear(graph, [a, b, c]) == expected, name
+        assert jointly_linear(graph, [a, b, c], gradient(graph, [a, b, c])) == expected, name
