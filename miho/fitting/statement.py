@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -10,11 +11,41 @@ import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.models.function_model import FunctionModel
+from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
+from miho.models.tire_formula import TireFormula, is_coefficient, tire_formula
 from miho.optim import Parameter, Space
 
 FAR = 1e6
 """A parameter without bounds is sought so many times its start on either side of it."""
+
+
+Tire = MagicFormula | str | os.PathLike[str]
+
+
+def of_tire(
+    tire: Tire,
+    x: Any,
+    y: Any,
+    space: Space | Mapping[str, Any] | Collection[str],
+    start: Mapping[str, float] | None,
+    held: Collection[str],
+) -> tuple[TireFormula, Space | Mapping[str, Any] | None, Mapping[str, float] | None]:
+    """The model of a tire or its file, with bounds and start: the tire's own of what is only named.
+
+    `held` are names that are fixed or tied, perhaps to what is no coefficient.
+    """
+    if not isinstance(y, str) or not (isinstance(x, Mapping) or hasattr(x, "columns")):
+        raise ValueError("of a tire, x are columns by name, and y is that of one: Fx, Fy or Mz")
+    named = (
+        space.names if isinstance(space, Space) else (space,) if isinstance(space, str) else space
+    )
+    names = dict.fromkeys([*named, *(start or ()), *held])
+    model = tire_formula(tire, [n for n in names if is_coefficient(n) or not held], [*x], y)
+    if isinstance(space, Space | Mapping):
+        return model, space, start
+    own = model.own_values()
+    return model, None, {n: own[n] for n in named if n in own} | dict(start or {})
 
 
 def data_of(

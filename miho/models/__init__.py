@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from miho.models.tir import load_tir, write_tir
     from miho.models.tir_reader import TirError
     from miho.models.tire import Pacejka, PacejkaCurvature
+    from miho.models.tire_formula import TireFormula
     from miho.models.tire_landmarks import PacejkaLandmarks
     from miho.models.trajectory import Trajectory, load_trajectory
 
@@ -32,7 +33,7 @@ __all__ = [
     "BrakeResponse", "BrakeTorque", "EngineMap", "FrontRear", "FunctionModel", "Identified",
     "LateralMagicFormula", "Longitudinal", "Model", "OutsideDataWarning", "Pacejka",
     "PacejkaCurvature", "PacejkaLandmarks", "PublishedModel", "SimplifiedTire", "SingleTrack",
-    "TirError", "TorqueCubic", "TorqueCurve", "Trajectory", "central_stiffness",
+    "TirError", "TireFormula", "TorqueCubic", "TorqueCurve", "Trajectory", "central_stiffness",
     "cornering_stiffness", "from_simplified", "load_function", "load_tir", "load_trajectory",
     "mf61_lateral", "play", "read_parameters", "simplify", "single_track_drive",
     "single_track_response", "write_tir",
