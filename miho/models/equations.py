@@ -276,16 +276,18 @@ class Equations:
         slopes = [gradient(result, [*x, *p]) for result in results]
         lines, at = assignments([*results, *(slope for row in slopes for slope in row)], places)
         body = [line for line, _ in lines]
-        written_at = iter(at[len(results) :])
+        written_at, d = iter(at[len(results) :]), len(p)
         for k, row in enumerate(slopes):
             by = [(slope.number != 0, next(written_at)) for slope in row]
-            chain = [f"{at} * x_p[{s}, k]" for s, (moves, at) in enumerate(by[: len(x)]) if moves]
-            body.append("for k in range(p.size):")
-            body.append(f"    out_p[{k}, k] = {' + '.join(chain) or '0.0'}")
+            moving = [(s, at) for s, (moves, at) in enumerate(by[: len(x)]) if moves]
+            chain = [f"{at} * x[{len(x) + s * d} + k]" for s, at in moving]
+            begin = len(results) + k * d
+            body.append(f"for k in range({d}):")
+            body.append(f"    out[{begin} + k] = {' + '.join(chain) or '0.0'}")
             directly = enumerate(by[len(x) :])
-            body += [f"out_p[{k}, {q}] += {at}" for q, (moves, at) in directly if moves]
+            body += [f"out[{begin + q}] += {at}" for q, (moves, at) in directly if moves]
             body.append(f"out[{k}] = {at[k]}")
-        head = f"def {name}(t, u, x, p, x_p, out, out_p):"
+        head = f"def {name}(t, u, x, p, out, columns):"
         return defined(name, [head, *(f"    {line}" for line in body)])
 
 

@@ -260,7 +260,7 @@ class Trajectory(Model):
             return None
         from miho.compiled.runge_kutta import trajectories
 
-        return trajectories(flat, len(self.states), len(self.outputs))
+        return trajectories(flat, len(self.states), len(self.outputs), len(self.parameters))
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
