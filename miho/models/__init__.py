@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from miho.models.brake_statics import BrakeDeceleration, BrakePressure, BrakeTorque
     from miho.models.engine import TorqueCubic, TorqueCurve
     from miho.models.engine_map import EngineMap
-    from miho.models.function_model import FunctionModel, load_function
+    from miho.models.function_model import FunctionModel
     from miho.models.identified import Identified, OutsideDataWarning, read_parameters
     from miho.models.lateral_magic_formula import LateralMagicFormula, mf61_lateral
     from miho.models.longitudinal import Longitudinal
@@ -26,7 +26,8 @@ if TYPE_CHECKING:
     from miho.models.tire import Pacejka, PacejkaCurvature
     from miho.models.tire_formula import TireFormula
     from miho.models.tire_landmarks import PacejkaLandmarks
-    from miho.models.trajectory import Trajectory, load_trajectory
+    from miho.models.trajectory import Trajectory
+    from miho.models.user_file import load_function, load_trajectory
 
 __all__ = [
     "Axle", "Brake", "BrakeCommand", "BrakeDeceleration", "BrakePlay", "BrakePressure",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 import __future__
 
-import ast
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from miho.compiled.course import LANES, FlatEquations
+from miho.models.function_model import COLUMN, declared_unit
 from miho.models.symbolic import (
     NotAFormulaError,
     Symbol,
@@ -25,7 +25,6 @@ from miho.models.symbolic import (
 )
 from miho.quantities import Array
 
-COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 NO_UNIT = "-"
 ROOT = float(np.cbrt(np.finfo(float).eps))
 """A step of central differences, relative: it leaves an error near 1e-10 of smooth functions."""
@@ -63,28 +62,14 @@ class Declared:
                 raise ValueError(f"{name}: {each} stands for any argument; name each")
             if each.default is each.empty:
                 group = columns if each.kind in COLUMN else parameters
-                group[each.name] = _unit(each.annotation, postponed)
-        return cls(
-            function, name, columns, parameters, _unit(signature.return_annotation, postponed)
-        )
+                group[each.name] = declared_unit(each.annotation, postponed) or NO_UNIT
+        unit = declared_unit(signature.return_annotation, postponed) or NO_UNIT
+        return cls(function, name, columns, parameters, unit)
 
     def __call__(self, values: Mapping[str, Any]) -> Any:
         """The result, of values by name."""
         arguments = [values[name] for name in self.columns]
         return self.function(*arguments, **{name: values[name] for name in self.parameters})
-
-
-def _unit(annotation: Any, postponed: bool) -> str:
-    """The unit in an annotation that is a text, which `postponed` evaluation puts in quotes."""
-    if not isinstance(annotation, str):
-        return NO_UNIT
-    if not postponed:
-        return annotation
-    try:
-        literal = ast.literal_eval(annotation)
-    except (SyntaxError, ValueError):
-        return NO_UNIT  # a type
-    return literal if isinstance(literal, str) else NO_UNIT
 
 
 @dataclass(frozen=True)
