@@ -12,17 +12,9 @@ from typing import Any
 import numpy as np
 
 from miho.compiled.course import LANES, FlatEquations
+from miho.models.formula_text import assignments, defined, written
 from miho.models.function_model import COLUMN, declared_unit
-from miho.models.symbolic import (
-    NotAFormulaError,
-    Symbol,
-    argument,
-    assignments,
-    defined,
-    gradient,
-    trace,
-    written,
-)
+from miho.models.symbolic import NotAFormulaError, Symbol, argument, gradient, trace
 from miho.quantities import Array
 
 NO_UNIT = "-"

@@ -1,21 +1,18 @@
-"""Formulas as graphs: traced from plain functions, differentiated, and written out as functions.
+"""Formulas as graphs, traced from plain functions and differentiated.
 
 A function that is arithmetic and NumPy's functions of numbers, called with symbols for numbers,
 leaves the graph of what it computes. From that graph come its derivatives, by the chain rule from
-the result to the arguments (reverse accumulation; Griewank and Walther 2008, Ch. 3.2), and plain
-Python functions of both, which NumPy evaluates and numba compiles.
+the result to the arguments (reverse accumulation; Griewank and Walther 2008, Ch. 3.2).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache, lru_cache
+from functools import cache
 from typing import Any, NoReturn
 
 import numpy as np
-
-from miho.compiled.elementary import atan, cos, sin, where
 
 MOST = 5000
 """Operations at most: the compiler takes longer than the model for more."""
@@ -283,7 +280,7 @@ def trace(function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Sym
         result = _symbol(function(*arguments, **keywords))
     except Exception as error:
         raise NotAFormulaError(str(error)) from error
-    if len(_ordered([result])) > MOST:
+    if len(ordered([result])) > MOST:
         raise NotAFormulaError(f"it has more than {MOST} operations")
     return result
 
@@ -303,7 +300,7 @@ def _gradient(
     """
     adjoints: dict[Symbol, Any] = {result: constant(1.0)}
     slopes: list[Any] = [0.0] * len(variables)
-    for symbol in reversed(_ordered([result])):
+    for symbol in reversed(ordered([result])):
         adjoint = adjoints.get(symbol)
         if adjoint is None or symbol.operation in (ARGUMENT, CONSTANT):
             continue
@@ -331,7 +328,7 @@ def jointly_linear(result: Symbol, variables: Sequence[Symbol]) -> list[int]:
     dependence = [arguments_of([slope]) for slope in gradient(result, variables)]
     names = [variable.arguments[0] for variable in variables]
     used = arguments_of([result]) - arguments_of(
-        s for s in _ordered([result]) if s.operation in BENDS
+        s for s in ordered([result]) if s.operation in BENDS
     )  # whose derivatives are constant on either side of a bend
     for k, name in enumerate(names):
         others = [names[i] for i in positions]
@@ -343,89 +340,10 @@ def jointly_linear(result: Symbol, variables: Sequence[Symbol]) -> list[int]:
 
 def arguments_of(results: Iterable[Symbol]) -> set[str]:
     """The names of the arguments that results depend on."""
-    return {s.arguments[0] for s in _ordered(results) if s.operation == ARGUMENT}
+    return {s.arguments[0] for s in ordered(results) if s.operation == ARGUMENT}
 
 
-def written(
-    name: str, signature: Mapping[str, Sequence[str]], results: Sequence[Symbol], single: bool
-) -> Callable[..., Any]:
-    """A plain function that computes results, each operation once.
-
-    `signature` maps its arguments, which are tuples, to the names of the symbols that they hold:
-    p0 and x0 rather than a user's names, which could be those of functions. It gives the `single`
-    result, or a tuple of all.
-    """
-    lines = [f"def {name}({', '.join(signature)}):"]
-    lines += [f"    ({', '.join(names)},) = {tuple_}" for tuple_, names in signature.items()]
-    statements, places = assignments(results)
-    lines += [f"    {line}" for line, _ in statements]
-    returned = ", ".join(places)
-    lines.append(f"    return {returned if single else f'({returned},)'}")
-    return defined(name, lines)
-
-
-def assignments(
-    results: Sequence[Symbol], names: Mapping[str, str] | None = None
-) -> tuple[list[tuple[str, frozenset[str]]], list[str]]:
-    """Lines that compute results, each operation once, and what to write for each result.
-
-    With each line come the arguments that it depends on; `names` is what to write for these, if
-    not their own names.
-    """
-    lines: list[tuple[str, frozenset[str]]] = []
-    places: dict[Symbol, str] = {}
-    needs: dict[Symbol, frozenset[str]] = {}
-    values: dict[str, str] = {}  # by what they are computed from, so that none is computed twice
-    for symbol in _ordered(results):
-        if symbol.operation == ARGUMENT:
-            name = symbol.arguments[0]
-            needs[symbol] = frozenset([name])
-            places[symbol] = name if names is None else names[name]
-        elif symbol.operation == CONSTANT:
-            needs[symbol] = frozenset()
-            places[symbol] = _literal(symbol.arguments[0])
-        else:
-            formula = _formula(symbol, places)
-            needs[symbol] = frozenset().union(*(needs[child] for child in symbol.arguments))
-            if formula not in values:
-                values[formula] = f"_{len(values)}"
-                lines.append((f"{values[formula]} = {formula}", needs[symbol]))
-            places[symbol] = values[formula]
-    return lines, [places[result] for result in results]
-
-
-def defined(name: str, lines: Iterable[str]) -> Callable[..., Any]:
-    """The function of that name that lines define, with NumPy and our elementary functions."""
-    return _function(name, "\n".join(lines))
-
-
-@lru_cache(maxsize=256)
-def _function(name: str, text: str) -> Callable[..., Any]:
-    """The function of this text, made once for all fits of a model."""
-    names: dict[str, Any] = {"np": np, "sin": sin, "cos": cos, "atan": atan, "where": where}
-    exec(compile(text, f"<{name}>", "exec"), names)  # noqa: S102 -- lines of our own
-    function: Callable[..., Any] = names[name]
-    return function
-
-
-def _formula(symbol: Symbol, places: Mapping[Symbol, str]) -> str:
-    """An operation as it is written; a power by a whole number, which is multiplied out, as one."""
-    parts = [places[child] for child in symbol.arguments]
-    if symbol.operation == "power":
-        exponent = symbol.arguments[1].number
-        if exponent is not None and exponent.is_integer():
-            parts[1] = f"({int(exponent)})"
-    return OPERATIONS[symbol.operation][0].format(*parts)
-
-
-def _literal(number: float) -> str:
-    """A number as it is written in a formula."""
-    if math.isfinite(number):
-        return f"({number!r})"
-    return "np.nan" if math.isnan(number) else f"({math.copysign(1, number)!r} * np.inf)"
-
-
-def _ordered(results: Iterable[Symbol]) -> list[Symbol]:
+def ordered(results: Iterable[Symbol]) -> list[Symbol]:
     """All symbols that results depend on, each after its arguments."""
     order: list[Symbol] = []
     seen: set[Symbol] = set()

@@ -10,7 +10,8 @@ from typing import Any
 
 from miho.compiled.kernel import Formula
 from miho.models.expression import Expression
-from miho.models.symbolic import Symbol, argument, gradient, written
+from miho.models.formula_text import written
+from miho.models.symbolic import Symbol, argument, gradient
 
 
 class Remade:
