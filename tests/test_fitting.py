@@ -14,7 +14,7 @@ from scipy.optimize import curve_fit, least_squares
 
 import miho
 from miho.data import embedded_tire
-from miho.models import Pacejka
+from miho.models import Pacejka, TireFormula
 from miho.models.tir_reader import read_tir
 
 DIGITS = 1e-6
@@ -243,6 +243,27 @@ def test_a_tire_is_searched_within_bounds_and_tied() -> None:
     expected = plain.values | {"part": plain.values["PHY1"] / 0.002}
     assert fit.values == pytest.approx(expected, rel=DIGITS)
     assert "and none found a better one" in fit.optimum
+
+
+def test_force_and_moment_of_a_tire_share_coefficients(tmp_path: Path) -> None:
+    """Made with a stiffness that both depend on and a trail that only the moment does."""
+    tire = miho.load_tir(embedded_tire("lf"))
+    truth = {"PKY1": -45.0, "QBZ1": 9.0}
+    worn = replace(tire, parameters=replace(tire.parameters, **truth))
+    x = {name: _rows_of_a_worn_tire(200)[name] for name in ("alpha", "Fz")}
+    made, rng = worn.forces(x["Fz"], 0.0, x["alpha"]), np.random.default_rng(1)
+    parts = {
+        "force": miho.Part(TireFormula(tire, ("PKY1",), "Fy"), x, made.Fy + rng.normal(0, 30, 200)),
+        "moment": miho.Part(
+            TireFormula(tire, ("PKY1", "QBZ1"), "Mz"), x, made.Mz + rng.normal(0, 1, 200)
+        ),
+    }
+    fit = miho.fit_joint(parts, {"PKY1": (-90, -20), "QBZ1": (3, 20)})
+    errors = fit.parameters["standard_error"]
+    assert all(abs(fit.values[name] - truth[name]) < 4 * errors[name] for name in truth)
+    fit.part("moment").to_tir(tmp_path / "worn.tir")
+    again = miho.load_tir(tmp_path / "worn.tir").parameters
+    assert (fit.values["PKY1"], fit.values["QBZ1"]) == (again.PKY1, again.QBZ1)
 
 
 @pytest.mark.parametrize(
