@@ -92,7 +92,7 @@ def fit(
     if isinstance(model, MagicFormula | str | os.PathLike):
         held = {*(fixed or ()), *(tied or ())}
         model, space, start = of_tire(model, x, y, space or (), start, held)
-    elif isinstance(space, Collection) and not isinstance(space, Mapping):
+    elif isinstance(space, Collection) and not isinstance(space, Mapping | Space):
         raise ValueError(f"bounds are {space!r}; give them by name, as in {{'a': (0, 10)}}")
     named = space.names if isinstance(space, Space) else tuple(space or ())
     parameters = {*named, *(start or ()), *(fixed or ()), *(tied or ())}

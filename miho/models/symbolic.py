@@ -113,7 +113,9 @@ def operation(name: str, *arguments: Any) -> Symbol:
         return constant(value)
     _check_conditions(name, symbols)
     simple = _simplified(name, symbols, numbers)
-    return Symbol(name, *symbols) if simple is None else simple
+    if simple is None or (simple.operation in CONDITION and name not in LOGIC):  # 1 times it
+        return Symbol(name, *symbols)
+    return simple
 
 
 def _check_conditions(name: str, symbols: Sequence[Symbol]) -> None:
@@ -287,29 +289,31 @@ def trace(function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Sym
 
 def gradient(result: Symbol, variables: Sequence[Symbol]) -> list[Symbol]:
     """The derivatives of a result with respect to arguments, almost everywhere: jumps have none."""
-    return _gradient(result, variables, {})
+    branches: dict[Symbol, list[Symbol]] = {}
+    for symbol in ordered([result]):
+        if symbol.operation == "where":
+            for branch in symbol.arguments[1:]:
+                branches[branch] = _slopes(branch, variables, branches)
+    return _slopes(result, variables, branches)
 
 
-def _gradient(
-    result: Symbol, variables: Sequence[Symbol], known: dict[Symbol, list[Symbol]]
+def _slopes(
+    result: Symbol, variables: Sequence[Symbol], branches: Mapping[Symbol, Sequence[Symbol]]
 ) -> list[Symbol]:
-    """As `gradient`; `known` are those of branches.
+    """As `gradient`, given that of each branch of a choice.
 
     Between the derivatives of two branches the condition chooses as between their values, so that
     it does not matter what the other one's are, which may be infinite.
     """
     adjoints: dict[Symbol, Any] = {result: constant(1.0)}
     slopes: list[Any] = [0.0] * len(variables)
-    for symbol in reversed(ordered([result])):
+    for symbol in reversed(ordered([result], ends=(ARGUMENT, CONSTANT, "where"))):
         adjoint = adjoints.get(symbol)
         if adjoint is None or symbol.operation in (ARGUMENT, CONSTANT):
             continue
         if symbol.operation == "where":
-            condition, *branches = symbol.arguments
-            for branch in branches:
-                if branch not in known:
-                    known[branch] = _gradient(branch, variables, known)
-            for k, pair in enumerate(zip(*(known[branch] for branch in branches), strict=True)):
+            condition, *both = symbol.arguments
+            for k, pair in enumerate(zip(*(branches[branch] for branch in both), strict=True)):
                 slopes[k] += adjoint * operation("where", condition, *pair)
             continue
         partials = OPERATIONS[symbol.operation][1](symbol, *symbol.arguments)
@@ -343,8 +347,8 @@ def arguments_of(results: Iterable[Symbol]) -> set[str]:
     return {s.arguments[0] for s in ordered(results) if s.operation == ARGUMENT}
 
 
-def ordered(results: Iterable[Symbol]) -> list[Symbol]:
-    """All symbols that results depend on, each after its arguments."""
+def ordered(results: Iterable[Symbol], ends: Sequence[str] = (ARGUMENT, CONSTANT)) -> list[Symbol]:
+    """All symbols that results depend on up to such operations, each after its arguments."""
     order: list[Symbol] = []
     seen: set[Symbol] = set()
     stack: list[tuple[Symbol, bool]] = [(result, False) for result in results]
@@ -355,6 +359,6 @@ def ordered(results: Iterable[Symbol]) -> list[Symbol]:
         elif symbol not in seen:
             seen.add(symbol)
             stack.append((symbol, True))
-            if symbol.operation not in (ARGUMENT, CONSTANT):
+            if symbol.operation not in ends:
                 stack += [(child, False) for child in symbol.arguments]
     return order
