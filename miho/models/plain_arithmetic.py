@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ast
 import math
-from types import FunctionType
+from types import BuiltinFunctionType, FunctionType
 from typing import Any
 
 import numpy as np
@@ -21,6 +21,7 @@ SYNTAX = (
     ast.keyword, ast.expr_context, ast.operator, ast.unaryop, ast.boolop, ast.cmpop,
 )  # fmt: skip
 """No loops, so that it ends; nothing is stored but in variables of the function."""
+OTHERS = (abs, np.where, np.clip)
 
 
 def is_arithmetic(function: Any, callers: tuple[FunctionType, ...] = ()) -> bool:
@@ -57,9 +58,9 @@ def _is_of_numbers(value: Any) -> bool:
     """Whether a global is a number, or a function of numbers that does nothing else."""
     if isinstance(value, np.ufunc):
         return getattr(np, value.__name__, None) is value
-    listed = any(value is function for function in (abs, np.where, np.clip))
-    name = str(getattr(value, "__name__", ""))
-    return listed or isinstance(value, int | float) or vars(math).get(name, math) is value
+    if isinstance(value, BuiltinFunctionType) and value.__module__ == "math":
+        return True
+    return isinstance(value, int | float) or any(value is function for function in OTHERS)
 
 
 def _definition(function: FunctionType) -> ast.FunctionDef | None:
