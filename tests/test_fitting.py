@@ -279,7 +279,10 @@ def test_force_and_moment_of_a_tire_share_coefficients(tmp_path: Path) -> None:
 def test_a_tire_that_cannot_be_fitted(x: list[str], y: str, space: Any, message: str) -> None:
     rows = _rows_of_a_worn_tire(20)
     with pytest.raises(ValueError, match=message):
-        miho.fit(embedded_tire("lf"), {name: rows[name] for name in [*x, "Fy"]}, y, space)
+        miho.fit(
+            embedded_tire("lf"), {name: rows[name] for name in [*x, "Fy"]}, y, space,
+            tied={"PEY2": "2 * PEY1"} if space else None,
+        )  # fmt: skip
 
 
 def test_bounds_without_names_are_refused() -> None:

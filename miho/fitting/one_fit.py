@@ -90,8 +90,7 @@ def fit(
     Raises ValueError for what does not fit together, and where no finite value was found.
     """
     if isinstance(model, MagicFormula | str | os.PathLike):
-        held = {*(fixed or ()), *(tied or ())}
-        model, space, start = of_tire(model, x, y, space or (), start, held)
+        model, space, start = of_tire(model, x, y, space or (), start, fixed or {}, tied or {})
     elif isinstance(space, Collection) and not isinstance(space, Mapping | Space):
         raise ValueError(f"bounds are {space!r}; give them by name, as in {{'a': (0, 10)}}")
     named = space.names if isinstance(space, Space) else tuple(space or ())

@@ -29,23 +29,25 @@ def of_tire(
     y: Any,
     space: Space | Mapping[str, Any] | Collection[str],
     start: Mapping[str, float] | None,
-    held: Collection[str],
+    fixed: Mapping[str, float],
+    tied: Mapping[str, str],
 ) -> tuple[TireFormula, Space | Mapping[str, Any] | None, Mapping[str, float] | None]:
     """The model of a tire or its file, with bounds and start: the tire's own of what is only named.
 
-    `held` are names that are fixed or tied, perhaps to what is no coefficient.
+    Where coefficients are tied, the space may have names that are none.
     """
     if not isinstance(y, str) or not (isinstance(x, Mapping) or hasattr(x, "columns")):
         raise ValueError("of a tire, x are columns by name, and y is that of one: Fx, Fy or Mz")
-    named = (
-        space.names if isinstance(space, Space) else (space,) if isinstance(space, str) else space
-    )
-    names = dict.fromkeys([*named, *(start or ()), *held])
-    model = tire_formula(tire, [n for n in names if is_coefficient(n) or not held], [*x], y)
+    space = [space] if isinstance(space, str) else space
+    bounded = isinstance(space, Space | Mapping)
+    named = space.names if isinstance(space, Space) else tuple(space)
+    extra = {name for name in named if bounded and tied and not is_coefficient(name)}
+    names = dict.fromkeys([*named, *(start or ()), *fixed, *tied])
+    model = tire_formula(tire, [name for name in names if name not in extra], [*x], y)
     if isinstance(space, Space | Mapping):
         return model, space, start
     own = model.own_values()
-    return model, None, {n: own[n] for n in named if n in own} | dict(start or {})
+    return model, None, {name: own[name] for name in named} | dict(start or {})
 
 
 def data_of(
