@@ -44,7 +44,8 @@ def is_arithmetic(function: Any, callers: tuple[FunctionType, ...] = ()) -> bool
     def of_module(attribute: ast.Attribute) -> Any:
         name = attribute.value.id if isinstance(attribute.value, ast.Name) else ""
         module = None if name in own else known.get(name)
-        return getattr(module, attribute.attr, None) if module in (np, math) else None
+        known_module = module is np or module is math
+        return getattr(module, attribute.attr, None) if known_module else None
 
     modules = {id(attribute.value) for attribute in attributes}
     used = [known.get(n.id) for n in names if n.id not in own and id(n) not in modules]

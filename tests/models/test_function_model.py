@@ -255,6 +255,8 @@ OTHER = {
     "imports": "import os",
     "loops": "while calls > 1: b = 1",
     "calls what it is given": "b.sort()",
+    "asks a table": "a = a * table.max()",
+    "takes a table": "a = a * table",
     "calls what does more": "helper()",
     "calls itself": "decay(t, a=a, b=b)",
     "replaced": "np.tan(1.0)",
@@ -266,7 +268,7 @@ OTHER = {
 
 DOING = """
 import numpy as np
-calls, count = 0, [0]
+calls, count, table = 0, [0], np.arange(3.0)
 fake = np.frompyfunc(lambda x: count.append(1) or x, 1, 1)
 {first}
 def helper():
