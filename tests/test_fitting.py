@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.optimize import curve_fit
+from scipy.optimize import curve_fit, least_squares
 
 import miho
-from miho.models import Pacejka
+from miho.data import embedded_tire
+from miho.models import Pacejka, TireFormula
+from miho.models.tir_reader import read_tir
 
 DIGITS = 1e-6
 """Both descents end where a step changes the sum of squares by some 1e-10 of itself, which leaves
@@ -183,3 +187,107 @@ def test_what_does_not_fit_together_is_refused_in_a_line(case: str) -> None:
     with pytest.raises(ValueError, match=message) as caught:
         miho.fit(**arguments)
     assert "\n" not in str(caught.value)
+
+
+WORN = {"PCY1": 1.45, "PDY1": 1.9, "PKY1": -48.0, "PKY2": 1.7, "PHY1": 0.004, "PVY1": 0.03}
+
+
+def _rows_of_a_worn_tire(n: int = 400, noise: float = 30.0) -> dict[str, Any]:
+    tire = miho.load_tir(embedded_tire("lf"))
+    worn = replace(tire, parameters=replace(tire.parameters, **WORN))
+    rng = np.random.default_rng(0)
+    box = {"alpha": (-0.2, 0.2), "Fz": (800.0, 6000.0), "gamma": (-0.05, 0.05)}
+    rows = {name: rng.uniform(*ends, n) for name, ends in box.items()}
+    force = worn.forces(rows["Fz"], 0.0, rows["alpha"], rows["gamma"]).Fy
+    return rows | {"Fy": force + rng.normal(0, noise, n)}
+
+
+def test_coefficients_of_a_tire_are_fitted_and_written_back(tmp_path: Path) -> None:
+    """Against SciPy's least squares on the tire's own forces, to some of its last digits."""
+    path, rows = embedded_tire("lf"), _rows_of_a_worn_tire()
+    tire = miho.load_tir(path)
+    fit = miho.fit(path, rows, "Fy", list(WORN))
+
+    def residuals(theta: Any) -> Any:
+        values = dict(zip(WORN, theta, strict=True))
+        of = replace(tire, parameters=replace(tire.parameters, **values))
+        return of.forces(rows["Fz"], 0.0, rows["alpha"], rows["gamma"]).Fy - rows["Fy"]
+
+    start = [getattr(tire.parameters, name) for name in WORN]
+    settings = {"x_scale": np.abs(start), "xtol": 1e-14, "ftol": 1e-14, "gtol": 1e-14}
+    peer = least_squares(residuals, start, jac="3-point", **settings)
+    assert list(fit.values.values()) == pytest.approx(peer.x, rel=1e-6)
+    errors = fit.parameters["standard_error"]
+    assert all(abs(fit.values[name] - WORN[name]) < 5 * errors[name] for name in WORN)
+
+    fit.to_tir(tmp_path / "worn.tir")
+    before, after = read_tir(path).sections, read_tir(tmp_path / "worn.tir").sections
+    changed = {
+        key: value for name, entries in after.items() for key, value in entries.items()
+        if before[name].get(key) != value
+    }  # fmt: skip
+    assert changed == fit.values
+    assert {name: set(entries) for name, entries in before.items()} == {
+        name: set(entries) for name, entries in after.items()
+    }
+
+
+def test_a_tire_is_searched_within_bounds_and_tied() -> None:
+    """As the one with the tied coefficient in place of what it is tied to."""
+    tire, rows = miho.load_tir(embedded_tire("lf")), _rows_of_a_worn_tire()
+    held = {name: WORN[name] for name in ("PCY1", "PKY2", "PVY1")}
+    bounds = {"PDY1": (1, 3), "PKY1": (-80, -20)}
+    plain = miho.fit(tire, rows, "Fy", bounds | {"PHY1": (0.001, 0.008)}, fixed=held)
+    bounds |= {"part": (0.5, 4)}
+    fit = miho.fit(tire, rows, "Fy", bounds, fixed=held, tied={"PHY1": "0.002 * part"})
+    expected = plain.values | {"part": plain.values["PHY1"] / 0.002}
+    assert fit.values == pytest.approx(expected, rel=DIGITS)
+    assert "and none found a better one" in fit.optimum
+
+
+def test_force_and_moment_of_a_tire_share_coefficients(tmp_path: Path) -> None:
+    """Made with a stiffness that both depend on and a trail that only the moment does."""
+    tire = miho.load_tir(embedded_tire("lf"))
+    truth = {"PKY1": -45.0, "QBZ1": 9.0}
+    worn = replace(tire, parameters=replace(tire.parameters, **truth))
+    x = {name: _rows_of_a_worn_tire(200)[name] for name in ("alpha", "Fz")}
+    made, rng = worn.forces(x["Fz"], 0.0, x["alpha"]), np.random.default_rng(1)
+    parts = {
+        "force": miho.Part(TireFormula(tire, ("PKY1",), "Fy"), x, made.Fy + rng.normal(0, 30, 200)),
+        "moment": miho.Part(
+            TireFormula(tire, ("PKY1", "QBZ1"), "Mz"), x, made.Mz + rng.normal(0, 1, 200)
+        ),
+    }
+    fit = miho.fit_joint(parts, {"PKY1": (-90, -20), "QBZ1": (3, 20)})
+    errors = fit.parameters["standard_error"]
+    assert all(abs(fit.values[name] - truth[name]) < 4 * errors[name] for name in truth)
+    fit.part("moment").to_tir(tmp_path / "worn.tir")
+    again = miho.load_tir(tmp_path / "worn.tir").parameters
+    assert (fit.values["PKY1"], fit.values["QBZ1"]) == (again.PKY1, again.QBZ1)
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "space", "message"),
+    [
+        (["alpha", "Fz"], "Fy", (), "no coefficient is free"),
+        (["alpha", "Fz"], "Fy", ["PDY"], "'PDY' is no coefficient of MF 6.1"),
+        (["alpha", "Fz"], "Fy", ["FZMIN"], "'FZMIN' is no coefficient"),
+        (["alpha", "Fz"], "alpha", ["PDY1"], "expected Fx, Fy, Mz"),
+        (["alpha"], "Fy", ["PDY1"], "expected Fz and alpha or kappa"),
+    ],
+)
+def test_a_tire_that_cannot_be_fitted(x: list[str], y: str, space: Any, message: str) -> None:
+    rows = _rows_of_a_worn_tire(20)
+    with pytest.raises(ValueError, match=message):
+        miho.fit(
+            embedded_tire("lf"), {name: rows[name] for name in [*x, "Fy"]}, y, space,
+            tied={"PEY2": "2 * PEY1"} if space else None,
+        )  # fmt: skip
+
+
+def test_bounds_without_names_are_refused() -> None:
+    with pytest.raises(ValueError, match="give them by name"):
+        miho.fit(lambda t, a: a * t, np.arange(5.0), np.arange(5.0), [(0, 1)])  # type: ignore[arg-type]
+    fit = miho.fit(lambda t, a: a * t, np.arange(5.0), np.arange(5.0), start={"a": 1})
+    with pytest.raises(TypeError, match="only a fit of a tire"):
+        fit.to_tir("x.tir")

@@ -20,7 +20,7 @@ def decay(t, a, b, c):
 
 
 def opaque(t, a, b, c):
-    return np.where(t > -1, decay(t, a, b, c), 0.0)
+    return decay(np.asarray(t), a, b, c)
 
 
 y = np.array([decay(t, *theta) for theta in TRUTH]) + 0.02 * rng.standard_normal((60, 50))

@@ -39,7 +39,7 @@ def decay(x: Array, a: float, b: float, c: float) -> Array:
 
 def opaque(x: Array, a: float, b: float, c: float) -> Array:
     """The same in a form that is no formula, and cannot be compiled."""
-    return np.where(x > -1, decay(x, a, b, c), 0.0)
+    return decay(np.asarray(x), a, b, c)
 
 
 def measure(quick: bool) -> Measured:

@@ -39,10 +39,10 @@ class Course(NamedTuple):
 class FlatEquations:
     """Right-hand side and outputs as plain functions of flat arrays, which numba compiles.
 
-    `rates` and `outputs` are called (t, u, x, p, out, lanes): state s of parameter row i is
-    x[LANES * s + i], and so are p and out. `varied_rates` and `varied_outputs` are called
-    (t, u, x, p, x_p, out, out_p), for one row: with x_p (S, d), the derivatives of x with respect
-    to the parameters, they give those of the result too.
+    All are called (t, u, x, p, out, columns). Of `rates` and `outputs` these are parameter rows:
+    state s of row i is x[LANES * s + i], and so are p and out. Of `varied_rates` and
+    `varied_outputs` they are the d parameters of one row: behind x (S,) stand its derivatives
+    (S, d) with respect to them, row by row, and so they do behind the result in out.
     """
 
     rates: Callable[..., None]

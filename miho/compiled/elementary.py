@@ -1,7 +1,6 @@
-"""Sine, cosine and arctangent of an expression that runs on NumPy arrays and compiled alike.
+"""Functions of an expression that runs on NumPy arrays and compiled alike.
 
-Called from Python these are NumPy's functions. Compiled they are those of
-`miho.compiled.polynomials`.
+Called from Python these are NumPy's. Compiled they are those of `miho.compiled.polynomials`.
 """
 
 from __future__ import annotations
@@ -24,3 +23,8 @@ def cos(x: Any) -> Any:
 def atan(x: Any) -> Any:
     """Arctangent [rad]."""
     return np.arctan(x)
+
+
+def where(condition: Any, x: Any, y: Any) -> Any:
+    """X where a condition holds, else y."""
+    return np.where(condition, x, y)

@@ -22,7 +22,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic, overload, register_jitable
 
-from miho.compiled.elementary import atan, cos, sin
+from miho.compiled.elementary import atan, cos, sin, where
 
 INVERSE_PI = 1 / math.pi
 PI_HIGH = math.pi
@@ -156,3 +156,17 @@ def _compiled(function: Callable[[Any], Any], of_number: Callable[[float], float
 _compiled(sin, _sine)
 _compiled(cos, _cosine)
 _compiled(atan, _arctangent)
+
+
+@overload(where)
+def _choose(condition: Any, x: Any, y: Any) -> Any:
+    """For numbers without the array that NumPy's makes, so that the processor chooses several."""
+
+    def of_numbers(condition: Any, x: Any, y: Any) -> Any:
+        return x if condition else y
+
+    def of_arrays(condition: Any, x: Any, y: Any) -> Any:
+        return np.where(condition, x, y)
+
+    arrays = any(isinstance(each, types.Array) for each in (condition, x, y))
+    return of_arrays if arrays else of_numbers

@@ -31,9 +31,9 @@ class Trajectories:
     derive: Callable[[Array, Course, Array], None]
 
 
-def trajectories(equations: FlatEquations, states: int, outputs: int) -> Trajectories:
-    """The compiled solution of equations with so many states and outputs, cached on disk."""
-    shape = states, outputs
+def trajectories(equations: FlatEquations, states: int, outputs: int, d: int) -> Trajectories:
+    """The compiled solution for so many states, outputs and parameters, cached on disk."""
+    shape = states, outputs, d
     values = signed_formulas((equations.rates, equations.outputs), shape)
     varied = signed_formulas((equations.varied_rates, equations.varied_outputs), shape)
     return Trajectories(_compile_values(values, *shape), _compile_sensitivities(varied, *shape))
@@ -49,8 +49,9 @@ def _between(course: Course, j: int, share: float, u: Array) -> None:
 
 
 @cache
-def _compile_values(formulas: Signed, S: int, K: int) -> Callable[[Array, Course, Array], None]:
-    rates, outputs = map(register_jitable, formulas.copies())
+def _compile_values(
+    formulas: Signed, S: int, K: int, d: int
+) -> Callable[[Array, Course, Array], None]:
     sign = signing(formulas.signature)
 
     @register_jitable
@@ -61,130 +62,103 @@ def _compile_values(formulas: Signed, S: int, K: int) -> Callable[[Array, Course
             for i in range(lanes):
                 x[s * LANES + i] = course.values[m, s] if k < 0 else p[k * LANES + i]
 
-    @register_jitable
-    @sign
-    def advance(course: Course, j: int, lanes: int, p: Array, u: Array, work: Any) -> None:
-        """From row j to row j + 1, in place."""
-        x, at, after, dx = work
-        h = (course.t[j + 1] - course.t[j]) / course.substeps
-        for substep in range(course.substeps):
-            for i in range(S * LANES):  # a length that the compiler knows, so unused lanes too
-                at[i] = after[i] = x[i]
-            for stage in range(4):
-                ahead = ((stage + 1) // 2) / 2
-                weight = h / 3 if stage in (1, 2) else h / 6
-                if stage:
-                    for i in range(S * LANES):
-                        at[i] = x[i] + ahead * h * dx[i]
-                _between(course, j, (substep + ahead) / course.substeps, u)
-                rates(course.t[j] + (substep + ahead) * h, u, at, p, dx, lanes)
-                for i in range(S * LANES):
-                    after[i] += weight * dx[i]
-            for i in range(S * LANES):
-                x[i] = after[i]
+    simulate = _simulation(formulas, begin, S * LANES, K * LANES, (0, LANES))
 
     @njit(cache=True, nogil=True, error_model="numpy")
     @sign
     def solve(thetas: Array, course: Course, out: Array) -> None:
-        u, p = np.empty(course.u.shape[1]), np.empty(thetas.shape[1] * LANES)
-        x, y = np.zeros(S * LANES), np.empty(K * LANES)
-        work = (x, np.zeros(S * LANES), np.zeros(S * LANES), np.zeros(S * LANES))
+        p = np.empty(d * LANES)
         for block in range(0, len(thetas), LANES):
             lanes = min(LANES, len(thetas) - block)
-            for k in range(thetas.shape[1]):
+            for k in range(d):
                 for i in range(lanes):
                     p[k * LANES + i] = thetas[block + i, k]
-            for j in range(course.t.size):
-                if j:
-                    advance(course, j - 1, lanes, p, u, work)
-                m = course.reset[j]
-                if m >= 0 and (j == 0 or not course.restart):
-                    begin(course, m, lanes, p, x)
-                _between(course, j, 0.0, u)
-                outputs(course.t[j], u, x, p, y, lanes)
-                for r in range(course.first[j], course.first[j + 1]):
-                    row = course.rows[r]
-                    for i in range(lanes):
-                        out[block + i, row] = y[course.output[row] * LANES + i]
-                if m >= 0 and j and course.restart:
-                    begin(course, m, lanes, p, x)
+            simulate(p, course, lanes, out[block : block + lanes])
 
     return solve  # type: ignore[no-any-return]
 
 
 @cache
 def _compile_sensitivities(
-    formulas: Signed, S: int, K: int
+    formulas: Signed, S: int, K: int, d: int
 ) -> Callable[[Array, Course, Array], None]:
-    """x_p (S, d) is the derivative of the state with respect to the parameters.
+    """Behind the state x (S,) stand its derivatives with respect to the parameters, (S, d).
 
     Each stage of each step is differentiated, so these are the derivatives of what is computed, to
     rounding, and not those of the motion that it approximates.
     """
-    varied_rates, varied_outputs = map(register_jitable, formulas.copies())
     sign = signing(formulas.signature)
 
     @register_jitable
     @sign
-    def begin(course: Course, m: int, p: Array, x: Array, x_p: Array) -> None:
+    def begin(course: Course, m: int, _: int, p: Array, x: Array) -> None:
         for s in range(S):
             start = course.parameters[m, s]
             x[s] = course.values[m, s] if start < 0 else p[start]
-            for k in range(p.size):
-                x_p[s, k] = 1.0 if k == start else 0.0
+            for k in range(d):
+                x[S + s * d + k] = 1.0 if k == start else 0.0
+
+    simulate = _simulation(formulas, begin, S + S * d, K + K * d, (K, d))
+
+    @njit(cache=True, nogil=True, error_model="numpy")
+    @sign
+    def derive(theta: Array, course: Course, out: Array) -> None:
+        simulate(theta, course, d, out.T)
+
+    return derive  # type: ignore[no-any-return]
+
+
+def _simulation(
+    formulas: Signed, begin: Any, size: int, results: int, place: tuple[int, int]
+) -> Callable[[Array, Course, int, Array], None]:
+    """The motion of `size` numbers by Runge-Kutta steps, `results` of which are asked for at a row.
+
+    Those of output k stand from place[0] + k place[1] on.
+    """
+    rates, outputs = map(register_jitable, formulas.copies())
+    sign, (first, apart) = signing(formulas.signature), place
 
     @register_jitable
     @sign
-    def advance(course: Course, j: int, p: Array, u: Array, work: Any) -> None:
+    def advance(course: Course, j: int, columns: int, p: Array, u: Array, work: Any) -> None:
         """From row j to row j + 1, in place."""
-        x, at, after, dx, x_p, at_p, after_p, dx_p = work
+        x, at, after, dx = work
         h = (course.t[j + 1] - course.t[j]) / course.substeps
         for substep in range(course.substeps):
-            for s in range(S):
-                at[s] = after[s] = x[s]
-                for k in range(p.size):
-                    at_p[s, k] = after_p[s, k] = x_p[s, k]
+            for i in range(size):  # a length that the compiler knows, so unused columns too
+                at[i] = after[i] = x[i]
             for stage in range(4):
                 ahead = ((stage + 1) // 2) / 2
                 weight = h / 3 if stage in (1, 2) else h / 6
                 if stage:
-                    for s in range(S):
-                        at[s] = x[s] + ahead * h * dx[s]
-                        for k in range(p.size):
-                            at_p[s, k] = x_p[s, k] + ahead * h * dx_p[s, k]
+                    for i in range(size):
+                        at[i] = x[i] + ahead * h * dx[i]
                 _between(course, j, (substep + ahead) / course.substeps, u)
-                varied_rates(course.t[j] + (substep + ahead) * h, u, at, p, at_p, dx, dx_p)
-                for s in range(S):
-                    after[s] += weight * dx[s]
-                    for k in range(p.size):
-                        after_p[s, k] += weight * dx_p[s, k]
-            for s in range(S):
-                x[s] = after[s]
-                for k in range(p.size):
-                    x_p[s, k] = after_p[s, k]
+                rates(course.t[j] + (substep + ahead) * h, u, at, p, dx, columns)
+                for i in range(size):
+                    after[i] += weight * dx[i]
+            for i in range(size):
+                x[i] = after[i]
 
-    @njit(cache=True, nogil=True, error_model="numpy")
+    @register_jitable
     @sign
-    def derive(p: Array, course: Course, out: Array) -> None:
-        u, x, x_p = np.empty(course.u.shape[1]), np.empty(S), np.empty((S, p.size))
-        y, y_p = np.empty(K), np.empty((K, p.size))
-        work = (
-            x, np.empty(S), np.empty(S), np.empty(S),
-            x_p, np.empty(x_p.shape), np.empty(x_p.shape), np.empty(x_p.shape),
-        )  # fmt: skip
+    def simulate(p: Array, course: Course, columns: int, out: Array) -> None:
+        """Write out (columns, R) of parameter rows side by side, or of one row's derivatives."""
+        u, x, y = np.empty(course.u.shape[1]), np.zeros(size), np.empty(results)
+        work = (x, np.zeros(size), np.zeros(size), np.zeros(size))
         for j in range(course.t.size):
             if j:
-                advance(course, j - 1, p, u, work)
+                advance(course, j - 1, columns, p, u, work)
             m = course.reset[j]
             if m >= 0 and (j == 0 or not course.restart):
-                begin(course, m, p, x, x_p)
+                begin(course, m, columns, p, x)
             _between(course, j, 0.0, u)
-            varied_outputs(course.t[j], u, x, p, x_p, y, y_p)
+            outputs(course.t[j], u, x, p, y, columns)
             for r in range(course.first[j], course.first[j + 1]):
                 row = course.rows[r]
-                for k in range(p.size):
-                    out[row, k] = y_p[course.output[row], k]
+                for i in range(columns):
+                    out[i, row] = y[first + course.output[row] * apart + i]
             if m >= 0 and j and course.restart:
-                begin(course, m, p, x, x_p)
+                begin(course, m, columns, p, x)
 
-    return derive  # type: ignore[no-any-return]
+    return simulate  # type: ignore[no-any-return]

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -12,14 +13,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from miho.fitting.statement import data_of, inputs_of, space_of
+from miho.fitting.statement import Tire, data_of, inputs_of, of_tire, space_of
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
 from miho.identification.standing import standing
 from miho.identification.stated import at_limits, stated_parameters, whole_values
 from miho.identification.uncertainty import Linearised, linearised
+from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
+from miho.models.tied import whole_model
+from miho.models.tire_formula import TireFormula
 from miho.models.traced import Remade
 from miho.optim import MIHOGN, Budget, Descents, Optimizer, Space, minimize
 from miho.quantities import Array
@@ -43,10 +47,10 @@ class Prediction(NamedTuple):
 
 
 def fit(
-    model: Model | Callable[..., Any],
+    model: Model | Callable[..., Any] | Tire,
     x: Any,
     y: Any,
-    space: Space | Mapping[str, Any] | None = None,
+    space: Space | Mapping[str, Any] | Collection[str] | None = None,
     *,
     sigma: Any = None,
     sigma_known: bool = True,
@@ -79,14 +83,22 @@ def fit(
     compiled at its first fit, unless `compiled` is false: that takes seconds, later fits
     milliseconds.
 
+    A tire, `miho.load_tir` of a property file or its path, is a model too, of Fx, Fy or Mz as `y`
+    names it; its coefficients that have bounds or a start are free, all others stay. Only named, as
+    in ["PDY1", "PKY1"], they start from the tire's own values.
+
     Raises ValueError for what does not fit together, and where no finite value was found.
     """
+    if isinstance(model, MagicFormula | str | os.PathLike):
+        model, space, start = of_tire(model, x, y, space or (), start, fixed or {}, tied or {})
+    elif isinstance(space, Collection) and not isinstance(space, Mapping | Space):
+        raise ValueError(f"bounds are {space!r}; give them by name, as in {{'a': (0, 10)}}")
     named = space.names if isinstance(space, Space) else tuple(space or ())
     parameters = {*named, *(start or ()), *(fixed or ()), *(tied or ())}
     dataset, chosen, sigma = data_of(model, x, y, sigma, parameters)
     bounds = space_of(chosen, space, start, fixed or {}, tied or {})
     rho = Square() if loss is None else loss
-    if compiled is None and start is None:
+    if compiled is None and start is None and not isinstance(model, TireFormula):
         compiled = True
     problem = CurveFit(
         chosen, dataset, bounds, rho, compiled=compiled, sigma=sigma, sigma_known=sigma_known
@@ -199,6 +211,13 @@ class Fit(Remade):
         slopes = self.problem.model.jacobian(self.theta, *columns)
         reach = self.uncertainty.reach(slopes, self.level)
         return Prediction(value, value - reach, value + reach)
+
+    def to_tir(self, path: str | os.PathLike[str]) -> None:
+        """Write a fitted tire as a property file; what else its own file says is kept."""
+        model = whole_model(self.problem.model)
+        if not isinstance(model, TireFormula):
+            raise TypeError("only a fit of a tire can be written as a property file")
+        model.write(self.values, path)
 
     def plot(self) -> Figure:
         """Data and curve with its interval; over several inputs, measured over predicted values."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import os
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -10,11 +11,43 @@ import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.models.function_model import FunctionModel
+from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
+from miho.models.tire_formula import TireFormula, is_coefficient, tire_formula
 from miho.optim import Parameter, Space
 
 FAR = 1e6
 """A parameter without bounds is sought so many times its start on either side of it."""
+
+
+Tire = MagicFormula | str | os.PathLike[str]
+
+
+def of_tire(
+    tire: Tire,
+    x: Any,
+    y: Any,
+    space: Space | Mapping[str, Any] | Collection[str],
+    start: Mapping[str, float] | None,
+    fixed: Mapping[str, float],
+    tied: Mapping[str, str],
+) -> tuple[TireFormula, Space | Mapping[str, Any] | None, Mapping[str, float] | None]:
+    """The model of a tire or its file, with bounds and start: the tire's own of what is only named.
+
+    Where coefficients are tied, the space may have names that are none.
+    """
+    if not isinstance(y, str) or not (isinstance(x, Mapping) or hasattr(x, "columns")):
+        raise ValueError("of a tire, x are columns by name, and y is that of one: Fx, Fy or Mz")
+    space = [space] if isinstance(space, str) else space
+    bounded = isinstance(space, Space | Mapping)
+    named = space.names if isinstance(space, Space) else tuple(space)
+    extra = {name for name in named if bounded and tied and not is_coefficient(name)}
+    names = dict.fromkeys([*named, *(start or ()), *fixed, *tied])
+    model = tire_formula(tire, [name for name in names if name not in extra], [*x], y)
+    if isinstance(space, Space | Mapping):
+        return model, space, start
+    own = model.own_values()
+    return model, None, {name: own[name] for name in named} | dict(start or {})
 
 
 def data_of(

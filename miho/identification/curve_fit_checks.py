@@ -12,6 +12,7 @@ from miho.data.dataset import Dataset
 from miho.identification.loss import Square
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
+from miho.models.plain_arithmetic import is_arithmetic
 from miho.models.symbolic import arguments_of
 from miho.models.tied import Ties
 from miho.optim.space import Space
@@ -112,9 +113,9 @@ def _check_prior(problem: CurveFit) -> None:
 def traced_where_alike(model: FunctionModel, dataset: Dataset, space: Space) -> Model:
     """The function as a formula, if both give the same on the data at some configurations.
 
-    One that was read from a file is called for each evaluation, whatever else it does.
+    One that was read from a file is only called here if its text says that it is arithmetic.
     """
-    if model.source is not None:
+    if model.source is not None and not is_arithmetic(model.function):
         return model
     lacking = [name for name in model.inputs if name not in dataset.columns]
     if lacking:

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from miho.models.brake_statics import BrakeDeceleration, BrakePressure, BrakeTorque
     from miho.models.engine import TorqueCubic, TorqueCurve
     from miho.models.engine_map import EngineMap
-    from miho.models.function_model import FunctionModel, load_function
+    from miho.models.function_model import FunctionModel
     from miho.models.identified import Identified, OutsideDataWarning, read_parameters
     from miho.models.lateral_magic_formula import LateralMagicFormula, mf61_lateral
     from miho.models.longitudinal import Longitudinal
@@ -24,15 +24,17 @@ if TYPE_CHECKING:
     from miho.models.tir import load_tir, write_tir
     from miho.models.tir_reader import TirError
     from miho.models.tire import Pacejka, PacejkaCurvature
+    from miho.models.tire_formula import TireFormula
     from miho.models.tire_landmarks import PacejkaLandmarks
-    from miho.models.trajectory import Trajectory, load_trajectory
+    from miho.models.trajectory import Trajectory
+    from miho.models.user_file import load_function, load_trajectory
 
 __all__ = [
     "Axle", "Brake", "BrakeCommand", "BrakeDeceleration", "BrakePlay", "BrakePressure",
     "BrakeResponse", "BrakeTorque", "EngineMap", "FrontRear", "FunctionModel", "Identified",
     "LateralMagicFormula", "Longitudinal", "Model", "OutsideDataWarning", "Pacejka",
     "PacejkaCurvature", "PacejkaLandmarks", "PublishedModel", "SimplifiedTire", "SingleTrack",
-    "TirError", "TorqueCubic", "TorqueCurve", "Trajectory", "central_stiffness",
+    "TirError", "TireFormula", "TorqueCubic", "TorqueCurve", "Trajectory", "central_stiffness",
     "cornering_stiffness", "from_simplified", "load_function", "load_tir", "load_trajectory",
     "mf61_lateral", "play", "read_parameters", "simplify", "single_track_drive",
     "single_track_response", "write_tir",

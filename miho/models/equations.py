@@ -3,7 +3,6 @@
 from __future__ import annotations
 import __future__
 
-import ast
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,19 +12,11 @@ from typing import Any
 import numpy as np
 
 from miho.compiled.course import LANES, FlatEquations
-from miho.models.symbolic import (
-    NotAFormulaError,
-    Symbol,
-    argument,
-    assignments,
-    defined,
-    gradient,
-    trace,
-    written,
-)
+from miho.models.formula_text import assignments, defined, written
+from miho.models.function_model import COLUMN, declared_unit
+from miho.models.symbolic import NotAFormulaError, Symbol, argument, gradient, trace
 from miho.quantities import Array
 
-COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 NO_UNIT = "-"
 ROOT = float(np.cbrt(np.finfo(float).eps))
 """A step of central differences, relative: it leaves an error near 1e-10 of smooth functions."""
@@ -63,28 +54,14 @@ class Declared:
                 raise ValueError(f"{name}: {each} stands for any argument; name each")
             if each.default is each.empty:
                 group = columns if each.kind in COLUMN else parameters
-                group[each.name] = _unit(each.annotation, postponed)
-        return cls(
-            function, name, columns, parameters, _unit(signature.return_annotation, postponed)
-        )
+                group[each.name] = declared_unit(each.annotation, postponed) or NO_UNIT
+        unit = declared_unit(signature.return_annotation, postponed) or NO_UNIT
+        return cls(function, name, columns, parameters, unit)
 
     def __call__(self, values: Mapping[str, Any]) -> Any:
         """The result, of values by name."""
         arguments = [values[name] for name in self.columns]
         return self.function(*arguments, **{name: values[name] for name in self.parameters})
-
-
-def _unit(annotation: Any, postponed: bool) -> str:
-    """The unit in an annotation that is a text, which `postponed` evaluation puts in quotes."""
-    if not isinstance(annotation, str):
-        return NO_UNIT
-    if not postponed:
-        return annotation
-    try:
-        literal = ast.literal_eval(annotation)
-    except (SyntaxError, ValueError):
-        return NO_UNIT  # a type
-    return literal if isinstance(literal, str) else NO_UNIT
 
 
 @dataclass(frozen=True)
@@ -276,16 +253,18 @@ class Equations:
         slopes = [gradient(result, [*x, *p]) for result in results]
         lines, at = assignments([*results, *(slope for row in slopes for slope in row)], places)
         body = [line for line, _ in lines]
-        written_at = iter(at[len(results) :])
+        written_at, d = iter(at[len(results) :]), len(p)
         for k, row in enumerate(slopes):
             by = [(slope.number != 0, next(written_at)) for slope in row]
-            chain = [f"{at} * x_p[{s}, k]" for s, (moves, at) in enumerate(by[: len(x)]) if moves]
-            body.append("for k in range(p.size):")
-            body.append(f"    out_p[{k}, k] = {' + '.join(chain) or '0.0'}")
+            moving = [(s, at) for s, (moves, at) in enumerate(by[: len(x)]) if moves]
+            chain = [f"{at} * x[{len(x) + s * d} + k]" for s, at in moving]
+            begin = len(results) + k * d
+            body.append(f"for k in range({d}):")
+            body.append(f"    out[{begin} + k] = {' + '.join(chain) or '0.0'}")
             directly = enumerate(by[len(x) :])
-            body += [f"out_p[{k}, {q}] += {at}" for q, (moves, at) in directly if moves]
+            body += [f"out[{begin + q}] += {at}" for q, (moves, at) in directly if moves]
             body.append(f"out[{k}] = {at[k]}")
-        head = f"def {name}(t, u, x, p, x_p, out, out_p):"
+        head = f"def {name}(t, u, x, p, out, columns):"
         return defined(name, [head, *(f"    {line}" for line in body)])
 
 

@@ -25,7 +25,6 @@ from miho.models.symbolic import (
 )
 from miho.models.traced import TracedExpression
 from miho.quantities import Array
-from miho.regular_file import read_regular
 
 COMPARED, CLOSE = 1000, 1e-9
 """Rows on which a formula is compared with its function, and how close they have to be."""
@@ -87,8 +86,8 @@ class FunctionModel(DifferencedModel):
             if self.columns:
                 column = argument.name in self.columns
             group = columns if column else parameters
-            group[argument.name] = _unit(argument.annotation, source)
-        output = _unit(signature.return_annotation, source)
+            group[argument.name] = declared_unit(argument.annotation, source)
+        output = declared_unit(signature.return_annotation, source)
         if not columns or not parameters:
             raise ValueError(
                 f"{self._place}: has {len(columns)} input columns and {len(parameters)} "
@@ -207,12 +206,12 @@ class FunctionModel(DifferencedModel):
 
     def _at_line(self, error: Exception) -> str:
         """A message on what the function raised, and in which line of its file."""
-        line = _line(error, str(self.source))
+        line = line_in(error, str(self.source))
         place = f"{self.source}:{line}: {self.name}" if line else self._place
         return f"{place} raises {type(error).__name__}: {error}"
 
 
-def _unit(annotation: Any, source: bool) -> str:
+def declared_unit(annotation: Any, source: bool) -> str:
     """The unit in an annotation, "" for one that is no string.
 
     With `from __future__ import annotations` an annotation is its `source`: a string is in quotes.
@@ -280,58 +279,7 @@ class FunctionFormula(TracedExpression):
 REMEDY = "write it with NumPy functions that broadcast, or set batched to false"
 
 
-def load_function(
-    path: str, function: str | None = None, batched: bool = True, linear: Sequence[str] = ()
-) -> Model:
-    """The model that a function in a Python file describes; see `FunctionModel`.
-
-    This runs the file, with all that it does. `function` may be left out if the file has just one
-    public function. A change of the file is noticed, one of other files that it imports is not.
-    Raises FileNotFoundError, and ValueError with file and line for a file that cannot be used.
-    """
-    source = Path(path)
-    module = executed(source)
-    public = {
-        name: value
-        for name, value in vars(module).items()
-        if inspect.isfunction(value)
-        and value.__module__ == module.__name__
-        and not name.startswith("_")
-    }
-    if function is None and len(public) != 1:
-        listed = f"public functions {', '.join(public)}" if public else "no public function"
-        remedy = "choose one with the setting function" if public else "write one"
-        raise ValueError(f"{source}: has {listed}; {remedy}")
-    chosen = next(iter(public.values())) if function is None else vars(module).get(function)
-    if not callable(chosen):
-        raise ValueError(
-            f"{source}: has no function {function!r}; it has {', '.join(public) or 'none'}"
-        )
-    return FunctionModel(chosen, batched, tuple(linear), source)
-
-
-def executed(source: Path) -> types.ModuleType:
-    """The module that a Python file gives when it is run, which this does.
-
-    Raises FileNotFoundError, and ValueError with file and line for a file that cannot be used.
-    """
-    module = types.ModuleType(source.stem)
-    module.__file__ = str(source)
-    # Read and compiled here: an import would leave its cache beside the file and trust it even
-    # after an edit within the same second.
-    text = read_regular(source)
-    try:
-        exec(compile(text, str(source), "exec", dont_inherit=True), module.__dict__)  # noqa: S102 -- the user's file
-    except SyntaxError as error:
-        raise ValueError(f"{source}:{error.lineno or 1}: {error.msg}; correct it") from None
-    except (Exception, SystemExit) as error:
-        line = _line(error, str(source))
-        place = f"{source}:{line}" if line else str(source)
-        raise ValueError(f"{place}: raises {type(error).__name__}: {error}") from error
-    return module
-
-
-def _line(error: BaseException, file: str) -> int | None:
+def line_in(error: BaseException, file: str) -> int | None:
     """The last line of `file` that an error passed through."""
     lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
     return lines[-1] if lines else None

@@ -138,10 +138,14 @@ class MagicFormula:
             )
         )
         c = self.conditions(*inputs, alpha_star=alpha_star)
+        return TireForces(*map(np.asarray, self.forces_at(c)))
+
+    def forces_at(self, c: Conditions) -> TireForces:
+        """Forces at conditions, which may be symbols (`miho.models.symbolic`)."""
         x = self._longitudinal(c)
-        y = self._lateral(c, c.gamma * p.LGAY)
+        y = self._lateral(c, c.gamma * self.parameters.LGAY)
         Mz = self._aligning_moment(c, x, y)
-        return TireForces(*(np.asarray(c.loaded * force) for force in (x.Fx, y.Fy, Mz)))
+        return TireForces(c.loaded * x.Fx, c.loaded * y.Fy, c.loaded * Mz)
 
     def conditions(
         self,
@@ -167,7 +171,7 @@ class MagicFormula:
         slip_speed = speed * np.hypot(kappa, tan_alpha)
         decay = 1 + p.LMUV * slip_speed / p.LONGVL  # 4.E7
         nominal = p.LFZO * p.FNOMIN  # 4.E1
-        loaded = load / Fz if self.clamp_inputs and p.FZMIN > 0 else np.ones_like(load)
+        loaded = load / Fz if self.clamp_inputs and p.FZMIN > 0 else 1.0
         return Conditions(
             Fz=Fz,
             kappa=kappa,
@@ -176,7 +180,7 @@ class MagicFormula:
             inclination=gamma,
             Vx=Vx,
             dfz=(Fz - nominal) / nominal,  # 4.E2a
-            dpi=np.zeros_like(Fz) if p.version == "5.2" else pressure / p.NOMPRES - 1,  # 4.E2b
+            dpi=0.0 * Fz if p.version == "5.2" else pressure / p.NOMPRES - 1,  # 4.E2b
             cosine=Vx / (speed * np.hypot(1, tan_alpha) + self.epsilon),  # 4.E6
             mu_x=p.LMUX / decay,
             mu_y=p.LMUY / decay,
@@ -281,7 +285,7 @@ class MagicFormula:
         trail = D * np.cos(C * np.arctan(_argument(alpha_t, B, E))) * c.cosine  # 4.E73
         residual = D_r * np.cos(np.arctan(B_r * alpha_r))  # 4.E75
         # MF 5.2 lets the cambered force act at the trail, MF 6 the force without camber (4.E74).
-        at_trail = y if p.version == "5.2" else self._lateral(c, np.zeros_like(gamma))
+        at_trail = y if p.version == "5.2" else self._lateral(c, 0.0 * gamma)
         arm = p.SSZ1 + p.SSZ2 * y.Fy / nominal + (p.SSZ3 + p.SSZ4 * dfz) * gamma
         return -trail * at_trail.slip_part + residual + radius * arm * p.LS * x.Fx  # 4.E71-4.E76
 
@@ -298,7 +302,7 @@ def _argument(slip: Array, B: Array, E: Array) -> Array:
     return B * slip - E * (B * slip - np.arctan(B * slip))
 
 
-def _weight(slip: Array, shift: float | Array, B: Array, C: float, E: Array) -> Array:
+def _weight(slip: Array, shift: Any, B: Array, C: float, E: Array) -> Any:
     """Loss of one force to slip in the other direction, 1 where that slip is 0."""
-    at_zero = np.cos(C * np.arctan(_argument(np.broadcast_to(shift, slip.shape), B, E)))
-    return np.asarray(np.cos(C * np.arctan(_argument(slip + shift, B, E))) / at_zero)
+    at_zero = np.cos(C * np.arctan(_argument(shift, B, E)))
+    return np.cos(C * np.arctan(_argument(slip + shift, B, E))) / at_zero

@@ -1,21 +1,18 @@
-"""Formulas as graphs: traced from plain functions, differentiated, and written out as functions.
+"""Formulas as graphs, traced from plain functions and differentiated.
 
 A function that is arithmetic and NumPy's functions of numbers, called with symbols for numbers,
 leaves the graph of what it computes. From that graph come its derivatives, by the chain rule from
-the result to the arguments (reverse accumulation; Griewank and Walther 2008, Ch. 3.2), and plain
-Python functions of both, which NumPy evaluates and numba compiles.
+the result to the arguments (reverse accumulation; Griewank and Walther 2008, Ch. 3.2).
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from functools import cache, lru_cache
+from functools import cache
 from typing import Any, NoReturn
 
 import numpy as np
-
-from miho.compiled.elementary import atan, cos, sin
 
 MOST = 5000
 """Operations at most: the compiler takes longer than the model for more."""
@@ -27,11 +24,19 @@ class NotAFormulaError(Exception):
     """A function does something with its arguments that is not arithmetic on numbers."""
 
 
+def _operator(name: str, swapped: bool = False) -> Callable[..., Any]:
+    """The method of a symbol that leaves an operation."""
+    if swapped:
+        return lambda self, other: operation(name, other, self)
+    return lambda *symbols: operation(name, *symbols)
+
+
 class Symbol:
     """A number that is not known yet: an argument, a constant, or an operation on symbols.
 
     `operation` is a name in OPERATIONS with its `arguments`, ARGUMENT with the name to write for
-    it, or CONSTANT with a number. A symbol cannot be compared, nor asked for its value.
+    it, or CONSTANT with a number. A symbol cannot be asked for its value: a comparison leaves a
+    symbol too, one of CONDITION, which `np.where` takes.
     """
 
     __slots__ = ("arguments", "operation")
@@ -51,55 +56,40 @@ class Symbol:
             raise NotAFormulaError(ufunc.__name__)
         return operation(name, *inputs)
 
-    def __add__(self, other: Any) -> Any:
-        return operation("add", self, other)
+    def __array_function__(self, function: Any, types: Any, inputs: Any, keywords: Any) -> Any:
+        if function is np.where and len(inputs) == 3 and not keywords:
+            return operation("where", *inputs)
+        if function is np.clip and len(inputs) == 3 and not keywords:
+            return np.minimum(np.maximum(*inputs[:2]), inputs[2])
+        raise NotAFormulaError(function.__name__)
 
-    def __radd__(self, other: Any) -> Any:
-        return operation("add", other, self)
-
-    def __sub__(self, other: Any) -> Any:
-        return operation("subtract", self, other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return operation("subtract", other, self)
-
-    def __mul__(self, other: Any) -> Any:
-        return operation("multiply", self, other)
-
-    def __rmul__(self, other: Any) -> Any:
-        return operation("multiply", other, self)
-
-    def __truediv__(self, other: Any) -> Any:
-        return operation("divide", self, other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return operation("divide", other, self)
-
-    def __pow__(self, other: Any) -> Any:
-        return operation("power", self, other)
-
-    def __rpow__(self, other: Any) -> Any:
-        return operation("power", other, self)
-
-    def __neg__(self) -> Any:
-        return operation("negative", self)
-
-    def __pos__(self) -> Any:
-        return self
-
-    def __abs__(self) -> Any:
-        return operation("absolute", self)
+    __add__, __radd__ = _operator("add"), _operator("add", swapped=True)
+    __sub__, __rsub__ = _operator("subtract"), _operator("subtract", swapped=True)
+    __mul__, __rmul__ = _operator("multiply"), _operator("multiply", swapped=True)
+    __truediv__, __rtruediv__ = _operator("divide"), _operator("divide", swapped=True)
+    __pow__, __rpow__ = _operator("power"), _operator("power", swapped=True)
+    __neg__, __pos__, __abs__ = _operator("negative"), _operator("positive"), _operator("absolute")
+    __gt__, __ge__ = _operator("greater"), _operator("greater_equal")
+    __lt__, __le__ = _operator("less"), _operator("less_equal")
+    __eq__, __ne__ = _operator("equal"), _operator("not_equal")
+    __and__, __or__ = _operator("logical_and"), _operator("logical_or")
+    __invert__ = _operator("logical_not")
 
     def _refuse(self, *_: object) -> NoReturn:
         raise NotAFormulaError("a symbol has no value")
 
-    __bool__ = __eq__ = __ne__ = __lt__ = __le__ = __gt__ = __ge__ = _refuse
-    __array__ = __array_function__ = _refuse
+    __bool__ = __array__ = _refuse
     __float__ = __int__ = __index__ = __iter__ = __len__ = __getitem__ = _refuse
     __hash__ = object.__hash__
 
 
 ARGUMENT, CONSTANT = "argument", "constant"
+LOGIC = ("logical_and", "logical_or", "logical_not")
+CONDITION = (
+    "greater", "greater_equal", "less", "less_equal", "equal", "not_equal", *LOGIC,
+)  # fmt: skip
+BENDS = (*CONDITION, "sign", "minimum", "maximum", "absolute")
+"""Operations whose derivatives jump where their arguments say."""
 
 
 @cache
@@ -121,8 +111,23 @@ def operation(name: str, *arguments: Any) -> Symbol:
         with np.errstate(all="ignore"):
             value = float(getattr(np, name)(*numbers))
         return constant(value)
+    _check_conditions(name, symbols)
     simple = _simplified(name, symbols, numbers)
-    return Symbol(name, *symbols) if simple is None else simple
+    if simple is None or (simple.operation in CONDITION and name not in LOGIC):  # 1 times it
+        return Symbol(name, *symbols)
+    return simple
+
+
+def _check_conditions(name: str, symbols: Sequence[Symbol]) -> None:
+    """Refuse what NumPy does otherwise with true and false than with 1 and 0."""
+    conditions = [symbol.operation in CONDITION for symbol in symbols]
+    logical = [symbol.operation in CONDITION or symbol.number in (0, 1) for symbol in symbols]
+    if name in LOGIC:
+        fitting = all(logical)
+    else:
+        fitting = not all(conditions) and (name != "where" or logical[0])
+    if not fitting:
+        raise NotAFormulaError(f"{name} of what is a condition, or is none")
 
 
 def _symbol(value: Any) -> Symbol:
@@ -159,6 +164,13 @@ def _simplified(
     if name == "negative" and symbols[0].operation == "negative":
         inner: Symbol = symbols[0].arguments[0]
         return inner
+    if name in ("logical_and", "logical_or") and (numbers[0], numbers[1]) != (None, None):
+        held, other = symbols if numbers[0] is not None else symbols[::-1]
+        return other if held.number == (name == "logical_and") else held
+    if name == "where" and (numbers[0] is not None or symbols[1] is symbols[2]):
+        return symbols[1] if numbers[0] else symbols[2]
+    if name == "where" and numbers[1] is not None and numbers[1] == numbers[2]:
+        return symbols[1]
     if name == "square":
         return Symbol("multiply", symbols[0], symbols[0])
     return symbols[0] if name == "positive" else None
@@ -187,6 +199,11 @@ def _bounded(value: Any) -> Symbol:
     if isinstance(value, Symbol) and value.operation in (ARGUMENT, CONSTANT):
         return value
     return operation("minimum", operation("maximum", value, -HUGE), HUGE)
+
+
+def _no_partials(z: Symbol, *arguments: Symbol) -> tuple[int, ...]:
+    """Those of a step."""
+    return (0,) * len(arguments)
 
 
 OPERATIONS: Mapping[str, tuple[str, Partials]] = {
@@ -233,9 +250,22 @@ OPERATIONS: Mapping[str, tuple[str, Partials]] = {
         "np.maximum({}, {})",
         lambda z, a, b: (0.5 + 0.5 * np.sign(a - b), 0.5 - 0.5 * np.sign(a - b)),
     ),
+    "greater": ("{} > {}", _no_partials),
+    "greater_equal": ("{} >= {}", _no_partials),
+    "less": ("{} < {}", _no_partials),
+    "less_equal": ("{} <= {}", _no_partials),
+    "equal": ("{} == {}", _no_partials),
+    "not_equal": ("{} != {}", _no_partials),
+    "logical_and": ("{} & {}", _no_partials),
+    "logical_or": ("{} | {}", _no_partials),
+    "logical_not": ("np.logical_not({})", _no_partials),
+    "where": ("where({}, {}, {})", _no_partials),  # `gradient` chooses between those of both
 }
 """How an operation is written, and its partial derivatives given its value and arguments."""
 UFUNCS = {name: name for name in (*OPERATIONS, "square", "positive")} | {
+    "bitwise_and": "logical_and",
+    "bitwise_or": "logical_or",
+    "invert": "logical_not",
     "true_divide": "divide",
     "float_power": "power",
     "fabs": "absolute",
@@ -252,23 +282,48 @@ def trace(function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Sym
         result = _symbol(function(*arguments, **keywords))
     except Exception as error:
         raise NotAFormulaError(str(error)) from error
-    if len(_ordered([result])) > MOST:
+    if len(ordered([result])) > MOST:
         raise NotAFormulaError(f"it has more than {MOST} operations")
     return result
 
 
 def gradient(result: Symbol, variables: Sequence[Symbol]) -> list[Symbol]:
-    """The derivatives of a result with respect to arguments."""
+    """The derivatives of a result with respect to arguments, almost everywhere: jumps have none."""
+    branches: dict[Symbol, list[Symbol]] = {}
+    for symbol in ordered([result]):
+        if symbol.operation == "where":
+            for branch in symbol.arguments[1:]:
+                branches[branch] = _slopes(branch, variables, branches)
+    return _slopes(result, variables, branches)
+
+
+def _slopes(
+    result: Symbol, variables: Sequence[Symbol], branches: Mapping[Symbol, Sequence[Symbol]]
+) -> list[Symbol]:
+    """As `gradient`, given that of each branch of a choice.
+
+    Between the derivatives of two branches the condition chooses as between their values, so that
+    it does not matter what the other one's are, which may be infinite.
+    """
     adjoints: dict[Symbol, Any] = {result: constant(1.0)}
-    for symbol in reversed(_ordered([result])):
+    slopes: list[Any] = [0.0] * len(variables)
+    for symbol in reversed(ordered([result], ends=(ARGUMENT, CONSTANT, "where"))):
         adjoint = adjoints.get(symbol)
         if adjoint is None or symbol.operation in (ARGUMENT, CONSTANT):
+            continue
+        if symbol.operation == "where":
+            condition, *both = symbol.arguments
+            for k, pair in enumerate(zip(*(branches[branch] for branch in both), strict=True)):
+                slopes[k] += adjoint * operation("where", condition, *pair)
             continue
         partials = OPERATIONS[symbol.operation][1](symbol, *symbol.arguments)
         for child, partial in zip(symbol.arguments, partials, strict=True):
             if child.operation != CONSTANT:
                 adjoints[child] = adjoints.get(child, 0) + adjoint * partial
-    return [_symbol(adjoints.get(variable, 0.0)) for variable in variables]
+    return [
+        _symbol(slope + adjoints.get(variable, 0.0))
+        for slope, variable in zip(slopes, variables, strict=True)
+    ]
 
 
 def jointly_linear(
@@ -282,7 +337,7 @@ def jointly_linear(
     dependence = [arguments_of([slope]) for slope in slopes]
     names = [variable.arguments[0] for variable in variables]
     used = arguments_of([result]) - arguments_of(
-        s for s in _ordered([result]) if s.operation in ("sign", "minimum", "maximum", "absolute")
+        s for s in ordered([result]) if s.operation in BENDS
     )  # whose derivatives are constant on either side of a bend
     for k, name in enumerate(names):
         others = [names[i] for i in positions]
@@ -294,90 +349,11 @@ def jointly_linear(
 
 def arguments_of(results: Iterable[Symbol]) -> set[str]:
     """The names of the arguments that results depend on."""
-    return {s.arguments[0] for s in _ordered(results) if s.operation == ARGUMENT}
+    return {s.arguments[0] for s in ordered(results) if s.operation == ARGUMENT}
 
 
-def written(
-    name: str, signature: Mapping[str, Sequence[str]], results: Sequence[Symbol], single: bool
-) -> Callable[..., Any]:
-    """A plain function that computes results, each operation once.
-
-    `signature` maps its arguments, which are tuples, to the names of the symbols that they hold:
-    p0 and x0 rather than a user's names, which could be those of functions. It gives the `single`
-    result, or a tuple of all.
-    """
-    lines = [f"def {name}({', '.join(signature)}):"]
-    lines += [f"    ({', '.join(names)},) = {tuple_}" for tuple_, names in signature.items()]
-    statements, places = assignments(results)
-    lines += [f"    {line}" for line, _ in statements]
-    returned = ", ".join(places)
-    lines.append(f"    return {returned if single else f'({returned},)'}")
-    return defined(name, lines)
-
-
-def assignments(
-    results: Sequence[Symbol], names: Mapping[str, str] | None = None
-) -> tuple[list[tuple[str, frozenset[str]]], list[str]]:
-    """Lines that compute results, each operation once, and what to write for each result.
-
-    With each line come the arguments that it depends on; `names` is what to write for these, if
-    not their own names.
-    """
-    lines: list[tuple[str, frozenset[str]]] = []
-    places: dict[Symbol, str] = {}
-    needs: dict[Symbol, frozenset[str]] = {}
-    values: dict[str, str] = {}  # by what they are computed from, so that none is computed twice
-    for symbol in _ordered(results):
-        if symbol.operation == ARGUMENT:
-            name = symbol.arguments[0]
-            needs[symbol] = frozenset([name])
-            places[symbol] = name if names is None else names[name]
-        elif symbol.operation == CONSTANT:
-            needs[symbol] = frozenset()
-            places[symbol] = _literal(symbol.arguments[0])
-        else:
-            formula = _formula(symbol, places)
-            needs[symbol] = frozenset().union(*(needs[child] for child in symbol.arguments))
-            if formula not in values:
-                values[formula] = f"_{len(values)}"
-                lines.append((f"{values[formula]} = {formula}", needs[symbol]))
-            places[symbol] = values[formula]
-    return lines, [places[result] for result in results]
-
-
-def defined(name: str, lines: Iterable[str]) -> Callable[..., Any]:
-    """The function of that name that lines define, with NumPy and our elementary functions."""
-    return _function(name, "\n".join(lines))
-
-
-@lru_cache(maxsize=256)
-def _function(name: str, text: str) -> Callable[..., Any]:
-    """The function of this text, made once for all fits of a model."""
-    names: dict[str, Any] = {"np": np, "sin": sin, "cos": cos, "atan": atan}
-    exec(compile(text, f"<{name}>", "exec"), names)  # noqa: S102 -- lines of our own
-    function: Callable[..., Any] = names[name]
-    return function
-
-
-def _formula(symbol: Symbol, places: Mapping[Symbol, str]) -> str:
-    """An operation as it is written; a power by a whole number, which is multiplied out, as one."""
-    parts = [places[child] for child in symbol.arguments]
-    if symbol.operation == "power":
-        exponent = symbol.arguments[1].number
-        if exponent is not None and exponent.is_integer():
-            parts[1] = f"({int(exponent)})"
-    return OPERATIONS[symbol.operation][0].format(*parts)
-
-
-def _literal(number: float) -> str:
-    """A number as it is written in a formula."""
-    if math.isfinite(number):
-        return f"({number!r})"
-    return "np.nan" if math.isnan(number) else f"({math.copysign(1, number)!r} * np.inf)"
-
-
-def _ordered(results: Iterable[Symbol]) -> list[Symbol]:
-    """All symbols that results depend on, each after its arguments."""
+def ordered(results: Iterable[Symbol], ends: Sequence[str] = (ARGUMENT, CONSTANT)) -> list[Symbol]:
+    """All symbols that results depend on up to such operations, each after its arguments."""
     order: list[Symbol] = []
     seen: set[Symbol] = set()
     stack: list[tuple[Symbol, bool]] = [(result, False) for result in results]
@@ -388,6 +364,6 @@ def _ordered(results: Iterable[Symbol]) -> list[Symbol]:
         elif symbol not in seen:
             seen.add(symbol)
             stack.append((symbol, True))
-            if symbol.operation not in (ARGUMENT, CONSTANT):
+            if symbol.operation not in ends:
                 stack += [(child, False) for child in symbol.arguments]
     return order

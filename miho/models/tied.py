@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from miho.models.expression import Expression
+from miho.models.formula_text import written
 from miho.models.model import Model
 from miho.models.symbolic import (
     NotAFormulaError,
@@ -29,7 +30,6 @@ from miho.models.symbolic import (
     gradient,
     operation,
     trace,
-    written,
 )
 from miho.models.traced import Remade, TracedExpression
 from miho.quantities import Array

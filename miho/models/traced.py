@@ -11,7 +11,8 @@ from weakref import WeakKeyDictionary
 
 from miho.compiled.kernel import Formula
 from miho.models.expression import Expression
-from miho.models.symbolic import Symbol, argument, gradient, jointly_linear, written
+from miho.models.formula_text import written
+from miho.models.symbolic import Symbol, argument, gradient, jointly_linear
 
 Known = tuple[Formula, tuple[int, ...]]
 KNOWN: WeakKeyDictionary[Formula, Known] = WeakKeyDictionary()

@@ -12,7 +12,6 @@ import numpy as np
 
 from miho.compiled.course import Course
 from miho.models.equations import NO_UNIT, Declared, Equations
-from miho.models.function_model import executed
 from miho.models.integration import Path as Solution
 from miho.models.integration import Sensitivities, Values, along, runge_kutta, stiff
 from miho.models.layout import IDENTIFIED, MEASURED, OUTPUT, Layout
@@ -260,7 +259,7 @@ class Trajectory(Model):
             return None
         from miho.compiled.runge_kutta import trajectories
 
-        return trajectories(flat, len(self.states), len(self.outputs))
+        return trajectories(flat, len(self.states), len(self.outputs), len(self.parameters))
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
@@ -362,50 +361,3 @@ def _agreeing(given: Mapping[str, str], groups: Iterable[Mapping[str, str]]) -> 
                     raise ValueError(f"argument {name} has the units {known!r} and {unit!r}")
                 units[name] = unit if known == NO_UNIT else known
     return units
-
-
-def load_trajectory(
-    path: str,
-    rhs: str,
-    states: Mapping[str, float | str],
-    outputs: Sequence[str],
-    scales: Sequence[float] = (),
-    interpolation: str = "linear",
-    restart: int | None = None,
-    segments: int = 1,
-    solver: str = RUNGE_KUTTA,
-    substeps: int = 1,
-    tolerance: float = 1e-8,
-    time: str = "t",
-    quantities: Sequence[str] = (),
-) -> Model:
-    """The `Trajectory` of functions in a Python file, which this runs with all that it does.
-
-    `rhs` and `quantities` name functions of the file, `outputs` states or functions; the settings
-    are those of `Trajectory`. Raises FileNotFoundError, and ValueError for a file or settings that
-    cannot be used.
-    """
-    source = Path(path)
-    functions = vars(executed(source))
-
-    def named(name: str, setting: str) -> Callable[..., Any]:
-        if not callable(functions.get(name)):
-            raise ValueError(f"{source}: has no function {name!r}, which {setting} names")
-        chosen: Callable[..., Any] = functions[name]
-        return chosen
-
-    return Trajectory(
-        named(rhs, "rhs"),
-        states,
-        [name if name in states else named(name, "outputs") for name in outputs],
-        scales=scales,
-        interpolation=interpolation,
-        restart=restart,
-        segments=segments,
-        solver=solver,
-        substeps=substeps,
-        tolerance=tolerance,
-        time=time,
-        quantities=[named(name, "quantities") for name in quantities],
-        source=source,
-    )

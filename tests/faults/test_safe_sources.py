@@ -14,11 +14,11 @@ MODULES = {"pickle", "cPickle", "dill", "cloudpickle", "shelve", "marshal", "tor
 CALLS = {"eval", "exec", "compile", "__import__", "read_pickle", "to_pickle", "unsafe_load"}
 ALLOWED = {
     # the model in a file of the user's, the one door for code
-    ("miho/models/function_model.py", "exec"),
-    ("miho/models/function_model.py", "compile"),
+    ("miho/models/user_file.py", "exec"),
+    ("miho/models/user_file.py", "compile"),
     # formulas that are written from a graph of known operations and numbers
-    ("miho/models/symbolic.py", "exec"),
-    ("miho/models/symbolic.py", "compile"),
+    ("miho/models/formula_text.py", "exec"),
+    ("miho/models/formula_text.py", "compile"),
     # the conformance suite copies what it has just made
     ("miho/testing/optimizers.py", "pickle"),
 }

@@ -170,7 +170,7 @@ def test_a_failed_search_blames_neither_data_nor_model() -> None:
     """
 
     def no_formula(x, *, b1, b2, b3, b4, b5):
-        return np.where(x >= 0, two_decays(x, b1=b1, b2=b2, b3=b3, b4=b4, b5=b5), 0.0)
+        return two_decays(np.asarray(x), b1=b1, b2=b2, b3=b3, b4=b4, b5=b5)
 
     x = np.arange(0.0, 330, 10)
     truth = np.array([0.375, 1.936, -1.465, 0.01287, 0.02212])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -15,6 +15,8 @@ from experiments.app.compose import composed
 from experiments.app.schema import register
 from miho import Budget, CurveFit, Dataset, Parameter, Space, minimize
 from miho.models import FunctionModel, Model, load_function
+from miho.models.expression import Expression
+from miho.models.plain_arithmetic import is_arithmetic
 from miho.optim import RandomSearch
 from miho.testing import check_model
 
@@ -206,3 +208,90 @@ def test_derivatives_near_zero_are_not_lost(theta: float) -> None:
 
 def offset(t: "s", *, a: "V") -> "V":  # noqa: F821, UP037
     return 1000 + a * t
+
+
+ARITHMETIC = {
+    "a formula": DECAY,
+    "steps and choices": """
+import math
+import numpy as np
+from numpy import exp
+RATE = 1.0
+
+def decay(t: "s", *, a: "V", b: "1/s") -> "V":
+    'Text.'
+    rate, late = b * RATE, t > 1
+    if RATE < 0.5:
+        rate = -rate
+    value = a * exp(-rate * t)
+    value = value * math.sqrt(1.0)
+    return np.where(late, value, _early(np.clip(t, 0, 9), a, b)) if RATE > 0 else value
+
+def _early(t, a, b):
+    return a * math.e ** (-b * t) * abs(-1)
+""",
+}
+
+
+@pytest.mark.parametrize("name", ARITHMETIC)
+def test_arithmetic_in_a_file_has_exact_derivatives(load: Callable[..., Model], name: str) -> None:
+    """Against the closed form, to rounding."""
+    model = load(ARITHMETIC[name])
+    problem = CurveFit(model, *_decay())
+    assert isinstance(problem.model, Expression)
+    assert problem.model.source == model.source
+    decay = np.exp(-1.5 * t)
+    exact = np.stack([decay, -2 * t * decay], axis=1)
+    np.testing.assert_allclose(problem.model.jacobian(THETAS[0], t), exact, rtol=1e-14, atol=1e-14)
+
+
+OTHER = {
+    "counts its calls": "global calls; calls += 1",
+    "counts elsewhere": "count.append(1)",
+    "sets an attribute": "decay.calls = 1",
+    "sets an item": "count[0] = 1",
+    "reads a file": "open(__file__).close()",
+    "random": "a = a * np.random.rand()",
+    "imports": "import os",
+    "loops": "while calls > 1: b = 1",
+    "calls what it is given": "b.sort()",
+    "asks a table": "a = a * table.max()",
+    "takes a table": "a = a * table",
+    "calls what does more": "helper()",
+    "calls itself": "decay(t, a=a, b=b)",
+    "replaced": "np.tan(1.0)",
+    "made to look like NumPy's": "fake(1.0)",
+    "a local of a module's name": "np = count; np.append(1)",
+    "a function inside": "f = lambda: 1",
+}
+
+
+DOING = """
+import numpy as np
+calls, count, table = 0, [0], np.arange(3.0)
+fake = np.frompyfunc(lambda x: count.append(1) or x, 1, 1)
+{first}
+def helper():
+    count.append(1)
+def decay(t: "s", *, a: "V", b: "1/s") -> "V":
+    {deed}
+    return a * np.exp(-b * t)
+"""
+
+
+def test_what_a_file_does_besides_is_not_done_to_look_at_it(
+    load: Callable[..., Model], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(np, "tan", np.tan)  # is put back
+    plain = load(DOING.format(first="", deed="b = 1 * b"), function="decay")
+    assert is_arithmetic(cast(FunctionModel, plain).function)
+    for name, deed in OTHER.items():
+        first = "np.tan = lambda x: count.append(1)" if name == "replaced" else ""
+        model = load(DOING.format(first=first, deed=deed), function="decay")
+        assert not is_arithmetic(cast(FunctionModel, model).function), name
+    assert CurveFit(model, *_decay()).model is model
+
+
+def _decay() -> tuple[Dataset, Space]:
+    data = Dataset("d", {"t": t, "y": 2 * np.exp(-1.5 * t)}, {"t": "s", "y": "V"}, "y")
+    return data, Space((Parameter("a", "V", 0, 5), Parameter("b", "1/s", 0.01, 10)))

@@ -1,0 +1,138 @@
+"""A tire of a property file as a model: its force over slip, load and camber, to be fitted."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+from miho.models.lateral_magic_formula import COEFFICIENTS
+from miho.models.magic_formula import MagicFormula
+from miho.models.magic_formula_parameters import parameter_names
+from miho.models.symbolic import Symbol, constant, trace
+from miho.models.tir import load_tir, write_tir
+from miho.models.tir_format import SECTION_OF
+from miho.models.tir_reader import PropertyFile, read_tir
+from miho.models.traced import TracedExpression
+
+OUTPUTS = {"Fx": "N", "Fy": "N", "Mz": "N*m"}
+INPUTS = {
+    "kappa": "1", "alpha": "rad", "Fz": "N", "gamma": "rad", "Vx": "m/s", "pressure": "Pa",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class TireFormula(TracedExpression):
+    """Fx, Fy [N] or Mz [Nm] of a `MagicFormula` of any version, over some of its inputs.
+
+    `coefficients` are the parameters, under their names in property files; all others keep the
+    values of `tire`. `columns_of` names the inputs, in SI units and ISO-W signs: alpha [rad], Fz
+    [N], kappa [1], gamma [rad], Vx [m/s], pressure [Pa]. Without a column are kappa and gamma 0,
+    Vx and pressure those of the file. `source` is the file of the tire, if it has one.
+
+    Derivatives are exact, and those of one side at bends, as where E is held at 1.
+    """
+
+    tire: MagicFormula
+    coefficients: tuple[str, ...]
+    force: str = "Fy"
+    columns_of: tuple[str, ...] = ("alpha", "Fz")
+    source: Path | None = None
+
+    def __post_init__(self) -> None:
+        version = self.tire.parameters.version
+        if not self.coefficients:
+            raise ValueError("no coefficient is free; name those to be fitted, such as PDY1")
+        for name in self.coefficients:
+            known = name in parameter_names(version) and is_coefficient(name)
+            if not known or self.coefficients.count(name) > 1:
+                raise ValueError(
+                    f"{name!r} is no coefficient of MF {version}, or given twice; name them as "
+                    "property files do, such as PDY1"
+                )
+        if self.force not in OUTPUTS:
+            raise ValueError(f"the output is {self.force!r}; expected {', '.join(OUTPUTS)}")
+        if "Fz" not in self.columns_of or not {"alpha", "kappa"} & {*self.columns_of}:
+            raise ValueError(
+                f"the inputs are {', '.join(self.columns_of) or 'none'}; expected Fz and alpha or "
+                "kappa at least, in N and rad"
+            )
+
+    @cached_property
+    def graph(self) -> Symbol:
+        """The force; raises NotAFormulaError for one that cannot be traced."""
+        return trace(self._force)
+
+    def _force(self) -> Any:
+        p = self.tire.parameters
+        chosen = dict(zip(self.coefficients, self.arguments, strict=True))
+        tire = replace(self.tire, parameters=cast(Any, SimpleNamespace(**(vars(p) | chosen))))
+        usual = {"kappa": 0.0, "alpha": 0.0, "gamma": 0.0, "Vx": p.LONGVL, "pressure": p.NOMPRES}
+        given = dict(zip(self.inputs, self.columns, strict=True))
+        at: dict[str, Any] = {name: constant(value) for name, value in usual.items()} | given
+        return getattr(tire.forces_at(tire.conditions(**at)), self.force)
+
+    @property
+    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The coefficients in which the force is jointly linear."""
+        return self.jointly_linear
+
+    @property
+    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
+        """The input columns with their units."""
+        return {name: INPUTS[name] for name in self.columns_of}
+
+    @property
+    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+        """The coefficients, with their units where these are known."""
+        return {name: COEFFICIENTS.get(name, "") for name in self.coefficients}
+
+    @property
+    def output(self) -> str:  # type: ignore[override]
+        """The unit of the force or moment."""
+        return OUTPUTS[self.force]
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """The force, of the file's tire."""
+        return self.force if self.source is None else f"{self.source.stem}_{self.force}"
+
+    def own_values(self) -> dict[str, float]:
+        """The tire's own values of the coefficients."""
+        return {name: getattr(self.tire.parameters, name) for name in self.coefficients}
+
+    def write(self, values: Mapping[str, float], path: str | os.PathLike[str]) -> None:
+        """The property file with other values of the coefficients; what else it says is kept."""
+        own: dict[str, Any] = {name: float(values[name]) for name in self.coefficients}
+        written = replace(self.tire, parameters=replace(self.tire.parameters, **own))
+        if self.source is None:
+            write_tir(written, path)
+            return
+        file = read_tir(self.source)
+        sections = {name: dict(entries) for name, entries in file.sections.items()}
+        for name, value in own.items():
+            sections.setdefault(SECTION_OF[name], {})[name] = value
+        write_tir(PropertyFile(sections, file.tables), path)
+
+
+def tire_formula(
+    tire: MagicFormula | str | os.PathLike[str],
+    coefficients: Collection[str],
+    columns: Collection[str],
+    force: str,
+) -> TireFormula:
+    """The model of a tire or property file over those of its inputs that are among `columns`."""
+    formula, source = (
+        (tire, None) if isinstance(tire, MagicFormula) else (load_tir(tire), Path(tire))
+    )
+    inputs = tuple(name for name in INPUTS if name in columns)
+    return TireFormula(formula, tuple(coefficients), force, inputs, source)
+
+
+def is_coefficient(name: str) -> bool:
+    """Whether the equations read it besides nominal values and ranges."""
+    return SECTION_OF.get(name, "").endswith("_COEFFICIENTS")
