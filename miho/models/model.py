@@ -78,6 +78,32 @@ class DifferencedModel(Model):
         return 2 * len(self.parameters)
 
 
+class ExternalModel(Model):
+    """A simulation that is not ours, known to some digits: differences over a wide `step`.
+
+    It is relative to the parameter (or 1 for 0). The simulation's digits over it are lost: with a
+    thousandth, six digits leave derivatives to some thousandths.
+    """
+
+    step: float
+    ordered = True
+
+    @final
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Derivatives (N, d) by central differences."""
+        h = self.step * np.where(theta == 0, 1.0, np.abs(theta))
+        moves = np.diag(h)
+        ahead, behind = np.split(
+            self.predict(np.vstack([theta + moves, theta - moves]), *inputs), 2
+        )
+        return np.asarray(((ahead - behind) / (2 * h[:, None])).T)
+
+    @property
+    def jacobian_cost(self) -> int:  # type: ignore[override]
+        """Two simulations for each parameter."""
+        return 2 * len(self.parameters)
+
+
 def central_differences(model: Model, theta: Array, *inputs: Array) -> Array:
     """Derivatives (N, d) of a model without its own, from 2 d rows of one batch or a few more.
 
