@@ -18,7 +18,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "miho.data": ({"miho.data", "miho.models"}, NUMERICS | {"pooch"}),
     "miho.identification": (
         {"miho.identification", "miho.compiled", "miho.optim", "miho.models", "miho.data"},
-        NUMERICS | TABLES,
+        NUMERICS | TABLES | {"emcee", "arviz"},
     ),
     "miho.driving.assembly": (
         {

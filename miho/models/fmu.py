@@ -61,7 +61,7 @@ class FmuModel(Remade, ExternalModel):
         straight between them. A co-simulation holds inputs over a step, at their value amid it.
     tolerance: relative, of FMPy's solver (CVODE), and of an FMU's own that heeds it.
     seconds: after which a simulation is given up, at the end of one of its steps.
-    step: of the central differences, relative to the parameter (or 1 for 0).
+    step: of the central differences, relative to the parameter (for 0, to its start value or 1).
     time: the column of time. units: by name, where they are not as the FMU says.
 
     The FMU is unzipped and instantiated once, and reset between simulations. One that fails, or
@@ -183,6 +183,12 @@ class FmuModel(Remade, ExternalModel):
     def source(self) -> Path:  # type: ignore[override]
         """The file."""
         return Path(self.path)
+
+    @property
+    def typical(self) -> Array:
+        """The sizes of the start values (d,), 1 for 0."""
+        starts = [self._variables[name].start for name in self._parameters.values()]
+        return np.array([abs(float(start or 0.0)) or 1.0 for start in starts])
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,), a simulation for each."""

@@ -1,6 +1,6 @@
 /* An FMU (FMI 2.0) of a damped oscillator m x'' = force - c x' - k x, for tests: co-simulation by
-   Runge-Kutta steps of a millisecond, and model exchange. Negative k is an error, k above 1e6 a
-   fatal one, after which no function may be called, and negative c is discarded, for ever. */
+   Runge-Kutta steps of a millisecond, and model exchange. Negative k or c is an error, k above 1e6
+   a fatal one, after which no function may be called, and c below -100 is discarded, for ever. */
 #include <stdlib.h>
 #include "fmi2Functions.h"
 
@@ -53,9 +53,9 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t n,
 }
 
 static fmi2Status judged(Oscillator *o) {
-    if (o->value[C] < 0) return fmi2Discard;
+    if (o->value[C] < -100) return fmi2Discard;
     o->fatal = o->value[K] > 1e6;
-    return o->fatal ? fmi2Fatal : o->value[K] < 0 ? fmi2Error : fmi2OK;
+    return o->fatal ? fmi2Fatal : o->value[K] < 0 || o->value[C] < 0 ? fmi2Error : fmi2OK;
 }
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real step, fmi2Boolean keep) {

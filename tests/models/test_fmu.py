@@ -126,6 +126,14 @@ def test_derivatives_of_a_simulation(fmu: Callable[..., str]) -> None:
     assert model.jacobian_cost == 6
 
 
+def test_derivatives_beside_a_failure(fmu: Callable[..., str]) -> None:
+    """At c = 0, below which there is no value, from c = 0.9e-3 alone: off by h c'' / 2."""
+    model = FmuModel(fmu("exchanged"), ["c", "start.x"], ["x"])
+    exact = np.array([free_swing(K, c, START, T) for c in (1e-30j, 0.0)])
+    slopes = model.jacobian(np.array([0.0, START]), T)
+    np.testing.assert_allclose(slopes[:, 0], exact[0].imag / 1e-30, atol=5e-3)
+
+
 def test_inputs_are_straight_or_held_amid_a_step(fmu: Callable[..., str]) -> None:
     """CVODE has a ramp at any time. Held at the middle of steps h, x is off by h^2 / 24 x'', and by
     what a parabola is beside its chord: a second order, of which the model says what would help."""
@@ -161,7 +169,7 @@ def test_a_simulation_that_fails_has_no_value(fmu: Callable[..., str]) -> None:
     """An error, a fatal one after which the instance must not be touched, a step without end."""
     for interface in ("held", "exchanged"):
         model = FmuModel(fmu(interface), ["k", "c", "start.x"], ["x"], seconds=0.2)
-        bad = [[-1.0, C, START], [2e6, C, START]] + [[K, -1.0, START]] * (interface == "held")
+        bad = [[-1.0, C, START], [2e6, C, START]] + [[K, -200.0, START]] * (interface == "held")
         values = model.predict(np.array([*bad, [K, C, START]]), T)
         assert np.isnan(values[:-1]).all(), interface
         np.testing.assert_allclose(values[-1], free_swing(K, C, START, T), atol=3e-6)
