@@ -23,9 +23,7 @@ BLOCKS = [
         block,
         id=f"{page.name}-{number}",
         marks=[
-            pytest.mark.filterwarnings(
-                r"ignore:\s*ArviZ is undergoing:FutureWarning"
-            ),  # once a day
+            pytest.mark.filterwarnings(r"ignore:\s*ArviZ is undergoing:FutureWarning"),
             *(
                 pytest.mark.skipif(find_spec(library) is None, reason=f"{library} is not installed")
                 for library in NEEDS.get(page.name, ())

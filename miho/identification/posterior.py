@@ -84,7 +84,7 @@ def sample_posterior(
 class _Density:
     """The logarithm of the posterior density at search coordinates (n, d), but for a constant.
 
-    `share` is how many independent rows one row counts as.
+    `share` is how many independent rows one row tells as much as.
     """
 
     problem: CurveFit
@@ -104,8 +104,9 @@ class _Density:
 
     @property
     def rows(self) -> float:
-        """How many independent rows the data count as."""
-        return self.share * len(self.problem.dataset)
+        """How many independent rows the data count as, a share of the degrees of freedom."""
+        d = len(self.problem.space)
+        return self.share * (len(self.problem.dataset) - d) + d
 
     def __call__(self, coordinates: Array) -> Array:
         low, high = self.problem.space.bounds
@@ -293,7 +294,7 @@ def _as_arviz(
     arviz: Any, groups: dict[str, Any], dims: dict[str, list[str]], attributes: dict[str, Any]
 ) -> Any:
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "More chains", UserWarning)  # as an ensemble may have
+        warnings.simplefilter("ignore", UserWarning)  # of more chains than draws
         if int(arviz.__version__.partition(".")[0]) < 1:
             return arviz.from_dict(**groups, dims=dims, attrs=attributes)
         return arviz.from_dict(groups, dims=dims, attrs={"/": attributes})

@@ -123,8 +123,8 @@ class FmuModel(Remade, ExternalModel):
     @cached_property
     def _description(self) -> Any:
         """What FMPy reads of the FMU: names, units, interfaces."""
-        fmpy = _fmpy()
         check_regular(self.path)
+        fmpy = _fmpy()
         try:
             platforms = fmpy.supported_platforms(self.path)
             description = fmpy.read_model_description(self.path)

@@ -255,7 +255,9 @@ def test_bad_input_is_one_line(fmu: Callable[..., str], tmp_path: Path) -> None:
         model.predict(np.array([[K]]), T[:1])
 
 
-def test_without_the_library_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_library_it_says_how_to_get_it(
+    fmu: Callable[..., str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "fmpy", None)
     with pytest.raises(ImportError, match=r"missing \(fmpy\); pip install 'miho\[fmu\]'"):
-        FmuModel("x.fmu", ["k"], ["x"])
+        FmuModel(fmu("held"), ["k"], ["x"])
