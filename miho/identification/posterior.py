@@ -46,9 +46,9 @@ def sample_posterior(
     """The posterior of a problem with the square loss, from its optimum `theta` (d,) on.
 
     An ArviZ object (`InferenceData`, from ArviZ 1 on a `DataTree`) with the groups posterior (free
-    and tied parameters, and sigma where it is not known), sample_stats (`lp`), log_likelihood of
-    the rows, and observed_data; its attributes say how it came about, in `notes` also what limits
-    it. Needs the extra `posterior`.
+    and tied parameters, and sigma where it is not known, that of rows of weight 1), sample_stats
+    (`lp`), log_likelihood of the rows, and observed_data; its attributes say how it came about, in
+    `notes` also what limits it. Needs the extra `posterior`.
 
     Errors are normal and independent. A sigma that is not known is integrated out under Jeffreys'
     prior 1/sigma (Box and Tiao, Bayesian Inference in Statistical Analysis, 1973, Ch. 2.7) and then

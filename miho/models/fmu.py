@@ -45,7 +45,7 @@ ORDER = 2
 
 @dataclass(frozen=True)
 class FmuModel(Remade, ExternalModel):
-    """Outputs of an FMU (FMI 1 to 3, co-simulation or model exchange) over time.
+    """Outputs of an FMU (co-simulation or model exchange; FMI 2, others untested) over time.
 
         FmuModel("swing.fmu", identified=["k", "c"], outputs=["x"], columns=["force"])
 
