@@ -21,6 +21,8 @@ from miho.quantities import Array
 from miho.validate import whole
 
 WALKERS, WALKERS_PER_PARAMETER = 32, 4
+FEWEST_WALKERS = 8
+"""A move takes up to three others, of the half that stays."""
 STEPS = 50_000
 ENOUGH = 50.0
 """Autocorrelation times after which a chain is long enough, as emcee's documentation advises."""
@@ -69,9 +71,8 @@ def sample_posterior(
         raise ValueError(
             f"{problem.name}: the data are met to rounding, which tells no sigma; give sigma"
         )
-    least = 2 * theta.size
     walkers = max(WALKERS, WALKERS_PER_PARAMETER * theta.size) if walkers is None else walkers
-    whole("walkers", walkers, least + least % 2)
+    whole("walkers", walkers, max(FEWEST_WALKERS, 2 * theta.size))
     rng = np.random.default_rng(seed)
     moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
     sampler = emcee.EnsembleSampler(walkers, theta.size, density, moves=moves, vectorize=True)
@@ -245,9 +246,7 @@ def _result(
     }
     notes = _notes(density, ended, steps, tau)
     if thetas.shape[0] * rows <= MOST_NUMBERS:
-        weights = np.ones(rows) if problem.weights is None else problem.weights
-        errors = problem.residual_rows(thetas)[:, :rows]
-        likelihood = np.log(weights / sigma) - (errors / sigma) ** 2 / 2 - math.log(2 * math.pi) / 2
+        likelihood = _log_likelihood(problem, thetas, sigma)
         groups["log_likelihood"] = {output: likelihood.reshape(*shape, rows)}
     else:
         notes.append(f"likelihoods of {rows:,} rows are left out: they would take too much room.")
@@ -260,6 +259,14 @@ def _result(
         "notes": "\n".join(notes),
     }  # fmt: skip
     return _as_arviz(arviz, groups, {output: ["row"]}, attributes)
+
+
+def _log_likelihood(problem: CurveFit, thetas: Array, sigma: Array | float) -> Array:
+    """Of each row (n, N), at configurations (n, d) with the deviation sigma or sigmas (n, 1)."""
+    rows = len(problem.dataset)
+    weights = np.ones(rows) if problem.weights is None else problem.weights
+    scaled = problem.residual_rows(thetas)[:, :rows] / sigma
+    return np.asarray(np.log(weights / sigma) - (scaled**2 + math.log(2 * math.pi)) / 2)
 
 
 def _parameters(problem: CurveFit, thetas: Array) -> dict[str, Array]:

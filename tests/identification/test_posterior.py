@@ -200,7 +200,8 @@ def test_bad_input_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(ValueError, match="likelihood of normal errors; the loss is Huber"):
         fit.posterior()
     fit = miho.fit(line, T, Y, BOX, compiled=False)
-    with pytest.raises(ValueError, match="walkers is 3; expected a whole number of at least 4"):
+    assert fit.posterior(steps=20, walkers=8)["posterior"].sizes["chain"] == 8
+    with pytest.raises(ValueError, match="walkers is 3; expected a whole number of at least 8"):
         fit.posterior(walkers=3)
     exact = miho.fit(line, T, 1 + 2 * T, BOX, compiled=False)
     with pytest.raises(ValueError, match="met to rounding, which tells no sigma; give sigma"):
