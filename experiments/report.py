@@ -7,6 +7,7 @@ python -m experiments.report runs/identify/PROBLEM/METHOD/ID   # one run
 python -m experiments.report runs/identify --bootstrap 1000    # with bootstrap intervals
 python -m experiments.report runs/identify/PROBLEM/METHOD/ID --check  # is there a better optimum?
 python -m experiments.report runs/identify/PROBLEM/METHOD/ID --next candidates.csv --rows 200
+python -m experiments.report runs/identify/PROBLEM/METHOD/ID --posterior
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ def main() -> int:
     parser.add_argument("--rows", type=int, help="how many of them, or of their --groups")
     parser.add_argument("--goal", help="parameter or derived quantity to narrow; all parameters")
     parser.add_argument("--groups", metavar="COLUMN", help="rows to be measured together")
+    parser.add_argument("--posterior", action="store_true", help="of one run: posterior.nc")
     parser.add_argument("--level", type=float, default=0.95, help="of the intervals (0.95)")
     parser.add_argument("--trust", action="store_true", help="run models in files of your own")
     parser.add_argument(
@@ -70,8 +72,9 @@ def main() -> int:
         if arguments.quick:
             parser.error("--quick is for a root of runs; this is the folder of one run")
         return SOME_FAILED if report_on_run(read_run(path), options)[1] else OK
-    if arguments.candidates is not None:
-        parser.error("--next is for one run; name its folder, ROOT/PROBLEM/METHOD/ID")
+    if arguments.candidates is not None or arguments.posterior:
+        asked = "--posterior" if arguments.posterior else "--next"
+        parser.error(f"{asked} is for one run; name its folder, ROOT/PROBLEM/METHOD/ID")
     return report_on_root(path, options)
 
 

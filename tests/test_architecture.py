@@ -14,11 +14,11 @@ TABLES = {"pandas", "seaborn", "matplotlib"}
 LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "miho.compiled": ({"miho.compiled"}, NUMERICS),
     "miho.optim": ({"miho.compiled", "miho.optim"}, NUMERICS),
-    "miho.models": ({"miho.compiled", "miho.models"}, NUMERICS),
+    "miho.models": ({"miho.compiled", "miho.models"}, NUMERICS | {"fmpy"}),
     "miho.data": ({"miho.data", "miho.models"}, NUMERICS | {"pooch"}),
     "miho.identification": (
         {"miho.identification", "miho.compiled", "miho.optim", "miho.models", "miho.data"},
-        NUMERICS | TABLES,
+        NUMERICS | TABLES | {"emcee", "arviz"},
     ),
     "miho.driving.assembly": (
         {

@@ -4,6 +4,7 @@ import re
 import shutil
 import sys
 import types
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -15,8 +16,20 @@ DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 LONG = {"method.md"}
 """Pages whose Python takes minutes."""
+NEEDS = {"posterior.md": ("arviz", "emcee")}
+"""Libraries of an extra that the Python of a page needs."""
 BLOCKS = [
-    pytest.param(block, id=f"{page.name}-{number}")
+    pytest.param(
+        block,
+        id=f"{page.name}-{number}",
+        marks=[
+            pytest.mark.filterwarnings(r"ignore:\s*ArviZ is undergoing:FutureWarning"),
+            *(
+                pytest.mark.skipif(find_spec(library) is None, reason=f"{library} is not installed")
+                for library in NEEDS.get(page.name, ())
+            ),
+        ],
+    )
     for page in PAGES
     if page.name not in LONG
     for number, block in enumerate(re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))

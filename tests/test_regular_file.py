@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from miho.data import load_csv, load_mat
-from miho.models import Pacejka, load_function, load_trajectory
+from miho.models import FmuModel, Pacejka, load_function, load_trajectory
 from miho.models.identified import read_parameters
 from miho.models.tir import load_tir
 from miho.regular_file import NotAFileError, check_regular, read_regular
@@ -20,6 +20,7 @@ READERS: dict[str, Callable[[str], object]] = {
     "tir": load_tir,
     "function": load_function,
     "trajectory": lambda path: load_trajectory(path, "rhs", {"x": 0.0}, ["x"]),
+    "fmu": lambda path: FmuModel(path, ["k"], ["x"]),
     "parameters": lambda path: read_parameters(path, Pacejka()),
 }
 

@@ -4,6 +4,7 @@ import json
 import re
 import sys
 from dataclasses import asdict, replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +65,29 @@ def test_a_report_writes_through_no_link_that_was_left_there(tmp_path: Path) -> 
 def called(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> None:
     monkeypatch.setattr(sys, "argv", ["report", *map(str, arguments)])
     report.main()
+
+
+def test_a_posterior_on_request(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A file of groups, whose attributes name the run; its means are near the optimum."""
+    if find_spec("emcee") is None or find_spec("arviz") is None:
+        pytest.skip("the extra `posterior` is not installed")
+    import xarray
+
+    stored = stored_run(tmp_path, *TIRE)
+    called(monkeypatch, stored.folder, "--posterior", "--no-profile", "--output", tmp_path / "page")
+    output = capsys.readouterr().out
+    path = Path(re.findall(r"^posterior (.*)", output, re.MULTILINE)[0])
+    assert path.parent.is_relative_to(tmp_path / "page")
+    with xarray.open_dataset(path, group="posterior") as samples:
+        for name, value in zip("BC", stored.result["theta"], strict=False):
+            assert abs(samples[name].mean() - value) < samples[name].std()
+    with xarray.open_dataset(path) as whole:
+        assert json.loads(whole.attrs["provenance"])["data"] == stored.result["data"]
+    with pytest.raises(SystemExit):
+        called(monkeypatch, tmp_path, "--posterior")
+    assert "--posterior is for one run; name its folder" in capsys.readouterr().err
 
 
 def test_the_best_run_of_a_root(

@@ -1,9 +1,9 @@
 """From a composed configuration to objects: the one place that instantiates targets.
 
 A configuration can name only public classes and functions of our own packages, so no file that it
-comes with can run other code. There is one door: `miho.models.load_function` and `load_trajectory`
-run the Python file that `model.path` names, which a user chooses on the command line or in a YAML
-of their own.
+comes with can run other code. There is one door: `miho.models.load_function`, `load_trajectory` and
+`FmuModel` run the file that `model.path` names, which a user chooses on the command line or in a
+YAML of their own.
 """
 
 from __future__ import annotations
@@ -307,6 +307,8 @@ def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
         settings[name] = _checked_value(value, allowed[name].annotation, f"{key}.{name}")
     try:
         built = target(**settings)
+    except ImportError as error:
+        raise MissingLibraryError(f"{key}: {error}") from None
     except ValueError as error:
         if type(error) is not ValueError:
             raise

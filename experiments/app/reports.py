@@ -17,6 +17,7 @@ from experiments.app.console import OK, SOME_FAILED
 from experiments.app.explain import one_line
 from experiments.app.next_measurement import advise
 from experiments.app.optimum import check_optimum, report_of, save_run
+from experiments.app.posterior import save_posterior
 from experiments.app.progress import at_work
 from miho.analysis.pages.html import PAGE
 from miho.analysis.pages.run import report_folder
@@ -43,7 +44,7 @@ class Options:
     `level` of the intervals, a `check` for a better optimum of so many seconds, at most `seconds`
     for what is not asked for by name, whether to `trust` models in files, none of it (`quick`), and
     the folder to write to (None: the root). `candidates` is a file of rows that could be measured
-    next, of which to choose so many `rows` (or `groups`) for a `goal`.
+    next, of which to choose so many `rows` (or `groups`) for a `goal`; `posterior` is sampled.
     """
 
     bootstrap: int
@@ -58,6 +59,7 @@ class Options:
     rows: int | None = None
     goal: str | None = None
     groups: str | None = None
+    posterior: bool = False
 
 
 def read_sweep(root: Path) -> Sweep:
@@ -148,6 +150,8 @@ def report_on_run(stored: StoredRun, options: Options) -> tuple[Best, bool]:
                 folder,
             )
         )
+    if options.posterior:
+        print(save_posterior(report, stored, folder))
     return Best(*name, parameter_table(report), report.notes, page), False
 
 

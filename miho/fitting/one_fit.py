@@ -219,6 +219,15 @@ class Fit(Remade):
             raise TypeError("only a fit of a tire can be written as a property file")
         model.write(self.values, path)
 
+    def posterior(self, **settings: Any) -> Any:
+        """The posterior distribution, as an ArviZ object (extra `posterior`).
+
+        `settings` are those of `miho.identification.sample_posterior`.
+        """
+        from miho.identification.posterior import sample_posterior
+
+        return sample_posterior(self.problem, self.theta, **settings)
+
     def plot(self) -> Figure:
         """Data and curve with its interval; over several inputs, measured over predicted values."""
         from miho.analysis.figures.report import Column, fit_figure

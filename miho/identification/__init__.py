@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from miho.identification.loss import Cauchy, Huber, Loss, Square
     from miho.identification.model_comparison import ModelComparison, compare_models
     from miho.identification.parameters_file import identified
+    from miho.identification.posterior import sample_posterior
     from miho.identification.report import Report
     from miho.identification.report_steps import make_report
     from miho.identification.uncertainty import Linearised, linearised
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Cauchy", "CurveFit", "Design", "Huber", "Linearised", "Loss", "ModelComparison", "Report",
     "Square", "compare_models", "identified", "irreducible_error", "linear_optimum", "linearised",
-    "make_report", "optimal_design",
+    "make_report", "optimal_design", "sample_posterior",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from miho.models.brake_statics import BrakeDeceleration, BrakePressure, BrakeTorque
     from miho.models.engine import TorqueCubic, TorqueCurve
     from miho.models.engine_map import EngineMap
+    from miho.models.fmu import FmuModel
     from miho.models.function_model import FunctionModel
     from miho.models.identified import Identified, OutsideDataWarning, read_parameters
     from miho.models.lateral_magic_formula import LateralMagicFormula, mf61_lateral
@@ -31,8 +32,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "Axle", "Brake", "BrakeCommand", "BrakeDeceleration", "BrakePlay", "BrakePressure",
-    "BrakeResponse", "BrakeTorque", "EngineMap", "FrontRear", "FunctionModel", "Identified",
-    "LateralMagicFormula", "Longitudinal", "Model", "OutsideDataWarning", "Pacejka",
+    "BrakeResponse", "BrakeTorque", "EngineMap", "FmuModel", "FrontRear", "FunctionModel",
+    "Identified", "LateralMagicFormula", "Longitudinal", "Model", "OutsideDataWarning", "Pacejka",
     "PacejkaCurvature", "PacejkaLandmarks", "PublishedModel", "SimplifiedTire", "SingleTrack",
     "TirError", "TireFormula", "TorqueCubic", "TorqueCurve", "Trajectory", "central_stiffness",
     "cornering_stiffness", "from_simplified", "load_function", "load_tir", "load_trajectory",

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from miho.models.model import Model
+from miho.models.model import ExternalModel
 from miho.quantities import Array
 from miho.validate import positive
 
@@ -23,15 +23,14 @@ PARAMETERS, INPUTS, OUTPUT = "parameters.json", "inputs.csv", "output.txt"
 
 
 @dataclass(frozen=True)
-class CommandModel(Model):
+class CommandModel(ExternalModel):
     """A program that computes the output (N,) at one configuration.
 
     command: the program and its arguments, run without a shell in an empty folder that is removed
         afterwards. It finds there parameters.json, numbers by name, and inputs.csv, a header and
         the columns to 17 digits; it writes output.txt, a number for each row.
     seconds: after which it is killed.
-    step: of the central differences, relative to the parameter (or 1 for 0). The program's digits
-        over it are lost: with a thousandth, six digits leave derivatives to some thousandths.
+    step: of the central differences, relative to the parameter (or 1 for 0).
 
     A call that fails, takes too long or writes something else has no value (NaN); one where the
     program is not found raises ValueError.
@@ -44,7 +43,6 @@ class CommandModel(Model):
     seconds: float = 60.0
     step: float = 1e-3
     name: str = "command"
-    ordered: bool = True
 
     def __post_init__(self) -> None:
         positive("seconds", self.seconds)
@@ -57,20 +55,6 @@ class CommandModel(Model):
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d), one run of the program for each."""
         return np.array([self._run(theta, inputs) for theta in thetas])
-
-    def jacobian(self, theta: Array, *inputs: Array) -> Array:
-        """Derivatives (N, d) by central differences."""
-        h = self.step * np.where(theta == 0, 1.0, np.abs(theta))
-        moves = np.diag(h)
-        ahead, behind = np.split(
-            self.predict(np.vstack([theta + moves, theta - moves]), *inputs), 2
-        )
-        return np.asarray(((ahead - behind) / (2 * h[:, None])).T)
-
-    @property
-    def jacobian_cost(self) -> int:  # type: ignore[override]
-        """Two runs for each parameter."""
-        return 2 * len(self.parameters)
 
     def _run(self, theta: Array, inputs: Sequence[Array]) -> Array:
         rows = inputs[0].size

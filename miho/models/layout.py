@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from miho.compiled.course import Course
 from miho.quantities import Array, Integers
+from miho.validate import positive
 
 MEASURED, IDENTIFIED = "measured", "identified"
 OUTPUT = "output"
@@ -104,3 +105,18 @@ class Layout:
             else:
                 values[:, s] = start
         return reset, values, parameters
+
+
+def check_scales(scales: Sequence[float], units: Sequence[str]) -> None:
+    """Raise ValueError unless outputs of these units can be weighed by the scales, one for each."""
+    if scales and len(scales) != len(units):
+        raise ValueError(
+            f"scales has {len(scales)} numbers for {len(units)} outputs; give one for each"
+        )
+    for scale in scales:
+        positive("scales", scale)
+    if len(set(units)) > 1 and not scales:
+        raise ValueError(
+            f"outputs have the units {', '.join(units)}; give scales, the standard deviations of "
+            "their errors, so that they can be weighed"
+        )

@@ -78,6 +78,40 @@ class DifferencedModel(Model):
         return 2 * len(self.parameters)
 
 
+class ExternalModel(Model):
+    """A simulation that is not ours, known to some digits: differences over a wide `step`.
+
+    It is relative to the parameter, or for 0 to its size in `typical`. The simulation's digits over
+    it are lost: with a thousandth, six digits leave derivatives to some thousandths.
+    """
+
+    step: float
+    ordered = True
+
+    @property
+    def typical(self) -> Array:
+        """Sizes of the parameters (d,), for those that are 0."""
+        return np.ones(len(self.parameters))
+
+    @final
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Derivatives (N, d) by central differences, beside a failure by one-sided ones."""
+        h = self.step * np.where(theta == 0, self.typical, np.abs(theta))
+        moves = np.diag(h)
+        high, low = np.split(self.predict(np.vstack([theta + moves, theta - moves]), *inputs), 2)
+        width = 2 * h
+        beside = np.flatnonzero(~(np.isfinite(high) & np.isfinite(low)).all(axis=1))
+        if beside.size:
+            centre = self.predict(theta[None], *inputs)[0]
+            high, low, width = _one_sided(centre, high, low, width, beside)
+        return np.asarray(((high - low) / width[:, None]).T)
+
+    @property
+    def jacobian_cost(self) -> int:  # type: ignore[override]
+        """Two simulations for each parameter, and one more beside a failure."""
+        return 2 * len(self.parameters)
+
+
 def central_differences(model: Model, theta: Array, *inputs: Array) -> Array:
     """Derivatives (N, d) of a model without its own, from 2 d rows of one batch or a few more.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,8 +14,9 @@ from miho.compiled.course import Course
 from miho.models.equations import NO_UNIT, Declared, Equations
 from miho.models.integration import Path as Solution
 from miho.models.integration import Sensitivities, Values, along, runge_kutta, stiff
-from miho.models.layout import IDENTIFIED, MEASURED, OUTPUT, Layout
+from miho.models.layout import IDENTIFIED, MEASURED, OUTPUT, Layout, check_scales
 from miho.models.model import Model
+from miho.models.time_step import time_step_remarks
 from miho.quantities import Array
 from miho.validate import one_of, positive, whole
 
@@ -28,8 +29,8 @@ INTERPOLATIONS = ("linear", "hold")
 SMALLEST = 1e-12
 LARGEST = 1e100
 """Derivatives beyond are those of a motion that diverges: their squares would overflow."""
-NOTICEABLE = 0.25
-"""Standard errors by which the solver's own error may move a parameter before it is told."""
+ORDER = 4
+"""The error of RK4 falls with so high a power of its step."""
 
 
 @dataclass(frozen=True)
@@ -152,19 +153,7 @@ class Trajectory(Model):
                     f"outputs has {output!r}, which is no state; expected one of "
                     f"{', '.join(self.states)}, or a function"
                 )
-        if self.scales and len(self.scales) != len(self.outputs):
-            raise ValueError(
-                f"scales has {len(self.scales)} numbers for {len(self.outputs)} outputs; "
-                "give one for each"
-            )
-        for scale in self.scales:
-            positive("scales", scale)
-        units = set(self._output_units)
-        if len(units) > 1 and not self.scales:
-            raise ValueError(
-                f"outputs have the units {', '.join(self._output_units)}; give scales, the "
-                "standard deviations of their errors, so that they can be weighed"
-            )
+        check_scales(self.scales, self._output_units)
 
     @cached_property
     def _rhs(self) -> Declared:
@@ -295,28 +284,10 @@ class Trajectory(Model):
         return stiff(course, motion, self.solver, self.tolerance)
 
     def remarks(self, theta: Array, noise: float, *inputs: Array) -> list[str]:
-        """A sentence if half the step would move parameters by much of their standard errors.
-
-        The change of the solution, projected on what the parameters can do, over the noise: so many
-        standard errors at most does the optimum move in any direction.
-        """
-        if self.solver != RUNGE_KUTTA or noise == 0:
+        """A sentence if half the step would move parameters by much of their standard errors."""
+        if self.solver != RUNGE_KUTTA:
             return []
-        finer = replace(self, substeps=2 * self.substeps)
-        change = finer.predict(theta[None], *inputs)[0] - self.predict(theta[None], *inputs)[0]
-        J = self.jacobian(theta, *inputs)
-        moves = J[:, np.abs(J).max(axis=0) > 0]
-        scaled = moves / np.linalg.norm(moves, axis=0)
-        errors = float(np.linalg.norm(np.linalg.qr(scaled)[0].T @ change)) / noise
-        if errors <= NOTICEABLE:
-            return []
-        needed = 2 * self.substeps
-        if np.isfinite(errors):  # an error of fourth order
-            needed = int(np.ceil(self.substeps * (errors / NOTICEABLE) ** 0.25)) + 1
-        return [
-            f"half the time step moves the optimum by up to {errors:.2g} standard errors: set "
-            f"substeps to {needed}, it is {self.substeps}."
-        ]
+        return time_step_remarks(self, ORDER, theta, noise, *inputs)
 
     def _course(self, inputs: tuple[Array, ...]) -> Course:
         """The course that columns (N,) describe, made once for the same read-only columns."""

@@ -1,0 +1,321 @@
+"""The posterior distribution of the parameters by Markov chains, where it is asked for."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+import warnings
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from miho.identification.curve_fit import CurveFit
+from miho.identification.loss import Square
+from miho.identification.uncertainty import Linearised, linearised
+from miho.models.tied import TiedExpression, TiedModel
+from miho.quantities import Array
+from miho.validate import whole
+
+WALKERS, WALKERS_PER_PARAMETER = 32, 4
+FEWEST_WALKERS = 8
+"""A move takes up to three others, of the half that stays."""
+STEPS = 50_000
+ENOUGH = 50.0
+"""Autocorrelation times after which a chain is long enough, as emcee's documentation advises."""
+FIRST_LOOK, FEWEST_STEPS = 500, 10
+BURN_IN = 2
+"""Autocorrelation times that are dropped: walkers begin as the optimum's covariance says."""
+KEPT = 10_000
+"""Samples that are kept at most; every half an autocorrelation time there is a new one."""
+MOST_NUMBERS = 20_000_000
+"""No more are kept of the likelihoods of rows, 160 MB."""
+SPREAD, HALVINGS = 0.1, 50
+"""Walkers spread over this share of the box along what the data do not determine; those that begin
+where there is no value are moved halfway to the optimum and beyond it so many times at most."""
+SECONDS = 2.0
+"""After which progress is shown."""
+SIGMA = "sigma"
+PACKAGES = ("arviz", "emcee", "numpy", "scipy")
+
+
+def sample_posterior(
+    problem: CurveFit, theta: Array, steps: int = STEPS, seed: int = 0, walkers: int | None = None
+) -> Any:
+    """The posterior of a problem with the square loss, from its optimum `theta` (d,) on.
+
+    An ArviZ object (`InferenceData`, from ArviZ 1 on a `DataTree`) with the groups posterior (free
+    and tied parameters, and sigma where it is not known, that of rows of weight 1), sample_stats
+    (`lp`), log_likelihood of the rows, and observed_data; its attributes say how it came about, in
+    `notes` also what limits it. Needs the extra `posterior`.
+
+    Errors are normal and independent. A sigma that is not known is integrated out under Jeffreys'
+    prior 1/sigma (Box and Tiao, Bayesian Inference in Statistical Analysis, 1973, Ch. 2.7) and then
+    drawn given the parameters. Parameters have their priors, and are uniform within their bounds,
+    in their logarithm on a logarithmic scale. Rows that depend on each other count as fewer: as
+    many as make no standard error smaller than that of `linearised`.
+
+    An ensemble of `walkers`, moved along differences of others (ter Braak and Vrugt, Statistics
+    and Computing 18, 2008, by emcee), takes `steps` at most; it ends earlier after ENOUGH
+    autocorrelation times, and with Ctrl-C, which keeps what there is. Raises ValueError for another
+    loss, and ImportError without the extra.
+    """
+    emcee, arviz = _libraries()
+    at = linearised(problem, theta, neighbours=True)
+    density = _Density(problem, 1 / _widening(problem, at) ** 2)
+    whole("steps", steps, FEWEST_STEPS)
+    if density.sigma is None and float(problem.loss(theta[None])[0]) <= problem.rounding:
+        raise ValueError(
+            f"{problem.name}: the data are met to rounding, which tells no sigma; give sigma"
+        )
+    walkers = max(WALKERS, WALKERS_PER_PARAMETER * theta.size) if walkers is None else walkers
+    whole("walkers", walkers, max(FEWEST_WALKERS, 2 * theta.size))
+    rng = np.random.default_rng(seed)
+    moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
+    sampler = emcee.EnsembleSampler(walkers, theta.size, density, moves=moves, vectorize=True)
+    sampler.random_state = np.random.RandomState(seed).get_state()
+    ended = _run(sampler, _walkers(density, at, walkers, rng), steps)
+    return _result(arviz, density, sampler, ended, seed, rng)
+
+
+@dataclass(frozen=True)
+class _Density:
+    """The logarithm of the posterior density at search coordinates (n, d), but for a constant.
+
+    `share` is how many independent rows one row tells as much as.
+    """
+
+    problem: CurveFit
+    share: float
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.problem.rho, Square):
+            raise ValueError(
+                f"{self.problem.name}: a posterior needs the likelihood of normal errors; the loss "
+                f"is {type(self.problem.rho).__name__}, fit with Square"
+            )
+
+    @property
+    def sigma(self) -> float | None:
+        """The standard deviation of the errors, weighted as the problem's; None if not known."""
+        return self.problem.scale if self.problem.sigma_known else None
+
+    @property
+    def rows(self) -> float:
+        """How many independent rows the data count as, a share of the degrees of freedom."""
+        d = len(self.problem.space)
+        return self.share * (len(self.problem.dataset) - d) + d
+
+    def __call__(self, coordinates: Array) -> Array:
+        low, high = self.problem.space.bounds
+        inside = ((coordinates >= low) & (coordinates <= high)).all(axis=1)
+        values = np.full(len(coordinates), -math.inf)
+        squares = self.squares(self.problem.space.decode(coordinates[inside]))
+        with np.errstate(divide="ignore"):
+            if self.sigma is None:
+                logarithms = -self.rows / 2 * np.log(squares)
+            else:
+                logarithms = -self.share / 2 * squares / self.sigma**2
+        values[inside] = np.where(np.isfinite(logarithms), logarithms, -math.inf)
+        return values
+
+    def squares(self, thetas: Array) -> Array:
+        """Sums of squared residuals (n,), priors' included; NaN where the model has no value."""
+        try:
+            return self.problem.loss(thetas) * self.problem.residual_count
+        except ValueError:
+            if len(thetas) == 1:
+                return np.array([np.nan])
+        return np.concatenate([self.squares(theta[None]) for theta in thetas])
+
+
+def _widening(problem: CurveFit, at: Linearised) -> float:
+    """How many times larger a standard error is, at most, than for independent rows."""
+    if at.dependence is None and not at.events:
+        return 1.0
+    free = ~at.at_bound
+    J = problem.error_slopes(at.theta)[:, free]
+    size = np.linalg.norm(J, axis=0)
+    size[size == 0] = 1.0
+    plain = at.noise * np.linalg.norm(np.linalg.pinv(J / size), axis=1) / size
+    errors = at.standard_errors[free]
+    return float(np.max(errors[np.isfinite(errors)] / plain[np.isfinite(errors)], initial=1.0))
+
+
+def _walkers(density: _Density, at: Linearised, count: int, rng: np.random.Generator) -> Array:
+    """Search coordinates (n, d) spread about the optimum as its covariance says, within the box."""
+    space = density.problem.space
+    low, high = space.bounds
+    width, centre = high - low, space.encode(at.theta)
+    log = np.array([parameter.scale == "log" for parameter in space.parameters])
+    stretch = np.where(log, 1 / at.theta, 1.0)
+    loose = np.where(np.isfinite(at.standard_errors), np.finfo(float).eps, SPREAD) * width
+    size, axes = np.linalg.eigh(at.covariance * np.outer(stretch, stretch) + np.diag(loose**2))
+    draws = rng.standard_normal((count, at.theta.size)) * np.sqrt(np.maximum(size, 0.0))
+    turns = (centre + draws @ axes.T - low) % (2 * width)  # what leaves the box is reflected
+    coordinates = low + np.minimum(turns, 2 * width - turns)
+    for _ in range(HALVINGS):
+        outside = ~np.isfinite(density(coordinates))
+        if not outside.any():
+            return np.asarray(coordinates)
+        coordinates[outside] = (3 * centre - coordinates[outside]) / 2
+    raise ValueError(
+        f"{density.problem.name}: the model has hardly a value beside the optimum, so there is no "
+        "posterior to sample"
+    )
+
+
+def _run(sampler: Any, start: Array, steps: int) -> str:
+    """Sample until it is enough; why it ended: "enough", "steps" or "interrupted"."""
+    look, times, progress = min(FIRST_LOOK, steps), 0.0, _Progress()
+    state: Any = start
+    try:
+        while True:
+            for now in sampler.sample(state, iterations=look - sampler.iteration):
+                state = now
+                progress.show(sampler.iteration, times)
+            times = sampler.iteration / _autocorrelation(sampler)
+            if times >= ENOUGH or sampler.iteration >= steps:
+                return "enough" if times >= ENOUGH else "steps"
+            look = math.ceil(min(look * min(max(ENOUGH / max(times, 1.0), 1.2), 2.0), steps))
+    except KeyboardInterrupt:
+        if sampler.iteration < FEWEST_STEPS:
+            raise
+        return "interrupted"
+    finally:
+        progress.end()
+
+
+class _Progress:
+    """A line on the standard error every two seconds: the same on a terminal, else ever rarer."""
+
+    def __init__(self) -> None:
+        self._terminal, self._shown = sys.stderr.isatty(), False
+        self._pause, self._next = SECONDS, time.monotonic() + SECONDS
+
+    def show(self, step: int, times: float) -> None:
+        """Say how far it is, if it is time to."""
+        if time.monotonic() < self._next:
+            return
+        line = f"posterior: step {step:,}, {times:.0f} of {ENOUGH:.0f} autocorrelation times"
+        sys.stderr.write(f"\r{line}" if self._terminal else f"{line}\n")
+        sys.stderr.flush()
+        self._shown = True
+        self._pause *= 1 if self._terminal else 2
+        self._next = time.monotonic() + self._pause
+
+    def end(self) -> None:
+        """Leave the line as it is."""
+        if self._shown and self._terminal:
+            sys.stderr.write("\n")
+
+
+def _autocorrelation(sampler: Any) -> float:
+    """The longest integrated autocorrelation time of a parameter, in steps, at least 1."""
+    times = sampler.get_autocorr_time(tol=0)
+    return max(1.0, float(np.max(times))) if np.isfinite(times).all() else math.inf
+
+
+def _result(
+    arviz: Any, density: _Density, sampler: Any, ended: str, seed: int, rng: np.random.Generator
+) -> Any:
+    """The ArviZ object of what was sampled."""
+    problem, tau = density.problem, _autocorrelation(sampler)
+    steps = sampler.iteration
+    first = min(int(BURN_IN * tau), steps // 2) if math.isfinite(tau) else steps // 2
+    total = (steps - first) * sampler.nwalkers
+    every = max(1, math.ceil(total / KEPT), int(tau / 2) if math.isfinite(tau) else 1)
+    chain = sampler.get_chain(discard=first, thin=every).swapaxes(0, 1)  # (walkers, draws, d)
+    shape, rows = chain.shape[:2], len(problem.dataset)
+    thetas = problem.space.clip(problem.space.decode(chain.reshape(-1, chain.shape[2])))
+    parameters = _parameters(problem, thetas)
+    sigma: Array | float | None = density.sigma
+    if sigma is None:  # sigma^2 given the parameters is a scaled inverse chi^2
+        deviates = rng.chisquare(density.rows, len(thetas))
+        drawn = np.sqrt(density.share * density.squares(thetas) / deviates)
+        parameters[SIGMA + "_" * (SIGMA in parameters)] = drawn
+        sigma = drawn[:, None]
+    output = problem.dataset.output
+    groups = {
+        "posterior": {name: values.reshape(shape) for name, values in parameters.items()},
+        "sample_stats": {"lp": sampler.get_log_prob(discard=first, thin=every).T},
+        "observed_data": {output: problem.dataset[output]},
+    }
+    notes = _notes(density, ended, steps, tau)
+    if thetas.shape[0] * rows <= MOST_NUMBERS:
+        likelihood = _log_likelihood(problem, thetas, sigma)
+        groups["log_likelihood"] = {output: likelihood.reshape(*shape, rows)}
+    else:
+        notes.append(f"likelihoods of {rows:,} rows are left out: they would take too much room.")
+    attributes = {
+        "problem": problem.name, "data": problem.dataset.digest, "seed": seed, "ended": ended,
+        "steps": steps, "dropped_steps": first, "thinned_by": every, "autocorrelation_time": tau,
+        "accepted": float(np.mean(sampler.acceptance_fraction)), "rows": density.rows,
+        "sigma": "known" if density.sigma is not None else "unknown, with the prior 1/sigma",
+        "packages": json.dumps({name: version(name) for name in PACKAGES}),
+        "notes": "\n".join(notes),
+    }  # fmt: skip
+    return _as_arviz(arviz, groups, {output: ["row"]}, attributes)
+
+
+def _log_likelihood(problem: CurveFit, thetas: Array, sigma: Array | float) -> Array:
+    """Of each row (n, N), at configurations (n, d) with the deviation sigma or sigmas (n, 1)."""
+    rows = len(problem.dataset)
+    weights = np.ones(rows) if problem.weights is None else problem.weights
+    scaled = problem.residual_rows(thetas)[:, :rows] / sigma
+    return np.asarray(np.log(weights / sigma) - (scaled**2 + math.log(2 * math.pi)) / 2)
+
+
+def _parameters(problem: CurveFit, thetas: Array) -> dict[str, Array]:
+    """Free and tied parameters by name, (n,) each, at free ones (n, d)."""
+    model, values = problem.model, dict(zip(problem.space.names, thetas.T, strict=True))
+    if isinstance(model, TiedModel | TiedExpression):
+        whole_values = zip(model.ties.parameters, model.ties.whole(thetas).T, strict=True)
+        tied = [name for name, tie in model.ties.ties.items() if isinstance(tie, str)]
+        values |= {name: column for name, column in whole_values if name in tied}
+    return values
+
+
+def _notes(density: _Density, ended: str, steps: int, tau: float) -> list[str]:
+    """What limits the posterior, in sentences."""
+    notes = []
+    if density.share < 1:
+        notes.append(
+            f"errors depend on those of other rows, which the likelihood does not know of: "
+            f"{len(density.problem.dataset):,} rows count as {density.rows:.0f}, so that no "
+            "interval is narrower than that of the report."
+        )
+    if ended != "enough":
+        why = "Ctrl-C" if ended == "interrupted" else "the last of its steps"
+        notes.append(
+            f"ended by {why} after {steps:,} steps, {steps / tau:.0f} autocorrelation times of the "
+            f"{ENOUGH:.0f} that are enough: quantiles are rough; give more steps."
+        )
+    return notes
+
+
+def _as_arviz(
+    arviz: Any, groups: dict[str, Any], dims: dict[str, list[str]], attributes: dict[str, Any]
+) -> Any:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of more chains than draws
+        if int(arviz.__version__.partition(".")[0]) < 1:
+            return arviz.from_dict(**groups, dims=dims, attrs=attributes)
+        return arviz.from_dict(groups, dims=dims, attrs={"/": attributes})
+
+
+def _libraries() -> tuple[Any, Any]:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FutureWarning)  # ArviZ 0 announces ArviZ 1
+            import arviz
+            import emcee
+    except ModuleNotFoundError as error:
+        raise ImportError(
+            f"a posterior needs a library that is missing ({error.name}); "
+            "pip install 'miho[posterior]'"
+        ) from None
+    return emcee, arviz
