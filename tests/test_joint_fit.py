@@ -111,7 +111,12 @@ def test_joint_parameters_can_be_tied() -> None:
     ("parts", "keywords", "message"),
     [
         ({"one": (decay, t, t)}, {}, "1 part; give at least two"),
-        ({"A": (decay, t, t, 1.0), "B": (decay, t, t)}, {}, "B: lacks sigma"),
+        (
+            {"A": (decay, t, t, 1.0), "B": (decay, t, t, -1)},
+            {},
+            "B: sigma is -1 in row 1",
+        ),
+        ({"A": (decay, t, t), "B": (decay, [0, 1], [1, 2])}, {}, "B: 2 rows for 2 parameters"),
         ({"A": (decay, t, t), "B": (decay, t, t)}, {"local": ["q"]}, "local: q is no parameter"),
         ({"A": (decay, t, t), "B": (line, t, t)}, {"fixed": {"z": 1}}, "fixed: z is no parameter"),
         ({"A": (decay, t, t), "B": (decay, t, t[:4])}, {}, "differ in length"),

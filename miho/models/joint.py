@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.models.model import Model
+from miho.models.tied import whole_model
 from miho.quantities import Array
 
 PART = "part of the row"
@@ -129,3 +130,9 @@ class JointModel(Model):
                 columns = [inputs[names.index(name)][rows] for name in part.model.inputs]
                 shares.append((part, rows, [places.index(n) for n in part.parameters], columns))
         return shares
+
+
+def members(model: Model) -> list[Model]:
+    """The models of the parts of a joint model; another model is its only one."""
+    whole = whole_model(model)
+    return [part.model for part in whole.parts] if isinstance(whole, JointModel) else [whole]
