@@ -24,7 +24,7 @@ from omegaconf import DictConfig, OmegaConf
 from experiments.app.explain import ConfigError as ConfigError
 from experiments.app.explain import unknown_message
 from experiments.app.origin import code_of, packages_of
-from experiments.app.parts import model_files, part_nodes
+from experiments.app.parts import model_files, part_nodes, with_local
 from experiments.app.safety import (
     SecretError,
     TargetError,
@@ -135,7 +135,8 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
     try:
         budget = Budget(**_part(setting, "budget"))
         config = {key: _part(setting, key) for key in ("model", "dataset", "loss", "budget")}
-        config["space"] = scaled_by(problem.dataset, _part(setting, "space"))
+        space = with_local(setting, _part(setting, "space"))
+        config["space"] = scaled_by(problem.dataset, space)
         config["problem"] = {key: setting["problem"][key] for key in ("name", "compressed")}
         if setting["problem"]["sigma"] is not None:
             config["problem"] |= {key: setting["problem"][key] for key in SIGMA}
@@ -178,7 +179,7 @@ def build_problem(cfg: Settings, dataset: Dataset | None = None) -> CurveFit:
     """The problem alone; `dataset` is what its configuration gave, if it was built before."""
     setting = plain(cfg)
     dataset, problem_of = _statement(setting, dataset)
-    space = build_space(scaled_by(dataset, _part(setting, "space")))
+    space = build_space(scaled_by(dataset, with_local(setting, _part(setting, "space"))))
     rho = instantiate(_part(setting, "loss"), "loss", Loss)
     settings = _part(setting, "problem")
     switches = {key: settings[key] for key in ("threads", "compressed")}

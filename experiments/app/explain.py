@@ -60,11 +60,26 @@ def parse_overrides(texts: Sequence[str]) -> list[Override]:
 
 
 def replace_spaces(texts: Sequence[str]) -> list[str]:
-    """The overrides with `space={...}` meaning that space and nothing of the chosen one."""
+    """The overrides with `space={...}` meaning that space and nothing of the chosen one.
+
+    A parameter of the space, or a part, that is added is written as the mapping that holds it,
+    since Hydra adds no single value to a mapping of settings.
+    """
     whole: list[str] = []
     for text, override in zip(texts, parse_overrides(texts), strict=True):
-        replaces = override.key_or_group == "space" and isinstance(override.value(), dict)
-        whole += ["~space", f"+{text.lstrip('+')}"] if replaces else [text]
+        key, value = override.key_or_group, text.partition("=")[2]
+        adds = (key.startswith("space.") and override.is_add()) or (
+            key.startswith("problem.parts") and not override.is_delete()
+        )
+        if key == "space" and isinstance(override.value(), dict):
+            whole += ["~space", f"+{text.lstrip('+')}"]
+        elif adds and not override.is_sweep_override():
+            place = "space" if key.startswith("space.") else "problem.parts"
+            names = [name for name in key.removeprefix(place).split(".") if name]
+            inner = "".join(f"{{{name}: " for name in names) + value + "}" * len(names)
+            whole.append(f"++{place}={inner}")
+        else:
+            whole.append(text)
     return whole
 
 
@@ -102,11 +117,6 @@ def composition_message(
         values = [o.value() for o in overrides if o.key_or_group == cause.full_key]
         if expected and values:
             return f"{cause.full_key}: is {values[-1]!r}; expected {expected}"
-    added = [o.key_or_group for o in overrides if o.is_add() and o.key_or_group[:6] == "space."]
-    if isinstance(cause, ValidationError) and added:
-        name = added[0].split(".")[1]
-        whole = f"'space={{{name}: {{unit: ..., low: ..., high: ...}}, ...}}'"
-        return f"{added[0]}: a parameter cannot be added alone; write the whole space, {whole}"
     message = one_line(error)
     if isinstance(cause, OmegaConfBaseException):
         message += f": {one_line(cause)}"
