@@ -17,7 +17,7 @@ from miho.data import Dataset
 from miho.fitting.joint_problem import Joint
 from miho.identification import CurveFit
 from miho.models import Model
-from miho.models.joint import members
+from miho.models.joint import parts_of
 from miho.optim import Optimizer
 from miho.study import environment_stamp
 from miho.study.closure import Sources
@@ -55,7 +55,8 @@ def code_of(setting: Mapping[str, Any], problem: CurveFit, optimizer: Optimizer)
     if setting["problem"]["parts"]:
         modules.add(Joint.__module__)
     code = our_code(frozenset(modules))
-    sources = dict.fromkeys(m.source for m in members(problem.model) if m.source is not None)
+    models = [problem.model, *(part.model for part in parts_of(problem.model))]
+    sources = dict.fromkeys(m.source for m in models if m.source is not None)
     texts = b"".join(source.read_bytes() for source in sources)
     return sha256(code.encode() + texts) if sources else code
 

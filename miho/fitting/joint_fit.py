@@ -14,9 +14,8 @@ from miho.fitting.one_fit import Fit
 from miho.fitting.statement import FAR, data_of
 from miho.identification.curve_fit import CurveFit
 from miho.identification.stated import stated_parameters
-from miho.models.joint import PART, JointModel
+from miho.models.joint import PART, parts_of
 from miho.models.model import Model
-from miho.models.tied import whole_model
 from miho.optim import Budget, Optimizer, Parameter, Space
 
 
@@ -45,7 +44,8 @@ def fit_joint(
 
     `parts` are named. A parameter of one name is the same in all parts; one in `local` is one of
     each part's own, called NAME_PART, whose bounds are those of NAME unless it has its own.
-    `space`, `fixed`, `tied`, `method`, `budget` and `seed` are those of `miho.fit`.
+    `space`, `fixed`, `tied`, `method`, `budget` and `seed` are those of `miho.fit`. Where all parts
+    are the same expression, it is compiled from 20,000 rows on, or where `compiled` is true.
 
     A part's sigma that is not given is estimated from its own residuals, see `Joint.estimated`.
     Raises ValueError for what does not fit together.
@@ -66,13 +66,11 @@ class JointFit(Fit):
 
     def part(self, name: str) -> Fit:
         """One part's fit, with the values and uncertainties of all parts together."""
-        model = whole_model(self.problem.model)
-        if not isinstance(model, JointModel):
-            raise TypeError("a joint fit is of a joint model")
-        names = [part.name for part in model.parts]
+        parts = parts_of(self.problem.model)
+        names = [part.name for part in parts]
         if name not in names:
             raise ValueError(f"no part {name!r}; choose from {', '.join(names)}")
-        part, rows = model.parts[names.index(name)], self.problem.dataset
+        part, rows = parts[names.index(name)], self.problem.dataset
         of_part = rows[PART] == names.index(name)
         columns = {key: rows[key][of_part] for key in (*part.model.inputs, rows.output)}
         units = {**part.model.inputs, rows.output: part.model.output}

@@ -18,7 +18,7 @@ from miho.identification.curve_fit_checks import traced_where_alike
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
 from miho.models.function_model import FunctionModel
-from miho.models.joint import PART, JointModel, JointPart
+from miho.models.joint import PART, JointModel, JointPart, joined
 from miho.models.model import Model
 from miho.optim import Budget, Optimizer, Parameter, Space
 from miho.quantities import Array
@@ -152,8 +152,8 @@ class Joint:
                     named.setdefault(joint, own)
         return named
 
-    def _traced(self, space: Space) -> JointModel:
-        """The model, with formulas of functions that are some."""
+    def _traced(self, space: Space) -> Model:
+        """The model, with formulas of functions that are some, and itself one where it can be."""
         named = {parameter.name: parameter for parameter in space.parameters}
         members = []
         for part in self.model.parts:
@@ -163,7 +163,7 @@ class Joint:
                 ranges = Space(tuple(replace(named[joint], name=name) for name, joint in own))
                 model = traced_where_alike(model, self.parts[part.name].dataset, ranges)
             members.append(part._replace(model=model))
-        return JointModel(tuple(members))
+        return joined(JointModel(tuple(members)))
 
     def estimated(
         self,

@@ -121,12 +121,12 @@ def autoregression(
 
     It is one model of all series, which are independent of each other.
 
-    The order, 1 at least and shorter than any series, is that of the smallest corrected information
-    criterion (Hurvich and
-    Tsai, Biometrika 76, 1989) over Burg's recursion. Errors of a fit are less alike than those of
-    the data, which it followed; so the model is that of the largest restricted likelihood, which
-    knows the `basis` (N, d) that was fitted (Cheang and Reinsel, JASA 95, 2000). The others, first
-    on one side and then on the other, are along p independent directions of the coefficients.
+    The order, 1 at least and else less than the rows of any series, is that of the smallest
+    corrected information criterion (Hurvich and Tsai, Biometrika 76, 1989) over Burg's recursion.
+    Errors of a fit are less alike than those of the data, which it followed; so the model is that
+    of the largest restricted likelihood, which knows the `basis` (N, d) that was fitted (Cheang and
+    Reinsel, JASA 95, 2000). The others, first on one side and then on the other, are along p
+    independent directions of the coefficients.
     """
     rows, d = basis.shape
     highest = min(HIGHEST_ORDER, int(10 * np.log10(rows)), (rows - d) // ROWS_PER_COEFFICIENT)
