@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import operator
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from typing import NamedTuple
 
@@ -138,7 +138,7 @@ class JointModel(Model):
 
 
 @dataclass(frozen=True)
-class _JointExpression(TracedExpression):
+class JointExpression(TracedExpression):
     """A joint model whose parts are one expression: that of the parameters that the part selects.
 
     So it can be compiled; and NumPy evaluates it sooner than part by part.
@@ -146,6 +146,15 @@ class _JointExpression(TracedExpression):
 
     joint: JointModel
     expression: Expression
+    inputs: Mapping[str, str] = field(init=False)
+    parameters: Mapping[str, str] = field(init=False)
+    output: str = field(init=False)
+    linear: tuple[str, ...] = field(init=False)
+    name: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        for key in ("inputs", "parameters", "output", "linear", "name"):
+            object.__setattr__(self, key, getattr(self.joint, key))
 
     @cached_property
     def graph(self) -> Symbol:
@@ -165,32 +174,12 @@ class _JointExpression(TracedExpression):
         names = zip(*(part.parameters for part in self.joint.parts), strict=True)
         return trace(self.expression.value, tuple(columns), tuple(map(selected, names)))
 
-    @property
-    def inputs(self) -> Mapping[str, str]:  # type: ignore[override]
-        return self.joint.inputs
-
-    @property
-    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
-        return self.joint.parameters
-
-    @property
-    def output(self) -> str:  # type: ignore[override]
-        return self.joint.output
-
-    @property
-    def linear(self) -> tuple[str, ...]:  # type: ignore[override]
-        return self.joint.linear
-
-    @property
-    def name(self) -> str:  # type: ignore[override]
-        return self.joint.name
-
 
 def joined(model: JointModel) -> Model:
     """A joint model as an expression, if its parts are one that can be traced."""
     first = model.parts[0].model
     if isinstance(first, Expression) and all(part.model == first for part in model.parts):
-        expression = _JointExpression(model, first)
+        expression = JointExpression(model, first)
         with contextlib.suppress(NotAFormulaError):
             _ = expression.graph
             return expression
@@ -200,5 +189,5 @@ def joined(model: JointModel) -> Model:
 def parts_of(model: Model) -> tuple[JointPart, ...]:
     """The parts of a joint model, also of one that is an expression or tied; none of another."""
     whole = whole_model(model)
-    whole = whole.joint if isinstance(whole, _JointExpression) else whole
+    whole = whole.joint if isinstance(whole, JointExpression) else whole
     return whole.parts if isinstance(whole, JointModel) else ()
