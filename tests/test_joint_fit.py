@@ -6,12 +6,14 @@ import pickle
 from dataclasses import replace
 
 import numpy as np
+import pandas as pd
 import pytest
 import scipy.optimize
 
 import miho
 from miho import Part
 from miho.fitting.joint_problem import Joint, Measured
+from miho.identification import optimal_design
 from miho.identification.uncertainty import series_of
 from miho.models import Pacejka
 from miho.models.joint import PART, JointExpression, JointModel, parts_of
@@ -97,6 +99,27 @@ def test_tires_of_an_axle_share_what_is_told_to_be_shared() -> None:
     assert table["unit"].to_dict()["D_left"] == "N"
     assert fit.part("left").parameters.loc["B", "value"] == table.loc["B", "value"]
     fit.part("left").plot()
+
+
+def test_a_row_to_measure_next_counts_by_the_sigma_of_its_part() -> None:
+    """Of lines in closed form: the covariance with the chosen rows is the inverse of their sum."""
+    parts = {"left": (line, t, 1 + t, 0.1), "right": (line, t, 3 + t, 0.4)}
+    fit = miho.fit_joint(parts, {"a": (-9, 9), "b": (-9, 9)}, local=["a"])
+    candidates = pd.DataFrame({PART: [0.0, 1.0, 1.0], "t": [5.0, 5.0, 8.0]})
+    design = optimal_design(fit.report(profiles=False), candidates, 1, goal="b")
+    X = np.zeros((63, 3))
+    X[:, 1] = [*t, *t, 5, 5, 8]
+    X[[*range(30), 60], 0], X[[*range(30, 60), 61, 62], 2] = 1, 1
+    w = np.array([10.0] * 30 + [2.5] * 30 + [10.0, 2.5, 2.5])
+
+    def error(*rows: int) -> float:
+        used = (X * w[:, None])[[*range(60), *rows]]
+        return float(np.sqrt(np.linalg.inv(used.T @ used)[1, 1]))
+
+    narrower = [100 * (1 - error(row) / error()) for row in (60, 61, 62)]
+    assert design.gains["narrows b by %"].tolist() == pytest.approx(narrower, rel=1e-6)
+    with pytest.raises(ValueError, match="'part of the row' is 2; expected 0 to 1"):
+        optimal_design(fit.report(profiles=False), candidates.replace(0.0, 2.0), 1)
 
 
 def test_joint_parameters_can_be_tied() -> None:

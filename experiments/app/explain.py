@@ -60,24 +60,24 @@ def parse_overrides(texts: Sequence[str]) -> list[Override]:
 
 
 def replace_spaces(texts: Sequence[str]) -> list[str]:
-    """The overrides with `space={...}` meaning that space and nothing of the chosen one.
-
-    A parameter of the space, or a part, that is added is written as the mapping that holds it,
-    since Hydra adds no single value to a mapping of settings.
-    """
+    """The overrides with `space={...}` meaning that space and nothing of the chosen one, and with
+    `+space.NAME=...` and `problem.parts.NAME=...` as what adds to the chosen ones."""
     whole: list[str] = []
     for text, override in zip(texts, parse_overrides(texts), strict=True):
-        key, value = override.key_or_group, text.partition("=")[2]
-        adds = (key.startswith("space.") and override.is_add()) or (
-            key.startswith("problem.parts") and not override.is_delete()
-        )
-        if key == "space" and isinstance(override.value(), dict):
+        key, _, value = text.partition("=")
+        names = override.key_or_group.split(".")
+        if override.key_or_group == "space" and isinstance(override.value(), dict):
             whole += ["~space", f"+{text.lstrip('+')}"]
-        elif adds and not override.is_sweep_override():
-            place = "space" if key.startswith("space.") else "problem.parts"
-            names = [name for name in key.removeprefix(place).split(".") if name]
-            inner = "".join(f"{{{name}: " for name in names) + value + "}" * len(names)
-            whole.append(f"++{place}={inner}")
+        elif override.is_add() and key.startswith("+space."):
+            for name in reversed(key.split(".")[1:]):
+                value = f"{{{name}: {value}}}"
+            whole.append(f"+space={value}")
+        elif names[:2] == ["problem", "parts"] and not (
+            override.is_delete() or override.is_sweep_override()
+        ):
+            for name in reversed(names[2:]):
+                value = f"{{{name}: {value}}}"
+            whole.append(f"++problem.parts={value}")
         else:
             whole.append(text)
     return whole

@@ -99,13 +99,18 @@ class Autoregression:
         lags = np.lib.stride_tricks.sliding_window_view(errors, p + 1)
         return np.asarray(lags @ np.append(-self.coefficients[::-1], 1.0))
 
-    def variance_of_sums(self, columns: Array, squares: Array | None = None) -> Array:
+    def variance_of_sums(
+        self, columns: Array, squares: Array | None = None, series: Sequence[slice] = ALL
+    ) -> Array:
         """Covariance (d, d) of the sums of errors times `columns` (N, d), columns.T Gamma columns.
 
-        A sum of errors is one of innovations, whose weights are the columns filtered backwards,
-        and of the p errors before the first row. `squares` (N,) are squared innovations to take
-        instead of their variance, where that changes from row to row.
+        A sum of errors of a series is one of innovations, whose weights are the columns filtered
+        backwards, and of the p errors before the first row. `squares` (N,) are squared innovations
+        to take instead of their variance, where that changes from row to row.
         """
+        if len(series) > 1:
+            parts = ((columns[own], None if squares is None else squares[own]) for own in series)
+            return np.asarray(np.sum([self.variance_of_sums(*part) for part in parts], axis=0))
         p, phi = self.partial.size, self.coefficients
         weights = scipy.signal.lfilter([1.0], np.append(1.0, -phi), columns[::-1], axis=0)[::-1]
         each = self.variance if squares is None else squares[:, None]

@@ -267,11 +267,8 @@ def _dependent(
         # Never below that of independent rows, as errors that swing in a wave may seem to allow.
         rows = np.full(errors.size, at.noise**2) if squares is None else errors**2 * few_rows
         least = (basis.T * rows) @ basis
-        sums = -least
-        for own in series:
-            each = None if squares is None else squares[own]
-            sums += model.variance_of_sums(basis[own], each)
-        excess, axes = np.linalg.eigh(sums)
+        sums = model.variance_of_sums(basis, squares, series)
+        excess, axes = np.linalg.eigh(sums - least)
         total = least + axes * np.maximum(excess, 0.0) @ axes.T
         return _square(at.theta.size, free, half @ total @ half.T)
 
