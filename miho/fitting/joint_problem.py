@@ -18,7 +18,7 @@ from miho.identification.curve_fit_checks import traced_where_alike
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
 from miho.models.function_model import FunctionModel
-from miho.models.joint import PART, JointModel, JointPart, joined
+from miho.models.joint import PART, JointModel, JointPart, joined, parts_of
 from miho.models.model import Model
 from miho.optim import Budget, Optimizer, Parameter, Space
 from miho.quantities import Array
@@ -181,10 +181,14 @@ class Joint:
         """
         self._check_estimable(settings.get("rho"))
         joint, fit = self, searched(self.problem(bounds, **settings), method, budget, seed)
+        models = {part.name: part.model for part in parts_of(fit.problem.model)}  # traced once
         for _ in range(ROUNDS if self.lacking else 0):
             sigma = self._residual_deviations(fit)
             before = {name: deviations(name, joint.parts[name])[0] for name in sigma}
-            parts = {k: p._replace(sigma=sigma.get(k, p.sigma)) for k, p in self.parts.items()}
+            parts = {
+                name: Measured(models[name], part.dataset, sigma.get(name, part.sigma))
+                for name, part in self.parts.items()
+            }
             joint = Joint(parts, self.local, self._known)
             problem = joint.problem(bounds, **settings)
             fit = replace(fit, problem=problem, theta=refit(problem, fit.theta).theta)

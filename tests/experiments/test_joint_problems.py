@@ -98,6 +98,43 @@ def test_a_sweep_shares_what_its_seeds_share(data: np.ndarray) -> None:
     np.testing.assert_array_equal(np.unique(problem.dataset["sigma of the row"]), [0.05, 0.5])
 
 
+def test_two_outputs_of_one_file_in_two_units(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Place and speed of a swing, whose model gives both, beside SciPy's."""
+    monkeypatch.chdir(tmp_path)
+    Path("swing.py").write_text(
+        "import numpy as np\n\n\ndef place(t: 's', *, a: 'm', w: 'rad/s') -> 'm':\n"
+        "    return a * np.sin(w * t)\n\n\ndef speed(t: 's', *, a: 'm', w: 'rad/s') -> 'm/s':\n"
+        "    return a * w * np.cos(w * t)\n"
+    )
+    noise = np.random.default_rng(0).standard_normal((2, t.size))
+    x = 0.3 * np.sin(4 * t) + 0.01 * noise[0]
+    v = 1.2 * np.cos(4 * t) + 0.1 * noise[1]
+    lines = (",".join(map(repr, row)) for row in np.stack([t, x, v], axis=1).tolist())
+    Path("swing.csv").write_text("\n".join(["t,x,v", *lines]) + "\n")
+    overrides = [
+        "model=function", "model.path=swing.py", "dataset=csv", "dataset.path=swing.csv",
+        "dataset.columns=[t,x,v]", "dataset.units=[s,m,m/s]",
+        "space={a: {unit: m, low: 0, high: 1}, w: {unit: rad/s, low: 1, high: 9}}",
+        "problem.parts.x.dataset.output=x", "problem.parts.x.model.function=place",
+        "problem.parts.v.dataset.output=v", "problem.parts.v.model.function=speed",
+        "problem.parts.x.sigma=0.01", "problem.parts.v.sigma=0.1",
+    ]  # fmt: skip
+    stored = execution_of(build(composed([*overrides, "root=runs"])), quiet=True).run
+    assert stored is not None
+
+    def residuals(theta: np.ndarray) -> np.ndarray:
+        a, w = theta
+        place, speed = a * np.sin(w * t), a * w * np.cos(w * t)
+        return np.concatenate([(place - x) / 0.01, (speed - v) / 0.1])
+
+    best = least_squares(residuals, [0.3, 4.0], xtol=1e-15, ftol=1e-15).x
+    np.testing.assert_allclose(stored.result["theta"], best, rtol=1e-6)
+    with pytest.raises(ConfigError, match="v: column 'v' has unit 'm/s'; expected 'm'"):
+        build(composed([*overrides, "problem.parts.v.model.function=place"]))
+
+
 def test_the_tires_of_the_front_axle_are_two_parts_of_one_problem() -> None:
     """On the command line as in YAML, where parts, settings and parameters can be added."""
     sigma = ["problem.parts.left.sigma=390", "problem.parts.right.sigma=540"]
