@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pickle
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -16,6 +16,7 @@ from miho.fitting.joint_problem import Joint, Measured
 from miho.identification import optimal_design
 from miho.identification.uncertainty import series_of
 from miho.models import Pacejka
+from miho.models.expression import Expression
 from miho.models.joint import PART, JointExpression, JointModel, parts_of
 from miho.models.traced import TracedExpression
 
@@ -191,6 +192,34 @@ def test_parts_of_one_formula_are_one_formula() -> None:
         {"A": (decay, t, y), "B": (line, t, z)}, {"a": (0, 9), "b": (-9, 9)}, local="ab"
     )
     assert not isinstance(other.problem.model, TracedExpression)
+
+
+@dataclass(frozen=True)
+class Scaled(Expression):
+    """A line times numbers that its value takes from a field, which does not compare."""
+
+    scales: np.ndarray
+    inputs, parameters, output, linear = {"t": "-"}, {"a": "-", "b": "-"}, "-", ("a", "b")
+
+    @property
+    def value(self):
+        scale = float(self.scales[0])
+        return lambda inputs, theta: scale * (theta[0] + theta[1] * inputs[0])
+
+    @property
+    def derivatives(self):
+        scale = float(self.scales[0])
+        return lambda inputs, theta: (scale + 0 * inputs[0], scale * inputs[0])
+
+
+def test_models_that_do_not_compare_are_asked_part_by_part() -> None:
+    parts = {
+        name: (Scaled(np.array([scale, 1.0])), t, scale * (1 + 2 * t), 0.1)
+        for name, scale in (("A", 2.0), ("B", 5.0))
+    }
+    fit = miho.fit_joint(parts, {"a": (-9, 9), "b": (-9, 9)})
+    assert fit.values == pytest.approx({"a": 1.0, "b": 2.0})
+    assert not isinstance(fit.problem.model, TracedExpression)
 
 
 @pytest.mark.slow

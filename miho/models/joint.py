@@ -178,9 +178,9 @@ class JointExpression(TracedExpression):
 def joined(model: JointModel) -> Model:
     """A joint model as an expression, if its parts are one that can be traced."""
     first = model.parts[0].model
-    if isinstance(first, Expression) and all(part.model == first for part in model.parts):
-        expression = JointExpression(model, first)
-        with contextlib.suppress(NotAFormulaError):
+    with contextlib.suppress(NotAFormulaError, ValueError):  # arrays in models do not compare
+        if isinstance(first, Expression) and all(part.model == first for part in model.parts):
+            expression = JointExpression(model, first)
             _ = expression.graph
             return expression
     return model
