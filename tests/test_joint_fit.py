@@ -100,6 +100,15 @@ def test_tires_of_an_axle_share_what_is_told_to_be_shared() -> None:
     assert table["unit"].to_dict()["D_left"] == "N"
     assert fit.part("left").parameters.loc["B", "value"] == table.loc["B", "value"]
     fit.part("left").plot()
+    # Each tire has its own stiffness, whose error is that of a product (Eq. 14).
+    report = fit.report(profiles=False)
+    derived = report.derived.set_index("quantity")
+    place = [list(fit.values).index(name) for name in ("B", "C", "D_right")]
+    theta, covariance = fit.theta[place], report.at.covariance[np.ix_(place, place)]
+    row = derived.loc["cornering stiffness B C D (Eq. 14), right"]
+    assert row["value"] == pytest.approx(theta.prod())
+    slopes = theta.prod() / theta
+    assert row["standard error"] == pytest.approx(np.sqrt(slopes @ covariance @ slopes), rel=1e-3)
 
 
 def test_a_row_to_measure_next_counts_by_the_sigma_of_its_part() -> None:
