@@ -218,7 +218,8 @@ class Joint:
         weights, index = fit.problem.weights, self.dataset[PART]
         errors = fit.problem.errors(fit.theta) / (1.0 if weights is None else weights)
         # Each part's share of the parameters is that of its rows.
-        freedom = max(1 - fit.theta.size / errors.size, np.finfo(float).eps)
+        count = fit.theta.size
+        freedom = max(1 - count / errors.size, np.finfo(float).eps)
         sigma = {}
         for k, name in enumerate(self.parts):
             if name in self.lacking:
