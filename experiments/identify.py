@@ -23,6 +23,7 @@ from miho.study import Status
 
 SETTINGS = {
     "model, dataset, space": "what is identified, from which data, and where to search",
+    "problem.parts, problem.local": "several datasets or outputs at once; what is each one's",
     "optimizer, loss": "with which method, and what it minimises",
     "budget.evaluations, budget.seconds": "what a run may spend; it ends at the first of them",
     "seed": "the repetition; with -m several, as in 'seed=range(10)'",

@@ -190,10 +190,9 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "no values": (["-m", "seed=range(0)"], "seed=range(0): has no values, so there is nothing to"),
     "no override": (["my.csv"], "my.csv: is no setting; write KEY=VALUE"),
     "no option": (["--seed", "3"], "--seed: is no option; settings have no dashes"),
-    "a parameter added to none": (
-        ["~space", "+space.a={unit: V, low: 1, high: 3}"],
-        "space.a: a parameter cannot be added alone; write the whole space, "
-        "'space={a: {unit: ..., low: ..., high: ...}, ...}'",
+    "a parameter added that the model lacks": (
+        ["+space.a={unit: V, low: 1, high: 3}"],
+        "the space has a besides; choose the model's own space",
     ),
     "nothing for a choice": (["space=null"], "space=null: is no choice; ~space leaves it out"),
     "a number for a choice": (["budget=5"], "budget=5: is unknown; allowed are default"),

@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import pickle
+from dataclasses import dataclass, replace
+
 import numpy as np
+import pandas as pd
 import pytest
+import scipy.optimize
 
 import miho
 from miho import Part
+from miho.fitting.joint_problem import Joint, Measured
+from miho.identification import optimal_design
+from miho.identification.uncertainty import series_of
 from miho.models import Pacejka
+from miho.models.expression import Expression
+from miho.models.joint import PART, JointExpression, JointModel, parts_of
+from miho.models.traced import TracedExpression
 
 t = np.linspace(0, 1, 30)
 rng = np.random.default_rng(5)
@@ -89,6 +100,36 @@ def test_tires_of_an_axle_share_what_is_told_to_be_shared() -> None:
     assert table["unit"].to_dict()["D_left"] == "N"
     assert fit.part("left").parameters.loc["B", "value"] == table.loc["B", "value"]
     fit.part("left").plot()
+    # Each tire has its own stiffness, whose error is that of a product (Eq. 14).
+    report = fit.report(profiles=False)
+    derived = report.derived.set_index("quantity")
+    place = [list(fit.values).index(name) for name in ("B", "C", "D_right")]
+    theta, covariance = fit.theta[place], report.at.covariance[np.ix_(place, place)]
+    row = derived.loc["cornering stiffness B C D (Eq. 14), right"]
+    assert row["value"] == pytest.approx(theta.prod())
+    slopes = theta.prod() / theta
+    assert row["standard error"] == pytest.approx(np.sqrt(slopes @ covariance @ slopes), rel=1e-3)
+
+
+def test_a_row_to_measure_next_counts_by_the_sigma_of_its_part() -> None:
+    """Of lines in closed form: the covariance with the chosen rows is the inverse of their sum."""
+    parts = {"left": (line, t, 1 + t, 0.1), "right": (line, t, 3 + t, 0.4)}
+    fit = miho.fit_joint(parts, {"a": (-9, 9), "b": (-9, 9)}, local=["a"])
+    candidates = pd.DataFrame({PART: [0.0, 1.0, 1.0], "t": [5.0, 5.0, 8.0]})
+    design = optimal_design(fit.report(profiles=False), candidates, 1, goal="b")
+    X = np.zeros((63, 3))
+    X[:, 1] = [*t, *t, 5, 5, 8]
+    X[[*range(30), 60], 0], X[[*range(30, 60), 61, 62], 2] = 1, 1
+    w = np.array([10.0] * 30 + [2.5] * 30 + [10.0, 2.5, 2.5])
+
+    def error(*rows: int) -> float:
+        used = (X * w[:, None])[[*range(60), *rows]]
+        return float(np.sqrt(np.linalg.inv(used.T @ used)[1, 1]))
+
+    narrower = [100 * (1 - error(row) / error()) for row in (60, 61, 62)]
+    assert design.gains["narrows b by %"].tolist() == pytest.approx(narrower, rel=1e-6)
+    with pytest.raises(ValueError, match="'part of the row' is 2; expected 0 to 1"):
+        optimal_design(fit.report(profiles=False), candidates.replace(0.0, 2.0), 1)
 
 
 def test_joint_parameters_can_be_tied() -> None:
@@ -107,11 +148,138 @@ def test_joint_parameters_can_be_tied() -> None:
     assert fit.part("fast").values["b"] == fit.values["b_fast"]
 
 
+def two_decays() -> tuple[np.ndarray, np.ndarray]:
+    """Of one rate and own amplitudes, the second ten times as noisy."""
+    noise = np.random.default_rng(7).standard_normal((2, 30))
+    return decay(t, 2.0, 1.5) + 0.05 * noise[0], decay(t, 5.0, 1.5) + 0.5 * noise[1]
+
+
+@pytest.mark.parametrize("sigma", [(None, None), (0.05, None), (0.05, 0.5)])
+def test_a_rate_in_common_has_the_largest_likelihood(sigma: tuple[float | None, ...]) -> None:
+    """By SciPy: of sigma that is not given the logarithm of its sum of squares is what it leaves in
+    the likelihood. To a hundredth of a standard error, as sigma is to four digits."""
+    data = two_decays()
+    parts = {k: Part(decay, t, y, s) for k, y, s in zip("AB", data, sigma, strict=True)}
+    fit = miho.fit_joint(parts, {"a": (0, 9), "b": (0, 9)}, local=["a"])
+
+    def minus_log_likelihood(theta: np.ndarray) -> float:
+        total = 0.0
+        for y, a, s in zip(data, theta[::2], sigma, strict=True):
+            squares = float(np.sum((y - decay(t, a, theta[1])) ** 2))
+            freedom = 30 * (1 - 3 / 60)
+            total += squares / s**2 / 2 if s else freedom * np.log(squares) / 2
+        return total
+
+    best = scipy.optimize.minimize(
+        minus_log_likelihood, [2.0, 1.5, 5.0], method="Nelder-Mead",
+        options={"xatol": 1e-9, "fatol": 1e-12},
+    )  # fmt: skip
+    off = np.abs(fit.theta - best.x) / fit.parameters["standard_error"]
+    assert off.max() < 0.01
+    assert fit.problem.sigma_known == (sigma[0] is not None)
+
+
+def test_parts_of_one_formula_are_one_formula() -> None:
+    """It gives what the parts' own models give; rows of two parts are no neighbours."""
+    y, z = two_decays()
+    parts = {"A": Part(decay, t, y), "B": Part(decay, t[:20], z[:20])}
+    problem = miho.fit_joint(parts, {"a": (0, 9), "b": (0, 9)}, local=["a"]).problem
+    model = pickle.loads(pickle.dumps(problem.model))
+    assert isinstance(model, JointExpression)
+    by_part, thetas = JointModel(parts_of(model)), np.array([[1.0, 0.3, 7.0], [2.0, 4.0, 3.0]])
+    np.testing.assert_allclose(
+        model.predict(thetas, *problem.inputs), by_part.predict(thetas, *problem.inputs), rtol=1e-14
+    )
+    np.testing.assert_allclose(
+        model.jacobian(thetas[0], *problem.inputs),
+        by_part.jacobian(thetas[0], *problem.inputs),
+        rtol=1e-13,
+    )
+    assert model.linear == by_part.linear == ("a_A", "a_B")
+    assert series_of(problem) == [slice(0, 30), slice(30, 50)]
+    other = miho.fit_joint(
+        {"A": (decay, t, y), "B": (line, t, z)}, {"a": (0, 9), "b": (-9, 9)}, local="ab"
+    )
+    assert not isinstance(other.problem.model, TracedExpression)
+
+
+@dataclass(frozen=True)
+class Scaled(Expression):
+    """A line times numbers that its value takes from a field, which does not compare."""
+
+    scales: np.ndarray
+    inputs, parameters, output, linear = {"t": "-"}, {"a": "-", "b": "-"}, "-", ("a", "b")
+
+    @property
+    def value(self):
+        scale = float(self.scales[0])
+        return lambda inputs, theta: scale * (theta[0] + theta[1] * inputs[0])
+
+    @property
+    def derivatives(self):
+        scale = float(self.scales[0])
+        return lambda inputs, theta: (scale + 0 * inputs[0], scale * inputs[0])
+
+
+def test_models_that_do_not_compare_are_asked_part_by_part() -> None:
+    parts = {
+        name: (Scaled(np.array([scale, 1.0])), t, scale * (1 + 2 * t), 0.1)
+        for name, scale in (("A", 2.0), ("B", 5.0))
+    }
+    fit = miho.fit_joint(parts, {"a": (-9, 9), "b": (-9, 9)})
+    assert fit.values == pytest.approx({"a": 1.0, "b": 2.0})
+    assert not isinstance(fit.problem.model, TracedExpression)
+
+
+@pytest.mark.slow
+def test_a_joint_formula_compiles() -> None:
+    """To what NumPy gives, and the same optimum."""
+    y, z = two_decays()
+    parts = {"A": Part(decay, t, y, 0.05), "B": Part(decay, t, z, 0.5)}
+    box = {"a": (0, 9), "b": (0, 9)}
+    fit = miho.fit_joint(parts, box, local=["a"], compiled=True)
+    assert fit.problem.kernel is not None
+    slow = replace(fit.problem, compiled=False)
+    thetas = fit.problem.space.decode(fit.problem.space.initial(20))
+    np.testing.assert_allclose(fit.problem.loss(thetas), slow.loss(thetas), rtol=1e-12)
+    plain = miho.fit_joint(parts, box, local=["a"])
+    np.testing.assert_allclose(fit.theta, plain.theta, rtol=1e-6)
+
+
+def test_held_out_rows_and_conditions_of_parts_stay() -> None:
+    """The error on rows that no fit saw, weighted as the rest, by hand."""
+    y, z = two_decays()
+    units = {"t": "-", "load": "N", "y": "-", "s": "-"}
+    members = {}
+    for name, values, s in (("A", y, 0.05), ("B", z, 0.5)):
+        columns = {"t": t, "load": 10 * t, "y": values, "s": np.full(30, s)}
+        data = miho.Dataset(name, columns, units, "y")
+        model = miho.models.FunctionModel(decay, columns=("t",))
+        members[name] = Measured(model, data.hold_out({"t": (0.5, 0.6)}) if s > 0.1 else data, "s")
+    joint = Joint(members, ["a"])
+    assert list(joint.dataset.columns) == [
+        PART, "t", "load", "output of the part", "sigma of the row"
+    ]  # fmt: skip
+    held = joint.dataset.held_out
+    assert held is not None
+    assert set(held[PART]) == {1.0}
+    problem = joint.problem({"a": (0, 9), "b": (0, 9)})
+    theta = np.array([2.0, 1.5, 5.0])
+    out = replace(problem, dataset=held).errors(theta)
+    inside = (t >= 0.5) & (t <= 0.6)
+    np.testing.assert_allclose(out, (decay(t, 5.0, 1.5) - z)[inside], atol=1e-14)
+
+
 @pytest.mark.parametrize(
     ("parts", "keywords", "message"),
     [
         ({"one": (decay, t, t)}, {}, "1 part; give at least two"),
-        ({"A": (decay, t, t, 1.0), "B": (decay, t, t)}, {}, "B: lacks sigma"),
+        (
+            {"A": (decay, t, t, 1.0), "B": (decay, t, t, -1)},
+            {},
+            "B: sigma is -1 in row 1",
+        ),
+        ({"A": (decay, t, t), "B": (decay, [0, 1], [1, 2])}, {}, "B: 2 rows for 2 parameters"),
         ({"A": (decay, t, t), "B": (decay, t, t)}, {"local": ["q"]}, "local: q is no parameter"),
         ({"A": (decay, t, t), "B": (line, t, t)}, {"fixed": {"z": 1}}, "fixed: z is no parameter"),
         ({"A": (decay, t, t), "B": (decay, t, t[:4])}, {}, "differ in length"),

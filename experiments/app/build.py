@@ -13,7 +13,7 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,6 +24,7 @@ from omegaconf import DictConfig, OmegaConf
 from experiments.app.explain import ConfigError as ConfigError
 from experiments.app.explain import unknown_message
 from experiments.app.origin import code_of, packages_of
+from experiments.app.parts import model_files, part_nodes, with_local
 from experiments.app.safety import (
     SecretError,
     TargetError,
@@ -34,10 +35,13 @@ from experiments.app.safety import (
 )
 from experiments.app.schema import Config
 from miho.data import Dataset
+from miho.fitting.joint_problem import SIGMA as DEVIATION
+from miho.fitting.joint_problem import Joint, Measured
 from miho.identification import CurveFit, Loss, linear_optimum
 from miho.identification.report import irreducible_of
 from miho.models import Model
 from miho.models.expression import Expression
+from miho.models.joint import PART
 from miho.optim import Budget, Optimizer, Parameter, Space
 from miho.study import Identity, StoredRun
 
@@ -131,10 +135,13 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
     try:
         budget = Budget(**_part(setting, "budget"))
         config = {key: _part(setting, key) for key in ("model", "dataset", "loss", "budget")}
-        config["space"] = scaled_by(problem.dataset, _part(setting, "space"))
+        space = with_local(setting, _part(setting, "space"))
+        config["space"] = scaled_by(problem.dataset, space)
         config["problem"] = {key: setting["problem"][key] for key in ("name", "compressed")}
         if setting["problem"]["sigma"] is not None:
             config["problem"] |= {key: setting["problem"][key] for key in SIGMA}
+        if setting["problem"]["parts"]:
+            config["problem"] |= _joint_settings(setting["problem"], problem)
         identity = Identity(
             problem=problem.name,
             optimizer=name,
@@ -151,8 +158,7 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
 
 def runs_own_code(cfg: Settings) -> bool:
     """Whether building this configuration runs a file of the user's."""
-    model = plain(cfg)["model"]
-    return isinstance(model, Mapping) and model.get("path") is not None
+    return bool(model_files(plain(cfg)))
 
 
 def recorded_optimum(cfg: Settings) -> float | None:
@@ -172,21 +178,63 @@ def build_optimizer(cfg: Settings) -> Optimizer:
 def build_problem(cfg: Settings, dataset: Dataset | None = None) -> CurveFit:
     """The problem alone; `dataset` is what its configuration gave, if it was built before."""
     setting = plain(cfg)
-    model = instantiate(_part(setting, "model"), "model", Model)
+    dataset, problem_of = _statement(setting, dataset)
+    space = build_space(scaled_by(dataset, with_local(setting, _part(setting, "space"))))
+    rho = instantiate(_part(setting, "loss"), "loss", Loss)
+    settings = _part(setting, "problem")
+    switches = {key: settings[key] for key in ("threads", "compressed")}
+    try:
+        return problem_of(space, rho=rho, label=settings["name"], **switches)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(str(error)) from None
+
+
+def _statement(
+    config: Mapping[str, Any], dataset: Dataset | None = None
+) -> tuple[Dataset, Callable[..., CurveFit]]:
+    """The data, and what makes the problem of a space and of other settings of `CurveFit`."""
+    settings = _part(config, "problem")
+    if settings.get("parts"):
+        joint = _joint(config)
+        return joint.dataset, joint.complete
+    model = instantiate(_part(config, "model"), "model", Model)
     if dataset is None:
-        dataset = build_dataset(_part(setting, "dataset"))
+        dataset = build_dataset(_part(config, "dataset"))
     if isinstance(model, Expression) and numba.config.DISABLE_JIT:
         raise ConfigError(
             "NUMBA_DISABLE_JIT: is set, and the loss of this model is compiled; unset it"
         )
-    space = build_space(scaled_by(dataset, _part(setting, "space")))
-    rho = instantiate(_part(setting, "loss"), "loss", Loss)
-    settings = _part(setting, "problem")
-    switches = {key: settings[key] for key in ("threads", "compressed", *SIGMA)}
+    sigma = {key: settings[key] for key in SIGMA if key in settings}
+    return dataset, partial(CurveFit, model, dataset, **sigma)
+
+
+def _joint(config: Mapping[str, Any]) -> Joint:
+    """The parts of a joint problem, each with its own settings over those of all."""
+    settings = _part(config, "problem")
+    parts = {}
+    for name, nodes in part_nodes(config).items():
+        for key, node in nodes.items():
+            _check_no_secret(node, key)
+        place, sigma = f"problem.parts.{name}", settings["parts"][name].get("sigma")
+        parts[name] = Measured(
+            instantiate(nodes["model"], f"{place}.model", Model),
+            instantiate(nodes["dataset"], f"{place}.dataset", Dataset),
+            settings.get("sigma") if sigma is None else sigma,
+        )
     try:
-        return CurveFit(model, dataset, space, rho, settings["name"], **switches)
-    except (TypeError, ValueError) as error:
-        raise ConfigError(str(error)) from None
+        return Joint(parts, settings["local"], settings.get("sigma_known", True))
+    except ValueError as error:
+        raise ConfigError(f"problem.parts: {error}") from None
+
+
+def _joint_settings(settings: Mapping[str, Any], problem: CurveFit) -> dict[str, Any]:
+    """What a run's identity names of a joint problem, with sigma where it was estimated."""
+    sigma, index = problem.dataset[DEVIATION], problem.dataset[PART]
+    parts = {}
+    for k, (name, part) in enumerate(settings["parts"].items()):
+        given = settings["sigma"] if part["sigma"] is None else part["sigma"]
+        parts[name] = {**part, "sigma": float(sigma[index == k][0]) if given is None else given}
+    return {"parts": parts, "local": settings["local"], "sigma_known": problem.sigma_known}
 
 
 def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
@@ -197,21 +245,20 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
     config = {
         key: stored_part(stored, key) for key in ("model", "dataset", "loss", "space", "problem")
     }
-    model_file = config["model"].get("path")
-    if model_file is not None and not trusted:
+    files = model_files(config)
+    if files and not trusted:
         raise ConfigError(
-            f"{stored.folder}: its model is code in {model_file}; add --trust to run that file"
+            f"{stored.folder}: its model is code in {', '.join(files)}; add --trust to run that "
+            "file"
         )
-    model = instantiate(config["model"], "model", Model)
     rho = instantiate(config["loss"], "loss", Loss)
-    dataset = instantiate(config["dataset"], "dataset", Dataset)
+    dataset, problem_of = _statement(config)
     if dataset.digest != stored.result.get("data"):
         raise ConfigError(f"{stored.folder}: its data have changed since; identify again")
     try:
         name, space = config["problem"].get("name"), build_space(config["space"])
-        switches = {key: config["problem"][key] for key in SIGMA if key in config["problem"]}
-        switches["compressed"] = config["problem"].get("compressed", False)
-        return CurveFit(model, dataset, space, rho, name, **switches)
+        compressed = config["problem"].get("compressed", False)
+        return problem_of(space, rho=rho, label=name, compressed=compressed)
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{stored.folder}: {error}") from None
 

@@ -48,6 +48,8 @@ def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _is_same(stored: StoredRun, cfg: DictConfig) -> bool:
+    if stored.config["problem"].get("parts"):  # no problem there has several
+        return False
     return all(_resolved(stored.config[key]) == _resolved(cfg[key]) for key in PROBLEM_PARTS)
 
 

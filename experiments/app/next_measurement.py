@@ -55,7 +55,8 @@ def read_candidates(
     columns = list(inputs)
     units = [unit if unit in UNITS else f"own:{unit}" for unit in inputs.values()]
     headers, reading, text = list(columns), dict[str, Any](), TextFormat()
-    if "columns" in settings and "units" in settings:
+    joint = bool(stored_part(stored, "problem").get("parts"))  # which have no file in common
+    if "columns" in settings and "units" in settings and not joint:
         named = list(settings["columns"])
         spelled = dict(zip(named, settings["units"], strict=True))
         called = dict(zip(named, settings.get("headers") or named, strict=True))

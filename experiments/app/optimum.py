@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.app.parts import model_files
 from experiments.app.progress import at_work, progress
 from miho.analysis.pages.run import report_folder, save_report
 from miho.identification import CurveFit, Report, make_report
@@ -108,7 +109,7 @@ def remedy(problem: CurveFit, stored: StoredRun, *, checked: bool = False) -> st
     again = f"search again with {'; '.join(ways)}."
     if checked:
         return again
-    trust = " --trust" if "path" in stored.config["model"] else ""
+    trust = " --trust" if model_files(stored.config) else ""
     command = f"python -m experiments.report {stored.folder} --check{trust}"
     return f"{again} Or look for a better optimum: {command}"
 

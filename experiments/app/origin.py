@@ -11,10 +11,13 @@ from typing import Any
 
 import baselines
 import miho
+from experiments.app.parts import part_nodes
 from experiments.app.safety import find_target
 from miho.data import Dataset
+from miho.fitting.joint_problem import Joint
 from miho.identification import CurveFit
 from miho.models import Model
+from miho.models.joint import parts_of
 from miho.optim import Optimizer
 from miho.study import environment_stamp
 from miho.study.closure import Sources
@@ -46,10 +49,16 @@ def code_of(setting: Mapping[str, Any], problem: CurveFit, optimizer: Optimizer)
     """
     parts = (problem, problem.model, problem.rho, optimizer)
     modules = {type(part).__module__ for part in parts} | {"miho.optim.minimize"}
-    for key, kind in (("model", Model), ("dataset", Dataset)):
-        modules.add(find_target(setting[key]["_target_"], kind).__module__)
-    code, source = our_code(frozenset(modules)), problem.model.source
-    return code if source is None else sha256(code.encode() + source.read_bytes())
+    for nodes in part_nodes(setting).values():
+        for key, kind in (("model", Model), ("dataset", Dataset)):
+            modules.add(find_target(nodes[key]["_target_"], kind).__module__)
+    if setting["problem"]["parts"]:
+        modules.add(Joint.__module__)
+    code = our_code(frozenset(modules))
+    models = [problem.model, *(part.model for part in parts_of(problem.model))]
+    sources = dict.fromkeys(m.source for m in models if m.source is not None)
+    texts = b"".join(source.read_bytes() for source in sources)
+    return sha256(code.encode() + texts) if sources else code
 
 
 @cache

@@ -24,6 +24,7 @@ from experiments.app.build import (
 )
 from experiments.app.compose import composed
 from experiments.app.explain import ConfigError, one_line
+from experiments.app.parts import model_files
 from experiments.app.schema import SweepConfig
 from miho.data import Dataset
 from miho.identification import CurveFit
@@ -167,9 +168,10 @@ def _problem(text: str) -> CurveFit:
 
 
 @lru_cache(maxsize=2)
-def dataset_of(text: str) -> Dataset:
-    """The data of a configuration in JSON."""
-    return build_dataset(setting_of(text)["dataset"])
+def dataset_of(text: str) -> Dataset | None:
+    """The data of a configuration in JSON; None of several parts, which are read with them."""
+    setting = setting_of(text)
+    return None if setting["problem"]["parts"] else build_dataset(setting["dataset"])
 
 
 @cache
@@ -202,9 +204,9 @@ def _identity(text: str) -> Identity | str:
 
 
 def _code_of(setting: Mapping[str, Any]) -> str:
-    """SHA-256 of the model's file; of nothing if there is none."""
-    path = Path(setting["model"]["path"])
-    return sha256(path.read_bytes() if path.is_file() else b"")
+    """SHA-256 of the model's files; of nothing if there is none."""
+    paths = map(Path, model_files(setting))
+    return sha256(b"".join(path.read_bytes() for path in paths if path.is_file()))
 
 
 def _named_only(setting: Mapping[str, Any], code: str) -> Identity:
@@ -212,6 +214,6 @@ def _named_only(setting: Mapping[str, Any], code: str) -> Identity:
     optimizer = setting["optimizer"]["name"]
     about = {"optimizer": optimizer, "seed": 0, "config": setting, "code": code, "data": ""}
     try:
-        return Identity(Path(setting["model"]["path"]).stem, **about)
+        return Identity(Path(model_files(setting)[0]).stem, **about)
     except ValueError:  # a name that no folder can have
         return Identity(NAMELESS, **about)

@@ -13,6 +13,7 @@ import pandas as pd
 
 from experiments.app.build import Experiment
 from experiments.app.console import OK, SOME_FAILED
+from experiments.app.parts import model_files
 from experiments.app.runs import State
 from miho.identification import Square, linear_optimum
 from miho.identification.standing import kind_of
@@ -46,8 +47,7 @@ def print_summary(states: Sequence[State]) -> int:
 def _report_command(root: str, states: Sequence[State]) -> str:
     """The command that reports on the runs of a root; --trust where their model is a file."""
     identities = (state.request.identity for state in states if state.request.root == root)
-    models = (identity.config["model"] for identity in identities)
-    files = sorted({str(model["path"]) for model in models if "path" in model})
+    files = sorted({file for identity in identities for file in model_files(identity.config)})
     files_run = f" (--trust runs {', '.join(files)})" if files else ""
     trust = " --trust" if files else ""
     return f"how far to trust the best of them{files_run}: " + (

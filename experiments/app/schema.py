@@ -44,6 +44,19 @@ class BudgetConfig:
 
 
 @dataclass
+class PartConfig:
+    """One part of a joint problem: what differs from `dataset` and `model`, and its `sigma`.
+
+    A `dataset` or `model` with a `_target_` replaces the one of the whole configuration, another
+    one some of its settings. Without `sigma`, here and in `problem`, it is estimated.
+    """
+
+    dataset: dict[str, Any] = field(default_factory=dict)
+    model: dict[str, Any] = field(default_factory=dict)
+    sigma: Any = None
+
+
+@dataclass
 class ProblemConfig:
     """What is known of a problem: its name, if not that of model and data, and its best error.
 
@@ -55,6 +68,9 @@ class ProblemConfig:
     those of `miho.CurveFit`: they make losses faster, which methods that work with residuals
     (`miho_gn`, least squares) do not ask for. `sigma` is the standard deviation of the errors, a
     number or a column of the dataset, known as it is or up to a factor (`sigma_known`).
+
+    `parts` are several datasets or outputs, identified at once: parameters of one name are one, but
+    those in `local`, of which each part has its own, NAME_PART.
     """
 
     name: str | None = None
@@ -66,6 +82,8 @@ class ProblemConfig:
     threads: int = 1
     sigma: Any = None
     sigma_known: bool = True
+    parts: dict[str, PartConfig] = field(default_factory=dict)
+    local: list[str] = field(default_factory=list)
 
 
 @dataclass

@@ -1,12 +1,13 @@
-"""Several outputs in one dataset: their rows below each other."""
+"""Several outputs or datasets as one: their rows below each other."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from miho.data.dataset import Dataset
+from miho.quantities import Array
 from miho.validate import positive
 
 OUTPUT, VALUE = "output", "value"
@@ -28,7 +29,20 @@ def stacked(data: Dataset, scales: Mapping[str, float]) -> Dataset:
             if taken
             else "scales is empty; name the columns that are outputs, with a scale for each"
         )
-    values = np.concatenate([data[name] / scale for name, scale in scales.items()])
-    columns = {name: np.tile(column, len(scales)) for name, column in data.columns.items()}
-    columns |= {OUTPUT: np.repeat(np.arange(len(scales)), len(data)), VALUE: values}
+    outputs = ({**data.columns, VALUE: data[name] / scale} for name, scale in scales.items())
+    columns = stacked_columns(list(outputs), OUTPUT)
     return Dataset(data.name, columns, {**data.units, OUTPUT: "-", VALUE: "-"}, VALUE)
+
+
+def stacked_columns(parts: Sequence[Mapping[str, Array]], index: str) -> dict[str, Array]:
+    """The columns of all parts below each other, 0 in the rows of a part that lacks one.
+
+    The column `index` counts the parts from 0.
+    """
+    sizes = [next(iter(part.values())).size for part in parts]
+    names = dict.fromkeys(name for part in parts for name in part)
+    columns = {index: np.repeat(np.arange(len(parts), dtype=float), sizes)}
+    for name in names:
+        own = (part.get(name, np.zeros(n)) for part, n in zip(parts, sizes, strict=True))
+        columns[name] = np.concatenate(list(own))
+    return columns

@@ -9,23 +9,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from miho.data.dataset import Dataset
-from miho.fitting.one_fit import Fit, searched
-from miho.fitting.statement import FAR, data_of, space_of
+from miho.fitting.joint_problem import Joint, Measured
+from miho.fitting.one_fit import Fit
+from miho.fitting.statement import FAR, data_of
 from miho.identification.curve_fit import CurveFit
-from miho.identification.curve_fit_checks import traced_where_alike
-from miho.identification.refit import refit
 from miho.identification.stated import stated_parameters
-from miho.models.function_model import FunctionModel
-from miho.models.joint import PART, JointModel, JointPart
+from miho.models.joint import PART, parts_of
 from miho.models.model import Model
-from miho.models.tied import whole_model
 from miho.optim import Budget, Optimizer, Parameter, Space
-from miho.quantities import Array
-
-OUTPUT, SIGMA = "output of the part", "sigma of the row"
-SETTLED, ROUNDS = 1e-3, 20
-"""Deviations of the parts are estimated until they change by less than this share, in so many
-rounds at most."""
 
 
 class Part(NamedTuple):
@@ -47,51 +38,25 @@ def fit_joint(
     method: Optimizer | None = None,
     budget: Budget | None = None,
     seed: int = 0,
+    compiled: bool | None = None,
 ) -> JointFit:
     """Fit several datasets, or several outputs of one motion, with parameters in common.
 
     `parts` are named. A parameter of one name is the same in all parts; one in `local` is one of
     each part's own, called NAME_PART, whose bounds are those of NAME unless it has its own.
-    `space`, `fixed`, `tied`, `method`, `budget` and `seed` are those of `miho.fit`.
+    `space`, `fixed`, `tied`, `method`, `budget` and `seed` are those of `miho.fit`. Where all parts
+    are the same expression, it is compiled from 20,000 rows on, or where `compiled` is true.
 
-    Without sigma each part's is estimated from its own residuals, alternately with the parameters
-    (Seber and Wild, Nonlinear Regression, 1989, Ch. 11.1, for independent outputs). Give `sigma` of
-    all parts or of none. Raises ValueError for what does not fit together.
+    A part's sigma that is not given is estimated from its own residuals, see `Joint.estimated`.
+    Raises ValueError for what does not fit together.
     """
-    stated = {name: Part(*part) for name, part in parts.items()}
-    if len(stated) < 2:
-        raise ValueError(f"{len(stated)} part; give at least two, or use miho.fit")
-    has_sigma = [part.sigma is not None for part in stated.values()]
-    if any(has_sigma) and not all(has_sigma):
-        lacking = [name for name, has in zip(stated, has_sigma, strict=True) if not has]
-        raise ValueError(f"{', '.join(lacking)}: lacks sigma, which other parts have; give it too")
-    datasets, members = [], []
-    for name, part in stated.items():
-        dataset, model, _ = data_of(part.model, part.x, part.y, None)
-        names = tuple(f"{p}_{name}" if p in local else p for p in model.parameters)
-        datasets.append(dataset)
-        members.append(JointPart(name, model, names))
-    model = JointModel(tuple(members))
-    for name in local:
-        if not any(name in part.model.parameters for part in members):
-            raise ValueError(f"local: {name} is no parameter of any part")
-    bounds = space_of(model, _with_local(space, local, members), None, fixed or {}, tied or {})
-    named = {parameter.name: parameter for parameter in bounds.parameters}
-    for k, (member, dataset) in enumerate(zip(members, datasets, strict=True)):
-        if isinstance(member.model, FunctionModel):
-            own = zip(member.model.parameters, member.parameters, strict=True)
-            ranges = Space(tuple(replace(named[joint], name=name) for name, joint in own))
-            members[k] = member._replace(model=traced_where_alike(member.model, dataset, ranges))
-    model = JointModel(tuple(members))
-    sigma = [np.asarray(p.sigma, dtype=float) for p in stated.values()] if all(has_sigma) else None
-    start = None
-    if sigma is None:
-        sigma, start = _estimated(model, datasets, bounds, method, budget, seed)
-    problem = _problem(model, datasets, bounds, sigma, known=all(has_sigma))
-    if start is None:
-        fit = searched(problem, method, budget, seed)
-    else:
-        fit = replace(start, problem=problem, theta=refit(problem, start.theta).theta)
+    measured = {}
+    for name, (model, x, y, *sigma) in parts.items():
+        dataset, chosen, deviation = data_of(model, x, y, *sigma or [None])
+        measured[name] = Measured(chosen, dataset, deviation)
+    joint = Joint(measured, local)
+    held = {"fixed": fixed or {}, "tied": tied or {}}
+    fit = joint.estimated(space, method, budget, seed, compiled=compiled, **held)
     return JointFit(fit.problem, fit.theta, fit.run, fit.descents)
 
 
@@ -101,13 +66,11 @@ class JointFit(Fit):
 
     def part(self, name: str) -> Fit:
         """One part's fit, with the values and uncertainties of all parts together."""
-        model = whole_model(self.problem.model)
-        if not isinstance(model, JointModel):
-            raise TypeError("a joint fit is of a joint model")
-        names = [part.name for part in model.parts]
+        parts = parts_of(self.problem.model)
+        names = [part.name for part in parts]
         if name not in names:
             raise ValueError(f"no part {name!r}; choose from {', '.join(names)}")
-        part, rows = model.parts[names.index(name)], self.problem.dataset
+        part, rows = parts[names.index(name)], self.problem.dataset
         of_part = rows[PART] == names.index(name)
         columns = {key: rows[key][of_part] for key in (*part.model.inputs, rows.output)}
         units = {**part.model.inputs, rows.output: part.model.output}
@@ -137,70 +100,3 @@ class JointFit(Fit):
             dependence=None,
         )
         return fit
-
-
-def _with_local(
-    space: Space | Mapping[str, Any], local: Collection[str], parts: list[JointPart]
-) -> dict[str, Any]:
-    """Bounds by name, those of a local parameter under the name of each part's own."""
-    ranges: dict[str, Any] = dict(space) if isinstance(space, Mapping) else {}
-    if isinstance(space, Space):
-        ranges = {parameter.name: parameter for parameter in space.parameters}
-    bounds = {name: value for name, value in ranges.items() if name not in local}
-    for part in parts:
-        for name in part.model.parameters:
-            if name in local and name in ranges:
-                value = ranges[name]
-                if isinstance(value, Parameter):
-                    value = replace(value, name=f"{name}_{part.name}")
-                bounds.setdefault(f"{name}_{part.name}", value)
-    return bounds
-
-
-def _problem(
-    model: JointModel, datasets: list[Dataset], bounds: Space, sigma: list[Array], known: bool
-) -> CurveFit:
-    """All rows below each other; columns that a part does not read are 0 there."""
-    columns: dict[str, list[Array]] = {name: [] for name in (*model.inputs, OUTPUT, SIGMA)}
-    for k, (part, dataset, deviation) in enumerate(zip(model.parts, datasets, sigma, strict=True)):
-        rows = len(dataset)
-        own = {name: dataset[name] for name in part.model.inputs}
-        own |= {PART: np.full(rows, float(k)), OUTPUT: dataset[dataset.output]}
-        own[SIGMA] = np.broadcast_to(deviation, rows)
-        for name, values in columns.items():
-            values.append(own.get(name, np.zeros(rows)))
-    units = {**model.inputs, OUTPUT: model.output, SIGMA: model.output}
-    stacked = {name: np.concatenate(values) for name, values in columns.items()}
-    dataset = Dataset("joint", stacked, units, OUTPUT)
-    return CurveFit(model, dataset, bounds, sigma=SIGMA, sigma_known=known, compiled=False)
-
-
-def _estimated(
-    model: JointModel,
-    datasets: list[Dataset],
-    bounds: Space,
-    method: Optimizer | None,
-    budget: Budget | None,
-    seed: int,
-) -> tuple[list[Array], Fit]:
-    """The standard deviation of each part's errors, and the fit that they belong to."""
-    sizes = np.array([len(dataset) for dataset in datasets])
-    outputs = [dataset[dataset.output] for dataset in datasets]
-    sigma = [np.asarray(max(float(np.std(y)), np.finfo(float).tiny)) for y in outputs]
-    problem = _problem(model, datasets, bounds, sigma, known=False)
-    fit = searched(problem, method, budget, seed)
-    for _ in range(ROUNDS):
-        errors = fit.problem.model.predict(fit.theta[None], *fit.problem.inputs)[0]
-        errors -= fit.problem.dataset[OUTPUT]
-        squares = [part @ part for part in np.split(errors, np.cumsum(sizes)[:-1])]
-        # Each part's share of the parameters is that of its rows.
-        freedom = sizes * max(1 - fit.theta.size / sizes.sum(), np.finfo(float).eps)
-        before = np.array(sigma, dtype=float)
-        least = 1e-12 * np.array([float(np.abs(y).max(initial=0.0)) for y in outputs])
-        now = np.maximum(np.sqrt(np.array(squares) / freedom), np.maximum(least, 1e-300))
-        sigma = [np.asarray(value) for value in now]
-        problem = _problem(model, datasets, bounds, sigma, known=False)
-        fit = replace(fit, problem=problem, theta=refit(problem, fit.theta).theta)
-        if np.abs(now / before - 1).max() < SETTLED:
-            break
-    return sigma, fit

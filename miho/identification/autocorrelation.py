@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -22,6 +23,8 @@ WIDE_STEP = 0.05
 """That of its second derivatives, below which rounding shows."""
 ROUNDING = 1e-14
 """Of sums of products of columns of length 1, as a fraction of the sum of their weights' sizes."""
+ALL = (slice(None),)
+"""The series of rows of one record: within a series, rows follow each other."""
 LEAST_INFORMATION = 1.0
 """Less is taken for as much: atanh of a partial autocorrelation is known to 1 before any data."""
 
@@ -34,8 +37,8 @@ class Likeness(NamedTuple):
     score: float
 
 
-def likeness(errors: Array, basis: Array) -> Likeness:
-    """How alike neighbouring errors (N,) of a fit are, in the order of the rows.
+def likeness(errors: Array, basis: Array, series: Sequence[slice] = ALL) -> Likeness:
+    """How alike neighbouring errors (N,) of a fit are, in the order of the rows of each series.
 
     `basis` (N, d) are orthonormal columns that the errors are orthogonal to, as those of a fit are
     to its derivatives. Mean and variance of the statistic for independent errors are exact for
@@ -47,13 +50,17 @@ def likeness(errors: Array, basis: Array) -> Likeness:
     if freedom < ROWS_PER_COEFFICIENT or total == 0:
         return Likeness(0.0, 0.0)
     shifted = np.zeros_like(basis)  # A basis, where e.T A e is the sum of neighbours' products
-    shifted[1:] += basis[:-1] / 2
-    shifted[:-1] += basis[1:] / 2
+    products, pairs = 0.0, 0
+    for own in series:
+        shifted[own][1:] += basis[own][:-1] / 2
+        shifted[own][:-1] += basis[own][1:] / 2
+        products += float(errors[own][1:] @ errors[own][:-1])
+        pairs += errors[own].size - 1
     inner = basis.T @ shifted
     mean = -float(np.trace(inner)) / freedom
-    squares = (rows - 1) / 2 - 2 * np.sum(shifted**2) + np.sum(inner**2)
+    squares = pairs / 2 - 2 * np.sum(shifted**2) + np.sum(inner**2)
     variance = 2 * (squares - freedom * mean**2) / freedom / (freedom + 2)
-    excess = float(errors[1:] @ errors[:-1]) / total - mean
+    excess = products / total - mean
     return Likeness(excess, float(excess / np.sqrt(variance)) if variance > 0 else 0.0)
 
 
@@ -85,18 +92,25 @@ class Autoregression:
         return np.array(values[: self.partial.size])
 
     def innovations(self, errors: Array) -> Array:
-        """u of all rows (N,) but the first p, (N - p,)."""
+        """u of all rows (N,) but the first p, (N - p,); none of fewer rows."""
         p = self.partial.size
+        if errors.size <= p:
+            return errors[:0]
         lags = np.lib.stride_tricks.sliding_window_view(errors, p + 1)
         return np.asarray(lags @ np.append(-self.coefficients[::-1], 1.0))
 
-    def variance_of_sums(self, columns: Array, squares: Array | None = None) -> Array:
+    def variance_of_sums(
+        self, columns: Array, squares: Array | None = None, series: Sequence[slice] = ALL
+    ) -> Array:
         """Covariance (d, d) of the sums of errors times `columns` (N, d), columns.T Gamma columns.
 
-        A sum of errors is one of innovations, whose weights are the columns filtered backwards,
-        and of the p errors before the first row. `squares` (N,) are squared innovations to take
-        instead of their variance, where that changes from row to row.
+        A sum of errors of a series is one of innovations, whose weights are the columns filtered
+        backwards, and of the p errors before the first row. `squares` (N,) are squared innovations
+        to take instead of their variance, where that changes from row to row.
         """
+        if len(series) > 1:
+            parts = ((columns[own], None if squares is None else squares[own]) for own in series)
+            return np.asarray(np.sum([self.variance_of_sums(*part) for part in parts], axis=0))
         p, phi = self.partial.size, self.coefficients
         weights = scipy.signal.lfilter([1.0], np.append(1.0, -phi), columns[::-1], axis=0)[::-1]
         each = self.variance if squares is None else squares[:, None]
@@ -105,19 +119,25 @@ class Autoregression:
         return np.asarray(weights.T @ (each * weights) + presample)
 
 
-def autoregression(errors: Array, basis: Array) -> tuple[Autoregression, list[Autoregression]]:
+def autoregression(
+    errors: Array, basis: Array, series: Sequence[slice] = ALL
+) -> tuple[Autoregression, list[Autoregression]]:
     """The model of errors (N,) that a fit left, and those at one standard error to either side.
 
-    The order, 1 at least, is that of the smallest corrected information criterion (Hurvich and
-    Tsai, Biometrika 76, 1989) over Burg's recursion. Errors of a fit are less alike than those of
-    the data, which it followed; so the model is that of the largest restricted likelihood, which
-    knows the `basis` (N, d) that was fitted (Cheang and Reinsel, JASA 95, 2000). The others, first
-    on one side and then on the other, are along p independent directions of the coefficients.
+    It is one model of all series, which are independent of each other.
+
+    The order, 1 at least and else less than the rows of any series, is that of the smallest
+    corrected information criterion (Hurvich and Tsai, Biometrika 76, 1989) over Burg's recursion.
+    Errors of a fit are less alike than those of the data, which it followed; so the model is that
+    of the largest restricted likelihood, which knows the `basis` (N, d) that was fitted (Cheang and
+    Reinsel, JASA 95, 2000). The others, first on one side and then on the other, are along p
+    independent directions of the coefficients.
     """
     rows, d = basis.shape
     highest = min(HIGHEST_ORDER, int(10 * np.log10(rows)), (rows - d) // ROWS_PER_COEFFICIENT)
-    start = np.arctanh(_burg(errors, highest))
-    likelihood = _RestrictedLikelihood(errors, basis, start.size)
+    highest = min(highest, max(1, min(errors[own].size for own in series) - 1))
+    start = np.arctanh(_burg([errors[own] for own in series], highest))
+    likelihood = _RestrictedLikelihood(errors, basis, start.size, series)
     end = scipy.optimize.minimize(
         likelihood.with_slope,
         start,
@@ -138,12 +158,15 @@ class _RestrictedLikelihood:
     on the number of rows. The variance of the innovations is the best for each model.
     """
 
-    def __init__(self, errors: Array, basis: Array, order: int) -> None:
+    def __init__(
+        self, errors: Array, basis: Array, order: int, series: Sequence[slice] = ALL
+    ) -> None:
         columns = np.column_stack([basis, errors / np.linalg.norm(errors)])
         self._size = float(errors @ errors)
         self._freedom = basis.shape[0] - basis.shape[1]
-        self._order, k = order, columns.shape[1]
-        self._products = _shifted_products(columns, order).reshape(-1, k * k)
+        self._series, k = len(series), columns.shape[1]
+        products = sum(_shifted_products(columns[own], order) for own in series)
+        self._products = np.asarray(products).reshape(-1, k * k)
 
     def _values(self, z: Array) -> tuple[Array, Array]:
         """Values (n,) and variances of the innovations (n,) at rows z (n, p), atanh of partial."""
@@ -155,7 +178,7 @@ class _RestrictedLikelihood:
         floor = ROUNDING * np.sum(np.abs(a), axis=1) ** 2
         form = (form + form.swapaxes(1, 2)) / 2 + floor[:, None, None] * np.eye(k)
         diagonal = 2 * np.log(np.diagonal(np.linalg.cholesky(form), axis1=1, axis2=2))
-        determinant = -np.log1p(-(partial**2)) @ np.arange(1.0, z.shape[1] + 1)
+        determinant = -np.log1p(-(partial**2)) @ np.arange(1.0, z.shape[1] + 1) * self._series
         value = self._freedom * diagonal[:, -1] + diagonal[:, :-1].sum(axis=1) + determinant
         return value, np.exp(diagonal[:, -1]) / self._freedom * self._size
 
@@ -192,18 +215,20 @@ def _coefficients(partial: Array) -> Array:
     return phi
 
 
-def _burg(errors: Array, highest: int) -> Array:
+def _burg(series: Sequence[Array], highest: int) -> Array:
     """Partial autocorrelations (p,) by Burg's recursion, of the best order up to the highest."""
-    forward, backward = errors[1:], errors[:-1]
-    partial, spread = [], [float(np.mean(errors**2))]
+    pairs = [(errors[1:], errors[:-1]) for errors in series]
+    rows = sum(errors.size for errors in series)
+    partial, spread = [], [sum(float(errors @ errors) for errors in series) / rows]
     nearest = float(np.tanh(NEAREST))
     for _ in range(highest):
-        k = 2 * float(forward @ backward) / float(forward @ forward + backward @ backward)
+        total = sum(float(f @ f + b @ b) for f, b in pairs)
+        k = 2 * sum(float(f @ b) for f, b in pairs) / total
         k = min(max(k, -nearest), nearest)
         partial.append(k)
         spread.append(spread[-1] * (1 - k**2))
-        forward, backward = (forward - k * backward)[1:], (backward - k * forward)[:-1]
-    order, rows = np.arange(highest + 1), errors.size
+        pairs = [((f - k * b)[1:], (b - k * f)[:-1]) for f, b in pairs]
+    order = np.arange(highest + 1)
     criterion = rows * np.log(spread) + 2 * (order + 1) * rows / (rows - order - 2)
     return np.array(partial[: 1 + int(np.argmin(criterion[1:]))])
 

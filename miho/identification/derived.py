@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.identification.uncertainty import Linearised
+from miho.models.joint import PART, parts_of
 from miho.models.model import Model
 from miho.models.tied import TiedExpression, TiedModel
 from miho.quantities import Array
@@ -33,10 +35,12 @@ def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
     """The derived quantities of a tire (N over alpha first) or a torque curve (Nm over omega).
 
     Further inputs of the model are held at their median in the data. Other models have those that
-    they declare; parameters that are held come before.
+    they declare, joint ones those of each part; parameters that are held come before.
     """
     if isinstance(model, TiedModel | TiedExpression):
         return _tied(model, dataset)
+    if parts_of(model):
+        return _of_parts(model, dataset)
     first = next(iter(model.inputs))
     if first == "alpha" and model.output == "N":
         return _tire(model, dataset)
@@ -62,6 +66,22 @@ def _tied(model: TiedModel | TiedExpression, dataset: Dataset) -> tuple[Derived,
             label = f"{name} = {tie}" if isinstance(tie, str) else f"{name}, fixed"
             parameters.append(Derived(label, units[name], parameter(k)))
     return (*parameters, *(of_whole(quantity) for quantity in derived(model.model, dataset)))
+
+
+def _of_parts(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
+    """The quantities of each part, by its own data and parameters."""
+    names, quantities = list(model.parameters), []
+    for k, part in enumerate(parts_of(model)):
+        places = [names.index(name) for name in part.parameters]
+        for quantity in derived(part.model, dataset.select(dataset[PART] == k)):
+            evaluate = partial(_chosen, quantity, places)
+            quantities.append(Derived(f"{quantity.name}, {part.name}", quantity.unit, evaluate))
+    return tuple(quantities)
+
+
+def _chosen(quantity: Derived, places: list[int], thetas: Array) -> Array:
+    """A quantity of some of the parameters."""
+    return quantity.evaluate(thetas[:, places])
 
 
 def delta_method(quantity: Derived, at: Linearised) -> tuple[float, float]:

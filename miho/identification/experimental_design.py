@@ -26,6 +26,7 @@ from miho.identification.design_words import advice, assumptions, table_text
 from miho.identification.exchange import Information, best_groups
 from miho.identification.report import Report, rounding_of
 from miho.identification.uncertainty import INVOLVED, SINGULAR, Linearised
+from miho.models.joint import PART
 from miho.quantities import Array
 from miho.validate import whole
 
@@ -72,8 +73,26 @@ class Design:
         problem, at = self.report.problem, self.report.at
         return (
             problem.error_slopes(at.theta),
-            derivatives(problem.model, at.theta, self.candidates, self.group),
+            self._weights[:, None]
+            * derivatives(problem.model, at.theta, self.candidates, self.group),
         )
+
+    @property
+    def _weights(self) -> Array:
+        """What errors of the candidates are multiplied by, (m,): in a joint model as its part's."""
+        problem, rows = self.report.problem, self.candidates
+        if problem.weights is None or PART not in rows:
+            return np.ones(len(rows))
+        part, index = problem.dataset[PART], rows[PART].to_numpy()
+        known = np.unique(part)
+        strange = index[~np.isin(index, known)]
+        if strange.size:
+            raise ValueError(
+                f"candidates: {PART!r} is {strange[0]:g}; expected 0 to {known[-1]:g}, a "
+                "part's place among them"
+            )
+        squares = np.array([np.mean(problem.weights[part == k] ** 2) for k in known])
+        return np.asarray(np.sqrt(squares)[np.searchsorted(known, index)])
 
     @cached_property
     def expected(self) -> Linearised:

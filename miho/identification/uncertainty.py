@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -10,8 +12,10 @@ import scipy  # which loads its packages where they are used: importing them tak
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
+from miho.data.stacking import OUTPUT
 from miho.identification.autocorrelation import Autoregression, autoregression, likeness
 from miho.identification.curve_fit import CurveFit
+from miho.models.joint import PART
 from miho.optim.space import Space
 from miho.quantities import Array
 
@@ -235,34 +239,43 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
     )
     if not neighbours or events or problem.prior is not None:
         return at
-    return _dependent(at, psi / shrink, U[:, determined], free, half[:, determined])
+    series = series_of(problem)
+    return _dependent(at, psi / shrink, U[:, determined], free, half[:, determined], series)
 
 
 def _dependent(
-    at: Linearised, errors: Array, basis: Array, free: NDArray[np.intp], half: Array
+    at: Linearised,
+    errors: Array,
+    basis: Array,
+    free: NDArray[np.intp],
+    half: Array,
+    series: Sequence[slice],
 ) -> Linearised:
     """The same for errors (N,) that depend on those of neighbouring rows, if these are alike.
 
     `basis` (N, r) is orthonormal and spans the derivatives by the `free` parameters, and `half`
-    (f, r) turns sums of errors times it into changes of those parameters.
+    (f, r) turns sums of errors times it into changes of those parameters. Rows are neighbours
+    within a `series`.
     """
-    alike = likeness(errors, basis)
+    alike = likeness(errors, basis, series)
     if alike.correlation <= RESEMBLING or alike.score <= SCORE or not basis.shape[1]:
         return at
-    model, sides = autoregression(errors, basis)
+    model, sides = autoregression(errors, basis, series)
     few_rows = errors.size / at.freedom
 
     def covariance(model: Autoregression, squares: Array | None = None) -> Array:
         # Never below that of independent rows, as errors that swing in a wave may seem to allow.
         rows = np.full(errors.size, at.noise**2) if squares is None else errors**2 * few_rows
         least = (basis.T * rows) @ basis
-        excess, axes = np.linalg.eigh(model.variance_of_sums(basis, squares) - least)
+        sums = model.variance_of_sums(basis, squares, series)
+        excess, axes = np.linalg.eigh(sums - least)
         total = least + axes * np.maximum(excess, 0.0) @ axes.T
         return _square(at.theta.size, free, half @ total @ half.T)
 
     # White's estimate of the innovations, with the factor for few rows; the first have no own.
     squares = np.full(errors.size, model.variance)
-    squares[model.partial.size :] = model.innovations(errors) ** 2 * few_rows
+    for own in series:
+        squares[own][model.partial.size :] = model.innovations(errors[own]) ** 2 * few_rows
     dependence = Dependence(
         correlation=alike.correlation,
         model=model,
@@ -278,6 +291,17 @@ def _dependent(
         freedom=int(freedom.min(initial=at.freedom)),
         dependence=dependence,
     )
+
+
+def series_of(problem: CurveFit) -> list[slice]:
+    """The rows that follow each other: those of one part or output, where there are several."""
+    inputs = problem.model.inputs
+    columns = [problem.dataset[name] for name in (PART, OUTPUT) if name in inputs]
+    moved = np.zeros(len(problem.dataset) - 1, dtype=bool)
+    for column in columns:
+        moved |= np.diff(column) != 0
+    ends = (np.flatnonzero(moved) + 1).tolist()
+    return [slice(a, b) for a, b in itertools.pairwise([0, *ends, len(problem.dataset)])]
 
 
 def events_of(dataset: Dataset) -> NDArray[np.intp] | None:

@@ -37,10 +37,11 @@ def error_on(problem: CurveFit, theta: Array, dataset: Dataset) -> float:
 def conditions(problem: CurveFit) -> list[str]:
     """The columns that say under which conditions a row was measured.
 
-    They are all but the output and the model's first input, whether or not they are inputs too.
+    They are all but the output, its sigma, and the model's first input, whether or not they are
+    inputs too.
     """
-    first = next(iter(problem.model.inputs))
-    return [name for name in problem.dataset.columns if name not in (first, problem.dataset.output)]
+    others = next(iter(problem.model.inputs)), problem.dataset.output, problem.sigma
+    return [name for name in problem.dataset.columns if name not in others]
 
 
 def levels(values: Array) -> list[Array]:

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
+import operator
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
+from functools import cached_property, reduce
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.models.expression import Expression
 from miho.models.model import Model
+from miho.models.symbolic import NotAFormulaError, Symbol, operation, trace
+from miho.models.tied import whole_model
+from miho.models.traced import TracedExpression
 from miho.quantities import Array
 
 PART = "part of the row"
@@ -129,3 +135,59 @@ class JointModel(Model):
                 columns = [inputs[names.index(name)][rows] for name in part.model.inputs]
                 shares.append((part, rows, [places.index(n) for n in part.parameters], columns))
         return shares
+
+
+@dataclass(frozen=True)
+class JointExpression(TracedExpression):
+    """A joint model whose parts are one expression: that of the parameters that the part selects.
+
+    So it can be compiled; and NumPy evaluates it sooner than part by part.
+    """
+
+    joint: JointModel
+    expression: Expression
+    inputs: Mapping[str, str] = field(init=False)
+    parameters: Mapping[str, str] = field(init=False)
+    output: str = field(init=False)
+    linear: tuple[str, ...] = field(init=False)
+    name: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        for key in ("inputs", "parameters", "output", "linear", "name"):
+            object.__setattr__(self, key, getattr(self.joint, key))
+
+    @cached_property
+    def graph(self) -> Symbol:
+        """The output; raises NotAFormulaError for an expression that cannot be traced."""
+        index, *columns = self.columns
+        symbols = dict(zip(self.parameters, self.arguments, strict=True))
+        count = range(len(self.joint.parts))
+        chosen = [operation("maximum", 0.0, 1 - abs(index - k)) for k in count]  # 1 in part k, or 0
+
+        def selected(names: tuple[str, ...]) -> Symbol:
+            if len(set(names)) == 1:
+                return symbols[names[0]]
+            terms = [own * symbols[name] for own, name in zip(chosen, names, strict=True)]
+            total: Symbol = reduce(operator.add, terms)
+            return total
+
+        names = zip(*(part.parameters for part in self.joint.parts), strict=True)
+        return trace(self.expression.value, tuple(columns), tuple(map(selected, names)))
+
+
+def joined(model: JointModel) -> Model:
+    """A joint model as an expression, if its parts are one that can be traced."""
+    first = model.parts[0].model
+    with contextlib.suppress(NotAFormulaError, ValueError):  # arrays in models do not compare
+        if isinstance(first, Expression) and all(part.model == first for part in model.parts):
+            expression = JointExpression(model, first)
+            _ = expression.graph
+            return expression
+    return model
+
+
+def parts_of(model: Model) -> tuple[JointPart, ...]:
+    """The parts of a joint model, also of one that is an expression or tied; none of another."""
+    whole = whole_model(model)
+    whole = whole.joint if isinstance(whole, JointExpression) else whole
+    return whole.parts if isinstance(whole, JointModel) else ()

@@ -211,3 +211,41 @@ def test_a_held_parameter_is_no_obstacle() -> None:
     both = make_report(line(200 + 2 * x + noise, x, b=(-1, 1.9)), np.array([100.0, 1.9]))
     assert both.at.at_bound.all()
     assert both.at.dependence is None
+
+
+SERIES = [slice(0, 30), slice(30, 31), slice(31, 70)]
+"""Three records below each other, one of a single row."""
+
+
+def of_series(dense: Array) -> Array:
+    """A covariance (70, 70) without what records have in common."""
+    blocks = [dense[own, own] for own in SERIES]
+    return np.asarray(scipy.linalg.block_diag(*blocks))
+
+
+def test_rows_of_different_records_are_no_neighbours() -> None:
+    """As above, with dense matrices in blocks: the test, the model and the covariance of sums."""
+    errors, basis = fitted(70, 3)
+    A = of_series((np.eye(70, k=1) + np.eye(70, k=-1)) / 2)
+    M = np.eye(70) - basis @ basis.T
+    mean = np.trace(M @ A) / 67
+    variance = 2 * (np.trace(M @ A @ M @ A) - 67 * mean**2) / (67 * 69)
+    r = errors @ A @ errors / (errors @ errors)
+    expected = (r - mean, (r - mean) / np.sqrt(variance))
+    np.testing.assert_allclose(likeness(errors, basis, SERIES), expected, rtol=1e-10)
+
+    def criterion(z: Array) -> float:
+        V = of_series(covariance(Autoregression(np.tanh(z), 1.0), 70))
+        W = np.linalg.inv(V)
+        inner = basis.T @ W @ basis
+        rest = errors - basis @ np.linalg.solve(inner, basis.T @ W @ errors)
+        logs = np.linalg.slogdet(inner)[1] + np.linalg.slogdet(V)[1]
+        return float(67 * np.log(rest @ W @ rest) + logs)
+
+    model, _ = autoregression(errors, basis, SERIES)
+    assert model.partial.size == 1  # the shortest record has a row, and knows no longer memory
+    best = scipy.optimize.minimize_scalar(lambda z: criterion(np.array([z])), (0.0, 1.0))
+    np.testing.assert_allclose(np.arctanh(model.partial), best.x, atol=1e-4)
+    dense = of_series(covariance(model, 70))
+    sums = model.variance_of_sums(basis, None, SERIES)
+    np.testing.assert_allclose(sums, basis.T @ dense @ basis, rtol=1e-9, atol=1e-9)

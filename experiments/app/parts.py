@@ -1,0 +1,53 @@
+"""The parts of a joint problem in a configuration: what each is made from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from experiments.app.schema import ParameterConfig
+
+GROUPS = ("model", "dataset")
+USUAL = asdict(ParameterConfig())
+"""What a parameter's settings are if nothing is said of them."""
+
+
+def part_nodes(config: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]]:
+    """Model and dataset of each part: its own settings over those of the whole configuration.
+
+    Own ones with a `_target_` are whole. Of a problem without parts there is one, called "".
+    """
+    parts = config["problem"].get("parts") or {"": {}}
+    return {
+        str(name): {key: _over(config[key], part.get(key) or {}) for key in GROUPS}
+        for name, part in parts.items()
+    }
+
+
+def _over(node: Mapping[str, Any], own: Mapping[str, Any]) -> Mapping[str, Any]:
+    return own if "_target_" in own or not isinstance(node, Mapping) else {**node, **own}
+
+
+def with_local(config: Mapping[str, Any], space: Mapping[str, Any]) -> dict[str, Any]:
+    """A space in which NAME_PART of a local parameter has what NAME has, where it says no other."""
+    nodes = dict(space)
+    for name in config["problem"].get("local") or ():
+        for part in config["problem"].get("parts") or ():
+            own, common = nodes.get(f"{name}_{part}"), nodes.get(name)
+            if own is not None and common is not None:
+                said = {key: value for key, value in own.items() if value != USUAL.get(key)}
+                nodes[f"{name}_{part}"] = {**common, **said}
+    return nodes
+
+
+def model_files(config: Mapping[str, Any]) -> list[str]:
+    """The files of the user's that a configuration names as models."""
+    return list(dict.fromkeys(_paths(config)))
+
+
+def _paths(config: Mapping[str, Any]) -> Iterator[str]:
+    for nodes in part_nodes(config).values():
+        model = nodes["model"]
+        if isinstance(model, Mapping) and model.get("path") is not None:
+            yield str(model["path"])

@@ -1,0 +1,266 @@
+"""The problem of several datasets or outputs at once, which share parameters by name."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from miho.data.dataset import Dataset
+from miho.data.stacking import stacked_columns
+from miho.fitting.one_fit import Fit, searched
+from miho.fitting.statement import space_of
+from miho.identification.curve_fit import CurveFit
+from miho.identification.curve_fit_checks import traced_where_alike
+from miho.identification.loss import Loss, Square
+from miho.identification.refit import refit
+from miho.models.function_model import FunctionModel
+from miho.models.joint import PART, JointModel, JointPart, joined, parts_of
+from miho.models.model import Model
+from miho.optim import Budget, Optimizer, Parameter, Space
+from miho.quantities import Array
+
+OUTPUT, SIGMA = "output of the part", "sigma of the row"
+SETTLED, ROUNDS = 1e-3, 20
+"""Deviations of the parts are estimated until they change by less than this share, in so many
+rounds at most."""
+
+
+class Measured(NamedTuple):
+    """A model, its data, and the standard deviation of their errors: a number, a column or None."""
+
+    model: Model
+    dataset: Dataset
+    sigma: str | float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """Parts by name. Parameters of one name are one, but those in `local`: NAME_PART in each part.
+
+    Sigma that is given counts as it is, or if not `known` up to one factor for all parts. Raises
+    ValueError for fewer than two parts, for a local parameter that no part has, and for a sigma
+    that is no positive number or column of positive ones.
+    """
+
+    parts: Mapping[str, Measured]
+    local: Collection[str] = ()
+    known: bool = True
+
+    def __post_init__(self) -> None:
+        if len(self.parts) < 2:
+            raise ValueError(f"{len(self.parts)} part; give at least two, or fit it by itself")
+        for name in self.local:
+            if not any(name in part.model.parameters for part in self.parts.values()):
+                raise ValueError(f"local: {name} is no parameter of any part")
+        for name, part in self.parts.items():
+            _check_units(name, part)
+        _ = self.dataset  # raises for a sigma that is none
+
+    @cached_property
+    def model(self) -> JointModel:
+        """The model of all parts, with the parameters' names among all."""
+        return JointModel(
+            tuple(
+                JointPart(name, part.model, tuple(self._joint_names(name, part.model)))
+                for name, part in self.parts.items()
+            )
+        )
+
+    def _joint_names(self, part: str, model: Model) -> list[str]:
+        return [f"{p}_{part}" if p in self.local else p for p in model.parameters]
+
+    @property
+    def lacking(self) -> list[str]:
+        """The parts without sigma."""
+        return [name for name, part in self.parts.items() if part.sigma is None]
+
+    @cached_property
+    def dataset(self) -> Dataset:
+        """All rows below each other, held-out ones too; columns that a part does not read are 0.
+
+        Conditions that every part was measured under stay. A part without sigma has the standard
+        deviation of its output.
+        """
+        rows = self._stacked([part.dataset for part in self.parts.values()])
+        held_out = [part.dataset.held_out for part in self.parts.values()]
+        if all(part is None for part in held_out):
+            return rows
+        return replace(rows, held_out=self._stacked(held_out))
+
+    def _stacked(self, datasets: Sequence[Dataset | None]) -> Dataset:
+        units = {**self._conditions, **self.model.inputs}
+        units |= {OUTPUT: self.model.output, SIGMA: self.model.output}
+        parts = [
+            self._columns(name, dataset) for name, dataset in zip(self.parts, datasets, strict=True)
+        ]
+        return Dataset("joint", stacked_columns(parts, PART), units, OUTPUT)
+
+    def _columns(self, name: str, dataset: Dataset | None) -> dict[str, Array]:
+        """The columns of a part's rows; none of one that holds no rows out."""
+        part = self.parts[name]
+        if dataset is None:
+            return {OUTPUT: np.zeros(0)}
+        columns = {key: dataset[key] for key in (*self._conditions, *part.model.inputs)}
+        columns[OUTPUT] = dataset[dataset.output]
+        return {**columns, SIGMA: deviations(name, part._replace(dataset=dataset))}
+
+    @cached_property
+    def _conditions(self) -> dict[str, str]:
+        """Columns that every part has, and their units; not what a part explains, nor its sigma."""
+        datasets = [part.dataset for part in self.parts.values()]
+        explained = {p.dataset.output for p in self.parts.values()}
+        explained |= {p.sigma for p in self.parts.values() if isinstance(p.sigma, str)}
+        shared = set.intersection(*(set(dataset.units.items()) for dataset in datasets))
+        return {
+            name: unit
+            for name, unit in datasets[0].units.items()
+            if (name, unit) in shared and name not in explained
+        }
+
+    def problem(self, bounds: Space | Mapping[str, Any], **settings: Any) -> CurveFit:
+        """The problem within `bounds` by name; those of NAME_PART are those of NAME by default.
+
+        `settings` are those of `CurveFit`, and `fixed` and `tied` of `miho.fit`.
+        """
+        held = [settings.pop(key, {}) for key in ("fixed", "tied")]
+        space = space_of(self.model, self._with_local(bounds), None, *held)
+        return CurveFit(
+            self._traced(space), self.dataset, space, sigma=SIGMA, sigma_known=self._known,
+            **settings,
+        )  # fmt: skip
+
+    @property
+    def _known(self) -> bool:
+        """Sigma of all parts that is estimated is so up to a factor."""
+        return self.known and len(self.lacking) < len(self.parts)
+
+    def _with_local(self, bounds: Space | Mapping[str, Any]) -> dict[str, Any]:
+        """Bounds by name, those of a local parameter under the name of each part's own."""
+        ranges = dict(bounds) if isinstance(bounds, Mapping) else {}
+        if isinstance(bounds, Space):
+            ranges = {parameter.name: parameter for parameter in bounds.parameters}
+        named = {name: value for name, value in ranges.items() if name not in self.local}
+        for part in self.model.parts:
+            for name, joint in zip(part.model.parameters, part.parameters, strict=True):
+                if name in self.local and name in ranges:
+                    value = ranges[name]
+                    own = replace(value, name=joint) if isinstance(value, Parameter) else value
+                    named.setdefault(joint, own)
+        return named
+
+    def _traced(self, space: Space) -> Model:
+        """The model, with formulas of functions that are some, and itself one where it can be."""
+        named = {parameter.name: parameter for parameter in space.parameters}
+        members = []
+        for part in self.model.parts:
+            model = part.model
+            if isinstance(model, FunctionModel):
+                own = zip(model.parameters, part.parameters, strict=True)
+                ranges = Space(tuple(replace(named[joint], name=name) for name, joint in own))
+                model = traced_where_alike(model, self.parts[part.name].dataset, ranges)
+            members.append(part._replace(model=model))
+        return joined(JointModel(tuple(members)))
+
+    def estimated(
+        self,
+        bounds: Space | Mapping[str, Any],
+        method: Optimizer | None = None,
+        budget: Budget | None = None,
+        seed: int = 0,
+        **settings: Any,
+    ) -> Fit:
+        """The optimum, and with it sigma of the parts that lack it.
+
+        That is estimated from a part's residuals, alternately with the parameters (Seber and Wild,
+        Nonlinear Regression, 1989, Ch. 11.1, for independent outputs), to four digits, so that it
+        is the same on every machine. Raises ValueError where a part has too few rows to tell.
+        """
+        self._check_estimable(settings.get("rho"))
+        joint, fit = self, searched(self.problem(bounds, **settings), method, budget, seed)
+        models = {part.name: part.model for part in parts_of(fit.problem.model)}  # traced once
+        for _ in range(ROUNDS if self.lacking else 0):
+            sigma = self._residual_deviations(fit)
+            before = {name: deviations(name, joint.parts[name])[0] for name in sigma}
+            parts = {
+                name: Measured(models[name], part.dataset, sigma.get(name, part.sigma))
+                for name, part in self.parts.items()
+            }
+            joint = Joint(parts, self.local, self._known)
+            problem = joint.problem(bounds, **settings)
+            fit = replace(fit, problem=problem, theta=refit(problem, fit.theta).theta)
+            if all(abs(sigma[name] / before[name] - 1) < SETTLED for name in sigma):
+                break
+        return fit
+
+    def complete(self, bounds: Space | Mapping[str, Any], **settings: Any) -> CurveFit:
+        """`problem`, with sigma of all parts."""
+        if self.lacking:
+            return self.estimated(bounds, **settings).problem
+        return self.problem(bounds, **settings)
+
+    def _check_estimable(self, rho: Loss | None) -> None:
+        if self.lacking and not isinstance(rho, Square | None):
+            raise ValueError(f"{self.lacking[0]}: lacks sigma, which a robust loss needs; give it")
+        for name in self.lacking:
+            rows, parameters = len(self.parts[name].dataset), len(self.parts[name].model.parameters)
+            if rows <= parameters:
+                raise ValueError(
+                    f"{name}: {rows} rows for {parameters} parameters do not tell their sigma; "
+                    "give it"
+                )
+
+    def _residual_deviations(self, fit: Fit) -> dict[str, float]:
+        """The standard deviations of the parts that lack sigma, by their residuals."""
+        weights, index = fit.problem.weights, self.dataset[PART]
+        errors = fit.problem.errors(fit.theta) / (1.0 if weights is None else weights)
+        # Each part's share of the parameters is that of its rows.
+        count = fit.theta.size
+        freedom = max(1 - count / errors.size, np.finfo(float).eps)
+        sigma = {}
+        for k, name in enumerate(self.parts):
+            if name in self.lacking:
+                own = index == k
+                largest = float(np.abs(self.dataset[OUTPUT][own]).max())
+                square = float(np.mean(errors[own] ** 2)) / freedom
+                sigma[name] = float(f"{max(np.sqrt(square), 1e-12 * largest, 1e-300):.4g}")
+        return sigma
+
+
+def _check_units(name: str, part: Measured) -> None:
+    """Refuse data in other units than the model's, or without one of its inputs."""
+    needed = {**part.model.inputs, part.dataset.output: part.model.output}
+    for column, unit in needed.items():
+        _ = part.dataset[column]
+        given = part.dataset.units[column]
+        if given != unit and given and unit:
+            raise ValueError(f"{name}: column {column!r} has unit {given!r}; expected {unit!r}")
+
+
+def deviations(name: str, part: Measured) -> Array:
+    """Sigma of a part's rows (N,), by default the standard deviation of its output."""
+    dataset, sigma = part.dataset, part.sigma
+    output = dataset[dataset.output]
+    if sigma is None:
+        return np.full(output.size, max(float(np.std(output)), np.finfo(float).tiny))
+    if isinstance(sigma, str):
+        unit, needed = dataset.units.get(sigma, ""), dataset.units[dataset.output]
+        if unit != needed and unit and needed:
+            raise ValueError(
+                f"{name}: sigma {sigma!r} has the unit {unit!r}; expected that of "
+                f"{dataset.output!r}, {needed!r}"
+            )
+        values = dataset[sigma]
+    elif isinstance(sigma, int | float) and not isinstance(sigma, bool):
+        values = np.full(output.size, float(sigma))
+    else:
+        raise ValueError(f"{name}: sigma is {sigma!r}; expected a number or a column's name")
+    wrong = np.flatnonzero(~((values > 0) & (values < np.inf)))
+    if wrong.size:
+        raise ValueError(
+            f"{name}: sigma is {values[wrong[0]]:g} in row {wrong[0] + 1}; expected numbers above 0"
+        )
+    return values
