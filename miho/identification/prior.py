@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.identification.inverse_root import inverse_root
 from miho.optim.space import Space
 from miho.quantities import Array
 
@@ -17,11 +18,6 @@ if TYPE_CHECKING:
 
     from miho.identification.curve_fit import CurveFit
     from miho.identification.uncertainty import Linearised
-
-
-SINGULAR, INVOLVED = 1e-10, 1e-6
-"""As in `miho.identification.uncertainty`: a direction that the data do not see, and a parameter
-that it moves."""
 
 
 @dataclass(frozen=True)
@@ -72,17 +68,10 @@ def prior_table(problem: CurveFit, at: Linearised) -> pd.DataFrame:
 
     if problem.prior is None:
         return pd.DataFrame()
-    J = problem.error_slopes(at.theta)[:, ~at.at_bound]
-    size = np.linalg.norm(J, axis=0)
-    size[size == 0] = 1.0
-    s, Vt = np.linalg.svd(J / size, full_matrices=False)[1:]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rows = np.where(
-            np.abs(Vt) > INVOLVED, Vt / np.where(s > SINGULAR * s[0], s, 0.0)[:, None], 0
-        )
-    alone = at.noise * np.linalg.norm(rows, axis=0) / size
-    errors = np.full(at.theta.size, np.nan)
-    errors[~at.at_bound] = alone
+    root = inverse_root(problem.error_slopes(at.theta), np.flatnonzero(~at.at_bound))
+    errors = at.noise * np.linalg.norm(root.half, axis=1)
+    errors[root.moved.any(axis=0)] = np.inf
+    errors[at.at_bound] = np.nan
     table = []
     for k in problem.prior.indices:
         parameter = problem.space.parameters[k]

@@ -72,46 +72,13 @@ def make_report(
             "bootstrap out, profile intervals allow for them"
         )
     deadline = Deadline(time.perf_counter() + seconds)
-
-    # The optimum near the run's result, or near the better result of a check.
     progress("optimum")
     optimum = _optimum(problem, run, deadline)
     if better is not None:
         optimum = min(optimum, _optimum(problem, better, deadline), key=lambda fit: fit.cost)
-
-    # Its profiles; where a refit for one of them meets a better optimum, all again from there.
-    while True:
-        at = _uncertainty(problem, optimum.theta)
-        curves, lacking = _profiles(problem, at, level, profiles, deadline, progress)
-        refits = (curve.best for curve in curves if curve)
-        lowest = min(refits, key=lambda fit: fit.cost, default=optimum)
-        if lowest.cost >= (1 - BETTER) * optimum.cost:
-            break
-        progress("better optimum")
-        optimum = _optimum(problem, lowest.theta, deadline)
-    omitted = [f"profile intervals of {lacking}"] if lacking else []
-
-    # Refits to other data: to rows drawn anew, and without one group of rows at a time.
-    held = np.flatnonzero(at.unidentifiable).tolist()  # no refit moves what the data do not see
-    estimates = None
-    if replicates:
-        rng = stream("bootstrap", problem.dataset.digest, seed)
-        block = 1 if at.dependence is None else block_length(at.dependence.errors)
-        estimates = bootstrap(
-            problem, at.theta, replicates, rng, lambda: progress("bootstrap"), held, block
-        )
-        if at.dependence is not None:
-            estimates = stretched(estimates, at, problem.space)
-    left_out = []
-    for condition in conditions(problem):
-        progress(f"leave one {condition} out")
-        try:
-            left_out.append(leave_one_out(problem, at.theta, condition, held, deadline))
-        except OutOfTimeError:
-            omitted.append(f"errors with {condition} left out")
-            break
-
-    # What is known of the optimum.
+    optimum, at, curves, lacking = _profiled(problem, optimum, level, profiles, deadline, progress)
+    left_out, unfinished = _left_out(problem, at, deadline, progress)
+    omitted = [f"profile intervals of {lacking}"] * bool(lacking) + unfinished
     searches = tuple(search for search in (descents, check) if search is not None)
     exact = linear_optimum(problem)
     best_known = best_known if exact is None else exact[1]
@@ -121,14 +88,76 @@ def make_report(
         at=at,
         standing=_standing(problem, at, optimum, searches, best_known, exact is not None),
         profiles=curves,
-        replicates=estimates,
-        left_out=pd.concat(left_out, ignore_index=True) if left_out else pd.DataFrame(),
+        replicates=_bootstrapped(problem, at, replicates, seed, progress) if replicates else None,
+        left_out=left_out,
         level=level,
         omitted=tuple(_omission(names, seconds) for names in omitted),
         remedy=remedy,
         searches=searches,
         best_known=best_known,
     )
+
+
+def _profiled(
+    problem: CurveFit,
+    optimum: Refit,
+    level: float,
+    requested: bool | None,
+    deadline: Deadline,
+    progress: Callable[[str], object],
+) -> tuple[Refit, Linearised, tuple[Profile | None, ...], str]:
+    """The optimum, its uncertainty, and what `_profiles` gives.
+
+    Where a refit for a profile meets a better optimum, all is again from there.
+    """
+    while True:
+        at = _uncertainty(problem, optimum.theta)
+        curves, lacking = _profiles(problem, at, level, requested, deadline, progress)
+        refits = (curve.best for curve in curves if curve)
+        lowest = min(refits, key=lambda fit: fit.cost, default=optimum)
+        if lowest.cost >= (1 - BETTER) * optimum.cost:
+            return optimum, at, curves, lacking
+        progress("better optimum")
+        optimum = _optimum(problem, lowest.theta, deadline)
+
+
+def _held(at: Linearised) -> list[int]:
+    """The parameters that no refit to other data moves: the data do not see them."""
+    return np.flatnonzero(at.unidentifiable).tolist()
+
+
+def _bootstrapped(
+    problem: CurveFit,
+    at: Linearised,
+    replicates: int,
+    seed: int,
+    progress: Callable[[str], object],
+) -> Array:
+    """Estimates (replicates, d) from rows drawn anew, in blocks where they depend on each other."""
+    rng = stream("bootstrap", problem.dataset.digest, seed)
+    block = 1 if at.dependence is None else block_length(at.dependence.errors)
+    estimates = bootstrap(
+        problem, at.theta, replicates, rng, lambda: progress("bootstrap"), _held(at), block
+    )
+    return estimates if at.dependence is None else stretched(estimates, at, problem.space)
+
+
+def _left_out(
+    problem: CurveFit, at: Linearised, deadline: Deadline, progress: Callable[[str], object]
+) -> tuple[pd.DataFrame, list[str]]:
+    """Errors on each group of rows that a fit was made without, and what there was no time for."""
+    tables = []
+    for condition in conditions(problem):
+        progress(f"leave one {condition} out")
+        try:
+            tables.append(leave_one_out(problem, at.theta, condition, _held(at), deadline))
+        except OutOfTimeError:
+            return _stacked(tables), [f"errors with {condition} left out"]
+    return _stacked(tables), []
+
+
+def _stacked(tables: list[pd.DataFrame]) -> pd.DataFrame:
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
 def _uncertainty(problem: CurveFit, theta: Array) -> Linearised:
