@@ -151,13 +151,13 @@ def _table(problem: CurveFit, batch: Batch, ends: Ends, index: pd.Index) -> pd.D
     unknown = np.isnan(np.diagonal(covariance, axis1=1, axis2=2))
     names, values, model = problem.space.names, ends.thetas, problem.model
     if isinstance(model, TiedModel | TiedExpression):
-        extra = [k for k, name in enumerate(names) if name not in model.ties.parameters]
+        extra = [k for k, name in enumerate(names) if name not in model.ties.names]
         slopes = np.broadcast_to(np.eye(len(names))[extra], (len(values), len(extra), len(names)))
-        slopes = np.concatenate([model.ties.whole_slopes(values), slopes], axis=1)
-        values = np.concatenate([model.ties.whole(values), values[:, extra]], axis=1)
+        slopes = np.concatenate([model.ties.value_slopes(values), slopes], axis=1)
+        values = np.concatenate([model.ties.values(values), values[:, extra]], axis=1)
         covariance = slopes @ np.nan_to_num(covariance) @ slopes.transpose(0, 2, 1)
         unknown = ((slopes != 0) & unknown[:, None, :]).any(axis=2)
-        names = (*model.ties.parameters, *(names[k] for k in extra))
+        names = (*model.ties.names, *(names[k] for k in extra))
     errors = np.where(unknown, np.nan, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
     columns: dict[str, Any] = {}
     for k, name in enumerate(names):

@@ -99,11 +99,11 @@ def check_sigma(problem: CurveFit) -> None:
 
 def _check_prior(problem: CurveFit) -> None:
     """Refuse priors where their weight beside the data is not known."""
-    name = next(p.name for p in problem.space.parameters if p.prior is not None)
-    if problem.sigma is None or not problem.sigma_known:
+    name = problem.prior.parameters[0].name if problem.prior is not None else ""
+    if problem.prior_scale is None and (problem.sigma is None or not problem.sigma_known):
         raise ValueError(
             f"space.{name}.prior: how much it counts beside the data depends on their errors; give "
-            "sigma, a number or a column, as known"
+            "sigma, a number or a column, as known, or use miho.fit, which estimates it"
         )
     if not isinstance(problem.rho, Square):
         raise ValueError(f"space.{name}.prior: priors need the loss Square")
@@ -153,10 +153,10 @@ def ties_of(model: Model, space: Space) -> Ties:
                 f"{name} needs {needed!r}"
             )
     for parameter in space.parameters:
-        if not parameter.free and parameter.name not in model.parameters:
+        if parameter.fixed is not None and parameter.name not in model.parameters:
             raise ValueError(
-                f"space.{parameter.name}: model {name} has no parameter {parameter.name} to fix or "
-                "tie; write it into the expressions"
+                f"space.{parameter.name}: model {name} has no parameter {parameter.name} to fix; "
+                "write it into the expressions"
             )
     held = {p.name: p.fixed if p.tied is None else p.tied for p in space.parameters if not p.free}
     limits = {p.name: (p.low, p.high) for p in space.parameters if p.tied is not None}
@@ -165,8 +165,9 @@ def ties_of(model: Model, space: Space) -> Ties:
         {p.name: p.unit for p in space.free.parameters},
         {key: value for key, value in held.items() if value is not None},
         {key: ends for key, ends in limits.items() if np.isfinite(ends).any()},
+        {p.name: p.unit for p in space.parameters if p.tied and p.name not in model.parameters},
     )
-    needed_symbols = arguments_of(ties.graphs)
+    needed_symbols = arguments_of(ties.graphs[: len(ties.parameters)])
     for symbol, free in zip(ties.arguments, ties.free, strict=True):
         if symbol.arguments[0] not in needed_symbols:
             raise ValueError(
@@ -179,10 +180,10 @@ def ties_of(model: Model, space: Space) -> Ties:
 
 def _check_limits(ties: Ties, free: Space) -> None:
     """Refuse limits of tied parameters that none of many configurations keeps."""
-    thetas = ties.whole(free.decode(free.initial(DRAWN, "uniform")))
+    values_of_all = ties.values(free.decode(free.initial(DRAWN, "uniform")))
     within_all = np.ones(DRAWN, dtype=bool)
     for name, (low, high) in ties.limits.items():
-        values = thetas[:, ties.parameters.index(name)]
+        values = values_of_all[:, ties.names.index(name)]
         inside = (values >= low) & (values <= high)
         if not inside.any():
             raise ValueError(

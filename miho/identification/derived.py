@@ -47,16 +47,17 @@ def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
 
 def _tied(model: TiedModel | TiedExpression, dataset: Dataset) -> tuple[Derived, ...]:
     """The parameters that are held, and the quantities of the whole model."""
-    ties, units = model.ties, model.model.parameters
+    ties = model.ties
+    units = {**model.model.parameters, **ties.quantities}
 
     def parameter(k: int) -> Callable[[Array], Array]:
-        return lambda thetas: ties.whole(thetas)[:, k]
+        return lambda thetas: ties.values(thetas)[:, k]
 
     def of_whole(quantity: Derived) -> Derived:
         return replace(quantity, evaluate=lambda thetas: quantity.evaluate(ties.whole(thetas)))
 
     parameters = []
-    for k, name in enumerate(ties.parameters):
+    for k, name in enumerate(ties.names):
         tie = ties.ties.get(name)
         if tie is not None:
             label = f"{name} = {tie}" if isinstance(tie, str) else f"{name}, fixed"

@@ -38,8 +38,9 @@ def along_limits(problem: CurveFit, theta: Array, fixed: Collection[int] = ()) -
     sides = _Sides(model.ties)
     if sides.slack(theta).min() > CLOSE:
         return theta
-    ties = Ties(model.ties.parameters, model.ties.free, model.ties.ties)
-    beyond = replace(problem, model=tie(model.model, ties), compiled=False)
+    beyond = replace(
+        problem, model=tie(model.model, replace(model.ties, limits={})), compiled=False
+    )
     space = problem.space
     low, high = space.low.copy(), space.high.copy()
     low[list(fixed)] = high[list(fixed)] = theta[list(fixed)]
@@ -81,7 +82,7 @@ class _Sides:
         for name, ends in ties.limits.items():
             size = ends[1] - ends[0] if np.isfinite(ends).all() else max(np.abs(
                 [end for end in ends if np.isfinite(end)]).max(), 1.0)  # fmt: skip
-            place = ties.parameters.index(name)
+            place = ties.names.index(name)
             sides += [(place, sign, end, max(size, 1e-300))
                       for sign, end in zip((1.0, -1.0), ends, strict=True)
                       if np.isfinite(end)]  # fmt: skip
@@ -90,10 +91,10 @@ class _Sides:
 
     def slack(self, theta: Array) -> Array:
         """How far each is inside, (k,), as a share of its size."""
-        values = self._ties.whole(theta[None])[0, self._places]
+        values = self._ties.values(theta[None])[0, self._places]
         return np.asarray(self._signs * (values - self._ends) / self._sizes)
 
     def slopes(self, theta: Array) -> Array:
         """Its derivatives, (k, d)."""
-        slopes = self._ties.whole_slopes(theta[None])[0, self._places]
+        slopes = self._ties.value_slopes(theta[None])[0, self._places]
         return np.asarray(slopes * (self._signs / self._sizes)[:, None])

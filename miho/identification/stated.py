@@ -40,10 +40,11 @@ def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], 
     values = dict(zip(units, at.theta, strict=True))
     if not isinstance(model, TiedModel | TiedExpression):
         return [Stated(n, units[n], values[n], errors[n], FREE) for n in units], slopes
-    ties, own = model.ties, model.model.parameters
-    rows = ties.whole_slopes(at.theta[None])[0]
-    values |= dict(zip(ties.parameters, ties.whole(at.theta[None])[0], strict=True))
-    spread = dict(zip(ties.parameters, at.spread(rows), strict=True))
+    ties = model.ties
+    own = {**model.model.parameters, **ties.quantities}
+    rows = ties.value_slopes(at.theta[None])[0]
+    values |= dict(zip(ties.names, ties.values(at.theta[None])[0], strict=True))
+    spread = dict(zip(ties.names, at.spread(rows), strict=True))
     extra = [name for name in units if name not in own]
     stated = []
     for name in (*own, *extra):
@@ -60,8 +61,8 @@ def whole_values(problem: CurveFit, theta: Array) -> dict[str, float]:
     model, free = problem.model, dict(zip(problem.space.names, theta.tolist(), strict=True))
     if not isinstance(model, TiedModel | TiedExpression):
         return free
-    whole = model.ties.whole(theta[None])[0].tolist()
-    return {**dict(zip(model.ties.parameters, whole, strict=True)), **free}
+    whole = model.ties.values(theta[None])[0].tolist()
+    return {**dict(zip(model.ties.names, whole, strict=True)), **free}
 
 
 def at_limits(problem: CurveFit, theta: Array) -> list[str]:
