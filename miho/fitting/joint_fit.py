@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from miho.data.dataset import Dataset
-from miho.fitting.one_fit import Fit, searched
+from miho.fitting.one_fit import Fit, searched, without_priors
 from miho.fitting.statement import FAR, data_of, space_of
+from miho.identification.constraints import constrained
 from miho.identification.curve_fit import CurveFit
 from miho.identification.curve_fit_checks import traced_where_alike
 from miho.identification.refit import refit
 from miho.identification.stated import stated_parameters
+from miho.identification.uncertainty import linearised
 from miho.models.function_model import FunctionModel
 from miho.models.joint import PART, JointModel, JointPart
 from miho.models.model import Model
@@ -44,6 +46,7 @@ def fit_joint(
     local: Collection[str] = (),
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
+    constraints: str | Sequence[str] = (),
     method: Optimizer | None = None,
     budget: Budget | None = None,
     seed: int = 0,
@@ -52,7 +55,7 @@ def fit_joint(
 
     `parts` are named. A parameter of one name is the same in all parts; one in `local` is one of
     each part's own, called NAME_PART, whose bounds are those of NAME unless it has its own.
-    `space`, `fixed`, `tied`, `method`, `budget` and `seed` are those of `miho.fit`.
+    `space`, `fixed`, `tied`, `constraints`, `method`, `budget` and `seed` are those of `miho.fit`.
 
     Without sigma each part's is estimated from its own residuals, alternately with the parameters
     (Seber and Wild, Nonlinear Regression, 1989, Ch. 11.1, for independent outputs). Give `sigma` of
@@ -75,7 +78,8 @@ def fit_joint(
     for name in local:
         if not any(name in part.model.parameters for part in members):
             raise ValueError(f"local: {name} is no parameter of any part")
-    bounds = space_of(model, _with_local(space, local, members), None, fixed or {}, tied or {})
+    whole = space_of(model, _with_local(space, local, members), None, fixed or {}, tied or {})
+    bounds = constrained(whole, constraints)
     named = {parameter.name: parameter for parameter in bounds.parameters}
     for k, (member, dataset) in enumerate(zip(members, datasets, strict=True)):
         if isinstance(member.model, FunctionModel):
@@ -172,7 +176,10 @@ def _problem(
     units = {**model.inputs, OUTPUT: model.output, SIGMA: model.output}
     stacked = {name: np.concatenate(values) for name, values in columns.items()}
     dataset = Dataset("joint", stacked, units, OUTPUT)
-    return CurveFit(model, dataset, bounds, sigma=SIGMA, sigma_known=known, compiled=False)
+    mean = float(1 / np.sqrt(np.mean(1 / dataset[SIGMA] ** 2)))
+    return CurveFit(
+        model, dataset, bounds, sigma=SIGMA, sigma_known=known, compiled=False, prior_scale=mean
+    )
 
 
 def _estimated(
@@ -187,14 +194,20 @@ def _estimated(
     sizes = np.array([len(dataset) for dataset in datasets])
     outputs = [dataset[dataset.output] for dataset in datasets]
     sigma = [np.asarray(max(float(np.std(y)), np.finfo(float).tiny)) for y in outputs]
+    plain = without_priors(bounds)
+    if plain != bounds:
+        sigma = _estimated(model, datasets, plain, method, budget, seed)[0]
     problem = _problem(model, datasets, bounds, sigma, known=False)
     fit = searched(problem, method, budget, seed)
     for _ in range(ROUNDS):
         errors = fit.problem.model.predict(fit.theta[None], *fit.problem.inputs)[0]
         errors -= fit.problem.dataset[OUTPUT]
         squares = [part @ part for part in np.split(errors, np.cumsum(sizes)[:-1])]
-        # Each part's share of the parameters is that of its rows.
-        freedom = sizes * max(1 - fit.theta.size / sizes.sum(), np.finfo(float).eps)
+        # Each part's share of the parameters is that of its rows; priors know a part of them.
+        count = fit.theta.size
+        if fit.problem.prior is not None:
+            count = sizes.sum() - linearised(fit.problem, fit.theta).freedom
+        freedom = sizes * max(1 - count / sizes.sum(), np.finfo(float).eps)
         before = np.array(sigma, dtype=float)
         least = 1e-12 * np.array([float(np.abs(y).max(initial=0.0)) for y in outputs])
         now = np.maximum(np.sqrt(np.array(squares) / freedom), np.maximum(least, 1e-300))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 import warnings
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from miho.fitting.descents import Batch, Ends, descend
 from miho.fitting.one_fit import searched
 from miho.fitting.statement import data_of, inputs_of, space_of
+from miho.identification.constraints import constrained
 from miho.identification.curve_fit import CurveFit
 from miho.models.model import Model
 from miho.models.tied import TiedExpression, TiedModel
@@ -43,13 +44,14 @@ def fit_many(
     by: str | None = None,
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
+    constraints: str | Sequence[str] = (),
     seed: int = 0,
 ) -> pd.DataFrame:
     """Fit a model to many datasets; a row for each, at the cost of arithmetic.
 
     The datasets are the groups of a data frame `x` that have one value in the column `by`, with `y`
     the name of a column; or else the rows of `y` (M, N), over columns (N,) or (M, N) in `x`.
-    `model`, `space`, `fixed` and `tied` are those of `miho.fit`.
+    `model`, `space`, `fixed`, `tied` and `constraints` are those of `miho.fit`.
 
     A few datasets are searched whole. The others descend from the best of where those ended, and
     again from where others ended that are worse off; some are then searched whole too.
@@ -63,7 +65,7 @@ def fit_many(
     keys, parts = _parts(x, y, by)
     named = space.names if isinstance(space, Space) else tuple(space)
     first, chosen, _ = data_of(model, *parts[0], None, {*named, *(fixed or ()), *(tied or ())})
-    bounds = space_of(chosen, space, None, fixed or {}, tied or {})
+    bounds = constrained(space_of(chosen, space, None, fixed or {}, tied or {}), constraints)
     problem = CurveFit(chosen, first, bounds, compiled=False)
     columns = [list(inputs_of(chosen, columns).values()) for columns, _ in parts]
     outputs = [output_of(*part) for part in parts]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from miho.fitting.statement import data_of, inputs_of, space_of
+from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
@@ -20,6 +21,7 @@ from miho.identification.standing import standing
 from miho.identification.stated import at_limits, stated_parameters, whole_values
 from miho.identification.uncertainty import Linearised, linearised
 from miho.models.model import Model
+from miho.models.tied import TiedExpression, TiedModel
 from miho.models.traced import Remade
 from miho.optim import MIHOGN, Budget, Descents, Optimizer, Space, minimize
 from miho.quantities import Array
@@ -30,6 +32,9 @@ if TYPE_CHECKING:
 
     from miho.identification.report import Report
 
+SETTLED, ROUNDS = 1e-6, 100
+"""The deviation of the errors is estimated until it changes by less than this share, in so many
+rounds at most."""
 GRID = 400
 """Points of a curve that is drawn."""
 
@@ -53,6 +58,7 @@ def fit(
     start: Mapping[str, float] | None = None,
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
+    constraints: str | Sequence[str] = (),
     loss: Loss | None = None,
     method: Optimizer | None = None,
     budget: Budget | None = None,
@@ -68,7 +74,8 @@ def fit(
     data frame of columns by name, and `y` (N,) or the name of one of its columns. `space` gives
     each parameter its bounds: (low, high), a mapping of the settings of `miho.Parameter`, such as
     {"low": 1, "high": 1e6, "scale": "log"}, or a `Parameter`. `fixed` holds parameters at numbers;
-    `tied` at expressions of others, which may be parameters of the space only.
+    `tied` at expressions of others, which may be parameters of the space only. `constraints` are
+    linear: "a < b < c", "a + b = 1", "b - a < 5", or several of them.
 
     `sigma` is the standard deviation of the errors: a number, one for each row (N,), or the name of
     a column of `x`; with `sigma_known` false up to a factor, which the residuals then tell.
@@ -84,19 +91,57 @@ def fit(
     named = space.names if isinstance(space, Space) else tuple(space or ())
     parameters = {*named, *(start or ()), *(fixed or ()), *(tied or ())}
     dataset, chosen, sigma = data_of(model, x, y, sigma, parameters)
-    bounds = space_of(chosen, space, start, fixed or {}, tied or {})
-    rho = Square() if loss is None else loss
-    if compiled is None and start is None:
-        compiled = True
-    problem = CurveFit(
-        chosen, dataset, bounds, rho, compiled=compiled, sigma=sigma, sigma_known=sigma_known
-    )
-    if start is not None:
-        descent = refit(problem, np.array([float(start[name]) for name in problem.space.names]))
-        if not math.isfinite(descent.cost):
-            raise ValueError(f"{problem.name}: is not finite at the start; give another one")
-        return Fit(problem, descent.theta, descent.theta)
-    return searched(problem, method, budget, seed)
+    bounds = constrained(space_of(chosen, space, start, fixed or {}, tied or {}), constraints)
+
+    def solved(bounds: Space, prior_scale: float | None) -> Fit:
+        problem = CurveFit(
+            chosen, dataset, bounds, loss or Square(), sigma=sigma, sigma_known=sigma_known,
+            compiled=start is None if compiled is None else compiled, prior_scale=prior_scale,
+        )  # fmt: skip
+        if start is None:
+            return searched(problem, method, budget, seed)
+        return descended(problem, start)
+
+    known = sigma is not None and sigma_known
+    if known or all(parameter.prior is None for parameter in bounds.parameters):
+        return solved(bounds, None)
+    return settled(bounds, solved)
+
+
+def settled(bounds: Space, solved: Callable[[Space, float | None], Fit]) -> Fit:
+    """The fit beside priors whose weight depends on the errors, which are not known.
+
+    `solved` fits within bounds, with priors that count beside errors of a standard deviation. That
+    is estimated without priors first (Theil and Goldberger, International Economic Review 2, 1961),
+    then from the residuals of the fit, in turn with the fit, with the degrees of freedom that
+    `linearised` takes. Raises ValueError where it is not settled after ROUNDS.
+    """
+    fit = solved(bounds, solved(without_priors(bounds), None).uncertainty.independent.noise)
+    for _ in range(ROUNDS):
+        scale = linearised(fit.problem, fit.theta).noise
+        before = fit.problem.prior_scale or scale
+        if abs(scale - before) <= SETTLED * before:
+            return fit
+        problem = replace(fit.problem, prior_scale=scale)
+        fit = replace(fit, problem=problem, theta=refit(problem, fit.theta).theta)
+    raise ValueError("the errors and what priors count beside them do not settle; give sigma")
+
+
+def without_priors(space: Space) -> Space:
+    """The same bounds, and nothing known besides."""
+    return replace(space, parameters=tuple(replace(p, prior=None) for p in space.parameters))
+
+
+def descended(problem: CurveFit, start: Mapping[str, float]) -> Fit:
+    """The optimum that a descent from a start of every free parameter leads to."""
+    model = problem.model
+    theta = np.array([float(start.get(name, 0.0)) for name in problem.space.names])
+    if isinstance(model, TiedModel | TiedExpression):
+        theta = free_values(problem.space, model.ties, start)
+    descent = refit(problem, theta)
+    if not math.isfinite(descent.cost):
+        raise ValueError(f"{problem.name}: is not finite at the start; give another one")
+    return Fit(problem, descent.theta, descent.theta)
 
 
 def searched(

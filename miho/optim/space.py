@@ -40,6 +40,8 @@ class Parameter:
     a normal distribution, or on the log scale median and standard deviation in natural-log units.
     The bounds truncate it; its mean may lie up to FARTHEST deviations outside of them. Unlike
     `mean` and `std`, which only say where searches start, it counts.
+
+    Results are told of the parameter that this one `stands_for`, which is tied to it and others.
     """
 
     name: str
@@ -54,6 +56,7 @@ class Parameter:
     fixed: float | None = None
     tied: str | None = None
     prior: tuple[float, float] | None = None
+    stands_for: Parameter | None = None
 
     def __post_init__(self) -> None:
         label = f"parameter {self.name!r}"
