@@ -128,16 +128,9 @@ class JointFit(Fit):
             CurveFit(part.model, Dataset(name, columns, units, rows.output), space, compiled=False),
             values, values,
         )  # fmt: skip
-        at = self.uncertainty
-        held = np.array([not np.isfinite(stated[k].standard_error) for k in places])
+        errors = np.array([stated[k].standard_error for k in places])
         vars(fit)["uncertainty"] = replace(
-            at,
-            theta=values,
-            covariance=own @ at.covariance @ own.T,
-            sandwich=own @ at.sandwich @ own.T,
-            at_bound=held,
-            null_directions=at.null_directions @ own.T,
-            unidentifiable=np.array([np.isinf(stated[k].standard_error) for k in places]),
+            self.uncertainty.mapped(values, own, ~np.isfinite(errors), np.isinf(errors)),
             dependence=None,
         )
         return fit

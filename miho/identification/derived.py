@@ -22,11 +22,15 @@ SAME = 0.1
 
 @dataclass(frozen=True)
 class Derived:
-    """A quantity computed from parameter rows (n, d): values (n,), NaN where there is none."""
+    """A quantity computed from parameter rows (n, d): values (n,), NaN where there is none.
+
+    `tied` is the name of the tied parameter that it is, if it is one.
+    """
 
     name: str
     unit: str
     evaluate: Callable[[Array], Array]
+    tied: str = ""
 
 
 def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
@@ -61,7 +65,7 @@ def _tied(model: TiedModel | TiedExpression, dataset: Dataset) -> tuple[Derived,
         tie = ties.ties.get(name)
         if tie is not None:
             label = f"{name} = {tie}" if isinstance(tie, str) else f"{name}, fixed"
-            parameters.append(Derived(label, units[name], parameter(k)))
+            parameters.append(Derived(label, units[name], parameter(k), name))
     return (*parameters, *(of_whole(quantity) for quantity in derived(model.model, dataset)))
 
 

@@ -26,6 +26,7 @@ from miho.identification.design_words import advice, assumptions, table_text
 from miho.identification.exchange import Information, best_groups
 from miho.identification.inverse_root import inverse_root
 from miho.identification.report import Report, rounding_of
+from miho.identification.stated import reported_slopes, reported_space, reported_uncertainty
 from miho.identification.uncertainty import Linearised
 from miho.quantities import Array
 from miho.validate import whole
@@ -251,11 +252,15 @@ def _whitened(
 def _quantities(problem: CurveFit, at: Linearised) -> tuple[pd.DataFrame, Array]:
     """What can be asked for, and its gradients (q, d): free parameters and derived quantities."""
     rows, gradients = [], []
-    for i in np.flatnonzero(~at.at_bound):
-        p = problem.space.parameters[i]
-        rows.append((p.name, "parameter", float(at.theta[i]), p.unit))
-        gradients.append(np.eye(at.theta.size)[i])
+    space, reported = reported_space(problem.space), reported_uncertainty(problem, at)
+    slopes = reported_slopes(problem, at.theta)
+    for i in np.flatnonzero(~reported.at_bound):
+        p = space.parameters[i]
+        rows.append((p.name, "parameter", float(reported.theta[i]), p.unit))
+        gradients.append(slopes[i])
     for quantity in derived(problem.model, problem.dataset):
+        if quantity.tied in space.names:
+            continue
         value, slope = float(quantity.evaluate(at.theta[None])[0]), gradient(quantity, at)
         if np.isfinite(value) and np.isfinite(slope).all() and slope.any():
             rows.append((quantity.name, "derived", value, quantity.unit))

@@ -104,6 +104,35 @@ class Linearised:
         """The same as if rows were independent."""
         return self if self.dependence is None else self.dependence.independent
 
+    def mapped(
+        self,
+        values: Array,
+        slopes: Array,
+        at_bound: NDArray[np.bool_],
+        unidentifiable: NDArray[np.bool_],
+    ) -> Linearised:
+        """The same of functions of the parameters, with these values (q,) and derivatives (q, d).
+
+        `at_bound` (q,) and `unidentifiable` (q,) mark those of them that are.
+        """
+        dependence = self.dependence
+        if dependence is not None:
+            dependence = replace(
+                dependence,
+                sides=slopes @ dependence.sides @ slopes.T,
+                independent=self.independent.mapped(values, slopes, at_bound, unidentifiable),
+            )
+        return replace(
+            self,
+            theta=values,
+            covariance=slopes @ self.covariance @ slopes.T,
+            sandwich=slopes @ self.sandwich @ slopes.T,
+            at_bound=at_bound,
+            null_directions=self.null_directions @ slopes.T,
+            unidentifiable=unidentifiable,
+            dependence=dependence,
+        )
+
     @cached_property
     def standard_errors(self) -> Array:
         """Standard errors (d,): NaN for a parameter at its bound, infinite if unidentifiable."""
@@ -166,7 +195,7 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
     """
     errors, J = _errors_and_slopes(problem, theta)
     # Parameters at a bound are held; the others cost a degree of freedom each.
-    at_bound = _at_bound(problem.space, theta)
+    at_bound = at_bounds(problem.space, theta)
     count = int((~at_bound).sum())
     if errors.size <= count:
         raise ValueError(
@@ -298,7 +327,7 @@ def events_of(dataset: Dataset) -> NDArray[np.intp] | None:
     return np.asarray(index) if events.size >= FEWEST_EVENTS else None
 
 
-def _at_bound(space: Space, theta: Array) -> NDArray[np.bool_]:
+def at_bounds(space: Space, theta: Array) -> NDArray[np.bool_]:
     """Which parameters (d,) are at a bound, in the space's own scales."""
     low, high = space.bounds
     slack = AT_BOUND * (high - low)

@@ -119,7 +119,7 @@ def figures_of(report: Report) -> dict[str, bytes]:
         band = (grid, *report.band(grid))
     profiles = {
         name: (curve.values, curve.tau)
-        for name, curve in zip(problem.space.names, report.profiles, strict=True)
+        for name, curve in zip(report.space.names, report.profiles, strict=True)
         if curve is not None
     }
     figures = {
