@@ -35,6 +35,7 @@ from experiments.app.safety import (
 from experiments.app.schema import Config
 from miho.data import Dataset
 from miho.identification import CurveFit, Loss, linear_optimum
+from miho.identification.constraints import constrained
 from miho.identification.report import irreducible_of
 from miho.models import Model
 from miho.models.expression import Expression
@@ -135,6 +136,8 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
         config["problem"] = {key: setting["problem"][key] for key in ("name", "compressed")}
         if setting["problem"]["sigma"] is not None:
             config["problem"] |= {key: setting["problem"][key] for key in SIGMA}
+        if setting["problem"]["constraints"]:
+            config["problem"]["constraints"] = setting["problem"]["constraints"]
         identity = Identity(
             problem=problem.name,
             optimizer=name,
@@ -184,6 +187,7 @@ def build_problem(cfg: Settings, dataset: Dataset | None = None) -> CurveFit:
     settings = _part(setting, "problem")
     switches = {key: settings[key] for key in ("threads", "compressed", *SIGMA)}
     try:
+        space = constrained(space, settings["constraints"] or ())
         return CurveFit(model, dataset, space, rho, settings["name"], **switches)
     except (TypeError, ValueError) as error:
         raise ConfigError(str(error)) from None
@@ -209,6 +213,7 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
         raise ConfigError(f"{stored.folder}: its data have changed since; identify again")
     try:
         name, space = config["problem"].get("name"), build_space(config["space"])
+        space = constrained(space, config["problem"].get("constraints", ()))
         switches = {key: config["problem"][key] for key in SIGMA if key in config["problem"]}
         switches["compressed"] = config["problem"].get("compressed", False)
         return CurveFit(model, dataset, space, rho, name, **switches)

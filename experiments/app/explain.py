@@ -60,11 +60,19 @@ def parse_overrides(texts: Sequence[str]) -> list[Override]:
 
 
 def replace_spaces(texts: Sequence[str]) -> list[str]:
-    """The overrides with `space={...}` meaning that space and nothing of the chosen one."""
+    """The overrides with `space={...}` meaning that space and nothing of the chosen one, and with
+    `+space.NAME=...` as what adds to the chosen one."""
     whole: list[str] = []
     for text, override in zip(texts, parse_overrides(texts), strict=True):
-        replaces = override.key_or_group == "space" and isinstance(override.value(), dict)
-        whole += ["~space", f"+{text.lstrip('+')}"] if replaces else [text]
+        key, _, value = text.partition("=")
+        if override.key_or_group == "space" and isinstance(override.value(), dict):
+            whole += ["~space", f"+{text.lstrip('+')}"]
+        elif override.is_add() and key.startswith("+space."):
+            for name in reversed(key.split(".")[1:]):
+                value = f"{{{name}: {value}}}"
+            whole.append(f"+space={value}")
+        else:
+            whole.append(text)
     return whole
 
 
@@ -102,11 +110,6 @@ def composition_message(
         values = [o.value() for o in overrides if o.key_or_group == cause.full_key]
         if expected and values:
             return f"{cause.full_key}: is {values[-1]!r}; expected {expected}"
-    added = [o.key_or_group for o in overrides if o.is_add() and o.key_or_group[:6] == "space."]
-    if isinstance(cause, ValidationError) and added:
-        name = added[0].split(".")[1]
-        whole = f"'space={{{name}: {{unit: ..., low: ..., high: ...}}, ...}}'"
-        return f"{added[0]}: a parameter cannot be added alone; write the whole space, {whole}"
     message = one_line(error)
     if isinstance(cause, OmegaConfBaseException):
         message += f": {one_line(cause)}"

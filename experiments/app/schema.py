@@ -30,7 +30,7 @@ class ParameterConfig:
     sigma_min: float = 0.0
     fixed: float | None = None
     tied: str | None = None
-    prior: list[float] | None = None
+    prior: Any = None
     scaled: dict[str, Any] | None = None
 
 
@@ -55,6 +55,7 @@ class ProblemConfig:
     those of `miho.CurveFit`: they make losses faster, which methods that work with residuals
     (`miho_gn`, least squares) do not ask for. `sigma` is the standard deviation of the errors, a
     number or a column of the dataset, known as it is or up to a factor (`sigma_known`).
+    `constraints` between parameters are linear, such as ['a < b', 'a + b = 1'].
     """
 
     name: str | None = None
@@ -66,6 +67,7 @@ class ProblemConfig:
     threads: int = 1
     sigma: Any = None
     sigma_known: bool = True
+    constraints: Any = None
 
 
 @dataclass

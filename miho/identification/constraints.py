@@ -22,6 +22,7 @@ from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 
 RELATION = re.compile(r"(<=|>=|==|<|>|=)")
+EXAMPLE = "give such as 'a < b < c', 'a + b = 1' or 'b - a < 5'"
 THIN = 1e-9
 """A set that is narrower than this share of the box in some direction is empty; a row that cuts
 less than this off it is superfluous."""
@@ -65,6 +66,8 @@ def constrained(space: Space, constraints: str | Sequence[str]) -> Space:
     tied to a free share behind it, which stands for it; the last one of an equation is tied to the
     others. Raises ValueError for what is not linear, names no parameter, or leaves nothing.
     """
+    if not isinstance(constraints, str | Sequence):
+        raise ValueError(f"constraints: {constraints!r} is none; {EXAMPLE}")
     texts = [constraints] if isinstance(constraints, str) else list(constraints)
     stated = [constraint for text in texts for constraint in _stated(space, text)]
     if not stated:
@@ -111,10 +114,8 @@ def free_values(space: Space, ties: Ties, values: Mapping[str, float]) -> Array:
 def _stated(space: Space, text: str) -> list[Constraint]:
     """The constraints of one chain."""
     parts = RELATION.split(text) if isinstance(text, str) else []
-    if len(parts) < 3:
-        raise ValueError(
-            f"constraints: {text!r} is none; give such as 'a < b < c', 'a + b = 1' or 'b - a < 5'"
-        )
+    if len(parts) < 3 or not all(part.strip() for part in parts):
+        raise ValueError(f"constraints: {text!r} is none; {EXAMPLE}")
     forms = [_form(space, part.strip()) for part in parts[::2]]
     stated = []
     for left, relation, right in zip(forms, parts[1::2], forms[1:], strict=False):

@@ -24,6 +24,8 @@ HALVINGS = 30
 """Steps at most of the root finding between a point inside and one outside: enough for a jump."""
 CLOSE = 0.005
 """The search for an end stops when the signed root is within this of the quantile."""
+INSIDE = 1e-2
+"""Parameters at a bound are refitted from this share of their range inside of it too."""
 PINNED = 1e3
 """A tied parameter is held at a value by a residual of so many deviations of the errors for each of
 its standard errors: it gives way by tau / PINNED^2 of them, and (tau / PINNED)^2 is added to tau^2.
@@ -50,7 +52,8 @@ class Profile:
 class _Target(NamedTuple):
     """What is profiled: the free parameter at a position, or the tied one of a name.
 
-    `gradient` (d,) are its derivatives with respect to the free ones, `low` and `high` its range.
+    `gradient` (d,) are its derivatives with respect to the free ones, `low` and `high` its range,
+    which are limits to the interval as well if `limited`.
     """
 
     name: str
@@ -59,6 +62,7 @@ class _Target(NamedTuple):
     gradient: Array
     low: float
     high: float
+    limited: bool = False
 
 
 def _target(problem: CurveFit, at: Linearised, of: int | str) -> _Target:
@@ -74,7 +78,8 @@ def _target(problem: CurveFit, at: Linearised, of: int | str) -> _Target:
     for p in reported_space(space).parameters:
         if p.name == of:
             low, high = p.low, p.high
-    return _Target(of, None, centre, ties.value_slopes(at.theta[None])[0, place], low, high)
+    slopes = ties.value_slopes(at.theta[None])[0, place]
+    return _Target(of, None, centre, slopes, low, high, limited=of in ties.limits)
 
 
 def likelihood_profile(
@@ -99,14 +104,14 @@ def likelihood_profile(
     tau = _SignedRoot(problem, at, target, level, deadline)
     # First to the ends of independent rows: where a poor optimum makes neighbours alike, a better
     # one may lie between. From there to those of rows that depend on each other.
-    first = at.independent.quantile(level) / _widening(at, target.gradient, level)
-    step = at.independent.quantile(level) * _spread(at.independent, target.gradient)
+    first = at.independent.quantile(level) / _widening(at, target, level)
+    step = at.independent.quantile(level) * _error(at.independent, target)
     ends = []
     for sign, bound in ((-1, target.low), (1, target.high)):
         end = _end(tau, sign, bound, first, step, tau.centre)
         if np.isfinite(end) and quantile > first + CLOSE:
             end = _end(tau, sign, bound, quantile, step * (quantile / first - 1), end)
-        ends.append(end)
+        ends.append(bound if np.isinf(end) and target.limited else end)
     values = np.array(sorted(tau.points))
     low, high = ends
     return Profile(values, np.array([tau.points[v][0] for v in values]), low, high, tau.best)
@@ -136,11 +141,15 @@ class _SignedRoot:
         variance = float(psi @ psi / at.independent.freedom / stiffness.mean())
         if at.noise_known or problem.prior is not None:
             variance = at.noise**2
-        self._unit = variance * _widening(at, target.gradient, level) ** 2
+        self._unit = variance * _widening(at, target, level) ** 2
         self._direction = _conditional_direction(at, target.gradient)
-        self._weight = PINNED * np.sqrt(variance) / _spread(at.independent, target.gradient)
+        self._weight = PINNED * float(np.sqrt(variance) / _error(at.independent, target))
         # Along directions that the data do not see a refit would take many steps, in vain.
         self._fixed = {*_superfluous(at), *([] if target.position is None else [target.position])}
+        space, self._at_bound = problem.space, at.at_bound
+        low, high = space.bounds
+        share = (space.encode(at.theta) - low) / (high - low)
+        self._inside = space.decode(low + (high - low) * np.clip(share, INSIDE, 1 - INSIDE))
         self.centre = target.centre
         self.points = {self.centre: (0.0, at.theta)}
         self.best = Refit(at.theta, self._cost)
@@ -154,6 +163,9 @@ class _SignedRoot:
             fit = self._refit(near + self._direction * (value - nearest), value)
             if not np.isfinite(fit.cost):  # ... or unmoved, if the guess is behind a wall
                 fit = self._refit(near.copy(), value)
+            if self._at_bound.any():  # which a descent hardly leaves that starts there
+                inside = self._refit(np.where(self._at_bound, self._inside, fit.theta), value)
+                fit = min(fit, inside, key=lambda refit: refit.cost)
             if self._deadline is not None:
                 self._deadline.check()
             self.best = min(self.best, fit, key=lambda refit: refit.cost)
@@ -215,18 +227,19 @@ def _end(
     return float(solution.x)
 
 
-def _spread(at: Linearised, gradient: Array) -> float:
-    """The standard error of a quantity with this gradient (d,)."""
-    return float(np.sqrt(gradient @ at.covariance @ gradient))
+def _error(at: Linearised, target: _Target) -> float:
+    """The standard error of what is profiled."""
+    if target.position is not None:
+        return float(at.standard_errors[target.position])
+    return float(at.spread(target.gradient[None])[0])
 
 
-def _widening(at: Linearised, gradient: Array, level: float) -> float:
+def _widening(at: Linearised, target: _Target, level: float) -> float:
     """How many times wider than for independent rows a profile is, for tau up to `at.quantile`."""
     if at.dependence is None:
         return 1.0
-    quantile = float(at.quantiles(gradient[None], level)[0])
-    errors, independent = _spread(at, gradient), _spread(at.independent, gradient)
-    return quantile / at.quantile(level) * (errors / independent)
+    quantile = float(at.quantiles(target.gradient[None], level)[0])
+    return quantile / at.quantile(level) * (_error(at, target) / _error(at.independent, target))
 
 
 def _superfluous(at: Linearised) -> list[int]:

@@ -146,7 +146,8 @@ def at_limits(problem: CurveFit, theta: Array) -> list[str]:
         return []
     values = whole_values(problem, theta)
     sentences = [
-        f"{name} ends at its limit {end:g}, so the errors of what it is tied to are no optimum's"
+        f"{name} ends at its limit {end:g}, so the errors of what it is tied to are no optimum's; "
+        "profile intervals follow the limit"
         for name, ends in model.ties.limits.items()
         for end in ends
         if np.isfinite(end) and abs(values[name] - end) <= NEAR * max(abs(end), _width(ends))
@@ -155,7 +156,7 @@ def at_limits(problem: CurveFit, theta: Array) -> list[str]:
     own = at_bounds(reported_space(problem.space), reported_values(problem, theta[None])[0])
     return sentences + [
         f"{name} ends where the constraints hold it, {values[name]:.6g}, so its error and those of "
-        "what it is held by are no optimum's"
+        "what holds it are no optimum's; profile intervals follow the constraints"
         for k, name in _swapped(problem.space).items()
         if free[k] and not own[k]
     ]

@@ -139,7 +139,8 @@ def figures_of(report: Report) -> dict[str, bytes]:
         )
     if profiles:
         quantile = report.at.quantile(report.level)
-        figures["profiles"] = profile_figure(profiles, model.parameters, quantile)
+        units = {parameter.name: parameter.unit for parameter in report.space.parameters}
+        figures["profiles"] = profile_figure(profiles, units, quantile)
     return {name: png(figure) for name, figure in figures.items()}
 
 
