@@ -80,6 +80,8 @@ def check_sigma(problem: CurveFit) -> None:
     if not isinstance(sigma, str):
         if isinstance(sigma, bool) or not isinstance(sigma, int | float) or not 0 < sigma < np.inf:
             raise ValueError(f"sigma is {sigma!r}; expected a number above 0, or a column's name")
+        if not SMALLEST < sigma < LARGEST:
+            raise ValueError(f"sigma is {sigma!r}; expected {SMALLEST:g} to {LARGEST:g}")
         return
     column, dataset = problem.dataset[sigma], problem.dataset
     if sigma in problem.model.inputs or sigma == dataset.output:
@@ -94,6 +96,12 @@ def check_sigma(problem: CurveFit) -> None:
         raise ValueError(
             f"sigma: column {sigma!r} is {column[wrong[0]]:g} in row {wrong[0] + 1} of "
             f"{dataset.name}; expected numbers above 0"
+        )
+    beyond = np.flatnonzero((column < SMALLEST) | (column > LARGEST))
+    if beyond.size:
+        raise ValueError(
+            f"sigma: column {sigma!r} is {column[beyond[0]]:g} in row {beyond[0] + 1} of "
+            f"{dataset.name}; expected {SMALLEST:g} to {LARGEST:g}"
         )
 
 
