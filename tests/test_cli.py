@@ -190,11 +190,11 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "no values": (["-m", "seed=range(0)"], "seed=range(0): has no values, so there is nothing to"),
     "no override": (["my.csv"], "my.csv: is no setting; write KEY=VALUE"),
     "no option": (["--seed", "3"], "--seed: is no option; settings have no dashes"),
-    "a parameter added to none": (
-        ["~space", "+space.a={unit: V, low: 1, high: 3}"],
-        "space.a: a parameter cannot be added alone; write the whole space, "
-        "'space={a: {unit: ..., low: ..., high: ...}, ...}'",
+    "a parameter added for nothing": (
+        ["+space.a={unit: V, low: 1, high: 3}"],
+        "needs the parameters B, C, D, Sx, Sy; the space has a besides",
     ),
+    "a parameter added in part": (["+space.a.low=1"], "space.a.unit: is missing"),
     "nothing for a choice": (["space=null"], "space=null: is no choice; ~space leaves it out"),
     "a number for a choice": (["budget=5"], "budget=5: is unknown; allowed are default"),
     "a shell's brackets": (
@@ -235,6 +235,21 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "a sigma below 0": (["problem.sigma=-1"], "sigma is -1; expected a number above 0"),
     "a prior without sigma": (["space.B.prior=[10, 1]"], "space.B.prior: how much it counts"),
     "half a prior": (["space.B.prior=[10]", "problem.sigma=1"], "expected mean and standard devi"),
+    "a prior that is no number": (
+        ["space.B.prior=[10, x]", "problem.sigma=1"],
+        "prior is [10, 'x']; expected mean and standard deviation",
+    ),
+    "a prior that is a word": (["space.B.prior=x", "problem.sigma=1"], "prior is 'x'; expected"),
+    "a prior far away": (
+        ["space.B.prior=[-100, 1]", "problem.sigma=1"],
+        "prior is (-100.0, 1.0), 100 deviations outside of 0 to 200",
+    ),
+    "a constraint that nothing keeps": (
+        ["problem.constraints=['B < -1']"],
+        "B < -1 leaves nothing of B from 0 to 200",
+    ),
+    "a constraint of others": (["problem.constraints=['B < Q']"], "'Q' has no parameter Q"),
+    "a number for a constraint": (["problem.constraints=5"], "constraints: 5 is none; give such"),
     "no such folder": (["--config-dir", "no/such"], "--config-dir: no/such is not a folder"),
     "a bad value in a sweep": (["-m", "dataset.n=10,0"], "at least one sample"),
     "a .tir without a coefficient": (missing_coefficient, "PKY1"),

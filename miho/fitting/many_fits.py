@@ -153,7 +153,8 @@ def _table(problem: CurveFit, batch: Batch, ends: Ends, index: pd.Index) -> pd.D
     unknown = np.isnan(np.diagonal(covariance, axis1=1, axis2=2))
     names, values, model = problem.space.names, ends.thetas, problem.model
     if isinstance(model, TiedModel | TiedExpression):
-        extra = [k for k, name in enumerate(names) if name not in model.ties.names]
+        own = [*model.ties.names, *(p.name for p in problem.space.parameters if p.stands_for)]
+        extra = [k for k, name in enumerate(names) if name not in own]
         slopes = np.broadcast_to(np.eye(len(names))[extra], (len(values), len(extra), len(names)))
         slopes = np.concatenate([model.ties.value_slopes(values), slopes], axis=1)
         values = np.concatenate([model.ties.values(values), values[:, extra]], axis=1)
