@@ -242,7 +242,7 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "a prior that is a word": (["space.B.prior=x", "problem.sigma=1"], "prior is 'x'; expected"),
     "a prior far away": (
         ["space.B.prior=[-100, 1]", "problem.sigma=1"],
-        "prior is (-100.0, 1.0), 100 deviations outside of 0 to 200",
+        "prior is [-100, 1], 100 deviations outside of 0 to 200",
     ),
     "a constraint that nothing keeps": (
         ["problem.constraints=['B < -1']"],

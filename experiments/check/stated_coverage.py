@@ -90,7 +90,7 @@ CASES: dict[str, Callable[[np.random.Generator], tuple[Fit, Truth]]] = {
     "tied": tied,
     "ordered": ordered,
     "sigma": sigma,
-    "prior, sigma stated": lambda rng: prior(rng, stated=True),
+    "prior": lambda rng: prior(rng, stated=True),
     "prior, sigma estimated": lambda rng: prior(rng, stated=False),
     "two sets, sigma stated": lambda rng: joint(rng, stated=True),
     "two sets, sigma estimated": lambda rng: joint(rng, stated=False),

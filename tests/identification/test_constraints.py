@@ -172,7 +172,7 @@ def test_profiles_follow_an_order_that_holds_parameters_back(seed: int) -> None:
         best = max(best, value) if k == 0 else min(best, value)
         return float(np.sum((y - value * own - best * other) ** 2))
 
-    grid = np.linspace(0.4, 0.6, 20001)
+    grid = np.linspace(0.4, 0.6, 4001)
     report = fit.report()
     held = int(fit.uncertainty.at_bound.sum())
     assert held == (1 if seed == 1 else 0)
@@ -184,7 +184,7 @@ def test_profiles_follow_an_order_that_holds_parameters_back(seed: int) -> None:
         allowed = costs.min() * (1 + student.ppf(0.975, freedom) ** 2 / freedom)
         inside = grid[costs <= allowed]
         ends = [row["profile low"], row["profile high"]]
-        assert ends == pytest.approx([inside[0], inside[-1]], abs=1e-4)
+        assert ends == pytest.approx([inside[0], inside[-1]], abs=1.5e-4)
 
 
 def test_joint_and_many_fits_take_constraints() -> None:
