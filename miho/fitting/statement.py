@@ -142,7 +142,10 @@ def space_of(
     for label, part in (("start", start or {}), ("fixed", fixed), ("tied", tied)):
         for name in part:
             if name not in names:
-                raise ValueError(f"{label}: {name} is no parameter; choose from {', '.join(names)}")
+                added = ", or add it to the bounds, as a quantity" * (label == "tied")
+                raise ValueError(
+                    f"{label}: {name} is no parameter; choose from {', '.join(names)}{added}"
+                )
     parameters = []
     for name in names:
         unit = model.parameters.get(name, "")
