@@ -116,9 +116,13 @@ def settled(bounds: Space, solved: Callable[[Space, float | None], Fit]) -> Fit:
     then from the residuals of the fit, in turn with the fit, with the degrees of freedom that
     `linearised` takes. Raises ValueError where it is not settled after ROUNDS.
     """
-    fit = solved(bounds, solved(without_priors(bounds), None).uncertainty.independent.noise)
+
+    def noise(fit: Fit) -> float:
+        return max(linearised(fit.problem, fit.theta).noise, math.sqrt(fit.problem.rounding))
+
+    fit = solved(bounds, noise(solved(without_priors(bounds), None)))
     for _ in range(ROUNDS):
-        scale = linearised(fit.problem, fit.theta).noise
+        scale = noise(fit)
         before = fit.problem.prior_scale or scale
         if abs(scale - before) <= SETTLED * before:
             return fit

@@ -139,6 +139,12 @@ def test_beside_priors_errors_are_estimated_from_what_the_data_determine(sigma: 
     assert (row["profile high"] - row["profile low"]) / 2 == pytest.approx(half[1], rel=3e-3)
 
 
+def test_beside_data_without_errors_a_prior_counts_nothing() -> None:
+    space = {"a": (0, 5), "b": {"low": 0, "high": 5, "prior": (1.4, 0.1)}}
+    fit = miho.fit(decay, t, decay(t, 2.0, 1.5), space, compiled=False)
+    assert list(fit.values.values()) == pytest.approx([2.0, 1.5], rel=1e-9)
+
+
 def test_data_that_contradict_a_prior_are_named() -> None:
     y = 1 + 2 * t + SIGMA * rng.standard_normal(40)
     for mean, contradict in ((2.0, False), (3.0, True)):
