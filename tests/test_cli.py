@@ -20,7 +20,9 @@ from scipy.signal import lsim
 from experiments import compare as comparing
 from experiments import figures
 from experiments import identify as identifying
+from experiments.app.build import rebuild
 from miho import load_runs
+from miho.study.store import read_run
 from tests.faults.misbehaviour import MODEL
 
 ROOT = Path(__file__).parent.parent
@@ -333,6 +335,33 @@ def test_what_a_model_raises_by_itself_is_a_failure(
     assert deed.split()[1].partition("(")[0] in line
     assert "model.py:" in line
     assert "Traceback" not in err
+
+
+def test_constraints_and_quantities_are_stored_and_reported(
+    identify: Command, own: Path, tmp_path: Path
+) -> None:
+    """a is 2 and b 1.5, so the order holds and the results are those without it."""
+    chosen = ["--config-dir", str(own), "experiment=mine", f"root={tmp_path / 'runs'}"]
+    code, plain, err = identify(*chosen)
+    assert code == 0, err
+    added = ["problem.constraints='b < a'", '+space.K={unit: V/s, tied: "a * b"}']
+    code, out, err = identify(*chosen, *added)
+    assert code == 0, err
+
+    def rows(text: str) -> list[list[str]]:
+        return [
+            line.split()[:3] for line in text.splitlines() if line.split()[:1] in (["a"], ["b"])
+        ]
+
+    assert rows(out) == rows(plain)
+    assert len(rows(out)) == 2
+    assert "K = a * b" in out
+    assert identify(*chosen, *added)[1].count("done before") == 1
+    runs = list((tmp_path / "runs" / "decay-my" / "miho_gn").iterdir())
+    assert len(runs) == 2
+    for run in runs:
+        problem = rebuild(read_run(run), trusted=True)
+        assert problem.space.names in (("a", "b"), ("a", "b_share"))
 
 
 def test_a_folder_of_further_options(identify: Command, own: Path, tmp_path: Path) -> None:
