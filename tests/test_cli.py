@@ -20,7 +20,9 @@ from scipy.signal import lsim
 from experiments import compare as comparing
 from experiments import figures
 from experiments import identify as identifying
+from experiments.app.build import rebuild
 from miho import load_runs
+from miho.study.store import read_run
 from tests.faults.misbehaviour import MODEL
 
 ROOT = Path(__file__).parent.parent
@@ -190,10 +192,11 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "no values": (["-m", "seed=range(0)"], "seed=range(0): has no values, so there is nothing to"),
     "no override": (["my.csv"], "my.csv: is no setting; write KEY=VALUE"),
     "no option": (["--seed", "3"], "--seed: is no option; settings have no dashes"),
-    "a parameter added that the model lacks": (
+    "a parameter added for nothing": (
         ["+space.a={unit: V, low: 1, high: 3}"],
-        "the space has a besides; choose the model's own space",
+        "needs the parameters B, C, D, Sx, Sy; the space has a besides",
     ),
+    "a parameter added in part": (["+space.a.low=1"], "space.a.unit: is missing"),
     "nothing for a choice": (["space=null"], "space=null: is no choice; ~space leaves it out"),
     "a number for a choice": (["budget=5"], "budget=5: is unknown; allowed are default"),
     "a shell's brackets": (
@@ -234,6 +237,21 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     "a sigma below 0": (["problem.sigma=-1"], "sigma is -1; expected a number above 0"),
     "a prior without sigma": (["space.B.prior=[10, 1]"], "space.B.prior: how much it counts"),
     "half a prior": (["space.B.prior=[10]", "problem.sigma=1"], "expected mean and standard devi"),
+    "a prior that is no number": (
+        ["space.B.prior=[10, x]", "problem.sigma=1"],
+        "prior is [10, 'x']; expected mean and standard deviation",
+    ),
+    "a prior that is a word": (["space.B.prior=x", "problem.sigma=1"], "prior is 'x'; expected"),
+    "a prior far away": (
+        ["space.B.prior=[-100, 1]", "problem.sigma=1"],
+        "prior is [-100, 1], 100 deviations outside of 0 to 200",
+    ),
+    "a constraint that nothing keeps": (
+        ["problem.constraints=['B < -1']"],
+        "B < -1 leaves nothing of B from 0 to 200",
+    ),
+    "a constraint of others": (["problem.constraints=['B < Q']"], "'Q' has no parameter Q"),
+    "a number for a constraint": (["problem.constraints=5"], "constraints: 5 is none; give such"),
     "no such folder": (["--config-dir", "no/such"], "--config-dir: no/such is not a folder"),
     "a bad value in a sweep": (["-m", "dataset.n=10,0"], "at least one sample"),
     "a .tir without a coefficient": (missing_coefficient, "PKY1"),
@@ -317,6 +335,33 @@ def test_what_a_model_raises_by_itself_is_a_failure(
     assert deed.split()[1].partition("(")[0] in line
     assert "model.py:" in line
     assert "Traceback" not in err
+
+
+def test_constraints_and_quantities_are_stored_and_reported(
+    identify: Command, own: Path, tmp_path: Path
+) -> None:
+    """a is 2 and b 1.5, so the order holds and the results are those without it."""
+    chosen = ["--config-dir", str(own), "experiment=mine", f"root={tmp_path / 'runs'}"]
+    code, plain, err = identify(*chosen)
+    assert code == 0, err
+    added = ["problem.constraints='b < a'", '+space.K={unit: V/s, tied: "a * b"}']
+    code, out, err = identify(*chosen, *added)
+    assert code == 0, err
+
+    def rows(text: str) -> list[list[str]]:
+        return [
+            line.split()[:3] for line in text.splitlines() if line.split()[:1] in (["a"], ["b"])
+        ]
+
+    assert rows(out) == rows(plain)
+    assert len(rows(out)) == 2
+    assert "K = a * b" in out
+    assert identify(*chosen, *added)[1].count("done before") == 1
+    runs = list((tmp_path / "runs" / "decay-my" / "miho_gn").iterdir())
+    assert len(runs) == 2
+    for run in runs:
+        problem = rebuild(read_run(run), trusted=True)
+        assert problem.space.names in (("a", "b"), ("a", "b_share"))
 
 
 def test_a_folder_of_further_options(identify: Command, own: Path, tmp_path: Path) -> None:

@@ -176,6 +176,14 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no column": ({"y": "W"}, "y is 'W', which is no column of x"),
     "sigma": ({"sigma": -1.0}, "sigma is -1.0; expected a number above 0"),
     "sigma 0": ({"sigma": np.zeros(60)}, "is 0 in row 1"),
+    "sigma too small": ({"sigma": 1e-200}, "sigma is 1e-200; expected 1e-140 to"),
+    "a row's sigma too small": ({"sigma": np.full(60, 1e-200)}, "is 1e-200 in row 1"),
+    "a table for a column": ({"x": np.ones((60, 2))}, "t has the shape \\(60, 2\\); give a column"),
+    "other labels": (
+        {"x": pd.DataFrame({"t": t}), "y": pd.Series(y, index=range(1, 61))},
+        "x, y and sigma have different row labels; align them",
+    ),
+    "a constraint": ({"constraints": "a < c"}, "'c' has no parameter c; choose from a, b"),
     "columns": ({"x": (t, t)}, "needs the parameters b; the space has a besides|has 2"),
 }
 

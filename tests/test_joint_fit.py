@@ -263,7 +263,7 @@ def test_held_out_rows_and_conditions_of_parts_stay() -> None:
     held = joint.dataset.held_out
     assert held is not None
     assert set(held[PART]) == {1.0}
-    problem = joint.problem({"a": (0, 9), "b": (0, 9)})
+    problem = joint.problem(joint.space({"a": (0, 9), "b": (0, 9)}))
     theta = np.array([2.0, 1.5, 5.0])
     out = replace(problem, dataset=held).errors(theta)
     inside = (t >= 0.5) & (t <= 0.6)

@@ -11,9 +11,9 @@ from __future__ import annotations
 import inspect
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
-from functools import lru_cache, partial
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -38,6 +38,7 @@ from miho.data import Dataset
 from miho.fitting.joint_problem import SIGMA as DEVIATION
 from miho.fitting.joint_problem import Joint, Measured
 from miho.identification import CurveFit, Loss, linear_optimum
+from miho.identification.constraints import constrained
 from miho.identification.report import irreducible_of
 from miho.models import Model
 from miho.models.expression import Expression
@@ -142,6 +143,8 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
             config["problem"] |= {key: setting["problem"][key] for key in SIGMA}
         if setting["problem"]["parts"]:
             config["problem"] |= _joint_settings(setting["problem"], problem)
+        if setting["problem"]["constraints"]:
+            config["problem"]["constraints"] = setting["problem"]["constraints"]
         identity = Identity(
             problem=problem.name,
             optimizer=name,
@@ -184,7 +187,10 @@ def build_problem(cfg: Settings, dataset: Dataset | None = None) -> CurveFit:
     settings = _part(setting, "problem")
     switches = {key: settings[key] for key in ("threads", "compressed")}
     try:
-        return problem_of(space, rho=rho, label=settings["name"], **switches)
+        constraints = settings["constraints"] or ()
+        return problem_of(
+            space, rho=rho, label=settings["name"], constraints=constraints, **switches
+        )
     except (TypeError, ValueError) as error:
         raise ConfigError(str(error)) from None
 
@@ -205,7 +211,11 @@ def _statement(
             "NUMBA_DISABLE_JIT: is set, and the loss of this model is compiled; unset it"
         )
     sigma = {key: settings[key] for key in SIGMA if key in settings}
-    return dataset, partial(CurveFit, model, dataset, **sigma)
+
+    def problem_of(space: Space, constraints: str | Sequence[str], **switches: Any) -> CurveFit:
+        return CurveFit(model, dataset, constrained(space, constraints), **sigma, **switches)
+
+    return dataset, problem_of
 
 
 def _joint(config: Mapping[str, Any]) -> Joint:
@@ -258,7 +268,10 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
     try:
         name, space = config["problem"].get("name"), build_space(config["space"])
         compressed = config["problem"].get("compressed", False)
-        return problem_of(space, rho=rho, label=name, compressed=compressed)
+        constraints = config["problem"].get("constraints") or ()
+        return problem_of(
+            space, rho=rho, label=name, compressed=compressed, constraints=constraints
+        )
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{stored.folder}: {error}") from None
 

@@ -68,7 +68,7 @@ def replace_spaces(texts: Sequence[str]) -> list[str]:
         names = override.key_or_group.split(".")
         if override.key_or_group == "space" and isinstance(override.value(), dict):
             whole += ["~space", f"+{text.lstrip('+')}"]
-        elif override.is_add() and key.startswith("+space."):
+        elif override.is_add() and key.lstrip("+").startswith("space."):
             for name in reversed(key.split(".")[1:]):
                 value = f"{{{name}: {value}}}"
             whole.append(f"+space={value}")

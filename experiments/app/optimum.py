@@ -101,7 +101,10 @@ def remedy(problem: CurveFit, stored: StoredRun, *, checked: bool = False) -> st
         ways.append(f"another method: optimizer={other}")
         ways.append(f"another seed: seed={stored.result['seed'] + 1}")
     ends = zip(problem.space.parameters, stored.result["theta"], strict=True)
-    lowest = sorted(((theta / p.high, p) for p, theta in ends if _wide(p)), key=lambda end: end[0])
+    lowest = sorted(
+        ((theta / p.high, p) for p, theta in ends if p.stands_for is None and _wide(p)),
+        key=lambda end: end[0],
+    )
     log = " ".join(_logarithmic(p) for _, p in lowest[:MOST_HINTS])
     name = problem.space.names[0]
     box = f"a narrower box: space.{name}.low=... space.{name}.high=..."

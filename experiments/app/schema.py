@@ -30,7 +30,7 @@ class ParameterConfig:
     sigma_min: float = 0.0
     fixed: float | None = None
     tied: str | None = None
-    prior: list[float] | None = None
+    prior: Any = None
     scaled: dict[str, Any] | None = None
 
 
@@ -70,7 +70,8 @@ class ProblemConfig:
     number or a column of the dataset, known as it is or up to a factor (`sigma_known`).
 
     `parts` are several datasets or outputs, identified at once: parameters of one name are one, but
-    those in `local`, of which each part has its own, NAME_PART.
+    those in `local`, of which each part has its own, NAME_PART. `constraints` between
+    parameters are linear, such as ['a < b', 'a + b = 1'].
     """
 
     name: str | None = None
@@ -84,6 +85,7 @@ class ProblemConfig:
     sigma_known: bool = True
     parts: dict[str, PartConfig] = field(default_factory=dict)
     local: list[str] = field(default_factory=list)
+    constraints: Any = None
 
 
 @dataclass

@@ -3,11 +3,11 @@
 python -m experiments.check.stated_coverage [--sets 500]   # some minutes
 
 Each data set is a decay of 40 rows with normal noise. `tied`: two terms, the second rate tied to
-the first and a gap, one amplitude fixed. `sigma`: rows of which half have ten times the noise, as
-stated. `prior`: a rate with a log-normal prior, from which each set's truth is drawn. `two sets`
+the first and a gap, one amplitude fixed. `ordered`: the same with the order as a constraint.
+`sigma`: rows of which half have ten times the noise, as stated. `prior`: a rate with a log-normal
+prior, from which each set's truth is drawn, beside noise that is stated or is estimated. `two sets`
 share the rate, with amplitudes of their own and unequal noise, which is stated or is estimated.
-Linearised intervals on all, profile intervals where the parameter is free; the search of `two sets`
-is `fit_joint`'s own, of the others a descent from the truth.
+The search of `two sets` is `fit_joint`'s own, of the others a descent from the truth.
 """
 
 from __future__ import annotations
@@ -51,6 +51,14 @@ def tied(rng: np.random.Generator) -> tuple[Fit, Truth]:
     return fit, truth
 
 
+def ordered(rng: np.random.Generator) -> tuple[Fit, Truth]:
+    """Two rates, the second larger than the first."""
+    truth = {"a": 1.0, "b": 0.7, "d": 3.7}
+    y = two(T, 1.0, 0.7, 2.0, 3.7) + NOISE * rng.standard_normal(T.size)
+    bounds = {"a": (0, 5), "b": (0, 20), "d": (0, 20)}
+    return miho.fit(two, T, y, bounds, start=truth, fixed={"c": 2.0}, constraints="b < d"), truth
+
+
 def sigma(rng: np.random.Generator) -> tuple[Fit, Truth]:
     """Rows of unequal, stated noise."""
     truth = {"a": 2.0, "b": 1.5}
@@ -59,13 +67,13 @@ def sigma(rng: np.random.Generator) -> tuple[Fit, Truth]:
     return miho.fit(decay, T, y, {"a": (0, 9), "b": (0, 9)}, sigma=deviation, start=truth), truth
 
 
-def prior(rng: np.random.Generator) -> tuple[Fit, Truth]:
+def prior(rng: np.random.Generator, stated: bool) -> tuple[Fit, Truth]:
     """A rate that is drawn from its prior."""
     truth = {"a": 2.0, "b": 1.5 * float(np.exp(0.15 * rng.standard_normal()))}
     y = decay(T, **truth) + 4 * NOISE * rng.standard_normal(T.size)
     rate = {"low": 0.01, "high": 50, "scale": "log", "prior": (1.5, 0.15)}
-    fit = miho.fit(decay, T, y, {"a": (0, 9), "b": rate}, sigma=4 * NOISE, start=truth)
-    return fit, truth
+    noise = 4 * NOISE if stated else None
+    return miho.fit(decay, T, y, {"a": (0, 9), "b": rate}, sigma=noise, start=truth), truth
 
 
 def joint(rng: np.random.Generator, stated: bool) -> tuple[Fit, Truth]:
@@ -80,8 +88,10 @@ def joint(rng: np.random.Generator, stated: bool) -> tuple[Fit, Truth]:
 
 CASES: dict[str, Callable[[np.random.Generator], tuple[Fit, Truth]]] = {
     "tied": tied,
+    "ordered": ordered,
     "sigma": sigma,
-    "prior": prior,
+    "prior": lambda rng: prior(rng, stated=True),
+    "prior, sigma estimated": lambda rng: prior(rng, stated=False),
     "two sets, sigma stated": lambda rng: joint(rng, stated=True),
     "two sets, sigma estimated": lambda rng: joint(rng, stated=False),
 }
@@ -93,13 +103,15 @@ def coverage(case: str, sets: int) -> list[dict[str, Any]]:
     for number in tqdm(range(sets), desc=case, disable=None):
         fit, truth = CASES[case](stream("stated", case, number))
         table = fit.parameters
-        profiles = fit.report(profiles=True).parameters.set_index("parameter")
+        report = fit.report(profiles=True)
+        profiles = dict(zip(report.space.names, report.profiles, strict=True))
+        profiles |= report.tied_profiles
         for name, value in truth.items():
             low, high = map(float, table.loc[name, ["low", "high"]])
             hits.setdefault((name, "linearised"), []).append(low <= value <= high)
-            if name in profiles.index:
-                low, high = map(float, profiles.loc[name, ["profile low", "profile high"]])
-                hits.setdefault((name, "profile"), []).append(low <= value <= high)
+            curve = profiles.get(name)
+            if curve is not None:
+                hits.setdefault((name, "profile"), []).append(curve.low <= value <= curve.high)
     rows: dict[str, dict[str, Any]] = {}
     for (name, kind), inside in hits.items():
         share = binomtest(sum(inside), len(inside)).proportion_ci()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -35,6 +35,7 @@ def fit_joint(
     local: Collection[str] = (),
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
+    constraints: str | Sequence[str] = (),
     method: Optimizer | None = None,
     budget: Budget | None = None,
     seed: int = 0,
@@ -44,8 +45,9 @@ def fit_joint(
 
     `parts` are named. A parameter of one name is the same in all parts; one in `local` is one of
     each part's own, called NAME_PART, whose bounds are those of NAME unless it has its own.
-    `space`, `fixed`, `tied`, `method`, `budget` and `seed` are those of `miho.fit`. Where all parts
-    are the same expression, it is compiled from 20,000 rows on, or where `compiled` is true.
+    `space`, `fixed`, `tied`, `constraints`, `method`, `budget` and `seed` are those of `miho.fit`.
+    Where all parts are the same expression, it is compiled from 20,000 rows on, or where `compiled`
+    is true.
 
     A part's sigma that is not given is estimated from its own residuals, see `Joint.estimated`.
     Raises ValueError for what does not fit together.
@@ -55,8 +57,8 @@ def fit_joint(
         dataset, chosen, deviation = data_of(model, x, y, *sigma or [None])
         measured[name] = Measured(chosen, dataset, deviation)
     joint = Joint(measured, local)
-    held = {"fixed": fixed or {}, "tied": tied or {}}
-    fit = joint.estimated(space, method, budget, seed, compiled=compiled, **held)
+    bounds = joint.space(space, fixed, tied, constraints)
+    fit = joint.estimated(bounds, method, budget, seed, compiled=compiled)
     return JointFit(fit.problem, fit.theta, fit.run, fit.descents)
 
 
@@ -87,16 +89,9 @@ class JointFit(Fit):
             CurveFit(part.model, Dataset(name, columns, units, rows.output), space, compiled=False),
             values, values,
         )  # fmt: skip
-        at = self.uncertainty
-        held = np.array([not np.isfinite(stated[k].standard_error) for k in places])
+        errors = np.array([stated[k].standard_error for k in places])
         vars(fit)["uncertainty"] = replace(
-            at,
-            theta=values,
-            covariance=own @ at.covariance @ own.T,
-            sandwich=own @ at.sandwich @ own.T,
-            at_bound=held,
-            null_directions=at.null_directions @ own.T,
-            unidentifiable=np.array([np.isinf(stated[k].standard_error) for k in places]),
+            self.uncertainty.mapped(values, own, ~np.isfinite(errors), np.isinf(errors)),
             dependence=None,
         )
         return fit

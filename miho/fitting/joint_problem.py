@@ -11,12 +11,14 @@ import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.data.stacking import stacked_columns
-from miho.fitting.one_fit import Fit, searched
+from miho.fitting.one_fit import Fit, searched, without_priors
 from miho.fitting.statement import space_of
+from miho.identification.constraints import constrained
 from miho.identification.curve_fit import CurveFit
 from miho.identification.curve_fit_checks import traced_where_alike
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
+from miho.identification.uncertainty import linearised
 from miho.models.function_model import FunctionModel
 from miho.models.joint import PART, JointModel, JointPart, joined, parts_of
 from miho.models.model import Model
@@ -121,13 +123,19 @@ class Joint:
             if (name, unit) in shared and name not in explained
         }
 
-    def problem(self, bounds: Space | Mapping[str, Any], **settings: Any) -> CurveFit:
-        """The problem within `bounds` by name; those of NAME_PART are those of NAME by default.
+    def space(
+        self,
+        bounds: Space | Mapping[str, Any],
+        fixed: Mapping[str, float] | None = None,
+        tied: Mapping[str, str] | None = None,
+        constraints: str | Sequence[str] = (),
+    ) -> Space:
+        """The space of `bounds` by name; those of NAME_PART are those of NAME by default."""
+        whole = space_of(self.model, self._with_local(bounds), None, fixed or {}, tied or {})
+        return constrained(whole, constraints)
 
-        `settings` are those of `CurveFit`, and `fixed` and `tied` of `miho.fit`.
-        """
-        held = [settings.pop(key, {}) for key in ("fixed", "tied")]
-        space = space_of(self.model, self._with_local(bounds), None, *held)
+    def problem(self, space: Space, **settings: Any) -> CurveFit:
+        """The problem within a space of all parameters; `settings` are those of `CurveFit`."""
         return CurveFit(
             self._traced(space), self.dataset, space, sigma=SIGMA, sigma_known=self._known,
             **settings,
@@ -167,7 +175,7 @@ class Joint:
 
     def estimated(
         self,
-        bounds: Space | Mapping[str, Any],
+        space: Space,
         method: Optimizer | None = None,
         budget: Budget | None = None,
         seed: int = 0,
@@ -177,30 +185,52 @@ class Joint:
 
         That is estimated from a part's residuals, alternately with the parameters (Seber and Wild,
         Nonlinear Regression, 1989, Ch. 11.1, for independent outputs), to four digits, so that it
-        is the same on every machine. Raises ValueError where a part has too few rows to tell.
+        is the same on every machine; beside priors without them first. Raises ValueError where a
+        part has too few rows to tell.
         """
         self._check_estimable(settings.get("rho"))
-        joint, fit = self, searched(self.problem(bounds, **settings), method, budget, seed)
-        models = {part.name: part.model for part in parts_of(fit.problem.model)}  # traced once
+        joint = self
+        if self.lacking and without_priors(space) != space:
+            plain = self.estimated(without_priors(space), method, budget, seed, **settings)
+            joint = self._with(self._residual_deviations(plain), parts_of(plain.problem.model))
+        problem = joint.problem(space, **joint._beside_priors(self.lacking), **settings)
+        fit = searched(problem, method, budget, seed)
+        models = parts_of(problem.model)  # traced once
         for _ in range(ROUNDS if self.lacking else 0):
             sigma = self._residual_deviations(fit)
             before = {name: deviations(name, joint.parts[name])[0] for name in sigma}
-            parts = {
-                name: Measured(models[name], part.dataset, sigma.get(name, part.sigma))
-                for name, part in self.parts.items()
-            }
-            joint = Joint(parts, self.local, self._known)
-            problem = joint.problem(bounds, **settings)
+            joint = self._with(sigma, models)
+            problem = joint.problem(space, **joint._beside_priors(self.lacking), **settings)
             fit = replace(fit, problem=problem, theta=refit(problem, fit.theta).theta)
             if all(abs(sigma[name] / before[name] - 1) < SETTLED for name in sigma):
                 break
         return fit
 
-    def complete(self, bounds: Space | Mapping[str, Any], **settings: Any) -> CurveFit:
-        """`problem`, with sigma of all parts."""
+    def _with(self, sigma: Mapping[str, float], models: Sequence[JointPart]) -> Joint:
+        """The same with sigma of the parts that lacked it, and models as they are traced."""
+        parts = {
+            part.name: Measured(part.model, own.dataset, sigma.get(part.name, own.sigma))
+            for part, own in zip(models, self.parts.values(), strict=True)
+        }
+        return Joint(parts, self.local, self._known)
+
+    def _beside_priors(self, lacking: Collection[str]) -> dict[str, float]:
+        """The standard deviation beside which priors count, where that of parts is estimated."""
+        if not lacking:
+            return {}
+        return {"prior_scale": float(1 / np.sqrt(np.mean(1 / self.dataset[SIGMA] ** 2)))}
+
+    def complete(
+        self,
+        bounds: Space | Mapping[str, Any],
+        constraints: str | Sequence[str] = (),
+        **settings: Any,
+    ) -> CurveFit:
+        """The problem within `bounds` by name, with sigma of all parts."""
+        space = self.space(bounds, constraints=constraints)
         if self.lacking:
-            return self.estimated(bounds, **settings).problem
-        return self.problem(bounds, **settings)
+            return self.estimated(space, **settings).problem
+        return self.problem(space, **settings)
 
     def _check_estimable(self, rho: Loss | None) -> None:
         if self.lacking and not isinstance(rho, Square | None):
@@ -217,8 +247,10 @@ class Joint:
         """The standard deviations of the parts that lack sigma, by their residuals."""
         weights, index = fit.problem.weights, self.dataset[PART]
         errors = fit.problem.errors(fit.theta) / (1.0 if weights is None else weights)
-        # Each part's share of the parameters is that of its rows.
-        count = fit.theta.size
+        # Each part's share of the parameters is that of its rows; priors know a part of them.
+        count = float(fit.theta.size)
+        if fit.problem.prior is not None:
+            count = errors.size - linearised(fit.problem, fit.theta).freedom
         freedom = max(1 - count / errors.size, np.finfo(float).eps)
         sigma = {}
         for k, name in enumerate(self.parts):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 import warnings
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,7 @@ import numpy as np
 from miho.fitting.descents import Batch, Ends, descend
 from miho.fitting.one_fit import searched
 from miho.fitting.statement import data_of, inputs_of, space_of
+from miho.identification.constraints import constrained
 from miho.identification.curve_fit import CurveFit
 from miho.models.model import Model
 from miho.models.tied import TiedExpression, TiedModel
@@ -43,13 +44,14 @@ def fit_many(
     by: str | None = None,
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
+    constraints: str | Sequence[str] = (),
     seed: int = 0,
 ) -> pd.DataFrame:
     """Fit a model to many datasets; a row for each, at the cost of arithmetic.
 
     The datasets are the groups of a data frame `x` that have one value in the column `by`, with `y`
     the name of a column; or else the rows of `y` (M, N), over columns (N,) or (M, N) in `x`.
-    `model`, `space`, `fixed` and `tied` are those of `miho.fit`.
+    `model`, `space`, `fixed`, `tied` and `constraints` are those of `miho.fit`.
 
     A few datasets are searched whole. The others descend from the best of where those ended, and
     again from where others ended that are worse off; some are then searched whole too.
@@ -63,7 +65,7 @@ def fit_many(
     keys, parts = _parts(x, y, by)
     named = space.names if isinstance(space, Space) else tuple(space)
     first, chosen, _ = data_of(model, *parts[0], None, {*named, *(fixed or ()), *(tied or ())})
-    bounds = space_of(chosen, space, None, fixed or {}, tied or {})
+    bounds = constrained(space_of(chosen, space, None, fixed or {}, tied or {}), constraints)
     problem = CurveFit(chosen, first, bounds, compiled=False)
     columns = [list(inputs_of(chosen, columns).values()) for columns, _ in parts]
     outputs = [output_of(*part) for part in parts]
@@ -151,13 +153,14 @@ def _table(problem: CurveFit, batch: Batch, ends: Ends, index: pd.Index) -> pd.D
     unknown = np.isnan(np.diagonal(covariance, axis1=1, axis2=2))
     names, values, model = problem.space.names, ends.thetas, problem.model
     if isinstance(model, TiedModel | TiedExpression):
-        extra = [k for k, name in enumerate(names) if name not in model.ties.parameters]
+        own = [*model.ties.names, *(p.name for p in problem.space.parameters if p.stands_for)]
+        extra = [k for k, name in enumerate(names) if name not in own]
         slopes = np.broadcast_to(np.eye(len(names))[extra], (len(values), len(extra), len(names)))
-        slopes = np.concatenate([model.ties.whole_slopes(values), slopes], axis=1)
-        values = np.concatenate([model.ties.whole(values), values[:, extra]], axis=1)
+        slopes = np.concatenate([model.ties.value_slopes(values), slopes], axis=1)
+        values = np.concatenate([model.ties.values(values), values[:, extra]], axis=1)
         covariance = slopes @ np.nan_to_num(covariance) @ slopes.transpose(0, 2, 1)
         unknown = ((slopes != 0) & unknown[:, None, :]).any(axis=2)
-        names = (*model.ties.parameters, *(names[k] for k in extra))
+        names = (*model.ties.names, *(names[k] for k in extra))
     errors = np.where(unknown, np.nan, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)))
     columns: dict[str, Any] = {}
     for k, name in enumerate(names):

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 import os
 import sys
-from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from miho.fitting.statement import Tire, data_of, inputs_of, of_tire, space_of
+from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
@@ -22,7 +23,7 @@ from miho.identification.stated import at_limits, stated_parameters, whole_value
 from miho.identification.uncertainty import Linearised, linearised
 from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
-from miho.models.tied import whole_model
+from miho.models.tied import TiedExpression, TiedModel, whole_model
 from miho.models.tire_formula import TireFormula
 from miho.models.traced import Remade
 from miho.optim import MIHOGN, Budget, Descents, Optimizer, Space, minimize
@@ -34,6 +35,9 @@ if TYPE_CHECKING:
 
     from miho.identification.report import Report
 
+SETTLED, ROUNDS = 1e-6, 100
+"""The deviation of the errors is estimated until it changes by less than this share, in so many
+rounds at most."""
 GRID = 400
 """Points of a curve that is drawn."""
 
@@ -57,6 +61,7 @@ def fit(
     start: Mapping[str, float] | None = None,
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
+    constraints: str | Sequence[str] = (),
     loss: Loss | None = None,
     method: Optimizer | None = None,
     budget: Budget | None = None,
@@ -72,7 +77,8 @@ def fit(
     data frame of columns by name, and `y` (N,) or the name of one of its columns. `space` gives
     each parameter its bounds: (low, high), a mapping of the settings of `miho.Parameter`, such as
     {"low": 1, "high": 1e6, "scale": "log"}, or a `Parameter`. `fixed` holds parameters at numbers;
-    `tied` at expressions of others, which may be parameters of the space only.
+    `tied` at expressions of others, which may be parameters of the space only. `constraints` are
+    linear: "a < b < c", "a + b = 1", "b - a < 5", or several of them.
 
     `sigma` is the standard deviation of the errors: a number, one for each row (N,), or the name of
     a column of `x`; with `sigma_known` false up to a factor, which the residuals then tell.
@@ -96,19 +102,63 @@ def fit(
     named = space.names if isinstance(space, Space) else tuple(space or ())
     parameters = {*named, *(start or ()), *(fixed or ()), *(tied or ())}
     dataset, chosen, sigma = data_of(model, x, y, sigma, parameters)
-    bounds = space_of(chosen, space, start, fixed or {}, tied or {})
-    rho = Square() if loss is None else loss
-    if compiled is None and start is None and not isinstance(model, TireFormula):
-        compiled = True
-    problem = CurveFit(
-        chosen, dataset, bounds, rho, compiled=compiled, sigma=sigma, sigma_known=sigma_known
-    )
-    if start is not None:
-        descent = refit(problem, np.array([float(start[name]) for name in problem.space.names]))
-        if not math.isfinite(descent.cost):
-            raise ValueError(f"{problem.name}: is not finite at the start; give another one")
-        return Fit(problem, descent.theta, descent.theta)
-    return searched(problem, method, budget, seed)
+    if compiled is None:
+        compiled = start is None and not isinstance(model, TireFormula)
+    bounds = constrained(space_of(chosen, space, start, fixed or {}, tied or {}), constraints)
+
+    def solved(bounds: Space, prior_scale: float | None) -> Fit:
+        problem = CurveFit(
+            chosen, dataset, bounds, loss or Square(), sigma=sigma, sigma_known=sigma_known,
+            compiled=compiled, prior_scale=prior_scale,
+        )  # fmt: skip
+        if start is None:
+            return searched(problem, method, budget, seed)
+        return descended(problem, start)
+
+    known = sigma is not None and sigma_known
+    if known or all(parameter.prior is None for parameter in bounds.parameters):
+        return solved(bounds, None)
+    return settled(bounds, solved)
+
+
+def settled(bounds: Space, solved: Callable[[Space, float | None], Fit]) -> Fit:
+    """The fit beside priors whose weight depends on the errors, which are not known.
+
+    `solved` fits within bounds, with priors that count beside errors of a standard deviation. That
+    is estimated without priors first (Theil and Goldberger, International Economic Review 2, 1961),
+    then from the residuals of the fit, in turn with the fit, with the degrees of freedom that
+    `linearised` takes. Raises ValueError where it is not settled after ROUNDS.
+    """
+
+    def noise(fit: Fit) -> float:
+        return max(linearised(fit.problem, fit.theta).noise, math.sqrt(fit.problem.rounding))
+
+    fit = solved(bounds, noise(solved(without_priors(bounds), None)))
+    for _ in range(ROUNDS):
+        scale = noise(fit)
+        before = fit.problem.prior_scale or scale
+        if abs(scale - before) <= SETTLED * before:
+            return fit
+        problem = replace(fit.problem, prior_scale=scale)
+        fit = replace(fit, problem=problem, theta=refit(problem, fit.theta).theta)
+    raise ValueError("the errors and what priors count beside them do not settle; give sigma")
+
+
+def without_priors(space: Space) -> Space:
+    """The same bounds, and nothing known besides."""
+    return replace(space, parameters=tuple(replace(p, prior=None) for p in space.parameters))
+
+
+def descended(problem: CurveFit, start: Mapping[str, float]) -> Fit:
+    """The optimum that a descent from a start of every free parameter leads to."""
+    model = problem.model
+    theta = np.array([float(start.get(name, 0.0)) for name in problem.space.names])
+    if isinstance(model, TiedModel | TiedExpression):
+        theta = free_values(problem.space, model.ties, start)
+    descent = refit(problem, theta)
+    if not math.isfinite(descent.cost):
+        raise ValueError(f"{problem.name}: is not finite at the start; give another one")
+    return Fit(problem, descent.theta, descent.theta)
 
 
 def searched(

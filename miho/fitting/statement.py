@@ -67,6 +67,7 @@ def data_of(
     if not isinstance(model, Model):
         model = FunctionModel(model, columns=_column_names(model, x, parameters))
     inputs = inputs_of(model, x)
+    _check_alignment(x, values, sigma)
     while output in inputs:
         output += "_"
     columns, units = (
@@ -85,6 +86,19 @@ def data_of(
             name += "_"
         columns[name], units[name], sigma = sigma, model.output, name
     return Dataset(model.name or "data", columns, units, output), model, sigma
+
+
+def _check_alignment(x: Any, y: Any, sigma: Any) -> None:
+    """Refuse pandas' columns of one length whose rows have other labels than each other."""
+    by_name = isinstance(x, Mapping) and not hasattr(x, "iloc")
+    columns = x.values() if by_name else x if isinstance(x, tuple) else (x,)
+    labels = [part.index for part in (*columns, y, sigma) if hasattr(part, "iloc")]
+    for other in labels[1:]:
+        if len(other) == len(labels[0]) and not other.equals(labels[0]):
+            raise ValueError(
+                "x, y and sigma have different row labels; align them, as in y.loc[x.index], or "
+                "give y.to_numpy() to take rows by position"
+            )
 
 
 def _column_names(function: Any, x: Any, parameters: Collection[str]) -> tuple[str, ...]:
@@ -133,6 +147,10 @@ def _numbers(name: str, values: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
             f"{name} is {array.dtype}{' with masked values' * bool(np.ma.is_masked(values))}; give "
             "real numbers, and leave out rows without one"
         )
+    if array.ndim > 1:
+        raise ValueError(
+            f"{name} has the shape {array.shape}; give a column (N,), several as a tuple or by name"
+        )
     return array.astype(float)
 
 
@@ -157,7 +175,10 @@ def space_of(
     for label, part in (("start", start or {}), ("fixed", fixed), ("tied", tied)):
         for name in part:
             if name not in names:
-                raise ValueError(f"{label}: {name} is no parameter; choose from {', '.join(names)}")
+                added = ", or add it to the bounds, as a quantity" * (label == "tied")
+                raise ValueError(
+                    f"{label}: {name} is no parameter; choose from {', '.join(names)}{added}"
+                )
     parameters = []
     for name in names:
         unit = model.parameters.get(name, "")

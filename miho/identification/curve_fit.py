@@ -26,12 +26,13 @@ from miho.identification.row_order import row_order
 from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
-from miho.models.tied import tie
+from miho.models.symbolic import arguments_of
+from miho.models.tied import TiedExpression, TiedModel, tie
 from miho.models.traced import Remade, TracedExpression
 from miho.models.weighted import weighted
 from miho.optim.problem import LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
-from miho.optim.space import Space
+from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -83,7 +84,8 @@ class CurveFit(Remade, LeastSquaresProblem):
     `sigma` is the standard deviation of the errors, a number or a column of the data, in the
     output's unit: known as it is, or if not `sigma_known` up to one factor for all rows, which the
     residuals then tell. Residuals and errors are weighted by `scale` / sigma, so that they and the
-    loss keep the output's unit.
+    loss keep the output's unit. `prior_scale` takes the place of `scale` for priors where sigma is
+    not known: what it is estimated as. `tied_priors` are the tied parameters that have a prior.
     """
 
     model: Model
@@ -96,6 +98,8 @@ class CurveFit(Remade, LeastSquaresProblem):
     compiled: bool | None = None
     sigma: str | float | None = None
     sigma_known: bool = True
+    prior_scale: float | None = None
+    tied_priors: tuple[Parameter, ...] = ()
 
     def __post_init__(self) -> None:
         model = _model(self.model)
@@ -103,6 +107,8 @@ class CurveFit(Remade, LeastSquaresProblem):
             model = traced_where_alike(model, self.dataset, self.space)
         if self.space.free is not self.space:
             model = tie(model, ties_of(model, self.space))
+            tied = tuple(p for p in self.space.parameters if p.tied and p.prior is not None)
+            object.__setattr__(self, "tied_priors", tied)
         object.__setattr__(self, "model", model)
         object.__setattr__(self, "space", self.space.free)
         check_curve_fit(self)
@@ -133,6 +139,9 @@ class CurveFit(Remade, LeastSquaresProblem):
         if not self._square:
             return ()
         bent = {p.name for p in self.space.parameters if p.prior and p.scale == "log"}
+        if self.tied_priors and self.prior is not None:  # as far as they may depend on any
+            places = arguments_of(self.prior.tied_graphs)
+            bent |= {name for k, name in enumerate(self.space.names) if f"p{k}" in places}
         return tuple(name for name in self.model.linear if name not in bent)
 
     @property
@@ -233,14 +242,17 @@ class CurveFit(Remade, LeastSquaresProblem):
     @cached_property
     def prior(self) -> PriorResiduals | None:
         """The residuals of the parameters that have a prior, None without any."""
-        if all(parameter.prior is None for parameter in self.space.parameters):
+        free = any(parameter.prior is not None for parameter in self.space.parameters)
+        if not free and not self.tied_priors:
             return None
-        return PriorResiduals(self.space, self.scale or 1.0)
+        ties = self.model.ties if isinstance(self.model, TiedModel | TiedExpression) else None
+        scale = self.prior_scale or self.scale or 1.0
+        return PriorResiduals(self.space, scale, self.tied_priors, ties)
 
     @property
     def residual_count(self) -> int:
         """How many residuals there are: the rows of data, and those of priors."""
-        return len(self.dataset) + (0 if self.prior is None else self.prior.indices.size)
+        return len(self.dataset) + (0 if self.prior is None else len(self.prior.parameters))
 
     @property
     def _all_rows(self) -> bool:

@@ -81,6 +81,8 @@ def check_sigma(problem: CurveFit) -> None:
     if not isinstance(sigma, str):
         if isinstance(sigma, bool) or not isinstance(sigma, int | float) or not 0 < sigma < np.inf:
             raise ValueError(f"sigma is {sigma!r}; expected a number above 0, or a column's name")
+        if not SMALLEST < sigma < LARGEST:
+            raise ValueError(f"sigma is {sigma!r}; expected {SMALLEST:g} to {LARGEST:g}")
         return
     column, dataset = problem.dataset[sigma], problem.dataset
     if sigma in problem.model.inputs or sigma == dataset.output:
@@ -96,15 +98,21 @@ def check_sigma(problem: CurveFit) -> None:
             f"sigma: column {sigma!r} is {column[wrong[0]]:g} in row {wrong[0] + 1} of "
             f"{dataset.name}; expected numbers above 0"
         )
+    beyond = np.flatnonzero((column < SMALLEST) | (column > LARGEST))
+    if beyond.size:
+        raise ValueError(
+            f"sigma: column {sigma!r} is {column[beyond[0]]:g} in row {beyond[0] + 1} of "
+            f"{dataset.name}; expected {SMALLEST:g} to {LARGEST:g}"
+        )
 
 
 def _check_prior(problem: CurveFit) -> None:
     """Refuse priors where their weight beside the data is not known."""
-    name = next(p.name for p in problem.space.parameters if p.prior is not None)
-    if problem.sigma is None or not problem.sigma_known:
+    name = problem.prior.parameters[0].name if problem.prior is not None else ""
+    if problem.prior_scale is None and (problem.sigma is None or not problem.sigma_known):
         raise ValueError(
             f"space.{name}.prior: how much it counts beside the data depends on their errors; give "
-            "sigma, a number or a column, as known"
+            "sigma, a number or a column, as known, or use miho.fit, which estimates it"
         )
     if not isinstance(problem.rho, Square):
         raise ValueError(f"space.{name}.prior: priors need the loss Square")
@@ -154,10 +162,10 @@ def ties_of(model: Model, space: Space) -> Ties:
                 f"{name} needs {needed!r}"
             )
     for parameter in space.parameters:
-        if not parameter.free and parameter.name not in model.parameters:
+        if parameter.fixed is not None and parameter.name not in model.parameters:
             raise ValueError(
-                f"space.{parameter.name}: model {name} has no parameter {parameter.name} to fix or "
-                "tie; write it into the expressions"
+                f"space.{parameter.name}: model {name} has no parameter {parameter.name} to fix; "
+                "write it into the expressions"
             )
     held = {p.name: p.fixed if p.tied is None else p.tied for p in space.parameters if not p.free}
     limits = {p.name: (p.low, p.high) for p in space.parameters if p.tied is not None}
@@ -166,8 +174,9 @@ def ties_of(model: Model, space: Space) -> Ties:
         {p.name: p.unit for p in space.free.parameters},
         {key: value for key, value in held.items() if value is not None},
         {key: ends for key, ends in limits.items() if np.isfinite(ends).any()},
+        {p.name: p.unit for p in space.parameters if p.tied and p.name not in model.parameters},
     )
-    needed_symbols = arguments_of(ties.graphs)
+    needed_symbols = arguments_of(ties.graphs[: len(ties.parameters)])
     for symbol, free in zip(ties.arguments, ties.free, strict=True):
         if symbol.arguments[0] not in needed_symbols:
             raise ValueError(
@@ -180,10 +189,10 @@ def ties_of(model: Model, space: Space) -> Ties:
 
 def _check_limits(ties: Ties, free: Space) -> None:
     """Refuse limits of tied parameters that none of many configurations keeps."""
-    thetas = ties.whole(free.decode(free.initial(DRAWN, "uniform")))
+    values_of_all = ties.values(free.decode(free.initial(DRAWN, "uniform")))
     within_all = np.ones(DRAWN, dtype=bool)
     for name, (low, high) in ties.limits.items():
-        values = thetas[:, ties.parameters.index(name)]
+        values = values_of_all[:, ties.names.index(name)]
         inside = (values >= low) & (values <= high)
         if not inside.any():
             raise ValueError(

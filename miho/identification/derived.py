@@ -24,11 +24,15 @@ SAME = 0.1
 
 @dataclass(frozen=True)
 class Derived:
-    """A quantity computed from parameter rows (n, d): values (n,), NaN where there is none."""
+    """A quantity computed from parameter rows (n, d): values (n,), NaN where there is none.
+
+    `tied` is the name of the tied parameter that it is, if it is one.
+    """
 
     name: str
     unit: str
     evaluate: Callable[[Array], Array]
+    tied: str = ""
 
 
 def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
@@ -51,20 +55,21 @@ def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
 
 def _tied(model: TiedModel | TiedExpression, dataset: Dataset) -> tuple[Derived, ...]:
     """The parameters that are held, and the quantities of the whole model."""
-    ties, units = model.ties, model.model.parameters
+    ties = model.ties
+    units = {**model.model.parameters, **ties.quantities}
 
     def parameter(k: int) -> Callable[[Array], Array]:
-        return lambda thetas: ties.whole(thetas)[:, k]
+        return lambda thetas: ties.values(thetas)[:, k]
 
     def of_whole(quantity: Derived) -> Derived:
         return replace(quantity, evaluate=lambda thetas: quantity.evaluate(ties.whole(thetas)))
 
     parameters = []
-    for k, name in enumerate(ties.parameters):
+    for k, name in enumerate(ties.names):
         tie = ties.ties.get(name)
         if tie is not None:
             label = f"{name} = {tie}" if isinstance(tie, str) else f"{name}, fixed"
-            parameters.append(Derived(label, units[name], parameter(k)))
+            parameters.append(Derived(label, units[name], parameter(k), name))
     return (*parameters, *(of_whole(quantity) for quantity in derived(model.model, dataset)))
 
 

@@ -24,8 +24,10 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.derived import derived, gradient
 from miho.identification.design_words import advice, assumptions, table_text
 from miho.identification.exchange import Information, best_groups
+from miho.identification.inverse_root import inverse_root
 from miho.identification.report import Report, rounding_of
-from miho.identification.uncertainty import INVOLVED, SINGULAR, Linearised
+from miho.identification.stated import reported_slopes, reported_space, reported_uncertainty
+from miho.identification.uncertainty import Linearised
 from miho.models.joint import PART
 from miho.quantities import Array
 from miho.validate import whole
@@ -227,36 +229,16 @@ def with_rows(at: Linearised, J: Array, more: int) -> Linearised:
 
     Errors are independent and as large as `at` has them.
     """
-    half, null, moved = _inverse_root(J, np.flatnonzero(~at.at_bound))
-    covariance = at.noise**2 * half @ half.T
+    root = inverse_root(J, np.flatnonzero(~at.at_bound))
+    covariance = at.noise**2 * root.half @ root.half.T
     return replace(
         at,
         covariance=covariance,
         sandwich=covariance,
         freedom=at.freedom if at.events else at.freedom + more,
-        null_directions=null,
-        unidentifiable=np.asarray(moved.any(axis=0)),
+        null_directions=root.null,
+        unidentifiable=np.asarray(root.moved.any(axis=0)),
     )
-
-
-def _inverse_root(J: Array, free: NDArray[np.intp]) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """H (d, r) with H H' the inverse of J'J on what the rows determine, as `linearised` has it.
-
-    Beside it the null space (k, d), and which parameters its directions move (k, d). Parameters
-    that are not `free` are held.
-    """
-    scale = np.linalg.norm(J[:, free], axis=0)
-    scale[scale == 0] = 1.0
-    _, s, Vt = np.linalg.svd(J[:, free] / scale, full_matrices=len(J) < free.size)
-    s = np.append(s, np.zeros(len(Vt) - s.size))
-    determined = s > SINGULAR * s.max(initial=0.0)
-    half = np.zeros((J.shape[1], int(determined.sum())))
-    half[free] = Vt[determined].T / s[determined] / scale[:, None]
-    null = np.zeros((int((~determined).sum()), J.shape[1]))
-    null[:, free] = Vt[~determined] / scale
-    moved = np.zeros(null.shape, dtype=bool)
-    moved[:, free] = np.abs(Vt[~determined]) > INVOLVED
-    return half, null, moved
 
 
 def _whitened(
@@ -268,7 +250,7 @@ def _whitened(
     rows do not see is known within the space only, as far as it leads from bound to bound.
     """
     at, space = report.at, report.problem.space
-    half, null, moved = _inverse_root(present, np.flatnonzero(~at.at_bound))
+    half, _, null, moved = inverse_root(present, np.flatnonzero(~at.at_bound))
     ranges = np.array([p.high - p.low for p in space.parameters])
     reach = np.divide(ranges, np.abs(null), out=np.full(null.shape, np.inf), where=moved)
     room = reach.min(axis=1)
@@ -289,11 +271,15 @@ def _whitened(
 def _quantities(problem: CurveFit, at: Linearised) -> tuple[pd.DataFrame, Array]:
     """What can be asked for, and its gradients (q, d): free parameters and derived quantities."""
     rows, gradients = [], []
-    for i in np.flatnonzero(~at.at_bound):
-        p = problem.space.parameters[i]
-        rows.append((p.name, "parameter", float(at.theta[i]), p.unit))
-        gradients.append(np.eye(at.theta.size)[i])
+    space, reported = reported_space(problem.space), reported_uncertainty(problem, at)
+    slopes = reported_slopes(problem, at.theta)
+    for i in np.flatnonzero(~reported.at_bound):
+        p = space.parameters[i]
+        rows.append((p.name, "parameter", float(reported.theta[i]), p.unit))
+        gradients.append(slopes[i])
     for quantity in derived(problem.model, problem.dataset):
+        if quantity.tied in space.names:
+            continue
         value, slope = float(quantity.evaluate(at.theta[None])[0]), gradient(quantity, at)
         if np.isfinite(value) and np.isfinite(slope).all() and slope.any():
             rows.append((quantity.name, "derived", value, quantity.unit))

@@ -158,13 +158,13 @@ def profile_shapes(
     return sentences
 
 
-def uneven_spread(problem: CurveFit, at: Linearised) -> list[str]:
+def uneven_spread(problem: CurveFit, at: Linearised, space: Space) -> list[str]:
     """A sentence if the errors' spread changes along the data, and standard errors with it."""
     errors = at.standard_errors
     usable = np.isfinite(errors) & (errors > 0)
     ratio = np.full(errors.size, np.nan)
     ratio[usable] = np.sqrt(np.diag(at.sandwich)[usable]) / errors[usable]
-    names = np.array(problem.space.names)
+    names = np.array(space.names)
     uneven = [f"{names[i]} (times {ratio[i]:.2f})" for i in np.flatnonzero(abs(ratio - 1) > UNEVEN)]
     if not uneven or _chance_of_spread(problem, at) > CHANCE:
         return []

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
@@ -27,49 +27,94 @@ MARGIN = 1e-9
 STEPS = 200
 
 
-def along_limits(problem: CurveFit, theta: Array, fixed: Collection[int] = ()) -> Array:
-    """A better configuration (d,) along the limits that `theta` (d,) is close to, else `theta`.
+class Pin(NamedTuple):
+    """A further residual, `weight` times how far a tied parameter is from `value`.
 
-    The parameters at the positions `fixed` stay where they are.
+    With a large weight a descent holds it there (Nocedal and Wright 2006, Ch. 17.1).
+    """
+
+    ties: Ties
+    name: str
+    value: float
+    weight: float
+
+    def residual(self, theta: Array) -> float:
+        """At free parameters (d,)."""
+        value = self.ties.values(theta[None])[0, self.ties.names.index(self.name)]
+        return float(self.weight * (value - self.value))
+
+    def slope(self, theta: Array) -> Array:
+        """Its derivatives (d,)."""
+        slopes = self.ties.value_slopes(theta[None])[0, self.ties.names.index(self.name)]
+        return np.asarray(self.weight * slopes)
+
+
+def along_limits(
+    problem: CurveFit, theta: Array, fixed: Collection[int] = (), pin: Pin | None = None
+) -> Array:
+    """A better configuration (d,) along the limits that `theta` (d,) is close to or beyond.
+
+    The parameters at the positions `fixed` stay where they are. `theta` if there is none better.
     """
     model = problem.model
     if not isinstance(model, TiedModel | TiedExpression) or not model.ties.limits:
         return theta
     sides = _Sides(model.ties)
-    if sides.slack(theta).min() > CLOSE:
+    slack = float(sides.slack(theta).min())
+    if not slack <= CLOSE:
         return theta
-    ties = Ties(model.ties.parameters, model.ties.free, model.ties.ties)
-    beyond = replace(problem, model=tie(model.model, ties), compiled=False)
+    unlimited = tie(model.model, replace(model.ties, limits={}))
+    cost = _Cost(replace(problem, model=unlimited, compiled=False), pin)
+    start = cost.value(theta)
+    if not start > 0:
+        return theta
     space = problem.space
     low, high = space.low.copy(), space.high.copy()
     low[list(fixed)] = high[list(fixed)] = theta[list(fixed)]
     width = np.where(high > low, high - low, 1.0)
-    start = float(np.sum(problem.residuals(theta) ** 2))
-    if not start > 0:
-        return theta
 
-    def cost(u: Array) -> tuple[float, Array]:
+    def scaled(u: Array) -> tuple[float, Array]:
         at = low + u * width
-        r, J = beyond.residuals(at), beyond.jacobian(at)
-        return float(r @ r) / start, 2 * (J.T @ r) * width / start
+        return cost.value(at) / start, cost.gradient(at) * width / start
 
+    limits = {
+        "type": "ineq",
+        "fun": lambda u: sides.slack(low + u * width) - MARGIN,
+        "jac": lambda u: sides.slopes(low + u * width) * width,
+    }
     solution = scipy.optimize.minimize(  # type: ignore[call-overload]
-        cost,
+        scaled,
         (theta - low) / width,
         jac=True,
         method="SLSQP",
         bounds=list(zip(np.zeros(low.size), (high - low) / width, strict=True)),
-        constraints={
-            "type": "ineq",
-            "fun": lambda u: sides.slack(low + u * width) - MARGIN,
-            "jac": lambda u: sides.slopes(low + u * width) * width,
-        },
+        constraints=limits,
         options={"maxiter": STEPS, "ftol": 1e-14},
     )
     end = space.clip(low + solution.x * width)
     end[list(fixed)] = theta[list(fixed)]
     inside = sides.slack(end).min() >= 0
-    return end if inside and float(np.sum(problem.residuals(end) ** 2)) < start else theta
+    return end if inside and (slack < 0 or cost.value(end) < start) else theta
+
+
+class _Cost:
+    """The sum of squared residuals, with that of a pin."""
+
+    def __init__(self, problem: CurveFit, pin: Pin | None) -> None:
+        self._problem, self._pin = problem, pin
+
+    def value(self, theta: Array) -> float:
+        """At one configuration (d,)."""
+        pinned = 0.0 if self._pin is None else self._pin.residual(theta) ** 2
+        return float(np.sum(self._problem.residuals(theta) ** 2)) + pinned
+
+    def gradient(self, theta: Array) -> Array:
+        """Its derivatives (d,)."""
+        residuals, J = self._problem.residuals(theta), self._problem.jacobian(theta)
+        slope = 2 * J.T @ residuals
+        if self._pin is not None:
+            slope += 2 * self._pin.residual(theta) * self._pin.slope(theta)
+        return np.asarray(slope)
 
 
 class _Sides:
@@ -81,7 +126,7 @@ class _Sides:
         for name, ends in ties.limits.items():
             size = ends[1] - ends[0] if np.isfinite(ends).all() else max(np.abs(
                 [end for end in ends if np.isfinite(end)]).max(), 1.0)  # fmt: skip
-            place = ties.parameters.index(name)
+            place = ties.names.index(name)
             sides += [(place, sign, end, max(size, 1e-300))
                       for sign, end in zip((1.0, -1.0), ends, strict=True)
                       if np.isfinite(end)]  # fmt: skip
@@ -90,10 +135,10 @@ class _Sides:
 
     def slack(self, theta: Array) -> Array:
         """How far each is inside, (k,), as a share of its size."""
-        values = self._ties.whole(theta[None])[0, self._places]
+        values = self._ties.values(theta[None])[0, self._places]
         return np.asarray(self._signs * (values - self._ends) / self._sizes)
 
     def slopes(self, theta: Array) -> Array:
         """Its derivatives, (k, d)."""
-        slopes = self._ties.whole_slopes(theta[None])[0, self._places]
+        slopes = self._ties.value_slopes(theta[None])[0, self._places]
         return np.asarray(slopes * (self._signs / self._sizes)[:, None])

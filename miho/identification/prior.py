@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.optim.space import Space
+from miho.identification.inverse_root import inverse_root
+from miho.models.symbolic import Symbol
+from miho.models.tied import Ties
+from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -19,9 +22,8 @@ if TYPE_CHECKING:
     from miho.identification.uncertainty import Linearised
 
 
-SINGULAR, INVOLVED = 1e-10, 1e-6
-"""As in `miho.identification.uncertainty`: a direction that the data do not see, and a parameter
-that it moves."""
+FAR = 3.0
+"""An estimate so many deviations from its prior's mean is mentioned."""
 
 
 @dataclass(frozen=True)
@@ -30,81 +32,110 @@ class PriorResiduals:
 
     u is the parameter, or its logarithm on a logarithmic scale; `scale` is the unit of the data's
     residuals, so that the sum of squares is twice the negative logarithm of the posterior (Gelman
-    et al., Bayesian Data Analysis, 3rd ed. 2013, Ch. 14.8). The bounds of the space truncate.
+    et al., Bayesian Data Analysis, 3rd ed. 2013, Ch. 14.8). The bounds of the space truncate. The
+    parameters are free ones of the `space`, and those of `tied` that follow from them by `ties`.
     """
 
     space: Space
     scale: float
+    tied: tuple[Parameter, ...] = ()
+    ties: Ties | None = None
 
     @cached_property
-    def indices(self) -> NDArray[np.intp]:
-        """Positions of the parameters that have one, (P,)."""
-        return np.flatnonzero([p.prior is not None for p in self.space.parameters])
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Those that have a prior, (P,), the free ones first."""
+        return (*(p for p in self.space.parameters if p.prior is not None), *self.tied)
 
     @cached_property
-    def _moments(self) -> tuple[Array, Array]:
-        """Means in search coordinates and standard deviations, (P,) each."""
-        pairs = [p.prior for p in self.space.parameters if p.prior is not None]
-        means = np.array([mean for mean, _ in pairs])
-        log = np.array([self.space.parameters[k].scale == "log" for k in self.indices])
-        return np.where(log, np.log(np.where(log, means, 1.0)), means), np.array(
-            [std for _, std in pairs]
-        )
+    def _log(self) -> NDArray[np.bool_]:
+        return np.array([p.scale == "log" for p in self.parameters])
+
+    @cached_property
+    def _free(self) -> list[int]:
+        return [k for k, p in enumerate(self.space.parameters) if p.prior is not None]
+
+    @cached_property
+    def _tied(self) -> list[int]:
+        return [] if self.ties is None else [self.ties.names.index(p.name) for p in self.tied]
+
+    @property
+    def tied_graphs(self) -> list[Symbol]:
+        """Those of them that are tied, as formulas of the free parameters."""
+        return [] if self.ties is None else [self.ties.graphs[k] for k in self._tied]
+
+    def values(self, thetas: Array) -> Array:
+        """The parameters (n, P) at configurations (n, d)."""
+        if self.ties is None:
+            return thetas[:, self._free]
+        return np.hstack([thetas[:, self._free], self.ties.values(thetas)[:, self._tied]])
+
+    def gradients(self, theta: Array) -> Array:
+        """Their derivatives (P, d) at one configuration (d,)."""
+        free = np.eye(theta.size)[self._free]
+        if self.ties is None:
+            return free
+        return np.vstack([free, self.ties.value_slopes(theta[None])[0, self._tied]])
+
+    def deviations(self, thetas: Array) -> Array:
+        """How many standard deviations they are from the mean, (n, P)."""
+        mean, std = np.array([p.prior for p in self.parameters], dtype=float).T
+        values = self.values(thetas)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            logs = np.log(values / np.where(self._log, mean, 1.0))
+        return np.asarray(np.where(self._log, logs, values - mean) / std)
 
     def residuals(self, thetas: Array) -> Array:
         """(n, P) of configurations (n, d)."""
-        mean, std = self._moments
-        return self.scale * (self.space.encode(thetas)[:, self.indices] - mean) / std
+        return self.scale * self.deviations(thetas)
 
     def slopes(self, theta: Array) -> Array:
         """Their derivatives (P, d) at one configuration (d,)."""
-        slopes = np.zeros((self.indices.size, theta.size))
-        log = [self.space.parameters[k].scale == "log" for k in self.indices]
-        inner = np.where(log, 1 / theta[self.indices], 1.0)
-        slopes[np.arange(self.indices.size), self.indices] = self.scale * inner / self._moments[1]
-        return slopes
+        std = np.array([p.prior[1] for p in self.parameters if p.prior is not None])
+        unit = np.where(self._log, self.values(theta[None])[0], 1.0) * std
+        return np.asarray(self.scale * self.gradients(theta) / unit[:, None])
 
 
 def prior_table(problem: CurveFit, at: Linearised) -> pd.DataFrame:
-    """What each prior added: its mean and standard deviation, the standard error from the data
-    alone, and the share of what is known of the parameter that the priors give."""
+    """What each prior added: its mean and standard deviation, how many of these the estimate is
+    from there, the standard error from the data alone, and the share of what is known of the
+    parameter that the priors give."""
     import pandas as pd
 
     if problem.prior is None:
         return pd.DataFrame()
-    J = problem.error_slopes(at.theta)[:, ~at.at_bound]
-    size = np.linalg.norm(J, axis=0)
-    size[size == 0] = 1.0
-    s, Vt = np.linalg.svd(J / size, full_matrices=False)[1:]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        rows = np.where(
-            np.abs(Vt) > INVOLVED, Vt / np.where(s > SINGULAR * s[0], s, 0.0)[:, None], 0
-        )
-    alone = at.noise * np.linalg.norm(rows, axis=0) / size
-    errors = np.full(at.theta.size, np.nan)
-    errors[~at.at_bound] = alone
-    table = []
-    for k in problem.prior.indices:
-        parameter = problem.space.parameters[k]
-        mean, std = parameter.prior or (np.nan, np.nan)
-        table.append(
-            {
-                "parameter": parameter.name,
-                "prior mean": mean,
-                "prior deviation": std,
-                "error from the data alone": errors[k],
-                "standard error": at.standard_errors[k],
-                "of the priors [%]": 100 * (1 - (at.standard_errors[k] / errors[k]) ** 2),
-            }
-        )
-    return pd.DataFrame(table)
+    parameters, gradients = problem.prior.parameters, problem.prior.gradients(at.theta)
+    root = inverse_root(problem.error_slopes(at.theta), np.flatnonzero(~at.at_bound))
+    alone = replace(
+        at, covariance=at.noise**2 * root.half @ root.half.T, null_directions=root.null
+    ).spread(gradients)
+    alone[alone == 0] = np.nan  # a parameter at its bound is held
+    errors = np.where(np.isnan(alone), np.nan, at.spread(gradients))
+    mean, std = np.array([p.prior for p in parameters], dtype=float).T
+    return pd.DataFrame(
+        {
+            "parameter": [p.name for p in parameters],
+            "prior mean": mean,
+            "prior deviation": std,
+            "deviations from it": problem.prior.deviations(at.theta[None])[0],
+            "error from the data alone": alone,
+            "standard error": errors,
+            "of the priors [%]": 100 * (1 - (errors / alone) ** 2),
+        }
+    )
 
 
 def prior_notes(table: pd.DataFrame) -> list[str]:
     """In sentences, what of the parameters is the priors' and what the data's."""
-    return [
-        f"of what is known of {row['parameter']} the priors give {row['of the priors [%]']:.0f} %: "
-        f"its standard error is {row['standard error']:.3g}, and from the data alone "
-        f"{row['error from the data alone']:.3g}."
-        for row in table.to_dict("records")
-    ]
+    sentences = []
+    for row in table.to_dict("records"):
+        sentences.append(
+            f"of what is known of {row['parameter']} the priors give "
+            f"{row['of the priors [%]']:.0f} %: its standard error is {row['standard error']:.3g}, "
+            f"and from the data alone {row['error from the data alone']:.3g}."
+        )
+        if abs(row["deviations from it"]) > FAR:
+            sentences.append(
+                f"{row['parameter']} ends {abs(row['deviations from it']):.3g} deviations from the "
+                f"mean of its prior, {row['prior mean']:g}: data and prior contradict each other."
+            )
+    return sentences

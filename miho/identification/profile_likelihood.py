@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
 
 from miho.identification.curve_fit import CurveFit
+from miho.identification.limits import Pin
 from miho.identification.refit import Deadline, Refit, refit
+from miho.identification.stated import reported_space
 from miho.identification.uncertainty import Linearised
+from miho.models.tied import TiedExpression, TiedModel
 from miho.quantities import Array
 
 EXPANSIONS = 20
@@ -20,6 +24,12 @@ HALVINGS = 30
 """Steps at most of the root finding between a point inside and one outside: enough for a jump."""
 CLOSE = 0.005
 """The search for an end stops when the signed root is within this of the quantile."""
+INSIDE = 1e-2
+"""Parameters at a bound are refitted from this share of their range inside of it too."""
+PINNED = 1e3
+"""A tied parameter is held at a value by a residual of so many deviations of the errors for each of
+its standard errors: it gives way by tau / PINNED^2 of them, and (tau / PINNED)^2 is added to tau^2.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,14 +49,48 @@ class Profile:
     best: Refit
 
 
+class _Target(NamedTuple):
+    """What is profiled: the free parameter at a position, or the tied one of a name.
+
+    `gradient` (d,) are its derivatives with respect to the free ones, `low` and `high` its range,
+    which are limits to the interval as well if `limited`.
+    """
+
+    name: str
+    position: int | None
+    centre: float
+    gradient: Array
+    low: float
+    high: float
+    limited: bool = False
+
+
+def _target(problem: CurveFit, at: Linearised, of: int | str) -> _Target:
+    model, space = problem.model, problem.space
+    if isinstance(of, int):
+        p = space.parameters[of]
+        return _Target(p.name, of, float(at.theta[of]), np.eye(len(space))[of], p.low, p.high)
+    if not isinstance(model, TiedModel | TiedExpression):
+        raise ValueError(f"{of} is no tied parameter of {problem.name}")
+    ties, place = model.ties, model.ties.names.index(of)
+    centre = float(ties.values(at.theta[None])[0, place])
+    low, high = ties.limits.get(of, (-np.inf, np.inf))
+    for p in reported_space(space).parameters:
+        if p.name == of:
+            low, high = p.low, p.high
+    slopes = ties.value_slopes(at.theta[None])[0, place]
+    return _Target(of, None, centre, slopes, low, high, limited=of in ties.limits)
+
+
 def likelihood_profile(
     problem: CurveFit,
     at: Linearised,
-    index: int,
+    of: int | str,
     level: float = 0.95,
     deadline: Deadline | None = None,
 ) -> Profile:
-    """Profile of the parameter at position `index` (Bates and Watts 1988, Ch. 6.1.2).
+    """Profile of a free parameter by its position or a tied one by name (Bates and Watts 1988,
+    Ch. 6.1.2).
 
     The interval holds the values v for which the smallest sum of squares with the parameter fixed
     at v exceeds the smallest of all by less than F(1, freedom) allows. Where rows depend on each
@@ -56,17 +100,18 @@ def likelihood_profile(
     Raises OutOfTimeError after the deadline.
     """
     quantile = at.quantile(level)
-    tau = _SignedRoot(problem, at, index, level, deadline)
+    target = _target(problem, at, of)
+    tau = _SignedRoot(problem, at, target, level, deadline)
     # First to the ends of independent rows: where a poor optimum makes neighbours alike, a better
     # one may lie between. From there to those of rows that depend on each other.
-    first = at.independent.quantile(level) / _widening(at, index, level)
-    step = at.independent.quantile(level) * float(at.independent.standard_errors[index])
+    first = at.independent.quantile(level) / _widening(at, target, level)
+    step = at.independent.quantile(level) * _error(at.independent, target)
     ends = []
-    for sign, bound in ((-1, problem.space.low[index]), (1, problem.space.high[index])):
+    for sign, bound in ((-1, target.low), (1, target.high)):
         end = _end(tau, sign, bound, first, step, tau.centre)
         if np.isfinite(end) and quantile > first + CLOSE:
             end = _end(tau, sign, bound, quantile, step * (quantile / first - 1), end)
-        ends.append(end)
+        ends.append(bound if np.isinf(end) and target.limited else end)
     values = np.array(sorted(tau.points))
     low, high = ends
     return Profile(values, np.array([tau.points[v][0] for v in values]), low, high, tau.best)
@@ -84,23 +129,28 @@ class _SignedRoot:
         self,
         problem: CurveFit,
         at: Linearised,
-        index: int,
+        target: _Target,
         level: float,
         deadline: Deadline | None,
     ) -> None:
-        self._problem, self._index, self._deadline = problem, index, deadline
+        self._problem, self._target, self._deadline = problem, target, deadline
         self._largest = WALL * at.quantile(level)
         self._cost = float(np.sum(problem.residuals(at.theta) ** 2))
         psi, stiffness = problem.rho.influence(problem.errors(at.theta))
         # The variance of the errors, cost / freedom for the square loss.
         variance = float(psi @ psi / at.independent.freedom / stiffness.mean())
-        if at.noise_known:
+        if at.noise_known or problem.prior is not None:
             variance = at.noise**2
-        self._unit = variance * _widening(at, index, level) ** 2
-        self._direction = _conditional_direction(at, index)
+        self._unit = variance * _widening(at, target, level) ** 2
+        self._direction = _conditional_direction(at, target.gradient)
+        self._weight = PINNED * float(np.sqrt(variance) / _error(at.independent, target))
         # Along directions that the data do not see a refit would take many steps, in vain.
-        self._fixed = {index, *_superfluous(at)}
-        self.centre = float(at.theta[index])
+        self._fixed = {*_superfluous(at), *([] if target.position is None else [target.position])}
+        space, self._at_bound = problem.space, at.at_bound
+        low, high = space.bounds
+        share = (space.encode(at.theta) - low) / (high - low)
+        self._inside = space.decode(low + (high - low) * np.clip(share, INSIDE, 1 - INSIDE))
+        self.centre = target.centre
         self.points = {self.centre: (0.0, at.theta)}
         self.best = Refit(at.theta, self._cost)
 
@@ -108,11 +158,14 @@ class _SignedRoot:
         """tau at a value of the parameter; raises OutOfTimeError after the deadline."""
         if value not in self.points:
             # From the nearest refit, moved as the linearised model says ...
-            near = self.points[min(self.points, key=lambda point: abs(point - value))][1]
-            guess = near + self._direction * (value - near[self._index])
-            fit = self._refit(guess, value)
+            nearest = min(self.points, key=lambda point: abs(point - value))
+            near = self.points[nearest][1]
+            fit = self._refit(near + self._direction * (value - nearest), value)
             if not np.isfinite(fit.cost):  # ... or unmoved, if the guess is behind a wall
                 fit = self._refit(near.copy(), value)
+            if self._at_bound.any():  # which a descent hardly leaves that starts there
+                inside = self._refit(np.where(self._at_bound, self._inside, fit.theta), value)
+                fit = min(fit, inside, key=lambda refit: refit.cost)
             if self._deadline is not None:
                 self._deadline.check()
             self.best = min(self.best, fit, key=lambda refit: refit.cost)
@@ -122,10 +175,15 @@ class _SignedRoot:
         return self.points[value][0]
 
     def _refit(self, guess: Array, value: float) -> Refit:
-        guess[self._index] = value
+        pin, model = None, self._problem.model
+        if self._target.position is not None:
+            guess[self._target.position] = value
+        elif isinstance(model, TiedModel | TiedExpression):
+            pin = Pin(model.ties, self._target.name, value, self._weight)
         return refit(
-            self._problem, guess, fixed=self._fixed, tolerance=1e-8, deadline=self._deadline
-        )
+            self._problem, guess, fixed=self._fixed, tolerance=1e-8, deadline=self._deadline,
+            pin=pin,
+        )  # fmt: skip
 
 
 def _end(
@@ -169,17 +227,19 @@ def _end(
     return float(solution.x)
 
 
-def _quantile(at: Linearised, index: int, level: float) -> float:
-    """How many standard errors the linearised interval of a parameter reaches."""
-    return float(at.quantiles(np.eye(at.theta.size)[index : index + 1], level)[0])
+def _error(at: Linearised, target: _Target) -> float:
+    """The standard error of what is profiled."""
+    if target.position is not None:
+        return float(at.standard_errors[target.position])
+    return float(at.spread(target.gradient[None])[0])
 
 
-def _widening(at: Linearised, index: int, level: float) -> float:
+def _widening(at: Linearised, target: _Target, level: float) -> float:
     """How many times wider than for independent rows a profile is, for tau up to `at.quantile`."""
     if at.dependence is None:
         return 1.0
-    errors, independent = at.standard_errors[index], at.independent.standard_errors[index]
-    return float(_quantile(at, index, level) / at.quantile(level) * (errors / independent))
+    quantile = float(at.quantiles(target.gradient[None], level)[0])
+    return quantile / at.quantile(level) * (_error(at, target) / _error(at.independent, target))
 
 
 def _superfluous(at: Linearised) -> list[int]:
@@ -190,7 +250,8 @@ def _superfluous(at: Linearised) -> list[int]:
     return [int(k) for k in pivots[: len(at.null_directions)]]
 
 
-def _conditional_direction(at: Linearised, index: int) -> Array:
-    """How the other parameters follow when one moves by 1, in the linearised model, (d,)."""
-    column = at.independent.covariance[:, index]
-    return column / column[index] if column[index] > 0 else np.zeros_like(column)
+def _conditional_direction(at: Linearised, gradient: Array) -> Array:
+    """How the parameters (d,) follow when the quantity moves by 1, in the linearised model."""
+    column = at.independent.covariance @ gradient
+    variance = gradient @ column
+    return np.asarray(column / variance) if variance > 0 else np.zeros_like(column)

@@ -12,7 +12,7 @@ import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
 
 from miho.identification.curve_fit import CurveFit
-from miho.identification.limits import along_limits
+from miho.identification.limits import Pin, along_limits
 from miho.quantities import Array
 
 EVALUATIONS = 200
@@ -75,17 +75,21 @@ def refit(
     tolerance: float = 1e-10,
     evaluations: int = EVALUATIONS,
     deadline: Deadline | None = None,
+    pin: Pin | None = None,
 ) -> Refit:
     """The optimum of the problem near `start` (d,), within the box.
 
     `weights` (N,) multiply the squared residuals; the parameters at the positions `fixed` stay at
-    their start. Residuals that are not finite are a wall. After `evaluations` of the residuals, and
-    after the deadline, the best so far is returned.
+    their start, and a tied one where `pin` has it. Residuals that are not finite are a wall. After
+    `evaluations` of the residuals, and after the deadline, the best so far is returned.
     """
-    objective = _Objective(problem, start, weights, fixed, deadline)
+    objective = _Objective(problem, start, weights, fixed, deadline, pin)
     start_values = objective.residuals(objective.first)
-    if not math.isfinite(objective.costs[-1]):
-        return Refit(objective.best, math.inf, converged=False)
+    if not math.isfinite(objective.costs[-1]):  # beyond a limit, or the model fails
+        theta = along_limits(problem, objective.best, fixed, pin)
+        if weights is not None or theta is objective.best:
+            return Refit(objective.best, math.inf, converged=False)
+        return Refit(theta, objective.cost(theta))
     if not objective.first.size or objective.costs[-1] == 0:
         return Refit(objective.best, objective.costs[-1])
 
@@ -99,7 +103,7 @@ def refit(
     try:
         start_slopes = objective.jacobian(objective.first)
         if at_optimum(start_slopes, start_values, objective.first):
-            return _limited(problem, objective, weights, fixed, True)
+            return _limited(problem, objective, weights, fixed, pin, True)
         solution = scipy.optimize.least_squares(
             residuals,
             objective.first,
@@ -119,7 +123,7 @@ def refit(
         converged = True
     except (_NoDerivatives, OutOfTimeError):
         converged = False
-    return _limited(problem, objective, weights, fixed, bool(converged))
+    return _limited(problem, objective, weights, fixed, pin, bool(converged))
 
 
 def at_optimum(J: Array, r: Array, part: Array) -> bool:
@@ -143,16 +147,16 @@ def _limited(
     objective: _Objective,
     weights: Array | None,
     fixed: Collection[int],
+    pin: Pin | None,
     converged: bool,
 ) -> Refit:
     """Where the objective has ended, moved along the limits of tied parameters."""
     costs = objective.costs
     end = Refit(objective.best, costs[-1], converged, len(costs) - 1)
     if weights is None:
-        theta = along_limits(problem, end.theta, fixed)
+        theta = along_limits(problem, end.theta, fixed, pin)
         if theta is not end.theta:
-            cost = float(np.sum(problem.residuals(theta) ** 2))
-            end = Refit(theta, cost, True, end.evaluations)
+            end = Refit(theta, objective.cost(theta), True, end.evaluations)
     return end
 
 
@@ -171,9 +175,10 @@ class _Objective:
         weights: Array | None,
         fixed: Collection[int],
         deadline: Deadline | None,
+        pin: Pin | None,
     ) -> None:
         space = problem.space
-        self._problem, self._deadline = problem, deadline
+        self._problem, self._deadline, self._pin = problem, deadline, pin
         self._low, self._high = space.bounds
         self._start = self.best = space.clip(start)
         self._fixed = list(fixed)
@@ -191,6 +196,11 @@ class _Objective:
         """Whether these are the free parameters of the start."""
         return np.array_equal(part, self.first)
 
+    def cost(self, theta: Array) -> float:
+        """The sum of squares without weights."""
+        pinned = 0.0 if self._pin is None else self._pin.residual(theta) ** 2
+        return float(np.sum(self._problem.residuals(theta) ** 2)) + pinned
+
     def residuals(self, part: Array) -> Array:
         """Weighted residuals (N,); NaN where the model fails, as it may on a part of the box."""
         if self._deadline is not None and self.costs[-1] < math.inf:
@@ -201,6 +211,8 @@ class _Objective:
         except ValueError:
             values = np.full(self._problem.residual_count, np.nan)
         values = values if self._root is None else values * self._root
+        if self._pin is not None:
+            values = np.append(values, self._pin.residual(theta))
         with np.errstate(over="ignore", invalid="ignore"):
             cost = float(values @ values)
         lowest = self.costs[-1]
@@ -213,7 +225,10 @@ class _Objective:
         """Their derivatives (N, f); raises _NoDerivatives or _Stationary."""
         theta = self._configuration(part)
         stretch = (self._high - self._low) * np.where(self._logarithmic, theta, 1.0)
-        derivatives = self._problem.jacobian(theta)[:, self._free] * stretch[self._free]
+        whole = self._problem.jacobian(theta)
+        if self._pin is not None:
+            whole = np.vstack([whole, self._pin.slope(theta)])
+        derivatives = whole[:, self._free] * stretch[self._free]
         if not np.isfinite(derivatives).all():
             raise _NoDerivatives
         if not derivatives.any():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -30,7 +30,13 @@ from miho.identification.irreducible import Irreducible, irreducible_interval
 from miho.identification.prior import prior_notes, prior_table
 from miho.identification.profile_likelihood import Profile
 from miho.identification.standing import Standing
-from miho.identification.stated import at_limits
+from miho.identification.stated import (
+    at_limits,
+    reported_slopes,
+    reported_space,
+    reported_uncertainty,
+    reported_values,
+)
 from miho.identification.uncertainty import Linearised
 from miho.identification.validation import (
     BINS,
@@ -39,7 +45,7 @@ from miho.identification.validation import (
     residual_trends,
     root_mean_square,
 )
-from miho.optim import Descents, in_optimum
+from miho.optim import Descents, Space, in_optimum
 from miho.quantities import Array
 
 HEDGE = (
@@ -63,11 +69,11 @@ class Report:
 
     All is of one point, the optimum that a descent from the run's result led to: `at` is its
     uncertainty, `standing` the evidence that it is the best. `run` (d,) are the run's own
-    parameters. `profiles` are one per parameter (None where there is none), `replicates` (n, d) the
-    bootstrap's estimates, `left_out` the errors on groups of rows that a fit was made without.
-    `omitted` says in sentences what there was no time for, `remedy` what to do where the optimum is
-    in doubt. `searches` are the descents of the run, and of a check; `best_known` is the loss of
-    the optimum where it is known.
+    parameters. `profiles` are one per parameter (None where there is none), `tied_profiles` those
+    of tied ones by name, `replicates` (n, d) the bootstrap's estimates, `left_out` the errors on
+    groups of rows that a fit was made without. `omitted` says in sentences what there was no time
+    for, `remedy` what to do where the optimum is in doubt. `searches` are the descents of the run,
+    and of a check; `best_known` is the loss of the optimum where it is known.
     """
 
     problem: CurveFit
@@ -82,33 +88,46 @@ class Report:
     remedy: str = REMEDY
     searches: tuple[Descents, ...] = ()
     best_known: float | None = None
+    tied_profiles: Mapping[str, Profile] = field(default_factory=dict)
+
+    @cached_property
+    def space(self) -> Space:
+        """The parameters that the report is of: those that shares stand for in place of these."""
+        return reported_space(self.problem.space)
+
+    @cached_property
+    def reported(self) -> Linearised:
+        """Their uncertainty."""
+        return reported_uncertainty(self.problem, self.at)
 
     @cached_property
     def parameters(self) -> pd.DataFrame:
         """A row per parameter: value, unit, standard error and intervals; the run's own value."""
-        space = self.problem.space
+        at = self.reported
         frame = pd.DataFrame(
             {
-                "parameter": space.names,
-                "value": self.at.theta,
-                "unit": [p.unit for p in space.parameters],
-                "standard error": self.at.standard_errors,
+                "parameter": self.space.names,
+                "value": at.theta,
+                "unit": [p.unit for p in self.space.parameters],
+                "standard error": at.standard_errors,
                 "sandwich": np.where(
-                    np.isfinite(self.at.standard_errors),
-                    np.sqrt(np.diag(self.at.sandwich)),
-                    self.at.standard_errors,
+                    np.isfinite(at.standard_errors),
+                    np.sqrt(np.diag(at.sandwich)),
+                    at.standard_errors,
                 ),
-                "of the run": self.run,
+                "of the run": reported_values(self.problem, self.run[None])[0],
             }
         )
-        ends = {"linearised": self.at.intervals(self.level)}
+        ends = {"linearised": at.intervals(self.level)}
         if any(self.profiles):
             no_interval = (math.nan, math.nan)
             ends["profile"] = np.array(
                 [(p.low, p.high) if p else no_interval for p in self.profiles]
             )
         if self.replicates is not None:
-            ends["bootstrap"] = self._percentiles(self.replicates, np.eye(len(space)))
+            replicates = reported_values(self.problem, self.replicates)
+            slopes = reported_slopes(self.problem, self.at.theta)
+            ends["bootstrap"] = self._percentiles(replicates, slopes)
         for name, interval in ends.items():
             frame[f"{name} low"], frame[f"{name} high"] = interval.T
         return frame
@@ -116,14 +135,16 @@ class Report:
     @cached_property
     def correlation(self) -> pd.DataFrame:
         """Correlation of the estimates, parameters by parameters."""
-        names = list(self.problem.space.names)
-        return pd.DataFrame(self.at.correlation, index=names, columns=names)
+        names = list(self.space.names)
+        return pd.DataFrame(self.reported.correlation, index=names, columns=names)
 
     @cached_property
     def derived(self) -> pd.DataFrame:
         """A row per derived quantity: value, unit, standard error and intervals."""
         rows = []
         for quantity in derived(self.problem.model, self.problem.dataset):
+            if quantity.tied in self.space.names:  # which is told of as a parameter
+                continue
             value, error = delta_method(quantity, self.at)
             slope = gradient(quantity, self.at)[None]
             reach = float(self.at.quantiles(slope, self.level)[0]) * error
@@ -135,6 +156,9 @@ class Report:
                 "linearised low": value - reach,
                 "linearised high": value + reach,
             }
+            if quantity.tied in self.tied_profiles:
+                profile = self.tied_profiles[quantity.tied]
+                row |= {"profile low": profile.low, "profile high": profile.high}
             if self.replicates is not None:
                 values = quantity.evaluate(self.replicates)
                 values = values[np.isfinite(values)]
@@ -226,13 +250,15 @@ class Report:
 
         Where the optimum is in doubt they are of the search only, not of data or model.
         """
-        space = self.problem.space
         before, after = (
             root_mean_square(self.problem.residuals(theta)) for theta in (self.run, self.at.theta)
         )
-        sentences = run_differs(self.run, self.at, space, 1 - after / before if before else 0.0)
+        run = reported_values(self.problem, self.run[None])[0]
+        gain = 1 - after / before if before else 0.0
+        sentences = run_differs(run, self.reported, self.space, gain)
         if self.standing.doubt:
-            sentences = doubtful(self.standing.doubt, self.remedy, self.at, space) + sentences
+            doubt = doubtful(self.standing.doubt, self.remedy, self.reported, self.space)
+            sentences = doubt + sentences
         else:
             remarks = self._remarks_on_data_and_model()
             if remarks and not self.standing.certain:
@@ -241,20 +267,20 @@ class Report:
         return [*sentences, *self.omitted]
 
     def _remarks_on_data_and_model(self) -> list[str]:
-        space = self.problem.space
+        at, space = self.reported, self.space
 
         # The parameters: whether the data determine them, and how well.
-        sentences = identifiability(self.at, space) + too_few(self.problem)
+        sentences = identifiability(at, space) + too_few(self.problem)
         if self.at.noise <= rounding_of(self.problem):
             return [*sentences, "every row is reproduced to rounding: the data have no error."]
         sentences += maybe_zero(self.parameters, self.level)
-        sentences += profile_shapes(self.at, space, self.profiles, self.level)
+        sentences += profile_shapes(at, space, self.profiles, self.level)
         # The errors: whether standard errors may be computed from them as they are.
-        sentences += uneven_spread(self.problem, self.at)
+        sentences += uneven_spread(self.problem, at, space)
         sentences += sigma_disagrees(self.problem, self.at)
         sentences += prior_notes(self.priors)
         sentences += [f"{text}." for text in at_limits(self.problem, self.at.theta)]
-        sentences += independence(self.problem, self.at)
+        sentences += independence(self.problem, at)
         sentences += outliers(self.problem, self.at)
         # The model: whether it computes well, its errors are larger than noise or follow a column.
         sentences += self.problem.model.remarks(self.at.theta, self.at.noise, *self.problem.inputs)
@@ -300,7 +326,7 @@ class Report:
     def __repr__(self) -> str:
         """One line: of which problem, with which error."""
         error = f"error {self.error:.5g} {self.problem.unit}".rstrip()
-        return f"<Report of {self.problem.name}: {', '.join(self.problem.space.names)}; {error}>"
+        return f"<Report of {self.problem.name}: {', '.join(self.space.names)}; {error}>"
 
     def __str__(self) -> str:
         """The parameters with their best intervals, the error, and what the numbers mean."""

@@ -18,6 +18,12 @@ from miho.identification.profile_likelihood import Profile, likelihood_profile
 from miho.identification.refit import Deadline, OutOfTimeError, Refit, refit
 from miho.identification.report import REMEDY, Report, irreducible_of, rounding_of
 from miho.identification.standing import Standing, standing
+from miho.identification.stated import (
+    reported_space,
+    reported_uncertainty,
+    tied_names,
+    tied_slopes,
+)
 from miho.identification.uncertainty import Linearised, linearised
 from miho.identification.validation import conditions, leave_one_out, root_mean_square
 from miho.optim import Descents
@@ -72,46 +78,14 @@ def make_report(
             "bootstrap out, profile intervals allow for them"
         )
     deadline = Deadline(time.perf_counter() + seconds)
-
-    # The optimum near the run's result, or near the better result of a check.
     progress("optimum")
     optimum = _optimum(problem, run, deadline)
     if better is not None:
         optimum = min(optimum, _optimum(problem, better, deadline), key=lambda fit: fit.cost)
-
-    # Its profiles; where a refit for one of them meets a better optimum, all again from there.
-    while True:
-        at = _uncertainty(problem, optimum.theta)
-        curves, lacking = _profiles(problem, at, level, profiles, deadline, progress)
-        refits = (curve.best for curve in curves if curve)
-        lowest = min(refits, key=lambda fit: fit.cost, default=optimum)
-        if lowest.cost >= (1 - BETTER) * optimum.cost:
-            break
-        progress("better optimum")
-        optimum = _optimum(problem, lowest.theta, deadline)
-    omitted = [f"profile intervals of {lacking}"] if lacking else []
-
-    # Refits to other data: to rows drawn anew, and without one group of rows at a time.
-    held = np.flatnonzero(at.unidentifiable).tolist()  # no refit moves what the data do not see
-    estimates = None
-    if replicates:
-        rng = stream("bootstrap", problem.dataset.digest, seed)
-        block = 1 if at.dependence is None else block_length(at.dependence.errors)
-        estimates = bootstrap(
-            problem, at.theta, replicates, rng, lambda: progress("bootstrap"), held, block
-        )
-        if at.dependence is not None:
-            estimates = stretched(estimates, at, problem.space)
-    left_out = []
-    for condition in conditions(problem):
-        progress(f"leave one {condition} out")
-        try:
-            left_out.append(leave_one_out(problem, at.theta, condition, held, deadline))
-        except OutOfTimeError:
-            omitted.append(f"errors with {condition} left out")
-            break
-
-    # What is known of the optimum.
+    optimum, at, curves, lacking = _profiled(problem, optimum, level, profiles, deadline, progress)
+    reported = reported_space(problem.space).names
+    left_out, unfinished = _left_out(problem, at, deadline, progress)
+    omitted = [f"profile intervals of {lacking}"] * bool(lacking) + unfinished
     searches = tuple(search for search in (descents, check) if search is not None)
     exact = linear_optimum(problem)
     best_known = best_known if exact is None else exact[1]
@@ -120,15 +94,78 @@ def make_report(
         run=run,
         at=at,
         standing=_standing(problem, at, optimum, searches, best_known, exact is not None),
-        profiles=curves,
-        replicates=estimates,
-        left_out=pd.concat(left_out, ignore_index=True) if left_out else pd.DataFrame(),
+        profiles=tuple(curves.get(name) for name in reported),
+        tied_profiles={name: curve for name, curve in curves.items() if name not in reported},
+        replicates=_bootstrapped(problem, at, replicates, seed, progress) if replicates else None,
+        left_out=left_out,
         level=level,
         omitted=tuple(_omission(names, seconds) for names in omitted),
         remedy=remedy,
         searches=searches,
         best_known=best_known,
     )
+
+
+def _profiled(
+    problem: CurveFit,
+    optimum: Refit,
+    level: float,
+    requested: bool | None,
+    deadline: Deadline,
+    progress: Callable[[str], object],
+) -> tuple[Refit, Linearised, dict[str, Profile], str]:
+    """The optimum, its uncertainty, and what `_profiles` gives.
+
+    Where a refit for a profile meets a better optimum, all is again from there.
+    """
+    while True:
+        at = _uncertainty(problem, optimum.theta)
+        curves, lacking = _profiles(problem, at, level, requested, deadline, progress)
+        refits = (curve.best for curve in curves.values())
+        lowest = min(refits, key=lambda fit: fit.cost, default=optimum)
+        if lowest.cost >= (1 - BETTER) * optimum.cost:
+            return optimum, at, curves, lacking
+        progress("better optimum")
+        optimum = _optimum(problem, lowest.theta, deadline)
+
+
+def _held(at: Linearised) -> list[int]:
+    """The parameters that no refit to other data moves: the data do not see them."""
+    return np.flatnonzero(at.unidentifiable).tolist()
+
+
+def _bootstrapped(
+    problem: CurveFit,
+    at: Linearised,
+    replicates: int,
+    seed: int,
+    progress: Callable[[str], object],
+) -> Array:
+    """Estimates (replicates, d) from rows drawn anew, in blocks where they depend on each other."""
+    rng = stream("bootstrap", problem.dataset.digest, seed)
+    block = 1 if at.dependence is None else block_length(at.dependence.errors)
+    estimates = bootstrap(
+        problem, at.theta, replicates, rng, lambda: progress("bootstrap"), _held(at), block
+    )
+    return estimates if at.dependence is None else stretched(estimates, at, problem.space)
+
+
+def _left_out(
+    problem: CurveFit, at: Linearised, deadline: Deadline, progress: Callable[[str], object]
+) -> tuple[pd.DataFrame, list[str]]:
+    """Errors on each group of rows that a fit was made without, and what there was no time for."""
+    tables = []
+    for condition in conditions(problem):
+        progress(f"leave one {condition} out")
+        try:
+            tables.append(leave_one_out(problem, at.theta, condition, _held(at), deadline))
+        except OutOfTimeError:
+            return _stacked(tables), [f"errors with {condition} left out"]
+    return _stacked(tables), []
+
+
+def _stacked(tables: list[pd.DataFrame]) -> pd.DataFrame:
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame()
 
 
 def _uncertainty(problem: CurveFit, theta: Array) -> Linearised:
@@ -147,28 +184,41 @@ def _profiles(
     requested: bool | None,
     deadline: Deadline,
     progress: Callable[[str], object],
-) -> tuple[tuple[Profile | None, ...], str]:
-    """The profile of each parameter, None without one, and the names of those out of time.
+) -> tuple[dict[str, Profile], str]:
+    """The profiles that there are by parameter, and the names of those out of time.
 
     Of a parameter at its bound, or not identifiable, there is none; nor where rows are not
     independent, which a profile takes them for, or where the errors are rounding.
     """
-    names = problem.space.names
-    curves: list[Profile | None] = [None] * len(names)
-    possible = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
-    possible &= not at.events
-    possible &= at.noise > rounding_of(problem)
-    indices = np.flatnonzero(possible)
-    by_default = len(names) <= MOST_PROFILES
-    for i in indices if (by_default if requested is None else requested) else ():
-        progress(f"profile of {names[i]}")
+    curves: dict[str, Profile] = {}
+    by_default = len(problem.space) <= MOST_PROFILES
+    if at.events or at.noise <= rounding_of(problem):
+        return curves, ""
+    possible = _profiled_parameters(problem, at)
+    names = list(possible) if (by_default if requested is None else requested) else []
+    limit = None if requested else deadline
+    for done, name in enumerate(names):
+        progress(f"profile of {name}")
         try:
-            curves[i] = likelihood_profile(
-                problem, at, int(i), level, None if requested else deadline
-            )
+            curves[name] = likelihood_profile(problem, at, possible[name], level, limit)
         except OutOfTimeError:
-            return tuple(curves), ", ".join(names[k] for k in indices[indices >= i])
-    return tuple(curves), ""
+            return curves, ", ".join(names[done:])
+    return curves, ""
+
+
+def _profiled_parameters(problem: CurveFit, at: Linearised) -> dict[str, int | str]:
+    """The parameters that have a finite standard error, then the tied ones: position, or name."""
+    free, reported = problem.space.names, reported_space(problem.space).names
+    errors = reported_uncertainty(problem, at).standard_errors
+    usable = np.flatnonzero(np.isfinite(errors) & (errors > 0)).tolist()
+    places: dict[str, int | str] = {
+        reported[k]: k if reported[k] == free[k] else reported[k] for k in usable
+    }
+    tied = tied_names(problem)
+    if tied:
+        spread = at.independent.spread(tied_slopes(problem, at.theta, tied))
+        places |= {n: n for n, e in zip(tied, spread, strict=True) if 0 < e < np.inf}
+    return places
 
 
 def _optimum(problem: CurveFit, start: Array, deadline: Deadline) -> Refit:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from miho.identification.curve_fit import CurveFit
-from miho.identification.uncertainty import Linearised
+from miho.identification.uncertainty import Linearised, at_bounds
 from miho.models.tied import TiedExpression, TiedModel
+from miho.optim.space import Space
 from miho.quantities import Array
 
 FREE = "free"
@@ -30,9 +33,73 @@ class Stated(NamedTuple):
     held: str
 
 
+def reported_space(space: Space) -> Space:
+    """The parameters that results are told of: those that shares stand for in place of these."""
+    return replace(space, parameters=tuple(p.stands_for or p for p in space.parameters))
+
+
+def reported_values(problem: CurveFit, thetas: Array) -> Array:
+    """Those parameters (n, d) at free ones (n, d)."""
+    swapped, model = _swapped(problem.space), problem.model
+    if not isinstance(model, TiedModel | TiedExpression) or not swapped:
+        return thetas
+    places = [model.ties.names.index(name) for name in swapped.values()]
+    values = thetas.copy()
+    values[:, list(swapped)] = model.ties.values(thetas)[:, places]
+    return values
+
+
+def reported_slopes(problem: CurveFit, theta: Array) -> Array:
+    """Their derivatives (d, d) with respect to the free ones (d,)."""
+    swapped, slopes = _swapped(problem.space), np.eye(theta.size)
+    if swapped:
+        slopes[list(swapped)] = tied_slopes(problem, theta, list(swapped.values()))
+    return slopes
+
+
+def reported_uncertainty(problem: CurveFit, at: Linearised) -> Linearised:
+    """The uncertainty of those parameters."""
+    places = list(_swapped(problem.space))
+    if not places:
+        return at
+    slopes = reported_slopes(problem, at.theta)
+    values = reported_values(problem, at.theta[None])[0]
+    at_bound, lost = at.at_bound.copy(), at.unidentifiable.copy()
+    at_bound[places] = at_bounds(reported_space(problem.space), values)[places]
+    lost[places] = np.isinf(at.spread(slopes[places]))
+    return at.mapped(values, slopes, at_bound, lost)
+
+
+def tied_names(problem: CurveFit) -> list[str]:
+    """The tied parameters and quantities that no share stands for."""
+    model = problem.model
+    if not isinstance(model, TiedModel | TiedExpression):
+        return []
+    reported = reported_space(problem.space).names
+    ties = model.ties
+    return [n for n in ties.names if isinstance(ties.ties.get(n), str) and n not in reported]
+
+
+def tied_slopes(problem: CurveFit, theta: Array, names: Sequence[str]) -> Array:
+    """Derivatives (k, d) of tied parameters with respect to the free ones (d,)."""
+    model = problem.model
+    if not isinstance(model, TiedModel | TiedExpression):
+        raise ValueError(f"{problem.name} has no tied parameters")
+    places = [model.ties.names.index(name) for name in names]
+    return np.asarray(model.ties.value_slopes(theta[None])[0, places])
+
+
+def _swapped(space: Space) -> dict[int, str]:
+    """The positions of shares, and the names of what they stand for."""
+    return {k: p.stands_for.name for k, p in enumerate(space.parameters) if p.stands_for}
+
+
 def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], Array]:
-    """The model's parameters, then those of the space only, and the derivatives of all of them
-    with respect to the free ones, (d, f), to first order in which errors propagate."""
+    """The model's parameters, quantities, then those of the space only, and the derivatives of all
+    of them with respect to the free ones, (d, f), to first order in which errors propagate.
+
+    Shares are left out; what they stand for is free.
+    """
     model = problem.model
     units = {parameter.name: parameter.unit for parameter in problem.space.parameters}
     slopes = np.eye(len(units))
@@ -40,15 +107,21 @@ def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], 
     values = dict(zip(units, at.theta, strict=True))
     if not isinstance(model, TiedModel | TiedExpression):
         return [Stated(n, units[n], values[n], errors[n], FREE) for n in units], slopes
-    ties, own = model.ties, model.model.parameters
-    rows = ties.whole_slopes(at.theta[None])[0]
-    values |= dict(zip(ties.parameters, ties.whole(at.theta[None])[0], strict=True))
-    spread = dict(zip(ties.parameters, at.spread(rows), strict=True))
-    extra = [name for name in units if name not in own]
+    ties = model.ties
+    own = {**model.model.parameters, **ties.quantities}
+    rows = ties.value_slopes(at.theta[None])[0]
+    values |= dict(zip(ties.names, ties.values(at.theta[None])[0], strict=True))
+    spread = dict(zip(ties.names, at.spread(rows), strict=True))
+    swapped = _swapped(problem.space)
+    extra = [n for k, n in enumerate(units) if n not in own and k not in swapped]
+    reported = reported_uncertainty(problem, at).standard_errors
+    errors |= {name: reported[k] for k, name in swapped.items()}
     stated = []
     for name in (*own, *extra):
         tie = ties.ties.get(name)
-        held = FREE if tie is None else f"= {tie}" if isinstance(tie, str) else "fixed"
+        held = f"= {tie}" if isinstance(tie, str) else "fixed"
+        if tie is None or name in errors:
+            held = FREE
         error = errors[name] if name in errors else spread[name]
         stated.append(Stated(name, units.get(name) or own.get(name, ""), values[name], error, held))
     chosen = [list(units).index(name) for name in extra]
@@ -60,8 +133,10 @@ def whole_values(problem: CurveFit, theta: Array) -> dict[str, float]:
     model, free = problem.model, dict(zip(problem.space.names, theta.tolist(), strict=True))
     if not isinstance(model, TiedModel | TiedExpression):
         return free
-    whole = model.ties.whole(theta[None])[0].tolist()
-    return {**dict(zip(model.ties.parameters, whole, strict=True)), **free}
+    whole = model.ties.values(theta[None])[0].tolist()
+    shares = [problem.space.names[k] for k in _swapped(problem.space)]
+    values = {**dict(zip(model.ties.names, whole, strict=True)), **free}
+    return {name: value for name, value in values.items() if name not in shares}
 
 
 def at_limits(problem: CurveFit, theta: Array) -> list[str]:
@@ -70,11 +145,20 @@ def at_limits(problem: CurveFit, theta: Array) -> list[str]:
     if not isinstance(model, TiedModel | TiedExpression):
         return []
     values = whole_values(problem, theta)
-    return [
-        f"{name} ends at its limit {end:g}, so the errors of what it is tied to are no optimum's"
+    sentences = [
+        f"{name} ends at its limit {end:g}, so the errors of what it is tied to are no optimum's; "
+        "profile intervals follow the limit"
         for name, ends in model.ties.limits.items()
         for end in ends
         if np.isfinite(end) and abs(values[name] - end) <= NEAR * max(abs(end), _width(ends))
+    ]
+    free = at_bounds(problem.space, theta)
+    own = at_bounds(reported_space(problem.space), reported_values(problem, theta[None])[0])
+    return sentences + [
+        f"{name} ends where the constraints hold it, {values[name]:.6g}, so its error and those of "
+        "what holds it are no optimum's; profile intervals follow the constraints"
+        for k, name in _swapped(problem.space).items()
+        if free[k] and not own[k]
     ]
 
 

@@ -15,6 +15,7 @@ from miho.data.dataset import Dataset
 from miho.data.stacking import OUTPUT
 from miho.identification.autocorrelation import Autoregression, autoregression, likeness
 from miho.identification.curve_fit import CurveFit
+from miho.identification.inverse_root import INVOLVED, inverse_root
 from miho.models.joint import PART
 from miho.optim.space import Space
 from miho.quantities import Array
@@ -24,11 +25,6 @@ EVENT = "event"
 FEWEST_EVENTS = 3
 AT_BOUND = 1e-6
 """A parameter this close to a bound, as a fraction of its range, is at the bound."""
-SINGULAR = 1e-10
-"""A direction whose singular value is at most this fraction of the largest does not change the
-predictions."""
-INVOLVED = 1e-6
-"""A component of a null direction above this fraction makes a parameter unidentifiable."""
 RESEMBLING = 0.1
 """Correlation of neighbouring rows' errors from which on they are not independent ..."""
 SCORE = 2.33
@@ -112,6 +108,35 @@ class Linearised:
         """The same as if rows were independent."""
         return self if self.dependence is None else self.dependence.independent
 
+    def mapped(
+        self,
+        values: Array,
+        slopes: Array,
+        at_bound: NDArray[np.bool_],
+        unidentifiable: NDArray[np.bool_],
+    ) -> Linearised:
+        """The same of functions of the parameters, with these values (q,) and derivatives (q, d).
+
+        `at_bound` (q,) and `unidentifiable` (q,) mark those of them that are.
+        """
+        dependence = self.dependence
+        if dependence is not None:
+            dependence = replace(
+                dependence,
+                sides=slopes @ dependence.sides @ slopes.T,
+                independent=self.independent.mapped(values, slopes, at_bound, unidentifiable),
+            )
+        return replace(
+            self,
+            theta=values,
+            covariance=slopes @ self.covariance @ slopes.T,
+            sandwich=slopes @ self.sandwich @ slopes.T,
+            at_bound=at_bound,
+            null_directions=self.null_directions @ slopes.T,
+            unidentifiable=unidentifiable,
+            dependence=dependence,
+        )
+
     @cached_property
     def standard_errors(self) -> Array:
         """Standard errors (d,): NaN for a parameter at its bound, infinite if unidentifiable."""
@@ -167,95 +192,104 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
 
     With a robust loss the covariance is that of an M-estimator (Huber 1981, Ch. 7.6). With
     `neighbours` it is one that allows errors to depend on those of neighbouring rows, where they
-    are alike and no events are numbered. Raises ValueError if there are not more rows than
+    are alike and no events are numbered. Beside priors an unknown variance is estimated with the
+    degrees of freedom that the data's share in the parameters leaves (MacKay, Neural Computation 4,
+    1992, Bayesian interpolation, Sec. 2.4). Raises ValueError if there are not more rows than
     parameters, if a derivative is not finite, or if a robust loss sees little else than outliers.
     """
+    errors, J = _errors_and_slopes(problem, theta)
     # Parameters at a bound are held; the others cost a degree of freedom each.
-    errors = problem.errors(theta)
-    J = problem.error_slopes(theta)
-    if problem.prior is not None:  # whose residuals are rows like those of the data
-        errors = np.append(errors, problem.prior.residuals(theta[None])[0])
-        J = np.vstack([J, problem.prior.slopes(theta)])
-    if not (np.isfinite(J).all() and np.isfinite(errors).all()):
-        raise ValueError(f"{problem.name}: the derivatives at the optimum are not all finite")
-    at_bound = _at_bound(problem.space, theta)
-    free = np.flatnonzero(~at_bound)
-    freedom = errors.size - free.size
-    if freedom < 1:
+    at_bound = at_bounds(problem.space, theta)
+    count = int((~at_bound).sum())
+    if errors.size <= count:
         raise ValueError(
-            f"{problem.name}: {errors.size} rows for {free.size} parameters; "
+            f"{problem.name}: {errors.size} rows for {count} parameters; "
             "uncertainty needs more rows than parameters"
         )
-    # Variance of the errors; that of an M-estimator for a robust loss.
-    psi, stiffness = problem.rho.influence(errors)
-    shrink = float(stiffness.mean())
-    if shrink <= 0:
-        raise ValueError(
-            f"{problem.name}: most errors are beyond the scale of the loss; choose a larger scale"
-        )
-    variance = float(psi @ psi) / freedom / shrink**2
-    noise_known = problem.scale is not None and problem.sigma_known
-    if noise_known:
-        variance = float(problem.scale or 0.0) ** 2
-    # Pseudo-inverse of J.T J by singular values, with each column scaled to unit length.
-    scale = np.linalg.norm(J[:, free], axis=0)
-    scale[scale == 0] = 1.0
-    U, s, Vt = np.linalg.svd(J[:, free] / scale, full_matrices=False)
-    determined = s > SINGULAR * s[0] if s.size else np.zeros(0, dtype=bool)
-    inverse = np.divide(1.0, s, out=np.zeros_like(s), where=determined)
-    half = Vt.T * inverse / scale[:, None]  # half @ half.T is the inverse of J.T J
-
-    # Sandwich estimate, with its factor for few rows; rows of one event add up before the square.
-    spread = U * (psi / shrink)[:, None]
-    if problem.prior is not None:  # one draw of each prior says nothing of its spread
-        rows = len(problem.dataset)
-        spread[rows:] = U[rows:] * problem.prior.scale
-    few_rows = errors.size / freedom
-    event = events_of(problem.dataset) if problem.prior is None else None
-    events = 0
-    if event is not None:
-        spread = np.array([np.bincount(event, column) for column in spread.T]).T
-        events = len(spread)
+    root = inverse_root(J, np.flatnonzero(~at_bound))
+    psi, stiffness = _influence(problem, errors)
+    variance, freedom = _variance(problem, psi, stiffness, root.basis, count)
+    spread, events = _spread(problem, root.basis, psi / stiffness)
+    few_rows = errors.size / (errors.size - count)
+    if events:
         few_rows *= (errors.size - 1) / errors.size * events / (events - 1)
-    sandwich = half @ (spread.T @ spread) @ half.T * few_rows
-    covariance = sandwich if events else variance * half @ half.T
-
-    # The null space, and the parameters that it moves.
-    null_directions = np.zeros((int((~determined).sum()), theta.size))
-    null_directions[:, free] = Vt[~determined] / scale
-    unidentifiable = np.zeros(theta.size, dtype=bool)
-    unidentifiable[free] = (np.abs(Vt[~determined]) > INVOLVED).any(axis=0)
+    sandwich = root.half @ (spread.T @ spread) @ root.half.T * few_rows
     at = Linearised(
         theta=theta,
-        covariance=_square(theta.size, free, covariance),
-        sandwich=_square(theta.size, free, sandwich),
+        covariance=sandwich if events else variance * root.half @ root.half.T,
+        sandwich=sandwich,
         noise=float(np.sqrt(variance)),
         freedom=events - 1 if events else freedom,
         events=events,
         at_bound=at_bound,
-        null_directions=null_directions,
-        unidentifiable=unidentifiable,
-        noise_known=noise_known,
+        null_directions=root.null,
+        unidentifiable=np.asarray(root.moved.any(axis=0)),
+        noise_known=problem.scale is not None and problem.sigma_known,
     )
     if not neighbours or events or problem.prior is not None:
         return at
-    series = series_of(problem)
-    return _dependent(at, psi / shrink, U[:, determined], free, half[:, determined], series)
+    return _dependent(at, psi / stiffness, root.basis, root.half, series_of(problem))
+
+
+def _errors_and_slopes(problem: CurveFit, theta: Array) -> tuple[Array, Array]:
+    """The errors (m,) and their derivatives (m, d), those of priors behind the data's."""
+    errors, J = problem.errors(theta), problem.error_slopes(theta)
+    if problem.prior is not None:
+        errors = np.append(errors, problem.prior.residuals(theta[None])[0])
+        J = np.vstack([J, problem.prior.slopes(theta)])
+    if not (np.isfinite(J).all() and np.isfinite(errors).all()):
+        raise ValueError(f"{problem.name}: the derivatives at the optimum are not all finite")
+    return errors, J
+
+
+def _influence(problem: CurveFit, errors: Array) -> tuple[Array, float]:
+    """How much each error counts, (m,), and how many of the rows count, from 0 to 1."""
+    psi, stiffness = problem.rho.influence(errors)
+    share = float(stiffness.mean())
+    if share <= 0:
+        raise ValueError(
+            f"{problem.name}: most errors are beyond the scale of the loss; choose a larger scale"
+        )
+    return psi, share
+
+
+def _variance(
+    problem: CurveFit, psi: Array, stiffness: float, basis: Array, count: int
+) -> tuple[float, int]:
+    """The variance of the errors and its degrees of freedom, for `count` parameters not held."""
+    freedom = psi.size - count
+    if problem.scale is not None and problem.sigma_known:
+        return problem.scale**2, freedom
+    if problem.prior is None:
+        return float(psi @ psi) / freedom / stiffness**2, freedom
+    rows = len(problem.dataset)
+    known_from_data = float(np.sum(basis[:rows] ** 2))  # so many parameters, MacKay's gamma
+    left = max(rows - known_from_data, 1.0)
+    return float(psi[:rows] @ psi[:rows]) / left, int(left)
+
+
+def _spread(problem: CurveFit, basis: Array, errors: Array) -> tuple[Array, int]:
+    """What rows, or events, add to the sandwich estimate, and the number of events, or 0."""
+    spread = basis * errors[:, None]
+    if problem.prior is not None:  # one draw of each prior says nothing of its spread
+        rows = len(problem.dataset)
+        spread[rows:] = basis[rows:] * problem.prior.scale
+        return spread, 0
+    event = events_of(problem.dataset)
+    if event is None:
+        return spread, 0
+    # Rows of one event add up before the square.
+    spread = np.array([np.bincount(event, column) for column in spread.T]).T
+    return spread, len(spread)
 
 
 def _dependent(
-    at: Linearised,
-    errors: Array,
-    basis: Array,
-    free: NDArray[np.intp],
-    half: Array,
-    series: Sequence[slice],
+    at: Linearised, errors: Array, basis: Array, half: Array, series: Sequence[slice]
 ) -> Linearised:
     """The same for errors (N,) that depend on those of neighbouring rows, if these are alike.
 
-    `basis` (N, r) is orthonormal and spans the derivatives by the `free` parameters, and `half`
-    (f, r) turns sums of errors times it into changes of those parameters. Rows are neighbours
-    within a `series`.
+    `basis` (N, r) is orthonormal and spans the derivatives, and `half` (d, r) turns sums of errors
+    times it into changes of the parameters. Rows are neighbours within a `series`.
     """
     alike = likeness(errors, basis, series)
     if alike.correlation <= RESEMBLING or alike.score <= SCORE or not basis.shape[1]:
@@ -270,7 +304,7 @@ def _dependent(
         sums = model.variance_of_sums(basis, squares, series)
         excess, axes = np.linalg.eigh(sums - least)
         total = least + axes * np.maximum(excess, 0.0) @ axes.T
-        return _square(at.theta.size, free, half @ total @ half.T)
+        return np.asarray(half @ total @ half.T)
 
     # White's estimate of the innovations, with the factor for few rows; the first have no own.
     squares = np.full(errors.size, model.variance)
@@ -312,16 +346,9 @@ def events_of(dataset: Dataset) -> NDArray[np.intp] | None:
     return np.asarray(index) if events.size >= FEWEST_EVENTS else None
 
 
-def _at_bound(space: Space, theta: Array) -> NDArray[np.bool_]:
+def at_bounds(space: Space, theta: Array) -> NDArray[np.bool_]:
     """Which parameters (d,) are at a bound, in the space's own scales."""
     low, high = space.bounds
     slack = AT_BOUND * (high - low)
     at = space.encode(theta)
     return np.asarray((at - low <= slack) | (high - at <= slack))
-
-
-def _square(d: int, free: NDArray[np.intp], block: Array) -> Array:
-    """The block of the free parameters within zeros for all, (d, d)."""
-    matrix = np.zeros((d, d))
-    matrix[np.ix_(free, free)] = block
-    return matrix

@@ -61,8 +61,9 @@ class Ties(Remade):
 
     `parameters` are the model's, in its order; `free` maps the free ones to their units, in the
     order of theta: parameters of the model, and others that occur in expressions only. `ties` maps
-    the model's other parameters to a number, or to an expression of free, tied and fixed ones. No
-    configuration has a value in which a tied parameter leaves its `limits`.
+    the model's other parameters to a number, or to an expression of free, tied and fixed ones, and
+    so `quantities`, which are not the model's, with their units. No configuration has a value in
+    which one of either leaves its `limits`.
 
     Raises ValueError for an expression that is no arithmetic, an unknown name, or a cycle.
     """
@@ -71,15 +72,21 @@ class Ties(Remade):
     free: Mapping[str, str]
     ties: Mapping[str, float | str]
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    quantities: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _ = self.graphs
 
     @cached_property
+    def names(self) -> tuple[str, ...]:
+        """The model's parameters, in its order, and the quantities."""
+        return (*self.parameters, *self.quantities)
+
+    @cached_property
     def graphs(self) -> tuple[Symbol, ...]:
-        """The model's parameters, in its order, as formulas of the free ones."""
+        """All `names` as formulas of the free ones."""
         formulas: dict[str, Symbol] = dict(zip(self.free, self.arguments, strict=True))
-        return tuple(self._resolved(name, formulas, ()) for name in self.parameters)
+        return tuple(self._resolved(name, formulas, ()) for name in self.names)
 
     @cached_property
     def arguments(self) -> list[Symbol]:
@@ -111,12 +118,12 @@ class Ties(Remade):
 
     @cached_property
     def formula(self) -> Callable[[tuple[Any, ...]], tuple[Any, ...]]:
-        """The model's parameters, a function of the tuple of free ones."""
+        """All `names`, a function of the tuple of free ones."""
         return written("parameters", self._signature, self.graphs, single=False)
 
     @cached_property
     def slopes(self) -> tuple[tuple[Symbol, ...], ...]:
-        """The derivatives of the model's parameters with respect to the free ones, (d, f)."""
+        """The derivatives of all `names` with respect to the free ones, (k, f)."""
         return tuple(tuple(gradient(graph, self.arguments)) for graph in self.graphs)
 
     @cached_property
@@ -124,7 +131,7 @@ class Ties(Remade):
         """0 within all limits and NaN outside, None without limits."""
         total: Any = None
         for name, bounds in self.limits.items():
-            graph = self.graphs[self.parameters.index(name)]
+            graph = self.graphs[self.names.index(name)]
             for sign, bound in zip((1, -1), bounds, strict=True):
                 if np.isfinite(bound):
                     inside = operation("sqrt", sign * graph - sign * bound)
@@ -137,23 +144,31 @@ class Ties(Remade):
         wall = self.wall
         return None if wall is None else written("wall", self._signature, [wall], single=True)
 
-    def whole(self, thetas: Array) -> Array:
-        """The model's parameters (n, d) of free ones (n, f)."""
+    def values(self, thetas: Array) -> Array:
+        """All `names` (n, k) at free parameters (n, f)."""
         with np.errstate(all="ignore"):
             columns = self.formula(tuple(thetas.T))
         return np.stack([np.broadcast_to(column, len(thetas)) for column in columns], axis=1)
+
+    def whole(self, thetas: Array) -> Array:
+        """The model's parameters (n, d) of free ones (n, f)."""
+        return self.values(thetas)[:, : len(self.parameters)]
 
     @cached_property
     def _slope_formula(self) -> Callable[[tuple[Any, ...]], tuple[Any, ...]]:
         flat = [slope for row in self.slopes for slope in row]
         return written("slopes", self._signature, flat, single=False)
 
-    def whole_slopes(self, thetas: Array) -> Array:
-        """The derivatives (n, d, f) of the model's parameters at free ones (n, f)."""
+    def value_slopes(self, thetas: Array) -> Array:
+        """The derivatives (n, k, f) of all `names` at free parameters (n, f)."""
         with np.errstate(all="ignore"):
             values = self._slope_formula(tuple(thetas.T))
         columns = [np.broadcast_to(value, len(thetas)) for value in values]
-        return np.stack(columns, 1).reshape(len(thetas), len(self.parameters), len(self.free))
+        return np.stack(columns, 1).reshape(len(thetas), len(self.names), len(self.free))
+
+    def whole_slopes(self, thetas: Array) -> Array:
+        """The derivatives (n, d, f) of the model's parameters at free ones (n, f)."""
+        return self.value_slopes(thetas)[:, : len(self.parameters)]
 
     def linear(self, names: Sequence[str]) -> tuple[str, ...]:
         """The free parameters in which a model is jointly linear that is so in these of its own.
@@ -163,13 +178,14 @@ class Ties(Remade):
         dependence: dict[str, set[str]] = {}  # of each slope of a linear one, by free parameter
         barred: set[str] = set()
         places = [symbol.arguments[0] for symbol in self.arguments]
-        for name, graph, row in zip(self.parameters, self.graphs, self.slopes, strict=True):
-            if name not in names or name in self.limits:
+        for name, graph, row in zip(self.names, self.graphs, self.slopes, strict=True):
+            if name in self.limits or (name in self.parameters and name not in names):
                 barred |= arguments_of([graph])
+            if name not in names:
                 continue
             for place, slope in zip(places, row, strict=True):
                 dependence.setdefault(place, set()).update(arguments_of([slope]))
-        used = arguments_of(self.graphs)
+        used = arguments_of(self.graphs[: len(self.parameters)])
         linear: list[str] = []
         for place in places:
             others = {place, *linear}
@@ -278,7 +294,8 @@ class TiedExpression(_Tied, TracedExpression):
     @cached_property
     def graph(self) -> Symbol:
         """The output; raises NotAFormulaError for an expression that cannot be traced."""
-        output = trace(self.model.value, self.columns, self.ties.graphs)
+        parameters = self.ties.graphs[: len(self.ties.parameters)]
+        output = trace(self.model.value, self.columns, parameters)
         return output if self.ties.wall is None else Symbol("add", output, self.ties.wall)
 
 

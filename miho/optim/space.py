@@ -16,6 +16,8 @@ from miho.validate import one_of
 
 SCALES = ("linear", "log")
 SAMPLINGS = ("normal", "uniform_plus_noise", "uniform")
+FARTHEST = 3.0
+"""A prior whose mean lies more of its deviations outside of the bounds contradicts them."""
 LARGEST_BATCH = 10_000_000
 """More configurations than this at once do not fit into a machine's memory."""
 
@@ -34,9 +36,12 @@ class Parameter:
     `tied` to others by an expression, such as "1 - a - b". Neither needs a range; one that a tied
     parameter has is a limit, beyond which no configuration has a value.
 
-    `prior` is what is known of a free one besides the data: mean and standard deviation of a normal
-    distribution, or on the log scale median and standard deviation in natural-log units. The bounds
-    truncate it. Unlike `mean` and `std`, which only say where searches start, it counts.
+    `prior` is what is known of a free or tied one besides the data: mean and standard deviation of
+    a normal distribution, or on the log scale median and standard deviation in natural-log units.
+    The bounds truncate it; its mean may lie up to FARTHEST deviations outside of them. Unlike
+    `mean` and `std`, which only say where searches start, it counts.
+
+    Results are told of the parameter that this one `stands_for`, which is tied to it and others.
     """
 
     name: str
@@ -51,6 +56,7 @@ class Parameter:
     fixed: float | None = None
     tied: str | None = None
     prior: tuple[float, float] | None = None
+    stands_for: Parameter | None = None
 
     def __post_init__(self) -> None:
         label = f"parameter {self.name!r}"
@@ -61,12 +67,12 @@ class Parameter:
             and self.low == self.high
         ):
             object.__setattr__(self, "fixed", self.low)
+        one_of(f"{label}: scale", self.scale, SCALES)
         if self.prior is not None:
             self._check_prior(label)
         if not self.free:
             self._check_held(label)
             return
-        one_of(f"{label}: scale", self.scale, SCALES)
         if not (self.low < self.high and math.isfinite(self.high - self.low)):
             raise ValueError(
                 f"{label}: low is {self.low!r} and high is {self.high!r}; "
@@ -97,10 +103,20 @@ class Parameter:
                 f"{label}: prior is {self.prior!r}; expected mean and standard deviation"
             ) from None
         positive = self.scale != "log" or mean > 0
-        if not (self.free and math.isfinite(mean) and 0 < std < math.inf and positive):
+        if not (self.fixed is None and math.isfinite(mean) and 0 < std < math.inf and positive):
             raise ValueError(
                 f"{label}: prior is {self.prior!r}; expected a finite mean, above 0 on the log "
-                "scale, and a standard deviation above 0, of a parameter that is free"
+                "scale, and a standard deviation above 0, of a parameter that is not fixed"
+            )
+        ends = (self.low, mean), (mean, self.high)
+        log = self.scale == "log"
+        room = min(
+            (math.log(b / a) if a > 0 and b > 0 else math.inf) if log else b - a for a, b in ends
+        )
+        if room < -FARTHEST * std:
+            raise ValueError(
+                f"{label}: prior is {self.prior!r}, {-room / std:.3g} deviations outside of "
+                f"{self.low:g} to {self.high:g}; correct one of them"
             )
         object.__setattr__(self, "prior", (mean, std))
 

@@ -85,10 +85,79 @@ def test_a_bootstrap_beside_priors_is_refused_and_the_sandwich_is_like_the_covar
     assert np.sqrt(at.sandwich[1, 1]) == pytest.approx(at.standard_errors[1], rel=0.1)
 
 
+def test_a_prior_on_a_sum_is_bayesian_linear_regression() -> None:
+    """An observation of a + b beside the data (Theil and Goldberger 1961)."""
+    y = 1 + 2 * t + SIGMA * rng.standard_normal(40)
+    X, R = np.stack([np.ones(40), t], axis=1), np.ones((1, 2))
+    covariance = np.linalg.inv(X.T @ X / SIGMA**2 + R.T @ R / 0.01**2)
+    expected = covariance @ (X.T @ y / SIGMA**2 + R[0] * 3.3 / 0.01**2)
+    fit = miho.fit(
+        line, t, y, {"a": (-5, 5), "b": (-5, 5), "sum": {"prior": (3.3, 0.01)}},
+        tied={"sum": "a + b"}, sigma=SIGMA, compiled=False,
+    )  # fmt: skip
+    assert [fit.values["a"], fit.values["b"]] == pytest.approx(expected, rel=1e-6)
+    assert fit.uncertainty.covariance == pytest.approx(covariance, rel=1e-5)
+    spread = np.sqrt(covariance.sum())
+    assert fit.parameters.loc["sum", "standard_error"] == pytest.approx(spread, rel=1e-5)
+    report = fit.report()
+    alone = np.sqrt(np.linalg.inv(X.T @ X / SIGMA**2).sum())
+    row = report.priors.iloc[0]
+    assert row["error from the data alone"] == pytest.approx(alone, rel=1e-5)
+    assert row["of the priors [%]"] == pytest.approx(100 * (1 - (spread / alone) ** 2), rel=1e-4)
+    profile = report.tied_profiles["sum"]
+    assert (profile.high - profile.low) / 2 == pytest.approx(1.959964 * spread, rel=3e-3)
+
+
+@pytest.mark.parametrize("sigma", [None, "relative"])
+def test_beside_priors_errors_are_estimated_from_what_the_data_determine(sigma: object) -> None:
+    """MacKay's fixed point (Neural Computation 4, 1992), iterated here for a line: the variance is
+    the sum of squares by the rows less gamma, the trace of what the data know."""
+    relative = np.ones(40) if sigma is None else np.where(t < 0.5, 1.0, 3.0)
+    y = 1 + 2 * t + SIGMA * relative * rng.standard_normal(40)
+    mean, std = np.array([1.2, 1.5]), np.array([0.1, 0.3])
+    X, z = np.stack([np.ones(40), t], axis=1) / relative[:, None], y / relative
+    variance = 1.0
+    for _ in range(500):
+        precision = X.T @ X / variance + np.diag(1 / std**2)
+        expected = np.linalg.solve(precision, X.T @ z / variance + mean / std**2)
+        gamma = np.trace(np.linalg.solve(precision, X.T @ X / variance))
+        variance = float(np.sum((z - X @ expected) ** 2)) / (40 - gamma)
+    space = {
+        "a": {"low": -5, "high": 5, "prior": (1.2, 0.1)},
+        "b": {"low": -5, "high": 5, "prior": (1.5, 0.3)},
+    }
+    known = {} if sigma is None else {"sigma": relative, "sigma_known": False}
+    fit = miho.fit(line, t, y, space, compiled=False, **known)
+    assert list(fit.values.values()) == pytest.approx(expected, rel=1e-5)
+    errors = np.sqrt(np.diag(np.linalg.inv(precision)))
+    assert fit.uncertainty.standard_errors == pytest.approx(errors, rel=1e-5)
+    assert fit.uncertainty.freedom == int(40 - gamma)
+    report = fit.report()
+    assert report.priors["of the priors [%]"].between(5, 90).all()
+    half = fit.uncertainty.quantile() * errors
+    row = report.parameters.iloc[1]
+    assert (row["profile high"] - row["profile low"]) / 2 == pytest.approx(half[1], rel=3e-3)
+
+
+def test_beside_data_without_errors_a_prior_counts_nothing() -> None:
+    space = {"a": (0, 5), "b": {"low": 0, "high": 5, "prior": (1.4, 0.1)}}
+    fit = miho.fit(decay, t, decay(t, 2.0, 1.5), space, compiled=False)
+    assert list(fit.values.values()) == pytest.approx([2.0, 1.5], rel=1e-9)
+
+
+def test_data_that_contradict_a_prior_are_named() -> None:
+    y = 1 + 2 * t + SIGMA * rng.standard_normal(40)
+    for mean, contradict in ((2.0, False), (3.0, True)):
+        space = {"a": (-5, 5), "b": {"low": -5, "high": 5, "prior": (mean, 0.1)}}
+        notes = miho.fit(line, t, y, space, sigma=SIGMA / 10, compiled=False).notes
+        assert any("data and prior contradict each other" in note for note in notes) == contradict
+
+
 @pytest.mark.parametrize(
     ("prior", "sigma", "message"),
     [
-        ((1.0, 0.1), None, "space.b.prior: how much it counts beside the data"),
+        ((9.0, 1.0), 0.2, "prior is \\(9.0, 1.0\\), 4 deviations outside of 0 to 5; correct one"),
+        ((-0.31, 0.1), 0.2, "3.1 deviations outside of 0 to 5"),
         ((1.0, 0.0), 0.2, "prior is \\(1.0, 0.0\\); expected a finite mean"),
         ((1.0,), 0.2, "expected mean and standard deviation"),
         (("x", 1), 0.2, "expected mean and standard deviation"),

@@ -6,6 +6,7 @@ import pickle
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 import miho
 from miho.models import Pacejka
@@ -87,3 +88,51 @@ def test_a_limit_that_is_active_is_followed(seed: int) -> None:
         b = 1 - a
         assert "c ends at its limit 0" in fit.optimum
     assert [fit.values["a"], fit.values["b"]] == pytest.approx([a, b], abs=1e-4)
+
+
+def test_profiles_follow_a_limit_that_is_active() -> None:
+    """With one share given, what is left of 1 goes to the others as least squares say, or as near
+    as their limits allow; c's own interval ends at its limit."""
+    A = np.random.default_rng(3).random((50, 3))
+    y = A @ [0.6, 0.4, 0.0] + 0.02 * np.random.default_rng(2).standard_normal(50)
+    fit = miho.fit(
+        lambda x, y, z, a, b, c: a * x + b * y + c * z, tuple(A.T), y,
+        dict.fromkeys("abc", (0, 1)), tied={"c": "1 - a - b"}, compiled=False,
+    )  # fmt: skip
+    assert "c ends at its limit 0" in fit.optimum
+
+    def cost(value: float, k: int) -> float:
+        j, other = (place for place in range(3) if place != k)
+        rest = y - value * A[:, k] - (1 - value) * A[:, other]
+        direction = A[:, j] - A[:, other]
+        share = np.clip(direction @ rest / (direction @ direction), 0, 1 - value)
+        return float(np.sum((rest - share * direction) ** 2))
+
+    report = fit.report()
+    profiles = {**dict(zip("ab", report.profiles, strict=True)), **report.tied_profiles}
+    for k, name in enumerate("abc"):
+        grid = np.clip(fit.values[name] + np.linspace(-0.03, 0.03, 2001), 0, 1)
+        costs = np.array([cost(value, k) for value in grid])
+        inside = grid[costs <= costs.min() * (1 + student.ppf(0.975, 48) ** 2 / 48)]
+        # A refit at a limit stays 1e-9 inside, and an end is found to 0.3 % of the half width.
+        ends = [profiles[name].low, profiles[name].high]
+        assert ends == pytest.approx([inside[0], inside[-1]], abs=1e-4)
+    row = report.derived.iloc[0]
+    assert row["profile low"] == 0
+    assert row["profile high"] == profiles["c"].high
+
+
+def test_a_quantity_that_the_model_does_not_have_is_told_of_as_well() -> None:
+    model, alpha = Pacejka(), np.linspace(-0.2, 0.2, 60)
+    rng = np.random.default_rng(0)
+    force = model.predict(np.array([list(VALUES.values())]), alpha)[0] + rng.normal(0, 20, 60)
+    box = {"B": (2, 40), "C": (1, 2), "D": (1e3, 1e4), "Sx": (-0.05, 0.05), "Sy": (-500, 500)}
+    plain = miho.fit(model, alpha, force, box)
+    fit = miho.fit(model, alpha, force, {**box, "K": {"unit": "N/rad"}}, tied={"K": "B * C * D"})
+    B, C, D = (plain.values[name] for name in "BCD")
+    gradient = np.array([C * D, B * D, B * C, 0, 0])
+    row = fit.parameters.loc["K"]
+    assert row["value"] == pytest.approx(B * C * D, rel=1e-5)
+    assert row["unit"] == "N/rad"
+    spread = np.sqrt(gradient @ plain.uncertainty.covariance @ gradient)
+    assert row["standard_error"] == pytest.approx(spread, rel=1e-3)

@@ -119,7 +119,7 @@ def figures_of(report: Report) -> dict[str, bytes]:
         band = (grid, *report.band(grid))
     profiles = {
         name: (curve.values, curve.tau)
-        for name, curve in zip(problem.space.names, report.profiles, strict=True)
+        for name, curve in zip(report.space.names, report.profiles, strict=True)
         if curve is not None
     }
     figures = {
@@ -139,7 +139,8 @@ def figures_of(report: Report) -> dict[str, bytes]:
         )
     if profiles:
         quantile = report.at.quantile(report.level)
-        figures["profiles"] = profile_figure(profiles, model.parameters, quantile)
+        units = {parameter.name: parameter.unit for parameter in report.space.parameters}
+        figures["profiles"] = profile_figure(profiles, units, quantile)
     return {name: png(figure) for name, figure in figures.items()}
 
 

@@ -48,19 +48,23 @@ def values_table(stored: StoredRun) -> pd.DataFrame:
 def derived_table(report: Report) -> pd.DataFrame:
     """The derived quantities as text, in handy units."""
     rows = []
-    kind = interval_kind(report.derived)
+    kind = interval_kind(report.derived.drop(columns=["profile low"], errors="ignore"))
+    heading = _heading(report, kind)
+    if report.tied_profiles:
+        heading = _heading(report, f"profile of tied parameters, else {kind}")
     for row in report.derived.to_dict("records"):
         if math.isnan(row["value"]):
             continue
         factor, unit = scaled(row["value"], row["unit"])
         value, error = row["value"] * factor, row["standard error"] * factor
-        low, high = (row[f"{kind} {end}"] * factor for end in ("low", "high"))
+        best = "profile" if not math.isnan(row.get("profile low", math.nan)) else kind
+        low, high = (row[f"{best} {end}"] * factor for end in ("low", "high"))
         rows.append(
             {
                 "derived": row["quantity"],
                 "value": with_error(value, error) if error > 0 else to_error(value, error),
                 "unit": unit,
-                _heading(report, kind): ends(low, high, error),
+                heading: ends(low, high, error),
             }
         )
     return pd.DataFrame(rows)

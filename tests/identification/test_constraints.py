@@ -1,0 +1,212 @@
+"""Constraints against rejection sampling, closed forms along their edges, and free fits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import t as student
+
+import miho
+from miho import Parameter, Space
+from miho.identification.constraints import constrained, free_values
+from miho.models.tied import Ties
+
+EQUAL: dict[str, Any] = {"a": (0, 10), "b": (0, 10), "c": (0, 10)}
+UNEQUAL: dict[str, Any] = {"a": (-3, 5), "b": (1, 10), "c": (2, 4)}
+LOG = {"low": 1e-2, "high": 1e2, "scale": "log"}
+PROFILE = 2e-3
+"""Ends of a profile are found to 0.005 of a root of about 2, so to that share of a half width."""
+
+
+def space_of(box: dict[str, Any]) -> Space:
+    return Space(
+        tuple(
+            Parameter(n, "", **p) if isinstance(p, dict) else Parameter(n, "", *p)
+            for n, p in box.items()
+        )
+    )
+
+
+def ties_of(space: Space) -> Ties:
+    """The parameters but for shares, as they follow from the free ones."""
+    held = {p.name: p.tied or p.fixed for p in space.parameters if not p.free}
+    names = tuple(p.name for p in space.parameters if p.stands_for is None)
+    return Ties(names, dict.fromkeys(space.free.names, ""), {k: v for k, v in held.items() if v})
+
+
+CASES: list[tuple[dict[str, Any], list[str], Any]] = [
+    (EQUAL, ["a < b"], lambda a, b, c: [b - a]),
+    (EQUAL, ["c < a < b"], lambda a, b, c: [a - c, b - a]),
+    (UNEQUAL, ["a < b", "a < c"], lambda a, b, c: [b - a, c - a]),
+    (UNEQUAL, ["a + 1 < b", "b - c < 2"], lambda a, b, c: [b - a - 1, 2 - b + c]),
+    (UNEQUAL, ["a + b + 2 * c > 15"], lambda a, b, c: [a + b + 2 * c - 15]),
+    (UNEQUAL, ["-2 < a - b < 2", "a < 3 <= c"], lambda a, b, c: [2 - abs(a - b), 3 - a, c - 3]),
+    ({"a": LOG, "b": LOG, "c": LOG}, ["a < b < c"], lambda a, b, c: [b - a, c - b]),
+    (EQUAL | {"c": {"fixed": 4.0}}, ["a < c", "b > a"], lambda a, b, c: [c - a, b - a]),
+]
+"""A box, constraints, and what must not be below 0."""
+ROUNDING = 1e-12
+"""Of numbers up to 100, with a factor of 100."""
+
+
+@pytest.mark.parametrize("case", range(len(CASES)))
+def test_the_whole_set_is_searched_and_nothing_else(case: int) -> None:
+    """Configurations that are drawn free keep the constraints, and of those that are drawn in the
+    box all that keep them are reached."""
+    box, texts, slack = CASES[case]
+    plain, rng = space_of(box), np.random.default_rng(case)
+    space = constrained(plain, texts)
+    ties, free = ties_of(space), space.free
+    drawn = ties.whole(free.decode(free.sample(2000, rng, "uniform")))
+    assert np.min(slack(*drawn.T)) >= -ROUNDING
+    assert (drawn >= plain.low - ROUNDING).all()
+    assert (drawn <= plain.high + ROUNDING).all()
+    reached = 0
+    for theta in plain.free.decode(plain.free.sample(500, rng, "uniform")):
+        point = {"c": 4.0, **dict(zip(plain.free.names, theta.tolist(), strict=True))}
+        try:
+            shares = free_values(free, ties, point)
+        except ValueError:
+            shares = np.full(len(free), np.inf)
+        inside = bool(free.contains(shares[None])[0])
+        assert inside == (min(slack(**point)) >= 0)
+        if inside:
+            reached += 1
+            whole = dict(zip(ties.parameters, ties.whole(shares[None])[0], strict=True))
+            assert whole == pytest.approx({name: point[name] for name in whole}, rel=1e-9, abs=1e-9)
+    assert reached > 10
+
+
+def test_shares_of_a_whole_are_a_simplex() -> None:
+    space = constrained(space_of(dict.fromkeys("abc", (0, 1))), "a + b + c = 1")
+    assert [p.tied for p in space.parameters] == [None, "(1 - a) * b_share", None, "1 - a - b"]
+    free = space.free
+    whole = ties_of(space).whole(free.decode(free.sample(500, np.random.default_rng(0), "uniform")))
+    assert whole.sum(axis=1) == pytest.approx(1.0)
+    assert (whole >= -1e-15).all()
+
+
+def test_starts_are_spread_about_the_middle_of_a_chain() -> None:
+    """The point farthest from all sides of 0 < x1 < ... < x4 < 1 has even steps of 1/5."""
+    box = {f"x{k}": (0, 1) for k in range(4)}
+    space = constrained(space_of(box), "x0 < x1 < x2 < x3")
+    theta = np.array([p.mean for p in space.free.parameters], dtype=float)
+    assert ties_of(space).whole(theta[None])[0] == pytest.approx([0.2, 0.4, 0.6, 0.8])
+
+
+@pytest.mark.parametrize(
+    ("box", "texts", "message"),
+    [
+        (EQUAL, ["a < b", "b < c", "c < a"], "no values keep a < b, b < c, c < a; leave one out"),
+        (EQUAL, ["a < b", "a < c", "b < a"], "no values keep a < b, b < a; leave one out"),
+        ({"a": (5, 10), "b": (0, 4)}, ["a < b"], "a < b leaves nothing of a from 5 to 10, b from"),
+        (EQUAL, ["a + b = 30", "c < 3"], "a \\+ b = 30 leaves nothing of a from 0 to 10, b"),
+        (EQUAL, ["a < bb"], "'bb' has no parameter bb; did you mean b"),
+        (EQUAL, ["a * b < 3"], "'a \\* b' is not linear; tie a parameter to others"),
+        (EQUAL, ["a"], "'a' is none; give such as 'a < b < c'"),
+        (EQUAL, ["a <"], "'a <' is none"),
+        (EQUAL, [3], "3 is none"),
+        (EQUAL, 3, "3 is none"),
+        (EQUAL, ["1 < 2"], "has a part without free parameters"),
+        (EQUAL, ["a < b.real"], "is not allowed"),
+        (EQUAL | {"c": {"tied": "2 * a"}}, ["c < b"], "has c, which is tied to '2 \\* a'"),
+    ],
+)
+def test_what_leaves_nothing_or_says_nothing_is_refused(box, texts, message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        constrained(space_of(box), texts)
+    assert "\n" not in str(caught.value)
+
+
+t = np.linspace(0, 2, 80)
+
+
+def two(t, a, b, c, d):
+    return a * np.exp(-b * t) + c * np.exp(-d * t)
+
+
+def test_an_order_that_holds_anyway_changes_no_result() -> None:
+    """Without the order there are two optima, one the other with its terms swapped."""
+    y = two(t, 1, 0.7, 2, 4) + 0.02 * np.random.default_rng(0).standard_normal(80)
+    box = {"a": (0, 5), "b": (0, 20), "c": (0, 5), "d": (0, 20)}
+    start = {"a": 1, "b": 1, "c": 1, "d": 5}
+    plain = miho.fit(two, t, y, box, start=start, compiled=False)
+    for keywords in ({}, {"start": start}):
+        fit = miho.fit(two, t, y, box, constraints="b < d", compiled=False, **keywords)
+        assert fit.values == pytest.approx(plain.values, rel=1e-5)
+        table, expected = fit.parameters, plain.parameters
+        assert list(table.index) == list("abcd")
+        assert list(table["held"]) == ["free"] * 4
+        for column in ("standard_error", "low", "high"):
+            assert table[column].to_numpy() == pytest.approx(expected[column].to_numpy(), rel=1e-4)
+    report, reference = fit.report(), plain.report()
+    assert report.correlation.to_numpy() == pytest.approx(
+        reference.correlation.to_numpy(), abs=1e-4
+    )
+    half = reference.at.quantile() * reference.at.standard_errors
+    for end in ("profile low", "profile high"):
+        off = report.parameters[end].to_numpy() - reference.parameters[end].to_numpy()
+        assert (np.abs(off) < PROFILE * half).all()
+    assert report.notes == reference.notes
+    with pytest.raises(ValueError, match=r"start: d is 0\.5, and the constraints leave 1 to 20"):
+        miho.fit(two, t, y, box, constraints="b < d", start={**start, "d": 0.5})
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_profiles_follow_an_order_that_holds_parameters_back(seed: int) -> None:
+    """y = a x + b z with a < b: with one of them given, the best other one is that of least
+    squares, or the nearest that the order allows."""
+    A = np.random.default_rng(3).random((50, 2))
+    truth = [0.5, 0.5] if seed == 1 else [0.5, 0.52]
+    y = A @ truth + 0.05 * np.random.default_rng(seed).standard_normal(50)
+    fit = miho.fit(
+        lambda x, z, a, b: a * x + b * z, tuple(A.T), y, {"a": (0, 1), "b": (0, 1)},
+        constraints="a < b", compiled=False,
+    )  # fmt: skip
+
+    def cost(value: float, k: int) -> float:
+        own, other = A[:, k], A[:, 1 - k]
+        best = other @ (y - value * own) / (other @ other)
+        best = max(best, value) if k == 0 else min(best, value)
+        return float(np.sum((y - value * own - best * other) ** 2))
+
+    grid = np.linspace(0.4, 0.6, 4001)
+    report = fit.report()
+    held = int(fit.uncertainty.at_bound.sum())
+    assert held == (1 if seed == 1 else 0)
+    assert ("b ends where the constraints hold it" in fit.optimum) == bool(held)
+    freedom = 48 + held
+    for k, row in enumerate(report.parameters.to_dict("records")):
+        costs = np.array([cost(value, k) for value in grid])
+        assert costs.min() == pytest.approx(50 * fit.error**2, rel=1e-6)
+        allowed = costs.min() * (1 + student.ppf(0.975, freedom) ** 2 / freedom)
+        inside = grid[costs <= allowed]
+        ends = [row["profile low"], row["profile high"]]
+        assert ends == pytest.approx([inside[0], inside[-1]], abs=1.5e-4)
+
+
+def test_joint_and_many_fits_take_constraints() -> None:
+    line = np.linspace(0, 1, 30)
+    y = np.stack([1 + 2 * line, 3 + 1 * line, 1 + 1 * line])
+    table = miho.fit_many(
+        lambda t, a, b: a + b * t, line, y, {"a": (0, 5), "b": (0, 5)}, constraints="a < b"
+    )
+    assert "b_share" not in table and "b_share_error" not in table
+    assert table.loc[0, ["a", "b"]].tolist() == pytest.approx([1, 2], rel=1e-5)
+    best = (1 + line) @ y[1] / ((1 + line) @ (1 + line))  # on the edge a = b
+    assert table.loc[1, ["a", "b"]].tolist() == pytest.approx([best, best], rel=1e-4)
+    noise = 0.01 * np.random.default_rng(0).standard_normal((2, 30))
+    parts = {
+        name: miho.Part(lambda t, a, b: a + b * t, line, y[k] + noise[k])
+        for k, name in enumerate(("left", "right"))
+    }
+    box = {"a": (0, 5), "b": (0, 5)}
+    fit = miho.fit_joint(parts, box, local=["a", "b"], constraints="a_left < a_right")
+    free = miho.fit_joint(parts, box, local=["a", "b"])
+    assert fit.values == pytest.approx(free.values, rel=1e-5)
+    right = fit.part("right").parameters["standard_error"].to_numpy()
+    assert right == pytest.approx(
+        free.part("right").parameters["standard_error"].to_numpy(), rel=1e-3
+    )
