@@ -78,7 +78,8 @@ def fit(
     linear: "a < b < c", "a + b = 1", "b - a < 5", or several of them.
 
     `sigma` is the standard deviation of the errors: a number, one for each row (N,), or the name of
-    a column of `x`; with `sigma_known` false up to a factor, which the residuals then tell.
+    a column of `x`; with `sigma_known` false up to a factor, which the residuals then tell. What
+    priors count beside errors that are not known is settled with the fit.
 
     `method` searches within the bounds, `MIHOGN()` by default. With a `start` of every free
     parameter there is one descent from there, and bounds are not needed. `loss` is what a residual
