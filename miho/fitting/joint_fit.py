@@ -88,14 +88,10 @@ def fit_joint(
             members[k] = member._replace(model=traced_where_alike(member.model, dataset, ranges))
     model = JointModel(tuple(members))
     sigma = [np.asarray(p.sigma, dtype=float) for p in stated.values()] if all(has_sigma) else None
-    start = None
     if sigma is None:
-        sigma, start = _estimated(model, datasets, bounds, method, budget, seed)
+        sigma = _estimated(model, datasets, bounds, method, budget, seed)
     problem = _problem(model, datasets, bounds, sigma, known=all(has_sigma))
-    if start is None:
-        fit = searched(problem, method, budget, seed)
-    else:
-        fit = replace(start, problem=problem, theta=refit(problem, start.theta).theta)
+    fit = searched(problem, method, budget, seed)
     return JointFit(fit.problem, fit.theta, fit.run, fit.descents)
 
 
@@ -182,14 +178,14 @@ def _estimated(
     method: Optimizer | None,
     budget: Budget | None,
     seed: int,
-) -> tuple[list[Array], Fit]:
-    """The standard deviation of each part's errors, and the fit that they belong to."""
+) -> list[Array]:
+    """The standard deviation of each part's errors."""
     sizes = np.array([len(dataset) for dataset in datasets])
     outputs = [dataset[dataset.output] for dataset in datasets]
     sigma = [np.asarray(max(float(np.std(y)), np.finfo(float).tiny)) for y in outputs]
     plain = without_priors(bounds)
     if plain != bounds:
-        sigma = _estimated(model, datasets, plain, method, budget, seed)[0]
+        sigma = _estimated(model, datasets, plain, method, budget, seed)
     problem = _problem(model, datasets, bounds, sigma, known=False)
     fit = searched(problem, method, budget, seed)
     for _ in range(ROUNDS):
@@ -209,4 +205,4 @@ def _estimated(
         fit = replace(fit, problem=problem, theta=refit(problem, fit.theta).theta)
         if np.abs(now / before - 1).max() < SETTLED:
             break
-    return sigma, fit
+    return sigma

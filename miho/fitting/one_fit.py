@@ -126,7 +126,7 @@ def settled(bounds: Space, solved: Callable[[Space, float | None], Fit]) -> Fit:
         scale = noise(fit)
         before = fit.problem.prior_scale or scale
         if abs(scale - before) <= SETTLED * before:
-            return fit
+            return fit if fit.descents is None else solved(bounds, scale)
         problem = replace(fit.problem, prior_scale=scale)
         fit = replace(fit, problem=problem, theta=refit(problem, fit.theta).theta)
     raise ValueError("the errors and what priors count beside them do not settle; give sigma")
