@@ -202,7 +202,11 @@ def _statement(
     settings = _part(config, "problem")
     if settings.get("parts"):
         joint = _joint(config)
-        return joint.dataset, joint.complete
+
+        def joint_of(space: Space, constraints: str | Sequence[str], **switches: Any) -> CurveFit:
+            return joint.complete(joint.space(space, constraints=constraints), **switches)
+
+        return joint.dataset, joint_of
     model = instantiate(_part(config, "model"), "model", Model)
     if dataset is None:
         dataset = build_dataset(_part(config, "dataset"))

@@ -10,7 +10,7 @@ import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.fitting.joint_problem import Joint, Measured
-from miho.fitting.one_fit import Fit
+from miho.fitting.one_fit import Fit, searched
 from miho.fitting.statement import FAR, data_of
 from miho.identification.curve_fit import CurveFit
 from miho.identification.stated import stated_parameters
@@ -49,7 +49,7 @@ def fit_joint(
     Where all parts are the same expression, it is compiled from 20,000 rows on, or where `compiled`
     is true.
 
-    A part's sigma that is not given is estimated from its own residuals, see `Joint.estimated`.
+    A part's sigma that is not given is estimated from its own residuals, see `Joint.complete`.
     Raises ValueError for what does not fit together.
     """
     measured = {}
@@ -58,7 +58,8 @@ def fit_joint(
         measured[name] = Measured(chosen, dataset, deviation)
     joint = Joint(measured, local)
     bounds = joint.space(space, fixed, tied, constraints)
-    fit = joint.estimated(bounds, method, budget, seed, compiled=compiled)
+    problem = joint.complete(bounds, method, budget, seed, compiled=compiled)
+    fit = searched(problem, method, budget, seed)
     return JointFit(fit.problem, fit.theta, fit.run, fit.descents)
 
 

@@ -173,38 +173,43 @@ class Joint:
             members.append(part._replace(model=model))
         return joined(JointModel(tuple(members)))
 
-    def estimated(
+    def complete(
         self,
         space: Space,
         method: Optimizer | None = None,
         budget: Budget | None = None,
         seed: int = 0,
         **settings: Any,
-    ) -> Fit:
-        """The optimum, and with it sigma of the parts that lack it.
+    ) -> CurveFit:
+        """The problem within a space of all parameters, with sigma of all parts.
 
-        That is estimated from a part's residuals, alternately with the parameters (Seber and Wild,
-        Nonlinear Regression, 1989, Ch. 11.1, for independent outputs), to four digits, so that it
-        is the same on every machine; beside priors without them first. Raises ValueError where a
-        part has too few rows to tell.
+        Where a part lacks it, it is estimated from its residuals, alternately with the parameters
+        (Seber and Wild, Nonlinear Regression, 1989, Ch. 11.1, for independent outputs), to four
+        digits, so that it is the same on every machine; beside priors without them first. Raises
+        ValueError where a part has too few rows to tell.
         """
+        if not self.lacking:
+            return self.problem(space, **settings)
         self._check_estimable(settings.get("rho"))
         joint = self
-        if self.lacking and without_priors(space) != space:
-            plain = self.estimated(without_priors(space), method, budget, seed, **settings)
-            joint = self._with(self._residual_deviations(plain), parts_of(plain.problem.model))
-        problem = joint.problem(space, **joint._beside_priors(self.lacking), **settings)
+        if without_priors(space) != space:
+            plain = self.complete(without_priors(space), method, budget, seed, **settings)
+            rows = plain.dataset[PART]
+            first = {name: float(plain.dataset[SIGMA][rows == k][0])
+                     for k, name in enumerate(self.parts) if name in self.lacking}  # fmt: skip
+            joint = self._with(first, parts_of(plain.model))
+        problem = joint.problem(space, prior_scale=joint._scale, **settings)
         fit = searched(problem, method, budget, seed)
         models = parts_of(problem.model)  # traced once
-        for _ in range(ROUNDS if self.lacking else 0):
+        for _ in range(ROUNDS):
             sigma = self._residual_deviations(fit)
             before = {name: deviations(name, joint.parts[name])[0] for name in sigma}
             joint = self._with(sigma, models)
-            problem = joint.problem(space, **joint._beside_priors(self.lacking), **settings)
+            problem = joint.problem(space, prior_scale=joint._scale, **settings)
             fit = replace(fit, problem=problem, theta=refit(problem, fit.theta).theta)
             if all(abs(sigma[name] / before[name] - 1) < SETTLED for name in sigma):
                 break
-        return fit
+        return problem
 
     def _with(self, sigma: Mapping[str, float], models: Sequence[JointPart]) -> Joint:
         """The same with sigma of the parts that lacked it, and models as they are traced."""
@@ -214,23 +219,10 @@ class Joint:
         }
         return Joint(parts, self.local, self._known)
 
-    def _beside_priors(self, lacking: Collection[str]) -> dict[str, float]:
-        """The standard deviation beside which priors count, where that of parts is estimated."""
-        if not lacking:
-            return {}
-        return {"prior_scale": float(1 / np.sqrt(np.mean(1 / self.dataset[SIGMA] ** 2)))}
-
-    def complete(
-        self,
-        bounds: Space | Mapping[str, Any],
-        constraints: str | Sequence[str] = (),
-        **settings: Any,
-    ) -> CurveFit:
-        """The problem within `bounds` by name, with sigma of all parts."""
-        space = self.space(bounds, constraints=constraints)
-        if self.lacking:
-            return self.estimated(space, **settings).problem
-        return self.problem(space, **settings)
+    @property
+    def _scale(self) -> float:
+        """The standard deviation of all rows, beside which priors count."""
+        return float(1 / np.sqrt(np.mean(1 / self.dataset[SIGMA] ** 2)))
 
     def _check_estimable(self, rho: Loss | None) -> None:
         if self.lacking and not isinstance(rho, Square | None):

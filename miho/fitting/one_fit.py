@@ -81,7 +81,8 @@ def fit(
     linear: "a < b < c", "a + b = 1", "b - a < 5", or several of them.
 
     `sigma` is the standard deviation of the errors: a number, one for each row (N,), or the name of
-    a column of `x`; with `sigma_known` false up to a factor, which the residuals then tell.
+    a column of `x`; with `sigma_known` false up to a factor, which the residuals then tell. What
+    priors count beside errors that are not known is settled with the fit.
 
     `method` searches within the bounds, `MIHOGN()` by default. With a `start` of every free
     parameter there is one descent from there, and bounds are not needed. `loss` is what a residual
@@ -138,7 +139,7 @@ def settled(bounds: Space, solved: Callable[[Space, float | None], Fit]) -> Fit:
         scale = noise(fit)
         before = fit.problem.prior_scale or scale
         if abs(scale - before) <= SETTLED * before:
-            return fit
+            return fit if fit.descents is None else solved(bounds, scale)
         problem = replace(fit.problem, prior_scale=scale)
         fit = replace(fit, problem=problem, theta=refit(problem, fit.theta).theta)
     raise ValueError("the errors and what priors count beside them do not settle; give sigma")

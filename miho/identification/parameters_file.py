@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -40,6 +41,9 @@ def identified(report: Report, origin: Mapping[str, Any]) -> Identified:
     doubt = report.standing.doubt
     values = {row["parameter"]: _value(row, kind) for row in report.parameters.to_dict("records")}
     model, values, correlation = _whole(report.problem, report.at, values, report.level)
+    for name in values.keys() & report.tied_profiles.keys():
+        curve = report.tied_profiles[name]
+        values[name] = replace(values[name], low=curve.low, high=curve.high)
     return Identified(
         model=model,
         parameters=values,
@@ -92,7 +96,7 @@ def _whole(
 ) -> tuple[Model, dict[str, Value], Array]:
     """The model of all parameters, their values from those of the free ones, their correlation.
 
-    Tied ones get linearised intervals; a fixed one is as exact as it was given.
+    Tied ones get linearised intervals here; a fixed one is as exact as it was given.
     """
     model = whole_model(problem.model)
     if model is problem.model:

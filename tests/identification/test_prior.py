@@ -139,6 +139,13 @@ def test_beside_priors_errors_are_estimated_from_what_the_data_determine(sigma: 
     assert (row["profile high"] - row["profile low"]) / 2 == pytest.approx(half[1], rel=3e-3)
 
 
+def test_searches_are_counted_at_the_errors_that_were_settled_on() -> None:
+    y = decay(t, 2.0, 1.5) + SIGMA * rng.standard_normal(40)
+    space = {"a": (0, 5), "b": {"low": 0, "high": 10, "prior": (1.5, 0.1)}}
+    fit = miho.fit(decay, t, y, space, compiled=False)
+    assert "7 of them ended here" in fit.optimum
+
+
 def test_beside_data_without_errors_a_prior_counts_nothing() -> None:
     space = {"a": (0, 5), "b": {"low": 0, "high": 5, "prior": (1.4, 0.1)}}
     fit = miho.fit(decay, t, decay(t, 2.0, 1.5), space, compiled=False)

@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import t as student
 
 import miho
+from miho.identification.parameters_file import identified
 from miho.models import Pacejka
 from miho.models.model import central_differences
 from miho.models.tied import TiedModel, Ties, tie, whole_model
@@ -120,6 +121,8 @@ def test_profiles_follow_a_limit_that_is_active() -> None:
     row = report.derived.iloc[0]
     assert row["profile low"] == 0
     assert row["profile high"] == profiles["c"].high
+    stored = identified(report, {}).parameters["c"]
+    assert (stored.low, stored.high) == (0, profiles["c"].high)
 
 
 def test_a_quantity_that_the_model_does_not_have_is_told_of_as_well() -> None:
