@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +56,10 @@ def covering_rows(
     """The `most` rows that come first in covering the inputs' range; `order` (N,) is random."""
     pool = order[:POOL]
     columns = [column for column in (_unit(column[pool]) for column in inputs) if column.any()]
+    if len(columns) == 1:
+        places = np.argsort(columns[0], kind="stable")
+        line = _Line(columns[0][places], places, rng)
+        return pool[np.fromiter(islice(line.covering(0, pool.size), most), order.dtype)]
     return np.fromiter(islice(_covering(columns, pool, rng), most), order.dtype)
 
 
@@ -82,14 +87,47 @@ def _covering(columns: list[Array], rows: Rows, rng: np.random.Generator) -> Ite
     if split is None:
         yield from rows.tolist()
         return
-    upper = np.count_nonzero(split) / rows.size
     sides = [split, ~split]
-    if upper > 1 - RARE or (upper >= RARE and rng.random() < 0.5):
+    if _lower_first(np.count_nonzero(split) / rows.size, rng):
         sides.reverse()
     halves = []
     for (side,) in map(np.nonzero, sides):
         halves.append(_covering([column[side] for column in columns], rows[side], rng))
     del columns, rows, split, sides, side  # so that of a large pool each row is in memory once
+    yield from _in_turn(halves)
+
+
+class _Line(NamedTuple):
+    """Boxes of one column, which are parts of its sorted values.
+
+    `places` are those of the rows before they were sorted, at random.
+    """
+
+    values: Array
+    places: Rows
+    rng: np.random.Generator
+
+    def covering(self, i: int, j: int) -> Iterator[int]:
+        """The places of the rows i to j, those of their box's two halves in turn."""
+        low, high = self.values[i].item(), self.values[j - 1].item()
+        if j - i <= FEW or not high > low:
+            yield from sorted(self.places[i:j].tolist())
+            return
+        middle = low + (high - low) / 2
+        cut = i + int(self.values[i:j].searchsorted(middle if middle < high else low, "right"))
+        halves = [self.covering(cut, j), self.covering(i, cut)]
+        if _lower_first((j - cut) / (j - i), self.rng):
+            halves.reverse()
+        yield from _in_turn(halves)
+
+
+def _lower_first(upper: float, rng: np.random.Generator) -> bool:
+    """Whether the lower half comes first, where the upper one has this share of the rows."""
+    return bool(upper > 1 - RARE or (upper >= RARE and rng.random() < 0.5))
+
+
+def _in_turn(halves: list[Iterator[int]]) -> Iterator[int]:
+    """What the halves give, in turn."""
     while halves:
         for half in tuple(halves):
             row = next(half, None)
@@ -112,7 +150,5 @@ def _split(columns: list[Array]) -> NDArray[np.bool_] | None:
             middle = low + (high - low) / 2
             # Between two neighbouring floating-point numbers there is no middle: it rounds to high.
             splits.append(column > (middle if middle < high else low))
-    if len(splits) == 1:
-        return splits[0]
     imbalances = [abs(2 * np.count_nonzero(split) - split.size) for split in splits]
     return splits[int(np.argmax(imbalances))]
