@@ -25,6 +25,9 @@ EVENT = "event"
 FEWEST_EVENTS = 3
 AT_BOUND = 1e-6
 """A parameter this close to a bound, as a fraction of its range, is at the bound."""
+AT_END = 1e-10
+"""A share this close to 0 or 1 is there: what lies between its ends may be a million times the
+parameter that it stands for, where no bounds are given."""
 RESEMBLING = 0.1
 """Correlation of neighbouring rows' errors from which on they are not independent ..."""
 SCORE = 2.33
@@ -349,6 +352,7 @@ def events_of(dataset: Dataset) -> NDArray[np.intp] | None:
 def at_bounds(space: Space, theta: Array) -> NDArray[np.bool_]:
     """Which parameters (d,) are at a bound, in the space's own scales."""
     low, high = space.bounds
-    slack = AT_BOUND * (high - low)
+    stand_in = np.array([p.stands_for is not None for p in space.parameters])
+    slack = np.where(stand_in, AT_END, AT_BOUND) * (high - low)
     at = space.encode(theta)
     return np.asarray((at - low <= slack) | (high - at <= slack))

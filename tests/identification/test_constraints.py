@@ -111,6 +111,7 @@ def test_starts_are_spread_about_the_middle_of_a_chain() -> None:
         (EQUAL, 3, "3 is none"),
         (EQUAL, ["1 < 2"], "has a part without free parameters"),
         (EQUAL, ["a < b.real"], "is not allowed"),
+        (EQUAL, ["a / 0 < b"], "is not linear"),
         (EQUAL | {"c": {"tied": "2 * a"}}, ["c < b"], "has c, which is tied to '2 \\* a'"),
     ],
 )
@@ -210,3 +211,20 @@ def test_joint_and_many_fits_take_constraints() -> None:
     assert right == pytest.approx(
         free.part("right").parameters["standard_error"].to_numpy(), rel=1e-3
     )
+
+
+def test_an_order_changes_no_errors_of_a_fit_without_bounds() -> None:
+    """Its shares are tiny, as the ranges are a million times the start."""
+    t = np.linspace(0.0, 5.0, 40)
+    y = np.exp(-t) + 2 * t + 0.05 * np.random.default_rng(0).standard_normal(40)
+    results = [
+        miho.fit(
+            lambda t, a, b: a * np.exp(-t) + b * t, t, y, start={"a": 1, "b": 1.5},
+            constraints=constraints,
+        )
+        for constraints in ((), "a < b")
+    ]  # fmt: skip
+    free, ordered = (result.uncertainty.standard_errors for result in results)
+    assert not results[1].uncertainty.at_bound.any()
+    assert ordered[0] == pytest.approx(free[0], rel=1e-4)
+    assert "constraints hold" not in str(results[1])
