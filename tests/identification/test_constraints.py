@@ -11,6 +11,8 @@ from scipy.stats import t as student
 import miho
 from miho import Parameter, Space
 from miho.identification.constraints import constrained, free_values
+from miho.identification.refit import refit
+from miho.identification.stated import whole_values
 from miho.models.tied import Ties
 
 EQUAL: dict[str, Any] = {"a": (0, 10), "b": (0, 10), "c": (0, 10)}
@@ -228,3 +230,19 @@ def test_an_order_changes_no_errors_of_a_fit_without_bounds() -> None:
     assert not results[1].uncertainty.at_bound.any()
     assert ordered[0] == pytest.approx(free[0], rel=1e-4)
     assert "constraints hold" not in str(results[1])
+
+
+def test_a_limit_and_an_order_have_the_optimum_of_the_limit() -> None:
+    """Where the order holds nothing back: along the limit, which is curved over its shares."""
+    t = np.linspace(0.0, 5.0, 40)
+    y = np.exp(-t) + 2 * t + 0.05 * np.random.default_rng(0).standard_normal(40)
+    values = []
+    for constraints in ((), "a < b"):
+        fit = miho.fit(
+            lambda t, a, b: a * np.exp(-t) + b * t, t, y,
+            {"a": (0, 10), "b": (0, 10), "s": {"low": 0, "high": 2.9}},
+            tied={"s": "a + b"}, constraints=constraints, compiled=False,
+        )  # fmt: skip
+        end = refit(fit.problem, fit.theta)
+        values.append(whole_values(fit.problem, end.theta)["a"])
+    assert values[0] == pytest.approx(values[1], rel=1e-5)
