@@ -23,11 +23,9 @@ from miho.quantities import Array
 EVENT = "event"
 """A column of this name numbers events, such as brakings, whose rows are not independent."""
 FEWEST_EVENTS = 3
-AT_BOUND = 1e-6
-"""A parameter this close to a bound, as a fraction of its range, is at the bound."""
-AT_END = 1e-10
-"""A share this close to 0 or 1 is there: what lies between its ends may be a million times the
-parameter that it stands for, where no bounds are given."""
+AT_BOUND = 1e-10
+"""A parameter this close to a bound, as a fraction of its range, is at the bound: descents end
+there to rounding, and the range of one without bounds is a million times its start."""
 RESEMBLING = 0.1
 """Correlation of neighbouring rows' errors from which on they are not independent ..."""
 SCORE = 2.33
@@ -352,7 +350,6 @@ def events_of(dataset: Dataset) -> NDArray[np.intp] | None:
 def at_bounds(space: Space, theta: Array) -> NDArray[np.bool_]:
     """Which parameters (d,) are at a bound, in the space's own scales."""
     low, high = space.bounds
-    stand_in = np.array([p.stands_for is not None for p in space.parameters])
-    slack = np.where(stand_in, AT_END, AT_BOUND) * (high - low)
+    slack = AT_BOUND * (high - low)
     at = space.encode(theta)
     return np.asarray((at - low <= slack) | (high - at <= slack))
