@@ -237,13 +237,16 @@ def test_a_limit_and_an_order_have_the_optimum_of_the_limit() -> None:
     """Where the order holds nothing back: along the limit, which is curved over its shares."""
     t = np.linspace(0.0, 5.0, 40)
     y = np.exp(-t) + 2 * t + 0.05 * np.random.default_rng(0).standard_normal(40)
-    values = []
-    for constraints in ((), "a < b"):
-        fit = miho.fit(
+    fits = [
+        miho.fit(
             lambda t, a, b: a * np.exp(-t) + b * t, t, y,
             {"a": (0, 10), "b": (0, 10), "s": {"low": 0, "high": 2.9}},
             tied={"s": "a + b"}, constraints=constraints, compiled=False,
-        )  # fmt: skip
-        end = refit(fit.problem, fit.theta)
-        values.append(whole_values(fit.problem, end.theta)["a"])
-    assert values[0] == pytest.approx(values[1], rel=1e-5)
+        )
+        for constraints in ((), "a < b")
+    ]  # fmt: skip
+    exact = fits[0].values["a"]
+    for a in np.linspace(0.88, 0.91, 7):  # from several places along the limit
+        start = np.array([a, (2.9 - 1e-9 - 2 * a) / (10 - a)])
+        end = refit(fits[1].problem, start)
+        assert whole_values(fits[1].problem, end.theta)["a"] == pytest.approx(exact, rel=1e-5)
