@@ -290,3 +290,14 @@ def test_what_does_not_fit_together_is_refused(parts, keywords, message: str) ->
     with pytest.raises(ValueError, match=message) as caught:
         miho.fit_joint(parts, {"a": (0, 5), "b": (0, 5)}, **keywords)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("level", [0.0, 5.0])
+def test_a_part_whose_output_is_constant_needs_no_sigma(level: float) -> None:
+    t = np.linspace(0.0, 1.0, 20)
+    noisy = 3 * t + 0.1 * np.random.default_rng(0).standard_normal(20)
+    parts = {"flat": (lambda t, a, b: a + b * t, t, np.full(20, level)),
+             "rising": (lambda t, a, c: a + c * t, t, level + noisy)}  # fmt: skip
+    fit = miho.fit_joint(parts, {"a": (-9, 9), "b": (-9, 9), "c": (-9, 9)}, compiled=False)
+    assert fit.values["a"] == pytest.approx(level, abs=1e-9)
+    assert fit.values["c"] == pytest.approx(3.0, abs=0.2)

@@ -15,7 +15,7 @@ from miho.fitting.one_fit import Fit, searched, without_priors
 from miho.fitting.statement import space_of
 from miho.identification.constraints import constrained
 from miho.identification.curve_fit import CurveFit
-from miho.identification.curve_fit_checks import traced_where_alike
+from miho.identification.curve_fit_checks import SMALLEST, traced_where_alike
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
 from miho.identification.uncertainty import linearised
@@ -248,9 +248,9 @@ class Joint:
         for k, name in enumerate(self.parts):
             if name in self.lacking:
                 own = index == k
-                largest = float(np.abs(self.dataset[OUTPUT][own]).max())
+                largest = _size(self.dataset[OUTPUT][own])
                 square = float(np.mean(errors[own] ** 2)) / freedom
-                sigma[name] = float(f"{max(np.sqrt(square), 1e-12 * largest, 1e-300):.4g}")
+                sigma[name] = float(f"{max(np.sqrt(square), 1e-12 * largest):.4g}")
         return sigma
 
 
@@ -264,12 +264,19 @@ def _check_units(name: str, part: Measured) -> None:
             raise ValueError(f"{name}: column {column!r} has unit {given!r}; expected {unit!r}")
 
 
+def _size(output: Array) -> float:
+    """The largest number, 1 where all are 0."""
+    largest = float(np.abs(output).max(initial=0.0))
+    return largest if largest > SMALLEST else 1.0
+
+
 def deviations(name: str, part: Measured) -> Array:
     """Sigma of a part's rows (N,), by default the standard deviation of its output."""
     dataset, sigma = part.dataset, part.sigma
     output = dataset[dataset.output]
     if sigma is None:
-        return np.full(output.size, max(float(np.std(output)), np.finfo(float).tiny))
+        spread = float(np.std(output))
+        return np.full(output.size, spread if spread > SMALLEST else _size(output))
     if isinstance(sigma, str):
         unit, needed = dataset.units.get(sigma, ""), dataset.units[dataset.output]
         if unit != needed and unit and needed:

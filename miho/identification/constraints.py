@@ -136,7 +136,7 @@ def _form(space: Space, text: str) -> Form:
         symbols[parameter.name] = argument(place) if fixed is None else constant(fixed)
     graph = parsed(text, "constraints", symbols, symbols.__getitem__)
     slopes = [slope.number for slope in gradient(graph, [argument(place) for place in places])]
-    if None in slopes:
+    if None in slopes or not np.isfinite(np.array(slopes, dtype=float)).all():
         raise ValueError(f"constraints: {text!r} is not linear; tie a parameter to others instead")
     coefficients = np.array(slopes, dtype=float)
     for k in np.flatnonzero(coefficients):

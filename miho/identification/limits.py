@@ -25,6 +25,7 @@ CLOSE = 1e-2
 MARGIN = 1e-9
 """What is kept from a limit, as a share of the size, for rounding."""
 STEPS = 200
+CORRECTIONS = 5
 
 
 class Pin(NamedTuple):
@@ -91,10 +92,19 @@ def along_limits(
         constraints=limits,
         options={"maxiter": STEPS, "ftol": 1e-14},
     )
-    end = space.clip(low + solution.x * width)
+    # Where limits are curved, it may end by a little beyond them.
+    end = np.clip(low + solution.x * width, low, high)
+    for _ in range(CORRECTIONS):
+        beyond = sides.slack(end) < 0
+        if not beyond.any():
+            break
+        missing = MARGIN - sides.slack(end)[beyond]
+        shares = np.linalg.pinv(sides.slopes(end)[beyond] * (high - low)) @ missing
+        end = np.clip(end + shares * (high - low), low, high)
+    end = space.clip(end)
     end[list(fixed)] = theta[list(fixed)]
     inside = sides.slack(end).min() >= 0
-    return end if inside and (slack < 0 or cost.value(end) < start) else theta
+    return end if inside and cost.value(end) < (np.inf if slack < 0 else start) else theta
 
 
 class _Cost:

@@ -15,6 +15,7 @@ import numpy as np
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Square
+from miho.identification.stated import reported_space, reported_values, tied_names
 from miho.identification.uncertainty import Linearised, linearised
 from miho.models.tied import TiedExpression, TiedModel
 from miho.quantities import Array
@@ -48,15 +49,15 @@ def sample_posterior(
     """The posterior of a problem with the square loss, from its optimum `theta` (d,) on.
 
     An ArviZ object (`InferenceData`, from ArviZ 1 on a `DataTree`) with the groups posterior (free
-    and tied parameters, and sigma where it is not known, that of rows of weight 1), sample_stats
+    and tied parameters, quantities, sigma where it is not known, of rows of weight 1), sample_stats
     (`lp`), log_likelihood of the rows, and observed_data; its attributes say how it came about, in
     `notes` also what limits it. Needs the extra `posterior`.
 
     Errors are normal and independent. A sigma that is not known is integrated out under Jeffreys'
     prior 1/sigma (Box and Tiao, Bayesian Inference in Statistical Analysis, 1973, Ch. 2.7) and then
     drawn given the parameters. Parameters have their priors, and are uniform within their bounds,
-    in their logarithm on a logarithmic scale. Rows that depend on each other count as fewer: as
-    many as make no standard error smaller than that of `linearised`.
+    in their logarithm on a logarithmic scale, as far as constraints leave them. Rows that depend on
+    each other count as fewer: as many as make no standard error smaller than that of `linearised`.
 
     An ensemble of `walkers`, moved along differences of others (ter Braak and Vrugt, Statistics
     and Computing 18, 2008, by emcee), takes `steps` at most; it ends earlier after ENOUGH
@@ -113,23 +114,49 @@ class _Density:
         low, high = self.problem.space.bounds
         inside = ((coordinates >= low) & (coordinates <= high)).all(axis=1)
         values = np.full(len(coordinates), -math.inf)
-        squares = self.squares(self.problem.space.decode(coordinates[inside]))
+        thetas = self.problem.space.decode(coordinates[inside])
+        squares = self.squares(thetas)
         with np.errstate(divide="ignore"):
             if self.sigma is None:
                 logarithms = -self.rows / 2 * np.log(squares)
             else:
                 logarithms = -self.share / 2 * squares / self.sigma**2
+            logarithms += _log_volumes(self.problem, thetas)
+        if self.problem.prior is not None:  # which counts the same whatever the rows tell
+            logarithms -= np.sum(self.problem.prior.deviations(thetas) ** 2, axis=1) / 2
         values[inside] = np.where(np.isfinite(logarithms), logarithms, -math.inf)
         return values
 
     def squares(self, thetas: Array) -> Array:
-        """Sums of squared residuals (n,), priors' included; NaN where the model has no value."""
+        """Sums of the rows' squared residuals (n,); NaN where the model has no value."""
+        prior = self.problem.prior
         try:
-            return self.problem.loss(thetas) * self.problem.residual_count
+            squares = self.problem.loss(thetas) * self.problem.residual_count
+            if prior is not None:
+                squares = np.maximum(squares - np.sum(prior.residuals(thetas) ** 2, axis=1), 0.0)
+            return np.asarray(squares)
         except ValueError:
             if len(thetas) == 1:
                 return np.array([np.nan])
         return np.concatenate([self.squares(theta[None]) for theta in thetas])
+
+
+def _log_volumes(problem: CurveFit, thetas: Array) -> Array:
+    """Logarithms (n,) of the room that shares of constraints stand for, but for a constant.
+
+    What is uniform between ends that depend on other parameters has the density 1 / their distance,
+    which makes up for it: so the set that the constraints leave is filled evenly.
+    """
+    logarithms, model = np.zeros(len(thetas)), problem.model
+    shares = [(k, p.stands_for) for k, p in enumerate(problem.space.parameters) if p.stands_for]
+    if not isinstance(model, TiedModel | TiedExpression) or not shares:
+        return logarithms
+    values, slopes = model.ties.values(thetas), model.ties.value_slopes(thetas)
+    for k, parameter in shares:
+        place = model.ties.names.index(parameter.name)
+        room = np.abs(slopes[:, place, k])
+        logarithms += np.log(room / values[:, place] if parameter.scale == "log" else room)
+    return logarithms
 
 
 def _widening(problem: CurveFit, at: Linearised) -> float:
@@ -270,12 +297,12 @@ def _log_likelihood(problem: CurveFit, thetas: Array, sigma: Array | float) -> A
 
 
 def _parameters(problem: CurveFit, thetas: Array) -> dict[str, Array]:
-    """Free and tied parameters by name, (n,) each, at free ones (n, d)."""
-    model, values = problem.model, dict(zip(problem.space.names, thetas.T, strict=True))
+    """Free and tied parameters and quantities by name, (n,) each, at free ones (n, d)."""
+    model, names = problem.model, reported_space(problem.space).names
+    values = dict(zip(names, reported_values(problem, thetas).T, strict=True))
     if isinstance(model, TiedModel | TiedExpression):
-        whole_values = zip(model.ties.parameters, model.ties.whole(thetas).T, strict=True)
-        tied = [name for name, tie in model.ties.ties.items() if isinstance(tie, str)]
-        values |= {name: column for name, column in whole_values if name in tied}
+        columns = dict(zip(model.ties.names, model.ties.values(thetas).T, strict=True))
+        values |= {name: columns[name] for name in tied_names(problem)}
     return values
 
 

@@ -23,8 +23,9 @@ from miho.quantities import Array
 EVENT = "event"
 """A column of this name numbers events, such as brakings, whose rows are not independent."""
 FEWEST_EVENTS = 3
-AT_BOUND = 1e-6
-"""A parameter this close to a bound, as a fraction of its range, is at the bound."""
+AT_BOUND = 1e-10
+"""A parameter this close to a bound, as a fraction of its range, is at the bound: descents end
+there to rounding, and the range of one without bounds is a million times its start."""
 RESEMBLING = 0.1
 """Correlation of neighbouring rows' errors from which on they are not independent ..."""
 SCORE = 2.33

@@ -22,6 +22,8 @@ SYNTAX = (
 )  # fmt: skip
 """No loops, so that it ends; nothing is stored but in variables of the function."""
 OTHERS = (abs, np.where, np.clip)
+NUMBERS = (bool, int, float, np.float64)
+"""And none that are made of these, whose arithmetic may do more."""
 
 
 def is_arithmetic(function: Any, callers: tuple[FunctionType, ...] = ()) -> bool:
@@ -37,6 +39,8 @@ def is_arithmetic(function: Any, callers: tuple[FunctionType, ...] = ()) -> bool
     nodes = [node for statement in definition.body for node in ast.walk(statement)]
     names = [node for node in nodes if isinstance(node, ast.Name)]
     attributes = [node for node in nodes if isinstance(node, ast.Attribute)]
+    if any(not isinstance(attribute.ctx, ast.Load) for attribute in attributes):
+        return False
     own = {node.arg for node in ast.walk(definition.args) if isinstance(node, ast.arg)}
     own |= {name.id for name in names if isinstance(name.ctx, ast.Store)}
     known = {"abs": abs} | function.__globals__
@@ -61,7 +65,7 @@ def _is_of_numbers(value: Any) -> bool:
         return getattr(np, value.__name__, None) is value
     if isinstance(value, BuiltinFunctionType) and value.__module__ == "math":
         return True
-    return isinstance(value, int | float) or any(value is function for function in OTHERS)
+    return type(value) in NUMBERS or any(value is function for function in OTHERS)
 
 
 def _definition(function: FunctionType) -> ast.FunctionDef | None:

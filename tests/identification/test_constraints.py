@@ -11,6 +11,8 @@ from scipy.stats import t as student
 import miho
 from miho import Parameter, Space
 from miho.identification.constraints import constrained, free_values
+from miho.identification.refit import refit
+from miho.identification.stated import whole_values
 from miho.models.tied import Ties
 
 EQUAL: dict[str, Any] = {"a": (0, 10), "b": (0, 10), "c": (0, 10)}
@@ -111,6 +113,7 @@ def test_starts_are_spread_about_the_middle_of_a_chain() -> None:
         (EQUAL, 3, "3 is none"),
         (EQUAL, ["1 < 2"], "has a part without free parameters"),
         (EQUAL, ["a < b.real"], "is not allowed"),
+        (EQUAL, ["a / 0 < b"], "is not linear"),
         (EQUAL | {"c": {"tied": "2 * a"}}, ["c < b"], "has c, which is tied to '2 \\* a'"),
     ],
 )
@@ -210,3 +213,40 @@ def test_joint_and_many_fits_take_constraints() -> None:
     assert right == pytest.approx(
         free.part("right").parameters["standard_error"].to_numpy(), rel=1e-3
     )
+
+
+def test_an_order_changes_no_errors_of_a_fit_without_bounds() -> None:
+    """The ranges are a million times the start, so that any value is near their ends."""
+    t = np.linspace(0.0, 5.0, 40)
+    y = np.exp(-t) + 2 * t + 0.05 * np.random.default_rng(0).standard_normal(40)
+    results = [
+        miho.fit(
+            lambda t, a, b: a * np.exp(-t) + b * t, t, y, start={"a": 1, "b": 1.5},
+            constraints=constraints,
+        )
+        for constraints in ((), "a < b", "a > 0")
+    ]  # fmt: skip
+    errors = [result.uncertainty.standard_errors[0] for result in results]
+    np.testing.assert_allclose(errors[1:], errors[0], rtol=1e-4)
+    for result in results:
+        assert not result.uncertainty.at_bound.any()
+        assert "constraints hold" not in str(result)
+
+
+def test_a_limit_and_an_order_have_the_optimum_of_the_limit() -> None:
+    """Where the order holds nothing back: along the limit, which is curved over its shares."""
+    t = np.linspace(0.0, 5.0, 40)
+    y = np.exp(-t) + 2 * t + 0.05 * np.random.default_rng(0).standard_normal(40)
+    fits = [
+        miho.fit(
+            lambda t, a, b: a * np.exp(-t) + b * t, t, y,
+            {"a": (0, 10), "b": (0, 10), "s": {"low": 0, "high": 2.9}},
+            tied={"s": "a + b"}, constraints=constraints, compiled=False,
+        )
+        for constraints in ((), "a < b")
+    ]  # fmt: skip
+    exact = fits[0].values["a"]
+    for a in np.linspace(0.88, 0.91, 7):  # from several places along the limit
+        start = np.array([a, (2.9 - 1e-9 - 2 * a) / (10 - a)])
+        end = refit(fits[1].problem, start)
+        assert whole_values(fits[1].problem, end.theta)["a"] == pytest.approx(exact, rel=1e-5)

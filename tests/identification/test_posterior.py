@@ -164,6 +164,40 @@ def constant(batches: float, wall: float = math.inf) -> CurveFit:
     return problem
 
 
+@pytest.mark.parametrize("scale", ["linear", "log"])
+def test_what_constraints_leave_is_filled_evenly(scale: str) -> None:
+    """The smaller and the larger of two uniform numbers, of data that tell nothing."""
+    box = {name: {"low": 1.0, "high": 2.0, "scale": scale} for name in "ab"}
+    bounds = {**box, "gap": {}}
+    fit = miho.fit(
+        lambda t, a, b: 1e-9 * (a + b) * t, T, Y, bounds, tied={"gap": "b - a"},
+        constraints="a < b", sigma=1.0, compiled=False, start={"a": 1.3, "b": 1.6},
+    )  # fmt: skip
+    posterior = fit.posterior(steps=4000, seed=0)
+    assert set(posterior["posterior"].data_vars) == {"a", "b", "gap"}
+    for name, law in (("a", scipy.stats.beta(1, 2)), ("b", scipy.stats.beta(2, 1))):
+        values = samples(posterior, name)
+        shares = np.log2(values) if scale == "log" else values - 1
+        np.testing.assert_allclose(np.quantile(shares, QUANTILES), law.ppf(QUANTILES), atol=0.05)
+    gap = samples(posterior, "b") - samples(posterior, "a")
+    np.testing.assert_allclose(samples(posterior, "gap"), gap, rtol=1e-12)
+
+
+def test_a_prior_counts_beside_errors_that_are_not_known() -> None:
+    """Student's t of the data times the normal one of the prior, which contradict each other."""
+    mean, deviation, a = 0.5, 0.1, np.linspace(0.2, 1.5, 5001)
+    prior = {"a": {"low": -50, "high": 50, "prior": (mean, deviation)}}
+    fit = miho.fit(line, T, Y, prior, fixed={"b": 2.0}, compiled=False)
+    squares = np.sum((Y - 2 * T - a[:, None]) ** 2, axis=1)
+    density = squares**-6 * np.exp(-(((a - mean) / deviation) ** 2) / 2)
+    steps = a[1] - a[0]
+    law = scipy.stats.rv_histogram((density, np.append(a, a[-1] + steps) - steps / 2))
+    posterior = fit.posterior(seed=0)
+    assert_follows(posterior, "a", law)
+    drawn = np.mean(1 / samples(posterior, "sigma") ** 2)
+    assert drawn == pytest.approx(np.sum(density * 12 / squares) / density.sum(), rel=0.05)
+
+
 def test_an_interrupted_chain_is_kept() -> None:
     kept = sample_posterior(constant(300), np.array([E.mean()]))
     assert kept.attrs["ended"] == "interrupted"

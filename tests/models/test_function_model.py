@@ -263,6 +263,9 @@ OTHER = {
     "made to look like NumPy's": "fake(1.0)",
     "a local of a module's name": "np = count; np.append(1)",
     "a function inside": "f = lambda: 1",
+    "sets a number of a module": "np.pi = 3",
+    "adds to a number of a module": "np.e += 1",
+    "a number that counts": "a = counting * a",
 }
 
 
@@ -270,6 +273,11 @@ DOING = """
 import numpy as np
 calls, count, table = 0, [0], np.arange(3.0)
 fake = np.frompyfunc(lambda x: count.append(1) or x, 1, 1)
+class Counting(float):
+    def __mul__(self, other):
+        count.append(1)
+        return other
+counting = Counting(1.0)
 {first}
 def helper():
     count.append(1)
