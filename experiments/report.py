@@ -66,6 +66,10 @@ def main() -> int:
         parser.error("--seconds and --check must be above 0")
     if (arguments.candidates is None) != (arguments.rows is None):
         parser.error("--next needs --rows, how many of the candidates to choose, and they need it")
+    if arguments.rows is not None and arguments.rows < 1:
+        parser.error(f"--rows is {arguments.rows}; expected at least 1")
+    if arguments.candidates is not None and not arguments.candidates.is_file():
+        parser.error(f"--next: there is no file {arguments.candidates}; give a CSV of candidates")
     path = arguments.path
     options = Options(**{name: value for name, value in vars(arguments).items() if name != "path"})
     if (path / "result.json").is_file():

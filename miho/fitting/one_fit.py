@@ -21,6 +21,7 @@ from miho.identification.refit import refit
 from miho.identification.standing import standing
 from miho.identification.stated import at_limits, stated_parameters, whole_values
 from miho.identification.uncertainty import Linearised, linearised
+from miho.models.joint import rows_of_parts
 from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
 from miho.models.tied import TiedExpression, TiedModel, whole_model
@@ -284,7 +285,9 @@ class Fit(Remade):
         from miho.analysis.figures.report import Column, fit_figure
 
         dataset, inputs = self.problem.dataset, self.problem.model.inputs
-        measured = Column(dataset.output, self.problem.unit, dataset[dataset.output])
+        parts = rows_of_parts(self.problem.model, self.problem.inputs)
+        shown = "output" if parts else dataset.output
+        measured = Column(shown, self.problem.unit, dataset[dataset.output])
         predicted = self.problem.model.predict(self.theta[None], *self.problem.inputs)[0]
         x = band = None
         if len(inputs) == 1:
@@ -293,7 +296,7 @@ class Fit(Remade):
             grid = np.linspace(x.values.min(), x.values.max(), GRID)
             curve = self.predict(grid)
             band = (grid, curve.value, curve.high - curve.value)
-        return fit_figure(measured, predicted, x, band)
+        return fit_figure(measured, predicted, x, band, parts)
 
     def __str__(self) -> str:
         """The parameters, the error, and what is known of the optimum."""
