@@ -97,6 +97,7 @@ def fit(
 
     Raises ValueError for what does not fit together, and where no finite value was found.
     """
+    # A tire has bounds or a start of its own; anything else needs them by name.
     if isinstance(model, MagicFormula | str | os.PathLike):
         model, space, start = of_tire(model, x, y, space or (), start, fixed or {}, tied or {})
     elif isinstance(space, Collection) and not isinstance(space, Mapping | Space):
@@ -117,6 +118,7 @@ def fit(
             return searched(problem, method, budget, seed)
         return descended(problem, start)
 
+    # Beside errors that are not known, priors count by what the residuals say.
     known = sigma is not None and sigma_known
     if known or all(parameter.prior is None for parameter in bounds.parameters):
         return solved(bounds, None)

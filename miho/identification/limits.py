@@ -63,6 +63,7 @@ def along_limits(
     slack = float(sides.slack(theta).min())
     if not slack <= CLOSE:
         return theta
+    # The problem without limits, its cost relative to the start, in shares of the box.
     unlimited = tie(model.model, replace(model.ties, limits={}))
     cost = _Cost(replace(problem, model=unlimited, compiled=False), pin)
     start = cost.value(theta)
@@ -91,6 +92,7 @@ def along_limits(
         constraints=limits,
         options={"maxiter": STEPS, "ftol": 1e-14},
     )
+    # The end counts if it keeps the limits, and is better or the start did not keep them.
     end = space.clip(low + solution.x * width)
     end[list(fixed)] = theta[list(fixed)]
     inside = sides.slack(end).min() >= 0
