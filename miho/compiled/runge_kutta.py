@@ -150,7 +150,8 @@ def _simulation(
             if j:
                 advance(course, j - 1, columns, p, u, work)
             m = course.reset[j]
-            # A segment begins before its first row is written, a restart after: that row is predicted.
+            # Segments begin before their first row is written; a restart follows the row, which is
+            # still predicted.
             if m >= 0 and (j == 0 or not course.restart):
                 begin(course, m, columns, p, x)
             _between(course, j, 0.0, u)

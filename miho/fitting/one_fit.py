@@ -24,7 +24,7 @@ from miho.identification.uncertainty import Linearised, linearised
 from miho.models.joint import rows_of_parts
 from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
-from miho.models.tied import TiedExpression, TiedModel, whole_model
+from miho.models.tied import Tied, whole_model
 from miho.models.tire_formula import TireFormula
 from miho.models.traced import Remade
 from miho.optim import MIHOGN, Budget, Descents, Optimizer, Space, minimize
@@ -157,7 +157,7 @@ def descended(problem: CurveFit, start: Mapping[str, float]) -> Fit:
     """The optimum that a descent from a start of every free parameter leads to."""
     model = problem.model
     theta = np.array([float(start.get(name, 0.0)) for name in problem.space.names])
-    if isinstance(model, TiedModel | TiedExpression):
+    if isinstance(model, Tied):
         theta = free_values(problem.space, model.ties, start)
     descent = refit(problem, theta)
     if not math.isfinite(descent.cost):

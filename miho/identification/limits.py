@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
 
-from miho.models.tied import TiedExpression, TiedModel, Ties, tie
+from miho.models.tied import Tied, Ties, tie
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def along_limits(
     The parameters at the positions `fixed` stay where they are. `theta` if there is none better.
     """
     model = problem.model
-    if not isinstance(model, TiedModel | TiedExpression) or not model.ties.limits:
+    if not isinstance(model, Tied) or not model.ties.limits:
         return theta
     sides = _Sides(model.ties)
     slack = float(sides.slack(theta).min())

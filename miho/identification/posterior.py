@@ -16,7 +16,7 @@ import numpy as np
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Square
 from miho.identification.uncertainty import Linearised, linearised
-from miho.models.tied import TiedExpression, TiedModel
+from miho.models.tied import Tied
 from miho.quantities import Array
 from miho.validate import whole
 
@@ -276,7 +276,7 @@ def _log_likelihood(problem: CurveFit, thetas: Array, sigma: Array | float) -> A
 def _parameters(problem: CurveFit, thetas: Array) -> dict[str, Array]:
     """Free and tied parameters by name, (n,) each, at free ones (n, d)."""
     model, values = problem.model, dict(zip(problem.space.names, thetas.T, strict=True))
-    if isinstance(model, TiedModel | TiedExpression):
+    if isinstance(model, Tied):
         whole_values = zip(model.ties.parameters, model.ties.whole(thetas).T, strict=True)
         tied = [name for name, tie in model.ties.ties.items() if isinstance(tie, str)]
         values |= {name: column for name, column in whole_values if name in tied}
