@@ -16,6 +16,7 @@ import argparse
 from pathlib import Path
 
 from experiments.app.console import OK, SOME_FAILED, run_and_exit
+from experiments.app.next_measurement import check_candidates
 from experiments.app.optimum import CHECK_SECONDS, LEAST_SECONDS
 from experiments.app.reports import Options, report_on_root, report_on_run
 from miho.identification.report_steps import SECONDS
@@ -71,6 +72,8 @@ def main() -> int:
     if (path / "result.json").is_file():
         if arguments.quick:
             parser.error("--quick is for a root of runs; this is the folder of one run")
+        if arguments.rows is not None:
+            check_candidates(arguments.candidates, arguments.rows)
         return SOME_FAILED if report_on_run(read_run(path), options)[1] else OK
     if arguments.candidates is not None or arguments.posterior:
         asked = "--posterior" if arguments.posterior else "--next"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from omegaconf import OmegaConf
 
-from experiments.app.build import ConfigError, build, build_optimizer
+from experiments.app.build import ConfigError, build, build_optimizer, build_problem, plain
 from experiments.app.comparing import chosen_method
 from experiments.app.compose import composed
 from experiments.app.schema import register
@@ -276,3 +276,10 @@ def test_the_seed_and_the_settings_key_the_run() -> None:
     others = [key("seed=1"), key("optimizer.R=7"), key("space.B.high=100"), key("dataset.n=10")]
     assert len({key(), *others}) == 5
     assert OmegaConf.select(composed([]), "dataset.tire") == "lf"
+
+
+def test_the_order_of_a_space_means_nothing() -> None:
+    setting = dict(plain(composed(["dataset.n=100"])))
+    names = build_problem(setting).space.names
+    setting["space"] = dict(reversed(setting["space"].items()))
+    assert build_problem(setting).space.names == names == (*reversed(setting["space"]),)

@@ -12,7 +12,7 @@ import inspect
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar
@@ -204,7 +204,8 @@ def _statement(
         joint = _joint(config)
 
         def joint_of(space: Space, constraints: str | Sequence[str], **switches: Any) -> CurveFit:
-            return joint.complete(joint.space(space, constraints=constraints), **switches)
+            whole = joint.space(_in_order(space, joint.model), constraints=constraints)
+            return joint.complete(whole, **switches)
 
         return joint.dataset, joint_of
     model = instantiate(_part(config, "model"), "model", Model)
@@ -217,9 +218,21 @@ def _statement(
     sigma = {key: settings[key] for key in SIGMA if key in settings}
 
     def problem_of(space: Space, constraints: str | Sequence[str], **switches: Any) -> CurveFit:
-        return CurveFit(model, dataset, constrained(space, constraints), **sigma, **switches)
+        whole = constrained(_in_order(space, model), constraints)
+        return CurveFit(model, dataset, whole, **sigma, **switches)
 
     return dataset, problem_of
+
+
+def _in_order(space: Space, model: Model) -> Space:
+    """The model's parameters in its order, then others by name.
+
+    The order of a mapping means nothing: a stored run keeps none.
+    """
+    places = {name: place for place, name in enumerate(model.parameters)}
+    last = len(places)
+    inside = sorted(space.parameters, key=lambda p: (places.get(p.name, last), p.name))
+    return replace(space, parameters=tuple(inside))
 
 
 def _joint(config: Mapping[str, Any]) -> Joint:

@@ -20,6 +20,14 @@ from miho.study import StoredRun, write_bytes, write_text
 ROWS, TABLE, FIGURE = "next_rows.csv", "next.csv", "next.png"
 
 
+def check_candidates(path: Path, rows: int) -> None:
+    """Raise ConfigError for a file that is none, or fewer than one of its rows."""
+    if rows < 1:
+        raise ConfigError(f"--rows is {rows}; expected at least 1")
+    if not path.is_file():
+        raise ConfigError(f"--next: there is no file {path}; give a CSV of candidates")
+
+
 def advise(
     report: Report,
     stored: StoredRun,

@@ -128,7 +128,8 @@ def report_on_run(stored: StoredRun, options: Options) -> tuple[Best, bool]:
     try:
         report = _report(stored, options)
     except (ConfigError, ValueError) as error:
-        print(f"error: {stored.folder}: {one_line(error)}", file=sys.stderr)
+        where = f"{stored.folder}: "
+        print(f"error: {where}{one_line(error).removeprefix(where)}", file=sys.stderr)
         return Best(
             *name, values_table(stored), [f"No intervals: {one_line(error)}."], earlier
         ), True

@@ -78,6 +78,7 @@ def run_bracket(
         rules = rules_of(place, level_rows, R.shape[1], settings)
         m = level_rows[rules.level]
         w = work(room, R.shape[1], m if place[STORED] else CHUNK, level_rows.size)
+        # All starts that are left descend to the phase's end; then the best go on.
         for i in range(place[ACTIVE]):
             state = descend(
                 residuals, slopes, X, y, c, i, box, level_rows, minima, rules, settings.slope_cost,

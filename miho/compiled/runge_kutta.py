@@ -127,7 +127,7 @@ def _simulation(
         for substep in range(course.substeps):
             for i in range(size):  # a length that the compiler knows, so unused columns too
                 at[i] = after[i] = x[i]
-            for stage in range(4):
+            for stage in range(4):  # at 0, 1/2, 1/2 and 1 of the step
                 ahead = ((stage + 1) // 2) / 2
                 weight = h / 3 if stage in (1, 2) else h / 6
                 if stage:
@@ -150,6 +150,8 @@ def _simulation(
             if j:
                 advance(course, j - 1, columns, p, u, work)
             m = course.reset[j]
+            # Segments begin before their first row is written; a restart follows the row, which is
+            # still predicted.
             if m >= 0 and (j == 0 or not course.restart):
                 begin(course, m, columns, p, x)
             _between(course, j, 0.0, u)

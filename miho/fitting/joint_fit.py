@@ -75,8 +75,11 @@ class JointFit(Fit):
             raise ValueError(f"no part {name!r}; choose from {', '.join(names)}")
         part, rows = parts[names.index(name)], self.problem.dataset
         of_part = rows[PART] == names.index(name)
-        columns = {key: rows[key][of_part] for key in (*part.model.inputs, rows.output)}
-        units = {**part.model.inputs, rows.output: part.model.output}
+        output = f"output of {name}"
+        columns = {key: rows[key][of_part] for key in part.model.inputs}
+        columns[output] = rows[rows.output][of_part]
+        units = {**part.model.inputs, output: part.model.output}
+        # Values and slopes of the part's parameters, some of which may be fixed or tied.
         stated, slopes = stated_parameters(self.problem, self.uncertainty)
         places = [[parameter.name for parameter in stated].index(p) for p in part.parameters]
         values, own = np.array([stated[k].value for k in places]), slopes[places]
@@ -87,7 +90,7 @@ class JointFit(Fit):
                   for (n, u), v in parameters)
         )  # fmt: skip
         fit = Fit(
-            CurveFit(part.model, Dataset(name, columns, units, rows.output), space, compiled=False),
+            CurveFit(part.model, Dataset(name, columns, units, output), space, compiled=False),
             values, values,
         )  # fmt: skip
         errors = np.array([stated[k].standard_error for k in places])

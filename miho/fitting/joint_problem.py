@@ -11,7 +11,7 @@ import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.data.stacking import stacked_columns
-from miho.fitting.one_fit import Fit, searched, without_priors
+from miho.fitting.one_fit import Fit, has_priors, searched, without_priors
 from miho.fitting.statement import space_of
 from miho.identification.constraints import constrained
 from miho.identification.curve_fit import CurveFit
@@ -192,7 +192,7 @@ class Joint:
             return self.problem(space, **settings)
         self._check_estimable(settings.get("rho"))
         joint = self
-        if without_priors(space) != space:
+        if has_priors(space):
             plain = self.complete(without_priors(space), method, budget, seed, **settings)
             rows = plain.dataset[PART]
             first = {name: float(plain.dataset[SIGMA][rows == k][0])

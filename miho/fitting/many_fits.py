@@ -17,7 +17,7 @@ from miho.fitting.statement import data_of, inputs_of, space_of
 from miho.identification.constraints import constrained
 from miho.identification.curve_fit import CurveFit
 from miho.models.model import Model
-from miho.models.tied import TiedExpression, TiedModel
+from miho.models.tied import Tied
 from miho.optim import Space
 from miho.quantities import Array
 
@@ -152,7 +152,7 @@ def _table(problem: CurveFit, batch: Batch, ends: Ends, index: pd.Index) -> pd.D
     covariance = batch.covariance(ends)
     unknown = np.isnan(np.diagonal(covariance, axis1=1, axis2=2))
     names, values, model = problem.space.names, ends.thetas, problem.model
-    if isinstance(model, TiedModel | TiedExpression):
+    if isinstance(model, Tied):
         own = [*model.ties.names, *(p.name for p in problem.space.parameters if p.stands_for)]
         extra = [k for k, name in enumerate(names) if name not in own]
         slopes = np.broadcast_to(np.eye(len(names))[extra], (len(values), len(extra), len(names)))

@@ -21,9 +21,10 @@ from miho.identification.refit import refit
 from miho.identification.standing import standing
 from miho.identification.stated import at_limits, stated_parameters, whole_values
 from miho.identification.uncertainty import Linearised, linearised
+from miho.models.joint import rows_of_parts
 from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
-from miho.models.tied import TiedExpression, TiedModel, whole_model
+from miho.models.tied import Tied, whole_model
 from miho.models.tire_formula import TireFormula
 from miho.models.traced import Remade
 from miho.optim import MIHOGN, Budget, Descents, Optimizer, Space, minimize
@@ -96,6 +97,7 @@ def fit(
 
     Raises ValueError for what does not fit together, and where no finite value was found.
     """
+    # A tire has bounds or a start of its own; anything else needs them by name.
     if isinstance(model, MagicFormula | str | os.PathLike):
         model, space, start = of_tire(model, x, y, space or (), start, fixed or {}, tied or {})
     elif isinstance(space, Collection) and not isinstance(space, Mapping | Space):
@@ -116,10 +118,9 @@ def fit(
             return searched(problem, method, budget, seed)
         return descended(problem, start)
 
+    # Beside errors that are not known, priors count by what the residuals say.
     known = sigma is not None and sigma_known
-    if known or all(parameter.prior is None for parameter in bounds.parameters):
-        return solved(bounds, None)
-    return settled(bounds, solved)
+    return solved(bounds, None) if known or not has_priors(bounds) else settled(bounds, solved)
 
 
 def settled(bounds: Space, solved: Callable[[Space, float | None], Fit]) -> Fit:
@@ -145,6 +146,11 @@ def settled(bounds: Space, solved: Callable[[Space, float | None], Fit]) -> Fit:
     raise ValueError("the errors and what priors count beside them do not settle; give sigma")
 
 
+def has_priors(space: Space) -> bool:
+    """Whether anything is known besides the data."""
+    return any(parameter.prior is not None for parameter in space.parameters)
+
+
 def without_priors(space: Space) -> Space:
     """The same bounds, and nothing known besides."""
     return replace(space, parameters=tuple(replace(p, prior=None) for p in space.parameters))
@@ -154,7 +160,7 @@ def descended(problem: CurveFit, start: Mapping[str, float]) -> Fit:
     """The optimum that a descent from a start of every free parameter leads to."""
     model = problem.model
     theta = np.array([float(start.get(name, 0.0)) for name in problem.space.names])
-    if isinstance(model, TiedModel | TiedExpression):
+    if isinstance(model, Tied):
         theta = free_values(problem.space, model.ties, start)
     descent = refit(problem, theta)
     if not math.isfinite(descent.cost):
@@ -284,7 +290,9 @@ class Fit(Remade):
         from miho.analysis.figures.report import Column, fit_figure
 
         dataset, inputs = self.problem.dataset, self.problem.model.inputs
-        measured = Column(dataset.output, self.problem.unit, dataset[dataset.output])
+        parts = rows_of_parts(self.problem.model, self.problem.inputs)
+        shown = "output" if parts else dataset.output
+        measured = Column(shown, self.problem.unit, dataset[dataset.output])
         predicted = self.problem.model.predict(self.theta[None], *self.problem.inputs)[0]
         x = band = None
         if len(inputs) == 1:
@@ -293,7 +301,7 @@ class Fit(Remade):
             grid = np.linspace(x.values.min(), x.values.max(), GRID)
             curve = self.predict(grid)
             band = (grid, curve.value, curve.high - curve.value)
-        return fit_figure(measured, predicted, x, band)
+        return fit_figure(measured, predicted, x, band, parts)
 
     def __str__(self) -> str:
         """The parameters, the error, and what is known of the optimum."""

@@ -27,7 +27,7 @@ from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.models.symbolic import arguments_of
-from miho.models.tied import TiedExpression, TiedModel, tie
+from miho.models.tied import Tied, tie
 from miho.models.traced import Remade, TracedExpression
 from miho.models.weighted import weighted
 from miho.optim.problem import LeastSquaresProblem, mean_square
@@ -245,7 +245,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         free = any(parameter.prior is not None for parameter in self.space.parameters)
         if not free and not self.tied_priors:
             return None
-        ties = self.model.ties if isinstance(self.model, TiedModel | TiedExpression) else None
+        ties = self.model.ties if isinstance(self.model, Tied) else None
         scale = self.prior_scale or self.scale or 1.0
         return PriorResiduals(self.space, scale, self.tied_priors, ties)
 

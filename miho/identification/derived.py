@@ -12,7 +12,7 @@ from miho.data.dataset import Dataset
 from miho.identification.uncertainty import Linearised
 from miho.models.joint import PART, parts_of
 from miho.models.model import Model
-from miho.models.tied import TiedExpression, TiedModel
+from miho.models.tied import Tied
 from miho.quantities import Array
 
 REACH = 1.5
@@ -41,7 +41,7 @@ def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
     Further inputs of the model are held at their median in the data. Other models have those that
     they declare, joint ones those of each part; parameters that are held come before.
     """
-    if isinstance(model, TiedModel | TiedExpression):
+    if isinstance(model, Tied):
         return _tied(model, dataset)
     if parts_of(model):
         return _of_parts(model, dataset)
@@ -53,7 +53,7 @@ def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
     return tuple(Derived(name, unit, values) for name, (unit, values) in model.derived.items())
 
 
-def _tied(model: TiedModel | TiedExpression, dataset: Dataset) -> tuple[Derived, ...]:
+def _tied(model: Tied, dataset: Dataset) -> tuple[Derived, ...]:
     """The parameters that are held, and the quantities of the whole model."""
     ties = model.ties
     units = {**model.model.parameters, **ties.quantities}

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
 
-from miho.models.tied import TiedExpression, TiedModel, Ties, tie
+from miho.models.tied import Tied, Ties, tie
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -58,12 +58,13 @@ def along_limits(
     The parameters at the positions `fixed` stay where they are. `theta` if there is none better.
     """
     model = problem.model
-    if not isinstance(model, TiedModel | TiedExpression) or not model.ties.limits:
+    if not isinstance(model, Tied) or not model.ties.limits:
         return theta
     sides = _Sides(model.ties)
     slack = float(sides.slack(theta).min())
     if not slack <= CLOSE:
         return theta
+    # The problem without limits, its cost relative to the start, in shares of the box.
     unlimited = tie(model.model, replace(model.ties, limits={}))
     cost = _Cost(replace(problem, model=unlimited, compiled=False), pin)
     start = cost.value(theta)
@@ -102,6 +103,7 @@ def along_limits(
         shares = np.linalg.pinv(sides.slopes(end)[beyond] * (high - low)) @ missing
         end = np.clip(end + shares * (high - low), low, high)
     end = space.clip(end)
+    # It counts if it keeps the limits, and is better or the start did not keep them.
     end[list(fixed)] = theta[list(fixed)]
     inside = sides.slack(end).min() >= 0
     return end if inside and cost.value(end) < (np.inf if slack < 0 else start) else theta

@@ -17,7 +17,7 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Square
 from miho.identification.stated import reported_space, reported_values, tied_names
 from miho.identification.uncertainty import Linearised, linearised
-from miho.models.tied import TiedExpression, TiedModel
+from miho.models.tied import Tied
 from miho.quantities import Array
 from miho.validate import whole
 
@@ -64,6 +64,7 @@ def sample_posterior(
     autocorrelation times, and with Ctrl-C, which keeps what there is. Raises ValueError for another
     loss, and ImportError without the extra.
     """
+    # Refuse first what cannot be sampled; dependent rows widen the likelihood.
     emcee, arviz = _libraries()
     at = linearised(problem, theta, neighbours=True)
     density = _Density(problem, 1 / _widening(problem, at) ** 2)
@@ -74,6 +75,7 @@ def sample_posterior(
         )
     walkers = max(WALKERS, WALKERS_PER_PARAMETER * theta.size) if walkers is None else walkers
     whole("walkers", walkers, max(FEWEST_WALKERS, 2 * theta.size))
+    # emcee draws from a state of its own, all else from `rng`.
     rng = np.random.default_rng(seed)
     moves = [(emcee.moves.DEMove(), 0.8), (emcee.moves.DESnookerMove(), 0.2)]
     sampler = emcee.EnsembleSampler(walkers, theta.size, density, moves=moves, vectorize=True)
@@ -252,6 +254,7 @@ def _result(
     """The ArviZ object of what was sampled."""
     problem, tau = density.problem, _autocorrelation(sampler)
     steps = sampler.iteration
+    # Without the burn-in, and thinned to what is worth storing.
     first = min(int(BURN_IN * tau), steps // 2) if math.isfinite(tau) else steps // 2
     total = (steps - first) * sampler.nwalkers
     every = max(1, math.ceil(total / KEPT), int(tau / 2) if math.isfinite(tau) else 1)
@@ -265,6 +268,7 @@ def _result(
         drawn = np.sqrt(density.share * density.squares(thetas) / deviates)
         parameters[SIGMA + "_" * (SIGMA in parameters)] = drawn
         sigma = drawn[:, None]
+    # The groups of ArviZ, the likelihood of rows only where it has room.
     output = problem.dataset.output
     groups = {
         "posterior": {name: values.reshape(shape) for name, values in parameters.items()},
@@ -300,7 +304,7 @@ def _parameters(problem: CurveFit, thetas: Array) -> dict[str, Array]:
     """Free and tied parameters and quantities by name, (n,) each, at free ones (n, d)."""
     model, names = problem.model, reported_space(problem.space).names
     values = dict(zip(names, reported_values(problem, thetas).T, strict=True))
-    if isinstance(model, TiedModel | TiedExpression):
+    if isinstance(model, Tied):
         columns = dict(zip(model.ties.names, model.ties.values(thetas).T, strict=True))
         values |= {name: columns[name] for name in tied_names(problem)}
     return values

@@ -13,7 +13,7 @@ from miho.identification.limits import Pin
 from miho.identification.refit import Deadline, Refit, refit
 from miho.identification.stated import reported_space
 from miho.identification.uncertainty import Linearised
-from miho.models.tied import TiedExpression, TiedModel
+from miho.models.tied import Tied
 from miho.quantities import Array
 
 EXPANSIONS = 20
@@ -70,7 +70,7 @@ def _target(problem: CurveFit, at: Linearised, of: int | str) -> _Target:
     if isinstance(of, int):
         p = space.parameters[of]
         return _Target(p.name, of, float(at.theta[of]), np.eye(len(space))[of], p.low, p.high)
-    if not isinstance(model, TiedModel | TiedExpression):
+    if not isinstance(model, Tied):
         raise ValueError(f"{of} is no tied parameter of {problem.name}")
     ties, place = model.ties, model.ties.names.index(of)
     centre = float(ties.values(at.theta[None])[0, place])
@@ -178,7 +178,7 @@ class _SignedRoot:
         pin, model = None, self._problem.model
         if self._target.position is not None:
             guess[self._target.position] = value
-        elif isinstance(model, TiedModel | TiedExpression):
+        elif isinstance(model, Tied):
             pin = Pin(model.ties, self._target.name, value, self._weight)
         return refit(
             self._problem, guess, fixed=self._fixed, tolerance=1e-8, deadline=self._deadline,

@@ -77,6 +77,7 @@ def make_report(
             f"replicates is {replicates}: rows drawn anew say nothing of priors; leave the "
             "bootstrap out, profile intervals allow for them"
         )
+    # The optimum first: profiles may find a better one, and all else is said of it.
     deadline = Deadline(time.perf_counter() + seconds)
     progress("optimum")
     optimum = _optimum(problem, run, deadline)
@@ -84,6 +85,7 @@ def make_report(
         optimum = min(optimum, _optimum(problem, better, deadline), key=lambda fit: fit.cost)
     optimum, at, curves, lacking = _profiled(problem, optimum, level, profiles, deadline, progress)
     reported = reported_space(problem.space).names
+    # What time was left for, and what is known of the optimum besides.
     left_out, unfinished = _left_out(problem, at, deadline, progress)
     omitted = [f"profile intervals of {lacking}"] * bool(lacking) + unfinished
     searches = tuple(search for search in (descents, check) if search is not None)

@@ -10,7 +10,7 @@ import numpy as np
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.uncertainty import Linearised, at_bounds
-from miho.models.tied import TiedExpression, TiedModel
+from miho.models.tied import Tied
 from miho.optim.space import Space
 from miho.quantities import Array
 
@@ -41,7 +41,7 @@ def reported_space(space: Space) -> Space:
 def reported_values(problem: CurveFit, thetas: Array) -> Array:
     """Those parameters (n, d) at free ones (n, d)."""
     swapped, model = _swapped(problem.space), problem.model
-    if not isinstance(model, TiedModel | TiedExpression) or not swapped:
+    if not isinstance(model, Tied) or not swapped:
         return thetas
     places = [model.ties.names.index(name) for name in swapped.values()]
     values = thetas.copy()
@@ -73,7 +73,7 @@ def reported_uncertainty(problem: CurveFit, at: Linearised) -> Linearised:
 def tied_names(problem: CurveFit) -> list[str]:
     """The tied parameters and quantities that no share stands for."""
     model = problem.model
-    if not isinstance(model, TiedModel | TiedExpression):
+    if not isinstance(model, Tied):
         return []
     reported = reported_space(problem.space).names
     ties = model.ties
@@ -83,7 +83,7 @@ def tied_names(problem: CurveFit) -> list[str]:
 def tied_slopes(problem: CurveFit, theta: Array, names: Sequence[str]) -> Array:
     """Derivatives (k, d) of tied parameters with respect to the free ones (d,)."""
     model = problem.model
-    if not isinstance(model, TiedModel | TiedExpression):
+    if not isinstance(model, Tied):
         raise ValueError(f"{problem.name} has no tied parameters")
     places = [model.ties.names.index(name) for name in names]
     return np.asarray(model.ties.value_slopes(theta[None])[0, places])
@@ -105,7 +105,7 @@ def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], 
     slopes = np.eye(len(units))
     errors = dict(zip(units, at.standard_errors, strict=True))
     values = dict(zip(units, at.theta, strict=True))
-    if not isinstance(model, TiedModel | TiedExpression):
+    if not isinstance(model, Tied):
         return [Stated(n, units[n], values[n], errors[n], FREE) for n in units], slopes
     ties = model.ties
     own = {**model.model.parameters, **ties.quantities}
@@ -131,7 +131,7 @@ def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], 
 def whole_values(problem: CurveFit, theta: Array) -> dict[str, float]:
     """Values of all parameters by name, those of the model first, at free ones (f,)."""
     model, free = problem.model, dict(zip(problem.space.names, theta.tolist(), strict=True))
-    if not isinstance(model, TiedModel | TiedExpression):
+    if not isinstance(model, Tied):
         return free
     whole = model.ties.values(theta[None])[0].tolist()
     shares = [problem.space.names[k] for k in _swapped(problem.space)]
@@ -142,7 +142,7 @@ def whole_values(problem: CurveFit, theta: Array) -> dict[str, float]:
 def at_limits(problem: CurveFit, theta: Array) -> list[str]:
     """A sentence for each tied parameter that ends at a limit of its range."""
     model = problem.model
-    if not isinstance(model, TiedModel | TiedExpression):
+    if not isinstance(model, Tied):
         return []
     values = whole_values(problem, theta)
     sentences = [

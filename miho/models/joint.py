@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import operator
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from typing import NamedTuple
@@ -191,3 +191,8 @@ def parts_of(model: Model) -> tuple[JointPart, ...]:
     whole = whole_model(model)
     whole = whole.joint if isinstance(whole, JointExpression) else whole
     return whole.parts if isinstance(whole, JointModel) else ()
+
+
+def rows_of_parts(model: Model, inputs: Sequence[Array]) -> dict[str, NDArray[np.bool_]]:
+    """Which rows (N,) belong to each part of a joint model, by name; none of another model."""
+    return {part.name: inputs[0] == k for k, part in enumerate(parts_of(model))}

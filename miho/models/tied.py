@@ -209,7 +209,7 @@ def tie(model: Model, ties: Ties) -> Model:
 
 def whole_model(model: Model) -> Model:
     """The model of all parameters that a tied model stands for, and another one as it is."""
-    return model.model if isinstance(model, TiedModel | TiedExpression) else model
+    return model.model if isinstance(model, Tied) else model
 
 
 class _Tied(Remade, Model):
@@ -297,6 +297,10 @@ class TiedExpression(_Tied, TracedExpression):
         parameters = self.ties.graphs[: len(self.ties.parameters)]
         output = trace(self.model.value, self.columns, parameters)
         return output if self.ties.wall is None else Symbol("add", output, self.ties.wall)
+
+
+Tied = TiedModel | TiedExpression
+"""What stands for a model whose parameters are tied."""
 
 
 def parsed(

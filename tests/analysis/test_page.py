@@ -73,6 +73,12 @@ def test_figures_say_what_their_axes_are() -> None:
     residuals = residual_figure(errors, columns)
     assert labels(residuals)[::2] == [column.label for column in columns]
     assert "error [N]" in labels(residuals)
+    parts = {"left": x < 0, "right": x >= 0}
+    legends = [residual_figure(errors, columns, parts).legends[0]]
+    legends.append(fit_figure(force, -3 * x, None, None, parts).axes[0].get_legend())
+    for legend in legends:
+        assert legend is not None
+        assert [text.get_text() for text in legend.get_texts()][:2] == ["left", "right"]
     profiles = dict.fromkeys("BCDE", (x, 2 * x))
     assert labels(profile_figure(profiles, dict.fromkeys("BCDE", "-"), 1.96))[0] == "B [-]"
 

@@ -80,6 +80,11 @@ def test_what_cannot_be_advised_is_said_in_one_line(
         called(monkeypatch, folder, "--rows", 301)
     with pytest.raises(CSVError, match="no column 'sweep' in the header"):
         called(monkeypatch, folder, "--rows", 2, "--groups", "sweep")
+    with pytest.raises(ConfigError, match="--rows is 0; expected at least 1"):
+        called(monkeypatch, folder, "--rows", 0)
+    monkeypatch.setattr(sys, "argv", ["report", str(folder), "--next", "x.csv", "--rows", "3"])
+    with pytest.raises(ConfigError, match=r"there is no file x\.csv; give a CSV"):
+        report.main()
     for arguments, message in (
         ([folder, "--rows", "3"], "--next needs --rows"),
         ([folder.parent.parent.parent, "--next", "x.csv", "--rows", "3"], "is for one run"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -13,10 +14,13 @@ from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from miho.analysis.figures.house import WIDTH, house_style
-from miho.analysis.styles import BLUE, COLORS, RED
+from miho.analysis.styles import BLUE, COLORS, GREEN, ORANGE, RED
 
 Array = NDArray[np.float64]
 
+BLACK = "#222222"
+POINTS = (BLUE, RED, GREEN, ORANGE, *COLORS[4:6])
+"""Colors of parts, in turn."""
 BINS = 10
 PANELS = 3
 LOGARITHMIC = 5.0
@@ -48,29 +52,42 @@ def in_unit(name: str, unit: str) -> str:
 
 
 def fit_figure(
-    measured: Column, predicted: Array, x: Column | None, band: tuple[Array, Array, Array] | None
+    measured: Column,
+    predicted: Array,
+    x: Column | None,
+    band: tuple[Array, Array, Array] | None,
+    parts: Mapping[str, NDArray[np.bool_]] | None = None,
 ) -> Figure:
     """Data and fit: over the single input `x` with the curve's `band` (x, curve, half width).
 
-    Without `x`, measured over predicted values (N,), on which a perfect model is a diagonal.
+    Without `x`, measured over predicted values (N,), on which a perfect model is a diagonal; rows
+    of each of the `parts` (N,) of a joint problem in a color of their own.
     """
     with house_style():
         figure = Figure(figsize=(WIDTH * 0.75, 3.0), layout="constrained")
         ax = figure.subplots()
         opacity = _opacity(len(measured.values))
-        style: dict[str, Any] = {"s": 4, "color": BLUE, "alpha": opacity}
-        style |= {"linewidths": 0, "rasterized": True}
+        style: dict[str, Any] = {"s": 4, "alpha": opacity, "linewidths": 0, "rasterized": True}
         if x is not None and band is not None:
-            ax.scatter(x.values, measured.values, label="data", **style)
+            ax.scatter(x.values, measured.values, label="data", color=BLUE, **style)
             at, curve, half = band
             ax.fill_between(at, curve - half, curve + half, color=RED, alpha=0.3, linewidth=0)
             ax.plot(at, curve, color=RED, linewidth=1.5, label="fit, with the curve's interval")
             ax.set(xlabel=x.label, ylabel=measured.label)
         else:
-            ax.scatter(predicted, measured.values, label="rows of data", **style)
+            shown = parts or {"rows of data": np.ones(len(predicted), dtype=bool)}
+            for (label, part), color in zip(shown.items(), cycle(POINTS), strict=False):
+                points = predicted[part], measured.values[part]
+                ax.scatter(*points, label=label, color=color, **style)
             ends = [min(predicted.min(), measured.values.min()),
                     max(predicted.max(), measured.values.max())]  # fmt: skip
-            ax.plot(ends, ends, color=RED, linewidth=1, label="prediction = measurement")
+            ax.plot(
+                ends,
+                ends,
+                color=BLACK if parts else RED,
+                linewidth=1,
+                label="prediction = measurement",
+            )
             ax.set(xlabel=f"predicted {measured.label}", ylabel=f"measured {measured.label}")
         for handle in ax.legend(loc="best", markerscale=2).legend_handles:
             if handle is not None:
@@ -133,14 +150,21 @@ def waterfall_figure(
     return figure
 
 
-def residual_figure(errors: Column, columns: Sequence[Column]) -> Figure:
+def residual_figure(
+    errors: Column,
+    columns: Sequence[Column],
+    parts: Mapping[str, NDArray[np.bool_]] | None = None,
+) -> Figure:
     """Errors (model minus data) over each column, with means of groups of rows.
 
-    The rows with the first column below and above its median are drawn apart: what a load does
-    to a force has the sign of the slip, and cancels in the mean over both.
+    Drawn apart are the `parts` (N,) of a joint problem, else the rows with the first column below
+    and above its median: what a load does to a force has the sign of the slip, and cancels in the
+    mean over both.
     """
-    first = columns[0].values
-    above = first > np.median(first)
+    told = bool(parts) or len(columns) > 1
+    if not parts:
+        name, above = columns[0].name, columns[0].values > np.median(columns[0].values)
+        parts = {f"{name} below its median": ~above, f"{name} above it": above}
     with house_style():
         rows = -(-len(columns) // PANELS)
         width = WIDTH if len(columns) > 1 else WIDTH * 0.6
@@ -148,24 +172,24 @@ def residual_figure(errors: Column, columns: Sequence[Column]) -> Figure:
         across = min(PANELS, len(columns))
         panels = np.ravel(figure.subplots(rows, across, squeeze=False, sharey=True))
         for ax, column in zip(panels, columns, strict=False):
-            plot_errors_over(errors, column, above, ax)
+            plot_errors_over(errors, column, parts, ax)
         for ax in panels[len(columns) :]:
             ax.remove()
         for place in range(1, len(columns)):
             if place % PANELS:
                 panels[place].set_ylabel("")
-        if len(columns) > 1:
-            name = columns[0].name
-            labels = [f"{name} below its median", f"{name} above it"]
-            figure.legend(panels[0].lines[:2], labels, loc="outside upper right", ncols=2)
+        if told:
+            handles = panels[0].lines[: len(parts)]
+            figure.legend(handles, list(parts), loc="outside upper right", ncols=4)
     return figure
 
 
-def plot_errors_over(errors: Column, column: Column, above: NDArray[np.bool_], ax: Axes) -> Axes:
-    """Errors over one column as points, in two parts (N,), each with means of equally many rows."""
+def plot_errors_over(
+    errors: Column, column: Column, parts: Mapping[str, NDArray[np.bool_]], ax: Axes
+) -> Axes:
+    """Errors over one column as points, in `parts` (N,), each with means of equally many rows."""
     opacity = _opacity(len(errors.values))
-    for part, index in ((~above, 0), (above, 3)):
-        color = COLORS[index]
+    for part, color in zip(parts.values(), cycle(POINTS), strict=False):
         rows = np.flatnonzero(part)
         rows = rows[np.argsort(column.values[rows], kind="stable")]
         groups = [group for group in np.array_split(rows, BINS) if group.size]
@@ -197,7 +221,7 @@ def profile_figure(
             ax.axhline(quantile, color="#888888", linewidth=0.7, linestyle="--")
             ax.plot(values, tau, color=BLUE, marker="o", markersize=2.5, linewidth=1.2)
             ax.set(xlabel=in_unit(name, units[name]))
-            ax.locator_params(axis="x", nbins=4)
+            ax.locator_params(axis="x", nbins=4, steps=[1, 2, 5, 10])
         for ax in panels[len(profiles) :]:
             ax.remove()
         for ax in panels[: len(profiles) : PANELS]:

@@ -31,6 +31,7 @@ from miho.analysis.text import ends, significant
 from miho.identification import Report, identified
 from miho.identification.standing import kind_of
 from miho.models.identified import parameters_text
+from miho.models.joint import PART, rows_of_parts
 from miho.models.tied import whole_model
 from miho.study import StoredRun, write_bytes, write_text
 from miho.study.places import inside
@@ -104,11 +105,18 @@ def figures_of(report: Report) -> dict[str, bytes]:
     problem = report.problem
     dataset, model = problem.dataset, problem.model
     errors = Column("error", problem.unit, problem.errors(report.at.theta))
-    measured = Column(dataset.output, problem.unit, dataset[dataset.output])
+    predicted = model.predict(report.at.theta[None], *problem.inputs)[0]
+    # Of a joint problem the parts have colors, and what tells them apart needs no panel.
+    parts = rows_of_parts(model, problem.inputs)
+    shown = "output" if parts else dataset.output
+    measured = Column(shown, problem.unit, dataset[dataset.output])
+    hidden = {dataset.output, PART}
+    if isinstance(problem.sigma, str) and len(np.unique(dataset[problem.sigma])) <= len(parts):
+        hidden.add(problem.sigma)
     columns = [
         Column(name, dataset.units[name], values)
         for name, values in dataset.columns.items()
-        if name != dataset.output
+        if name not in hidden
     ]
     # Only over a single input is the fit a curve, and its uncertainty a band around it.
     x = band = None
@@ -123,8 +131,8 @@ def figures_of(report: Report) -> dict[str, bytes]:
         if curve is not None
     }
     figures = {
-        "fit": fit_figure(measured, measured.values + errors.values, x, band),
-        "residuals": residual_figure(errors, columns),
+        "fit": fit_figure(measured, predicted, x, band, parts),
+        "residuals": residual_figure(errors, columns, parts),
     }
     # What there is not always: several ends of descents, and profiles that were computed.
     if len(report.descents) > 1:
@@ -186,8 +194,8 @@ def page_of(report: Report, stored: StoredRun | None, figures: Mapping[str, byte
             figure=figures["residuals"],
             caption="explained: share of the errors' variance that the means of groups of rows "
             "explain, those of a condition together with the first input; p: how often chance "
-            "alone explains as much. Errors are model minus data; lines are means over rows with "
-            "the first input below and above its median.",
+            "alone explains as much. Errors are model minus data; lines are means over rows of "
+            "a part, or with the first input below and above its median.",
         ),
         Section("Correlation of the estimates", table=correlation_table(report)),
         Section(
