@@ -151,7 +151,7 @@ def _log_volumes(problem: CurveFit, thetas: Array) -> Array:
     """
     logarithms, model = np.zeros(len(thetas)), problem.model
     shares = [(k, p.stands_for) for k, p in enumerate(problem.space.parameters) if p.stands_for]
-    if not isinstance(model, TiedModel | TiedExpression) or not shares:
+    if not isinstance(model, Tied) or not shares:
         return logarithms
     values, slopes = model.ties.values(thetas), model.ties.value_slopes(thetas)
     for k, parameter in shares:
