@@ -20,7 +20,7 @@ from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
 from miho.identification.standing import standing
 from miho.identification.stated import at_limits, stated_parameters, whole_values
-from miho.identification.uncertainty import Linearised, linearised
+from miho.identification.uncertainty import Linearised, alike_beside_priors, linearised
 from miho.models.joint import rows_of_parts
 from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
@@ -310,9 +310,13 @@ class Fit(Remade):
         error = f"error {self.error:.5g} {self.problem.unit}".rstrip()
         weights = "" if self.problem.weights is None else ", weighted by sigma"
         alike = "; intervals allow for errors that depend on those of neighbouring rows"
+        narrow = (
+            "; errors of neighbouring rows are alike, so intervals beside priors are too narrow"
+        )
+        priors = bool(alike_beside_priors(self.problem, self.theta))
         return (
             f"{table}\n{error} (root mean square of {rows:,} rows{weights}); {self.optimum}"
-            f"{alike * self._dependent}"
+            f"{alike * self._dependent}{narrow * priors}"
         )
 
     @property

@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Cauchy, Huber
 from miho.identification.profile_likelihood import Profile
-from miho.identification.uncertainty import EVENT, Dependence, Linearised
+from miho.identification.uncertainty import (
+    EVENT,
+    Dependence,
+    Linearised,
+    alike_beside_priors,
+)
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 
@@ -203,6 +208,12 @@ def independence(problem: CurveFit, at: Linearised) -> list[str]:
     usable = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
     if at.dependence is not None and usable.any():
         sentences.append(_alike(at, at.dependence, np.eye(usable.size)[usable]))
+    correlation = alike_beside_priors(problem, at.theta)
+    if correlation:
+        sentences.append(
+            f"the errors of neighbouring rows are alike (correlation {correlation:.2f}): beside "
+            "priors standard errors and intervals do not allow for that, and are too narrow."
+        )
     return sentences
 
 

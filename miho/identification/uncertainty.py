@@ -13,7 +13,12 @@ from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
 from miho.data.stacking import OUTPUT
-from miho.identification.autocorrelation import Autoregression, autoregression, likeness
+from miho.identification.autocorrelation import (
+    Autoregression,
+    Likeness,
+    autoregression,
+    likeness,
+)
 from miho.identification.curve_fit import CurveFit
 from miho.identification.inverse_root import INVOLVED, inverse_root
 from miho.models.joint import PART
@@ -293,7 +298,7 @@ def _dependent(
     times it into changes of the parameters. Rows are neighbours within a `series`.
     """
     alike = likeness(errors, basis, series)
-    if alike.correlation <= RESEMBLING or alike.score <= SCORE or not basis.shape[1]:
+    if not _resemble(alike) or not basis.shape[1]:
         return at
     model, sides = autoregression(errors, basis, series)
     few_rows = errors.size / at.freedom
@@ -326,6 +331,21 @@ def _dependent(
         freedom=int(freedom.min(initial=at.freedom)),
         dependence=dependence,
     )
+
+
+def alike_beside_priors(problem: CurveFit, theta: Array) -> float:
+    """The correlation of neighbouring errors, if they are alike and priors keep it out; else 0."""
+    if problem.prior is None or events_of(problem.dataset) is not None:
+        return 0.0
+    basis = np.linalg.qr(problem.error_slopes(theta))[0]
+    errors = problem.errors(theta)
+    # What priors hold back is left in the errors, though the data would have it taken out.
+    alike = likeness(errors - basis @ (basis.T @ errors), basis, series_of(problem))
+    return alike.correlation if _resemble(alike) else 0.0
+
+
+def _resemble(alike: Likeness) -> bool:
+    return alike.correlation > RESEMBLING and alike.score > SCORE
 
 
 def series_of(problem: CurveFit) -> list[slice]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import miho
 from miho.identification import make_report
@@ -177,3 +178,17 @@ def test_a_prior_that_cannot_count_is_refused(prior: object, sigma: object, mess
             compiled=False,
         )  # fmt: skip
     assert "\n" not in str(caught.value)
+
+
+def test_errors_that_are_alike_beside_a_prior_are_told_of() -> None:
+    """Which intervals do not allow for; independent ones are not told of."""
+    x, rng = np.linspace(0, 5, 120), np.random.default_rng(0)
+    white = 0.05 * rng.standard_normal(x.size)
+    alike = lfilter([1.0], [1.0, -0.9], white)
+    space = {"a": {"low": 0, "high": 10, "prior": (1, 0.02)}, "b": (0, 10)}
+    told = []
+    for errors in (white, alike):
+        y = np.exp(-x) + 2 * x + errors
+        fit = miho.fit(lambda x, a, b: a * np.exp(-x) + b * x, x, y, space, compiled=False)
+        told.append(("beside priors" in str(fit), any("beside priors" in n for n in fit.notes)))
+    assert told == [(False, False), (True, True)]
