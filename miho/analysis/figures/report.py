@@ -222,6 +222,7 @@ def profile_figure(
             ax.plot(values, tau, color=BLUE, marker="o", markersize=2.5, linewidth=1.2)
             ax.set(xlabel=in_unit(name, units[name]))
             ax.locator_params(axis="x", nbins=4, steps=[1, 2, 5, 10])
+            ax.ticklabel_format(axis="x", scilimits=(-2, 4), useMathText=True)
         for ax in panels[len(profiles) :]:
             ax.remove()
         for ax in panels[: len(profiles) : PANELS]:
