@@ -12,6 +12,7 @@ import scipy.optimize
 
 import miho
 from miho import Part
+from miho.data import embedded_tire
 from miho.fitting.joint_problem import Joint, Measured
 from miho.identification import optimal_design
 from miho.identification.uncertainty import series_of
@@ -284,6 +285,7 @@ def test_held_out_rows_and_conditions_of_parts_stay() -> None:
         ({"A": (decay, t, t), "B": (decay, t, t)}, {"local": ["q"]}, "local: q is no parameter"),
         ({"A": (decay, t, t), "B": (line, t, t)}, {"fixed": {"z": 1}}, "fixed: z is no parameter"),
         ({"A": (decay, t, t), "B": (decay, t, t[:4])}, {}, "differ in length"),
+        ({"A": (miho.load_tir(embedded_tire("lf")), t, t)}, {}, "the model is a tire"),
     ],
 )
 def test_what_does_not_fit_together_is_refused(parts, keywords, message: str) -> None:

@@ -64,6 +64,11 @@ def data_of(
         output, values = y, x[y]
     else:
         output, values = "y", y
+    if isinstance(model, MagicFormula):
+        raise ValueError(
+            "the model is a tire; say which of its coefficients are free, as in "
+            'miho.models.TireFormula(tire, ("PDY1", "PKY1"), "Fy")'
+        )
     if not isinstance(model, Model):
         model = FunctionModel(model, columns=_column_names(model, x, parameters))
     inputs = inputs_of(model, x)
