@@ -76,8 +76,8 @@ def main() -> int:
             check_candidates(arguments.candidates, arguments.rows)
         return SOME_FAILED if report_on_run(read_run(path), options)[1] else OK
     if arguments.candidates is not None or arguments.posterior:
-        asked = "--posterior" if arguments.posterior else "--next"
-        parser.error(f"{asked} is for one run; name its folder, ROOT/PROBLEM/METHOD/ID")
+        option = "--posterior" if arguments.posterior else "--next"
+        parser.error(f"{option} is for one run; name its folder, ROOT/PROBLEM/METHOD/ID")
     return report_on_root(path, options)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from experiments.app.build import instantiate
+from experiments.app.instantiation import instantiate
 from miho.optim import Optimizer
 from miho.testing import BUDGET, CHECKS, run_check
 

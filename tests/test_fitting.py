@@ -299,3 +299,16 @@ def test_bounds_without_names_are_refused() -> None:
     fit = miho.fit(lambda t, a: a * t, np.arange(5.0), np.arange(5.0), start={"a": 1})
     with pytest.raises(TypeError, match="only a fit of a tire"):
         fit.to_tir("x.tir")
+
+
+@pytest.mark.parametrize("start", [None, {"a": 0.0, "b": 0.0}])
+def test_a_fit_of_a_linear_function_has_no_better_optimum(start: dict[str, float] | None) -> None:
+    """By linear algebra, also within bounds that hold its optimum back."""
+    x = np.linspace(0, 1, 30)
+    y = 1 + 2 * x + 0.1 * np.cos(9 * x)
+    for high in (10, 1.5):
+        space = {"a": (-10, 10), "b": (-10, high)}
+        fit = miho.fit(lambda x, a, b: a + b * x, x, y, space, start=start, compiled=False)
+        assert "no other optimum is better" in fit.optimum
+    bent = miho.fit(lambda x, a, b: a * np.exp(b * x), x, y, start={"a": 1, "b": 1})
+    assert "no other optimum" not in bent.optimum

@@ -19,8 +19,9 @@ import pandas as pd
 import pytest
 from omegaconf import OmegaConf
 
-from experiments.app.build import ConfigError, MissingLibraryError
+from experiments.app.build import ConfigError
 from experiments.app.compose import composed
+from experiments.app.instantiation import MissingLibraryError
 from experiments.app.mirror import (
     Entry,
     Tracker,

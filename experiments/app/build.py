@@ -1,21 +1,14 @@
-"""From a composed configuration to objects: the one place that instantiates targets.
-
-A configuration can name only public classes and functions of our own packages, so no file that it
-comes with can run other code. There is one door: `miho.models.load_function`, `load_trajectory` and
-`FmuModel` run the file that `model.path` names, which a user chooses on the command line or in a
-YAML of their own.
-"""
+"""From a composed configuration to the problem, the method and the identity of a run."""
 
 from __future__ import annotations
 
-import inspect
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numba
 import numpy as np
@@ -23,16 +16,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from experiments.app.explain import ConfigError as ConfigError
 from experiments.app.explain import unknown_message
+from experiments.app.instantiation import MISSING, instantiate, part_of, without_secret
 from experiments.app.origin import code_of, packages_of
 from experiments.app.parts import model_files, part_nodes, with_local
-from experiments.app.safety import (
-    SecretError,
-    TargetError,
-    check_no_secret,
-    find_target,
-    nested_target,
-    refuse_environment,
-)
 from experiments.app.schema import Config
 from miho.data import Dataset
 from miho.fitting.joint_problem import SIGMA as DEVIATION
@@ -46,20 +32,9 @@ from miho.models.joint import PART
 from miho.optim import Budget, Optimizer, Parameter, Space
 from miho.study import Identity, StoredRun
 
-PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
-
-T = TypeVar("T")
 Settings = DictConfig | Mapping[str, Any]
 """A composed configuration, or what `plain` makes of it."""
 PARTS = ("model", "dataset", "space", "loss", "problem", "optimizer", "budget", "seed", "root")
-MISSING = "???"
-"""What Hydra leaves where a choice must be made."""
-
-refuse_environment()
-
-
-class MissingLibraryError(ConfigError):
-    """A configured part needs a library that is not installed; the message names its extra."""
 
 
 @dataclass(frozen=True)
@@ -128,15 +103,15 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
     if runs_own_code(setting):
         root = root.absolute()  # now, since the user's file may change the working directory
     optimizer = build_optimizer(setting)
-    optimizer_node = _part(setting, "optimizer")
+    optimizer_node = part_of(setting, "optimizer")
     name = optimizer_node.pop("name")
     if setting["seed"] < 0:
         raise ConfigError(f"seed: is {setting['seed']}; expected a whole number of at least 0")
     problem = build_problem(setting) if problem is None else problem
     try:
-        budget = Budget(**_part(setting, "budget"))
-        config = {key: _part(setting, key) for key in ("model", "dataset", "loss", "budget")}
-        space = with_local(setting, _part(setting, "space"))
+        budget = Budget(**part_of(setting, "budget"))
+        config = {key: part_of(setting, key) for key in ("model", "dataset", "loss", "budget")}
+        space = with_local(setting, part_of(setting, "space"))
         config["space"] = scaled_by(problem.dataset, space)
         config["problem"] = {key: setting["problem"][key] for key in ("name", "compressed")}
         if setting["problem"]["sigma"] is not None:
@@ -172,7 +147,7 @@ def recorded_optimum(cfg: Settings) -> float | None:
 
 def build_optimizer(cfg: Settings) -> Optimizer:
     """The method alone."""
-    node = _part(plain(cfg), "optimizer")
+    node = part_of(plain(cfg), "optimizer")
     if not isinstance(node.pop("name", None), str):
         raise ConfigError("optimizer.name: is missing; give the method a name for its runs")
     return instantiate(node, "optimizer", Optimizer)
@@ -182,9 +157,9 @@ def build_problem(cfg: Settings, dataset: Dataset | None = None) -> CurveFit:
     """The problem alone; `dataset` is what its configuration gave, if it was built before."""
     setting = plain(cfg)
     dataset, problem_of = _statement(setting, dataset)
-    space = build_space(scaled_by(dataset, with_local(setting, _part(setting, "space"))))
-    rho = instantiate(_part(setting, "loss"), "loss", Loss)
-    settings = _part(setting, "problem")
+    space = build_space(scaled_by(dataset, with_local(setting, part_of(setting, "space"))))
+    rho = instantiate(part_of(setting, "loss"), "loss", Loss)
+    settings = part_of(setting, "problem")
     switches = {key: settings[key] for key in ("threads", "compressed")}
     try:
         constraints = settings["constraints"] or ()
@@ -199,7 +174,7 @@ def _statement(
     config: Mapping[str, Any], dataset: Dataset | None = None
 ) -> tuple[Dataset, Callable[..., CurveFit]]:
     """The data, and what makes the problem of a space and of other settings of `CurveFit`."""
-    settings = _part(config, "problem")
+    settings = part_of(config, "problem")
     if settings.get("parts"):
         joint = _joint(config)
 
@@ -208,9 +183,9 @@ def _statement(
             return joint.complete(whole, **switches)
 
         return joint.dataset, joint_of
-    model = instantiate(_part(config, "model"), "model", Model)
+    model = instantiate(part_of(config, "model"), "model", Model)
     if dataset is None:
-        dataset = build_dataset(_part(config, "dataset"))
+        dataset = build_dataset(part_of(config, "dataset"))
     if isinstance(model, Expression) and numba.config.DISABLE_JIT:
         raise ConfigError(
             "NUMBA_DISABLE_JIT: is set, and the loss of this model is compiled; unset it"
@@ -237,11 +212,11 @@ def _in_order(space: Space, model: Model) -> Space:
 
 def _joint(config: Mapping[str, Any]) -> Joint:
     """The parts of a joint problem, each with its own settings over those of all."""
-    settings = _part(config, "problem")
+    settings = part_of(config, "problem")
     parts = {}
     for name, nodes in part_nodes(config).items():
         for key, node in nodes.items():
-            _check_no_secret(node, key)
+            without_secret(node, key)
         place, sigma = f"problem.parts.{name}", settings["parts"][name].get("sigma")
         parts[name] = Measured(
             instantiate(nodes["model"], f"{place}.model", Model),
@@ -259,8 +234,8 @@ def _joint_settings(settings: Mapping[str, Any], problem: CurveFit) -> dict[str,
     sigma, index = problem.dataset[DEVIATION], problem.dataset[PART]
     parts = {}
     for k, (name, part) in enumerate(settings["parts"].items()):
-        given = settings["sigma"] if part["sigma"] is None else part["sigma"]
-        parts[name] = {**part, "sigma": float(sigma[index == k][0]) if given is None else given}
+        stated = settings["sigma"] if part["sigma"] is None else part["sigma"]
+        parts[name] = {**part, "sigma": float(sigma[index == k][0]) if stated is None else stated}
     return {"parts": parts, "local": settings["local"], "sigma_known": problem.sigma_known}
 
 
@@ -365,81 +340,8 @@ def build_space(node: Mapping[str, Any]) -> Space:
         raise ConfigError(f"space: {error}") from None
 
 
-def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
-    """The object that `node` describes.
-
-    Its target must be one of those that `safety.find_target` allows for a `kind`, and know every
-    setting; all that is checked before anything is imported or called. Hydra's own `instantiate`
-    is not used: it runs any target.
-    """
-    target = _target(node.get("_target_"), key, kind)
-    allowed = inspect.signature(target).parameters
-    settings = {name: value for name, value in node.items() if name != "_target_"}
-    for name, value in settings.items():
-        if name not in allowed:
-            raise ConfigError(unknown_message(f"{key}.{name}", allowed))
-        inner = nested_target(value, f"{key}.{name}")
-        if inner:
-            raise ConfigError(f"{inner}: a target cannot stand inside of a setting; remove it")
-        settings[name] = _checked_value(value, allowed[name].annotation, f"{key}.{name}")
-    try:
-        built = target(**settings)
-    except ImportError as error:
-        raise MissingLibraryError(f"{key}: {error}") from None
-    except ValueError as error:
-        if type(error) is not ValueError:
-            raise
-        raise ConfigError(f"{key}: {error}") from None
-    except (TypeError, OverflowError) as error:
-        raise ConfigError(f"{key}: {error}") from None
-    except MemoryError:
-        raise ConfigError(f"{key}: is too large for the memory of this machine") from None
-    return built
-
-
-def _target(path: object, key: str, kind: type[T]) -> Callable[..., T]:
-    try:
-        return find_target(path, kind)
-    except TargetError as error:
-        raise ConfigError(f"{key}._target_: {error}") from None
-    except ImportError as error:
-        raise MissingLibraryError(f"{key}: {error}") from None
-
-
-def _checked_value(value: Any, annotation: Any, key: str) -> Any:
-    """The value, if it has the plain type that the signature declares."""
-    if value == MISSING:
-        raise ConfigError(f"{key}: is missing; give it on the command line as {key}=...")
-    kind = PLAIN.get(annotation if isinstance(annotation, str) else annotation.__name__)
-    if kind is None or type(value) is kind:
-        return value
-    if kind is float and type(value) is int:
-        return float(value)
-    if kind is int and type(value) is float and value.is_integer():
-        return int(value)
-    raise ConfigError(f"{key}: is {value!r}; expected a value of type {kind.__name__}")
-
-
-def _part(setting: Mapping[str, Any], key: str) -> dict[str, Any]:
-    """A copy of one part of a plain setting, checked to be a mapping without a secret."""
-    node = setting[key]
-    if node == MISSING:
-        raise ConfigError(f"{key}: is missing; choose one of conf/{key}/")
-    if not isinstance(node, Mapping):
-        raise ConfigError(f"{key}: is {node!r}; expected a mapping")
-    _check_no_secret(node, key)
-    return {str(name): value for name, value in node.items()}
-
-
-def _check_no_secret(value: Any, key: str) -> None:
-    try:
-        check_no_secret(value, key)
-    except SecretError as error:
-        raise ConfigError(str(error)) from None
-
-
 def _root(text: str) -> Path:
-    _check_no_secret(text, "root")
+    without_secret(text, "root")
     if not text.strip() or not text.isprintable():
         raise ConfigError(f"root: is {text[:80]!r}; expected the path of a folder")
     try:

@@ -14,12 +14,12 @@ from tqdm import tqdm
 
 from experiments.app.build import (
     ConfigError,
-    MissingLibraryError,
     build_optimizer,
     plain,
     recorded_optimum,
 )
 from experiments.app.compose import composed
+from experiments.app.instantiation import MissingLibraryError
 from experiments.app.plan import Request, requests
 from miho.data import DataUnavailableError
 from miho.optim import MIHO

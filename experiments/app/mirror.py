@@ -20,7 +20,8 @@ from typing import Any, Protocol
 
 from tqdm import tqdm
 
-from experiments.app.build import ConfigError, MissingLibraryError
+from experiments.app.build import ConfigError
+from experiments.app.instantiation import MissingLibraryError
 from experiments.app.plan import Request
 from miho.study import DamagedRun, Store, StoredRun, read_run
 from miho.study.compaction import error_of

@@ -22,7 +22,8 @@ from typing import Any
 import pandas as pd
 from filelock import FileLock, Timeout
 
-from experiments.app.build import ConfigError, MissingLibraryError
+from experiments.app.build import ConfigError
+from experiments.app.instantiation import MissingLibraryError
 from experiments.app.mirror import (
     MISSING,
     Entry,

@@ -36,8 +36,8 @@ def with_local(config: Mapping[str, Any], space: Mapping[str, Any]) -> dict[str,
         for part in config["problem"].get("parts") or ():
             own, common = nodes.get(f"{name}_{part}"), nodes.get(name)
             if own is not None and common is not None:
-                said = {key: value for key, value in own.items() if value != USUAL.get(key)}
-                nodes[f"{name}_{part}"] = {**common, **said}
+                chosen = {key: value for key, value in own.items() if value != USUAL.get(key)}
+                nodes[f"{name}_{part}"] = {**common, **chosen}
     return nodes
 
 

@@ -6,7 +6,7 @@ import json
 import tempfile
 from pathlib import Path
 
-from experiments.app.build import MissingLibraryError
+from experiments.app.instantiation import MissingLibraryError
 from miho.identification import Report, sample_posterior
 from miho.study import StoredRun, write_bytes
 from miho.study.provenance import provenance

@@ -152,7 +152,7 @@ def linear_fit(X: Array, noise: Array) -> tuple[CurveFit, Array]:
 def held(name: str, kind: str, rows: int, sets: int) -> dict[str, object]:
     """A row of the table of noises."""
     poles, zeros = NOISES[name]
-    independent, given, wider = [], [], []
+    independent, reported, wider = [], [], []
     for number in range(sets):
         rng = stream("coverage", name, kind, rows, number)
         noise = lfilter(zeros, poles, rng.standard_normal(rows + SETTLING))[SETTLING:]
@@ -161,10 +161,10 @@ def held(name: str, kind: str, rows: int, sets: int) -> dict[str, object]:
         reach = at.intervals()[:, 1] - theta
         plain = at.independent.intervals()[:, 1] - theta
         independent.append(np.abs(theta) <= plain)
-        given.append(np.abs(theta) <= reach)
+        reported.append(np.abs(theta) <= reach)
         wider.append(reach / plain)
     row: dict[str, object] = {"noise": name, "columns": kind, "rows": rows}
-    for label, hits in (("independent", independent), ("report", given)):
+    for label, hits in (("independent", independent), ("report", reported)):
         shares = 100 * np.mean(hits, axis=0)
         row[label] = f"{shares.min():.1f} to {shares.max():.1f} %"
     factors = np.median(wider, axis=0)

@@ -71,7 +71,7 @@ def run_bracket(
     `numbers` to `R` are the arrays of `GNCandidates`, `stored` (.,) holds their derivatives;
     `residuals` and `slopes` are those of `Rows`. At most `most` rows are spent. Each improvement of
     `best` is listed: the rows spent up to and with it (`at`), its loss and its theta; one that
-    reaches `target` ends the block. `room` is for `work`.
+    reaches `target` ends the block. What was done is added to `tally` (5,); `room` is for `work`.
     """
     while True:
         c = candidates_at(numbers, counts, R, stored, place)

@@ -85,8 +85,8 @@ def _motion(car: SingleTrack, columns: Mapping[str, Array], gusts: Array) -> dic
         units=MOTION | BENT,
         name="blown",
     )
-    given = [*columns.values(), *gusts]
-    rows = [np.tile(column, len(DRIVE_NOISE)) for column in given]
+    inputs = [*columns.values(), *gusts]
+    rows = [np.tile(column, len(DRIVE_NOISE)) for column in inputs]
     index = np.repeat(np.arange(len(DRIVE_NOISE), dtype=float), columns["t"].size)
     motion = model.predict(np.array([list(DRIVE_TRUTH.values())]), *rows, index)[0]
     return dict(zip(DRIVE_NOISE, np.split(motion, len(DRIVE_NOISE)), strict=True))

@@ -259,9 +259,9 @@ def _check_units(name: str, part: Measured) -> None:
     needed = {**part.model.inputs, part.dataset.output: part.model.output}
     for column, unit in needed.items():
         _ = part.dataset[column]
-        given = part.dataset.units[column]
-        if given != unit and given and unit:
-            raise ValueError(f"{name}: column {column!r} has unit {given!r}; expected {unit!r}")
+        own_unit = part.dataset.units[column]
+        if own_unit != unit and own_unit and unit:
+            raise ValueError(f"{name}: column {column!r} has unit {own_unit!r}; expected {unit!r}")
 
 
 def _size(output: Array) -> float:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from miho.fitting.statement import Tire, data_of, inputs_of, of_tire, space_of
+from miho.identification.closed_form import linear_optimum
 from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Loss, Square
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 SETTLED, ROUNDS = 1e-6, 100
 """The deviation of the errors is estimated until it changes by less than this share, in so many
 rounds at most."""
+LINEAR = 1e-9
+"""The loss of a linear problem's optimum is known to this share."""
 GRID = 400
 """Points of a curve that is drawn."""
 
@@ -242,7 +245,11 @@ class Fit(Remade):
         """What is known of the optimum: how many searches ended in it."""
         loss = float(self.problem.loss(self.theta[None])[0])
         searches = () if self.descents is None else (self.descents,)
-        evidence = standing(loss, self.problem.resolution, searches).evidence
+        exact = linear_optimum(self.problem)
+        if exact is not None and loss <= exact[1] * (1 + LINEAR) + self.problem.resolution:
+            evidence = "linear in all parameters, so that no other optimum is better"
+        else:
+            evidence = standing(loss, self.problem.resolution, searches).evidence
         return "; ".join([evidence, *at_limits(self.problem, self.theta)])
 
     def report(self, **settings: Any) -> Report:

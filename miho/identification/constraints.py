@@ -248,9 +248,9 @@ class _Polytope:
 
     def _necessary(self, sides: list[Form]) -> list[Form]:
         """Those without which the set were larger."""
-        kept = [side for side in sides if side.coefficients.any()]
-        for side in list(kept):
-            others = [self._scaled(other) for other in kept if other is not side]
+        necessary = [side for side in sides if side.coefficients.any()]
+        for side in list(necessary):
+            others = [self._scaled(other) for other in necessary if other is not side]
             own = self._scaled(side)
             if not others:
                 continue
@@ -261,8 +261,8 @@ class _Polytope:
                 bounds=(None, None),
             )
             if least.fun is not None and least.fun + own.offset > -THIN:
-                kept = [other for other in kept if other is not side]
-        return kept
+                necessary = [other for other in necessary if other is not side]
+        return necessary
 
 
 def _tied(parameter: Parameter, expression: str) -> Parameter:

@@ -341,8 +341,8 @@ def _by_name(names: Names) -> dict[str, str]:
 
 def _is_set_before(variable: Any) -> bool:
     """Whether a variable may be set before a simulation (FMI 2.0.4, Sec. 2.2.7)."""
-    given = variable.start is not None or variable.initial == "exact"
-    return bool(given and variable.variability != "constant" and variable.causality != "input")
+    starts = variable.start is not None or variable.initial == "exact"
+    return bool(starts and variable.variability != "constant" and variable.causality != "input")
 
 
 def _spelled(unit: str | None) -> str:

@@ -31,8 +31,8 @@ class Values:
 
     def begin(self, course: Course, m: int) -> Array:
         """z at the start of the number m."""
-        given = np.repeat(course.values[m][:, None], self.p.shape[1], axis=1)
-        starts = np.where(course.parameters[m][:, None] < 0, given, self.p[course.parameters[m]])
+        fixed = np.repeat(course.values[m][:, None], self.p.shape[1], axis=1)
+        starts = np.where(course.parameters[m][:, None] < 0, fixed, self.p[course.parameters[m]])
         return np.asarray(starts)
 
     def rates(self, t: float, u: Array, z: Array) -> Array:

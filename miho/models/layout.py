@@ -40,9 +40,9 @@ class Layout:
         kind = self._outputs_of(columns, t)
         # Rows of one time stand for one state of the motion.
         times, earliest, at = np.unique(t, return_index=True, return_inverse=True)
-        given = np.column_stack([columns[name] for name in self.inputs] or [np.empty((t.size, 0))])
-        u = given[earliest]
-        differs = np.argwhere(given != u[at])
+        inputs = np.column_stack([columns[name] for name in self.inputs] or [np.empty((t.size, 0))])
+        u = inputs[earliest]
+        differs = np.argwhere(inputs != u[at])
         if differs.size:
             row, k = differs[0]
             raise ValueError(

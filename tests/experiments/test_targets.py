@@ -9,7 +9,8 @@ import pytest
 from omegaconf import OmegaConf
 
 import miho.methods
-from experiments.app.build import ConfigError, instantiate
+from experiments.app.build import ConfigError
+from experiments.app.instantiation import instantiate
 from experiments.app.safety import HOMES, TargetError, allowed, find_target, nested_target
 from miho.data import Dataset
 from miho.models import Model, Pacejka

@@ -14,7 +14,7 @@ import pytest
 from numpy.typing import NDArray
 from omegaconf import OmegaConf
 
-from experiments.app.build import MissingLibraryError, instantiate
+from experiments.app.instantiation import MissingLibraryError, instantiate
 from miho.optim import (
     Budget,
     LeastSquaresProblem,

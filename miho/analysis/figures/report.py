@@ -161,7 +161,7 @@ def residual_figure(
     and above its median: what a load does to a force has the sign of the slip, and cancels in the
     mean over both.
     """
-    told = bool(parts) or len(columns) > 1
+    has_legend = bool(parts) or len(columns) > 1
     if not parts:
         name, above = columns[0].name, columns[0].values > np.median(columns[0].values)
         parts = {f"{name} below its median": ~above, f"{name} above it": above}
@@ -178,7 +178,7 @@ def residual_figure(
         for place in range(1, len(columns)):
             if place % PANELS:
                 panels[place].set_ylabel("")
-        if told:
+        if has_legend:
             handles = panels[0].lines[: len(parts)]
             figure.legend(handles, list(parts), loc="outside upper right", ncols=4)
     return figure

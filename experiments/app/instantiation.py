@@ -1,0 +1,109 @@
+"""Objects from their descriptions: the one place that instantiates targets.
+
+A configuration can name only public classes and functions of our own packages, so no file that it
+comes with can run other code. There is one door: `miho.models.load_function`, `load_trajectory` and
+`FmuModel` run the file that `model.path` names, which a user chooses on the command line or in a
+YAML of their own.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+from experiments.app.explain import ConfigError, unknown_message
+from experiments.app.safety import (
+    SecretError,
+    TargetError,
+    check_no_secret,
+    find_target,
+    nested_target,
+    refuse_environment,
+)
+
+PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
+
+T = TypeVar("T")
+MISSING = "???"
+"""What Hydra leaves where a choice must be made."""
+
+refuse_environment()
+
+
+class MissingLibraryError(ConfigError):
+    """A configured part needs a library that is not installed; the message names its extra."""
+
+
+def instantiate(node: Mapping[str, Any], key: str, kind: type[T]) -> T:
+    """The object that `node` describes.
+
+    Its target must be one of those that `safety.find_target` allows for a `kind`, and know every
+    setting; all that is checked before anything is imported or called. Hydra's own `instantiate`
+    is not used: it runs any target.
+    """
+    target = _target(node.get("_target_"), key, kind)
+    allowed = inspect.signature(target).parameters
+    settings = {name: value for name, value in node.items() if name != "_target_"}
+    for name, value in settings.items():
+        if name not in allowed:
+            raise ConfigError(unknown_message(f"{key}.{name}", allowed))
+        inner = nested_target(value, f"{key}.{name}")
+        if inner:
+            raise ConfigError(f"{inner}: a target cannot stand inside of a setting; remove it")
+        settings[name] = _checked_value(value, allowed[name].annotation, f"{key}.{name}")
+    try:
+        built = target(**settings)
+    except ImportError as error:
+        raise MissingLibraryError(f"{key}: {error}") from None
+    except ValueError as error:
+        if type(error) is not ValueError:
+            raise
+        raise ConfigError(f"{key}: {error}") from None
+    except (TypeError, OverflowError) as error:
+        raise ConfigError(f"{key}: {error}") from None
+    except MemoryError:
+        raise ConfigError(f"{key}: is too large for the memory of this machine") from None
+    return built
+
+
+def _target(path: object, key: str, kind: type[T]) -> Callable[..., T]:
+    try:
+        return find_target(path, kind)
+    except TargetError as error:
+        raise ConfigError(f"{key}._target_: {error}") from None
+    except ImportError as error:
+        raise MissingLibraryError(f"{key}: {error}") from None
+
+
+def _checked_value(value: Any, annotation: Any, key: str) -> Any:
+    """The value, if it has the plain type that the signature declares."""
+    if value == MISSING:
+        raise ConfigError(f"{key}: is missing; give it on the command line as {key}=...")
+    kind = PLAIN.get(annotation if isinstance(annotation, str) else annotation.__name__)
+    if kind is None or type(value) is kind:
+        return value
+    if kind is float and type(value) is int:
+        return float(value)
+    if kind is int and type(value) is float and value.is_integer():
+        return int(value)
+    raise ConfigError(f"{key}: is {value!r}; expected a value of type {kind.__name__}")
+
+
+def part_of(setting: Mapping[str, Any], key: str) -> dict[str, Any]:
+    """A copy of one part of a plain setting, checked to be a mapping without a secret."""
+    node = setting[key]
+    if node == MISSING:
+        raise ConfigError(f"{key}: is missing; choose one of conf/{key}/")
+    if not isinstance(node, Mapping):
+        raise ConfigError(f"{key}: is {node!r}; expected a mapping")
+    without_secret(node, key)
+    return {str(name): value for name, value in node.items()}
+
+
+def without_secret(value: Any, key: str) -> None:
+    """Refuse a value that holds a secret."""
+    try:
+        check_no_secret(value, key)
+    except SecretError as error:
+        raise ConfigError(str(error)) from None
