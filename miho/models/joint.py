@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.models.expression import Expression
+from miho.models.layout import OUTPUT
 from miho.models.model import Model
 from miho.models.symbolic import NotAFormulaError, Symbol, operation, trace
 from miho.models.tied import whole_model
@@ -194,5 +195,14 @@ def parts_of(model: Model) -> tuple[JointPart, ...]:
 
 
 def rows_of_parts(model: Model, inputs: Sequence[Array]) -> dict[str, NDArray[np.bool_]]:
-    """Which rows (N,) belong to each part of a joint model, by name; none of another model."""
-    return {part.name: inputs[0] == k for k, part in enumerate(parts_of(model))}
+    """Which rows (N,) belong to each part of a joint model, by name.
+
+    Those of each output of a model that has several; none of another model.
+    """
+    columns = dict(zip(model.inputs, inputs, strict=True))
+    names = [part.name for part in parts_of(model)]
+    if not names and OUTPUT in columns:
+        outputs = getattr(whole_model(model), "outputs", ())
+        names = [getattr(output, "__name__", output) for output in outputs]
+    index = columns.get(PART, columns.get(OUTPUT))
+    return {} if index is None else {name: index == k for k, name in enumerate(names)}

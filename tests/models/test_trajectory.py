@@ -17,6 +17,7 @@ from scipy.integrate import solve_ivp
 import miho
 from miho.identification import make_report
 from miho.models import Trajectory, load_trajectory
+from miho.models.joint import rows_of_parts
 from miho.testing import check_model
 
 Array = NDArray[np.float64]
@@ -413,3 +414,20 @@ def test_bad_columns_are_named() -> None:
         both.predict(theta[:, :1], two, np.arange(two.size), index)
     with pytest.raises(ValueError, match="column output is 0 to 2; expected whole numbers from 0"):
         both.predict(theta[:, :1], two, np.repeat(FORCE, 2), 2 * index)
+
+
+def power(v: Any, *, c: Any) -> Any:
+    """What the damper takes."""
+    return c * v * v
+
+
+def test_rows_of_several_outputs_are_known_by_their_names() -> None:
+    model = replace(OSCILLATOR, outputs=["x", power], scales=[1.0, 1.0])
+    inputs = [np.zeros(4) for _ in model.inputs]
+    inputs[list(model.inputs).index("output")] = np.array([0.0, 1.0, 1.0, 0.0])
+    rows = rows_of_parts(model, inputs)
+    assert {name: of.tolist() for name, of in rows.items()} == {
+        "x": [True, False, False, True],
+        "power": [False, True, True, False],
+    }
+    assert not rows_of_parts(OSCILLATOR, [np.zeros(4)])

@@ -32,6 +32,7 @@ from miho.identification import Report, identified
 from miho.identification.standing import kind_of
 from miho.models.identified import parameters_text
 from miho.models.joint import PART, rows_of_parts
+from miho.models.layout import OUTPUT
 from miho.models.tied import whole_model
 from miho.study import StoredRun, write_bytes, write_text
 from miho.study.places import inside
@@ -106,11 +107,11 @@ def figures_of(report: Report) -> dict[str, bytes]:
     dataset, model = problem.dataset, problem.model
     errors = Column("error", problem.unit, problem.errors(report.at.theta))
     predicted = model.predict(report.at.theta[None], *problem.inputs)[0]
-    # Of a joint problem the parts have colors, and what tells them apart needs no panel.
+    # Parts of a joint problem, and outputs, have colors; what tells them apart needs no panel.
     parts = rows_of_parts(model, problem.inputs)
     shown = "output" if parts else dataset.output
     measured = Column(shown, problem.unit, dataset[dataset.output])
-    hidden = {dataset.output, PART}
+    hidden = {dataset.output, PART, OUTPUT} if parts else {dataset.output}
     if isinstance(problem.sigma, str) and len(np.unique(dataset[problem.sigma])) <= len(parts):
         hidden.add(problem.sigma)
     columns = [
