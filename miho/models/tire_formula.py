@@ -72,8 +72,8 @@ class TireFormula(TracedExpression):
         chosen = dict(zip(self.coefficients, self.arguments, strict=True))
         tire = replace(self.tire, parameters=cast(Any, SimpleNamespace(**(vars(p) | chosen))))
         usual = {"kappa": 0.0, "alpha": 0.0, "gamma": 0.0, "Vx": p.LONGVL, "pressure": p.NOMPRES}
-        given = dict(zip(self.inputs, self.columns, strict=True))
-        at: dict[str, Any] = {name: constant(value) for name, value in usual.items()} | given
+        measured = dict(zip(self.inputs, self.columns, strict=True))
+        at: dict[str, Any] = {name: constant(value) for name, value in usual.items()} | measured
         return getattr(tire.forces_at(tire.conditions(**at)), self.force)
 
     @property
