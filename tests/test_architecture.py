@@ -13,11 +13,22 @@ TABLES = {"pandas", "seaborn", "matplotlib"}
 # package: (ours it may import, third-party packages it may import); a part before its whole
 LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "miho.compiled": ({"miho.compiled"}, NUMERICS),
-    "miho.optim": ({"miho.compiled", "miho.optim"}, NUMERICS),
-    "miho.models": ({"miho.compiled", "miho.models"}, NUMERICS | {"fmpy"}),
+    "miho.optim": ({"miho.compiled", "miho.optim", "miho.parallel"}, NUMERICS),
+    "miho.parallel": (
+        {"miho.parallel"},
+        {"numpy", "orjson", "cloudpickle", "dask", "dask_jobqueue", "distributed"},
+    ),
+    "miho.models": ({"miho.compiled", "miho.models", "miho.parallel"}, NUMERICS | {"fmpy"}),
     "miho.data": ({"miho.data", "miho.models"}, NUMERICS | {"pooch"}),
     "miho.identification": (
-        {"miho.identification", "miho.compiled", "miho.optim", "miho.models", "miho.data"},
+        {
+            "miho.identification",
+            "miho.compiled",
+            "miho.optim",
+            "miho.models",
+            "miho.data",
+            "miho.parallel",
+        },
         NUMERICS | TABLES | {"emcee", "arviz"},
     ),
     "miho.driving.assembly": (
@@ -34,7 +45,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     ),
     "miho.driving": ({"miho.driving", "miho.compiled", "miho.models", "miho.data"}, NUMERICS),
     "miho.study": (
-        {"miho.study", "miho.optim"},
+        {"miho.study", "miho.optim", "miho.parallel"},
         {"pandas", "filelock", "numpy", "orjson", "threadpoolctl"},
     ),
     "miho.analysis.pages": (
@@ -56,6 +67,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
             "miho.models",
             "miho.data",
             "miho.analysis",
+            "miho.parallel",
         },
         NUMERICS | TABLES,
     ),

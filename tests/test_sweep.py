@@ -17,9 +17,9 @@ from experiments.app.runs import State, ended_state, run, stored_state
 from experiments.app.schema import SweepConfig, register
 from miho import load_runs
 from miho.optim import Budget, RandomSearch, minimize
+from miho.parallel.workers import JobOutcome
 from miho.study import Status, Store, execute, manifest
 from miho.study.changes import ResumeRefused, refuse_changes
-from miho.study.workers import JobOutcome
 from miho.testing import DecayFit
 
 TINY = ("optimizer=random", "optimizer.batch=5", "budget.evaluations=20")

@@ -40,7 +40,7 @@ from experiments.app.safety import HydraSettingError, ReceivedError, check_argum
 from experiments.app.signals import Stopped, name_of, stopping_signal
 from miho.data import CSVError, DataUnavailableError
 from miho.models import TirError
-from miho.optim.meter import SPURIOUS_INTERRUPT
+from miho.parallel.worker_process import SPURIOUS_INTERRUPT
 from miho.regular_file import NotAFileError
 from miho.study import DamagedRun
 from miho.study.changes import ResumeRefused

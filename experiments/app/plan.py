@@ -28,9 +28,9 @@ from experiments.app.parts import model_files
 from experiments.app.schema import SweepConfig
 from miho.data import Dataset
 from miho.identification import CurveFit
+from miho.parallel.workers import JobOutcome, Workers
 from miho.study import Identity
 from miho.study.identity import sha256
-from miho.study.workers import JobOutcome, Workers
 
 PROBLEM = ("model", "dataset", "space", "loss", "problem")
 HOW_TO_RUN = ("seed", "fresh", "sweep")

@@ -26,15 +26,15 @@ from experiments.app.plan import MODULES, POLL, Request, dataset_of, experiment_
 from experiments.app.schema import SweepConfig
 from experiments.app.signals import Stopped, stopping
 from miho.identification import CurveFit
-from miho.optim.meter import SPURIOUS_INTERRUPT
 from miho.optim.minimize import warm_up
+from miho.parallel.worker_process import SPURIOUS_INTERRUPT
+from miho.parallel.workers import JobOutcome, Workers
 from miho.study import Execution, Status, Store, StoredRun, environment_stamp, single_thread
 from miho.study.changes import refuse_changes
 from miho.study.contention import reference_work
 from miho.study.files import RESULT
 from miho.study.manifest import first_names, write_manifest
 from miho.study.redaction import redacted
-from miho.study.workers import JobOutcome, Workers
 
 HERE = 0
 """Processes for runs that are done in this one."""

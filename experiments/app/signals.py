@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from types import FrameType
 from typing import Any
 
-from miho.study.workers import Workers
+from miho.parallel.workers import Workers
 
 HANG_UP = getattr(signal, "SIGHUP", None)
 """What a closed terminal sends; Windows has none."""

@@ -20,8 +20,8 @@ from experiments.driving.laps import VARIANTS, SeedJob, laps_of, methods_of, sto
 from experiments.driving.settings import factors_text, track_and_vehicle
 from miho.analysis import save
 from miho.analysis.figures.driving import lap_figure, lap_table, lap_text
+from miho.parallel.workers import Workers
 from miho.study import write_text
-from miho.study.workers import Workers
 
 NEEDED = ("miho", "least_squares")
 POLL = 0.5

@@ -13,8 +13,6 @@ from miho.validate import positive, whole
 
 REASONS = 20
 """Reasons for rejected values that are counted one by one."""
-SPURIOUS_INTERRUPT = "KeyboardInterrupt, though nobody interrupted it"
-"""What ends a run whose model or method raises what only a signal should."""
 
 
 class BudgetExhausted(Exception):  # noqa: N818 -- the signal that ends every run, not an error

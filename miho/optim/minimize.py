@@ -21,13 +21,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from miho.optim.meter import SPURIOUS_INTERRUPT, Budget, BudgetExhausted, Meter, RunInterrupted
+from miho.optim.meter import Budget, BudgetExhausted, Meter, RunInterrupted
 from miho.optim.optimizer import Optimizer, Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
 from miho.optim.trace import Descents, Trace
+from miho.parallel.worker_process import SPURIOUS_INTERRUPT
 from miho.quantities import Array
 
 

@@ -33,7 +33,7 @@ from unittest import mock
 from experiments.app.compose import composed
 from experiments.app.plan import MODULES, requests
 from experiments.app.schema import register
-from miho.study.workers import start_server
+from miho.parallel.workers import start_server
 
 CHECKOUT = Path(__file__).parents[2]
 TINY = ("optimizer=random", "budget.evaluations=200", "dataset.n=40")

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from experiments.diagnosis.machine import BUSY_CORES, busy_cores
+from miho.parallel.workers import Workers
 from miho.study import load_runs
-from miho.study.workers import Workers
 from tests.faults.commands import Call, begun, identified, prepare
 from tests.faults.conftest import Figures
 from tests.faults.misbehaviour import MODEL

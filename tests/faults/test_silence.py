@@ -13,7 +13,7 @@ from unittest import mock
 import pytest
 
 from experiments.diagnosis.results import result_checks
-from miho.study.workers import Workers
+from miho.parallel.workers import Workers
 from tests.faults.commands import TINY, Call, begun, identified, prepare
 from tests.faults.conftest import Figures
 

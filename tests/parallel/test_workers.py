@@ -6,9 +6,9 @@ import time
 from pathlib import Path
 from typing import TypeVar
 
-from miho.study.processes import descendants
-from miho.study.worker_process import INTERRUPTED
-from miho.study.workers import JobOutcome, Workers
+from miho.parallel.processes import descendants
+from miho.parallel.worker_process import INTERRUPTED
+from miho.parallel.workers import JobOutcome, Workers
 from tests.faults.misbehaviour import misbehave, spoil
 
 Result = TypeVar("Result")

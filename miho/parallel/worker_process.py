@@ -15,7 +15,7 @@ from multiprocessing import connection
 from types import FrameType
 from typing import Any, NoReturn, TypeVar
 
-from miho.study.processes import adopt_orphans, child_has_ended, end_child, end_family, end_of
+from miho.parallel.processes import adopt_orphans, child_has_ended, end_child, end_family, end_of
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -24,6 +24,8 @@ Answer = tuple[Result | None, str | None, str | None]
 
 INTERRUPTED = "interrupted"
 """The reason of a job that was interrupted."""
+SPURIOUS_INTERRUPT = "KeyboardInterrupt, though nobody interrupted it"
+"""What ends a run or a job whose code raises what only a signal should."""
 POLL = 0.02
 """Seconds between two looks whether a job's process has ended, where the system cannot tell."""
 

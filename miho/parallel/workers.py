@@ -6,17 +6,25 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import sys
 import time
-from collections.abc import Callable, Sequence
+import types
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing import connection, forkserver
 from multiprocessing.process import BaseProcess
 from types import TracebackType
 from typing import Any, Generic
 
-from miho.optim.meter import SPURIOUS_INTERRUPT
-from miho.study.processes import end_family
-from miho.study.worker_process import INTERRUPTED, Job, Result, exit_reason, serve
+from miho.parallel.processes import end_family
+from miho.parallel.worker_process import (
+    INTERRUPTED,
+    SPURIOUS_INTERRUPT,
+    Job,
+    Result,
+    exit_reason,
+    serve,
+)
 
 THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 """Environment variables that numerical libraries read when they are loaded."""
@@ -161,7 +169,8 @@ class Workers(Generic[Job, Result]):
             arguments = (*self._task, worker_end)
             process = self._context.Process(target=serve, args=arguments, daemon=True)
             try:
-                process.start()
+                with _without_main():
+                    process.start()
                 break
             except (OSError, EOFError):  # the server that forks it was killed; another is started
                 parent_end.close()
@@ -212,6 +221,21 @@ class Workers(Generic[Job, Result]):
             return None
         self._end_worker(worker)
         return JobOutcome(job, reason=reason, interrupted=worker.interrupted)
+
+
+@contextlib.contextmanager
+def _without_main() -> Iterator[None]:
+    """Start a process that does not run the program's main file again.
+
+    Multiprocessing would, so that functions there can be unpickled: a program that starts workers
+    without asking whether it is the main one would start them without end.
+    """
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = types.ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 def _context(modules: Sequence[str]) -> Any:
