@@ -169,7 +169,7 @@ class Workers(Generic[Job, Result]):
             arguments = (*self._task, worker_end)
             process = self._context.Process(target=serve, args=arguments, daemon=True)
             try:
-                with _without_main():
+                with without_main():
                     process.start()
                 break
             except (OSError, EOFError):  # the server that forks it was killed; another is started
@@ -224,7 +224,7 @@ class Workers(Generic[Job, Result]):
 
 
 @contextlib.contextmanager
-def _without_main() -> Iterator[None]:
+def without_main() -> Iterator[None]:
     """Start a process that does not run the program's main file again.
 
     Multiprocessing would, so that functions there can be unpickled: a program that starts workers
