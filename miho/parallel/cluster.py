@@ -63,9 +63,9 @@ def cluster(address: str) -> Iterator[Client]:
     """Meanwhile a client of the cluster at `address`; what was started for it ends with it.
 
     `dask://HOST:PORT` is a scheduler that runs. `dask:N` starts N worker processes of one thread on
-    this machine, whose connections are encrypted, so that nobody else on it can use them. `slurm:N`,
-    `pbs:N` and `lsf:N` submit N jobs, as the user's configuration of dask-jobqueue says; they come
-    when the queue lets them.
+    this machine, whose connections are encrypted, so that nobody else on it can use them.
+    `slurm:N`, `pbs:N` and `lsf:N` submit N jobs, as the user's configuration of dask-jobqueue says;
+    they come when the queue lets them.
 
     Raises ClusterError if a library or the program of the queue is missing, nobody answers at the
     address, or a worker that is there has another version of Python, MIHO or Dask.

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import time
 import types
 from collections.abc import Callable, Iterator, Sequence
@@ -34,6 +35,8 @@ PAUSE = 0.1
 """Seconds until the next try."""
 LOST = 255
 """The exit code that multiprocessing gives to a process whose server died first."""
+MAIN = threading.Lock()
+"""Held by the thread that hides the program's main module."""
 
 
 @dataclass(frozen=True)
@@ -230,12 +233,13 @@ def without_main() -> Iterator[None]:
     Multiprocessing would, so that functions there can be unpickled: a program that starts workers
     without asking whether it is the main one would start them without end.
     """
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = types.ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = main
+    with MAIN:
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = types.ModuleType("__main__")
+        try:
+            yield
+        finally:
+            sys.modules["__main__"] = main
 
 
 def _context(modules: Sequence[str]) -> Any:
