@@ -19,7 +19,7 @@ from miho.parallel.workers import without_main
 if TYPE_CHECKING:
     from distributed import Client
 
-EXPECTED = "expected dask://HOST:PORT, dask:N, slurm:N, pbs:N or lsf:N"
+ADDRESSES = "dask://HOST:PORT, dask:N, slurm:N, pbs:N or lsf:N"
 QUEUES = {
     "slurm": ("SLURMCluster", "sbatch"),
     "pbs": ("PBSCluster", "qsub"),
@@ -40,6 +40,10 @@ class ClusterError(ValueError):
     """One line: which address, what is wrong with it, and what to do."""
 
 
+class ClusterLost(RuntimeError):  # noqa: N818 -- what befell, not a mistake
+    """The connection to a cluster broke while it was used."""
+
+
 def is_address(workers: object) -> bool:
     """Whether this says where workers are, as `cluster` takes it, and not how many."""
     return isinstance(workers, str) and re.match(r"[a-z]+:", workers) is not None
@@ -55,7 +59,7 @@ def check_address(address: str) -> tuple[str, str | int]:
         return kind, place[2:]
     if kind in ("dask", *QUEUES) and re.fullmatch(r"[1-9]\d{0,5}", place):
         return kind, int(place)
-    raise ClusterError(f"{address!r}: is no address of workers; {EXPECTED}")
+    raise ClusterError(f"{address!r}: is no address of workers; expected {ADDRESSES}")
 
 
 @contextmanager
