@@ -18,6 +18,7 @@ from experiments.app.plan import MODULES, Request, experiment_of
 from experiments.app.schema import SweepConfig
 from experiments.app.working import State, execute, own_code, prepare
 from miho.parallel.cluster import check_address, cluster, dashboard
+from miho.parallel.cluster_process import Placed
 from miho.parallel.cluster_workers import ClusterWorkers
 from miho.parallel.workers import JobOutcome
 from miho.study import Status, Store
@@ -160,25 +161,25 @@ class ClusterRuns:
             return JobOutcome(request, delivery.state, reason, detail, interrupted)
 
 
-def deliver(errand: Errand, folder: str) -> Delivery:
-    """In a process of its own at a worker: do a run, in a store in `folder` unless it is shared."""
+def deliver(placed: Placed[Errand]) -> Delivery:
+    """In a process at a worker: do a run, in a store of its own unless it sees ours."""
+    errand, request = placed.job, placed.job.request
     _go_to(errand)
-    request = errand.request
     _check_same(request)
     if errand.shared or request.compile_only:
         return Delivery(execute(request), {})
-    state = execute(replace(request, root=folder))
-    return Delivery(state, Store(Path(folder)).files(request.identity))
+    state = execute(replace(request, root=placed.folder))
+    return Delivery(state, Store(Path(placed.folder)).files(request.identity))
 
 
-def prepare_errand(errand: Errand) -> None:
-    """In a worker: what runs of a user's model share."""
-    _go_to(errand)
-    prepare(errand.request)
+def prepare_errand(placed: Placed[Errand]) -> None:
+    """In a process at a worker: load what runs of a user's model share."""
+    _go_to(placed.job)
+    prepare(placed.job.request)
 
 
-def _alone(errand: Errand) -> bool:
-    return own_code(errand.request)
+def _alone(placed: Placed[Errand]) -> bool:
+    return own_code(placed.job.request)
 
 
 def _go_to(errand: Errand) -> None:

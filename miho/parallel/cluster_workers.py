@@ -1,52 +1,36 @@
-"""Jobs on the workers of a cluster of Dask, each in a process of its own there."""
+"""Jobs on the workers of a cluster of Dask, as `Workers` does them on this machine."""
 
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
 import queue
-import tempfile
 import threading
 import time
 import uuid
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Generic
+from typing import TYPE_CHECKING, Generic
 
 from miho.parallel.cluster import PATIENCE, ClusterLost
-from miho.parallel.worker_process import INTERRUPTED, Job, Result
-from miho.parallel.workers import JobOutcome, Workers
+from miho.parallel.cluster_process import Placed, Task, dismiss, interrupt, run_at_worker
+from miho.parallel.worker_process import Job, Result
+from miho.parallel.workers import JobOutcome
 
 if TYPE_CHECKING:
     from distributed import Client, Future
 
-POLL = 0.1
-"""Seconds between two looks of a worker whether its job is still wanted."""
 COUNTED = 1.0
 """Seconds for which the number of threads of a cluster is believed."""
-GRACE = 1.0
-"""Seconds that a job has to keep what it has, once nobody waits for it."""
-
-
-@dataclass(frozen=True)
-class _Task(Generic[Job, Result]):
-    """What a worker of the cluster is told of all jobs: the arguments of `ClusterWorkers`."""
-
-    owner: str
-    work: Callable[[Job, str], Result]
-    time_limit: float | None
-    modules: Sequence[str]
-    prepare: Callable[[Job], object] | None
-    alone: Callable[[Job], bool] | None
+LEAVING = 1.0
+"""Seconds that giving up jobs may take, where a machine does not answer."""
 
 
 class ClusterWorkers(Generic[Job, Result]):
     """As `Workers`, but on a cluster: a job for each thread of its workers; a context manager.
 
-    `work` gets a job and an empty folder at the worker, which is removed afterwards. Each job has a
-    process of its own there, which the time limit ends. A job whose worker dies or leaves goes to
+    A job is done in a process of the worker's, which it does not share with another one at a time,
+    with the time limit and the isolation of `Workers`. A job whose worker dies or leaves goes to
     another one; one that has lost several workers is given up (`allowed-failures` of Dask). If the
     connection to the scheduler breaks, all jobs in progress end with that reason, and no more can
     be started. What nobody waits for any more, because this process was killed, is interrupted.
@@ -55,15 +39,15 @@ class ClusterWorkers(Generic[Job, Result]):
     def __init__(
         self,
         client: Client,
-        work: Callable[[Job, str], Result],
+        work: Callable[[Placed[Job]], Result],
         time_limit: float | None = None,
         modules: Sequence[str] = (),
         *,
-        prepare: Callable[[Job], object] | None = None,
-        alone: Callable[[Job], bool] | None = None,
+        prepare: Callable[[Placed[Job]], object] | None = None,
+        alone: Callable[[Placed[Job]], bool] | None = None,
     ) -> None:
         self._client, self._owner = client, uuid.uuid4().hex
-        self._task = _Task(self._owner, work, time_limit, tuple(modules), prepare, alone)
+        self._task = Task(self._owner, work, time_limit, tuple(modules), prepare, alone)
         self._jobs: dict[Future, Job] = {}
         self._ended: queue.SimpleQueue[Future] = queue.SimpleQueue()
         self._interrupts = self._sent = 0
@@ -106,7 +90,7 @@ class ClusterWorkers(Generic[Job, Result]):
         if self._broken or self._client.status != "running":
             raise ClusterLost(self._break)
         future = self._client.submit(
-            _run_at_worker, self._task, job, key=f"miho-{uuid.uuid4().hex}", pure=False
+            run_at_worker, self._task, job, key=f"miho-{uuid.uuid4().hex}", pure=False
         )
         self._jobs[future] = job
         future.add_done_callback(self._ended.put)
@@ -132,14 +116,18 @@ class ClusterWorkers(Generic[Job, Result]):
         """Give up all jobs: their workers end them soon."""
         futures = list(self._jobs)
         self._jobs.clear()
-        if futures and not self._broken:
-            _in_background(partial(self._client.cancel, futures, force=True)).join(GRACE)
+        if self._broken:
+            return
+        calls = [partial(self._client.run, dismiss, self._owner, on_error="ignore")]
+        if futures:
+            calls.insert(0, partial(self._client.cancel, futures, force=True))
+        _in_background(*calls).join(LEAVING)
 
     def _send_interrupts(self) -> None:
         if self._sent < self._interrupts and not self._broken:
             self._sent = self._interrupts
             _in_background(
-                partial(self._client.run, _interrupt, self._owner, self._sent, on_error="ignore")
+                partial(self._client.run, interrupt, self._owner, self._sent, on_error="ignore")
             )
 
     @property
@@ -173,54 +161,14 @@ def _reason(error: BaseException) -> str:
     return f"its Dask worker: {type(error).__name__}: {' '.join(str(error).split())}"
 
 
-def _in_background(call: Callable[[], object]) -> threading.Thread:
-    """Do a call to the cluster in a thread of its own, since it can wait for a dead machine."""
+def _in_background(*calls: Callable[[], object]) -> threading.Thread:
+    """Call the cluster in a thread of its own, since a call can wait for a dead machine."""
 
     def quietly() -> None:
-        with contextlib.suppress(Exception):
-            call()
+        for call in calls:
+            with contextlib.suppress(Exception):
+                call()
 
     thread = threading.Thread(target=quietly, daemon=True)
     thread.start()
     return thread
-
-
-_INTERRUPTS: dict[str, int] = {}
-"""In a worker of the cluster: how often each owner of jobs has interrupted them."""
-
-
-def _interrupt(owner: str, times: int) -> None:
-    """In a worker of the cluster: interrupt the jobs of an owner, also those that come later."""
-    _INTERRUPTS[owner] = max(times, _INTERRUPTS.get(owner, 0))
-
-
-def _run_at_worker(task: _Task[Any, Any], job: Any) -> tuple[Any, str | None, str | None]:
-    """In a thread of a worker of the cluster: do a job in a process of its own.
-
-    Gives its result, or the reason why there is none and the traceback.
-    """
-    import distributed
-
-    multiprocessing.current_process().daemon = False  # else it may have no children
-    worker = distributed.get_worker()
-    key = worker.get_current_task()
-    with (
-        tempfile.TemporaryDirectory(prefix="miho-", dir=worker.local_directory) as folder,
-        Workers(
-            partial(task.work, folder=folder), 1, task.time_limit, task.modules,
-            prepare=task.prepare, alone=task.alone,
-        ) as workers,
-    ):  # fmt: skip
-        workers.start(job)
-        sent, until = 0, float("inf")
-        while time.monotonic() < until:
-            for ended in workers.wait(POLL):
-                return ended.result, ended.reason, ended.detail
-            times = _INTERRUPTS.get(task.owner, 0)
-            state = worker.state.tasks.get(key)
-            if until == float("inf") and (state is None or state.state == "cancelled"):
-                times, until = sent + 1, time.monotonic() + GRACE
-            if times > sent:
-                sent = times
-                workers.interrupt()
-    return None, INTERRUPTED, None
