@@ -30,7 +30,7 @@ from miho.optim.seeds import stream
 from miho.optim.space import Space
 from miho.optim.spread import spread_problem
 from miho.optim.trace import Descents, Trace
-from miho.parallel import Workers
+from miho.parallel import NoWorkersLeft, Workers
 from miho.parallel.usage import Usage
 from miho.parallel.worker_process import SPURIOUS_INTERRUPT
 from miho.quantities import Array
@@ -69,8 +69,8 @@ class RunRecord:
     `theta` (d,) in units and `loss` are the best seen, None and math.inf if nothing was finite.
     `seconds` is the method's clock; imports, compilation and warm-up are in `setup_seconds`.
     `rejected` counts unusable values by reason; `error` holds the traceback of a failed run, with
-    the line of the method's file at its end. `outside` counts evaluations outside of the box, in
-    compiled blocks only those that improve.
+    the line of the method's file at its end, or one line where all workers are gone.
+    `outside` counts evaluations outside of the box, in compiled blocks only those that improve.
     `descents` says where those of a method that makes several ended, None of any other.
     `checkpoint` resumes a method that can be resumed (Resumable), else it is None; so it is after
     an interrupt that struck in the middle of a step. `usage` says how workers were used, None
@@ -119,9 +119,10 @@ def minimize(
     `workers` make the evaluations of a problem where each takes long: a number of processes, -1
     for one per core, an executor of `concurrent.futures`, a callable like `map`, or the address of
     a cluster (`miho.parallel.pool`). The result does not depend on them. A value that takes longer
-    than `evaluation_limit` seconds is given up. A `journal` is a file in which every evaluation
-    stands that takes longer than some 10 ms: the same run, called again after it was cut off, makes
-    none of them twice.
+    than `evaluation_limit` seconds is given up, and so is one whose worker dies three times; a run
+    whose workers are all gone has failed, and keeps what it found. A `journal` is a file in which
+    every evaluation stands that takes longer than some 10 ms: the same run, called again after it
+    was cut off, makes none of them twice.
     """
     if problem.space.free is not problem.space:
         raise ValueError(
@@ -186,6 +187,8 @@ def _search(
         outcome = Outcome.INTERRUPTED
     except KeyboardInterrupt:
         outcome, oracle.state = Outcome.INTERRUPTED, None
+    except NoWorkersLeft as reason:  # at an evaluation, so the state is whole
+        outcome, error = Outcome.FAILED, f"{reason}\n"
     except BaseException as raised:  # noqa: BLE001 -- a failed run is a result: its curve is kept
         outcome, oracle.state = Outcome.FAILED, None
         error = f"{traceback.format_exc().rstrip()} ({raised_at(raised, optimizer)})\n"
