@@ -66,7 +66,7 @@ def test_every_kind_of_workers_calls_closures_in_order(kind: str) -> None:
         if pool is None:  # one core
             return
         values = list(pool.map(lambda x: factor * x, range(7)))
-        with pytest.raises(ValueError, match="^negative: -1$") as raised:
+        with pytest.raises(ValueError, match=r"^negative: -1$") as raised:
             list(pool.map(_root, [4.0, -1.0]))
     assert np.array_equal(values, [factor * x for x in range(7)])
     assert type(raised.value).__name__ == "OddError"
@@ -91,7 +91,7 @@ def _root(x: float) -> float:
     ids=repr,
 )
 def test_workers_that_are_none_are_refused_in_one_line(workers: Any) -> None:
-    with pytest.raises(ValueError, match="worker|address") as refused, open_pool(workers):
+    with pytest.raises(ValueError, match=r"worker|address") as refused, open_pool(workers):
         pass
     assert "\n" not in str(refused.value)
     assert EXPECTED in str(refused.value) or isinstance(workers, str)
@@ -163,7 +163,7 @@ def test_what_cannot_be_pickled_is_said_in_one_line_and_threads_can_do_it() -> N
 
     with open_pool(2) as pool:
         assert pool is not None
-        with pytest.raises(WorkersGoneError, match="cannot be sent to workers.*lock") as refused:
+        with pytest.raises(WorkersGoneError, match=r"cannot be sent to workers.*lock") as refused:
             list(pool.map(locked, [1.0]))
     assert "\n" not in str(refused.value)
     with ThreadPoolExecutor(2) as threads, open_pool(threads) as pool:
@@ -184,7 +184,7 @@ class Unloadable:
 def test_what_cannot_be_loaded_by_a_worker_is_said_in_one_line() -> None:
     with open_pool(2) as pool:
         assert pool is not None
-        with pytest.raises(WorkersGoneError, match="cannot load.*not_installed_there"):
+        with pytest.raises(WorkersGoneError, match=r"cannot load.*not_installed_there"):
             list(pool.map(Unloadable(), [1.0]))
 
 
