@@ -167,6 +167,10 @@ class Workers(Generic[Job, Result]):
 
     def kill(self) -> None:
         """End all processes now."""
+        alive = [w.process for w in self._workers if w.process.exitcode in (None, LOST)]
+        end_family(*(process.pid for process in alive if process.pid is not None))
+        for process in alive:
+            process.join()
         for worker in list(self._workers):
             self._end_worker(worker)
 
