@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import pickle
+import pickletools
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -47,7 +49,8 @@ class ProcessExecutor(Executor):
 
     def __init__(self, count: int, time_limit: float | None = None) -> None:
         self._max_workers = count
-        self._workers: Workers[Job, bytes] = Workers(_call, count, time_limit, (__name__,))
+        self._count, self._limit = count, time_limit
+        self._modules: tuple[str, ...] = (__name__,)
         self._waiting: deque[Job] = deque()
         self._futures: dict[int, Future[Any]] = {}
         self._numbers = 0
@@ -55,6 +58,18 @@ class ProcessExecutor(Executor):
         self._lock = threading.Lock()
         self._woken, self._wake = multiprocessing.Pipe(duplex=False)
         self._thread: threading.Thread | None = None
+
+    def load_at_start(self, pickled: bytes) -> None:
+        """Have workers begin with the modules of a pickled object, loaded once for all of them.
+
+        Without effect on workers that were started before.
+        """
+        self._modules = (__name__, *modules_in(pickled))
+
+    @property
+    def started(self) -> bool:
+        """Whether there was anything to do."""
+        return self._thread is not None
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Have a function called by the next worker that is idle."""
@@ -66,7 +81,7 @@ class ProcessExecutor(Executor):
             self._numbers += 1
             self._futures[self._numbers] = future
             self._waiting.append((self._numbers, job))
-            if self._thread is None:
+            if self._thread is None:  # where nothing is submitted, nothing is started
                 self._thread = threading.Thread(target=self._serve, daemon=True)
                 self._thread.start()
             self._wake_up()
@@ -81,7 +96,7 @@ class ProcessExecutor(Executor):
             self._wake_up()
         if self._thread is not None:
             self._thread.join()
-        self._end(ENDED)
+        self._end_calls(ENDED)
         self._woken.close()
         self._wake.close()
 
@@ -92,53 +107,51 @@ class ProcessExecutor(Executor):
             self._waking = True
             self._wake.send_bytes(b"+")
 
-    def _end(self, reason: str) -> None:
-        """End all processes, and all calls for this reason."""
-        self._workers.kill()
+    def _end_calls(self, reason: str) -> None:
         while self._futures:
             _, future = self._futures.popitem()
             if not future.cancel():
                 future.set_exception(WorkersGoneError(reason, again=False))
 
     def _serve(self) -> None:
-        """In a thread: serve until the end; nothing may wait for a thread that has failed."""
+        """In a thread: have workers, until all are ended; nothing may wait if this fails."""
         try:
-            self._give_and_take()
+            with Workers[Job, bytes](_call, self._count, self._limit, self._modules) as workers:
+                workers.watch.add(self._woken)
+                while not self._closed:
+                    self._give_and_take(workers)
         except BaseException as error:  # noqa: BLE001 -- it is told to those who wait
             with self._lock:
                 self._closed = True
-            self._end(f"what gives work to the processes has failed: {Raised.of(error).line}")
+            self._end_calls(f"what gives work to processes has failed: {Raised.of(error).line}")
 
-    def _give_and_take(self) -> None:
-        """Give jobs to idle workers, and hand over what they answer."""
-        while True:
+    def _give_and_take(self, workers: Workers[Job, bytes]) -> None:
+        """Give jobs to idle workers, and hand over what others answer."""
+        with self._lock:
+            if self._waking:
+                self._woken.recv_bytes()
+                self._waking = False
+        while workers.idle and self._waiting and not self._closed:
             with self._lock:
-                if self._waking:
-                    self._woken.recv_bytes()
-                    self._waking = False
-                if self._closed:
-                    return
-            while self._workers.idle and self._waiting:
-                with self._lock:
-                    number, job = self._waiting.popleft()
-                    future = self._futures[number]
-                if future.set_running_or_notify_cancel():
-                    self._start(number, job)
-                else:
-                    del self._futures[number]
-            for outcome in self._workers.wait(IDLE, self._woken):
-                future = self._futures.pop(outcome.job[0])
-                if outcome.result is not None:
-                    _set_result(future, outcome.result)
-                elif outcome.overdue:
-                    future.set_exception(OverdueError(str(outcome.reason), again=False))
-                else:  # what has raised would raise again
-                    again = outcome.detail is None
-                    future.set_exception(WorkerLostError(str(outcome.reason), again))
+                number, job = self._waiting.popleft()
+                future = self._futures[number]
+            if future.set_running_or_notify_cancel():
+                self._start(workers, number, job)
+            else:
+                del self._futures[number]
+        for outcome in workers.wait(IDLE):
+            future = self._futures.pop(outcome.job[0])
+            if outcome.result is not None:
+                _set_result(future, outcome.result)
+            elif outcome.overdue:
+                future.set_exception(OverdueError(str(outcome.reason), again=False))
+            else:  # what has raised would raise again
+                again = outcome.detail is None
+                future.set_exception(WorkerLostError(str(outcome.reason), again))
 
-    def _start(self, number: int, job: bytes) -> None:
+    def _start(self, workers: Workers[Job, bytes], number: int, job: bytes) -> None:
         try:
-            self._workers.start((number, job))
+            workers.start((number, job))
         except (OSError, EOFError) as error:
             reason = f"no worker could be started: {error}"
             self._futures.pop(number).set_exception(WorkersGoneError(reason))
@@ -157,6 +170,19 @@ def _set_result(future: Future[Any], pickled: bytes) -> None:
         future.set_exception(WorkerLostError(Raised.of(error).line, again=False))
     else:
         future.set_result(result)
+
+
+def modules_in(pickled: bytes) -> list[str]:
+    """The modules that a pickled object names, but for the program's own."""
+    names, strings = set(), list[str]()
+    for opcode, argument, _ in pickletools.genops(pickled):
+        if "UNICODE" in opcode.name:
+            strings.append(argument)
+        elif opcode.name == "GLOBAL":
+            names.add(argument.split()[0])
+        elif opcode.name == "STACK_GLOBAL":
+            names.update(strings[-2:-1])
+    return sorted(name for name in names & set(sys.modules) if name != "__main__")
 
 
 def processes_of(workers: Any) -> int:

@@ -235,6 +235,14 @@ def test_a_call_that_kills_its_worker_each_time_is_lost_alone() -> None:
     assert others == [0, 1, 2, 4, 5]
 
 
+def test_idle_processes_that_were_killed_are_replaced() -> None:
+    with open_pool(2) as pool:
+        assert pool is not None
+        for process in set(pool.map(_pid, range(8))):
+            os.kill(process, signal.SIGKILL)
+        assert list(pool.map(abs, [-1, -2])) == [1, 2]
+
+
 class ByHand(Executor):
     """Calls that are done when the test says so."""
 
