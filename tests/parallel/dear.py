@@ -71,12 +71,12 @@ class Counted(Problem):
 
     def __init__(self, loss: Callable[[Array], Array], name: str = "counted") -> None:
         self.name, self.space = name, SPACE
-        self.rows: Counter[bytes] = Counter()
+        self.counts: Counter[bytes] = Counter()
         self._loss, self._lock = loss, threading.Lock()
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         with self._lock:
-            self.rows.update(theta.tobytes() for theta in thetas)
+            self.counts.update(theta.tobytes() for theta in thetas)
         return self._loss(thetas)
 
 
@@ -100,7 +100,8 @@ class Watched(Executor):
 def same(first: RunRecord, second: RunRecord) -> bool:
     """Whether two runs did the same to the last bit."""
     return (
-        first.outcome is second.outcome
+        first.error is None
+        and first.outcome is second.outcome
         and first.evaluations == second.evaluations
         and first.loss == second.loss
         and np.array_equal(first.theta, second.theta)  # type: ignore[arg-type]
