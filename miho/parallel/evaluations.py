@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
+import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, InvalidStateError, wait
@@ -102,6 +103,7 @@ class Evaluations:
         self._pending: dict[Key, _Pending] = {}
         self._here: dict[Key, Array | Raised] = {}  # values that are known and not taken yet
         self._ends = itertools.count(0 if journal is None else len(journal))
+        self._arrivals = threading.Lock()
         self._submitted: list[Key] | None = None
         self._lost = 0  # chunks in a row
         self._latest = time.monotonic()  # when a value last came, or was given up
@@ -250,10 +252,20 @@ class Evaluations:
         return True
 
     def _arrival(self, pending: _Pending) -> Callable[[Future[Answer]], None]:
-        """Note in which order answers come; called by the threads that bring them."""
+        """Note in which order answers come, and in the journal what was dear, before the search
+        gets to it; called by the threads that bring them."""
 
         def arrived(future: Future[Answer]) -> None:
-            pending.ended, self._latest = next(self._ends), time.monotonic()
+            with self._arrivals:
+                pending.ended, self._latest = next(self._ends), time.monotonic()
+                if self._journal is None or future.cancelled() or future.exception() is not None:
+                    return
+                answer, rows = future.result(), len(pending.keys)
+                if answer.seconds < DEAR * rows:
+                    return
+                values = answer.value if answer.raised is None else [answer.raised] * rows
+                for key, value in zip(pending.keys, values, strict=True):
+                    self._journal.add(key, _array(value))
 
         return arrived
 
@@ -312,10 +324,11 @@ class Evaluations:
                 )
 
     def _keep(self, key: Key, value: Any) -> None:
-        value = value if isinstance(value, Raised) else np.asarray(value, dtype=float)
+        value = _array(value)
         self._here[key] = value
         if self._is_dear and self._journal is not None and not _is_lost(value):
-            self._journal.add(key, value)
+            with self._arrivals:
+                self._journal.add(key, value)
 
     def _evaluate_at_once(self, task: Evaluated, thetas: Array) -> Array:
         started = time.perf_counter()
@@ -368,6 +381,10 @@ class _ByRows:
             if len(thetas) == 1:
                 return [Raised.of(error)]
         return [value for theta in thetas for value in self(theta[None])]
+
+
+def _array(value: Any) -> Array | Raised:
+    return value if isinstance(value, Raised) else np.asarray(value, dtype=float)
 
 
 def _is_lost(value: Array | Raised) -> bool:
