@@ -22,10 +22,10 @@ POLL = 0.01
 class Failing(Problem):
     """x^2 + y^2, but `how` says what becomes of a row in a `share` of all.
 
-    `doomed`: its process waits for its end, the first time, `ends` times in all; `memory`: there is none; `killed`: its
-    process is killed, as by a system without memory; `hang`: it never ends. In the process that
-    searches, `home`, such a row raises. Each takes `seconds`. The log names each row that is begun,
-    that hangs, and that is done.
+    `doomed`: its process waits for its end, the first time, `ends` times in all; `memory`: there is
+    none; `killed`: its process is killed, as by a system without memory; `hang`: it never ends. In
+    the process that searches, `home`, such a row raises. Each takes `seconds`. The log names each
+    row that is begun, that hangs, and that is done.
     """
 
     name, space = "failing", SPACE
