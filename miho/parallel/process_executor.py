@@ -177,9 +177,9 @@ def modules_in(pickled: bytes) -> list[str]:
     names, strings = set(), list[str]()
     for opcode, argument, _ in pickletools.genops(pickled):
         if "UNICODE" in opcode.name:
-            strings.append(argument)
+            strings.append(str(argument))
         elif opcode.name == "GLOBAL":
-            names.add(argument.split()[0])
+            names.add(str(argument).split()[0])
         elif opcode.name == "STACK_GLOBAL":
             names.update(strings[-2:-1])
     return sorted(name for name in names & set(sys.modules) if name != "__main__")
