@@ -153,7 +153,8 @@ def opened(kind: str, count: int) -> Iterator[Any]:
         else:
             from miho.parallel.cluster import cluster  # which needs the extra `cluster`
 
-            yield stack.enter_context(cluster(f"dask:{count}")).get_executor(pure=False)
+            client: Any = stack.enter_context(cluster(f"dask:{count}"))
+            yield client.get_executor(pure=False)
 
 
 def differences(alone: RunRecord, record: RunRecord) -> list[str]:
