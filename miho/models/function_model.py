@@ -123,7 +123,7 @@ class FunctionModel(DifferencedModel):
 
     @property
     def ordered(self) -> bool:  # type: ignore[override]
-        """Whether it may need every row in order: where it is not known to be element by element."""
+        """Whether it may need every row in order: unless it is known to be `rowwise`."""
         return not self.rowwise
 
     @property
