@@ -362,6 +362,19 @@ def test_any_function_of_numbers_is_fitted(function: Any, truth: Any, box: Any) 
         assert sum(length < 60 for length in lengths) == 1  # the comparison
 
 
+def test_from_a_start_a_simulation_is_tried_out_near_it() -> None:
+    """And not within the box of a million times the start, where it would take for ever."""
+    seen = []
+
+    def counted(t, w, d):
+        seen.extend(value for value in (w, d) if isinstance(value, float))  # tracing has symbols
+        return _oscillator(t, w, d)
+
+    fit = miho.fit(counted, t, _oscillator(t, 5.0, 0.1), start={"w": 4.5, "d": 0.2})
+    assert fit.values == pytest.approx({"w": 5.0, "d": 0.1}, rel=1e-4)
+    assert 5 < max(seen) < 100
+
+
 def test_the_curve_of_a_simulation_is_drawn_at_the_rows_of_data() -> None:
     values = _cumulative(t, 2.0, 1.5) + 0.02 * noise
     fit = miho.fit(_cumulative, t, values, {"a": (0.1, 5), "b": (0.01, 10)})

@@ -131,14 +131,14 @@ def examined(model: FunctionModel, dataset: Dataset, space: Space) -> Model:
     rng = np.random.default_rng(0)
     thetas = np.empty((TRIALS, len(model.parameters)))
     for k, name in enumerate(model.parameters):
-        draws, known = rng.random(TRIALS), parameters.get(name)
-        thetas[:, k] = 0.5 + draws
+        known = parameters.get(name)
         if known is not None and known.free:
-            low, high = (np.log(known.low), np.log(known.high)) if known.scale == "log" else (
-                known.low, known.high)  # fmt: skip
-            values = low + draws * (high - low)
-            thetas[:, k] = np.exp(values) if known.scale == "log" else values
-        elif known is not None and known.fixed is not None:
+            own = Space((known,))
+            sampling = "uniform" if known.std is None else "normal"
+            thetas[:, k] = own.decode(own.sample(TRIALS, rng, sampling))[:, 0]
+            continue
+        thetas[:, k] = 0.5 + rng.random(TRIALS)
+        if known is not None and known.fixed is not None:
             thetas[:, k] = known.fixed
     columns = [dataset[name] for name in model.inputs]
     if model.source is None or is_arithmetic(model.function):
