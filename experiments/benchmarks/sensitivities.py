@@ -44,7 +44,9 @@ def jobs_of(model: Model, inputs: tuple[Array, ...]) -> dict[str, Callable[[], A
         "values": partial(model.predict, THETA[None], *inputs),
         "values, batch": partial(model.predict, batch, *inputs),
         "and sensitivities": partial(both, model.jacobian, model, *inputs),
-        "and differences": partial(both, partial(central_differences, model), model, *inputs),
+        "and differences": partial(
+            both, partial(central_differences, model.predict), model, *inputs
+        ),
     }
 
 

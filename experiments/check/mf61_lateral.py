@@ -160,10 +160,10 @@ def whole_run() -> None:
     print(f"written, read and evaluated: {np.abs(difference).max():.1e} N from the model")
     theta = record.theta
     jacobian = model.jacobian(theta, *columns)
-    numeric = central_differences(model, theta, *columns)
+    numeric = central_differences(model.predict, theta, *columns)
     error = (np.abs(jacobian - numeric).max(axis=0) / np.abs(jacobian).max(axis=0)).max()
     fast = milliseconds(lambda: model.jacobian(theta, *columns))
-    slow = milliseconds(lambda: central_differences(model, theta, *columns))
+    slow = milliseconds(lambda: central_differences(model.predict, theta, *columns))
     scaled = jacobian / np.linalg.norm(jacobian, axis=0)
     print(
         f"Jacobian {jacobian.shape}: {fast:.1f} ms, by differences {slow:.1f} ms, "

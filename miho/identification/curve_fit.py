@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -26,6 +27,7 @@ from miho.identification.row_order import row_order
 from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
+from miho.models.spread import SpreadModel
 from miho.models.symbolic import arguments_of
 from miho.models.tied import Tied, tie
 from miho.models.traced import Remade, TracedExpression
@@ -33,6 +35,7 @@ from miho.models.weighted import weighted
 from miho.optim.problem import LeastSquaresProblem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Parameter, Space
+from miho.parallel import Evaluations
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -56,6 +59,8 @@ REMEMBERED = 1 << 20
 """Numbers of errors to remember for the derivatives of a robust loss at the same configurations."""
 WORTH_COMPILING = 20_000
 """Rows from which on a search by NumPy takes seconds, as compiling a user's function does."""
+OF_THE_MODEL = ("_fitted", "_latest_errors")
+"""What a problem remembers of its model's outputs."""
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
 
@@ -85,7 +90,8 @@ class CurveFit(Remade, LeastSquaresProblem):
     output's unit: known as it is, or if not `sigma_known` up to one factor for all rows, which the
     residuals then tell. Residuals and errors are weighted by `scale` / sigma, so that they and the
     loss keep the output's unit. `prior_scale` takes the place of `scale` for priors where sigma is
-    not known: what it is estimated as. `tied_priors` are the tied parameters that have a prior.
+    not known: what it is estimated as. `tied_priors` are the tied parameters that have a prior. A
+    model that was `tried` before on these data is not evaluated here to see whether it can be.
     """
 
     model: Model
@@ -100,8 +106,9 @@ class CurveFit(Remade, LeastSquaresProblem):
     sigma_known: bool = True
     prior_scale: float | None = None
     tied_priors: tuple[Parameter, ...] = ()
+    tried: InitVar[bool] = False
 
-    def __post_init__(self) -> None:
+    def __post_init__(self, tried: bool) -> None:
         model = _model(self.model)
         if isinstance(model, FunctionModel):
             model = examined(model, self.dataset, self.space)
@@ -111,7 +118,7 @@ class CurveFit(Remade, LeastSquaresProblem):
             object.__setattr__(self, "tied_priors", tied)
         object.__setattr__(self, "model", model)
         object.__setattr__(self, "space", self.space.free)
-        check_curve_fit(self)
+        check_curve_fit(self, tried)
         check_sigma(self)
         if self.compressed and (self.kernel is None or self.kernel.few_nodes is None):
             raise ValueError(
@@ -291,6 +298,19 @@ class CurveFit(Remade, LeastSquaresProblem):
     def jacobian_cost(self) -> int | None:  # type: ignore[override]
         """The cost of the model's Jacobian, in evaluations."""
         return self.model.jacobian_cost
+
+    def spread(self, evaluations: Evaluations) -> CurveFit:
+        """This problem with its model's outputs evaluated by these; itself if it is arithmetic."""
+        count = itertools.count()
+        model = self.model.with_leaves(
+            lambda leaf: SpreadModel(leaf, evaluations, f"model {next(count)}")
+        )
+        if model is self.model or not next(count):
+            return self
+        problem = object.__new__(CurveFit)  # all else that is known of this one stays so
+        known = {key: value for key, value in vars(self).items() if key not in OF_THE_MODEL}
+        vars(problem).update(known, model=model)
+        return problem
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Mean squared error (n,) of parameter rows (n, d), over a fidelity of the data rows."""

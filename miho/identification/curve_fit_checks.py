@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ from miho.models.plain_arithmetic import is_arithmetic
 from miho.models.symbolic import arguments_of
 from miho.models.tied import Ties, whole_model
 from miho.optim.space import Space
+from miho.parallel.evaluations import DEAR
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -34,10 +36,12 @@ SMALLEST, LARGEST = 1e-140, 1e150
 of squares over all rows then stay within double precision, 1e-308 to 1e308."""
 
 
-def check_curve_fit(problem: CurveFit) -> None:
+def check_curve_fit(problem: CurveFit, tried: bool = False) -> None:
     """Raise ValueError for parts that do not fit together; warn of far nominal values.
 
-    So mistakes show before a search starts, and not as losses without a value in it.
+    So mistakes show before a search starts, and not as losses without a value in it. The model is
+    evaluated for that at a few configurations: at a single one if that takes long, and at none if
+    it was `tried` before.
     """
     model, dataset = problem.model, problem.dataset
     model_name = model.name or type(model).__name__
@@ -56,19 +60,44 @@ def check_curve_fit(problem: CurveFit) -> None:
         if unit != needed and needed and unit:
             raise ValueError(f"{place} has unit {unit!r}; model {model_name} needs {needed!r}")
 
-    # The model's methods give the shapes that the search relies on; differences do.
+    _check_output_size(problem)
+    if not tried and not _is_dear(problem, model_name):
+        _check_shapes(problem, model_name)
+        _check_values(problem, model_name)
+    _check_nominal(problem, model_name)
+
+
+def _is_dear(problem: CurveFit, model_name: str) -> bool:
+    """Whether an evaluation of somebody's own code takes long; refuses one of a wrong shape."""
+    model, leaves = problem.model, list[Model]()
+
+    def note(leaf: Model) -> Model:
+        leaves.append(leaf)
+        return leaf
+
+    model.with_leaves(note)
+    if not any(isinstance(leaf, FunctionModel | ExternalModel) for leaf in leaves):
+        return False
+    started = time.perf_counter()
+    actual = model.predict(problem.space.decode(problem.space.initial(1)), *problem.inputs).shape
+    if actual != (1, len(problem.dataset)):
+        raise ValueError(
+            f"{model_name}.predict gives shape {actual}; expected {(1, len(problem.dataset))}"
+        )
+    return time.perf_counter() - started > DEAR
+
+
+def _check_shapes(problem: CurveFit, model_name: str) -> None:
+    """Refuse a model whose methods do not give the shapes that the search relies on."""
+    model, dataset = problem.model, problem.dataset
     thetas, rows = problem.space.decode(problem.space.initial(2)), len(dataset)
     shapes = {"predict": (model.predict(thetas, *problem.inputs).shape, (2, rows))}
-    if not isinstance(whole_model(model), DifferencedModel | ExternalModel):
+    if not isinstance(whole_model(model), DifferencedModel | ExternalModel):  # differences do
         J = model.jacobian(thetas[0], *problem.inputs)
         shapes["jacobian"] = J.shape, (rows, len(problem.space))
     for method, (actual, expected) in shapes.items():
         if actual != expected:
             raise ValueError(f"{model_name}.{method} gives shape {actual}; expected {expected}")
-
-    _check_output_size(problem)
-    _check_values(problem, model_name)
-    _check_nominal(problem, model_name)
 
 
 def check_sigma(problem: CurveFit) -> None:

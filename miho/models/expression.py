@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import final
 
 import numpy as np
@@ -28,6 +29,11 @@ class Expression(Model):
     """
 
     bound: Formula | None = None
+
+    @final
+    def with_leaves(self, wrap: Callable[[Model], Model]) -> Model:
+        """Itself: arithmetic is never dear."""
+        return self
 
     @property
     @abstractmethod

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, reduce
 from typing import NamedTuple
@@ -58,6 +58,12 @@ class JointModel(Model):
                             f"{name} has the unit {needed!r} in {first} and {unit!r} in "
                             f"{part.name}; use one, or another name"
                         )
+
+    def with_leaves(self, wrap: Callable[[Model], Model]) -> Model:
+        """The joint model of parts with wrapped leaves."""
+        return JointModel(
+            tuple(part._replace(model=part.model.with_leaves(wrap)) for part in self.parts)
+        )
 
     @cached_property
     def inputs(self) -> Mapping[str, str]:  # type: ignore[override]

@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from miho.quantities import Array
 
 SMALLEST = 1e-12
+Predict = Callable[..., Array]
+"""Outputs (n, N) of parameter rows (n, d) and input columns."""
 VISIBLE = 1e-9
 """A change of the output by less than this fraction of it is mostly rounding."""
 
@@ -45,6 +47,10 @@ class Model(ABC):
     jacobian_cost: int | None = None
     derived: Mapping[str, tuple[str, Callable[[Array], Array]]] = MappingProxyType({})
 
+    def with_leaves(self, wrap: Callable[[Model], Model]) -> Model:
+        """This model, where each model that it is made of and that may be dear is a wrapped one."""
+        return wrap(self)
+
     @abstractmethod
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,).
@@ -70,7 +76,12 @@ class DifferencedModel(Model):
     @final
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives of the outputs, (N, d), to some 1e-10 of their size in smooth models."""
-        return central_differences(self, theta, *inputs)
+        return self.differences(self.predict, theta, *inputs)
+
+    @final
+    def differences(self, predict: Predict, theta: Array, *inputs: Array) -> Array:
+        """The derivatives by what `predict` gives: the outputs, wherever they come from."""
+        return central_differences(predict, theta, *inputs)
 
     @property
     def jacobian_cost(self) -> int:  # type: ignore[override]
@@ -96,13 +107,18 @@ class ExternalModel(Model):
     @final
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives (N, d) by central differences, beside a failure by one-sided ones."""
+        return self.differences(self.predict, theta, *inputs)
+
+    @final
+    def differences(self, predict: Predict, theta: Array, *inputs: Array) -> Array:
+        """The derivatives by what `predict` gives: the outputs, wherever they come from."""
         h = self.step * np.where(theta == 0, self.typical, np.abs(theta))
         moves = np.diag(h)
-        high, low = np.split(self.predict(np.vstack([theta + moves, theta - moves]), *inputs), 2)
+        high, low = np.split(predict(np.vstack([theta + moves, theta - moves]), *inputs), 2)
         width = 2 * h
         beside = np.flatnonzero(~(np.isfinite(high) & np.isfinite(low)).all(axis=1))
         if beside.size:
-            centre = self.predict(theta[None], *inputs)[0]
+            centre = predict(theta[None], *inputs)[0]
             high, low, width = _one_sided(centre, high, low, width, beside)
         return np.asarray(((high - low) / width[:, None]).T)
 
@@ -112,8 +128,8 @@ class ExternalModel(Model):
         return 2 * len(self.parameters)
 
 
-def central_differences(model: Model, theta: Array, *inputs: Array) -> Array:
-    """Derivatives (N, d) of a model without its own, from 2 d rows of one batch or a few more.
+def central_differences(predict: Predict, theta: Array, *inputs: Array) -> Array:
+    """Derivatives (N, d) of what is predicted, from 2 d rows of one batch or a few more.
 
     The step is the cube root of the machine epsilon times the parameter, which leaves a relative
     error near 1e-10 in smooth models; beside a value that is not finite the difference is taken on
@@ -128,14 +144,14 @@ def central_differences(model: Model, theta: Array, *inputs: Array) -> Array:
         moves = np.zeros((todo.size, theta.size))
         moves[np.arange(todo.size), todo] = step[todo]
         rows = np.vstack([theta + moves, theta - moves])
-        high, low = np.split(model.predict(rows, *inputs), 2)
+        high, low = np.split(predict(rows, *inputs), 2)
         width = (
             rows[: todo.size][np.arange(todo.size), todo]
             - rows[todo.size :][np.arange(todo.size), todo]
         )
         beside = np.flatnonzero(~(np.isfinite(high) & np.isfinite(low)).all(axis=1))
         if beside.size:
-            centre = model.predict(theta[None], *inputs)[0]
+            centre = predict(theta[None], *inputs)[0]
             high, low, width = _one_sided(centre, high, low, width, beside)
         change = high - low
         derivatives[:, todo] = (change / width[:, None]).T

@@ -11,7 +11,7 @@ import contextlib
 import difflib
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -258,6 +258,10 @@ class TiedModel(_Tied):
 
     model: Model
     ties: Ties
+
+    def with_leaves(self, wrap: Callable[[Model], Model]) -> Model:
+        """The same ties of the model with wrapped leaves."""
+        return replace(self, model=self.model.with_leaves(wrap))
 
     @property
     def ordered(self) -> bool:  # type: ignore[override]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -60,6 +60,10 @@ class WeightedModel(_Weighted):
     """Any model, weighted."""
 
     model: Model
+
+    def with_leaves(self, wrap: Callable[[Model], Model]) -> Model:
+        """The weighted model with wrapped leaves."""
+        return WeightedModel(self.model.with_leaves(wrap))
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Weighted outputs (n, N)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import math
+import os
 import signal
 import sys
 import threading
@@ -27,7 +28,10 @@ from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
+from miho.optim.spread import spread_problem
 from miho.optim.trace import Descents, Trace
+from miho.parallel import Workers
+from miho.parallel.usage import Usage
 from miho.parallel.worker_process import SPURIOUS_INTERRUPT
 from miho.quantities import Array
 
@@ -69,7 +73,8 @@ class RunRecord:
     compiled blocks only those that improve.
     `descents` says where those of a method that makes several ended, None of any other.
     `checkpoint` resumes a method that can be resumed (Resumable), else it is None; so it is after
-    an interrupt that struck in the middle of a step.
+    an interrupt that struck in the middle of a step. `usage` says how workers were used, None
+    without workers and journal.
     """
 
     outcome: Outcome
@@ -85,6 +90,7 @@ class RunRecord:
     checkpoint: Checkpoint | None = None
     outside: int = 0
     descents: Descents | None = None
+    usage: Usage | None = None
 
 
 def minimize(
@@ -96,6 +102,9 @@ def minimize(
     checkpoint: Checkpoint | None = None,
     observer: Callable[[Oracle], None] | None = None,
     rehearse: bool = True,
+    workers: Workers = None,
+    evaluation_limit: float | None = None,
+    journal: str | os.PathLike[str] | None = None,
 ) -> RunRecord:
     """Minimise the problem's loss; always returns a record, whatever model or method did.
 
@@ -106,6 +115,13 @@ def minimize(
     its first use is used before the clock starts, unless nobody compares seconds and `rehearse` is
     false. The first Ctrl-C ends the run as `interrupted` after the evaluation in progress, the
     second at once.
+
+    `workers` make the evaluations of a problem where each takes long: a number of processes, -1
+    for one per core, an executor of `concurrent.futures`, a callable like `map`, or the address of
+    a cluster (`miho.parallel.pool`). The result does not depend on them. A value that takes longer
+    than `evaluation_limit` seconds is given up. A `journal` is a file in which every evaluation
+    stands that takes longer than some 10 ms: the same run, called again after it was cut off, makes
+    none of them twice.
     """
     if problem.space.free is not problem.space:
         raise ValueError(
@@ -114,15 +130,18 @@ def minimize(
     if checkpoint is not None:
         checkpoint = _resumable(checkpoint, optimizer, problem, seed)
     space = problem.space.seeded(problem.name, seed)
-    setup_started = time.perf_counter()
-    if rehearse:
-        warm_up(optimizer, problem)
-    setup_seconds = time.perf_counter() - setup_started
-
     meter = None if checkpoint is None else checkpoint.meter
-    oracle = Oracle(problem, budget or Budget(), space=space, meter=meter, observer=observer)
-    outcome, error = _search(optimizer, oracle, checkpoint, (problem.name, seed))
-    oracle.stop()
+    with spread_problem(problem, workers, evaluation_limit, journal) as (spread, evaluations):
+        setup_started = time.perf_counter()
+        if rehearse and (evaluations is None or problem.kernel is not None):
+            warm_up(optimizer, problem)  # of what may be dear nothing is evaluated in vain
+        setup_seconds = time.perf_counter() - setup_started
+        oracle = Oracle(
+            spread, budget or Budget(), space=space, meter=meter, observer=observer,
+            evaluations=evaluations,
+        )  # fmt: skip
+        outcome, error = _search(optimizer, oracle, checkpoint, (problem.name, seed))
+        oracle.stop()
 
     meter = oracle.meter
     resumable = None
@@ -142,6 +161,7 @@ def minimize(
         checkpoint=resumable,
         outside=meter.outside,
         descents=Descents.of(meter.starts, meter.best),
+        usage=None if evaluations is None else evaluations.usage,
     )
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,12 +26,15 @@ from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.recorder import Recorder
 from miho.optim.space import Space
 from miho.optim.trace import Descent, Trace
+from miho.parallel import Ahead, Evaluations
+from miho.parallel.usage import Usage
 from miho.quantities import Array
 
 CHUNK_SECONDS = 0.02
 """Seconds of evaluations between two looks at the clock."""
 NOT_FINITE = "loss is"
 """How the reason begins for which a value is rejected that was computed, but is not finite."""
+Kind = Literal["loss", "residuals", "jacobian"]
 NO_LOSSES, NOWHERE = np.empty(0), np.empty(0, np.int64)
 
 
@@ -54,6 +57,7 @@ class Oracle:
         meter: Meter | None = None,
         observer: Callable[[Oracle], None] | None = None,
         clock: Clock | None = None,
+        evaluations: Evaluations | None = None,
     ) -> None:
         self.budget = budget
         self.space = problem.space if space is None else space
@@ -62,7 +66,9 @@ class Oracle:
         self.meter.starts.rounding = max(problem.rounding, problem.resolution)
         self.state: Any = None
         self.interrupted = False
-        self._problem = problem
+        self._problem, self._evaluations = problem, evaluations
+        if evaluations is not None:
+            evaluations.check = self._check_interrupt
         self._limit = math.inf if budget.evaluations is None else budget.evaluations
         self._deadline = math.inf if budget.seconds is None else budget.seconds
         self._target = -math.inf if budget.target is None else budget.target
@@ -119,9 +125,12 @@ class Oracle:
         cost = self._problem.cost(fidelity)
         unfinished = self.meter.unfinished
         losses = np.array(unfinished) if unfinished else NO_LOSSES
-        n = len(thetas)
+        n, begun = len(thetas), self._evaluations is None
         try:
             while losses.size < n:
+                if not begun and self.spreads:
+                    self.ahead(thetas[losses.size :], fidelity)
+                    begun = True
                 rows = thetas[losses.size : losses.size + self._chunk(n - losses.size, cost)]
                 if not len(rows):
                     raise BudgetExhausted
@@ -137,6 +146,56 @@ class Oracle:
         if unfinished:
             unfinished.clear()
         return losses
+
+    @property
+    def workers(self) -> int:
+        """How many evaluations may be under way at a time."""
+        return 1 if self._evaluations is None else self._evaluations.workers
+
+    @property
+    def spreads(self) -> bool:
+        """Whether workers make the evaluations of a batch: where it is known that they are dear."""
+        return self._evaluations is not None and self._evaluations.spreads
+
+    @property
+    def usage(self) -> Usage | None:
+        """How the workers are used, None without any."""
+        return None if self._evaluations is None else self._evaluations.usage
+
+    @property
+    def busy(self) -> int:
+        """How many workers have something to do."""
+        return 0 if self._evaluations is None else self._evaluations.busy
+
+    def ahead(self, thetas: Array, fidelity: float = 1.0, kind: Kind = "loss") -> Ahead:
+        """Have workers begin to evaluate rows (n, d): their losses, residuals or derivatives.
+
+        Nothing is counted or recorded: that is done when they are asked for as without workers.
+        Only as many are begun as the budget can pay for.
+        """
+        cost = self._problem.cost(fidelity) * (self.jacobian_cost if kind == "jacobian" else 1)
+        affordable = len(thetas)
+        while affordable and not self.affords(affordable * cost):
+            affordable = min(affordable - 1, int(self.remaining / cost))
+        rows, part = _read_only(thetas[:affordable]), () if fidelity == 1.0 else (fidelity,)
+
+        def ask() -> None:
+            if kind == "loss" and affordable:
+                self._problem.loss(rows, *part)
+            elif kind == "residuals" and affordable:
+                self._least_squares.residual_rows(rows, *part)
+            elif kind == "jacobian":
+                for theta in rows:
+                    self._least_squares.jacobian(theta, *part)
+
+        return Ahead([], ask) if self._evaluations is None else self._evaluations.ahead(ask)
+
+    def first_ready(self, needs: Sequence[Ahead]) -> int:
+        """The position of the evaluations that workers have ended first; waits for one of them.
+
+        Where workers make none, it is 0.
+        """
+        return 0 if self._evaluations is None else self._evaluations.first_ready(needs)
 
     @property
     def kernel(self) -> Kernel | None:
@@ -213,6 +272,8 @@ class Oracle:
         """
         part, cost = self._part(fidelity)
         self._check_open()
+        if self.spreads:
+            self.ahead(thetas, fidelity, "residuals")
         rows = thetas[: self._chunk(len(thetas), cost)]
         if not len(rows):
             raise BudgetExhausted
@@ -357,10 +418,13 @@ class Oracle:
 
     def _check_end(self) -> None:
         """End the run between two evaluations; a full count ends it only at the next one."""
-        if self.interrupted:
-            raise RunInterrupted
+        self._check_interrupt()
         if self.meter.seconds >= self._deadline or self.meter.best <= self._target:
             raise BudgetExhausted
+
+    def _check_interrupt(self) -> None:
+        if self.interrupted:
+            raise RunInterrupted
 
     def _chunk(self, rows: int, cost: float) -> int:
         """Rows to evaluate before the next look at the clock, within the evaluations left."""

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from miho.compiled import Kernel
 from miho.optim.space import Space
+from miho.parallel import Evaluations
 from miho.quantities import Array
 
 
@@ -41,6 +42,17 @@ class Problem(ABC):
         `fidelity` in (0, 1] is the fraction of the data that may be used; a problem without
         cheaper versions of itself ignores it.
         """
+
+    @property
+    def description(self) -> str:
+        """What tells this problem from others whose evaluations must not be mixed with its own."""
+        return f"{self.name}: {', '.join(self.space.names)}"
+
+    def spread(self, evaluations: Evaluations) -> Problem:
+        """This problem with its evaluations made by these; itself if it is never dear."""
+        from miho.optim.spread import spread  # which knows what a problem is
+
+        return self if self.kernel is not None else spread(self, evaluations)
 
     def cost(self, fidelity: float) -> float:
         """What one evaluation at a fidelity costs, in full evaluations; at 1 it is a full one.

@@ -1,1 +1,16 @@
 """Work in other processes and on other machines: workers, what they evaluate, and its journal."""
+
+from miho.parallel.evaluations import Ahead, Evaluated, Evaluations
+from miho.parallel.journal import Journal, JournalError
+from miho.parallel.pool import Pool, Workers, open_pool
+
+__all__ = [
+    "Ahead",
+    "Evaluated",
+    "Evaluations",
+    "Journal",
+    "JournalError",
+    "Pool",
+    "Workers",
+    "open_pool",
+]

@@ -40,7 +40,8 @@ LOST = 255
 class JobOutcome(Generic[Job, Result]):
     """How a job ended: with a `result`, or without one for a `reason` in one line.
 
-    `detail` is the traceback, where there is one. `interrupted`: the parent had interrupted it.
+    `detail` is the traceback, where there is one. `interrupted`: the parent had interrupted it;
+    `overdue`: it was killed because it took too long.
     """
 
     job: Job
@@ -48,6 +49,7 @@ class JobOutcome(Generic[Job, Result]):
     reason: str | None = None
     detail: str | None = None
     interrupted: bool = False
+    overdue: bool = False
 
 
 @dataclass
@@ -130,16 +132,22 @@ class Workers(Generic[Job, Result]):
             worker.pipe.send(job)
         worker.job, worker.started, worker.interrupted = job, False, False
 
-    def wait(self, seconds: float) -> list[JobOutcome[Job, Result]]:
-        """The jobs that end within some seconds, as soon as there is one."""
+    def wait(
+        self, seconds: float, wakeup: connection.Connection | None = None
+    ) -> list[JobOutcome[Job, Result]]:
+        """The jobs that end within some seconds, as soon as there is one.
+
+        Returns earlier if there is something to read from `wakeup`.
+        """
         busy = [worker for worker in self._workers if worker.job is not None]
+        others = [] if wakeup is None else [wakeup]
         if not busy:
-            time.sleep(seconds)
+            connection.wait(others, seconds) if others else time.sleep(seconds)
             return []
         now = time.monotonic()
         until = min(now + seconds, *(worker.deadline for worker in busy))
         pipes, ends = [w.pipe for w in busy], [w.process.sentinel for w in busy]
-        connection.wait([*pipes, *ends], max(0.0, until - now))
+        connection.wait([*pipes, *ends, *others], max(0.0, until - now))
         outcomes = [self._outcome_of(worker) for worker in busy]
         return [outcome for outcome in outcomes if outcome is not None]
 
@@ -209,6 +217,7 @@ class Workers(Generic[Job, Result]):
                 return JobOutcome(job, result, reason, detail, worker.interrupted)
         except (EOFError, OSError):
             worker.process.join()
+        overdue = False
         if worker.process.exitcode is not None and worker.interrupted:
             reason = INTERRUPTED
         elif worker.process.exitcode == LOST:
@@ -216,11 +225,11 @@ class Workers(Generic[Job, Result]):
         elif worker.process.exitcode is not None:
             reason = exit_reason(worker.process.exitcode)
         elif time.monotonic() >= worker.deadline:
-            reason = f"no end within {self._limit:g} s, so it was killed"
+            reason, overdue = f"no end within {self._limit:g} s, so it was killed", True
         else:
             return None
         self._end_worker(worker)
-        return JobOutcome(job, reason=reason, interrupted=worker.interrupted)
+        return JobOutcome(job, reason=reason, interrupted=worker.interrupted, overdue=overdue)
 
 
 @contextlib.contextmanager

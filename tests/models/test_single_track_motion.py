@@ -73,7 +73,7 @@ def test_derivatives_are_those_of_the_computed_motion(shape: float) -> None:
 
 
 def _differences(theta: Array, *inputs: Array) -> Array:
-    return central_differences(MODEL, theta, *inputs)
+    return central_differences(MODEL.predict, theta, *inputs)
 
 
 def test_a_row_is_the_same_in_any_batch() -> None:

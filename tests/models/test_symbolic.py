@@ -65,7 +65,7 @@ def test_values_and_derivatives_are_the_functions(name: str) -> None:
     )
     for theta in THETAS:
         exact = formula.jacobian(theta, t)
-        by_differences = central_differences(model, theta, t)
+        by_differences = central_differences(model.predict, theta, t)
         size = np.abs(exact).max()
         np.testing.assert_allclose(exact, by_differences, rtol=1e-7, atol=1e-8 * size)
 

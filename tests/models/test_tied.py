@@ -38,7 +38,7 @@ def test_a_tied_model_is_the_whole_one_at_tied_values(ties, linear: tuple[str, .
     assert np.array_equal(tied.predict(theta[None], ALPHA), model.predict(whole, ALPHA))
     J = tied.jacobian(theta, ALPHA)
     np.testing.assert_allclose(
-        J, central_differences(tied, theta, ALPHA), rtol=1e-6, atol=1e-8 * np.abs(J).max()
+        J, central_differences(tied.predict, theta, ALPHA), rtol=1e-6, atol=1e-8 * np.abs(J).max()
     )
     assert tied.linear == linear
     by_numpy = TiedModel(model, tied.ties)  # type: ignore[attr-defined]

@@ -1,0 +1,96 @@
+"""A model whose rows of parameters are evaluated by workers."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from miho.models.model import DifferencedModel, ExternalModel, Model
+from miho.parallel import Evaluated, Evaluations
+from miho.quantities import Array
+
+
+class SpreadModel(Model):
+    """Another model, evaluated by `evaluations`; differences are taken here, of what those give.
+
+    Derivatives of a model's own are an evaluation as well. `place` tells the models of one problem
+    apart.
+    """
+
+    def __init__(self, model: Model, evaluations: Evaluations, place: str) -> None:
+        self.inputs, self.parameters, self.output = model.inputs, model.parameters, model.output
+        self.linear, self.name, self.source = model.linear, model.name, model.source
+        self.ordered, self.nominal, self.derived = model.ordered, model.nominal, model.derived
+        self.model, self._evaluations, self._place = model, evaluations, place
+        self._tasks: dict[tuple[str, bytes], Evaluated] = {}
+        self._digests: dict[tuple[int, ...], tuple[tuple[Array, ...], bytes]] = {}
+
+    @property
+    def jacobian_cost(self) -> int | None:  # type: ignore[override]
+        """That of the model."""
+        return self.model.jacobian_cost
+
+    def predict(self, thetas: Array, *inputs: Array) -> Array:
+        """Outputs (n, N) of parameter rows (n, d)."""
+        if self._evaluations.resting():
+            return self.model.predict(thetas, *inputs)
+        return self._task("predict", inputs, self.model.predict, (inputs[0].size,))(thetas)
+
+    def jacobian(self, theta: Array, *inputs: Array) -> Array:
+        """Derivatives of the outputs, (N, d)."""
+        if isinstance(self.model, DifferencedModel | ExternalModel):
+            return np.asarray(self.model.differences(self.predict, theta, *inputs))
+        if self._evaluations.resting():
+            return self.model.jacobian(theta, *inputs)
+        shape = (inputs[0].size, theta.size)
+        jacobians = partial(_jacobians, self.model.jacobian)
+        return self._task("jacobian", inputs, jacobians, shape)(theta[None])[0]
+
+    def _task(
+        self,
+        kind: str,
+        inputs: tuple[Array, ...],
+        function: Callable[..., Array],
+        shape: tuple[int, ...],
+    ) -> Evaluated:
+        """What evaluates one kind at these inputs, which travel with it once."""
+        digest = self._digest(inputs)
+        if (kind, digest) not in self._tasks:
+            columns = tuple(np.array(column) for column in inputs)
+            name = f"{self._place} {kind} {digest.hex()}"
+            rows = _AtInputs(function, columns)
+            self._tasks[kind, digest] = self._evaluations.function(name, rows, shape)
+        return self._tasks[kind, digest]
+
+    def _digest(self, inputs: tuple[Array, ...]) -> bytes:
+        """What tells inputs apart; of the same arrays it is known from before."""
+        identity = tuple(map(id, inputs))
+        if identity not in self._digests:
+            digest = hashlib.blake2b(digest_size=8)
+            for column in inputs:
+                digest.update(np.ascontiguousarray(column).tobytes())
+            if len(self._digests) > MOST_INPUTS:
+                self._digests.clear()
+            self._digests[identity] = inputs, digest.digest()  # which keeps the arrays alive
+        return self._digests[identity][1]
+
+
+MOST_INPUTS = 64
+"""Inputs whose digests are known at a time."""
+
+
+class _AtInputs:
+    """A function of parameter rows at fixed inputs."""
+
+    def __init__(self, function: Callable[..., Array], inputs: tuple[Array, ...]) -> None:
+        self._function, self._inputs = function, inputs
+
+    def __call__(self, thetas: Array) -> Array:
+        return np.asarray(self._function(thetas, *self._inputs))
+
+
+def _jacobians(jacobian: Callable[..., Array], thetas: Array, *inputs: Array) -> Array:
+    return np.array([jacobian(theta, *inputs) for theta in thetas])

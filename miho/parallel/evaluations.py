@@ -1,0 +1,325 @@
+"""Evaluations by workers: begun before their values are needed, each made and journaled once."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.parallel.journal import Journal
+from miho.parallel.pool import LOOK, Pool, lost
+from miho.parallel.process_executor import WorkerLostError
+from miho.parallel.remote import Answer, Raised
+from miho.parallel.usage import Usage
+
+Array = NDArray[np.float64]
+Rows = Callable[[Array], Array]
+"""Values (n, ...) of parameter rows (n, d); those of a row do not depend on the others."""
+Key = tuple[str, bytes]
+
+WORTH_SENDING = 0.005
+"""Seconds of evaluations that are sent to a worker together, at least: fifty times what it costs
+to send them. Where all that is needed takes less than twice that, no worker is asked."""
+LEAST = 1e-4
+"""Seconds that an evaluation takes which is sent at all: its values travel in less."""
+FIRST = 3
+"""So many are made here to see how long they take, unless one shows that they are dear."""
+REST = 100
+"""So many short evaluations are made until the next is timed."""
+DEAR = 0.01
+"""Seconds from which an evaluation is written to the journal."""
+LATEST = 0.2
+"""What the latest evaluation counts in the mean of what they take."""
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """Values that were asked for before they are needed: `again` asks for them."""
+
+    keys: Sequence[Key]
+    again: Callable[[], object]
+
+
+@dataclass
+class _Pending:
+    """A chunk of rows that a worker evaluates; `ended` counts the ends of all, in their order."""
+
+    future: Future[Answer]
+    keys: Sequence[Key]
+    ended: float = math.inf
+
+
+@dataclass(frozen=True)
+class Evaluated:
+    """A function of parameter rows that workers may evaluate; the shape of one row's values."""
+
+    name: str
+    function: Rows
+    shape: tuple[int, ...]
+    evaluations: Evaluations = field(repr=False)
+    send: Callable[[Array], Future[Answer]] | None = field(default=None, repr=False)
+
+    def __call__(self, thetas: Array) -> Array:
+        """The values (n, ...) of rows (n, d); raises what the function raises, as ValueError."""
+        if self.evaluations.resting():
+            return self.function(thetas)
+        return self.evaluations.values(self, thetas)
+
+
+class Evaluations:
+    """Makes the evaluations of a run, by workers or here, and keeps them in a journal.
+
+    Workers make them only where one takes so long that it is worth while; the first is made here
+    to see that, unless `limited`: then a value may take no longer than the pool allows. `check` is
+    called while values are waited for, and may raise to end that.
+    """
+
+    def __init__(
+        self, pool: Pool | None, journal: Journal | None = None, *, limited: bool = False
+    ) -> None:
+        self.usage = Usage(1 if pool is None else pool.size)
+        self.check: Callable[[], None] = lambda: None
+        self._pool, self._journal, self._limited = pool, journal, limited
+        self._pending: dict[Key, _Pending] = {}
+        self._here: dict[Key, Array | Raised] = {}  # values that are known and not taken yet
+        self._ends = itertools.count(0 if journal is None else len(journal))
+        self._submitted: list[Key] | None = None
+        self._rest = 0
+
+    def function(self, name: str, function: Rows, shape: tuple[int, ...] = ()) -> Evaluated:
+        """The same function, evaluated by the workers; its `name` stands in the journal."""
+        send = None if self._pool is None else self._pool.share(_ByRows(function))
+        return Evaluated(name, function, shape, self, send)
+
+    @property
+    def workers(self) -> int:
+        """How many evaluations may be under way at a time."""
+        return self.usage.workers
+
+    def resting(self) -> bool:
+        """Whether this evaluation is so short that it is made without a look at the clock."""
+        self._rest -= 1
+        return self._rest >= 0
+
+    @property
+    def spreads(self) -> bool:
+        """Whether workers make evaluations: where it is known that each takes long enough."""
+        return self._pool is not None and self.measured and not self._stays_here
+
+    @property
+    def measured(self) -> bool:
+        """Whether it is known how long an evaluation takes, and so whether workers make them."""
+        each = self.usage.each
+        return self._limited or (each is not None and (each >= DEAR or self.usage.here >= FIRST))
+
+    def ahead(self, ask: Callable[[], object]) -> Ahead:
+        """Begin all evaluations that `ask` needs, without waiting; what it computes is void."""
+        keys: list[Key] = []
+        if self.spreads:
+            self._submitted = keys
+            try:
+                ask()
+            except Exception:  # noqa: BLE001, S110 -- it raises again where its value is needed
+                pass
+            finally:
+                self._submitted = None
+        if keys and self._pool is not None:
+            self._pool.flush()
+        return Ahead(keys, ask)
+
+    def first_ready(self, needs: Sequence[Ahead]) -> int:
+        """The position of what is complete first, the first of all where nothing has to be waited
+        for; needs that were not begun are."""
+        needs = [need if need.keys else self.ahead(need.again) for need in needs]
+        while True:
+            ends = [max(map(self._end_of, need.keys), default=-1.0) for need in needs]
+            first = int(np.argmin(ends))
+            if ends[first] < math.inf:
+                return first
+            futures = [self._pending[k].future for n in needs for k in n.keys if self._waits(k)]
+            wait(futures, LOOK, return_when=FIRST_COMPLETED)
+            self.check()
+
+    def close(self) -> None:
+        """Give up what is not done."""
+        for pending in self._pending.values():
+            pending.future.cancel()
+        self._pending.clear()
+
+    def values(self, task: Evaluated, thetas: Array) -> Array:
+        """Values (n, ...) of rows (n, d); raises the first error among them."""
+        if self._stays_here and not (self._pending or self._here or self._journal):
+            self._rest = REST
+            return self._evaluate_at_once(task, thetas)
+        keys: list[Key] = [(task.name, theta.tobytes()) for theta in thetas]
+        todo = [k for k, key in enumerate(keys) if not self._is_known(key)]
+        if self._submitted is not None:
+            self._submit(task, keys, thetas, todo)
+            self._submitted += keys
+            return np.zeros((len(thetas), *task.shape))
+        while todo and not self.measured:
+            self._evaluate_here(task, keys, thetas, [todo.pop(0)])
+        if todo and not self._submit(task, keys, thetas, todo):
+            if len(todo) == len(keys) and not self._is_dear:  # as without any of this
+                return self._evaluate_at_once(task, thetas)
+            self._evaluate_here(task, keys, thetas, todo)
+        # Where a row has raised, the others are still there when they are asked for again.
+        values = [self._value(key) for key in keys]
+        errors = [value for value in values if isinstance(value, Raised)]
+        if not errors or len(keys) == 1:
+            for key in keys:
+                self._here.pop(key, None)
+        if errors:
+            raise errors[0].as_error()
+        return np.array(values, dtype=float)
+
+    @property
+    def busy(self) -> int:
+        """How many workers have something to do."""
+        waiting = {id(p) for p in self._pending.values() if p.ended == math.inf}
+        return min(len(waiting), self.workers)
+
+    @property
+    def _stays_here(self) -> bool:
+        """Whether no evaluation is sent to a worker, or written down."""
+        return self.measured and not self._limited and (self.usage.each or 0.0) < LEAST
+
+    @property
+    def _is_dear(self) -> bool:
+        return self._journal is not None and (self.usage.each or 0.0) >= DEAR
+
+    def _is_known(self, key: Key) -> bool:
+        if key in self._pending or key in self._here:
+            return True
+        return self._journal is not None and key in self._journal
+
+    def _end_of(self, key: Key) -> float:
+        """When a value came, in the order of all that came; infinite if it has not."""
+        if key in self._pending:
+            return self._pending[key].ended
+        if self._journal is not None and key in self._journal:
+            return float(self._journal.place(key))
+        return -1.0
+
+    def _waits(self, key: Key) -> bool:
+        return key in self._pending and self._pending[key].ended == math.inf
+
+    def _submit(
+        self, task: Evaluated, keys: Sequence[Key], thetas: Array, todo: Sequence[int]
+    ) -> bool:
+        """Have workers evaluate rows, if that is worth while."""
+        if self._pool is None or task.send is None or not todo or self._stays_here:
+            return False
+        each = self.usage.each or WORTH_SENDING
+        if each * len(todo) < 2 * WORTH_SENDING and not self._limited and len(self._pending) == 0:
+            return False
+        rows = 1 if self._limited else max(1, math.ceil(WORTH_SENDING / each))
+        self.usage.begin()
+        for start in range(0, len(todo), rows):
+            chunk = list(todo[start : start + rows])
+            members = [keys[k] for k in chunk]
+            pending = _Pending(task.send(thetas[chunk]), members)
+            self._pending |= dict.fromkeys(members, pending)
+            pending.future.add_done_callback(self._arrival(pending))
+        self._pool.flush()
+        return True
+
+    def _arrival(self, pending: _Pending) -> Callable[[Future[Answer]], None]:
+        """Note in which order answers come; called by the threads that bring them."""
+
+        def arrived(future: Future[Answer]) -> None:
+            pending.ended = next(self._ends)
+
+        return arrived
+
+    def _value(self, key: Key) -> Array | Raised:
+        """The value of a row, as soon as it has come."""
+        if key in self._here:
+            return self._here[key]
+        if key not in self._pending and self._journal is not None:
+            self.usage.known += self._journal.place(key) < self._journal.loaded
+            return self._journal[key]
+        pending = self._pending[key]
+        while not pending.future.done():
+            wait([pending.future], LOOK)
+            self.check()
+        self._take(pending)
+        return self._here[key]
+
+    def _take(self, pending: _Pending) -> None:
+        """Take the values that a worker has answered, and write them to the journal."""
+        rows = len(pending.keys)
+        try:
+            answer = pending.future.result()
+            values: Any = answer.value if answer.raised is None else [answer.raised] * rows
+            self._count(answer.seconds / rows, rows, here=False)
+        except Exception as error:  # noqa: BLE001 -- its worker has ended without an answer
+            values = [lost(error)] * rows
+        for key, value in zip(pending.keys, values, strict=True):
+            self._pending.pop(key, None)
+            self._keep(key, value)
+
+    def _keep(self, key: Key, value: Any) -> None:
+        value = value if isinstance(value, Raised) else np.asarray(value, dtype=float)
+        self._here[key] = value
+        if self._is_dear and self._journal is not None and not _is_lost(value):
+            self._journal.add(key, value)
+
+    def _evaluate_at_once(self, task: Evaluated, thetas: Array) -> Array:
+        started = time.perf_counter()
+        values = task.function(thetas)
+        self._count((time.perf_counter() - started) / len(thetas), len(thetas), here=True)
+        return values
+
+    def _evaluate_here(
+        self, task: Evaluated, keys: Sequence[Key], thetas: Array, todo: Sequence[int]
+    ) -> None:
+        """Row by row, so that each is in the journal before the next begins."""
+        by_rows = _ByRows(task.function)
+        for k in todo:
+            started = time.perf_counter()
+            (value,) = by_rows(thetas[k][None])
+            self._count(time.perf_counter() - started, 1, here=True)
+            self._keep(keys[k], value)
+            self.check()
+
+    def _count(self, each: float, rows: int, *, here: bool) -> None:
+        usage = self.usage
+        if usage.each is None:
+            usage.each = each
+        elif here and usage.here < FIRST:  # the very first may have loaded or compiled something
+            usage.each = min(usage.each, each)
+        else:
+            usage.each += (1 - (1 - LATEST) ** rows) * (each - usage.each)
+        if here:
+            usage.here += rows
+        else:
+            usage.evaluations += rows
+            usage.seconds += each * rows
+
+
+@dataclass(frozen=True)
+class _ByRows:
+    """Calls a function of rows, and row by row where it raises."""
+
+    function: Rows
+
+    def __call__(self, thetas: Array) -> list[Array | Raised]:
+        try:
+            return list(np.asarray(self.function(thetas)))
+        except Exception as error:  # noqa: BLE001 -- whatever a model raises is its value
+            if len(thetas) == 1:
+                return [Raised.of(error)]
+        return [value for theta in thetas for value in self(theta[None])]
+
+
+def _is_lost(value: Array | Raised) -> bool:
+    """Whether a value is missing because of its worker, not because of the model."""
+    return isinstance(value, Raised) and value.name == WorkerLostError.__name__

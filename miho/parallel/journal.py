@@ -1,0 +1,174 @@
+"""The journal of a run: every dear evaluation as it ends, so that none is made twice."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import os
+import sys
+import time
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from miho.parallel.remote import Raised
+
+FORMAT = 1
+SYNCED = 1.0
+"""Seconds of evaluations that a loss of power may cost; the end of a process costs none."""
+Key = tuple[str, bytes]
+
+
+class JournalError(ValueError):
+    """A journal that cannot be used: one line with the file and what to do."""
+
+
+class Journal:
+    """Values of evaluations by task and parameters, in a file that grows by a line for each.
+
+    A line is the checksum of what follows, and JSON with arrays as base64: exact, and any line that
+    is damaged or cut short costs itself alone. The first says of which `problem` it is. Raises
+    JournalError for a journal of another problem, one that another process is writing, and a file
+    that is none.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], problem: str) -> None:
+        self.path = Path(path)
+        self._values: dict[Key, NDArray[np.float64] | Raised] = {}
+        self._places: dict[Key, int] = {}
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self.path.open("a+b")
+        except OSError as error:
+            raise JournalError(f"journal {path}: {error.strerror}; name another file") from None
+        try:
+            _lock(self._file, path)
+            self._read(problem)
+        except BaseException:
+            self._file.close()
+            raise
+        self.loaded = len(self._values)
+        self._synced = time.monotonic()
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __contains__(self, key: Key) -> bool:
+        return key in self._values
+
+    def __getitem__(self, key: Key) -> NDArray[np.float64] | Raised:
+        return self._values[key]
+
+    def place(self, key: Key) -> int:
+        """The position of a value in the order in which values came."""
+        return self._places[key]
+
+    def add(self, key: Key, value: NDArray[np.float64] | Raised) -> None:
+        """Write a value down; it stands in the file when this returns."""
+        if key in self._values:
+            return
+        self._remember(key, value)
+        entry: dict[str, Any] = {"task": key[0], "theta": _text(key[1])}
+        if isinstance(value, Raised):
+            entry["raised"] = [value.name, value.message]
+        else:
+            entry |= {"value": _text(value.tobytes()), "shape": value.shape}
+        self._write(entry)
+
+    def close(self) -> None:
+        """Have everything on the disk."""
+        with contextlib.suppress(OSError):
+            os.fsync(self._file.fileno())
+        self._file.close()
+
+    def _read(self, problem: str) -> None:
+        self._file.seek(0)
+        lines = self._file.read().split(b"\n")
+        whole = sum(len(line) + 1 for line in lines[:-1])
+        if lines[-1]:  # cut short when its process ended
+            self._file.truncate(whole)
+        entries = [_entry(line) for line in lines[:-1]]
+        if not entries:
+            self._write({"format": FORMAT, "problem": problem})
+            return
+        head = entries[0]
+        if head is None or head.get("format") != FORMAT:
+            raise JournalError(f"journal {self.path}: is none of this version; name another file")
+        if head.get("problem") != problem:
+            raise JournalError(
+                f"journal {self.path}: is of another problem, model or data; name another file, "
+                "or delete it"
+            )
+        damaged = 0
+        for entry in entries[1:]:
+            try:
+                self._remember(*_value(entry))
+            except (TypeError, ValueError, LookupError):
+                damaged += 1
+        if damaged:
+            sys.stderr.write(
+                f"miho: journal {self.path}: {damaged} damaged lines were left out; what they held "
+                "is evaluated again\n"
+            )
+
+    def _remember(self, key: Key, value: NDArray[np.float64] | Raised) -> None:
+        self._places.setdefault(key, len(self._places))
+        self._values[key] = value
+
+    def _write(self, entry: dict[str, Any]) -> None:
+        text = orjson.dumps(entry)
+        try:
+            self._file.write(b"%08x %s\n" % (zlib.crc32(text), text))
+            self._file.flush()
+            if time.monotonic() - getattr(self, "_synced", 0.0) >= SYNCED:
+                os.fsync(self._file.fileno())
+                self._synced = time.monotonic()
+        except OSError as error:
+            raise JournalError(
+                f"journal {self.path}: {error.strerror}; make room, and call again to go on"
+            ) from None
+
+
+def _entry(line: bytes) -> dict[str, Any] | None:
+    """What a line holds, None if it is damaged."""
+    try:
+        checksum, text = line.split(b" ", 1)
+        if int(checksum, 16) != zlib.crc32(text):
+            return None
+        entry = orjson.loads(text)
+    except ValueError:
+        return None
+    return entry if isinstance(entry, dict) else None
+
+
+def _value(entry: dict[str, Any] | None) -> tuple[Key, NDArray[np.float64] | Raised]:
+    if entry is None:
+        raise ValueError
+    key = str(entry["task"]), base64.b64decode(entry["theta"])
+    if "raised" in entry:
+        name, message = entry["raised"]
+        return key, Raised(str(name), str(message))
+    flat = np.frombuffer(base64.b64decode(entry["value"]), dtype=float)
+    return key, flat.reshape(entry["shape"])
+
+
+def _text(data: bytes) -> str:
+    return base64.b64encode(data).decode()
+
+
+def _lock(file: Any, path: str | os.PathLike[str]) -> None:
+    """Hold the file for this process; the system lets go of it with the process."""
+    try:
+        import fcntl
+    except ImportError:  # not on this system
+        return
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        raise JournalError(
+            f"journal {path}: another process is writing it; wait for that, or name another file"
+        ) from None

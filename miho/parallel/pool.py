@@ -1,0 +1,210 @@
+"""Workers by the ecosystem's convention: a number, an executor, a map, or a cluster's address."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import itertools
+import os
+import uuid
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, wait
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import cloudpickle
+
+from miho.parallel.process_executor import ProcessExecutor, WorkerLostError, processes_of
+from miho.parallel.remote import Answer, Raised, shared, work
+
+Workers = int | str | Executor | Callable[..., Iterable[Any]] | None
+"""A number of processes (-1: one for each core), an executor of `concurrent.futures`, a callable
+like `map`, or the address of a cluster (`dask://HOST:PORT`, `dask:4`, `slurm:10`)."""
+TRIES = 3
+"""How often a call is tried whose worker ends without an answer."""
+LOOK = 0.1
+"""Seconds between two looks whether anybody wants to stop."""
+EXPECTED = (
+    "a number of processes, -1 for one per core, an executor, a callable like map, or an address "
+    "such as 'dask://HOST:PORT', 'dask:4' or 'slurm:10'"
+)
+
+
+@contextmanager
+def open_pool(workers: Workers, time_limit: float | None = None) -> Iterator[Pool | None]:
+    """The pool of some workers, which ends with the context if it was begun here; None for one.
+
+    A call that takes longer than `time_limit` seconds is killed, with its process where that is
+    ours. Raises ValueError for workers that are none of the kinds.
+    """
+    with ExitStack() as stack:
+        if isinstance(workers, str) and not workers.lstrip("-").isdigit():
+            from miho.parallel.cluster import cluster  # which needs the extra `cluster`
+
+            client = stack.enter_context(cluster(workers))
+            executor: Any = client.get_executor(pure=False)
+            count = max(1, sum(client.ncores().values()))
+        elif isinstance(workers, Executor):
+            executor, count = workers, processes_of(workers)
+        elif callable(workers):
+            executor, count = MapExecutor(workers), processes_of(workers)  # type: ignore[arg-type]
+        else:
+            count = number_of(workers)
+            if count == 1 and time_limit is None:
+                yield None
+                return
+            executor = ProcessExecutor(count, time_limit)
+            stack.callback(executor.shutdown)
+        with contextlib.closing(Pool(executor, count)) as pool:
+            yield pool
+
+
+def number_of(workers: Any) -> int:
+    """So many processes; raises ValueError where that is no number of them."""
+    try:
+        count = 1 if workers is None else int(workers)
+        if isinstance(workers, bool) or (count != -1 and count < 1) or count != float(workers or 1):
+            raise ValueError
+    except (TypeError, ValueError):
+        raise ValueError(f"workers is {workers!r}; expected {EXPECTED}") from None
+    return len(os.sched_getaffinity(0)) if count == -1 else count
+
+
+class Pool:
+    """`size` workers that call shared functions, which travel to each of them once."""
+
+    def __init__(self, executor: Executor, size: int) -> None:
+        self.size = size
+        self._executor = executor
+        self._pending: set[Future[Answer]] = set()
+        self._tokens: list[str] = []
+
+    def share(self, function: Callable[[Any], Any]) -> Callable[[Any], Future[Answer]]:
+        """What has the function called by a worker, with an argument.
+
+        The answer says what it raised. A call whose worker ended is tried again; if that happens
+        TRIES times, the future raises WorkerLostError.
+        """
+        token = uuid.uuid4().hex
+        shared[token] = function  # for workers that are threads of this process
+        self._tokens.append(token)
+        pickled = functools.cache(functools.partial(_pickled, function))
+        return lambda argument: self._call(token, pickled, argument)
+
+    def map(self, function: Callable[[Any], Any], arguments: Iterable[Any]) -> Iterator[Any]:
+        """What a function gives for each argument, in their order; raises what it raises."""
+        call = self.share(function)
+        futures = [call(argument) for argument in arguments]
+        self.flush()
+        try:
+            for future in futures:
+                while not future.done():  # so that signals are seen
+                    wait([future], LOOK)
+                answer = future.result()
+                if answer.raised is not None:
+                    raise answer.raised.as_error()
+                yield answer.value
+        finally:
+            for future in futures:
+                future.cancel()
+
+    def flush(self) -> None:
+        """Have calls done that wait for others, where workers take several at once only."""
+        if isinstance(self._executor, MapExecutor):
+            self._executor.flush()
+
+    def close(self) -> None:
+        """Cancel what is not done."""
+        for future in list(self._pending):
+            future.cancel()
+        for token in self._tokens:
+            shared.pop(token, None)
+
+    def _call(self, token: str, pickled: Callable[[], bytes], argument: Any) -> Future[Answer]:
+        result: Future[Answer] = Future()
+        self._pending.add(result)
+        result.add_done_callback(self._pending.discard)
+        tries = itertools.count(1)
+
+        def submit(payload: bytes | None) -> None:
+            if result.cancelled():
+                return
+            try:
+                inner = self._executor.submit(work, token, payload, argument)
+            except Exception as error:  # noqa: BLE001 -- whatever an executor raises that has ended
+                _fail(result, error)
+                return
+            inner.add_done_callback(partial_answer)
+            result.add_done_callback(lambda done: done.cancelled() and inner.cancel())
+
+        def partial_answer(inner: Future[Answer]) -> None:
+            try:
+                answer = inner.result()
+                if answer.lacks:
+                    submit(pickled())
+                    return
+            except WorkerLostError as error:
+                if error.again and next(tries) < TRIES:
+                    submit(None)
+                else:
+                    _fail(result, error)
+                return
+            except (Exception, CancelledError) as error:  # noqa: BLE001 -- of a foreign executor
+                _fail(result, error)
+                return
+            with contextlib.suppress(Exception):  # it was cancelled meanwhile
+                result.set_result(answer)
+
+        submit(None)
+        return result
+
+
+class MapExecutor(Executor):
+    """A callable like `map` behind the interface of executors: calls are done at `flush`."""
+
+    def __init__(self, mapped: Callable[..., Iterable[Any]]) -> None:
+        self._map = mapped
+        self._waiting: list[tuple[Future[Any], Any]] = []
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Remember a call."""
+        future: Future[Any] = Future()
+        self._waiting.append((future, (fn, args)))
+        return future
+
+    def flush(self) -> None:
+        """Do all calls, and those that follow from them."""
+        while self._waiting:
+            calls, self._waiting = self._waiting, []
+            calls = [call for call in calls if call[0].set_running_or_notify_cancel()]
+            values = self._map(_apply, [call for _, call in calls])
+            for (future, _), value in zip(calls, values, strict=True):
+                future.set_result(value)
+
+
+def _apply(call: tuple[Callable[..., Any], Sequence[Any]]) -> Any:
+    function, args = call
+    return function(*args)
+
+
+def _pickled(function: Callable[[Any], Any]) -> bytes:
+    return bytes(cloudpickle.dumps(function))
+
+
+def _fail(result: Future[Answer], error: BaseException) -> None:
+    """Have a call end with what its executor raised, in a line that says what that means."""
+    if isinstance(error, WorkerLostError):
+        reason = str(error)
+    elif isinstance(error, BrokenExecutor):
+        reason = f"the executor is broken ({error}); give a new one"
+    elif isinstance(error, CancelledError):
+        reason = "its worker or scheduler has left"
+    else:
+        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+    with contextlib.suppress(Exception):  # it was cancelled meanwhile
+        result.set_exception(WorkerLostError(reason, again=False))
+
+
+def lost(error: BaseException) -> Raised:
+    """What is told of a value whose worker is gone."""
+    return Raised(WorkerLostError.__name__, str(error))

@@ -1,0 +1,125 @@
+"""Worker processes as an executor: each call is done, or its own worker's end is told."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import pickle
+import threading
+from collections import deque
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from typing import Any
+
+from miho.parallel.workers import Workers
+
+IDLE = 1.0
+"""Seconds between two looks whether processes that do nothing have died."""
+Job = tuple[int, bytes]
+
+
+class WorkerLostError(RuntimeError):
+    """The process of a call has ended without an answer; it may be tried `again`."""
+
+    def __init__(self, reason: str, again: bool = True) -> None:
+        super().__init__(reason)
+        self.again = again
+
+
+class ProcessExecutor(Executor):
+    """Calls in up to `count` worker processes, which start when there is something to do.
+
+    Where a process dies, the call that it was doing raises WorkerLostError, and no other does. A
+    call that takes longer than `time_limit` seconds is killed. Functions and arguments have to be
+    picklable by reference. `shutdown` ends all processes at once.
+    """
+
+    def __init__(self, count: int, time_limit: float | None = None) -> None:
+        self._max_workers = count
+        self._count, self._limit = count, time_limit
+        self._waiting: deque[tuple[int, bytes]] = deque()
+        self._futures: dict[int, Future[Any]] = {}
+        self._numbers = 0
+        self._closed = False
+        self._lock = threading.Lock()
+        self._woken, self._wake = multiprocessing.Pipe(duplex=False)
+        self._thread: threading.Thread | None = None
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Have a function called by the next worker that is idle."""
+        job = pickle.dumps((fn, args, kwargs), protocol=pickle.HIGHEST_PROTOCOL)
+        future: Future[Any] = Future()
+        with self._lock:
+            if self._closed:
+                raise RuntimeError("the workers have ended")
+            self._numbers += 1
+            self._futures[self._numbers] = future
+            self._waiting.append((self._numbers, job))
+            if self._thread is None:  # where nothing is submitted, nothing is started
+                self._thread = threading.Thread(target=self._serve, daemon=True)
+                self._thread.start()
+            self._wake.send_bytes(b"+")
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End all workers now; calls that are not done are cancelled."""
+        with self._lock:
+            if self._closed:
+                return
+            self._closed = True
+            self._wake.send_bytes(b"-")
+        if self._thread is not None:
+            self._thread.join()
+        for future in self._futures.values():
+            if not future.cancel():
+                future.set_exception(WorkerLostError("the workers have ended", again=False))
+        self._futures.clear()
+        self._woken.close()
+        self._wake.close()
+
+    def _serve(self) -> None:
+        """In a thread: have workers, until all are ended."""
+        with Workers[Job, Any](_call, self._count, self._limit, (__name__,)) as workers:
+            while not self._closed:
+                self._give_and_take(workers)
+
+    def _give_and_take(self, workers: Workers[Job, Any]) -> None:
+        """Give jobs to idle workers, and hand over what others answer."""
+        while self._woken.poll():
+            self._woken.recv_bytes()
+        while workers.idle and self._waiting and not self._closed:
+            with self._lock:
+                number, job = self._waiting.popleft()
+                future = self._futures[number]
+            if future.set_running_or_notify_cancel():
+                self._start(workers, number, job)
+            else:
+                del self._futures[number]
+        for outcome in workers.wait(IDLE, self._woken):
+            future = self._futures.pop(outcome.job[0])
+            if outcome.reason is None:
+                future.set_result(outcome.result)
+            else:
+                again = not outcome.overdue
+                future.set_exception(WorkerLostError(outcome.reason, again))
+
+    def _start(self, workers: Workers[Job, Any], number: int, job: bytes) -> None:
+        try:
+            workers.start((number, job))
+        except (OSError, EOFError) as error:
+            reason = f"no worker could be started: {error}"
+            self._futures.pop(number).set_exception(WorkerLostError(reason))
+
+
+def _call(job: Job) -> Any:
+    """In a worker: what a job asks for."""
+    function, args, kwargs = pickle.loads(job[1])  # noqa: S301 -- of the process that started this
+    return function(*args, **kwargs)
+
+
+def processes_of(executor: Executor) -> int:
+    """How many calls an executor does at a time, as far as it tells."""
+    for name in ("_max_workers", "max_workers"):
+        with contextlib.suppress(TypeError, ValueError, AttributeError):
+            return max(1, int(getattr(executor, name)))
+    return multiprocessing.cpu_count()

@@ -1,0 +1,66 @@
+"""What runs in a worker: a function that was sent once, at many arguments."""
+
+from __future__ import annotations
+
+import pickle
+import time
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+MOST_SHARED = 16
+"""So many functions with their data are kept in a process; older ones are sent again if needed."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a call gave, and how many seconds it took; or what it `raised`, or that the process
+    `lacks` the function."""
+
+    value: Any = None
+    seconds: float = 0.0
+    raised: Raised | None = None
+    lacks: bool = False
+
+
+@dataclass(frozen=True)
+class Raised:
+    """An exception by the name of its class and its message: itself, it may not be picklable."""
+
+    name: str
+    message: str
+
+    @classmethod
+    def of(cls, error: BaseException) -> Raised:
+        """What is told of an exception."""
+        return cls(type(error).__name__, str(error))
+
+    def as_error(self) -> ValueError:
+        """An error of the same name and message, whose class is made here."""
+        kind: type[ValueError] = type(self.name, (ValueError,), {})
+        return kind(self.message)
+
+
+shared: OrderedDict[str, Any] = OrderedDict()
+"""Functions by their token; in the process that owns them from the start."""
+
+
+def work(token: str, pickled: bytes | None, argument: Any) -> Answer:
+    """Call the function of a token, which comes `pickled` if this process lacked it before."""
+    if pickled is not None and token not in shared:
+        try:
+            shared[token] = pickle.loads(pickled)  # noqa: S301 -- by the process that starts this one
+        except Exception as error:  # noqa: BLE001 -- such as a module that is not installed here
+            return Answer(raised=Raised.of(error))
+        while len(shared) > MOST_SHARED:
+            shared.popitem(last=False)
+    function: Callable[[Any], Any] | None = shared.get(token)
+    if function is None:
+        return Answer(lacks=True)
+    started = time.perf_counter()
+    try:
+        value = function(argument)
+    except Exception as error:  # noqa: BLE001 -- whatever it raises goes to who called it
+        return Answer(seconds=time.perf_counter() - started, raised=Raised.of(error))
+    return Answer(value, time.perf_counter() - started)
