@@ -17,8 +17,8 @@ from miho.identification.curve_fit_checks import (
     TRIALS,
     check_curve_fit,
     check_sigma,
+    examined,
     ties_of,
-    traced_where_alike,
 )
 from miho.identification.irreducible import irreducible_interval, irreducible_limit
 from miho.identification.loss import Loss, Square, slope
@@ -111,7 +111,7 @@ class CurveFit(Remade, LeastSquaresProblem):
     def __post_init__(self, tried: bool) -> None:
         model = _model(self.model)
         if isinstance(model, FunctionModel):
-            model = traced_where_alike(model, self.dataset, self.space)
+            model = examined(model, self.dataset, self.space)
         if self.space.free is not self.space:
             model = tie(model, ties_of(model, self.space))
             tied = tuple(p for p in self.space.parameters if p.tied and p.prior is not None)
