@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -76,7 +77,10 @@ def _is_dear(problem: CurveFit, model_name: str) -> bool:
         return leaf
 
     model.with_leaves(note)
-    if not any(isinstance(leaf, FunctionModel | ExternalModel) for leaf in leaves):
+    functions = [leaf for leaf in leaves if isinstance(leaf, FunctionModel)]
+    if any(function.dear for function in functions):
+        return True
+    if not functions and not any(isinstance(leaf, ExternalModel) for leaf in leaves):
         return False
     started = time.perf_counter()
     actual = model.predict(problem.space.decode(problem.space.initial(1)), *problem.inputs).shape
@@ -147,11 +151,12 @@ def _check_prior(problem: CurveFit) -> None:
         raise ValueError(f"space.{name}.prior: priors need the loss Square")
 
 
-def examined(model: FunctionModel, dataset: Dataset, space: Space) -> Model:
+def examined(model: FunctionModel, dataset: Dataset, space: Space, tried: bool = False) -> Model:
     """The function as a formula, if both give the same on the data at some configurations.
 
     Else as one that is known to be element by element in the rows of data, or not to be. One that
-    was read from a file is only traced if its text says that it is arithmetic.
+    was read from a file is only traced if its text says that it is arithmetic. One that was `tried`
+    before, and found to be dear, is not called.
     """
     lacking = [name for name in model.inputs if name not in dataset.columns]
     if lacking:
@@ -174,6 +179,8 @@ def examined(model: FunctionModel, dataset: Dataset, space: Space) -> Model:
         formula = model.formula_at(thetas, *columns)
         if formula is not model:
             return formula
+    if tried and model.rowwise is None:
+        return replace(model, rowwise=False)
     return model.rowwise_at(thetas, *columns)
 
 

@@ -47,6 +47,7 @@ class FunctionCalls:
         self.function, self.place = function, place
         self.automatic, self.batched = batched is None, batched
         self.takes_numbers = False
+        self.dear = False
 
     def values(self, thetas: Array, columns: Columns) -> Array:
         """Outputs (n, N) of parameter rows (n, d), a new array."""

@@ -5,6 +5,7 @@ import __future__
 
 import ast
 import inspect
+import time
 import traceback
 import types
 from collections.abc import Callable, Mapping, Sequence
@@ -25,6 +26,7 @@ from miho.models.symbolic import (
     trace,
 )
 from miho.models.traced import TracedExpression
+from miho.parallel.evaluations import DEAR
 from miho.quantities import Array
 
 COMPARED, CLOSE = 1000, 1e-9
@@ -162,17 +164,23 @@ class FunctionModel(DifferencedModel):
 
         Some rows of the columns alone, mixed, are compared with what they give among all. One that
         is not element by element ends that with its first two calls. Nothing is known of a function
-        that fails at all parameters, or of too few rows.
+        that fails at all parameters, or of too few rows. A dear one is called once, and taken for
+        one that needs all rows: which is never wrong.
         """
         rows = inner_rows(inputs, COMPARED)
         if self.rowwise is not None or not rows.size:
             return self
         columns, compared = [column[rows] for column in inputs], 0
         for theta in thetas:
+            started = time.perf_counter()
             try:
                 among_all = self.predict(theta[None], *inputs)[:, rows]
             except ValueError:  # which says nothing, here
                 continue
+            if time.perf_counter() - started > DEAR:
+                model = replace(self, rowwise=False)
+                model._calls.dear = True
+                return model
             if not np.isfinite(among_all).any():
                 continue
             try:
@@ -185,6 +193,11 @@ class FunctionModel(DifferencedModel):
             if compared == CONFIGURATIONS:
                 break
         return replace(self, rowwise=True) if compared else self
+
+    @property
+    def dear(self) -> bool:
+        """Whether it was called already, and takes so long that it is not called in vain."""
+        return self._calls.dear
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
