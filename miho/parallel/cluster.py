@@ -76,7 +76,7 @@ def cluster(address: str) -> Iterator[Client]:
     """
     kind, place = check_address(address)
     distributed = _library("distributed")
-    dask_config = importlib.import_module("dask.config")
+    dask_config = _library("dask.config")
     with dask_config.set(SETTINGS), ExitStack() as stack:
         try:
             if isinstance(place, str):
@@ -130,20 +130,20 @@ def _local(distributed: Any, count: int) -> Any:
 
 def _job_queue(kind: str, jobs: int) -> Any:
     """A cluster of jobs of a queue."""
-    library = _library("dask_jobqueue")
+    library, dask_config = _library("dask_jobqueue"), _library("dask.config")
     name, program = QUEUES[kind]
     if shutil.which(program) is None:
         raise ClusterError(
             f"{kind}:{jobs}: there is no program {program} here; start this on a machine that can "
             f"submit jobs, or name a running scheduler by dask://HOST:PORT"
         )
-    try:
-        queue = getattr(library, name)(silence_logs=logging.CRITICAL)
-    except (ValueError, TypeError) as error:
-        raise ClusterError(
-            f"{kind}:{jobs}: dask-jobqueue is not configured for it: {_line(error)} (see "
-            f"jobqueue.{kind} in ~/.config/dask/jobqueue.yaml)"
-        ) from None
+    for key in ("cores", "memory"):
+        if dask_config.get(f"jobqueue.{kind}.{key}", None) is None:
+            raise ClusterError(
+                f"{kind}:{jobs}: the configuration of dask-jobqueue says nothing of {key}; set "
+                f"jobqueue.{kind}.{key}, as in ~/.config/dask/jobqueue.yaml"
+            )
+    queue = getattr(library, name)(silence_logs=logging.CRITICAL)
     queue.scale(jobs=jobs)
     return queue
 
