@@ -117,16 +117,16 @@ def test_what_is_sent_is_stored_once_and_what_another_does_is_waited_for(
 ) -> None:
     plan = runs_of(tmp_path / "runs", "optimizer=random", seeds=2)
     store = Store(tmp_path / "runs")
-    with store.claim(plan[0].identity):
-        with cluster_runs(str(commands.address), SweepConfig()) as runs:
-            for request in plan:
-                runs.start(request)
-            states: dict[int, Any] = {}
-            while runs.busy:
-                states |= {end.job.identity.seed: end.result for end in runs.wait(1)}
-                if not store.has_result(plan[1].identity):
-                    with pytest.raises(RunInUse), store.claim(plan[1].identity):
-                        pass
+    claimed = store.claim(plan[0].identity)
+    with claimed, cluster_runs(str(commands.address), SweepConfig()) as runs:
+        for request in plan:
+            runs.start(request)
+        states: dict[int, Any] = {}
+        while runs.busy:
+            states |= {end.job.identity.seed: end.result for end in runs.wait(1)}
+            if not store.has_result(plan[1].identity):
+                with pytest.raises(RunInUse), store.claim(plan[1].identity):
+                    pass
     assert states[0].status is Status.RUNNING_ELSEWHERE
     assert not store.has_result(plan[0].identity)
     assert store.find(plan[1].identity) is not None

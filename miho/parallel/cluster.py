@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
+from miho.parallel.processes import end_family
 from miho.parallel.workers import without_main
 
 if TYPE_CHECKING:
@@ -114,10 +115,15 @@ def dask_setup(worker: object) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _local(distributed: Any, count: int) -> Any:
-    """A cluster of `count` processes on this machine, whose start reruns no main file."""
+@contextmanager
+def _local(distributed: Any, count: int) -> Iterator[Any]:
+    """A cluster of `count` processes on this machine, whose start reruns no main file.
+
+    In the end they are killed with all that they started: nobody waits for anything of theirs, and
+    on a busy machine they take seconds to say goodbye.
+    """
     with without_main():
-        return distributed.LocalCluster(
+        local = distributed.LocalCluster(
             n_workers=count,
             threads_per_worker=1,
             host=LOOPBACK,
@@ -126,6 +132,14 @@ def _local(distributed: Any, count: int) -> Any:
             silence_logs=logging.CRITICAL,
             preload=[__name__],
         )
+    with local:
+        try:
+            yield local
+        finally:
+            for nanny in local.workers.values():
+                nanny.auto_restart = False
+                if nanny.pid is not None:
+                    end_family(nanny.pid)
 
 
 def _job_queue(kind: str, jobs: int) -> Any:
