@@ -16,8 +16,9 @@ from experiments.app.build import ConfigError
 from experiments.app.cluster_runs import cluster_runs
 from experiments.app.compose import composed
 from experiments.app.plan import Request, requests, sweep_settings
-from experiments.app.runs import State, run
+from experiments.app.runs import run
 from experiments.app.schema import SweepConfig, register
+from experiments.app.working import State
 from miho.study import Status, Store
 from miho.study.store import RunInUse
 from tests.faults.commands import alive, descendants, identified, started

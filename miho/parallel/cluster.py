@@ -78,7 +78,8 @@ def cluster(address: str) -> Iterator[Client]:
     kind, place = check_address(address)
     distributed = _library("distributed")
     dask_config = _library("dask.config")
-    with dask_config.set(SETTINGS), ExitStack() as stack:
+    quiet = distributed.utils.silence_logging_cmgr(logging.CRITICAL, "distributed.client")
+    with dask_config.set(SETTINGS), quiet, ExitStack() as stack:
         try:
             if isinstance(place, str):
                 scheduler: Any = place
