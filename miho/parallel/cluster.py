@@ -158,7 +158,11 @@ def _job_queue(kind: str, jobs: int) -> Any:
                 f"{kind}:{jobs}: the configuration of dask-jobqueue says nothing of {key}; set "
                 f"jobqueue.{kind}.{key}, as in ~/.config/dask/jobqueue.yaml"
             )
-    queue = getattr(library, name)(silence_logs=logging.CRITICAL)
+    options = {
+        "dashboard_address": f"{LOOPBACK}:0",  # any port that is free
+        **(dask_config.get(f"jobqueue.{kind}.scheduler-options", None) or {}),
+    }
+    queue = getattr(library, name)(scheduler_options=options, silence_logs=logging.CRITICAL)
     queue.scale(jobs=jobs)
     return queue
 
