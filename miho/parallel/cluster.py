@@ -164,7 +164,19 @@ def _job_queue(kind: str, jobs: int) -> Any:
     }
     queue = getattr(library, name)(scheduler_options=options, silence_logs=logging.CRITICAL)
     queue.scale(jobs=jobs)
-    return queue
+    queue.sync(queue._correct_state)
+    refused = [job for job in queue.workers.values() if job.status.name == "created"]
+    if not refused:
+        return queue
+    reason = program  # nobody would miss such a job: no error of Dask's tells of it
+    try:
+        queue.sync(refused[0].start)
+    except Exception as error:  # noqa: BLE001 -- whatever the program says
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[-1]
+    for job in refused:
+        job.status = type(job.status)["failed"]
+    queue.close()
+    raise ClusterError(f"{kind}:{jobs}: {program} refuses the job: {reason}")
 
 
 def _library(name: str) -> Any:
