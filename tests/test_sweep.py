@@ -13,8 +13,9 @@ from experiments.app.compose import composed
 from experiments.app.explain import parse_overrides
 from experiments.app.plan import Request, requests, seed_groups, sweep_settings
 from experiments.app.reports import read_sweep, save_sweep
-from experiments.app.runs import State, ended_state, run, stored_state
+from experiments.app.runs import run, stored_state
 from experiments.app.schema import SweepConfig, register
+from experiments.app.working import State, ended_state
 from miho import load_runs
 from miho.optim import Budget, RandomSearch, minimize
 from miho.parallel.workers import JobOutcome

@@ -169,6 +169,8 @@ def deliver(placed: Placed[Errand]) -> Delivery:
     if errand.shared or request.compile_only:
         return Delivery(execute(request), {})
     state = execute(replace(request, root=placed.folder))
+    if state is not None:  # its line names the file of what is not done
+        state = replace(state, line=state.line.replace(placed.folder, request.root))
     return Delivery(state, Store(Path(placed.folder)).files(request.identity))
 
 

@@ -207,7 +207,7 @@ def _run_in_workers(
         return
     todo, elsewhere = deque(plan), deque[Request]()
     first = _to_compile(plan) if at_once != 1 else None
-    with _workers(plan, settings, at_once) as workers, stopping(workers) as stop:
+    with _workers(plan, settings, at_once) as workers, stopping(workers.interrupt) as stop:
         if first is not None:
             workers.start(first)
         while todo or elsewhere or workers.busy:

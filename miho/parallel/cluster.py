@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
+from miho.parallel.processes import end_family
 from miho.parallel.workers import without_main
 
 if TYPE_CHECKING:
@@ -76,8 +77,9 @@ def cluster(address: str) -> Iterator[Client]:
     """
     kind, place = check_address(address)
     distributed = _library("distributed")
-    dask_config = importlib.import_module("dask.config")
-    with dask_config.set(SETTINGS), ExitStack() as stack:
+    dask_config = _library("dask.config")
+    quiet = distributed.utils.silence_logging_cmgr(logging.CRITICAL, "distributed.client")
+    with dask_config.set(SETTINGS), quiet, ExitStack() as stack:
         try:
             if isinstance(place, str):
                 scheduler: Any = place
@@ -114,10 +116,15 @@ def dask_setup(worker: object) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
-def _local(distributed: Any, count: int) -> Any:
-    """A cluster of `count` processes on this machine, whose start reruns no main file."""
+@contextmanager
+def _local(distributed: Any, count: int) -> Iterator[Any]:
+    """A cluster of `count` processes on this machine, whose start reruns no main file.
+
+    In the end they are killed with all that they started: nobody waits for anything of theirs, and
+    on a busy machine they take seconds to say goodbye.
+    """
     with without_main():
-        return distributed.LocalCluster(
+        local = distributed.LocalCluster(
             n_workers=count,
             threads_per_worker=1,
             host=LOOPBACK,
@@ -126,26 +133,50 @@ def _local(distributed: Any, count: int) -> Any:
             silence_logs=logging.CRITICAL,
             preload=[__name__],
         )
+    with local:
+        try:
+            yield local
+        finally:
+            for nanny in local.workers.values():
+                nanny.auto_restart = False
+                if nanny.pid is not None:
+                    end_family(nanny.pid)
 
 
 def _job_queue(kind: str, jobs: int) -> Any:
     """A cluster of jobs of a queue."""
-    library = _library("dask_jobqueue")
+    library, dask_config = _library("dask_jobqueue"), _library("dask.config")
     name, program = QUEUES[kind]
     if shutil.which(program) is None:
         raise ClusterError(
             f"{kind}:{jobs}: there is no program {program} here; start this on a machine that can "
             f"submit jobs, or name a running scheduler by dask://HOST:PORT"
         )
-    try:
-        queue = getattr(library, name)(silence_logs=logging.CRITICAL)
-    except (ValueError, TypeError) as error:
-        raise ClusterError(
-            f"{kind}:{jobs}: dask-jobqueue is not configured for it: {_line(error)} (see "
-            f"jobqueue.{kind} in ~/.config/dask/jobqueue.yaml)"
-        ) from None
+    for key in ("cores", "memory"):
+        if dask_config.get(f"jobqueue.{kind}.{key}", None) is None:
+            raise ClusterError(
+                f"{kind}:{jobs}: the configuration of dask-jobqueue says nothing of {key}; set "
+                f"jobqueue.{kind}.{key}, as in ~/.config/dask/jobqueue.yaml"
+            )
+    options = {
+        "dashboard_address": f"{LOOPBACK}:0",  # any port that is free
+        **(dask_config.get(f"jobqueue.{kind}.scheduler-options", None) or {}),
+    }
+    queue = getattr(library, name)(scheduler_options=options, silence_logs=logging.CRITICAL)
     queue.scale(jobs=jobs)
-    return queue
+    queue.sync(queue._correct_state)
+    refused = [job for job in queue.workers.values() if job.status.name == "created"]
+    if not refused:
+        return queue
+    reason = program  # nobody would miss such a job: no error of Dask's tells of it
+    try:
+        queue.sync(refused[0].start)
+    except Exception as error:  # noqa: BLE001 -- whatever the program says
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[-1]
+    for job in refused:
+        job.status = type(job.status)["failed"]
+    queue.close()
+    raise ClusterError(f"{kind}:{jobs}: {program} refuses the job: {reason}")
 
 
 def _library(name: str) -> Any:

@@ -70,8 +70,9 @@ def run_at_worker(task: Task[Job, Result], job: Job) -> Answer[Result]:
         sent, until = 0, float("inf")
         while time.monotonic() < until:
             for ended in process.wait(POLL):
-                ending.pop_all()
-                _keep(task.owner, process)
+                if until == float("inf"):  # else no more jobs come
+                    ending.pop_all()
+                    _keep(task.owner, process)
                 return ended.result, ended.reason, ended.detail
             times = _INTERRUPTS.get(task.owner, 0)
             state = worker.state.tasks.get(key)

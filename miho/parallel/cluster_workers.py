@@ -10,7 +10,7 @@ import uuid
 from collections.abc import Callable, Sequence
 from functools import partial
 from types import TracebackType
-from typing import TYPE_CHECKING, Generic
+from typing import TYPE_CHECKING, Any, Generic
 
 from miho.parallel.cluster import PATIENCE, ClusterLost
 from miho.parallel.cluster_process import Placed, Task, dismiss, interrupt, run_at_worker
@@ -48,8 +48,8 @@ class ClusterWorkers(Generic[Job, Result]):
     ) -> None:
         self._client, self._owner = client, uuid.uuid4().hex
         self._task = Task(self._owner, work, time_limit, tuple(modules), prepare, alone)
-        self._jobs: dict[Future, Job] = {}
-        self._ended: queue.SimpleQueue[Future] = queue.SimpleQueue()
+        self._jobs: dict[Future[Any], Job] = {}
+        self._ended: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
         self._interrupts = self._sent = 0
         self._count, self._counted = 1, float("-inf")
         self._broken = False
@@ -134,7 +134,7 @@ class ClusterWorkers(Generic[Job, Result]):
     def _break(self) -> str:
         return "the connection to the Dask scheduler broke; the next call does what is not done"
 
-    def _outcome_of(self, future: Future) -> JobOutcome[Job, Result] | None:
+    def _outcome_of(self, future: Future[Any]) -> JobOutcome[Job, Result] | None:
         """How a job ended; None if it was given up, or its answer was lost and is made again."""
         if future not in self._jobs:
             return None
