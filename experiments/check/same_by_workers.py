@@ -171,14 +171,14 @@ def differences(alone: RunRecord, record: RunRecord) -> list[str]:
     return [name for name, equal in same.items() if not equal]
 
 
-def compared(kinds: list[str], evaluations: int) -> pd.DataFrame:
+def compared(kinds: list[str], counts: list[int], evaluations: int) -> pd.DataFrame:
     """A row per run: what differs from the one without workers, and what workers evaluated."""
     budget, rows = Budget(evaluations=evaluations), []
     slow, quick = problems(SECONDS), problems(0.0)
     runs = [(method, problem) for problem in slow for method in METHODS]
     alone = {(m, p): minimize(METHODS[m], quick[p], budget, rehearse=False) for m, p in runs}
     for kind in kinds:
-        for count in COUNTS:
+        for count in counts:
             with opened(kind, count) as workers:
                 for m, p in tqdm(runs, desc=f"{count} {kind}", disable=None):
                     record = minimize(METHODS[m], slow[p], budget, workers=workers)
@@ -199,14 +199,16 @@ def main() -> int:
     """Print a table of what is the same; 1 if anything is not."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
+    parser.add_argument("--counts", nargs="+", type=int, default=list(COUNTS))
     parser.add_argument("--evaluations", type=int, default=40)
     arguments = parser.parse_args()
-    runs = compared(arguments.kinds, arguments.evaluations)
+    runs = compared(arguments.kinds, arguments.counts, arguments.evaluations)
     same = (runs["differs"] == "") & ~runs["failed"]
     table = runs.assign(same=same).pivot_table(
         index="method", columns="problem", values="same", aggfunc=lambda s: f"{s.sum()} of {s.size}"
     )
-    print("Runs that are those without workers to the last bit, by 1, 2, 4 and 8 workers")
+    counts = ", ".join(map(str, arguments.counts))
+    print(f"Runs that are those without workers to the last bit, by {counts} workers")
     print(f"({', '.join(arguments.kinds)}), of {arguments.evaluations} evaluations each:\n")
     print(table.to_string())
     share = runs["by workers"].sum() / runs["evaluations"].sum()
