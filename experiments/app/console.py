@@ -36,7 +36,12 @@ from experiments.app.compose import (
 )
 from experiments.app.explain import ConfigError, one_line, parse_overrides, replace_spaces
 from experiments.app.help import completion, help_text
-from experiments.app.safety import HydraSettingError, ReceivedError, check_arguments
+from experiments.app.safety import (
+    HydraSettingError,
+    ReceivedError,
+    check_arguments,
+    check_machines,
+)
 from experiments.app.signals import Stopped, name_of, stopping_signal
 from miho.data import CSVError, DataUnavailableError
 from miho.models import TirError
@@ -100,6 +105,7 @@ def command(
             )
         # Composed once, and checked as it is composed; Hydra's own settings are for the sweep.
         cfg = whole_config((*arguments.overrides, f"hydra.mode={mode.name}"), mode)
+        check_machines(cfg.get("workers"), overrides)
         HydraConfig.instance().set_config(cfg)
         try:
             if mode is RunMode.MULTIRUN and sweep is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import math
 from dataclasses import InitVar, dataclass, field, replace
@@ -17,6 +18,7 @@ from miho.identification.curve_fit_checks import (
     TRIALS,
     check_curve_fit,
     check_sigma,
+    dear_leaves,
     ties_of,
     traced_where_alike,
 )
@@ -25,6 +27,7 @@ from miho.identification.loss import Loss, Square, slope
 from miho.identification.prior import PriorResiduals
 from miho.identification.row_order import row_order
 from miho.models.expression import Expression
+from miho.models.fingerprint import fingerprint
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.models.spread import SpreadModel
@@ -59,6 +62,8 @@ REMEMBERED = 1 << 20
 """Numbers of errors to remember for the derivatives of a robust loss at the same configurations."""
 WORTH_COMPILING = 20_000
 """Rows from which on a search by NumPy takes seconds, as compiling a user's function does."""
+DIGITS = 16
+"""Of the digests that tell what a journal is of."""
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
 
@@ -296,6 +301,18 @@ class CurveFit(Remade, LeastSquaresProblem):
     def jacobian_cost(self) -> int | None:  # type: ignore[override]
         """The cost of the model's Jacobian, in evaluations."""
         return self.model.jacobian_cost
+
+    @property
+    def description(self) -> str:
+        """Digests of what the outputs of its models depend on: columns of the data and the models.
+
+        Bounds, ties, sigma, priors and the loss may change without another output.
+        """
+        data = hashlib.sha256()
+        for column in (*self.inputs, self._output):
+            data.update(np.ascontiguousarray(column).tobytes())
+        leaves = dear_leaves(self.model)
+        return f"data {data.hexdigest()[:DIGITS]} model {fingerprint(leaves)[:DIGITS]}"
 
     def spread(self, evaluations: Evaluations) -> CurveFit:
         """This problem with its model's outputs evaluated by these; itself if it is arithmetic."""

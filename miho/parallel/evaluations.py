@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import threading
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
@@ -29,6 +30,8 @@ WORTH_SENDING = 0.005
 to send them. Where all that is needed takes less than twice that, no worker is asked."""
 DEAR = 0.01
 """Seconds from which an evaluation is written to the journal."""
+CHEAP = 1e-3
+"""Seconds below which an evaluation is far from dear."""
 LATEST = 0.2
 """What the latest evaluation counts in the mean of what they take."""
 
@@ -82,6 +85,7 @@ class Evaluations:
         self._pending: dict[Key, _Pending] = {}
         self._here: dict[Key, Array | Raised] = {}  # values that are known and not taken yet
         self._ends = itertools.count(0 if journal is None else len(journal))
+        self._arrivals = threading.Lock()
         self._submitted: list[Key] | None = None
 
     def function(self, name: str, function: Rows, shape: tuple[int, ...] = ()) -> Evaluated:
@@ -134,6 +138,8 @@ class Evaluations:
 
     def values(self, task: Evaluated, thetas: Array) -> Array:
         """Values (n, ...) of rows (n, d); raises the first error among them."""
+        if self._is_cheap(len(thetas)):
+            return self._evaluate_at_once(task, thetas)
         keys: list[Key] = [(task.name, theta.tobytes()) for theta in thetas]
         todo = [k for k, key in enumerate(keys) if not self._is_known(key)]
         if self._submitted is not None:
@@ -162,6 +168,16 @@ class Evaluations:
         """How many workers have something to do."""
         waiting = {id(p) for p in self._pending.values() if p.ended == math.inf}
         return min(len(waiting), self.workers)
+
+    def _is_cheap(self, rows: int) -> bool:
+        """Whether so many values are made here as without workers and journal: they take so little
+        that no worker is asked and nothing is written, and none is known or under way."""
+        each = self.usage.each
+        if each is None or self._limited or self._submitted is not None or self._pending:
+            return False
+        known = self._journal is not None and len(self._journal) > 0
+        sent = self._pool is not None and each * rows >= 2 * WORTH_SENDING
+        return each < CHEAP and not (known or sent or self._here)
 
     @property
     def _is_dear(self) -> bool:
@@ -204,10 +220,20 @@ class Evaluations:
         return True
 
     def _arrival(self, pending: _Pending) -> Callable[[Future[Answer]], None]:
-        """Note in which order answers come; called by the threads that bring them."""
+        """Note in which order answers come, and in the journal what was dear, before the search
+        gets to it; called by the threads that bring them."""
 
         def arrived(future: Future[Answer]) -> None:
-            pending.ended = next(self._ends)
+            with self._arrivals:
+                pending.ended = next(self._ends)
+                if self._journal is None or future.cancelled() or future.exception() is not None:
+                    return
+                answer, rows = future.result(), len(pending.keys)
+                if answer.seconds < DEAR * rows:
+                    return
+                values = answer.value if answer.raised is None else [answer.raised] * rows
+                for key, value in zip(pending.keys, values, strict=True):
+                    self._journal.add(key, _array(value))
 
         return arrived
 
@@ -239,7 +265,7 @@ class Evaluations:
             self._keep(key, value)
 
     def _keep(self, key: Key, value: Any) -> None:
-        value = value if isinstance(value, Raised) else np.asarray(value, dtype=float)
+        value = _array(value)
         self._here[key] = value
         if self._is_dear and self._journal is not None and not _is_lost(value):
             self._journal.add(key, value)
@@ -286,6 +312,10 @@ class _ByRows:
             if len(thetas) == 1:
                 return [Raised.of(error)]
         return [value for theta in thetas for value in self(theta[None])]
+
+
+def _array(value: Any) -> Array | Raised:
+    return value if isinstance(value, Raised) else np.asarray(value, dtype=float)
 
 
 def _is_lost(value: Array | Raised) -> bool:

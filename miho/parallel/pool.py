@@ -10,7 +10,7 @@ import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, wait
 from contextlib import ExitStack, contextmanager
-from typing import Any
+from typing import Any, TypeGuard
 
 import cloudpickle
 
@@ -38,7 +38,7 @@ def open_pool(workers: Workers, time_limit: float | None = None) -> Iterator[Poo
     ours. Raises ValueError for workers that are none of the kinds.
     """
     with ExitStack() as stack:
-        if isinstance(workers, str) and not workers.lstrip("-").isdigit():
+        if is_cluster(workers):
             from miho.parallel.cluster import cluster  # which needs the extra `cluster`
 
             client = stack.enter_context(cluster(workers))
@@ -57,6 +57,11 @@ def open_pool(workers: Workers, time_limit: float | None = None) -> Iterator[Poo
             stack.callback(executor.shutdown)
         with contextlib.closing(Pool(executor, count)) as pool:
             yield pool
+
+
+def is_cluster(workers: Any) -> TypeGuard[str]:
+    """Whether workers are given by the address of a cluster."""
+    return isinstance(workers, str) and ":" in workers
 
 
 def number_of(workers: Any) -> int:
