@@ -36,8 +36,8 @@ class ProcessExecutor(Executor):
 
     def __init__(self, count: int, time_limit: float | None = None) -> None:
         self._max_workers = count
-        self._workers: Workers[Job, Any] = Workers(_call, count, time_limit, (__name__,))
-        self._limit = time_limit
+        self._settings = count, time_limit, (__name__,)
+        self._workers: Workers[Job, Any] | None = None
         self._waiting: deque[tuple[int, bytes]] = deque()
         self._futures: dict[int, Future[Any]] = {}
         self._numbers = 0
@@ -57,7 +57,10 @@ class ProcessExecutor(Executor):
             self._futures[self._numbers] = future
             self._waiting.append((self._numbers, job))
             if self._thread is None:
-                self._thread = threading.Thread(target=self._serve, daemon=True)
+                self._workers = Workers(_call, *self._settings)
+                self._thread = threading.Thread(
+                    target=self._serve, args=(self._workers,), daemon=True
+                )
                 self._thread.start()
             self._wake.send_bytes(b"+")
         return future
@@ -71,7 +74,8 @@ class ProcessExecutor(Executor):
             self._wake.send_bytes(b"-")
         if self._thread is not None:
             self._thread.join()
-        self._workers.kill()
+        if self._workers is not None:
+            self._workers.kill()
         for future in self._futures.values():
             if not future.cancel():
                 future.set_exception(WorkerLostError("the workers have ended", again=False))
@@ -79,22 +83,22 @@ class ProcessExecutor(Executor):
         self._woken.close()
         self._wake.close()
 
-    def _serve(self) -> None:
+    def _serve(self, workers: Workers[Job, Any]) -> None:
         """In a thread: give jobs to idle workers, and hand over what they answer."""
         while True:
             while self._woken.poll():
                 self._woken.recv_bytes()
             if self._closed:
                 return
-            while self._workers.idle and self._waiting:
+            while workers.idle and self._waiting:
                 with self._lock:
                     number, job = self._waiting.popleft()
                     future = self._futures[number]
                 if future.set_running_or_notify_cancel():
-                    self._start(number, job)
+                    self._start(workers, number, job)
                 else:
                     del self._futures[number]
-            for outcome in self._workers.wait(IDLE, self._woken):
+            for outcome in workers.wait(IDLE, self._woken):
                 future = self._futures.pop(outcome.job[0])
                 if outcome.reason is None:
                     future.set_result(outcome.result)
@@ -102,9 +106,9 @@ class ProcessExecutor(Executor):
                     again = not outcome.overdue
                     future.set_exception(WorkerLostError(outcome.reason, again))
 
-    def _start(self, number: int, job: bytes) -> None:
+    def _start(self, workers: Workers[Job, Any], number: int, job: bytes) -> None:
         try:
-            self._workers.start((number, job))
+            workers.start((number, job))
         except (OSError, EOFError) as error:
             reason = f"no worker could be started: {error}"
             self._futures.pop(number).set_exception(WorkerLostError(reason))
