@@ -10,6 +10,7 @@ finds anything else to the last bit.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -34,7 +35,7 @@ RUNS = ("miho:1", "miho:4", "miho_gn:1", "miho_gn:4", "pso_constriction:1", "pso
 EVALUATIONS, SECONDS, KILLS, MOST = 200, 0.2, 20, 1.1
 LIMIT = 600.0
 """Seconds after which a process hangs."""
-POLL = 0.01
+POLL, EARLY = 0.01, 0.25
 MODEL = f"""
 import os, time
 import numpy as np
@@ -121,19 +122,26 @@ def undisturbed(folder: Path, method: str, workers: str) -> float:
 
 
 def killed(folder: Path, method: str, workers: str, first: float) -> int:
-    """A run that is killed KILLS times and then finished; how often it was killed."""
+    """A run that is killed KILLS times and then finished; how often it was killed.
+
+    A quarter of the kills strike before the process has begun an evaluation of its own.
+    """
     rng = stream("killed", method, workers)
     share = EVALUATIONS * SECONDS / int(workers) / KILLS
     kills = 0
     for _ in range(KILLS):
+        before = Calls.of(folder).begun
         process = started(folder, method, workers)
-        try:
-            process.wait(rng.uniform(0.5 * first, 1.1 * first + 1.5 * share))
+        early, later = rng.uniform(0.0, 0.8 * first), rng.uniform(0.0, 1.6 * share)
+        strikes_early = rng.random() < EARLY
+        while not strikes_early and Calls.of(folder).begun == before and process.poll() is None:
+            time.sleep(POLL)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(early if strikes_early else later)
             break
-        except subprocess.TimeoutExpired:
-            os.kill(process.pid, signal.SIGKILL)
-            process.wait()
-            kills += 1
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        kills += 1
     started(folder, method, workers).wait(LIMIT)
     return kills
 
