@@ -105,8 +105,8 @@ def result_of(folder: Path) -> dict[str, Any] | None:
     for path in folder.glob("runs/*/*/*/result.json"):
         result = json.loads(path.read_text())
         curve = json.loads(path.with_name("curve.json").read_text())
-        found = {name: result[name] for name in ("loss", "theta", "evaluations", "outcome")}
-        return found | {name: curve[name] for name in ("evaluations", "loss", "theta")}
+        values = {name: result[name] for name in ("loss", "theta", "evaluations", "outcome")}
+        return values | {name: curve[name] for name in ("evaluations", "loss", "theta")}
     return None
 
 
