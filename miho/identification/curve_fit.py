@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
+import threading
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -385,10 +386,16 @@ class CurveFit(Remade, LeastSquaresProblem):
         errors -= self._target if part is None else self._target[part]
         return np.asarray(errors)
 
-    @cached_property
+    @property
     def _latest_errors(self) -> dict[tuple[bytes, int], Array]:
-        """The latest errors by configuration and number of rows; robust derivatives need them."""
-        return {}
+        """The latest errors by configuration and number of rows, of each thread on its own; robust
+        derivatives need them."""
+        errors: dict[tuple[bytes, int], Array] = vars(self._of_thread).setdefault("errors", {})
+        return errors
+
+    @cached_property
+    def _of_thread(self) -> threading.local:
+        return threading.local()
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals, (m, d)."""
