@@ -46,8 +46,7 @@ def main() -> int:
     )  # fmt: skip
     parser.add_argument(
         "--next", type=Path, dest="candidates", metavar="CSV",
-        help="of one run: rows that could be measured next, to choose from (docs/"
-        "next-measurement.md)",
+        help="of one run: rows that could be measured next (docs/next-measurement.md)",
     )  # fmt: skip
     parser.add_argument("--rows", type=int, help="how many of them, or of their --groups")
     parser.add_argument("--goal", help="parameter or derived quantity to narrow; all parameters")

@@ -11,7 +11,7 @@ import numpy as np
 from miho.data.dataset import Dataset
 from miho.fitting.dear_fit import JournalPath, dear_fit, is_tried
 from miho.fitting.joint_problem import Joint, Measured
-from miho.fitting.one_fit import Fit, searched
+from miho.fitting.one_fit import Fit, searched, without_priors
 from miho.fitting.statement import FAR, data_of
 from miho.identification.curve_fit import CurveFit
 from miho.identification.stated import stated_parameters
@@ -63,7 +63,8 @@ def fit_joint(
         measured[name] = Measured(chosen, dataset, deviation)
     joint = Joint(measured, local)
     bounds = joint.space(space, fixed, tied, constraints)
-    problem = joint.problem(bounds, compiled=compiled, tried=is_tried(journal))
+    plain = without_priors(bounds) if joint.lacking else bounds  # which need sigma
+    problem = joint.problem(plain, compiled=compiled, tried=is_tried(journal))
     with dear_fit(problem, workers, evaluation_limit, journal) as evaluations:
         if joint.lacking:
             settings = {"compiled": compiled, "tried": True}

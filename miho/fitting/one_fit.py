@@ -137,7 +137,10 @@ def fit(
             compiled=compiled, prior_scale=prior_scale, tried=tried,
         )  # fmt: skip
 
-    first = problem_of(bounds, tried=is_tried(journal))
+    # Beside errors that are not known, priors count by what the residuals say.
+    settles = has_priors(bounds) and (sigma is None or not sigma_known)
+    plain = without_priors(bounds) if settles else bounds
+    first = problem_of(plain, tried=is_tried(journal))
     with dear_fit(first, workers, evaluation_limit, journal) as evaluations:
 
         def solved(problem: CurveFit) -> Fit:
@@ -145,8 +148,7 @@ def fit(
                 return searched(problem, method, budget, seed, evaluations)
             return descended(problem, start, evaluations)
 
-        # Beside errors that are not known, priors count by what the residuals say.
-        if (sigma is not None and sigma_known) or not has_priors(bounds):
+        if not settles:
             return solved(first)
         return settled(bounds, lambda *box: solved(problem_of(*box)), evaluations)
 
