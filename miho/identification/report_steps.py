@@ -179,7 +179,7 @@ def _bootstrapped(
 def _left_out(problem: CurveFit, at: Linearised, work: _Work) -> tuple[pd.DataFrame, list[str]]:
     """Errors on each group of rows that a fit was made without, and what is missing and why."""
     tables: list[pd.DataFrame] = []
-    omitted = []
+    omitted: list[str] = []
     for condition in conditions(problem):
         work.progress(f"leave one {condition} out")
         try:
