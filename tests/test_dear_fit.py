@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import miho
+from miho.identification import curve_fit_checks
 from miho.models import FunctionModel
 from miho.models.fingerprint import fingerprint
 from miho.parallel import JournalError, evaluations
@@ -47,7 +48,8 @@ class Counted:
 @pytest.fixture
 def dear(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluation counts as dear, however long it takes."""
-    monkeypatch.setattr(evaluations, "DEAR", 0.0)
+    for module in (evaluations, curve_fit_checks):
+        monkeypatch.setattr(module, "DEAR", 0.0)
     monkeypatch.setattr(evaluations, "CHEAP", 0.0)
 
 

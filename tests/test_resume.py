@@ -15,6 +15,7 @@ from experiments.app.plan import request_of
 from experiments.app.runs import HERE, run
 from experiments.app.safety import HydraSettingError, check_machines
 from experiments.app.schema import SweepConfig, register
+from miho.identification import curve_fit_checks
 from miho.parallel import evaluations
 from miho.study.files import JOURNAL
 
@@ -79,7 +80,8 @@ class Runs:
 @pytest.fixture(autouse=True)
 def dear(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluation counts as dear, however long it takes."""
-    monkeypatch.setattr(evaluations, "DEAR", 0.0)
+    for module in (evaluations, curve_fit_checks):
+        monkeypatch.setattr(module, "DEAR", 0.0)
     monkeypatch.setattr(evaluations, "CHEAP", 0.0)
 
 
