@@ -27,6 +27,7 @@ SETTINGS = {
     "optimizer, loss": "with which method, and what it minimises",
     "budget.evaluations, budget.seconds": "what a run may spend; it ends at the first of them",
     "seed": "the repetition; with -m several, as in 'seed=range(10)'",
+    "workers, evaluation_limit": "what makes evaluations that take long; seconds for one at most",
     "root, fresh": "where results go; fresh=true sets aside what is outdated",
     "space.NAME.low, .high, .scale": "the box of a parameter; 'space={a: {...}}' is a whole one",
     "sweep.workers, .dry_run": "with -m: how many runs at a time, or on which cluster; list the "

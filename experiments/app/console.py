@@ -40,7 +40,7 @@ from experiments.app.safety import (
     HydraSettingError,
     ReceivedError,
     check_arguments,
-    check_workers,
+    check_machines,
 )
 from experiments.app.signals import Stopped, name_of, stopping_signal
 from miho.data import CSVError, DataUnavailableError
@@ -107,7 +107,7 @@ def command(
             )
         # Composed once, and checked as it is composed; Hydra's own settings are for the sweep.
         cfg = whole_config((*arguments.overrides, f"hydra.mode={mode.name}"), mode)
-        check_workers(cfg.sweep.workers, overrides)
+        check_machines(cfg, overrides)
         HydraConfig.instance().set_config(cfg)
         try:
             if mode is RunMode.MULTIRUN and sweep is not None:

@@ -14,6 +14,7 @@ from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig
 
 from experiments.app.build import (
+    MEANS,
     Experiment,
     Settings,
     build,
@@ -169,10 +170,13 @@ def setting_of(text: str) -> Mapping[str, Any]:
 
 @lru_cache(maxsize=32)
 def experiment_of(text: str) -> Experiment:
-    """What all seeds of a configuration share; building it takes longer than a small run."""
+    """What all seeds of a configuration share; building it takes longer than a small run.
+
+    A model of the user's is not tried again: that was done in a process of its own (`requests`).
+    """
     setting = setting_of(text)
     if runs_own_code(setting):
-        return build(setting, build_problem(setting, dataset_of(text)))
+        return build(setting, build_problem(setting, dataset_of(text), tried=True))
     return build(setting, problem_of(setting))
 
 
@@ -231,7 +235,8 @@ def _code_of(setting: Mapping[str, Any]) -> str:
 def _named_only(setting: Mapping[str, Any], code: str) -> Identity:
     """The identity of a run whose model cannot be built: the file's name stands for the model's."""
     optimizer = setting["optimizer"]["name"]
-    about = {"optimizer": optimizer, "seed": 0, "config": setting, "code": code, "data": ""}
+    config = {key: value for key, value in setting.items() if key not in MEANS}
+    about = {"optimizer": optimizer, "seed": 0, "config": config, "code": code, "data": ""}
     try:
         return Identity(Path(model_files(setting)[0]).stem, **about)
     except ValueError:  # a name that no folder can have

@@ -203,12 +203,16 @@ def check_hydra(hydra: DictConfig, usual: DictConfig, overrides: Sequence[str]) 
             )
 
 
-def check_workers(workers: object, overrides: Sequence[Override]) -> None:
+def check_machines(cfg: DictConfig, overrides: Sequence[Override]) -> None:
     """Refuse the address of a cluster that is not typed: code and data would go there."""
-    if is_address(workers) and "sweep.workers" not in {o.key_or_group for o in overrides}:
+    typed = {o.key_or_group for o in overrides}
+    for key in ("workers", "sweep.workers"):
+        workers = OmegaConf.select(cfg, key)
+        if not is_address(workers) or key in typed:
+            continue
         raise HydraSettingError(
-            f"sweep.workers: {_shortened(workers)} is where code and data would go, so it must be "
-            "typed on the command line"
+            f"{key}: {_shortened(workers)} is where code and data would go, so it must be typed on "
+            "the command line"
         )
 
 

@@ -190,6 +190,10 @@ class Config:
     `fresh` sets aside finished runs of the same request that were made of other code, data,
     settings or packages, where the program else refuses to mix old and new; in a comparison on the
     clock also those whose seconds other work disturbed.
+
+    `workers` make the evaluations of a run where each takes long: a number of processes, -1 for one
+    per core, or the address of a cluster; in a sweep those of each run. An evaluation that takes
+    longer than `evaluation_limit` seconds is given up. What a run is does not depend on either.
     """
 
     model: dict[str, Any] = MISSING
@@ -200,6 +204,8 @@ class Config:
     optimizer: dict[str, Any] = MISSING
     budget: BudgetConfig = field(default_factory=BudgetConfig)
     seed: int = 0
+    workers: Any = 1
+    evaluation_limit: float | None = None
     root: str = "runs/identify"
     fresh: bool = False
     sweep: SweepConfig = field(default_factory=SweepConfig)

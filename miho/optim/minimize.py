@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import copy
 import math
-import os
 import signal
 import sys
 import threading
@@ -28,9 +27,9 @@ from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
-from miho.optim.spread import spread_problem
+from miho.optim.spread import JournalFile, spread_problem
 from miho.optim.trace import Descents, Trace
-from miho.parallel import NoWorkersLeft, Workers
+from miho.parallel import Evaluations, NoWorkersLeft, Workers
 from miho.parallel.usage import Usage
 from miho.parallel.worker_process import SPURIOUS_INTERRUPT
 from miho.quantities import Array
@@ -102,9 +101,9 @@ def minimize(
     checkpoint: Checkpoint | None = None,
     observer: Callable[[Oracle], None] | None = None,
     rehearse: bool = True,
-    workers: Workers = None,
+    workers: Workers | Evaluations = None,
     evaluation_limit: float | None = None,
-    journal: str | os.PathLike[str] | None = None,
+    journal: JournalFile = None,
 ) -> RunRecord:
     """Minimise the problem's loss; always returns a record, whatever model or method did.
 
@@ -134,8 +133,8 @@ def minimize(
     meter = None if checkpoint is None else checkpoint.meter
     with spread_problem(problem, workers, evaluation_limit, journal) as (spread, evaluations):
         setup_started = time.perf_counter()
-        if rehearse and (evaluations is None or problem.kernel is not None):
-            warm_up(optimizer, problem)  # of what may be dear nothing is evaluated in vain
+        if rehearse:  # of what may be dear nothing is evaluated in vain
+            warm_up(optimizer, problem, evaluate=spread is problem)
         setup_seconds = time.perf_counter() - setup_started
         oracle = Oracle(
             spread, budget or Budget(), space=space, meter=meter, observer=observer,
@@ -282,8 +281,10 @@ class _WarmedUp(NamedTuple):
 _last = _WarmedUp()
 
 
-def warm_up(optimizer: Optimizer, problem: Problem) -> None:
+def warm_up(optimizer: Optimizer, problem: Problem, *, evaluate: bool = True) -> None:
     """Let problem and method import, compile and allocate before the clock starts.
+
+    Without `evaluate` the method alone does.
 
     The method says how (`rehearsals`): by default the problem evaluates one configuration, and the
     method searches a paraboloid over the same space, so that it learns nothing of the problem. The
@@ -299,7 +300,7 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     theta.setflags(write=False)  # as the oracle gives it, which is another type to compiled code
     toy = _Paraboloid(replace(problem.space, seed=()))
     interrupts: list[bool] = []
-    for job in optimizer.rehearsals(problem, toy, theta[0]):
+    for job in optimizer.rehearsals(problem if evaluate else toy, toy, theta[0]):
         try:
             with (
                 _ctrl_c_waits(partial(interrupts.append, True)),

@@ -12,7 +12,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 from miho.parallel.processes import end_family
 from miho.parallel.workers import without_main
@@ -45,7 +45,7 @@ class ClusterLost(RuntimeError):  # noqa: N818 -- what befell, not a mistake
     """The connection to a cluster broke while it was used."""
 
 
-def is_address(workers: object) -> bool:
+def is_address(workers: object) -> TypeGuard[str]:
     """Whether this says where workers are, as `cluster` takes it, and not how many."""
     return isinstance(workers, str) and re.match(r"[a-z]+:", workers) is not None
 

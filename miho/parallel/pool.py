@@ -15,6 +15,7 @@ from typing import Any
 
 import cloudpickle
 
+from miho.parallel.cluster import check_address, cluster, is_address
 from miho.parallel.process_executor import (
     ProcessExecutor,
     WorkerLostError,
@@ -46,10 +47,8 @@ def open_pool(workers: Workers, time_limit: float | None = None) -> Iterator[Poo
     """
     limit = time_limit
     with ExitStack() as stack:
-        if isinstance(workers, str) and not workers.lstrip("-").isdigit():
-            from miho.parallel.cluster import check_address, cluster  # of the extra `cluster`
-
-            client = stack.enter_context(cluster(workers))
+        if is_address(workers):
+            client: Any = stack.enter_context(cluster(workers))
             executor: Any = client.get_executor(pure=False)
             place = check_address(workers)[1]
             there = sum(client.ncores().values())  # jobs of a queue come later

@@ -4,7 +4,8 @@
 
 `result.json` is written last and carries the SHA-256 of the other files and of itself: it is the
 only sign that a run is done. A held lock is the only sign that one is running. `partial.json`, with
-a checksum of its own, is what a run left that was not done.
+a checksum of its own, is what a run left that was not done, and `journal`, with one for each line,
+holds the evaluations that it made, if they were dear.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from miho.study.files import (
     CONFIG,
     CURVE,
     ENVIRONMENT,
+    JOURNAL,
     LARGEST,
     PARTIAL,
     RESULT,
@@ -136,7 +138,8 @@ class Store:
             "files": {name: sha256(text) for name, text in contents.items()},
         }
         write_text(folder / RESULT, signed(result))
-        (folder / PARTIAL).unlink(missing_ok=True)
+        for name in (PARTIAL, JOURNAL):
+            (folder / name).unlink(missing_ok=True)
         return read_run(folder)
 
     def files(self, identity: Identity) -> dict[str, bytes]:
@@ -159,6 +162,10 @@ class Store:
         if RESULT in files:
             (folder / PARTIAL).unlink(missing_ok=True)
             read_run(folder)
+
+    def journal(self, identity: Identity) -> Path:
+        """Where the evaluations of this run are kept until it is done."""
+        return self.folder(identity) / JOURNAL
 
     def keep_partial(self, identity: Identity, record: RunRecord) -> Path:
         """Write the curve of an interrupted or failed run; the run is not done."""
