@@ -10,6 +10,7 @@ import re
 import shutil
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any, TypeGuard
@@ -145,7 +146,9 @@ def _local(distributed: Any, count: int) -> Iterator[Any]:
 
 def _job_queue(kind: str, jobs: int) -> Any:
     """A cluster of jobs of a queue."""
-    library, dask_config = _library("dask_jobqueue"), _library("dask.config")
+    with _own_signals():
+        library = _library("dask_jobqueue")
+    dask_config = _library("dask.config")
     name, program = QUEUES[kind]
     if shutil.which(program) is None:
         raise ClusterError(
@@ -177,6 +180,17 @@ def _job_queue(kind: str, jobs: int) -> Any:
         job.status = type(job.status)["failed"]
     queue.close()
     raise ClusterError(f"{kind}:{jobs}: {program} refuses the job: {reason}")
+
+
+@contextmanager
+def _own_signals() -> Iterator[None]:
+    """What Ctrl-C does stays as it is, whatever a library does when it is imported."""
+    handler = signal.getsignal(signal.SIGINT)
+    try:
+        yield
+    finally:
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGINT, handler)
 
 
 def _library(name: str) -> Any:

@@ -258,7 +258,7 @@ def test_ctrl_c_while_workers_are_busy_leaves_a_run_that_goes_on() -> None:
     record = minimize(
         RandomSearch(batch=10), Bowl(), BUDGET, workers=Watched(interrupt), evaluation_limit=LIMIT
     )
-    assert record.outcome is Outcome.INTERRUPTED
+    assert record.outcome is Outcome.INTERRUPTED, record.error
     assert record.evaluations == 20
     assert record.checkpoint is not None
     again = minimize(

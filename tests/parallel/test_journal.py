@@ -151,7 +151,6 @@ def test_only_what_is_dear_is_written(tmp_path: Path, monkeypatch: pytest.Monkey
     rows = np.arange(6.0).reshape(3, 2)
     for dear, count in ((0.0, 3), (np.inf, 0)):
         monkeypatch.setattr("miho.parallel.evaluations.DEAR", dear)
-        monkeypatch.setattr("miho.parallel.evaluations.CHEAP", 0.0)
         journal = Journal(tmp_path / f"journal-{dear}", Named())
         evaluated = Evaluations(None, journal).function("sum", lambda thetas: thetas.sum(axis=1))
         assert evaluated(rows).tolist() == [1.0, 5.0, 9.0]
