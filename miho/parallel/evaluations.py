@@ -6,7 +6,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import Future
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.parallel.journal import Journal
-from miho.parallel.pool import LOOK, Pool, lost
+from miho.parallel.pool import Pool, lost
 from miho.parallel.process_executor import WorkerLostError
 from miho.parallel.remote import Answer, Raised
 from miho.parallel.usage import Usage
@@ -123,8 +123,7 @@ class Evaluations:
             if ends[first] < math.inf:
                 return first
             futures = [self._pending[k].future for n in needs for k in n.keys if self._waits(k)]
-            wait(futures, LOOK, return_when=FIRST_COMPLETED)
-            self.check()
+            self._wait(futures)
 
     def close(self) -> None:
         """Give up what is not done."""
@@ -183,6 +182,11 @@ class Evaluations:
     def _waits(self, key: Key) -> bool:
         return key in self._pending and self._pending[key].ended == math.inf
 
+    def _wait(self, futures: Sequence[Future[Answer]]) -> None:
+        if self._pool is not None:
+            self._pool.wait(futures)
+        self.check()
+
     def _submit(
         self, task: Evaluated, keys: Sequence[Key], thetas: Array, todo: Sequence[int]
     ) -> bool:
@@ -220,8 +224,7 @@ class Evaluations:
             return self._journal[key]
         pending = self._pending[key]
         while not pending.future.done():
-            wait([pending.future], LOOK)
-            self.check()
+            self._wait([pending.future])
         self._take(pending)
         return self._here[key]
 

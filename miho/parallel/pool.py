@@ -8,7 +8,14 @@ import itertools
 import os
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    wait,
+)
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -99,7 +106,7 @@ class Pool:
         try:
             for future in futures:
                 while not future.done():  # so that signals are seen
-                    wait([future], LOOK)
+                    self.wait([future])
                 answer = future.result()
                 if answer.raised is not None:
                     raise answer.raised.as_error()
@@ -107,6 +114,10 @@ class Pool:
         finally:
             for future in futures:
                 future.cancel()
+
+    def wait(self, futures: Sequence[Future[Answer]]) -> None:
+        """Wait until a call has ended, but no longer than until the next look at who wants to stop."""
+        wait(futures, LOOK, return_when=FIRST_COMPLETED)
 
     def flush(self) -> None:
         """Have calls done that wait for others, where workers take several at once only."""
