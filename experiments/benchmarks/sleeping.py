@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import math
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,14 +16,12 @@ from miho.optim import Budget, BudgetExhausted, LeastSquaresProblem, Optimizer, 
 from miho.optim.meter import Clock
 from miho.optim.problem import mean_square
 from miho.optim.seeds import stream
-from miho.parallel import Evaluations, Pool
+from miho.parallel import Evaluations
 from miho.quantities import Array
 
 SIGMA = 0.7
 """The spread of log-normal lengths, of their natural logarithm."""
 ROWS, NOISE = 60, 0.05
-PATIENCE = 120.0
-"""Seconds in which all workers have to start."""
 
 
 @dataclass(frozen=True)
@@ -140,19 +137,3 @@ def search(
     evaluations.close()
     oracle.stop()
     return Search(seconds, oracle.evaluations, evaluations.usage.seconds, oracle.best)
-
-
-def start_all(pool: Pool) -> float:
-    """Seconds until each worker of a pool is there; raises RuntimeError if they do not come."""
-    started = time.perf_counter()
-    nap = 0.1
-    while len(set(pool.map(_nap, [nap] * pool.size))) < pool.size:
-        nap *= 1.5
-        if time.perf_counter() - started > PATIENCE:
-            raise RuntimeError(f"{pool.size} workers do not start within {PATIENCE:g} s")
-    return time.perf_counter() - started
-
-
-def _nap(seconds: float) -> int:
-    time.sleep(seconds)
-    return os.getpid()
