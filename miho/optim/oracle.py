@@ -155,7 +155,7 @@ class Oracle:
     @property
     def spreads(self) -> bool:
         """Whether workers make the evaluations of a batch: where it is known that they are dear."""
-        return self._evaluations is not None and self._evaluations.measured
+        return self._evaluations is not None and self._evaluations.spreads
 
     @property
     def usage(self) -> Usage | None:
