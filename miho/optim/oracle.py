@@ -125,7 +125,8 @@ class Oracle:
         cost = self._problem.cost(fidelity)
         unfinished = self.meter.unfinished
         losses = np.array(unfinished) if unfinished else NO_LOSSES
-        n, begun = len(thetas), self._evaluations is None
+        n = len(thetas)
+        begun = n == 1 or self._evaluations is None
         try:
             while losses.size < n:
                 if not begun and self.spreads:

@@ -222,7 +222,8 @@ class Evaluations:
         if self._pool is None or task.send is None or not todo or self._stays_here:
             return False
         each = self.usage.each or WORTH_SENDING
-        if each * len(todo) < 2 * WORTH_SENDING and not self._limited and len(self._pending) == 0:
+        few = each * len(todo) < 2 * WORTH_SENDING and not self._limited
+        if few and self._submitted is None:  # they are needed at once, and nothing else is
             return False
         rows = 1 if self._limited else max(1, math.ceil(WORTH_SENDING / each))
         self.usage.begin()

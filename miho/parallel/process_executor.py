@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import pickle
+import pickletools
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -37,6 +39,7 @@ class ProcessExecutor(Executor):
     def __init__(self, count: int, time_limit: float | None = None) -> None:
         self._max_workers = count
         self._count, self._limit = count, time_limit
+        self._modules = (__name__,)
         self._waiting: deque[tuple[int, bytes]] = deque()
         self._futures: dict[int, Future[Any]] = {}
         self._numbers = 0
@@ -44,6 +47,18 @@ class ProcessExecutor(Executor):
         self._lock = threading.Lock()
         self._woken, self._wake = multiprocessing.Pipe(duplex=False)
         self._thread: threading.Thread | None = None
+
+    def load_at_start(self, pickled: bytes) -> None:
+        """Have workers begin with the modules of a pickled object, loaded once for all of them.
+
+        Without effect on workers that were started before.
+        """
+        self._modules = (__name__, *modules_in(pickled))
+
+    @property
+    def started(self) -> bool:
+        """Whether there was anything to do."""
+        return self._thread is not None
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Have a function called by the next worker that is idle."""
@@ -79,7 +94,8 @@ class ProcessExecutor(Executor):
 
     def _serve(self) -> None:
         """In a thread: have workers, until all are ended."""
-        with Workers[Job, Any](_call, self._count, self._limit, (__name__,)) as workers:
+        with Workers[Job, Any](_call, self._count, self._limit, self._modules) as workers:
+            workers.watch.add(self._woken)
             while not self._closed:
                 self._give_and_take(workers)
 
@@ -95,7 +111,7 @@ class ProcessExecutor(Executor):
                 self._start(workers, number, job)
             else:
                 del self._futures[number]
-        for outcome in workers.wait(IDLE, self._woken):
+        for outcome in workers.wait(IDLE):
             future = self._futures.pop(outcome.job[0])
             if outcome.reason is None:
                 future.set_result(outcome.result)
@@ -115,6 +131,19 @@ def _call(job: Job) -> Any:
     """In a worker: what a job asks for."""
     function, args, kwargs = pickle.loads(job[1])  # noqa: S301 -- of the process that started this
     return function(*args, **kwargs)
+
+
+def modules_in(pickled: bytes) -> list[str]:
+    """The modules that a pickled object names, but for the program's own."""
+    names, strings = set(), list[str]()
+    for opcode, argument, _ in pickletools.genops(pickled):
+        if "UNICODE" in opcode.name:
+            strings.append(argument)
+        elif opcode.name == "GLOBAL":
+            names.add(argument.split()[0])
+        elif opcode.name == "STACK_GLOBAL":
+            names.update(strings[-2:-1])
+    return sorted(name for name in names & set(sys.modules) if name != "__main__")
 
 
 def processes_of(executor: Executor) -> int:
