@@ -12,7 +12,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
-from miho.optim import Budget, BudgetExhausted, LeastSquaresProblem, Optimizer, Oracle, Parameter, Space
+from miho.optim import (
+    Budget,
+    BudgetExhausted,
+    LeastSquaresProblem,
+    Optimizer,
+    Oracle,
+    Parameter,
+    Space,
+)
 from miho.optim.meter import Clock
 from miho.optim.problem import mean_square
 from miho.optim.seeds import stream
@@ -52,7 +60,12 @@ class Decay(LeastSquaresProblem):
 
     def __init__(self) -> None:
         self.space = Space(
-            (Parameter("a", "1", 0, 10), Parameter("b", "1", 0, 5), Parameter("c", "1", -5, 5), Parameter("d", "1", 0.5, 5))
+            (
+                Parameter("a", "1", 0, 10),
+                Parameter("b", "1", 0, 5),
+                Parameter("c", "1", -5, 5),
+                Parameter("d", "1", 0.5, 5),
+            )
         )
         self._x = np.random.default_rng(1).permutation(np.linspace(0, 4, ROWS))
         self._y = np.zeros(ROWS)

@@ -76,11 +76,11 @@ def virtual_search(
     """The search of a sleeping model by virtual workers; its seconds are virtual.
 
     The first evaluation, which a real search makes alone to see how long one takes, costs the mean.
+    All are made by workers (`limited`): what were made here would take no virtual time.
     """
     pool = VirtualPool(workers, overhead)
     pool.now = lengths.mean
-    evaluations = Evaluations(cast(Pool, pool))
-    evaluations.usage.each = lengths.mean
+    evaluations = Evaluations(cast(Pool, pool), limited=True)
     clock = Clock(lambda: pool.now, lambda: 0.0)
     problem = Sleeping(lengths, pool.sleep)
     found = search(optimizer, problem, evaluations, budget, seed, clock)

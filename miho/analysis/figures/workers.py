@@ -39,9 +39,7 @@ def many_workers_figure(frame: pd.DataFrame) -> Figure:
     Frame: kind, method, workers, sigma, seed, seconds (NaN where the optimum was not reached);
     rows of the kind `real`, by workers that really ran, are drawn as crosses.
     """
-    require_columns(
-        frame, {"kind", "method", "workers", "sigma", "seed", "seconds"}, "frame"
-    )
+    require_columns(frame, {"kind", "method", "workers", "sigma", "seed", "seconds"}, "frame")
     with house_style():
         figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
