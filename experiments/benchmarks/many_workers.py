@@ -1,6 +1,6 @@
-"""How a search grows with its workers, from 1 to 10,000, by simulation; checked against real ones.
+"""How a search gains by workers, from 1 to 10,000, by simulation; checked against real ones.
 
-python -m experiments.benchmarks.many_workers [--check] [--quick] [--output docs/results/many_workers]
+python -m experiments.benchmarks.many_workers [--check] [--quick] [--output FOLDER]
 
 The methods are the real ones, with all their decisions; workers and their time are virtual
 (`experiments.benchmarks.virtual_workers`). What a task costs the client is measured first. Seconds

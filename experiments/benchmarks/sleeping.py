@@ -44,6 +44,7 @@ class Lengths:
     sigma: float = 0.0
 
     def __call__(self, theta: Array) -> float:
+        """Seconds of this configuration."""
         if not self.sigma:
             return self.mean
         digest = hashlib.blake2b(theta.tobytes(), digest_size=8).digest()
@@ -120,7 +121,7 @@ class Sleeping(LeastSquaresProblem):
 
 @dataclass(frozen=True)
 class Search:
-    """How a search ended: wall `seconds`, evaluations, the sum of their `work` seconds, its loss."""
+    """How a search ended: wall seconds, evaluations, the seconds of all of them, best loss."""
 
     seconds: float
     evaluations: float

@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, wait
 from contextlib import AbstractContextManager, contextmanager, redirect_stdout
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -74,7 +75,7 @@ def ray_tune() -> Iterator[Run]:
 
         def run(count: int) -> object:
             settings = tune.TuneConfig(num_samples=max(1, count // TENTH))
-            with open(os.devnull, "w") as nowhere, redirect_stdout(nowhere):
+            with Path(os.devnull).open("w") as nowhere, redirect_stdout(nowhere):
                 return tune.Tuner(lambda config: {"loss": 0.0}, tune_config=settings).fit()
 
         yield run

@@ -30,7 +30,7 @@ from experiments.benchmarks.engines import PROCESSES, engines, started
 from experiments.benchmarks.sleeping import SIGMA, Lengths, Sleeping, search
 from experiments.benchmarks.virtual_workers import virtual_search
 from miho.analysis.figures.workers import efficiency_figure
-from miho.optim import MIHO, Budget, MIHOGN, Optimizer, Problem, RandomSearch, Space, minimize
+from miho.optim import MIHO, MIHOGN, Budget, Optimizer, Problem, RandomSearch, Space, minimize
 from miho.parallel import Evaluations
 from miho.quantities import Array
 

@@ -116,7 +116,7 @@ class Pool:
                 future.cancel()
 
     def wait(self, futures: Sequence[Future[Answer]]) -> None:
-        """Wait until a call has ended, but no longer than until the next look at who wants to stop."""
+        """Wait until a call has ended, but no longer than until somebody may want to stop."""
         wait(futures, LOOK, return_when=FIRST_COMPLETED)
 
     def flush(self) -> None:

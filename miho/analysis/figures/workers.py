@@ -37,7 +37,7 @@ def many_workers_figure(frame: pd.DataFrame) -> Figure:
     """Wall time over workers, a line per method with quartiles, a panel per spread of lengths.
 
     Frame: kind, method, workers, sigma, seed, seconds (NaN where the optimum was not reached);
-    rows of the kind `real`, by workers that really ran, are drawn as crosses.
+    rows of another kind than `simulated` are left out.
     """
     require_columns(frame, {"kind", "method", "workers", "sigma", "seed", "seconds"}, "frame")
     with house_style():
@@ -47,6 +47,7 @@ def many_workers_figure(frame: pd.DataFrame) -> Figure:
             rows = frame[(frame["sigma"] == sigma) & (frame["kind"] == "simulated")]
             for k, (name, line) in enumerate(rows.groupby("method", sort=False)):
                 _band(ax, line, str(name), k)
+            _ideal(ax, rows)
             ax.set(xscale="log", yscale="log", xlabel="workers")
             ax.set_title(title, loc="left")
         panels[0].set_ylabel("time to 1.01 of the optimum\n[mean evaluations]")
@@ -64,6 +65,17 @@ def _band(ax: Axes, line: pd.DataFrame, name: str, k: int) -> None:
         quartiles.index, quartiles[0.25], quartiles[0.75], color=look["color"], alpha=0.18, lw=0
     )
     ax.plot(quartiles.index, quartiles[0.5], label=name, **look)
+
+
+def _ideal(ax: Axes, rows: pd.DataFrame) -> None:
+    """The time of the first method with one worker, divided by the workers."""
+    line = rows[rows["method"] == rows["method"].iloc[0]].groupby("workers")["seconds"].median()
+    if line.empty:
+        return
+    low, workers = ax.get_ylim()[0], line.index.to_numpy(dtype=float)
+    ideal = line.iloc[0] * workers[0] / workers
+    shown = ideal >= low / 2
+    ax.plot(workers[shown], ideal[shown], color=GREY, linewidth=0.8, label="as many times faster")
 
 
 def _look(k: int) -> dict[str, object]:
