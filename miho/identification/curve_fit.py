@@ -17,8 +17,8 @@ from miho.identification.curve_fit_checks import (
     TRIALS,
     check_curve_fit,
     check_sigma,
+    examined,
     ties_of,
-    traced_where_alike,
 )
 from miho.identification.irreducible import irreducible_interval, irreducible_limit
 from miho.identification.loss import Loss, Square, slope
@@ -91,7 +91,7 @@ class CurveFit(Remade, LeastSquaresProblem):
     residuals then tell. Residuals and errors are weighted by `scale` / sigma, so that they and the
     loss keep the output's unit. `prior_scale` takes the place of `scale` for priors where sigma is
     not known: what it is estimated as. `tied_priors` are the tied parameters that have a prior. A
-    model that was `tried` before on these data is not evaluated here to see whether it can be.
+    dear model that was `tried` before on these data is not evaluated here to see whether it can be.
     """
 
     model: Model
@@ -111,7 +111,7 @@ class CurveFit(Remade, LeastSquaresProblem):
     def __post_init__(self, tried: bool) -> None:
         model = _model(self.model)
         if isinstance(model, FunctionModel):
-            model = traced_where_alike(model, self.dataset, self.space)
+            model = examined(model, self.dataset, self.space, tried)
         if self.space.free is not self.space:
             model = tie(model, ties_of(model, self.space))
             tied = tuple(p for p in self.space.parameters if p.tied and p.prior is not None)
