@@ -26,7 +26,7 @@ class VirtualPool:
     """What `Evaluations` uses of a pool, with `size` workers whose time is virtual."""
 
     def __init__(self, size: int, overhead: float) -> None:
-        self.size = size
+        self.size, self.limit = size, None
         self.now = 0.0
         self._overhead = overhead
         self._handed_over = 0.0

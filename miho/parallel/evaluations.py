@@ -145,6 +145,7 @@ class Evaluations:
                 return first
             futures = [self._pending[k].future for n in needs for k in n.keys if self._waits(k)]
             self._wait(futures)
+            self.check()
 
     def close(self) -> None:
         """Give up what is not done."""
@@ -213,7 +214,6 @@ class Evaluations:
     def _wait(self, futures: Sequence[Future[Answer]]) -> None:
         if self._pool is not None:
             self._pool.wait(futures)
-        self.check()
 
     def _submit(
         self, task: Evaluated, keys: Sequence[Key], thetas: Array, todo: Sequence[int]
@@ -254,6 +254,7 @@ class Evaluations:
         pending = self._pending[key]
         while not pending.future.done():
             self._wait([pending.future])
+            self.check()
         self._take(pending)
         return self._here[key]
 
