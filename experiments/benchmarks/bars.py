@@ -106,7 +106,10 @@ def _write(path: Path, name: str, measured: Measured) -> None:
     about = {
         "command": command_line(f"experiments.benchmarks.{name}"),
         **measured.facts,
-        "bars": [asdict(bar) | {"met": bar.met} for bar in measured.bars],
+        "bars": [
+            {**asdict(bar), "measured": float(bar.measured), "met": bool(bar.met)}
+            for bar in measured.bars
+        ],
         "notes": list(measured.notes),
         "rows": json.loads(measured.tidy.to_json(orient="records", double_precision=15)),
         "environment": environment_stamp(),

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import importlib
 import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.special import ndtri
 
 from miho.optim import (
+    MIHO,
     Budget,
     BudgetExhausted,
     LeastSquaresProblem,
@@ -30,6 +33,7 @@ from miho.quantities import Array
 SIGMA = 0.7
 """The spread of log-normal lengths, of their natural logarithm."""
 ROWS, NOISE = 60, 0.05
+SYNCHRONOUS, ASYNCHRONOUS = "MIHO", "MIHO, asynchronous"
 
 
 @dataclass(frozen=True)
@@ -127,6 +131,13 @@ class Search:
     evaluations: float
     work: float
     loss: float
+
+
+def forms(**settings: Any) -> dict[str, Optimizer]:
+    """MIHO with some settings, and its asynchronous form where the library has it."""
+    asynchronous = getattr(importlib.import_module("miho.optim"), "AsynchronousMIHO", None)
+    methods: dict[str, Optimizer] = {SYNCHRONOUS: MIHO(**settings)}
+    return methods if asynchronous is None else methods | {ASYNCHRONOUS: asynchronous(**settings)}
 
 
 def search(

@@ -12,11 +12,9 @@ those of more seeds, on virtual workers. *Cheap* is what `workers=2` costs a mod
 
 from __future__ import annotations
 
-import importlib
 import time
 from collections.abc import Iterator
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,10 +25,18 @@ from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark
 from experiments.benchmarks.engines import PROCESSES, engines, started
-from experiments.benchmarks.sleeping import SIGMA, Lengths, Sleeping, search
+from experiments.benchmarks.sleeping import (
+    ASYNCHRONOUS,
+    SIGMA,
+    SYNCHRONOUS,
+    Lengths,
+    Sleeping,
+    forms,
+    search,
+)
 from experiments.benchmarks.virtual_workers import virtual_search
 from miho.analysis.figures.workers import efficiency_figure
-from miho.optim import MIHO, MIHOGN, Budget, Optimizer, Problem, RandomSearch, Space, minimize
+from miho.optim import MIHO, MIHOGN, Budget, Problem, RandomSearch, Space, minimize
 from miho.parallel import Evaluations
 from miho.quantities import Array
 
@@ -46,15 +52,9 @@ CHEAP = 5.0
 HARMONICS = np.arange(1.0, 21.0)
 SAME = 1.02
 """Final errors whose medians differ by less are the same."""
-FORMS = ("MIHO", "AsynchronousMIHO")
+FORMS = (SYNCHRONOUS, ASYNCHRONOUS)
 OVERHEAD = 5e-4
 """Seconds of the client for a task of virtual workers, which matter little for final errors."""
-
-
-def method(name: str, **settings: Any) -> Optimizer | None:
-    """A method of the library by its name, None where it is not there."""
-    made = getattr(importlib.import_module("miho.optim"), name, None)
-    return None if made is None else made(**settings)
 
 
 def efficiencies(quick: bool) -> Iterator[dict[str, object]]:
@@ -81,10 +81,7 @@ def throughputs(quick: bool) -> Iterator[dict[str, object]]:
     size, settings = (8, {"R": 9, "eta": 3}) if quick else (MANY, {"R": 100, "eta": 3})
     with started(PROCESSES, size) as (pool, _):
         for seed in range(1 if quick else 3):
-            for form in FORMS:
-                optimizer = method(form, **settings)
-                if optimizer is None:
-                    continue
+            for form, optimizer in forms(**settings).items():
                 problem = Sleeping(Lengths(SECONDS, SIGMA))
                 found = search(optimizer, problem, Evaluations(pool), Budget(), seed)
                 yield {
@@ -103,21 +100,19 @@ def final_errors(quick: bool) -> Iterator[dict[str, object]]:
     """A row for each form of MIHO and seed, by virtual workers and to its own end."""
     lengths = Lengths(SECONDS, SIGMA)
     best = minimize(MIHOGN(), Sleeping(lengths, lambda seconds: None)).loss
-    for seed in range(3 if quick else 40):
-        for form in FORMS:
-            optimizer = method(form, R=100, eta=3)
-            if optimizer is not None:
-                found = virtual_search(optimizer, lengths, MANY, OVERHEAD, Budget(), seed)
-                yield {
-                    "kind": "final error",
-                    "name": form,
-                    "workers": MANY,
-                    "seed": seed,
-                    "evaluations": found.evaluations,
-                    "seconds": found.seconds,
-                    "per_second": found.evaluations / found.seconds,
-                    "error": float(np.sqrt(found.loss / best)),
-                }
+    for seed in range(10 if quick else 40):
+        for form, optimizer in forms(R=100, eta=3).items():
+            found = virtual_search(optimizer, lengths, MANY, OVERHEAD, Budget(), seed)
+            yield {
+                "kind": "final error",
+                "name": form,
+                "workers": MANY,
+                "seed": seed,
+                "evaluations": found.evaluations,
+                "seconds": found.seconds,
+                "per_second": found.evaluations / found.seconds,
+                "error": float(np.sqrt(found.loss / best)),
+            }
 
 
 class Bowl(Problem):
@@ -141,7 +136,7 @@ def cheap(quick: bool) -> Iterator[dict[str, object]]:
     compiled: Problem = build(composed(["dataset.n=300", "dataset=tire_lf"])).problem
     budgets = {"compiled": (compiled, MIHO()), "plain": (Bowl(compiled.space), RandomSearch())}
     for name, (problem, optimizer) in budgets.items():
-        budget = Budget(evaluations=30_000 if quick else 300_000)
+        budget = Budget(evaluations=100_000 if quick else 300_000)
         runs = {k: partial(minimize, optimizer, problem, budget, workers=k) for k in (1, 2)}
         for run in runs.values():
             run()

@@ -41,7 +41,7 @@ def many_workers_figure(frame: pd.DataFrame) -> Figure:
     """
     require_columns(frame, {"kind", "method", "workers", "sigma", "seed", "seconds"}, "frame")
     with house_style():
-        figure = Figure(figsize=(WIDTH, 3.4), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for ax, (sigma, title) in zip(panels, PANELS.items(), strict=True):
             rows = frame[(frame["sigma"] == sigma) & (frame["kind"] == "simulated")]
@@ -51,31 +51,33 @@ def many_workers_figure(frame: pd.DataFrame) -> Figure:
             ax.set(xscale="log", yscale="log", xlabel="workers")
             ax.set_title(title, loc="left")
         panels[0].set_ylabel("time to 1.01 of the optimum\n[mean evaluations]")
-        panels[1].legend()
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
         figure.draw_without_rendering()
     return figure
 
 
 def _band(ax: Axes, line: pd.DataFrame, name: str, k: int) -> None:
     """The median over seeds, with the quartiles as a band."""
-    seconds = line.assign(seconds=line["seconds"].fillna(float("inf"))).groupby("workers")
-    quartiles = seconds["seconds"].quantile([0.25, 0.5, 0.75], interpolation="nearest").unstack()
-    look = _look(k)
+    quartiles, look = _quartiles(line), _look(k)
     ax.fill_between(
         quartiles.index, quartiles[0.25], quartiles[0.75], color=look["color"], alpha=0.18, lw=0
     )
     ax.plot(quartiles.index, quartiles[0.5], label=name, **look)
 
 
+def _quartiles(line: pd.DataFrame) -> pd.DataFrame:
+    """Quartiles over seeds by workers; one that did not get there took longer than all others."""
+    seconds = line.assign(seconds=line["seconds"].fillna(float("inf"))).groupby("workers")
+    return seconds["seconds"].quantile([0.25, 0.5, 0.75], interpolation="nearest").unstack()
+
+
 def _ideal(ax: Axes, rows: pd.DataFrame) -> None:
     """The time of the first method with one worker, divided by the workers."""
-    line = rows[rows["method"] == rows["method"].iloc[0]].groupby("workers")["seconds"].median()
-    if line.empty:
-        return
-    low, workers = ax.get_ylim()[0], line.index.to_numpy(dtype=float)
-    ideal = line.iloc[0] * workers[0] / workers
-    shown = ideal >= low / 2
-    ax.plot(workers[shown], ideal[shown], color=GREY, linewidth=0.8, label="as many times faster")
+    line = _quartiles(rows[rows["method"] == rows["method"].iloc[0]])[0.5]
+    ideal = line.iloc[0] * line.index[0] / line.index.to_series()
+    ideal = ideal[ideal >= rows["seconds"].min()]
+    ax.plot(ideal.index, ideal, color=GREY, linewidth=0.8, label="MIHO, if all were always busy")
 
 
 def _look(k: int) -> dict[str, object]:
