@@ -28,6 +28,7 @@ from experiments.app.parts import model_files
 from experiments.app.schema import SweepConfig
 from miho.data import Dataset
 from miho.identification import CurveFit
+from miho.parallel.cluster import ADDRESSES, ClusterError, check_address, is_address
 from miho.parallel.workers import JobOutcome, Workers
 from miho.study import Identity
 from miho.study.identity import sha256
@@ -103,11 +104,29 @@ def planned_sweep(cfg: DictConfig, overrides: Sequence[Override]) -> list[Reques
 def sweep_settings(cfg: DictConfig) -> SweepConfig:
     """The checked settings of `sweep`; raises ConfigError."""
     settings = SweepConfig(**{str(key): value for key, value in cfg.sweep.items()})
-    if settings.processes < 1:
-        raise ConfigError(f"sweep.processes: is {settings.processes}; expected at least 1")
+    former, workers = settings.processes, settings.workers
+    if former is not None:
+        if former < 1:
+            raise ConfigError(f"sweep.processes: is {former}; expected at least 1")
+        if is_address(workers):
+            raise ConfigError("sweep.processes: is the former name of sweep.workers; give one")
+        settings = replace(settings, workers=former, processes=None)
+    elif is_address(workers):
+        _check_workers(workers)
+    elif isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
+        raise ConfigError(
+            f"sweep.workers: is {workers}; expected at least 1, or an address: {ADDRESSES}"
+        )
     if settings.time_limit is not None and not settings.time_limit > 0:
         raise ConfigError(f"sweep.time_limit: is {settings.time_limit}; expected seconds above 0")
     return settings
+
+
+def _check_workers(address: str) -> None:
+    try:
+        check_address(address)
+    except ClusterError as error:
+        raise ConfigError(f"sweep.workers: {error}") from None
 
 
 def seed_groups(overrides: Sequence[Override]) -> list[tuple[tuple[str, ...], list[int]]]:

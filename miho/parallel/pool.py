@@ -46,11 +46,13 @@ def open_pool(workers: Workers, time_limit: float | None = None) -> Iterator[Poo
     """
     with ExitStack() as stack:
         if isinstance(workers, str) and not workers.lstrip("-").isdigit():
-            from miho.parallel.cluster import cluster  # which needs the extra `cluster`
+            from miho.parallel.cluster import check_address, cluster  # of the extra `cluster`
 
             client = stack.enter_context(cluster(workers))
             executor: Any = client.get_executor(pure=False)
-            count = max(1, sum(client.ncores().values()))
+            place = check_address(workers)[1]
+            there = sum(client.ncores().values())  # jobs of a queue come later
+            count = place if isinstance(place, int) else max(1, there)
         elif isinstance(workers, Executor):
             executor, count = workers, processes_of(workers)
         elif callable(workers):
