@@ -15,7 +15,6 @@ import numpy as np
 from scipy.special import ndtri
 
 from miho.optim import (
-    MIHO,
     Budget,
     BudgetExhausted,
     LeastSquaresProblem,
@@ -33,7 +32,6 @@ from miho.quantities import Array
 SIGMA = 0.7
 """The spread of log-normal lengths, of their natural logarithm."""
 ROWS, NOISE = 60, 0.05
-SYNCHRONOUS, ASYNCHRONOUS = "MIHO", "MIHO, asynchronous"
 
 
 @dataclass(frozen=True)
@@ -133,11 +131,12 @@ class Search:
     loss: float
 
 
-def forms(**settings: Any) -> dict[str, Optimizer]:
-    """MIHO with some settings, and its asynchronous form where the library has it."""
-    asynchronous = getattr(importlib.import_module("miho.optim"), "AsynchronousMIHO", None)
-    methods: dict[str, Optimizer] = {SYNCHRONOUS: MIHO(**settings)}
-    return methods if asynchronous is None else methods | {ASYNCHRONOUS: asynchronous(**settings)}
+def forms(name: str, method: Callable[..., Optimizer], **settings: Any) -> dict[str, Optimizer]:
+    """A method with some settings by its name, and its asynchronous form where there is one."""
+    library = importlib.import_module("miho.optim")
+    other = getattr(library, f"Asynchronous{method.__name__}", None)
+    both = {name: method(**settings)}
+    return both if other is None else both | {f"{name}, asynchronous": other(**settings)}
 
 
 def search(

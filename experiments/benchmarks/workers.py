@@ -26,9 +26,7 @@ from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark
 from experiments.benchmarks.engines import PROCESSES, engines, started
 from experiments.benchmarks.sleeping import (
-    ASYNCHRONOUS,
     SIGMA,
-    SYNCHRONOUS,
     Lengths,
     Sleeping,
     forms,
@@ -52,7 +50,7 @@ CHEAP = 5.0
 HARMONICS = np.arange(1.0, 21.0)
 SAME = 1.02
 """Final errors whose medians differ by less are the same."""
-FORMS = (SYNCHRONOUS, ASYNCHRONOUS)
+FORMS = ("MIHO", "MIHO, asynchronous")
 OVERHEAD = 5e-4
 """Seconds of the client for a task of virtual workers, which matter little for final errors."""
 
@@ -81,7 +79,7 @@ def throughputs(quick: bool) -> Iterator[dict[str, object]]:
     size, settings = (8, {"R": 9, "eta": 3}) if quick else (MANY, {"R": 100, "eta": 3})
     with started(PROCESSES, size) as (pool, _):
         for seed in range(1 if quick else 3):
-            for form, optimizer in forms(**settings).items():
+            for form, optimizer in forms("MIHO", MIHO, **settings).items():
                 problem = Sleeping(Lengths(SECONDS, SIGMA))
                 found = search(optimizer, problem, Evaluations(pool), Budget(), seed)
                 yield {
@@ -101,7 +99,7 @@ def final_errors(quick: bool) -> Iterator[dict[str, object]]:
     lengths = Lengths(SECONDS, SIGMA)
     best = minimize(MIHOGN(), Sleeping(lengths, lambda seconds: None)).loss
     for seed in range(10 if quick else 40):
-        for form, optimizer in forms(R=100, eta=3).items():
+        for form, optimizer in forms("MIHO", MIHO, R=100, eta=3).items():
             found = virtual_search(optimizer, lengths, MANY, OVERHEAD, Budget(), seed)
             yield {
                 "kind": "final error",
