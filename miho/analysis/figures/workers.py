@@ -41,7 +41,7 @@ def many_workers_figure(frame: pd.DataFrame) -> Figure:
     """
     require_columns(frame, {"kind", "method", "workers", "sigma", "seed", "seconds"}, "frame")
     with house_style():
-        figure = Figure(figsize=(WIDTH, 3.6), layout="constrained")
+        figure = Figure(figsize=(WIDTH, 3.8), layout="constrained")
         panels = figure.subplots(1, 2, sharex=True, sharey=True)
         for ax, (sigma, title) in zip(panels, PANELS.items(), strict=True):
             rows = frame[(frame["sigma"] == sigma) & (frame["kind"] == "simulated")]
@@ -52,7 +52,7 @@ def many_workers_figure(frame: pd.DataFrame) -> Figure:
             ax.set_title(title, loc="left")
         panels[0].set_ylabel("time to 1.01 of the optimum\n[mean evaluations]")
         handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+        figure.legend(handles, labels, loc="outside lower center", ncols=3)
         figure.draw_without_rendering()
     return figure
 
