@@ -12,6 +12,7 @@ those of more seeds, on virtual workers. *Cheap* is what `workers=2` costs a mod
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -34,7 +35,7 @@ from experiments.benchmarks.sleeping import (
 )
 from experiments.benchmarks.virtual_workers import virtual_search
 from miho.analysis.figures.workers import efficiency_figure
-from miho.optim import MIHO, MIHOGN, Budget, Problem, RandomSearch, Space, minimize
+from miho.optim import MIHO, MIHOGN, Budget, Optimizer, Problem, RandomSearch, Space, minimize
 from miho.parallel import Evaluations
 from miho.quantities import Array
 
@@ -132,8 +133,11 @@ def cheap(quick: bool) -> Iterator[dict[str, object]]:
     """A row for each turn of a cheap model, compiled and not."""
     register()
     compiled: Problem = build(composed(["dataset.n=300", "dataset=tire_lf"])).problem
-    budgets = {"compiled": (compiled, MIHO()), "plain": (Bowl(compiled.space), RandomSearch())}
-    for name, (problem, optimizer) in budgets.items():
+    models: dict[str, tuple[Problem, Optimizer]] = {
+        "compiled": (compiled, MIHO()),
+        "plain": (Bowl(compiled.space), RandomSearch()),
+    }
+    for name, (problem, optimizer) in models.items():
         budget = Budget(evaluations=100_000 if quick else 300_000)
         runs = {k: partial(minimize, optimizer, problem, budget, workers=k) for k in (1, 2)}
         for run in runs.values():
@@ -158,20 +162,25 @@ def _bars(frame: pd.DataFrame) -> list[Bar]:
     for row in rows[rows["workers"].isin(LIMITS)].to_dict("records"):
         name = f"efficiency of {row['workers']} workers, {row['name']}"
         bars.append(Bar(name, row["efficiency"], AT_LEAST, LIMITS[row["workers"]]))
-    medians = frame.groupby(["kind", "name"])[["per_second", "error"]].median()
-    rows = frame[(frame["kind"] == "throughput") & (frame["workers"] == MANY)]
-    if set(FORMS) <= set(rows["name"]):
-        synchronous, asynchronous = (medians.loc[("throughput", f), "per_second"] for f in FORMS)
+    faster = _ratio(frame[frame["workers"] == MANY], "throughput", "per_second")
+    if not math.isnan(faster):
         name = f"throughput at {MANY} workers, asynchronous against synchronous"
-        bars.append(Bar(name, asynchronous / synchronous, AT_LEAST, FASTER, "times"))
-    if ("final error", FORMS[1]) in medians.index:
-        synchronous, asynchronous = (medians.loc[("final error", f), "error"] for f in FORMS)
+        bars.append(Bar(name, faster, AT_LEAST, FASTER, "times"))
+    worse = _ratio(frame, "final error", "error")
+    if not math.isnan(worse):
         name = "median final error, asynchronous against synchronous"
-        bars.append(Bar(name, asynchronous / synchronous, AT_MOST, SAME, "times"))
-    for name, rows in frame[frame["kind"] == "cheap"].groupby("name"):
-        loss = 100 * float((rows["seconds_2"] / rows["seconds_1"]).median() - 1)
-        bars.append(Bar(f"workers=2 against workers=1, {name} model", loss, AT_MOST, CHEAP, "%"))
+        bars.append(Bar(name, worse, AT_MOST, SAME, "times"))
+    for form, turns in frame[frame["kind"] == "cheap"].groupby("name"):
+        loss = 100 * float((turns["seconds_2"] / turns["seconds_1"]).median() - 1)
+        bars.append(Bar(f"workers=2 against workers=1, {form} model", loss, AT_MOST, CHEAP, "%"))
     return bars
+
+
+def _ratio(frame: pd.DataFrame, kind: str, column: str) -> float:
+    """The asynchronous median of a column over the synchronous one; NaN without either."""
+    rows = frame[frame["kind"] == kind]
+    synchronous, asynchronous = (rows[rows["name"] == form][column].median() for form in FORMS)
+    return float(asynchronous) / float(synchronous)
 
 
 def measure(quick: bool) -> Measured:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import pandas as pd
 import seaborn as sns
 from matplotlib.axes import Axes
@@ -69,7 +72,9 @@ def _band(ax: Axes, line: pd.DataFrame, name: str, k: int) -> None:
 def _quartiles(line: pd.DataFrame) -> pd.DataFrame:
     """Quartiles over seeds by workers; one that did not get there took longer than all others."""
     seconds = line.assign(seconds=line["seconds"].fillna(float("inf"))).groupby("workers")
-    return seconds["seconds"].quantile([0.25, 0.5, 0.75], interpolation="nearest").unstack()
+    return (
+        seconds["seconds"].quantile(np.array([0.25, 0.5, 0.75]), interpolation="nearest").unstack()
+    )
 
 
 def _ideal(ax: Axes, rows: pd.DataFrame) -> None:
@@ -80,7 +85,7 @@ def _ideal(ax: Axes, rows: pd.DataFrame) -> None:
     ax.plot(ideal.index, ideal, color=GREY, linewidth=0.8, label="MIHO, if all were always busy")
 
 
-def _look(k: int) -> dict[str, object]:
+def _look(k: int) -> dict[str, Any]:
     """Colour, dashes and marker, so that lines differ in print without colours too."""
     return {
         "color": COLOURS[k % len(COLOURS)],
