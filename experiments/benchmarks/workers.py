@@ -49,8 +49,9 @@ MANY = 32
 FASTER = 1.5
 CHEAP = 5.0
 HARMONICS = np.arange(1.0, 21.0)
-SAME = 1.02
-"""Final errors whose medians differ by less are the same."""
+SEEDS, SAME = 100, 1.05
+"""Medians of the final errors of so many seeds are the same if they differ by less: 2.5 standard
+errors of their ratio. Fewer seeds are not judged."""
 FORMS = ("MIHO", "MIHO, asynchronous")
 OVERHEAD = 5e-4
 """Seconds of the client for a task of virtual workers, which matter little for final errors."""
@@ -99,7 +100,7 @@ def final_errors(quick: bool) -> Iterator[dict[str, object]]:
     """A row for each form of MIHO and seed, by virtual workers and to its own end."""
     lengths = Lengths(SECONDS, SIGMA)
     best = minimize(MIHOGN(), Sleeping(lengths, lambda seconds: None)).loss
-    for seed in range(10 if quick else 40):
+    for seed in range(10 if quick else SEEDS):
         for form, optimizer in forms("MIHO", MIHO, R=100, eta=3).items():
             found = virtual_search(optimizer, lengths, MANY, OVERHEAD, Budget(), seed)
             yield {
@@ -167,7 +168,7 @@ def _bars(frame: pd.DataFrame) -> list[Bar]:
         name = f"throughput at {MANY} workers, asynchronous against synchronous"
         bars.append(Bar(name, faster, AT_LEAST, FASTER, "times"))
     worse = _ratio(frame, "final error", "error")
-    if not math.isnan(worse):
+    if not math.isnan(worse) and frame["seed"].max() == SEEDS - 1:
         name = "median final error, asynchronous against synchronous"
         bars.append(Bar(name, worse, AT_MOST, SAME, "times"))
     for form, turns in frame[frame["kind"] == "cheap"].groupby("name"):
