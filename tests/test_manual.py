@@ -7,6 +7,7 @@ import types
 from importlib.util import find_spec
 from pathlib import Path
 
+import cloudpickle
 import pytest
 
 from miho.data import embedded_tire
@@ -43,7 +44,11 @@ def test_python_blocks_run(block: str, tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     module = types.ModuleType("readme")
     monkeypatch.setitem(sys.modules, "readme", module)
-    exec(compile(block, "README.md", "exec"), module.__dict__)
+    cloudpickle.register_pickle_by_value(module)  # as functions of a main file are sent to workers
+    try:
+        exec(compile(block, "README.md", "exec"), module.__dict__)
+    finally:
+        cloudpickle.unregister_pickle_by_value(module)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import argparse
+import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from matplotlib.figure import Figure
 
 from experiments.app.console import BUG, OK, run_and_exit
 from miho.analysis import save
-from miho.study import environment_stamp, single_thread
+from miho.study import environment_stamp, single_thread, write_text
+from miho.study.provenance import command_line
 
 AT_MOST, AT_LEAST = "<=", ">="
 
@@ -50,29 +53,36 @@ class Measured:
     tidy: pd.DataFrame
     bars: Sequence[Bar]
     notes: Sequence[str] = ()
+    facts: Mapping[str, Any] = field(default_factory=dict)
+    """What else it was measured with, such as seeds and settings."""
 
 
 def benchmark(
     doc: str | None,
-    measure: Callable[[bool], Measured],
-    draw: Callable[[pd.DataFrame], Figure],
+    measure: Callable[..., Measured],
+    draw: Callable[[pd.DataFrame], Figure] | None,
     name: str,
+    flags: Mapping[str, str] | None = None,
 ) -> None:
     """Measure on one pinned thread, print, and exit with 1 if a bar is missed.
 
-    `measure` gets whether to be quick. Nothing is written unless `--output FOLDER` is given.
+    `measure` gets whether to be `quick`, and whether each of the `flags` is set, which have a line
+    of help each. Nothing is written unless `--output FOLDER` is given.
     """
     parser = argparse.ArgumentParser(description=(doc or "").strip().splitlines()[0])
     parser.add_argument("--quick", action="store_true", help="smaller sizes and fewer repeats")
-    parser.add_argument("--output", type=Path, help="folder for a table (CSV) and a figure")
+    parser.add_argument("--output", type=Path, help="folder for CSV, JSON and, if any, a figure")
+    for flag, text in (flags or {}).items():
+        parser.add_argument(f"--{flag}", action="store_true", help=text)
     arguments = parser.parse_args()
+    chosen = {flag: getattr(arguments, flag) for flag in flags or {}}
     bars: list[Bar] = []
 
     def job() -> int:
         print(machine())
         started = time.perf_counter()
         with single_thread():
-            measured = measure(arguments.quick)
+            measured = measure(arguments.quick, **chosen)
         bars.extend(measured.bars)
         print(f"\n{measured.table.to_string(index=False, float_format='{:.4g}'.format)}\n")
         for note in measured.notes:
@@ -83,10 +93,28 @@ def benchmark(
         if arguments.output is not None:
             arguments.output.mkdir(parents=True, exist_ok=True)
             measured.tidy.to_csv(arguments.output / f"{name}.csv", index=False)
-            save(draw(measured.tidy), arguments.output / name)
+            _write(arguments.output / f"{name}.json", name, measured)
+            if draw is not None:
+                save(draw(measured.tidy), arguments.output / name)
         return OK if all(bar.met for bar in bars) else BUG
 
     run_and_exit(job)
+
+
+def _write(path: Path, name: str, measured: Measured) -> None:
+    """Numbers and bars, and what they were measured with."""
+    about = {
+        "command": command_line(f"experiments.benchmarks.{name}"),
+        **measured.facts,
+        "bars": [
+            {**asdict(bar), "measured": float(bar.measured), "met": bool(bar.met)}
+            for bar in measured.bars
+        ],
+        "notes": list(measured.notes),
+        "rows": json.loads(measured.tidy.to_json(orient="records", double_precision=15)),
+        "environment": environment_stamp(),
+    }
+    write_text(path, json.dumps(about, indent=1) + "\n")
 
 
 def machine() -> str:

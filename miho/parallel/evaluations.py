@@ -8,7 +8,7 @@ import math
 import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, InvalidStateError, wait
+from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.parallel.journal import Journal
-from miho.parallel.pool import LOOK, Pool, lost
+from miho.parallel.pool import Pool, lost
 from miho.parallel.process_executor import OverdueError, WorkerLostError, WorkersGoneError
 from miho.parallel.remote import Answer, Raised
 from miho.parallel.usage import Usage
@@ -160,7 +160,7 @@ class Evaluations:
             if ends[first] < math.inf:
                 return first
             futures = [self._pending[k].future for n in needs for k in n.keys if self._waits(k)]
-            wait(futures, LOOK, return_when=FIRST_COMPLETED)
+            self._wait(futures)
             self._look([self._pending[k] for n in needs for k in n.keys if self._waits(k)])
 
     def close(self) -> None:
@@ -230,6 +230,10 @@ class Evaluations:
     def _waits(self, key: Key) -> bool:
         return key in self._pending and self._pending[key].ended == math.inf
 
+    def _wait(self, futures: Sequence[Future[Answer]]) -> None:
+        if self._pool is not None:
+            self._pool.wait(futures)
+
     def _submit(
         self, task: Evaluated, keys: Sequence[Key], thetas: Array, todo: Sequence[int]
     ) -> bool:
@@ -278,7 +282,7 @@ class Evaluations:
             return self._journal[key]
         pending = self._pending[key]
         while not pending.future.done():
-            wait([pending.future], LOOK)
+            self._wait([pending.future])
             self._look([pending])
         self._take(pending)
         return self._here[key]

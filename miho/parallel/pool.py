@@ -9,7 +9,14 @@ import itertools
 import os
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, wait
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    wait,
+)
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -113,7 +120,7 @@ class Pool:
         try:
             for future in futures:
                 while not future.done():  # so that signals are seen
-                    wait([future], LOOK)
+                    self.wait([future])
                 answer = future.result()
                 if answer.raised is not None:
                     raise answer.raised.as_error()
@@ -121,6 +128,10 @@ class Pool:
         finally:
             for future in futures:
                 future.cancel()
+
+    def wait(self, futures: Sequence[Future[Answer]]) -> None:
+        """Wait until a call has ended, but no longer than until somebody may want to stop."""
+        wait(futures, LOOK, return_when=FIRST_COMPLETED)
 
     def flush(self) -> None:
         """Have calls done that wait for others, where workers take several at once only."""

@@ -12,6 +12,7 @@ from miho.analysis.figures.benchmark import (
     overhead_figure,
     run_figure,
 )
+from miho.analysis.figures.workers import efficiency_figure, many_workers_figure
 
 LOSS = pd.DataFrame(
     [(n, batch, method, ns * (1 + 100 / n))
@@ -62,3 +63,29 @@ def test_arrival_figure_shows_medians_over_runs() -> None:
 def test_a_frame_of_another_benchmark_is_refused() -> None:
     with pytest.raises(ValueError, match="lacks the columns"):
         loss_figure(GROWTH)
+
+
+def test_efficiency_figure_has_a_line_per_engine_over_workers() -> None:
+    rows = [("efficiency", engine, n, e) for engine, e in (("processes", 0.97), ("Dask", 0.9))
+            for n in (1, 8)]  # fmt: skip
+    frame = pd.DataFrame(
+        [*rows, ("throughput", "MIHO", 32, 0.4)],
+        columns=["kind", "name", "workers", "efficiency"],
+    )
+    (ax,) = efficiency_figure(frame).axes
+    lines = {str(line.get_label()): list(line.get_ydata()) for line in ax.get_lines()}
+    assert lines == {"processes": [0.97, 0.97], "Dask": [0.9, 0.9]}
+    assert [tick.get_text() for tick in ax.get_xticklabels()] == ["1", "8"]
+
+
+def test_many_workers_figure_has_a_panel_per_spread_and_medians_over_seeds() -> None:
+    rows = [("simulated", method, n, sigma, seed, factor * (seed + 1) / n)
+            for method, factor in (("MIHO", 100.0), ("MIHO-GN", 10.0))
+            for n in (1, 10) for sigma in (0.0, 0.7) for seed in range(3)]  # fmt: skip
+    columns = ["kind", "method", "workers", "sigma", "seed", "seconds"]
+    checked = ("check", "MIHO", 4, 0.0, 0, 3.0)
+    figure = many_workers_figure(pd.DataFrame([*rows, checked], columns=columns))
+    for ax in figure.axes:
+        lines = {str(line.get_label()): list(line.get_ydata()) for line in ax.get_lines()}
+        assert lines["MIHO"] == [200.0, 20.0]
+        assert lines["MIHO-GN"] == [20.0, 2.0]

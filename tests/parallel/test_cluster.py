@@ -64,7 +64,7 @@ def test_a_missing_library(monkeypatch: Any, library: str) -> None:
 
 @pytest.mark.parametrize("kind", ["slurm", "pbs", "lsf"])
 def test_a_machine_that_submits_no_jobs(monkeypatch: Any, tmp_path: Path, kind: str) -> None:
-    pytest.importorskip("dask_jobqueue", reason="the extra cluster is not installed")
+    pytest.importorskip("distributed", reason="the extra cluster is not installed")
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(ClusterError, match="there is no program"):
         cluster(f"{kind}:1").__enter__()
@@ -153,7 +153,7 @@ kill "$1"
 @pytest.mark.slow
 def test_jobs_of_a_queue(monkeypatch: Any, tmp_path: Path) -> None:
     """A queue that begins each job at once, by scripts in the place of SLURM's programs."""
-    pytest.importorskip("dask_jobqueue", reason="the extra cluster is not installed")
+    pytest.importorskip("distributed", reason="the extra cluster is not installed")
     from dask import config
 
     for name, text in (("sbatch", SUBMIT), ("scancel", CANCEL)):

@@ -1,0 +1,157 @@
+"""How a search gains by workers, from 1 to 10,000, by simulation; checked against real ones.
+
+python -m experiments.benchmarks.many_workers [--check] [--quick] [--output FOLDER]
+
+The methods are the real ones, with all their decisions; workers and their time are virtual
+(`experiments.benchmarks.virtual_workers`). What a task costs the client is measured first. Seconds
+are those until the loss is within 1 % of the optimum, with evaluations of 1 s on average, of equal
+length or spread log-normally. `--check` has real workers sleep as well, 1 to 64 of them, in smaller
+searches to their own end, and compares their seconds with those of virtual ones.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark
+from experiments.benchmarks.engines import PROCESSES, started
+from experiments.benchmarks.sleeping import SIGMA, Lengths, Sleeping, forms, search
+from experiments.benchmarks.virtual_workers import virtual_search
+from miho.analysis.figures.workers import many_workers_figure
+from miho.optim import MIHO, MIHOGN, Budget, RandomSearch, minimize
+from miho.parallel import Evaluations
+
+METHODS = forms("MIHO", MIHO, R=1000, eta=10) | forms("MIHO-GN", MIHOGN)
+SMALL = forms("MIHO", MIHO, R=27, eta=3) | forms("MIHO-GN", MIHOGN, brackets=3)
+"""Searches that sleeping workers end within half a minute."""
+SIZES = (1, 3, 10, 32, 100, 316, 1000, 3162, 10_000)
+REAL_SIZES = (1, 2, 4, 8, 16, 32, 64)
+SECONDS, REAL_SECONDS = 1.0, 0.05
+SEEDS = 10
+WITHIN = 1.01
+TASKS = 1000
+NEAR = 0.15
+"""Simulated and real seconds differ by no more than this share, as a median."""
+
+
+class Job(NamedTuple):
+    """One search by virtual workers."""
+
+    name: str
+    workers: int
+    sigma: float
+    seed: int
+    overhead: float
+    target: float
+
+
+def measured_overhead() -> float:
+    """Seconds of the client for a task: evaluations of nothing, all of which are sent."""
+    with started(PROCESSES, 2) as (pool, _):
+        evaluations = Evaluations(pool, limited=True)
+        found = search(
+            RandomSearch(batch=TASKS), Sleeping(Lengths(0.0)), evaluations,
+            Budget(evaluations=TASKS),
+        )  # fmt: skip
+    return found.seconds / TASKS
+
+
+def optimum() -> float:
+    """The smallest loss of the sleeping model."""
+    return minimize(MIHOGN(), Sleeping(Lengths(0.0), lambda seconds: None)).loss
+
+
+def simulated(job: Job) -> dict[str, Any]:
+    """A row: virtual seconds until the target, NaN if it was not reached."""
+    lengths, budget = Lengths(SECONDS, job.sigma), Budget(target=job.target)
+    found = virtual_search(METHODS[job.name], lengths, job.workers, job.overhead, budget, job.seed)
+    return {
+        "kind": "simulated",
+        "method": job.name,
+        "workers": job.workers,
+        "sigma": job.sigma,
+        "seed": job.seed,
+        "seconds": found.seconds if found.loss <= job.target else math.nan,
+        "evaluations": found.evaluations,
+        "efficiency": found.work / (job.workers * found.seconds),
+    }
+
+
+def growth(quick: bool, overhead: float, target: float) -> list[dict[str, Any]]:
+    """A row for each method, number of workers, spread and seed; several at a time."""
+    sizes, seeds = (SIZES[:5:2], 2) if quick else (SIZES, SEEDS)
+    jobs = [
+        Job(name, size, sigma, seed, overhead, target)
+        for size in reversed(sizes)  # the longest first
+        for sigma in (0.0, SIGMA)
+        for name in METHODS
+        for seed in range(seeds)
+    ]
+    with started(PROCESSES, os.cpu_count() or 1) as (pool, _):
+        # by their positions: only the function may be of the program's main file
+        return list(pool.map(lambda k: simulated(jobs[k]), range(len(jobs))))
+
+
+def checked(quick: bool, overhead: float) -> Iterator[dict[str, Any]]:
+    """A row for each method, number of workers and spread: seconds of real and virtual workers."""
+    for size in REAL_SIZES[3:4] if quick else REAL_SIZES:
+        with started(PROCESSES, size) as (pool, _):
+            for sigma in (0.0, SIGMA):
+                lengths = Lengths(REAL_SECONDS, sigma)
+                for name, optimizer in SMALL.items():
+                    real = search(optimizer, Sleeping(lengths), Evaluations(pool), Budget())
+                    virtual = virtual_search(optimizer, lengths, size, overhead, Budget())
+                    yield {
+                        "kind": "check",
+                        "method": name,
+                        "workers": size,
+                        "sigma": sigma,
+                        "seed": 0,
+                        "seconds": real.seconds,
+                        "simulated_seconds": virtual.seconds,
+                        "ratio": virtual.seconds / real.seconds,
+                    }
+
+
+def measure(quick: bool, check: bool) -> Measured:
+    """The medians over seeds as a table, and how near real workers are."""
+    overhead, target = measured_overhead(), WITHIN * optimum()
+    frame = pd.DataFrame(growth(quick, overhead, target))
+    late = frame.assign(seconds=frame["seconds"].fillna(math.inf))
+    medians = late.groupby(["sigma", "workers", "method"])["seconds"].median().unstack()
+    table = medians[list(METHODS)].reset_index()
+    reached = frame.groupby("method")["seconds"].apply(lambda s: s.notna().mean())
+    notes = [
+        f"seconds until the loss is within 1 % of the optimum, medians of "
+        f"{frame['seed'].nunique()} seeds; a task costs the client {1e3 * overhead:.2g} ms",
+        *(f"{name} gets there in {reached[name]:.0%} of runs" for name in METHODS),
+    ]
+    bars = [Bar("the runs' share that gets there", float(reached.min()), AT_LEAST, 0.5)]
+    if check:
+        rows = pd.DataFrame(checked(quick, overhead))
+        columns = ["method", "sigma", "workers", "seconds", "simulated_seconds", "ratio"]
+        notes.append(rows[columns].to_string(index=False, float_format="{:.3g}".format))
+        off = float(np.median(np.abs(rows["ratio"] - 1)))
+        bars.append(Bar("simulated against real seconds, median difference", off, AT_MOST, NEAR))
+        frame = pd.concat([frame, rows], ignore_index=True)
+    facts = {
+        "seconds_an_evaluation": SECONDS,
+        "sigma": SIGMA,
+        "overhead_seconds": overhead,
+        "target": target,
+        "seeds": sorted(frame["seed"].unique().tolist()),
+        "methods": {name: repr(optimizer) for name, optimizer in METHODS.items()},
+        "check": {name: repr(optimizer) for name, optimizer in SMALL.items()} if check else None,
+    }
+    return Measured(table, frame, bars, notes, facts)
+
+
+if __name__ == "__main__":
+    flags = {"check": "compare with real workers, 1 to 64 of them, which takes minutes"}
+    benchmark(__doc__, measure, many_workers_figure, "many_workers", flags)

@@ -1,0 +1,163 @@
+"""A model that takes as long as it is told to: a decay whose every evaluation sleeps first."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import importlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtri
+
+from miho.optim import (
+    Budget,
+    BudgetExhausted,
+    LeastSquaresProblem,
+    Optimizer,
+    Oracle,
+    Parameter,
+    Space,
+)
+from miho.optim.meter import Clock
+from miho.optim.problem import mean_square
+from miho.optim.seeds import stream
+from miho.parallel import Evaluations
+from miho.quantities import Array
+
+SIGMA = 0.7
+"""The spread of log-normal lengths, of their natural logarithm."""
+ROWS, NOISE = 60, 0.05
+
+
+@dataclass(frozen=True)
+class Lengths:
+    """How long an evaluation of a configuration (d,) takes: `mean` seconds on average.
+
+    Spread log-normally by `sigma`, 0 for equal ones. The same configuration takes as long wherever
+    it is evaluated: its bytes are hashed.
+    """
+
+    mean: float
+    sigma: float = 0.0
+
+    def __call__(self, theta: Array) -> float:
+        """Seconds of this configuration."""
+        if not self.sigma:
+            return self.mean
+        digest = hashlib.blake2b(theta.tobytes(), digest_size=8).digest()
+        uniform = (int.from_bytes(digest, "little") + 0.5) / 2**64
+        return self.mean * math.exp(self.sigma * float(ndtri(uniform)) - self.sigma**2 / 2)
+
+
+class Decay(LeastSquaresProblem):
+    """y = a exp(-b x) + c sin(d x) with noise, in a wide box; residuals in plain NumPy."""
+
+    name = "decay"
+    linear = ("a", "c")
+    rows = ROWS
+
+    def __init__(self) -> None:
+        self.space = Space(
+            (
+                Parameter("a", "1", 0, 10),
+                Parameter("b", "1", 0, 5),
+                Parameter("c", "1", -5, 5),
+                Parameter("d", "1", 0.5, 5),
+            )
+        )
+        self._x = np.random.default_rng(1).permutation(np.linspace(0, 4, ROWS))
+        self._y = np.zeros(ROWS)
+        truth = np.array([4.0, 1.2, 1.0, 2.0])
+        noise = NOISE * np.random.default_rng(2).standard_normal(ROWS)
+        self._y = self.residuals(truth) + noise
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Mean square of the residuals."""
+        return np.array([mean_square(self.residuals(theta, fidelity)) for theta in thetas])
+
+    def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
+        """Of the first rows (m,)."""
+        (a, b, c, d), m = theta, round(fidelity * ROWS)
+        x = self._x[:m]
+        return np.asarray(a * np.exp(-b * x) + c * np.sin(d * x) - self._y[:m])
+
+    def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
+        """Its derivatives (m, 4)."""
+        (a, b, c, d), x = theta, self._x[: round(fidelity * ROWS)]
+        decay = np.exp(-b * x)
+        return np.column_stack([decay, -a * x * decay, np.sin(d * x), c * x * np.cos(d * x)])
+
+
+class Sleeping(LeastSquaresProblem):
+    """A decay each of whose evaluations takes its time by `sleep`; less on a part of the rows.
+
+    Derivatives take as long as those by differences: an evaluation for each parameter.
+    """
+
+    linear, rows = Decay.linear, Decay.rows
+
+    def __init__(self, lengths: Lengths, sleep: Callable[[float], None] = time.sleep) -> None:
+        self._inner, self._lengths, self._sleep = Decay(), lengths, sleep
+        self.name, self.space = self._inner.name, self._inner.space
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Losses (n,), one after the other."""
+        self._sleep(fidelity * sum(self._lengths(theta) for theta in thetas))
+        return self._inner.loss(thetas, fidelity)
+
+    def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
+        """Of the first rows (m,)."""
+        self._sleep(fidelity * self._lengths(theta))
+        return self._inner.residuals(theta, fidelity)
+
+    def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
+        """Their derivatives (m, d)."""
+        self._sleep(len(self.space) * fidelity * self._lengths(theta))
+        return self._inner.jacobian(theta, fidelity)
+
+
+@dataclass(frozen=True)
+class Search:
+    """How a search ended: wall seconds, evaluations, the seconds of all of them, best loss."""
+
+    seconds: float
+    evaluations: float
+    work: float
+    loss: float
+
+
+def forms(name: str, method: Callable[..., Optimizer], **settings: Any) -> dict[str, Optimizer]:
+    """A method with some settings by its name, and its asynchronous form where there is one."""
+    library = importlib.import_module("miho.optim")
+    other = getattr(library, f"Asynchronous{method.__name__}", None)
+    both = {name: method(**settings)}
+    return both if other is None else both | {f"{name}, asynchronous": other(**settings)}
+
+
+def search(
+    optimizer: Optimizer,
+    problem: LeastSquaresProblem,
+    evaluations: Evaluations,
+    budget: Budget,
+    seed: int = 0,
+    clock: Clock | None = None,
+) -> Search:
+    """Search as `minimize` does, by workers that run already, real or virtual."""
+    oracle = Oracle(
+        problem.spread(evaluations),
+        budget,
+        space=problem.space.seeded(problem.name, seed),
+        clock=clock,
+        evaluations=evaluations,
+    )
+    with contextlib.suppress(BudgetExhausted):
+        optimizer.run(oracle, stream("own", problem.name, seed, type(optimizer).__name__))
+    seconds = oracle.seconds
+    evaluations.close()
+    oracle.stop()
+    return Search(seconds, oracle.evaluations, evaluations.usage.seconds, oracle.best)

@@ -1,0 +1,213 @@
+"""How well workers are used, by models that sleep and by one that is cheap.
+
+python -m experiments.benchmarks.workers [--quick] [--output FOLDER]
+
+Sleeping models let a machine of few cores hold many workers. *Efficiency* is the evaluations' own
+seconds over wall seconds times workers, in batches of equal evaluations of 100 ms; workers are
+there before, and what their start took is told apart. *Throughput* is evaluations per second of
+MIHO and of its asynchronous form where evaluations are spread log-normally; their final errors are
+those of more seeds, on virtual workers. *Cheap* is what `workers=2` costs a model of 1 µs against
+`workers=1`, in calls of `minimize` that take turns.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+import pandas as pd
+from scipy.stats import mannwhitneyu
+
+from experiments.app.build import build
+from experiments.app.compose import composed
+from experiments.app.schema import register
+from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark
+from experiments.benchmarks.engines import PROCESSES, engines, started
+from experiments.benchmarks.sleeping import (
+    SIGMA,
+    Lengths,
+    Sleeping,
+    forms,
+    search,
+)
+from experiments.benchmarks.virtual_workers import virtual_search
+from miho.analysis.figures.workers import efficiency_figure
+from miho.optim import MIHO, MIHOGN, Budget, Optimizer, Problem, RandomSearch, Space, minimize
+from miho.parallel import Evaluations
+from miho.quantities import Array
+
+SECONDS = 0.1
+SIZES = (1, 2, 4, 8, 16, 32, 64)
+BATCH = 256
+EACH = 20
+"""Evaluations for each worker, at least, and no fewer than a batch of 64 in all."""
+LIMITS = {8: 0.9, 64: 0.8}
+MANY = 32
+FASTER = 1.5
+CHEAP = 5.0
+HARMONICS = np.arange(1.0, 21.0)
+SEEDS, SAME = 100, 1.05
+"""Medians of the final errors of so many seeds are the same if they differ by less: 2.5 standard
+errors of their ratio. Fewer seeds are not judged."""
+FORMS = ("MIHO", "MIHO, asynchronous")
+OVERHEAD = 5e-4
+"""Seconds of the client for a task of virtual workers, which matter little for final errors."""
+
+
+def efficiencies(quick: bool) -> Iterator[dict[str, object]]:
+    """A row for each engine and number of workers."""
+    for engine in engines():
+        for size in (2, 8) if quick else SIZES:
+            count = 64 * max(1, -(-EACH * size // 64))
+            with started(engine, size) as (pool, start):
+                problem, optimizer = Sleeping(Lengths(SECONDS)), RandomSearch(batch=BATCH)
+                found = search(optimizer, problem, Evaluations(pool), Budget(evaluations=count))
+            yield {
+                "kind": "efficiency",
+                "name": engine,
+                "workers": size,
+                "evaluations": count,
+                "seconds": found.seconds,
+                "start_seconds": start,
+                "efficiency": SECONDS * count / (size * found.seconds),
+            }
+
+
+def throughputs(quick: bool) -> Iterator[dict[str, object]]:
+    """A row for each form of MIHO and seed, by real workers and to its own end."""
+    size, settings = (8, {"R": 9, "eta": 3}) if quick else (MANY, {"R": 100, "eta": 3})
+    with started(PROCESSES, size) as (pool, _):
+        for seed in range(1 if quick else 3):
+            for form, optimizer in forms("MIHO", MIHO, **settings).items():
+                problem = Sleeping(Lengths(SECONDS, SIGMA))
+                found = search(optimizer, problem, Evaluations(pool), Budget(), seed)
+                yield {
+                    "kind": "throughput",
+                    "name": form,
+                    "workers": size,
+                    "seed": seed,
+                    "evaluations": found.evaluations,
+                    "seconds": found.seconds,
+                    "per_second": found.evaluations / found.seconds,
+                    "efficiency": found.work / (size * found.seconds),
+                }
+
+
+def final_errors(quick: bool) -> Iterator[dict[str, object]]:
+    """A row for each form of MIHO and seed, by virtual workers and to its own end."""
+    lengths = Lengths(SECONDS, SIGMA)
+    best = minimize(MIHOGN(), Sleeping(lengths, lambda seconds: None)).loss
+    for seed in range(10 if quick else SEEDS):
+        for form, optimizer in forms("MIHO", MIHO, R=100, eta=3).items():
+            found = virtual_search(optimizer, lengths, MANY, OVERHEAD, Budget(), seed)
+            yield {
+                "kind": "final error",
+                "name": form,
+                "workers": MANY,
+                "seed": seed,
+                "evaluations": found.evaluations,
+                "seconds": found.seconds,
+                "per_second": found.evaluations / found.seconds,
+                "error": float(np.sqrt(found.loss / best)),
+            }
+
+
+class Bowl(Problem):
+    """Harmonics of the distance to the middle of the box: about 1 µs a row, in plain NumPy."""
+
+    name = "bowl"
+
+    def __init__(self, space: Space) -> None:
+        self.space = space
+        self._middle, self._width = (space.low + space.high) / 2, space.high - space.low
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """Losses (n,)."""
+        scaled = (thetas - self._middle) / self._width
+        return np.asarray((1 - np.cos(HARMONICS * scaled[..., None])).mean(axis=(1, 2)))
+
+
+def cheap(quick: bool) -> Iterator[dict[str, object]]:
+    """A row for each turn of a cheap model, compiled and not."""
+    register()
+    compiled: Problem = build(composed(["dataset.n=300", "dataset=tire_lf"])).problem
+    models: dict[str, tuple[Problem, Optimizer]] = {
+        "compiled": (compiled, MIHO()),
+        "plain": (Bowl(compiled.space), RandomSearch()),
+    }
+    for name, (problem, optimizer) in models.items():
+        budget = Budget(evaluations=100_000 if quick else 300_000)
+        runs = {k: partial(minimize, optimizer, problem, budget, workers=k) for k in (1, 2)}
+        for run in runs.values():
+            run()
+        for turn in range(4 if quick else 20):
+            row: dict[str, object] = {"kind": "cheap", "name": name, "seed": 0}
+            # Who begins takes turns as well, for what a run leaves behind, such as memory.
+            for workers in sorted(runs, reverse=bool(turn % 2)):
+                began = time.perf_counter()
+                record = runs[workers]()
+                row[f"seconds_{workers}"] = time.perf_counter() - began
+                row["evaluations"] = record.evaluations
+                if record.usage is not None:
+                    row["says"] = str(record.usage)
+            yield row
+
+
+def _bars(frame: pd.DataFrame) -> list[Bar]:
+    """What has to be met, as far as it was measured."""
+    bars = []
+    rows = frame[frame["kind"] == "efficiency"]
+    for row in rows[rows["workers"].isin(LIMITS)].to_dict("records"):
+        name = f"efficiency of {row['workers']} workers, {row['name']}"
+        bars.append(Bar(name, row["efficiency"], AT_LEAST, LIMITS[row["workers"]]))
+    faster = _ratio(frame[frame["workers"] == MANY], "throughput", "per_second")
+    if not math.isnan(faster):
+        name = f"throughput at {MANY} workers, asynchronous against synchronous"
+        bars.append(Bar(name, faster, AT_LEAST, FASTER, "times"))
+    worse = _ratio(frame, "final error", "error")
+    if not math.isnan(worse) and frame["seed"].max() == SEEDS - 1:
+        name = "median final error, asynchronous against synchronous"
+        bars.append(Bar(name, worse, AT_MOST, SAME, "times"))
+    for form, turns in frame[frame["kind"] == "cheap"].groupby("name"):
+        loss = 100 * float((turns["seconds_2"] / turns["seconds_1"]).median() - 1)
+        bars.append(Bar(f"workers=2 against workers=1, {form} model", loss, AT_MOST, CHEAP, "%"))
+    return bars
+
+
+def _ratio(frame: pd.DataFrame, kind: str, column: str) -> float:
+    """The asynchronous median of a column over the synchronous one; NaN without either."""
+    rows = frame[frame["kind"] == kind]
+    synchronous, asynchronous = (rows[rows["name"] == form][column].median() for form in FORMS)
+    return float(asynchronous) / float(synchronous)
+
+
+def measure(quick: bool) -> Measured:
+    """All rows; those of several seeds and turns by their medians in the table."""
+    tidy = [*cheap(quick), *efficiencies(quick), *throughputs(quick), *final_errors(quick)]
+    frame = pd.DataFrame(tidy)
+    numbers = [column for column in frame if column not in ("kind", "name", "seed", "says")]
+    groups = frame.assign(workers=frame["workers"].fillna(1)).groupby(
+        ["kind", "name", "workers"], sort=False
+    )
+    table = groups[[column for column in numbers if column != "workers"]].median().reset_index()
+    table.insert(3, "runs", groups.size().to_numpy())
+    notes = [f"cheap, {row['name']}, workers=2 says: {row['says']}"
+             for row in frame[frame["kind"] == "cheap"].groupby("name").last().reset_index()
+             .to_dict("records")]  # fmt: skip
+    errors = frame[frame["kind"] == "final error"].groupby("name")["error"].apply(list)
+    if set(FORMS) <= set(errors.index):
+        p = mannwhitneyu(*(errors[form] for form in FORMS)).pvalue
+        notes.append(f"final errors over that of the optimum, both forms: Mann-Whitney p = {p:.2g}")
+    else:
+        notes.append(f"left out: {FORMS[1]}, which is not there")
+    if len(engines()) == 1:
+        notes.append("left out: Dask, which is not installed (extra cluster)")
+    facts = {"seconds": SECONDS, "sigma": SIGMA, "batch": BATCH, "seeds": "column seed"}
+    return Measured(table.astype(object).fillna(""), frame, _bars(frame), notes, facts)
+
+
+if __name__ == "__main__":
+    benchmark(__doc__, measure, efficiency_figure, "workers")

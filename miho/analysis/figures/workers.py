@@ -1,0 +1,100 @@
+"""Figures of many workers: how well they are used, and how long a search takes with them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import seaborn as sns
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from miho.analysis.figures.house import WIDTH, house_style
+from miho.analysis.tidy import require_columns
+
+COLOURS = sns.color_palette("colorblind").as_hex()
+DASHES = ("solid", (0, (4, 1.5)), (0, (1, 1.2)), "dashdot")
+MARKERS = ("o", "s", "^", "D")
+GREY = "#777777"
+PANELS = {0.0: "evaluations of equal length", 0.7: "spread log-normally (σ = 0.7)"}
+
+
+def efficiency_figure(frame: pd.DataFrame) -> Figure:
+    """Efficiency over workers, a line per engine. Frame: kind, name, workers, efficiency."""
+    require_columns(frame, {"kind", "name", "workers", "efficiency"}, "frame")
+    rows = frame[frame["kind"] == "efficiency"]
+    with house_style():
+        figure = Figure(figsize=(WIDTH / 2, 3.0), layout="constrained")
+        ax = figure.subplots()
+        for k, (name, line) in enumerate(rows.groupby("name", sort=False)):
+            ax.plot(line["workers"], line["efficiency"], label=name, **_look(k))
+        ax.set(xscale="log", xlabel="workers", ylabel="efficiency", ylim=(0, 1.05))
+        _whole_ticks(ax, sorted(rows["workers"].unique()))
+        ax.legend(loc="lower left")
+        figure.draw_without_rendering()
+    return figure
+
+
+def many_workers_figure(frame: pd.DataFrame) -> Figure:
+    """Wall time over workers, a line per method with quartiles, a panel per spread of lengths.
+
+    Frame: kind, method, workers, sigma, seed, seconds (NaN where the optimum was not reached);
+    rows of another kind than `simulated` are left out.
+    """
+    require_columns(frame, {"kind", "method", "workers", "sigma", "seed", "seconds"}, "frame")
+    with house_style():
+        figure = Figure(figsize=(WIDTH, 3.8), layout="constrained")
+        panels = figure.subplots(1, 2, sharex=True, sharey=True)
+        for ax, (sigma, title) in zip(panels, PANELS.items(), strict=True):
+            rows = frame[(frame["sigma"] == sigma) & (frame["kind"] == "simulated")]
+            for k, (name, line) in enumerate(rows.groupby("method", sort=False)):
+                _band(ax, line, str(name), k)
+            _ideal(ax, rows)
+            ax.set(xscale="log", yscale="log", xlabel="workers")
+            ax.set_title(title, loc="left")
+        panels[0].set_ylabel("time to 1.01 of the optimum\n[mean evaluations]")
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        figure.draw_without_rendering()
+    return figure
+
+
+def _band(ax: Axes, line: pd.DataFrame, name: str, k: int) -> None:
+    """The median over seeds, with the quartiles as a band."""
+    quartiles, look = _quartiles(line), _look(k)
+    ax.fill_between(
+        quartiles.index, quartiles[0.25], quartiles[0.75], color=look["color"], alpha=0.18, lw=0
+    )
+    ax.plot(quartiles.index, quartiles[0.5], label=name, **look)
+
+
+def _quartiles(line: pd.DataFrame) -> pd.DataFrame:
+    """Quartiles over seeds by workers; one that did not get there took longer than all others."""
+    seconds = line.assign(seconds=line["seconds"].fillna(float("inf"))).groupby("workers")
+    return (
+        seconds["seconds"].quantile(np.array([0.25, 0.5, 0.75]), interpolation="nearest").unstack()
+    )
+
+
+def _ideal(ax: Axes, rows: pd.DataFrame) -> None:
+    """The time of the first method with one worker, divided by the workers."""
+    line = _quartiles(rows[rows["method"] == rows["method"].iloc[0]])[0.5]
+    ideal = line.iloc[0] * line.index[0] / line.index.to_series()
+    ideal = ideal[ideal >= rows["seconds"].min()]
+    ax.plot(ideal.index, ideal, color=GREY, linewidth=0.8, label="MIHO, if all were always busy")
+
+
+def _look(k: int) -> dict[str, Any]:
+    """Colour, dashes and marker, so that lines differ in print without colours too."""
+    return {
+        "color": COLOURS[k % len(COLOURS)],
+        "linestyle": DASHES[k % len(DASHES)],
+        "marker": MARKERS[k % len(MARKERS)],
+        "markersize": 3.5,
+    }
+
+
+def _whole_ticks(ax: Axes, workers: list[float]) -> None:
+    ax.set_xticks(workers, labels=[f"{w:g}" for w in workers])
+    ax.minorticks_off()
