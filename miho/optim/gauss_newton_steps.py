@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -96,38 +97,84 @@ def _step_by_step(oracle: Oracle, state: MIHOGNState) -> None:
     """Give each candidate its steps, with each evaluation made by the problem."""
     box, level_rows, active = state.box, state.level_rows, int(state.place[ACTIVE])
     rules = rules_of(state.place, level_rows, state.d, state.settings)
-    p, d, m = box.linear.size, state.d, state.rows
+    d, m = state.d, state.rows
     w = work(np.empty(room_for(d, m, level_rows.size)), d, m, level_rows.size)
     size, with_derivatives = int(state.place[SIZE]), int(state.place[STORED])
     c = state.candidates.with_derivatives(state.stored, size, with_derivatives)
     fidelity = 1.0 if rules.last else m / int(level_rows[-1])
-    share = 1.0 if rules.last else oracle.cost(fidelity)
     if not (rules.last and rules.steps):
         _evaluate_entering(oracle, fidelity, c, active, box, level_rows, rules, w)
-    i = 0
-    while (i := next_to_evaluate(*c[:4], i, active, box, m, state.minima, rules, w)) < active:
-        stage = c.stage[i]
-        project = bool(c.projects[i]) and stage != RECORD
-        cost = p + 1 if project else 1
+    # A round is one evaluation of each candidate that needs one: they do not depend on each other.
+    while True:
+        needs, i = [], state.turn
+        while (i := next_to_evaluate(*c[:4], i, active, box, m, state.minima, rules, w)) < active:
+            needs.append((i, w.theta.copy()))
+            i += 1
+        if not needs and state.turn == 0:
+            return
+        if oracle.spreads:
+            _begin_ahead(oracle, fidelity, c, needs, box)
+        for state.turn, theta in needs:
+            w.theta[:] = theta
+            _evaluate(oracle, state, fidelity, c, state.turn, rules, w)
+        state.turn = 0
+
+
+def _begin_ahead(
+    oracle: Oracle,
+    fidelity: float,
+    c: GNCandidates,
+    needs: Sequence[tuple[int, Array]],
+    box: GNBox,
+) -> None:
+    """Have workers begin what candidates need at some configurations, by their position."""
+    looks: list[Array] = []
+    slopes: list[Array] = []
+    for i, theta in needs:
+        if c.stage[i] == SLOPES:
+            slopes.append(theta)
+            looks += [theta] * (not c.derivatives.shape[2])
+        else:
+            looks.append(theta)
+            if c.projects[i] and c.stage[i] != RECORD:
+                looks += [_probe(theta, k, box) for k in box.linear]
+    oracle.ahead(np.array(slopes), fidelity, "jacobian")
+    oracle.ahead(np.array(looks), fidelity, "residuals")
+
+
+def _evaluate(
+    oracle: Oracle,
+    state: MIHOGNState,
+    fidelity: float,
+    c: GNCandidates,
+    i: int,
+    rules: GNRules,
+    w: Work,
+) -> None:
+    """Make the evaluation that candidate i needs next, at w.theta, and move it on."""
+    box, m, stage = state.box, state.rows, c.stage[i]
+    project = bool(c.projects[i]) and stage != RECORD
+    cost = box.linear.size + 1 if project else 1
+    if stage == SLOPES:
+        cost = oracle.jacobian_cost + (not c.derivatives.shape[2])
+    if not oracle.affords(cost * (1.0 if rules.last else oracle.cost(fidelity))):
+        raise BudgetExhausted
+    try:
         if stage == SLOPES:
-            cost = oracle.jacobian_cost + (not c.derivatives.shape[2])
-        if not oracle.affords(cost * share):
-            raise BudgetExhausted
-        try:
-            if stage == SLOPES:
-                _evaluate_slopes(oracle, fidelity, c, i, box, m, w)
-            elif project:
-                loss = _evaluate_projected(oracle, fidelity, c, i, box, level_rows, w)
-                after_one_evaluation(*c[:4], i, loss, box, m, rules, oracle.best, w)
-            else:
-                r = oracle.residuals(w.theta.copy(), fidelity)
-                _hand_over(oracle, fidelity, c, np.array([i]), r[None], box, level_rows, rules, w)
-        except UnusableValueError:
-            if stage == SLOPES:
-                c.stage[i] = UNUSABLE
-            else:
-                after_one_evaluation(*c[:4], i, math.inf, box, m, rules, oracle.best, w)
-        c.spent[i] += m * cost
+            _evaluate_slopes(oracle, fidelity, c, i, box, m, w)
+        elif project:
+            loss = _evaluate_projected(oracle, fidelity, c, i, box, state.level_rows, w)
+            after_one_evaluation(*c[:4], i, loss, box, m, rules, oracle.best, w)
+        else:
+            r = oracle.residuals(w.theta.copy(), fidelity)
+            index = np.array([i])
+            _hand_over(oracle, fidelity, c, index, r[None], box, state.level_rows, rules, w)
+    except UnusableValueError:
+        if stage == SLOPES:
+            c.stage[i] = UNUSABLE
+        else:
+            after_one_evaluation(*c[:4], i, math.inf, box, m, rules, oracle.best, w)
+    c.spent[i] += m * cost
 
 
 def _evaluate_entering(
@@ -213,12 +260,20 @@ def _evaluate_projected(
     p = box.linear.size
     columns = np.empty((p + 1, r.size))
     for column, k in enumerate(box.linear):
-        # as far away as the box allows: the wider a difference, the more exact
-        probe, up = theta.copy(), box.high[k] - theta[k] >= theta[k] - box.low[k]
-        probe[k] = box.high[k] if up else box.low[k]
+        probe = _probe(theta, k, box)
         scale = (box.high[k] - box.low[k]) / (probe[k] - theta[k])
         columns[column] = (oracle.residuals(probe, fidelity, goes_on=True) - r) * scale
     columns[p] = r
     loss = solve_columns(*c[:4], i, box, columns, w)
     r += w.step[:p] @ columns[:p]
     return loss
+
+
+def _probe(theta: Array, k: int, box: GNBox) -> Array:
+    """The configuration whose residuals tell of the linear parameter k.
+
+    As far away as the box allows: the wider a difference, the more exact.
+    """
+    probe, up = theta.copy(), box.high[k] - theta[k] >= theta[k] - box.low[k]
+    probe[k] = box.high[k] if up else box.low[k]
+    return probe
