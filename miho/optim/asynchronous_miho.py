@@ -149,7 +149,7 @@ class AsynchronousMIHO(MIHOSettings, Resumable[AsynchronousMIHOState]):
             return
         chain.rung.add(chain.loss, chain.x)
         state.chains.pop()
-        state.brackets = [b for b in state.brackets if not b.rungs[-1].complete]
+        state.brackets = [b for b in state.brackets if not all(r.complete for r in b.rungs)]
 
     def done(self, state: AsynchronousMIHOState) -> bool:
         """After the last bracket."""

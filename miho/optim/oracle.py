@@ -206,6 +206,11 @@ class Oracle:
         positions, position = self.meter.arrivals.positions, 0
         if len(positions) < len(self._replayed):
             position = self._replayed[len(positions)]
+            if not 0 <= position < len(needs):
+                raise ValueError(
+                    f"replay: arrival {len(positions)} is at position {position} of {len(needs)}; "
+                    "expected the arrivals of the same method, problem and seed"
+                )
         elif self._evaluations is not None:
             position = self._evaluations.first_ready(needs)
         positions.append(position)
