@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import math
 import pickle
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.optimize import curve_fit, least_squares
 
 import miho
@@ -312,3 +315,69 @@ def test_a_fit_of_a_linear_function_has_no_better_optimum(start: dict[str, float
         assert "no other optimum is better" in fit.optimum
     bent = miho.fit(lambda x, a, b: a * np.exp(b * x), x, y, start={"a": 1, "b": 1})
     assert "no other optimum" not in bent.optimum
+
+
+def _oscillator(t, w, d):
+    def slopes(_, state):
+        return [state[1], -w * w * state[0] - 2 * d * w * state[1]]
+
+    return solve_ivp(slopes, (0, t[-1]), [1, 0], t_eval=t, rtol=1e-8, atol=1e-8).y[0]
+
+
+def _branching(t, a, b):
+    if a > 1:
+        return a * np.exp(-b * t)
+    return math.exp(-a) + 0 * t
+
+
+def _cumulative(t, a, b):
+    return np.cumsum(a * np.exp(-b * t))
+
+
+@pytest.mark.parametrize(
+    ("function", "truth", "box"),
+    [
+        (_oscillator, {"w": 5.0, "d": 0.1}, {"w": (1, 10), "d": (0.01, 1)}),
+        (_branching, {"a": 2.0, "b": 1.5}, {"a": (0.1, 5), "b": (0.01, 10)}),
+        (_cumulative, {"a": 2.0, "b": 1.5}, {"a": (0.1, 5), "b": (0.01, 10)}),
+    ],
+)
+def test_any_function_of_numbers_is_fitted(function: Any, truth: Any, box: Any) -> None:
+    """As by SciPy from beside the truth; a simulation is asked for all rows, in their order."""
+    lengths = []
+
+    def counted(t, **parameters):
+        lengths.append(t.size)
+        return function(t, **parameters)
+
+    values = function(t, **truth) + 0.02 * noise
+    counted.__signature__ = inspect.signature(function)  # type: ignore[attr-defined]
+    fit = miho.fit(counted, t, values, box)
+    start = [0.9 * value for value in truth.values()]
+    theta, _ = curve_fit(function, t, values, start, xtol=1e-12, ftol=1e-12)
+    assert list(fit.values.values()) == pytest.approx(theta, rel=1e-4)
+    assert "none found a better one" in fit.optimum
+    assert fit.problem.model.ordered == (function is not _branching)
+    if function is not _branching:
+        assert sum(length < 60 for length in lengths) == 1  # the comparison
+
+
+def test_from_a_start_a_simulation_is_tried_out_near_it() -> None:
+    """And not within the box of a million times the start, where it would take for ever."""
+    seen = []
+
+    def counted(t, w, d):
+        seen.extend(value for value in (w, d) if isinstance(value, float))  # tracing has symbols
+        return _oscillator(t, w, d)
+
+    fit = miho.fit(counted, t, _oscillator(t, 5.0, 0.1), start={"w": 4.5, "d": 0.2})
+    assert fit.values == pytest.approx({"w": 5.0, "d": 0.1}, rel=1e-4)
+    assert 5 < max(seen) < 100
+
+
+def test_the_curve_of_a_simulation_is_drawn_at_the_rows_of_data() -> None:
+    values = _cumulative(t, 2.0, 1.5) + 0.02 * noise
+    fit = miho.fit(_cumulative, t, values, {"a": (0.1, 5), "b": (0.01, 10)})
+    (line,) = fit.plot().axes[0].lines
+    assert np.array_equal(line.get_xdata(), t)
+    assert np.array_equal(line.get_ydata(), fit.predict(t).value)

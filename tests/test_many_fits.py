@@ -54,6 +54,25 @@ def test_groups_of_a_frame_may_differ_in_length_and_columns() -> None:
         assert table.loc[f"r{k}", NAMES].tolist() == pytest.approx(theta, rel=1e-4)
 
 
+def test_a_simulation_gets_the_rows_of_each_dataset_alone() -> None:
+    """Whose times rise to the last row; the lengths differ, and so do those of equal times."""
+
+    def summed(t, a, b):
+        assert (np.diff(t) > 0).all()
+        return np.cumsum(a * np.exp(-b * t))
+
+    lengths = [50, 40, 50, 30, 50, 40]
+    frames = [
+        pd.DataFrame({"run": k, "t": t[:n], "V": summed(t[:n], *TRUTH[k, :2]) + y[k, :n] / 100})
+        for k, n in enumerate(lengths)
+    ]
+    box = {"a": (0, 10), "b": (0.05, 20)}
+    table = miho.fit_many(summed, pd.concat(frames), "V", box, by="run")
+    for k, frame in enumerate(frames):
+        theta, _ = curve_fit(summed, frame["t"], frame["V"], TRUTH[k, :2], xtol=1e-12)
+        assert table.loc[k, ["a", "b"]].tolist() == pytest.approx(theta, rel=1e-4)
+
+
 def test_tied_and_fixed_parameters_have_columns_too() -> None:
     table = miho.fit_many(decay, t, y[:9], {"a": (0, 10)}, fixed={"c": 0.1}, tied={"b": "2 * a"})
     assert (table["c"] == 0.1).all()

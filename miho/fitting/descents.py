@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -101,14 +101,29 @@ class Batch:
         elif self._alike:
             values = self.model.predict(thetas, *self.columns[:, 0])
         else:
-            parts = zip(thetas, inputs.transpose(1, 0, 2), strict=True)
-            values = np.vstack([self.model.predict(theta[None], *part) for theta, part in parts])
+            values = self._padded(
+                self.model.predict(theta[None], *part)[0]
+                for theta, part in self._own(thetas, which)
+            )
         return np.where(self.real[which], values - self.outputs[which], 0.0)
 
     @cached_property
     def _alike(self) -> bool:
         """Whether all datasets have the same columns."""
-        return bool((self.columns == self.columns[:, :1]).all())
+        same = (self.columns == self.columns[:, :1]).all() and (self.rows == self.rows[0]).all()
+        return bool(same)
+
+    def _own(self, thetas: Array, which: Indices) -> Iterator[tuple[Array, Array]]:
+        """Each configuration (d,) with the columns (p, N) of its dataset, as long as that is."""
+        for theta, k in zip(thetas, which, strict=True):
+            yield theta, self.columns[:, k, : self.rows[k]]
+
+    def _padded(self, parts: Iterable[Array]) -> Array:
+        """Values (N, ...) of datasets, filled with zeros to one length."""
+        N = self.outputs.shape[1]
+        return np.stack(
+            [np.pad(part, [(0, N - len(part)), *[(0, 0)] * (part.ndim - 1)]) for part in parts]
+        )
 
     def slopes(self, thetas: Array, which: Indices) -> Array:
         """Their derivatives, (n, N, d)."""
@@ -121,8 +136,9 @@ class Batch:
         elif self._alike:
             J = self._differences(thetas)
         else:
-            parts = zip(thetas, inputs.transpose(1, 0, 2), strict=True)
-            J = np.stack([self.model.jacobian(theta, *part) for theta, part in parts])
+            J = self._padded(
+                self.model.jacobian(theta, *part) for theta, part in self._own(thetas, which)
+            )
         return np.where(self.real[which][..., None], J, 0.0)
 
     def _differences(self, thetas: Array) -> Array:

@@ -15,7 +15,7 @@ from miho.fitting.one_fit import Fit, has_priors, searched, without_priors
 from miho.fitting.statement import space_of
 from miho.identification.constraints import constrained
 from miho.identification.curve_fit import CurveFit
-from miho.identification.curve_fit_checks import SMALLEST, traced_where_alike
+from miho.identification.curve_fit_checks import SMALLEST, examined
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
 from miho.identification.uncertainty import linearised
@@ -169,7 +169,7 @@ class Joint:
             if isinstance(model, FunctionModel):
                 own = zip(model.parameters, part.parameters, strict=True)
                 ranges = Space(tuple(replace(named[joint], name=name) for name, joint in own))
-                model = traced_where_alike(model, self.parts[part.name].dataset, ranges)
+                model = examined(model, self.parts[part.name].dataset, ranges)
             members.append(part._replace(model=model))
         return joined(JointModel(tuple(members)))
 

@@ -42,8 +42,6 @@ SETTLED, ROUNDS = 1e-6, 100
 rounds at most."""
 LINEAR = 1e-9
 """The loss of a linear problem's optimum is known to this share."""
-GRID = 400
-"""Points of a curve that is drawn."""
 
 
 class Prediction(NamedTuple):
@@ -271,9 +269,7 @@ class Fit(Remade):
         """The curve at inputs, given as to `fit`, with its interval at `level`."""
         inputs = inputs_of(self.problem.model, x)
         columns = np.broadcast_arrays(*(np.atleast_1d(c).astype(float) for c in inputs.values()))
-        value = self.problem.model.predict(self.theta[None], *columns)[0]
-        slopes = self.problem.model.jacobian(self.theta, *columns)
-        reach = self.uncertainty.reach(slopes, self.level)
+        value, reach = self._band(*columns)
         return Prediction(value, value - reach, value + reach)
 
     def to_tir(self, path: str | os.PathLike[str]) -> None:
@@ -292,9 +288,15 @@ class Fit(Remade):
 
         return sample_posterior(self.problem, self.theta, **settings)
 
+    def _band(self, *columns: Array) -> tuple[Array, Array]:
+        """The curve at input columns (N,), and the half width of its interval."""
+        value = self.problem.model.predict(self.theta[None], *columns)[0]
+        slopes = self.problem.model.jacobian(self.theta, *columns)
+        return value, self.uncertainty.reach(slopes, self.level)
+
     def plot(self) -> Figure:
         """Data and curve with its interval; over several inputs, measured over predicted values."""
-        from miho.analysis.figures.report import Column, fit_figure
+        from miho.analysis.figures.report import Column, curve_band, fit_figure
 
         dataset, inputs = self.problem.dataset, self.problem.model.inputs
         parts = rows_of_parts(self.problem.model, self.problem.inputs)
@@ -305,9 +307,7 @@ class Fit(Remade):
         if len(inputs) == 1:
             (name,) = inputs
             x = Column(name, dataset.units[name], dataset[name])
-            grid = np.linspace(x.values.min(), x.values.max(), GRID)
-            curve = self.predict(grid)
-            band = (grid, curve.value, curve.high - curve.value)
+            band = curve_band(x.values, self.problem.model.ordered, self._band)
         return fit_figure(measured, predicted, x, band, parts)
 
     def __str__(self) -> str:

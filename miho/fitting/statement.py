@@ -18,7 +18,8 @@ from miho.optim import Parameter, Space
 
 FAR = 1e6
 """A parameter without bounds is sought so many times its start on either side of it."""
-
+NEAR = 0.1
+"""A model is tried out at parameters without bounds that differ by this share from their start."""
 
 Tire = MagicFormula | str | os.PathLike[str]
 
@@ -197,7 +198,9 @@ def space_of(
             ends = at - FAR * max(abs(at), 1.0), at + FAR * max(abs(at), 1.0)
             if settings.get("scale") == "log" and at > 0:
                 ends = at / FAR, at * FAR
-            settings = {"low": ends[0], "high": ends[1], **settings}
+            # A model is tried out where it will be used: far off, a simulation may take for ever.
+            spread = NEAR if settings.get("scale") == "log" else NEAR * (abs(at) or 1.0)
+            settings = {"low": ends[0], "high": ends[1], "mean": at, "std": spread, **settings}
         elif not settings:
             raise ValueError(
                 f"{name} has no bounds; give them, as in {{{name!r}: (0, 10)}}, or a start of "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import InitVar, dataclass, field, replace
+from dataclasses import InitVar, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -17,8 +17,8 @@ from miho.identification.curve_fit_checks import (
     TRIALS,
     check_curve_fit,
     check_sigma,
+    examined,
     ties_of,
-    traced_where_alike,
 )
 from miho.identification.irreducible import irreducible_interval, irreducible_limit
 from miho.identification.loss import Loss, Square, slope
@@ -59,6 +59,8 @@ REMEMBERED = 1 << 20
 """Numbers of errors to remember for the derivatives of a robust loss at the same configurations."""
 WORTH_COMPILING = 20_000
 """Rows from which on a search by NumPy takes seconds, as compiling a user's function does."""
+OF_THE_MODEL = ("_fitted", "_latest_errors")
+"""What a problem remembers of its model's outputs."""
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
 
@@ -89,7 +91,7 @@ class CurveFit(Remade, LeastSquaresProblem):
     residuals then tell. Residuals and errors are weighted by `scale` / sigma, so that they and the
     loss keep the output's unit. `prior_scale` takes the place of `scale` for priors where sigma is
     not known: what it is estimated as. `tied_priors` are the tied parameters that have a prior. A
-    model that was `tried` before on these data is not evaluated here to see whether it can be.
+    dear model that was `tried` before on these data is not evaluated here to see whether it can be.
     """
 
     model: Model
@@ -109,7 +111,7 @@ class CurveFit(Remade, LeastSquaresProblem):
     def __post_init__(self, tried: bool) -> None:
         model = _model(self.model)
         if isinstance(model, FunctionModel):
-            model = traced_where_alike(model, self.dataset, self.space)
+            model = examined(model, self.dataset, self.space, tried)
         if self.space.free is not self.space:
             model = tie(model, ties_of(model, self.space))
             tied = tuple(p for p in self.space.parameters if p.tied and p.prior is not None)
@@ -303,11 +305,12 @@ class CurveFit(Remade, LeastSquaresProblem):
         model = self.model.with_leaves(
             lambda leaf: SpreadModel(leaf, evaluations, f"model {next(count)}")
         )
-        return (
-            self
-            if model is self.model or not next(count)
-            else replace(self, model=model, tried=True)
-        )
+        if model is self.model or not next(count):
+            return self
+        problem = object.__new__(CurveFit)  # all else that is known of this one stays so
+        known = {key: value for key, value in vars(self).items() if key not in OF_THE_MODEL}
+        vars(problem).update(known, model=model)
+        return problem
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Mean squared error (n,) of parameter rows (n, d), over a fidelity of the data rows."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,10 +13,10 @@ import numpy as np
 from miho.data.dataset import Dataset
 from miho.identification.loss import Square
 from miho.models.function_model import FunctionModel
-from miho.models.model import ExternalModel, Model
+from miho.models.model import DifferencedModel, ExternalModel, Model
 from miho.models.plain_arithmetic import is_arithmetic
 from miho.models.symbolic import arguments_of
-from miho.models.tied import Ties
+from miho.models.tied import Ties, whole_model
 from miho.optim.space import Space
 from miho.parallel.evaluations import DEAR
 from miho.quantities import Array
@@ -76,7 +77,10 @@ def _is_dear(problem: CurveFit, model_name: str) -> bool:
         return leaf
 
     model.with_leaves(note)
-    if not any(isinstance(leaf, FunctionModel | ExternalModel) for leaf in leaves):
+    functions = [leaf for leaf in leaves if isinstance(leaf, FunctionModel)]
+    if any(function.dear for function in functions):
+        return True
+    if not functions and not any(isinstance(leaf, ExternalModel) for leaf in leaves):
         return False
     started = time.perf_counter()
     actual = model.predict(problem.space.decode(problem.space.initial(1)), *problem.inputs).shape
@@ -91,10 +95,10 @@ def _check_shapes(problem: CurveFit, model_name: str) -> None:
     """Refuse a model whose methods do not give the shapes that the search relies on."""
     model, dataset = problem.model, problem.dataset
     thetas, rows = problem.space.decode(problem.space.initial(2)), len(dataset)
-    shapes = {
-        "predict": (model.predict(thetas, *problem.inputs).shape, (2, rows)),
-        "jacobian": (model.jacobian(thetas[0], *problem.inputs).shape, (rows, len(problem.space))),
-    }
+    shapes = {"predict": (model.predict(thetas, *problem.inputs).shape, (2, rows))}
+    if not isinstance(whole_model(model), DifferencedModel | ExternalModel):  # differences do
+        J = model.jacobian(thetas[0], *problem.inputs)
+        shapes["jacobian"] = J.shape, (rows, len(problem.space))
     for method, (actual, expected) in shapes.items():
         if actual != expected:
             raise ValueError(f"{model_name}.{method} gives shape {actual}; expected {expected}")
@@ -147,13 +151,13 @@ def _check_prior(problem: CurveFit) -> None:
         raise ValueError(f"space.{name}.prior: priors need the loss Square")
 
 
-def traced_where_alike(model: FunctionModel, dataset: Dataset, space: Space) -> Model:
+def examined(model: FunctionModel, dataset: Dataset, space: Space, tried: bool = False) -> Model:
     """The function as a formula, if both give the same on the data at some configurations.
 
-    One that was read from a file is only called here if its text says that it is arithmetic.
+    Else as one that is known to be element by element in the rows of data, or not to be. One that
+    was read from a file is only traced if its text says that it is arithmetic. One that was `tried`
+    before, and found to be dear, is not called.
     """
-    if model.source is not None and not is_arithmetic(model.function):
-        return model
     lacking = [name for name in model.inputs if name not in dataset.columns]
     if lacking:
         return model  # which is refused
@@ -161,16 +165,23 @@ def traced_where_alike(model: FunctionModel, dataset: Dataset, space: Space) -> 
     rng = np.random.default_rng(0)
     thetas = np.empty((TRIALS, len(model.parameters)))
     for k, name in enumerate(model.parameters):
-        draws, known = rng.random(TRIALS), parameters.get(name)
-        thetas[:, k] = 0.5 + draws
+        known = parameters.get(name)
         if known is not None and known.free:
-            low, high = (np.log(known.low), np.log(known.high)) if known.scale == "log" else (
-                known.low, known.high)  # fmt: skip
-            values = low + draws * (high - low)
-            thetas[:, k] = np.exp(values) if known.scale == "log" else values
-        elif known is not None and known.fixed is not None:
+            own = Space((known,))
+            sampling = "uniform" if known.std is None else "normal"
+            thetas[:, k] = own.decode(own.sample(TRIALS, rng, sampling))[:, 0]
+            continue
+        thetas[:, k] = 0.5 + rng.random(TRIALS)
+        if known is not None and known.fixed is not None:
             thetas[:, k] = known.fixed
-    return model.formula_at(thetas, *(dataset[name] for name in model.inputs))
+    columns = [dataset[name] for name in model.inputs]
+    if model.source is None or is_arithmetic(model.function):
+        formula = model.formula_at(thetas, *columns)
+        if formula is not model:
+            return formula
+    if tried and model.rowwise is None:
+        return replace(model, rowwise=False)
+    return model.rowwise_at(thetas, *columns)
 
 
 def ties_of(model: Model, space: Space) -> Ties:

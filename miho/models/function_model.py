@@ -5,10 +5,11 @@ import __future__
 
 import ast
 import inspect
+import time
 import traceback
 import types
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.models.function_calls import FunctionCalls, alike, inner_rows
 from miho.models.model import DifferencedModel, Model
 from miho.models.symbolic import (
     NotAFormulaError,
@@ -24,10 +26,13 @@ from miho.models.symbolic import (
     trace,
 )
 from miho.models.traced import TracedExpression
+from miho.parallel.evaluations import DEAR
 from miho.quantities import Array
 
 COMPARED, CLOSE = 1000, 1e-9
 """Rows on which a formula is compared with its function, and how close they have to be."""
+CONFIGURATIONS = 3
+"""Configurations at which some rows alone are compared with all."""
 COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
@@ -41,23 +46,32 @@ class FunctionModel(DifferencedModel):
         def decay(t: "s", *, a: "V", b: "1/s") -> "V":
             return a * np.exp(-b * t)
 
-    The function gets columns (N,), read-only, and parameters (n, 1), so that NumPy's functions
-    give (n, N); a result (n, 1) is the same for all rows of data. With `batched` false it gets
-    one row of parameters at a time, as numbers, and gives (N,) or a number: slower, but it may
-    branch. `columns` names the arguments that are input columns, and all others are parameters,
-    for a function without keyword-only ones. `linear` names the parameters in which the output is
-    jointly linear; nobody checks it but `miho.testing.check_model`. Derivatives are central
-    differences, which count two evaluations for each parameter; `formula` has exact ones.
+    The function gets columns (N,), read-only. With `batched` it gets parameters (n, 1), so that
+    NumPy's functions give (n, N); a result (n, 1) is the same for all rows of data. With `batched`
+    false it gets one row of parameters at a time, as numbers, and gives (N,) or a number: it may
+    branch or simulate. None finds out: parameters come side by side where a call takes less than
+    a millisecond and gives the same either way, to rounding (`FunctionCalls`).
+
+    A `rowwise` function is element by element: what it gives for a row of data does not depend on
+    the other rows, so it may be asked for some of them. One that is not, such as a simulation or a
+    cumulative sum, always gets all rows in their order, as does one of which that is not known,
+    with None; `CurveFit` finds out by `rowwise_at`.
+
+    `columns` names the arguments that are input columns, and all others are parameters, for a
+    function without keyword-only ones. `linear` names the parameters in which the output is jointly
+    linear; nobody checks it but `miho.testing.check_model`. Derivatives are central differences,
+    which count two evaluations for each parameter; `formula` has exact ones.
 
     Raises ValueError for another signature, and where the function raises or gives another
     shape; NaN and infinity are values like any other, so NumPy does not warn of them.
     """
 
     function: Callable[..., Any]
-    batched: bool = True
+    batched: bool | None = None
     linear: tuple[str, ...] = ()
     source: Path | None = None
     columns: tuple[str, ...] = ()
+    rowwise: bool | None = None
     inputs: Mapping[str, str] = field(init=False)
     parameters: Mapping[str, str] = field(init=False)
     output: str = field(init=False)
@@ -106,8 +120,13 @@ class FunctionModel(DifferencedModel):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """What it was made of, from which it is made again."""
-        parts = (self.function, self.batched, self.linear, self.source, self.columns)
+        parts = (self.function, self.batched, self.linear, self.source, self.columns, self.rowwise)
         return FunctionModel, parts
+
+    @property
+    def ordered(self) -> bool:  # type: ignore[override]
+        """Whether it may need every row in order: unless it is known to be `rowwise`."""
+        return not self.rowwise
 
     @property
     def formula(self) -> FunctionFormula | None:
@@ -140,47 +159,56 @@ class FunctionModel(DifferencedModel):
         usable = np.isfinite(slopes).all(axis=2) | ~np.isfinite(own)
         return formula if alike and usable.all() else self
 
+    def rowwise_at(self, thetas: Array, *inputs: Array) -> FunctionModel:
+        """This model, with `rowwise` as it shows at parameter rows (n, d) and columns (N,).
+
+        Some rows of the columns alone, mixed, are compared with what they give among all. One that
+        is not element by element ends that with its first two calls. Nothing is known of a function
+        that fails at all parameters, or of too few rows. A dear one is called once, and taken for
+        one that needs all rows: which is never wrong.
+        """
+        rows = inner_rows(inputs, COMPARED)
+        if self.rowwise is not None or not rows.size:
+            return self
+        columns, compared = [column[rows] for column in inputs], 0
+        for theta in thetas:
+            started = time.perf_counter()
+            try:
+                among_all = self.predict(theta[None], *inputs)[:, rows]
+            except ValueError:  # which says nothing, here
+                continue
+            if time.perf_counter() - started > DEAR:
+                model = replace(self, rowwise=False)
+                model._calls.dear = True
+                return model
+            if not np.isfinite(among_all).any():
+                continue
+            try:
+                alone = self.predict(theta[None], *columns)
+            except ValueError:
+                return replace(self, rowwise=False)
+            if not alike(among_all, alone):
+                return replace(self, rowwise=False)
+            compared += 1
+            if compared == CONFIGURATIONS:
+                break
+        return replace(self, rowwise=True) if compared else self
+
+    @property
+    def dear(self) -> bool:
+        """Whether it was called already, and takes so long that it is not called in vain."""
+        return self._calls.dear
+
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
         columns = [column.view() for column in inputs]
         for column in columns:
             column.flags.writeable = False
-        if not self.batched:
-            return np.vstack([self._row(theta, columns) for theta in thetas])
-        try:
-            values = self._call(columns, thetas.T[:, :, None].copy())
-        except ValueError as error:
-            if len(thetas) == 1 or not self._works_alone(thetas, columns):
-                raise
-            raise ValueError(
-                f"{error}; it does not with one row of parameters at a time; {REMEDY}"
-            ) from error
-        n, rows = len(thetas), columns[0].size
-        if values.shape not in ((n, rows), (n, 1)):
-            raise ValueError(
-                f"{self._place}: gives shape {values.shape} for columns ({rows},) and parameters "
-                f"({n}, 1); expected ({n}, {rows}); {REMEDY}"
-            )
-        return np.broadcast_to(values, (n, rows)).astype(float)
+        return self._calls.values(thetas, columns)
 
-    def _row(self, theta: Array, columns: Sequence[Array]) -> Array:
-        values = self._call(columns, theta.tolist())
-        rows = columns[0].size
-        if values.shape not in ((rows,), ()):
-            raise ValueError(
-                f"{self._place}: gives shape {values.shape} for columns ({rows},); "
-                f"expected ({rows},)"
-            )
-        return np.broadcast_to(values, rows).astype(float)
-
-    def _works_alone(self, thetas: Array, columns: Sequence[Array]) -> bool:
-        """Whether the function takes each row of parameters alone, and fails on several at once."""
-        try:
-            for theta in thetas:
-                self._row(theta, columns)
-        except ValueError:
-            return False
-        return True
+    @cached_property
+    def _calls(self) -> FunctionCalls:
+        return FunctionCalls(self._call, self.batched, self._place)
 
     def _call(self, columns: Sequence[Array], parameters: Any) -> NDArray[Any]:
         """The function's result, which must be real numbers; ValueError if it is not, or raises."""
@@ -274,9 +302,6 @@ class FunctionFormula(TracedExpression):
     def source(self) -> Path | None:  # type: ignore[override]
         """The file that the function was read from."""
         return self.function.source
-
-
-REMEDY = "write it with NumPy functions that broadcast, or set batched to false"
 
 
 def line_in(error: BaseException, file: str) -> int | None:

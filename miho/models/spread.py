@@ -35,12 +35,16 @@ class SpreadModel(Model):
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d)."""
+        if self._evaluations.resting():
+            return self.model.predict(thetas, *inputs)
         return self._task("predict", inputs, self.model.predict, (inputs[0].size,))(thetas)
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives of the outputs, (N, d)."""
         if isinstance(self.model, DifferencedModel | ExternalModel):
-            return self.model.differences(self.predict, theta, *inputs)
+            return np.asarray(self.model.differences(self.predict, theta, *inputs))
+        if self._evaluations.resting():
+            return self.model.jacobian(theta, *inputs)
         shape = (inputs[0].size, theta.size)
         jacobians = partial(_jacobians, self.model.jacobian)
         return self._task("jacobian", inputs, jacobians, shape)(theta[None])[0]

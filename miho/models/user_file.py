@@ -15,7 +15,11 @@ from miho.regular_file import read_regular
 
 
 def load_function(
-    path: str, function: str | None = None, batched: bool = True, linear: Sequence[str] = ()
+    path: str,
+    function: str | None = None,
+    batched: bool | None = None,
+    linear: Sequence[str] = (),
+    rowwise: bool | None = None,
 ) -> Model:
     """The model that a function in a Python file describes; see `FunctionModel`.
 
@@ -41,7 +45,7 @@ def load_function(
         raise ValueError(
             f"{source}: has no function {function!r}; it has {', '.join(public) or 'none'}"
         )
-    return FunctionModel(chosen, batched, tuple(linear), source)
+    return FunctionModel(chosen, batched, tuple(linear), source, rowwise=rowwise)
 
 
 def load_trajectory(

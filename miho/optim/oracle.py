@@ -131,7 +131,8 @@ class Oracle:
         cost = self._problem.cost(fidelity)
         unfinished = self.meter.unfinished
         losses = np.array(unfinished) if unfinished else NO_LOSSES
-        n, begun = len(thetas), self._evaluations is None
+        n = len(thetas)
+        begun = n == 1 or self._evaluations is None
         try:
             while losses.size < n:
                 if not begun and self.spreads:
@@ -161,7 +162,7 @@ class Oracle:
     @property
     def spreads(self) -> bool:
         """Whether workers make the evaluations of a batch: where it is known that they are dear."""
-        return self._evaluations is not None and self._evaluations.measured
+        return self._evaluations is not None and self._evaluations.spreads
 
     @property
     def usage(self) -> Usage | None:

@@ -28,6 +28,12 @@ Key = tuple[str, bytes]
 WORTH_SENDING = 0.005
 """Seconds of evaluations that are sent to a worker together, at least: fifty times what it costs
 to send them. Where all that is needed takes less than twice that, no worker is asked."""
+LEAST = 1e-4
+"""Seconds that an evaluation takes which is sent at all: its values travel in less."""
+FIRST = 3
+"""So many are made here to see how long they take, unless one shows that they are dear."""
+REST = 100
+"""So many short evaluations are made until the next is timed."""
 DEAR = 0.01
 """Seconds from which an evaluation is written to the journal."""
 LATEST = 0.2
@@ -67,6 +73,8 @@ class Evaluated:
 
     def __call__(self, thetas: Array) -> Array:
         """The values (n, ...) of rows (n, d); raises what the function raises, as ValueError."""
+        if self.evaluations.resting():
+            return self.function(thetas)
         return self.evaluations.values(self, thetas)
 
 
@@ -88,6 +96,7 @@ class Evaluations:
         self._here: dict[Key, Array | Raised] = {}  # values that are known and not taken yet
         self._ends = itertools.count(0 if journal is None else len(journal))
         self._submitted: list[Key] | None = None
+        self._rest = 0
 
     def function(self, name: str, function: Rows, shape: tuple[int, ...] = ()) -> Evaluated:
         """The same function, evaluated by the workers; its `name` stands in the journal."""
@@ -99,15 +108,26 @@ class Evaluations:
         """How many evaluations may be under way at a time."""
         return self.usage.workers
 
+    def resting(self) -> bool:
+        """Whether this evaluation is so short that it is made without a look at the clock."""
+        self._rest -= 1
+        return self._rest >= 0
+
+    @property
+    def spreads(self) -> bool:
+        """Whether workers make evaluations: where it is known that each takes long enough."""
+        return self._pool is not None and self.measured and not self._stays_here
+
     @property
     def measured(self) -> bool:
         """Whether it is known how long an evaluation takes, and so whether workers make them."""
-        return self._limited or self.usage.each is not None
+        each = self.usage.each
+        return self._limited or (each is not None and (each >= DEAR or self.usage.here >= FIRST))
 
     def ahead(self, ask: Callable[[], object]) -> Ahead:
         """Begin all evaluations that `ask` needs, without waiting; what it computes is void."""
         keys: list[Key] = []
-        if self._pool is not None:
+        if self._pool is not None and not self._stays_here:
             self._submitted = keys
             try:
                 ask()
@@ -115,6 +135,7 @@ class Evaluations:
                 pass
             finally:
                 self._submitted = None
+        if keys and self._pool is not None:
             self._pool.flush()
         return Ahead(keys, ask, self.measured)
 
@@ -139,6 +160,9 @@ class Evaluations:
 
     def values(self, task: Evaluated, thetas: Array) -> Array:
         """Values (n, ...) of rows (n, d); raises the first error among them."""
+        if self._stays_here and not (self._pending or self._here or self._journal):
+            self._rest = REST
+            return self._evaluate_at_once(task, thetas)
         keys: list[Key] = [(task.name, theta.tobytes()) for theta in thetas]
         todo = [k for k, key in enumerate(keys) if not self._is_known(key)]
         if self._submitted is not None:
@@ -146,9 +170,8 @@ class Evaluations:
                 self._submit(task, keys, thetas, todo)
             self._submitted += keys
             return np.zeros((len(thetas), *task.shape))
-        if todo and not self.measured:
-            self._evaluate_here(task, keys, thetas, todo[:1])
-            del todo[0]
+        while todo and not self.measured:
+            self._evaluate_here(task, keys, thetas, [todo.pop(0)])
         if todo and not self._submit(task, keys, thetas, todo):
             if len(todo) == len(keys) and not self._is_dear:  # as without any of this
                 return self._evaluate_at_once(task, thetas)
@@ -168,6 +191,11 @@ class Evaluations:
         """How many workers have something to do."""
         waiting = {id(p) for p in self._pending.values() if p.ended == math.inf}
         return min(len(waiting), self.workers)
+
+    @property
+    def _stays_here(self) -> bool:
+        """Whether no evaluation is sent to a worker, or written down."""
+        return self.measured and not self._limited and (self.usage.each or 0.0) < LEAST
 
     @property
     def _is_dear(self) -> bool:
@@ -194,10 +222,11 @@ class Evaluations:
         self, task: Evaluated, keys: Sequence[Key], thetas: Array, todo: Sequence[int]
     ) -> bool:
         """Have workers evaluate rows, if that is worth while."""
-        if self._pool is None or task.send is None or not todo:
+        if self._pool is None or task.send is None or not todo or self._stays_here:
             return False
         each = self.usage.each or WORTH_SENDING
-        if each * len(todo) < 2 * WORTH_SENDING and not self._limited and len(self._pending) == 0:
+        few = each * len(todo) < 2 * WORTH_SENDING and not self._limited
+        if few and self._submitted is None:  # they are needed at once, and nothing else is
             return False
         rows = 1 if self._limited else max(1, math.ceil(WORTH_SENDING / each))
         self.usage.begin()
@@ -271,8 +300,12 @@ class Evaluations:
 
     def _count(self, each: float, rows: int, *, here: bool) -> None:
         usage = self.usage
-        before = each if usage.each is None else usage.each
-        usage.each = before + LATEST * (each - before)
+        if usage.each is None:
+            usage.each = each
+        elif here and usage.here < FIRST:  # the very first may have loaded or compiled something
+            usage.each = min(usage.each, each)
+        else:
+            usage.each += (1 - (1 - LATEST) ** rows) * (each - usage.each)
         if here:
             usage.here += rows
         else:

@@ -121,6 +121,8 @@ class Pool:
             shared.pop(token, None)
 
     def _call(self, token: str, pickled: Callable[[], bytes], argument: Any) -> Future[Answer]:
+        if isinstance(self._executor, ProcessExecutor) and not self._executor.started:
+            self._executor.load_at_start(pickled())
         result: Future[Answer] = Future()
         self._pending.add(result)
         result.add_done_callback(self._pending.discard)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import multiprocessing
 import pickle
+import pickletools
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -36,8 +38,8 @@ class ProcessExecutor(Executor):
 
     def __init__(self, count: int, time_limit: float | None = None) -> None:
         self._max_workers = count
-        self._workers: Workers[Job, Any] = Workers(_call, count, time_limit, (__name__,))
-        self._limit = time_limit
+        self._count, self._limit = count, time_limit
+        self._modules = (__name__,)
         self._waiting: deque[tuple[int, bytes]] = deque()
         self._futures: dict[int, Future[Any]] = {}
         self._numbers = 0
@@ -45,6 +47,18 @@ class ProcessExecutor(Executor):
         self._lock = threading.Lock()
         self._woken, self._wake = multiprocessing.Pipe(duplex=False)
         self._thread: threading.Thread | None = None
+
+    def load_at_start(self, pickled: bytes) -> None:
+        """Have workers begin with the modules of a pickled object, loaded once for all of them.
+
+        Without effect on workers that were started before.
+        """
+        self._modules = (__name__, *modules_in(pickled))
+
+    @property
+    def started(self) -> bool:
+        """Whether there was anything to do."""
+        return self._thread is not None
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Have a function called by the next worker that is idle."""
@@ -56,7 +70,7 @@ class ProcessExecutor(Executor):
             self._numbers += 1
             self._futures[self._numbers] = future
             self._waiting.append((self._numbers, job))
-            if self._thread is None:
+            if self._thread is None:  # where nothing is submitted, nothing is started
                 self._thread = threading.Thread(target=self._serve, daemon=True)
                 self._thread.start()
             self._wake.send_bytes(b"+")
@@ -71,7 +85,6 @@ class ProcessExecutor(Executor):
             self._wake.send_bytes(b"-")
         if self._thread is not None:
             self._thread.join()
-        self._workers.kill()
         for future in self._futures.values():
             if not future.cancel():
                 future.set_exception(WorkerLostError("the workers have ended", again=False))
@@ -80,31 +93,35 @@ class ProcessExecutor(Executor):
         self._wake.close()
 
     def _serve(self) -> None:
-        """In a thread: give jobs to idle workers, and hand over what they answer."""
-        while True:
-            while self._woken.poll():
-                self._woken.recv_bytes()
-            if self._closed:
-                return
-            while self._workers.idle and self._waiting:
-                with self._lock:
-                    number, job = self._waiting.popleft()
-                    future = self._futures[number]
-                if future.set_running_or_notify_cancel():
-                    self._start(number, job)
-                else:
-                    del self._futures[number]
-            for outcome in self._workers.wait(IDLE, self._woken):
-                future = self._futures.pop(outcome.job[0])
-                if outcome.reason is None:
-                    future.set_result(outcome.result)
-                else:
-                    again = not outcome.overdue
-                    future.set_exception(WorkerLostError(outcome.reason, again))
+        """In a thread: have workers, until all are ended."""
+        with Workers[Job, Any](_call, self._count, self._limit, self._modules) as workers:
+            workers.watch.add(self._woken)
+            while not self._closed:
+                self._give_and_take(workers)
 
-    def _start(self, number: int, job: bytes) -> None:
+    def _give_and_take(self, workers: Workers[Job, Any]) -> None:
+        """Give jobs to idle workers, and hand over what others answer."""
+        while self._woken.poll():
+            self._woken.recv_bytes()
+        while workers.idle and self._waiting and not self._closed:
+            with self._lock:
+                number, job = self._waiting.popleft()
+                future = self._futures[number]
+            if future.set_running_or_notify_cancel():
+                self._start(workers, number, job)
+            else:
+                del self._futures[number]
+        for outcome in workers.wait(IDLE):
+            future = self._futures.pop(outcome.job[0])
+            if outcome.reason is None:
+                future.set_result(outcome.result)
+            else:
+                again = not outcome.overdue
+                future.set_exception(WorkerLostError(outcome.reason, again))
+
+    def _start(self, workers: Workers[Job, Any], number: int, job: bytes) -> None:
         try:
-            self._workers.start((number, job))
+            workers.start((number, job))
         except (OSError, EOFError) as error:
             reason = f"no worker could be started: {error}"
             self._futures.pop(number).set_exception(WorkerLostError(reason))
@@ -114,6 +131,19 @@ def _call(job: Job) -> Any:
     """In a worker: what a job asks for."""
     function, args, kwargs = pickle.loads(job[1])  # noqa: S301 -- of the process that started this
     return function(*args, **kwargs)
+
+
+def modules_in(pickled: bytes) -> list[str]:
+    """The modules that a pickled object names, but for the program's own."""
+    names, strings = set(), list[str]()
+    for opcode, argument, _ in pickletools.genops(pickled):
+        if "UNICODE" in opcode.name:
+            strings.append(argument)
+        elif opcode.name == "GLOBAL":
+            names.add(argument.split()[0])
+        elif opcode.name == "STACK_GLOBAL":
+            names.update(strings[-2:-1])
+    return sorted(name for name in names & set(sys.modules) if name != "__main__")
 
 
 def processes_of(executor: Executor) -> int:

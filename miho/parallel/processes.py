@@ -39,25 +39,26 @@ def end_child(child: int) -> int:
     return status
 
 
-def end_family(process: int) -> None:
-    """Kill a process and its descendants by /proc; where there is no /proc, its group."""
+def end_family(*processes: int) -> None:
+    """Kill processes and their descendants by /proc; where there is no /proc, their groups."""
     for _ in range(ROUNDS):
-        family = descendants(process)
+        family = descendants(*processes)
         for member in family:
             _kill(member)
         if not family:
             break
-    _kill(process)
+    for process in processes:
+        _kill(process)
 
 
-def descendants(process: int) -> list[int]:
-    """The descendants of a process that have not ended, by /proc."""
+def descendants(*processes: int) -> list[int]:
+    """The descendants of processes that have not ended, by /proc."""
     parents: dict[int, int] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         fields = _fields(stat)
         if fields and fields[0] not in "ZX":
             parents[int(stat.parent.name)] = int(fields[1])
-    offspring, waiting = [], [process]
+    offspring, waiting = [], list(processes)
     while waiting:
         children = [child for child, parent in parents.items() if parent == waiting[0]]
         offspring += children

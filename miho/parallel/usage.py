@@ -39,9 +39,9 @@ class Usage:
         each = "" if self.each is None else f", {span(self.each)} each"
         known = f"{self.known:,} evaluations known from before; " if self.known else ""
         if not self.evaluations:
-            count = f"{self.here:,} evaluations{each}"
-            alone = self.workers == 1
-            return known + (count if alone else f"{count}: too short for {self.workers} workers")
+            alone = self.workers == 1 or self.each is None
+            remark = "" if alone else f": too short for {self.workers} workers"
+            return f"{known}evaluations made here{each}{remark}"
         efficiency = self.efficiency or 0.0
         return (
             f"{known}{self.evaluations:,} evaluations by {self.workers} workers{each}, "

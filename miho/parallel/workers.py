@@ -17,6 +17,7 @@ from types import TracebackType
 from typing import Any, Generic
 
 from miho.parallel.processes import end_family
+from miho.parallel.watch import Watch
 from miho.parallel.worker_process import (
     INTERRUPTED,
     SPURIOUS_INTERRUPT,
@@ -74,7 +75,7 @@ class Workers(Generic[Job, Result]):
     A job that takes longer than `time_limit` seconds is killed; starting a worker does not count.
     Processes that a job started are ended with it if it was alone, else with its worker. Workers do
     not get the terminal's Ctrl-C: the parent decides (`interrupt`, `kill`). They die with the
-    parent, however it dies.
+    parent, however it dies. What else is put into `watch` ends a `wait` as well.
     """
 
     def __init__(
@@ -91,6 +92,7 @@ class Workers(Generic[Job, Result]):
         self._limit = float("inf") if time_limit is None else time_limit
         self._workers: list[_Worker[Job]] = []
         self._context = _context(modules)
+        self.watch = Watch()
 
     def __enter__(self) -> Workers[Job, Result]:
         return self
@@ -132,24 +134,21 @@ class Workers(Generic[Job, Result]):
             worker.pipe.send(job)
         worker.job, worker.started, worker.interrupted = job, False, False
 
-    def wait(
-        self, seconds: float, wakeup: connection.Connection | None = None
-    ) -> list[JobOutcome[Job, Result]]:
-        """The jobs that end within some seconds, as soon as there is one.
-
-        Returns earlier if there is something to read from `wakeup`.
-        """
-        busy = [worker for worker in self._workers if worker.job is not None]
-        others = [] if wakeup is None else [wakeup]
-        if not busy:
-            connection.wait(others, seconds) if others else time.sleep(seconds)
-            return []
+    def wait(self, seconds: float) -> list[JobOutcome[Job, Result]]:
+        """The jobs that end within some seconds, as soon as there is one."""
         now = time.monotonic()
-        until = min(now + seconds, *(worker.deadline for worker in busy))
-        pipes, ends = [w.pipe for w in busy], [w.process.sentinel for w in busy]
-        connection.wait([*pipes, *ends, *others], max(0.0, until - now))
-        outcomes = [self._outcome_of(worker) for worker in busy]
-        return [outcome for outcome in outcomes if outcome is not None]
+        until = min([now + seconds, *(worker.deadline for worker in self._workers)])
+        ready = self.watch.ready(max(0.0, until - now))
+        now, outcomes = time.monotonic(), []
+        for worker in list(self._workers):
+            if worker.pipe in ready or worker.process.sentinel in ready or now >= worker.deadline:
+                if worker.job is None:  # it was killed while it had nothing to do
+                    self._end_worker(worker)
+                    continue
+                outcome = self._outcome_of(worker)
+                if outcome is not None:
+                    outcomes.append(outcome)
+        return outcomes
 
     def interrupt(self) -> None:
         """Interrupt all jobs: what they raise or return then comes with `wait`.
@@ -168,6 +167,10 @@ class Workers(Generic[Job, Result]):
 
     def kill(self) -> None:
         """End all processes now."""
+        alive = [w.process for w in self._workers if w.process.exitcode in (None, LOST)]
+        end_family(*(process.pid for process in alive if process.pid is not None))
+        for process in alive:
+            process.join()
         for worker in list(self._workers):
             self._end_worker(worker)
 
@@ -189,9 +192,11 @@ class Workers(Generic[Job, Result]):
                 worker_end.close()
         worker: _Worker[Job] = _Worker(process, parent_end)
         self._workers.append(worker)
+        self.watch.add(worker.pipe, process.sentinel)
         return worker
 
     def _end_worker(self, worker: _Worker[Job]) -> None:
+        self.watch.remove(worker.pipe, worker.process.sentinel)
         if worker.process.pid is not None and worker.process.exitcode in (None, LOST):
             end_family(worker.process.pid)
         worker.process.kill()

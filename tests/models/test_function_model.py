@@ -42,7 +42,7 @@ def load(tmp_path: Path) -> Callable[..., Model]:
     return write_and_load
 
 
-@pytest.mark.parametrize("batched", [True, False])
+@pytest.mark.parametrize("batched", [True, False, None])
 @pytest.mark.parametrize("future", ["", "from __future__ import annotations\n"])
 def test_a_function_is_a_model(load: Callable[..., Model], future: str, batched: bool) -> None:
     model = load(future + DECAY, batched=batched, linear=["a"])
@@ -69,8 +69,8 @@ def test_a_function_that_branches_runs_row_by_row(load: Callable[..., Model]) ->
     assert np.array_equal(model.predict(THETAS, t)[1], np.exp(-0.3 * t))
     assert not model.predict(THETAS, t)[[0, 2]].any()
     with pytest.raises(ValueError, match=r"mine.py:5: decay raises ValueError: The truth value.*"
-                       r"; it does not with one row.*batched to false"):  # fmt: skip
-        load(branching).predict(THETAS, t)
+                       r"; with one row.*it works; set batched to false"):  # fmt: skip
+        load(branching, batched=True).predict(THETAS, t)
 
 
 def test_nothing_of_the_callers_is_edited_or_handed_out(load: Callable[..., Model]) -> None:
@@ -86,7 +86,7 @@ def test_nothing_of_the_callers_is_edited_or_handed_out(load: Callable[..., Mode
     assert np.array_equal(scribbles.predict(thetas, t), [t + 2, t + 2])
     assert np.array_equal(thetas, np.ones((2, 1)))
     with pytest.raises(ValueError, match="f raises ValueError: output array is read-only"):
-        load(f"{head}t += a[0]\n    return t").predict(thetas, t)
+        load(f"{head}t += a\n    return t").predict(thetas, t)
 
 
 BAD = {
@@ -130,6 +130,12 @@ def test_results_of_another_shape_or_kind_are_refused(load: Callable[..., Model]
         "np.sum(a * t)": r"shape \(\)",
         "1j * a * t": "gives complex128; expected real numbers",
         "None": "gives object",
+    }.items():
+        with pytest.raises(ValueError, match=message):
+            load(DECAY.replace("a * np.exp(-b * t)", result), batched=True).predict(THETAS, t)
+    for result, message in {
+        "t[:7]": r"shape \(7,\) for columns \(50,\); expected \(50,\)",
+        "1j * a * t": "gives complex128; expected real numbers",
     }.items():
         with pytest.raises(ValueError, match=message):
             load(DECAY.replace("a * np.exp(-b * t)", result)).predict(THETAS, t)
@@ -297,7 +303,7 @@ def test_what_a_file_does_besides_is_not_done_to_look_at_it(
         first = "np.tan = lambda x: count.append(1)" if name == "replaced" else ""
         model = load(DOING.format(first=first, deed=deed), function="decay")
         assert not is_arithmetic(cast(FunctionModel, model).function), name
-    assert CurveFit(model, *_decay()).model is model
+    assert isinstance(CurveFit(model, *_decay()).model, FunctionModel)
 
 
 def _decay() -> tuple[Dataset, Space]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from typing import Any
@@ -25,6 +25,8 @@ BINS = 10
 PANELS = 3
 LOGARITHMIC = 5.0
 LEAST_RANGE = 0.1
+GRID = 400
+"""Points of a curve that is drawn."""
 
 
 def _opacity(points: int) -> float:
@@ -49,6 +51,21 @@ class Column:
 def in_unit(name: str, unit: str) -> str:
     """A name as on an axis, without brackets where no unit is known."""
     return f"{name} [{unit}]" if unit else name
+
+
+def curve_band(
+    x: Array, ordered: bool, band: Callable[[Array], tuple[Array, Array]]
+) -> tuple[Array, Array, Array]:
+    """A curve over a single input (N,) as x, values and half widths, of the `band` at inputs.
+
+    On an even grid, or for a model that needs every row in order at the rows of data.
+    """
+    if not ordered:
+        grid = np.linspace(x.min(), x.max(), GRID)
+        return grid, *band(grid)
+    curve, half = band(x)
+    rising = np.argsort(x, kind="stable")
+    return x[rising], curve[rising], half[rising]
 
 
 def fit_figure(

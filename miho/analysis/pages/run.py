@@ -15,6 +15,7 @@ from markupsafe import Markup
 from miho.analysis.figures.house import png
 from miho.analysis.figures.report import (
     Column,
+    curve_band,
     fit_figure,
     profile_figure,
     residual_figure,
@@ -38,7 +39,6 @@ from miho.study import StoredRun, write_bytes, write_text
 from miho.study.places import inside
 from miho.study.provenance import flattened, provenance
 
-GRID = 200
 PARAMETERS = "parameters.json"
 
 
@@ -124,8 +124,7 @@ def figures_of(report: Report) -> dict[str, bytes]:
     if len(model.inputs) == 1:
         (name,) = model.inputs
         x = Column(name, model.inputs[name], dataset[name])
-        grid = np.linspace(x.values.min(), x.values.max(), GRID)
-        band = (grid, *report.band(grid))
+        band = curve_band(x.values, model.ordered, report.band)
     profiles = {
         name: (curve.values, curve.tau)
         for name, curve in zip(report.space.names, report.profiles, strict=True)
