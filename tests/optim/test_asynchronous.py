@@ -16,6 +16,7 @@ import pytest
 from numpy.typing import NDArray
 
 from miho.optim import (
+    MIHOGN,
     Arrivals,
     AsynchronousMIHO,
     Budget,
@@ -30,7 +31,10 @@ from miho.optim import (
     minimize,
 )
 from miho.optim.asynchronous_miho import AsynchronousRung
+from miho.optim.oracle import Kind
 from miho.optim.schedule import Rung
+from miho.parallel import Ahead
+from tests.optim.decays import Outside, fit
 
 Array = NDArray[np.float64]
 
@@ -231,3 +235,26 @@ def test_a_run_has_as_many_chains_as_it_began_with() -> None:
     with pytest.raises(BudgetExhausted):
         METHOD.resume(resumed, oracle.state)
     assert len(resumed.state.chains) == 6
+
+
+@pytest.mark.parametrize("says_rows", [True, False])
+@pytest.mark.parametrize("linear", [(), ("a", "c")], ids=["stepping", "projecting"])
+def test_rounds_of_candidates_are_the_same_with_any_workers(
+    says_rows: bool, linear: tuple[str, ...], workers: Shuffling, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A round has more than one evaluation of a kind begun; candidates wait for each other."""
+    begun: list[tuple[str, int]] = []
+    ahead = Oracle.ahead
+
+    def count(oracle: Oracle, thetas: Array, fidelity: float = 1.0, kind: Kind = "loss") -> Ahead:
+        begun.append((kind, len(thetas)))
+        return ahead(oracle, thetas, fidelity, kind)
+
+    problem, method = Outside(fit(linear=linear), says_rows), MIHOGN(brackets=3, base=8.0)
+    alone = minimize(method, problem, seed=1)
+    monkeypatch.setattr(Oracle, "ahead", count)
+    spread = minimize(method, problem, seed=1, workers=workers, evaluation_limit=LIMIT)
+    assert spread.error is None
+    assert same(alone, spread)
+    assert max(n for kind, n in begun if kind == "jacobian") > 1
+    assert max(n for kind, n in begun if kind == "residuals") > 1
