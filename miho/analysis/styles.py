@@ -56,6 +56,7 @@ class MethodStyle:
 
 STYLES = {
     "miho_gn": MethodStyle("MIHO-GN", RED, SHORT_DASHES, 2.2),
+    "miho_gn_asynchronous": MethodStyle("MIHO-GN, asynchronous", RED, DASHED, 1.8),
     "miho_qn": MethodStyle("MIHO-QN", _PINK, SHORT_DASHES, 1.8),
     "miho": MethodStyle("MIHO", RED, SOLID, 2.2),
     "miho_asynchronous": MethodStyle("MIHO, asynchronous", RED, LONG_DASHES, 1.6),

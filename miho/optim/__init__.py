@@ -1,6 +1,7 @@
 """Search: what is searched, who searches, and the metered door between them."""
 
 from miho.optim.asynchronous_miho import AsynchronousMIHO
+from miho.optim.asynchronous_miho_gn import AsynchronousMIHOGN
 from miho.optim.evidence import Agreement, agreement, in_optimum
 from miho.optim.meter import (
     Arrivals,
@@ -31,6 +32,7 @@ __all__ = [
     "Arrivals",
     "AskTell",
     "AsynchronousMIHO",
+    "AsynchronousMIHOGN",
     "Budget",
     "BudgetExhausted",
     "Checkpoint",

@@ -51,6 +51,15 @@ class Ahead:
     again: Callable[[], object]
     begun: bool = True
 
+    def __add__(self, other: Ahead) -> Ahead:
+        """Both together."""
+
+        def again() -> None:
+            self.again()
+            other.again()
+
+        return Ahead([*self.keys, *other.keys], again, self.begun and other.begun)
+
 
 @dataclass
 class _Pending:

@@ -19,6 +19,7 @@ from miho.optim import (
     MIHOGN,
     Arrivals,
     AsynchronousMIHO,
+    AsynchronousMIHOGN,
     Budget,
     BudgetExhausted,
     Oracle,
@@ -258,3 +259,57 @@ def test_rounds_of_candidates_are_the_same_with_any_workers(
     assert same(alone, spread)
     assert max(n for kind, n in begun if kind == "jacobian") > 1
     assert max(n for kind, n in begun if kind == "residuals") > 1
+
+
+BRACKETS = AsynchronousMIHOGN(brackets=12)
+
+
+def test_brackets_at_a_time_are_repeated_by_their_arrivals(workers: Shuffling) -> None:
+    problem = Outside(fit())
+    record = minimize(BRACKETS, problem, seed=1, workers=workers, evaluation_limit=LIMIT)
+    assert record.outcome in (Outcome.CONVERGED, Outcome.BRACKETS), record.error
+    assert record.arrivals is not None
+    assert len(set(record.arrivals.positions)) > 1, "or this tests nothing"
+    alone = minimize(BRACKETS, problem, seed=1, replay=record.arrivals)
+    assert same(alone, record)
+    assert alone.descents == record.descents
+
+
+@pytest.mark.parametrize("says_rows", [True, False])
+def test_brackets_at_a_time_are_resumed_wherever_they_were_cut(says_rows: bool) -> None:
+    problem = Outside(fit(), says_rows)
+    replay = Arrivals(6, [1, 0, 1, 1, 0] * 8)
+    whole = minimize(BRACKETS, problem, seed=2, replay=replay)
+    assert whole.outcome in (Outcome.CONVERGED, Outcome.BRACKETS), whole.error
+    assert whole.arrivals is not None
+    assert len(whole.arrivals.positions) > 40
+    cut, evaluations = None, 0
+    while cut is None or cut.outcome in (Outcome.BUDGET, Outcome.NO_FINITE_VALUE):
+        evaluations += 4
+        checkpoint = None if cut is None else pickle.loads(pickle.dumps(cut.checkpoint))
+        budget = Budget(evaluations=evaluations)
+        cut = minimize(BRACKETS, problem, budget, 2, checkpoint=checkpoint, replay=replay)
+        assert cut.evaluations <= evaluations
+    assert cut.trace.loss == whole.trace.loss
+    assert cut.evaluations == pytest.approx(whole.evaluations, rel=1e-12)
+    assert cut.arrivals == whole.arrivals
+    assert cut.descents == whole.descents
+
+
+def test_brackets_at_a_time_find_what_one_after_the_other_do() -> None:
+    """To the digits in which a descent ends, with a doubtful optimum's evidence from both."""
+    for seed in range(3):
+        alone = minimize(MIHOGN(), Outside(fit()), seed=seed)
+        several = minimize(AsynchronousMIHOGN(), Outside(fit()), seed=seed, replay=Arrivals(8))
+        assert several.outcome is alone.outcome is Outcome.CONVERGED, several.error
+        assert several.loss == pytest.approx(alone.loss, rel=1e-9)
+
+
+def test_one_worker_has_one_bracket_at_a_time() -> None:
+    for problem in (fit(), Outside(fit())):
+        oracle, method = Oracle(problem, Budget()), AsynchronousMIHOGN(brackets=3)
+        method.run(oracle, np.random.default_rng(4))
+        reference = Oracle(problem, Budget())
+        MIHOGN(brackets=3).run(reference, np.random.default_rng(4))
+        assert oracle.evaluations == reference.evaluations
+        assert oracle.trace.loss == reference.trace.loss
