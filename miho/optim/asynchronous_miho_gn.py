@@ -101,12 +101,12 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
             self.method.step(search, oracle)
             return
         if state.arrived is None:
-            self._wait(state, oracle)
-        bracket = state.brackets[state.arrived or 0]
+            state.arrived = self._next(state, oracle)
+        bracket = state.brackets[state.arrived]
         bracket.make_round(oracle)
         # The round counts: nothing raises from here on. Who was served is last in line.
         self._end_phases(bracket, oracle)
-        state.brackets.append(state.brackets.pop(state.arrived or 0))
+        state.brackets.append(state.brackets.pop(state.arrived))
         state.arrived, bracket.evaluations = None, oracle.evaluations
         latest = bracket.state
         search.minima, search.best_found_after = latest.minima, latest.best_found_after
@@ -131,8 +131,8 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
         """Whether the steps are not in numba's cache."""
         return self.method.uncompiled
 
-    def _wait(self, state: AsynchronousMIHOGNState, oracle: Oracle) -> None:
-        """Have workers busy, and wait for a round, whose bracket then knows what others found."""
+    def _next(self, state: AsynchronousMIHOGNState, oracle: Oracle) -> int:
+        """Have workers busy and wait: the position of a bracket, which learns what others found."""
         search = state.search
         under_way = [bracket.begun(oracle) for bracket in state.brackets]
         polishes = any(bracket.state.phase == POLISH for bracket in state.brackets)
@@ -146,12 +146,13 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
             search.bracket = begun.bracket
             state.brackets.append(BracketUnderWay(begun, oracle.evaluations))
             under_way.append(state.brackets[-1].begun(oracle))
-        state.arrived = oracle.first_ready([r.ahead for r in under_way if r is not None])
-        bracket = state.brackets[state.arrived]
+        arrived = oracle.first_ready([r.ahead for r in under_way if r is not None])
+        bracket = state.brackets[arrived]
         # What others spent meanwhile is not what this bracket did.
         bracket.state.spent_before += oracle.evaluations - bracket.evaluations
         bracket.state.minima = search.minima
         bracket.state.best_found_after = search.best_found_after
+        return arrived
 
     def _end_phases(self, bracket: BracketUnderWay, oracle: Oracle) -> None:
         """Where no round is left, record that, until the bracket has closed or has other phases."""
