@@ -41,10 +41,8 @@ ATTEMPTS = 1000
 class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     """Brackets of successive halving whose survivors descend, on ever more rows of the data.
 
-    `MIHOGNSettings` says how.
-
-    Needs a least-squares problem. Uses residuals and derivatives of its first rows, if it can give
-    them, and compiled ones, if it has them.
+    `MIHOGNSettings` says how. Needs a least-squares problem. Uses residuals and derivatives of its
+    first rows, if it can give them, and compiled ones, if it has them.
     """
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOGNState:

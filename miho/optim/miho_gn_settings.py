@@ -10,8 +10,7 @@ from miho.validate import one_of, positive_settings, whole, whole_settings
 
 @dataclass(frozen=True)
 class MIHOGNSettings:
-    """What brackets of Gauss-Newton descents have in common, one after the other or several at a
-    time.
+    """The brackets of `MIHOGN`, whether one goes after the other or several go at a time.
 
     A bracket looks at configurations on the first rows of the data, `rows` for each parameter, and
     keeps the best. Each rung gives its candidates `steps` Levenberg-Marquardt steps, the best of
