@@ -16,12 +16,13 @@ from typing import Any
 from omegaconf import DictConfig
 
 from experiments.app.console import OK, SOME_FAILED, command
+from experiments.app.plan import sweep_settings
 from experiments.driving.study import check_study, each_seed, jobs_of, write_study
 
 SETTINGS = {
     "experiment": "identification_buys",
     "comparison.repetitions": "how many seeds",
-    "sweep.processes": "laps at a time",
+    "sweep.workers": "laps at a time, on this machine",
     "seed": "the first of the seeds",
     "root": "where laps, table and figure go",
 }
@@ -34,7 +35,7 @@ def study(cfg: DictConfig) -> int:
     root.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Any]] = []
     failures: list[str] = []
-    for laps in each_seed(jobs_of(cfg, root), cfg.sweep.processes):
+    for laps in each_seed(jobs_of(cfg, root), sweep_settings(cfg).workers):
         if isinstance(laps, str):
             failures.append(laps)
         else:

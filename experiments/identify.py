@@ -1,7 +1,7 @@
 """Identify the parameters of one model from one dataset; with -m, sweep.
 
 python -m experiments.identify model=pacejka dataset=tire_lf optimizer=miho_gn seed=0
-python -m experiments.identify -m optimizer=miho_gn,least_squares 'seed=range(10)' sweep.processes=2
+python -m experiments.identify -m optimizer=miho_gn,least_squares 'seed=range(10)' sweep.workers=2
 """
 
 from __future__ import annotations
@@ -27,9 +27,11 @@ SETTINGS = {
     "optimizer, loss": "with which method, and what it minimises",
     "budget.evaluations, budget.seconds": "what a run may spend; it ends at the first of them",
     "seed": "the repetition; with -m several, as in 'seed=range(10)'",
+    "workers, evaluation_limit": "what makes evaluations that take long; seconds for one at most",
     "root, fresh": "where results go; fresh=true sets aside what is outdated",
     "space.NAME.low, .high, .scale": "the box of a parameter; 'space={a: {...}}' is a whole one",
-    "sweep.processes, .dry_run": "with -m: how many runs at a time; list the runs and do none",
+    "sweep.workers, .dry_run": "with -m: how many runs at a time, or on which cluster; list the "
+    "runs and do none",
     "tracking": "mlflow: mirror finished runs there",
 }
 

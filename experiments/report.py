@@ -18,7 +18,7 @@ from pathlib import Path
 from experiments.app.console import OK, SOME_FAILED, run_and_exit
 from experiments.app.next_measurement import check_candidates
 from experiments.app.optimum import CHECK_SECONDS, LEAST_SECONDS
-from experiments.app.reports import Options, report_on_root, report_on_run
+from experiments.app.reports import Options, report_on_root, report_on_run, workers
 from miho.identification.report_steps import SECONDS
 from miho.study import read_run
 
@@ -46,13 +46,13 @@ def main() -> int:
     )  # fmt: skip
     parser.add_argument(
         "--next", type=Path, dest="candidates", metavar="CSV",
-        help="of one run: rows that could be measured next, to choose from (docs/"
-        "next-measurement.md)",
+        help="of one run: rows that could be measured next (docs/next-measurement.md)",
     )  # fmt: skip
     parser.add_argument("--rows", type=int, help="how many of them, or of their --groups")
     parser.add_argument("--goal", help="parameter or derived quantity to narrow; all parameters")
     parser.add_argument("--groups", metavar="COLUMN", help="rows to be measured together")
     parser.add_argument("--posterior", action="store_true", help="of one run: posterior.nc")
+    parser.add_argument("--workers", type=workers, default="1", help="share refits that take long")
     parser.add_argument("--level", type=float, default=0.95, help="of the intervals (0.95)")
     parser.add_argument("--trust", action="store_true", help="run models in files of your own")
     parser.add_argument(

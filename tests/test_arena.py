@@ -19,8 +19,9 @@ from experiments.app.configured import as_configured
 from experiments.app.console import SOME_FAILED
 from experiments.app.drawing import draw_arena, read_comparison
 from experiments.app.execution import execution_of
-from experiments.app.runs import PlanOutcome, State
+from experiments.app.runs import PlanOutcome
 from experiments.app.schema import register
+from experiments.app.working import State
 from miho import load_runs
 from miho.analysis.arena_results import FACTOR, PLAIN, pages, separation
 from miho.analysis.compare.comparison import COMPARISON

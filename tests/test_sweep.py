@@ -13,8 +13,9 @@ from experiments.app.compose import composed
 from experiments.app.explain import parse_overrides
 from experiments.app.plan import Request, requests, seed_groups, sweep_settings
 from experiments.app.reports import read_sweep, save_sweep
-from experiments.app.runs import State, ended_state, run, stored_state
+from experiments.app.runs import run, stored_state
 from experiments.app.schema import SweepConfig, register
+from experiments.app.working import State, ended_state
 from miho import load_runs
 from miho.optim import Budget, RandomSearch, minimize
 from miho.parallel.workers import JobOutcome
@@ -47,7 +48,7 @@ def test_seeds_of_one_setting_are_one_group_in_the_order_asked() -> None:
         seed_groups(parse_overrides(["seed=x"]))
 
 
-@pytest.mark.parametrize("setting", ["processes=0", "time_limit=0"])
+@pytest.mark.parametrize("setting", ["workers=0", "processes=0", "time_limit=0"])
 def test_a_bad_setting_is_one_line(tmp_path: Path, setting: str) -> None:
     with pytest.raises(ConfigError, match=f"sweep.{setting.partition('=')[0]}: is 0"):
         sweep_settings(config(tmp_path, f"sweep.{setting}"))
@@ -58,7 +59,7 @@ def test_what_is_wanted_twice_is_done_once_and_then_done_before(tmp_path: Path) 
     listed = run(runs, SweepConfig(dry_run=True)).states
     assert statuses(listed) == [Status.TO_DO] * 2
     assert list(tmp_path.iterdir()) == []
-    assert statuses(run(runs, SweepConfig(processes=2)).states) == [Status.RAN] * 2
+    assert statuses(run(runs, SweepConfig(workers=2)).states) == [Status.RAN] * 2
     again = run(runs, SweepConfig()).states
     assert statuses(again) == [Status.DONE_BEFORE] * 2
     assert statuses(run(runs, SweepConfig(dry_run=True)).states) == [Status.DONE_BEFORE] * 2

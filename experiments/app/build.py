@@ -25,21 +25,27 @@ from miho.fitting.joint_problem import SIGMA as DEVIATION
 from miho.fitting.joint_problem import Joint, Measured
 from miho.identification import CurveFit, Loss, linear_optimum
 from miho.identification.constraints import constrained
+from miho.identification.curve_fit_checks import check_curve_fit
 from miho.identification.report import irreducible_of
 from miho.models import Model
 from miho.models.expression import Expression
 from miho.models.joint import PART
 from miho.optim import Budget, Optimizer, Parameter, Space
-from miho.study import Identity, StoredRun
+from miho.parallel.cluster import is_address
+from miho.parallel.pool import number_of
+from miho.study import Identity, Store, StoredRun
+from miho.validate import positive
 
 Settings = DictConfig | Mapping[str, Any]
 """A composed configuration, or what `plain` makes of it."""
+MEANS = ("workers", "evaluation_limit")
+"""Settings by which a run is done; it is the same without."""
 PARTS = ("model", "dataset", "space", "loss", "problem", "optimizer", "budget", "seed", "root")
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """One run, ready to start."""
+    """One run, ready to start, with the `workers` and limit [s] of its evaluations."""
 
     problem: CurveFit
     optimizer: Optimizer
@@ -47,6 +53,8 @@ class Experiment:
     identity: Identity
     root: Path
     optimum: float | None = None
+    workers: int | str = 1
+    evaluation_limit: float | None = None
 
     @property
     def facts(self) -> dict[str, Any]:
@@ -86,7 +94,7 @@ def plain(cfg: Settings) -> Mapping[str, Any]:
         if key not in allowed:
             raise ConfigError(unknown_message(str(key), allowed))
     setting: dict[str, Any] = {}
-    for key in PARTS:
+    for key in (*PARTS, *MEANS):
         node = MISSING if OmegaConf.is_missing(cfg, key) else cfg[key]
         whole = OmegaConf.is_config(node)
         setting[key] = OmegaConf.to_container(node, resolve=True) if whole else node
@@ -96,9 +104,11 @@ def plain(cfg: Settings) -> Mapping[str, Any]:
 def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
     """Check and build everything one run needs; raises ConfigError or a loader's own error.
 
-    `problem` is what `build_problem` gave for the same configuration, if it was built before.
+    `problem` is what `build_problem` gave for the same configuration, if it was built before. A
+    problem of whose run something is stored is not evaluated to see whether it can be.
     """
     setting = plain(cfg)
+    workers, limit = _means(setting)
     root = _root(setting["root"])
     if runs_own_code(setting):
         root = root.absolute()  # now, since the user's file may change the working directory
@@ -107,7 +117,8 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
     name = optimizer_node.pop("name")
     if setting["seed"] < 0:
         raise ConfigError(f"seed: is {setting['seed']}; expected a whole number of at least 0")
-    problem = build_problem(setting) if problem is None else problem
+    untried = problem is None
+    problem = build_problem(setting, tried=True) if problem is None else problem
     try:
         budget = Budget(**part_of(setting, "budget"))
         config = {key: part_of(setting, key) for key in ("model", "dataset", "loss", "budget")}
@@ -131,7 +142,28 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
         )
     except (TypeError, ValueError) as error:
         raise ConfigError(str(error)) from None
-    return Experiment(problem, optimizer, budget, identity, root, recorded_optimum(setting))
+    optimum = recorded_optimum(setting)
+    experiment = Experiment(problem, optimizer, budget, identity, root, optimum, workers, limit)
+    store = Store(root)
+    if untried and not (store.has_result(identity) or store.journal(identity).is_file()):
+        try:
+            check_curve_fit(problem)
+        except (TypeError, ValueError) as error:
+            raise ConfigError(str(error)) from None
+    return experiment
+
+
+def _means(setting: Mapping[str, Any]) -> tuple[int | str, float | None]:
+    """The checked workers of a run and the limit of its evaluations; raises ConfigError."""
+    workers, limit = setting.get("workers", 1), setting.get("evaluation_limit")
+    try:
+        if not is_address(workers):
+            number_of(workers)
+        if limit is not None:
+            positive("evaluation_limit", limit)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
+    return workers, limit
 
 
 def runs_own_code(cfg: Settings) -> bool:
@@ -153,14 +185,19 @@ def build_optimizer(cfg: Settings) -> Optimizer:
     return instantiate(node, "optimizer", Optimizer)
 
 
-def build_problem(cfg: Settings, dataset: Dataset | None = None) -> CurveFit:
-    """The problem alone; `dataset` is what its configuration gave, if it was built before."""
+def build_problem(
+    cfg: Settings, dataset: Dataset | None = None, *, tried: bool = False
+) -> CurveFit:
+    """The problem alone; `dataset` is what its configuration gave, if it was built before.
+
+    One that was `tried` before is not evaluated here.
+    """
     setting = plain(cfg)
     dataset, problem_of = _statement(setting, dataset)
     space = build_space(scaled_by(dataset, with_local(setting, part_of(setting, "space"))))
     rho = instantiate(part_of(setting, "loss"), "loss", Loss)
     settings = part_of(setting, "problem")
-    switches = {key: settings[key] for key in ("threads", "compressed")}
+    switches = {key: settings[key] for key in ("threads", "compressed")} | {"tried": tried}
     try:
         constraints = settings["constraints"] or ()
         return problem_of(

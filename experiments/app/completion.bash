@@ -12,7 +12,7 @@ _miho() {
       printf '%s\n' *.yaml | sed 's/\.yaml$//')" -- "${value##*,}"))
   else
     COMPREPLY=($(compgen -S = -W "$(cd "$conf" && printf '%s\n' */ | tr -d /) seed root fresh \
-      budget.evaluations budget.seconds sweep.processes sweep.dry_run" -- "$word"))
+      budget.evaluations budget.seconds sweep.workers sweep.dry_run" -- "$word"))
     compopt -o nospace 2>/dev/null
   fi
 }

@@ -36,10 +36,16 @@ from experiments.app.compose import (
 )
 from experiments.app.explain import ConfigError, one_line, parse_overrides, replace_spaces
 from experiments.app.help import completion, help_text
-from experiments.app.safety import HydraSettingError, ReceivedError, check_arguments
+from experiments.app.safety import (
+    HydraSettingError,
+    ReceivedError,
+    check_arguments,
+    check_machines,
+)
 from experiments.app.signals import Stopped, name_of, stopping_signal
 from miho.data import CSVError, DataUnavailableError
 from miho.models import TirError
+from miho.parallel.cluster import ClusterError
 from miho.parallel.worker_process import SPURIOUS_INTERRUPT
 from miho.regular_file import NotAFileError
 from miho.study import DamagedRun
@@ -53,7 +59,8 @@ a process that is killed leaves behind."""
 OK, BUG, BAD_INPUT, SOME_FAILED, STORAGE, REFUSED, LEFT_ROAD, PIPE_CLOSED = 0, 1, 2, 3, 4, 5, 6, 141
 BY_SIGNAL = 128
 BAD_INPUT_ERRORS = (
-    HydraException, OmegaConfBaseException, ConfigError, CSVError, TirError, DataUnavailableError,
+    ClusterError, HydraException, OmegaConfBaseException, ConfigError, CSVError, TirError,
+    DataUnavailableError,
     HydraSettingError, NotAFileError, ReceivedError, YAMLError, FileNotFoundError,
     IsADirectoryError,
 )  # fmt: skip
@@ -100,6 +107,7 @@ def command(
             )
         # Composed once, and checked as it is composed; Hydra's own settings are for the sweep.
         cfg = whole_config((*arguments.overrides, f"hydra.mode={mode.name}"), mode)
+        check_machines(cfg, overrides)
         HydraConfig.instance().set_config(cfg)
         try:
             if mode is RunMode.MULTIRUN and sweep is not None:

@@ -5,11 +5,15 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
 from typing import Any
 
 from experiments.app.build import Experiment
-from experiments.app.progress import progress
+from experiments.app.progress import Observer, progress
+from miho.identification import CurveFit
 from miho.optim import RunRecord, minimize
+from miho.parallel import Journal, JournalError
 from miho.study import Execution, Identity, Status, Store, execute
 
 
@@ -18,16 +22,44 @@ def execution_of(experiment: Experiment, *, quiet: bool = False) -> Execution:
     identity, problem = experiment.identity, experiment.problem
     title = f"{identity.problem} {identity.optimizer} seed {identity.seed}"
 
-    def job() -> RunRecord:
-        settings = experiment.optimizer, problem, experiment.budget, identity.seed
-        if quiet:
-            return minimize(*settings)
-        if not sys.stderr.isatty():
-            print(f"{title}: running", file=sys.stderr, flush=True)
-        with progress(title, experiment.budget, problem.unit) as observer:
-            return minimize(*settings, observer=observer)
+    store = Store(experiment.root)
 
-    return execute(Store(experiment.root), identity, job, problem.space, experiment.facts)
+    def job() -> RunRecord:
+        with closing(_journal(store.journal(identity), problem, title)) as journal:
+            if quiet:
+                return search(journal)
+            if not sys.stderr.isatty():
+                print(f"{title}: running", file=sys.stderr, flush=True)
+            with progress(title, experiment.budget, problem.unit) as observer:
+                return search(journal, observer)
+
+    def search(journal: Journal, observer: Observer | None = None) -> RunRecord:
+        return minimize(
+            experiment.optimizer,
+            problem,
+            experiment.budget,
+            identity.seed,
+            observer=observer,
+            workers=experiment.workers,
+            evaluation_limit=experiment.evaluation_limit,
+            journal=journal,
+        )
+
+    return execute(store, identity, job, problem.space, experiment.facts)
+
+
+def _journal(path: Path, problem: CurveFit, title: str) -> Journal:
+    """The journal of a run in its own folder; one that cannot be used is set aside."""
+    try:
+        journal = Journal(path, problem)
+    except JournalError as error:
+        aside = path.with_name(f"{path.name}.damaged")
+        path.replace(aside)
+        print(f"{title}: {error}; set aside as {aside.name}", file=sys.stderr, flush=True)
+        journal = Journal(path, problem)
+    if journal.standing:
+        print(f"{title}: {journal.standing}", file=sys.stderr, flush=True)
+    return journal
 
 
 def line_of(identity: Identity, execution: Execution) -> str:

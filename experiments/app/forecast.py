@@ -10,7 +10,9 @@ from typing import Any
 from experiments.app.build import Experiment
 from miho.data.preview import preview
 from miho.identification import CurveFit
+from miho.identification.curve_fit_checks import dear_leaves
 from miho.models.function_model import FunctionModel
+from miho.models.model import ExternalModel
 from miho.optim import Budget
 from miho.study import Store
 
@@ -22,14 +24,14 @@ ENOUGH, MOST_CALLS = 0.05, 20
 def announce(experiment: Experiment, dataset: Mapping[str, Any]) -> None:
     """Print a preview and a forecast on stderr, if data come from a file and the run is not done.
 
-    dataset: its settings. A function of the user's is not timed, since it runs in a worker only.
+    dataset: its settings. A function or program of the user's is not timed: it may be dear.
     """
     problem = experiment.problem
     preview_text = preview(problem.dataset)
     if preview_text is None or Store(experiment.root).has_result(experiment.identity):
         return
     print(preview_text, file=sys.stderr, flush=True)
-    if isinstance(problem.model, FunctionModel):
+    if any(isinstance(m, FunctionModel | ExternalModel) for m in dear_leaves(problem.model)):
         return
     seconds = seconds_of_evaluation(problem)
     print(forecast(seconds, experiment.budget, len(problem.dataset), dataset), file=sys.stderr)

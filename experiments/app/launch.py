@@ -13,7 +13,8 @@ from omegaconf import DictConfig
 from experiments.app.explain import replace_spaces
 from experiments.app.mirror import check_tracking, mirror_runs, say_unmirrored
 from experiments.app.plan import Request, is_of, seed_groups
-from experiments.app.runs import PlanOutcome, State, stored_state
+from experiments.app.runs import PlanOutcome, stored_state
+from experiments.app.working import State
 from miho.study import Status
 
 BASIC = "hydra._internal.core_plugins.basic_launcher.BasicLauncher"

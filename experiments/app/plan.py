@@ -14,6 +14,7 @@ from hydra.core.override_parser.types import Override
 from omegaconf import DictConfig
 
 from experiments.app.build import (
+    MEANS,
     Experiment,
     Settings,
     build,
@@ -28,6 +29,7 @@ from experiments.app.parts import model_files
 from experiments.app.schema import SweepConfig
 from miho.data import Dataset
 from miho.identification import CurveFit
+from miho.parallel.cluster import ADDRESSES, ClusterError, check_address, is_address
 from miho.parallel.workers import JobOutcome, Workers
 from miho.study import Identity
 from miho.study.identity import sha256
@@ -103,11 +105,29 @@ def planned_sweep(cfg: DictConfig, overrides: Sequence[Override]) -> list[Reques
 def sweep_settings(cfg: DictConfig) -> SweepConfig:
     """The checked settings of `sweep`; raises ConfigError."""
     settings = SweepConfig(**{str(key): value for key, value in cfg.sweep.items()})
-    if settings.processes < 1:
-        raise ConfigError(f"sweep.processes: is {settings.processes}; expected at least 1")
+    former, workers = settings.processes, settings.workers
+    if former is not None:
+        if former < 1:
+            raise ConfigError(f"sweep.processes: is {former}; expected at least 1")
+        if is_address(workers):
+            raise ConfigError("sweep.processes: is the former name of sweep.workers; give one")
+        settings = replace(settings, workers=former, processes=None)
+    elif is_address(workers):
+        _check_workers(workers)
+    elif isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
+        raise ConfigError(
+            f"sweep.workers: is {workers}; expected at least 1, or an address: {ADDRESSES}"
+        )
     if settings.time_limit is not None and not settings.time_limit > 0:
         raise ConfigError(f"sweep.time_limit: is {settings.time_limit}; expected seconds above 0")
     return settings
+
+
+def _check_workers(address: str) -> None:
+    try:
+        check_address(address)
+    except ClusterError as error:
+        raise ConfigError(f"sweep.workers: {error}") from None
 
 
 def seed_groups(overrides: Sequence[Override]) -> list[tuple[tuple[str, ...], list[int]]]:
@@ -150,10 +170,13 @@ def setting_of(text: str) -> Mapping[str, Any]:
 
 @lru_cache(maxsize=32)
 def experiment_of(text: str) -> Experiment:
-    """What all seeds of a configuration share; building it takes longer than a small run."""
+    """What all seeds of a configuration share; building it takes longer than a small run.
+
+    A model of the user's is not tried again: that was done in a process of its own (`requests`).
+    """
     setting = setting_of(text)
     if runs_own_code(setting):
-        return build(setting, build_problem(setting, dataset_of(text)))
+        return build(setting, build_problem(setting, dataset_of(text), tried=True))
     return build(setting, problem_of(setting))
 
 
@@ -212,7 +235,8 @@ def _code_of(setting: Mapping[str, Any]) -> str:
 def _named_only(setting: Mapping[str, Any], code: str) -> Identity:
     """The identity of a run whose model cannot be built: the file's name stands for the model's."""
     optimizer = setting["optimizer"]["name"]
-    about = {"optimizer": optimizer, "seed": 0, "config": setting, "code": code, "data": ""}
+    config = {key: value for key, value in setting.items() if key not in MEANS}
+    about = {"optimizer": optimizer, "seed": 0, "config": config, "code": code, "data": ""}
     try:
         return Identity(Path(model_files(setting)[0]).stem, **about)
     except ValueError:  # a name that no folder can have

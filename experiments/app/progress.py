@@ -15,6 +15,7 @@ from numba.core import event
 from tqdm import tqdm
 
 from miho.optim import Budget, Oracle
+from miho.optim.pace import Pace
 
 REFRESH_SECONDS = 1.0
 WORTH_TELLING = 2.0
@@ -47,7 +48,7 @@ def spent(budget: Budget, evaluations: float, seconds: float) -> tuple[float, fl
 
 @contextmanager
 def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
-    """A bar that fills with the budget and shows the best error; silent if not on a terminal.
+    """A bar that fills with the budget and shows the best error; in a log a line each ten seconds.
 
     Of a method that makes descents also how many agree: with enough of them some end by themselves.
     Before, for how long numba has been compiling what is not in its cache.
@@ -55,22 +56,28 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
     limited = budget.evaluations is not None or budget.seconds is not None
     layout = "{percentage:3.0f}% |{bar}| {desc}" if limited else "{desc}"
     columns, rows = _size()
+    pace = Pace(budget)
     with tqdm(
         total=1.0, desc=title, leave=False, disable=None, bar_format=layout,
         ncols=columns, nrows=rows,
     ) as bar:  # fmt: skip
 
         def observe(oracle: Oracle) -> None:
-            bar.n, left = spent(budget, oracle.evaluations, oracle.meter.seconds)
+            pace.update(oracle)
+            if bar.disable and not pace.line_due():
+                return
+            bar.n = spent(budget, oracle.evaluations, oracle.meter.seconds)[0]
             error = math.sqrt(max(0.0, oracle.best))
-            most = f", at most {left:.0f} s left" if math.isfinite(left) else ""
             agreement = oracle.agreement
             n, kind = agreement.finished, "brackets" if oracle.meter.starts.brackets else "descents"
             agreeing = f", {agreement.agreeing} of {n} {kind} agree" if n else ""
-            bar.set_description_str(
+            line = (
                 f"{title}: {error:.5g} {unit}{agreeing}, {oracle.evaluations:,.0f} evaluations, "
-                f"{oracle.meter.seconds:.1f} s{most}"
+                f"{oracle.meter.seconds:.1f} s{pace.words(oracle)}"
             )
+            if bar.disable:
+                print(line, file=sys.stderr, flush=True)
+            bar.set_description_str(line)
 
         def compiling(seconds: float | None) -> None:
             stage = "" if seconds is None else f": compiling, once on this machine, {seconds:.0f} s"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Mapping
@@ -31,6 +32,8 @@ from miho.analysis.pages.sweep import Best, save_sweep_page
 from miho.analysis.pages.sweep_contents import Configured, best_runs
 from miho.analysis.pages.sweep_runs import Sweep
 from miho.identification import Report
+from miho.parallel.cluster import is_address
+from miho.parallel.pool import number_of
 from miho.study import StoredRun, load_runs, read_run
 from miho.study.manifest import missing_runs
 from miho.study.places import inside
@@ -45,6 +48,7 @@ class Options:
     for what is not asked for by name, whether to `trust` models in files, none of it (`quick`), and
     the folder to write to (None: the root). `candidates` is a file of rows that could be measured
     next, of which to choose so many `rows` (or `groups`) for a `goal`; `posterior` is sampled.
+    `workers` share the refits.
     """
 
     bootstrap: int
@@ -60,6 +64,17 @@ class Options:
     goal: str | None = None
     groups: str | None = None
     posterior: bool = False
+    workers: str = "1"
+
+
+def workers(text: str) -> str:
+    """An argument of the command: a number of processes, -1 for one per core, or an address."""
+    try:
+        if not is_address(text):
+            number_of(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+    return text
 
 
 def read_sweep(root: Path) -> Sweep:
@@ -172,5 +187,6 @@ def _report(stored: StoredRun, options: Options) -> Report:
         replicates=options.bootstrap,
         profiles=options.profile,
         level=options.level,
+        workers=options.workers,
         **settings,
     )

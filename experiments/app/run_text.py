@@ -14,7 +14,7 @@ import pandas as pd
 from experiments.app.build import Experiment
 from experiments.app.console import OK, SOME_FAILED
 from experiments.app.parts import model_files
-from experiments.app.runs import State
+from experiments.app.working import State
 from miho.identification import Square, linear_optimum
 from miho.identification.standing import kind_of
 from miho.identification.validation import root_mean_square

@@ -9,7 +9,7 @@ import sys
 import time
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
@@ -19,43 +19,25 @@ from typing import Any
 from tqdm import tqdm
 
 from experiments.app.build import build_optimizer
-from experiments.app.execution import execution_of, line_of, result_error, result_line
+from experiments.app.cluster_runs import ClusterRuns, cluster_runs
+from experiments.app.execution import execution_of, result_error, result_line
 from experiments.app.mirror import check_tracking, mirror_runs, say_unmirrored
-from experiments.app.origin import our_code, packages_of
-from experiments.app.plan import MODULES, POLL, Request, dataset_of, experiment_of, setting_of
+from experiments.app.plan import MODULES, POLL, Request, experiment_of, setting_of
 from experiments.app.schema import SweepConfig
 from experiments.app.signals import Stopped, stopping
-from miho.identification import CurveFit
-from miho.optim.minimize import warm_up
-from miho.parallel.worker_process import SPURIOUS_INTERRUPT
+from experiments.app.working import State, ended_state, execute, executed_state, own_code, prepare
+from miho.parallel.cluster import ClusterLost, is_address
 from miho.parallel.workers import JobOutcome, Workers
-from miho.study import Execution, Status, Store, StoredRun, environment_stamp, single_thread
+from miho.study import Status, Store
 from miho.study.changes import refuse_changes
-from miho.study.contention import reference_work
 from miho.study.files import RESULT
 from miho.study.manifest import first_names, write_manifest
-from miho.study.redaction import redacted
 
 HERE = 0
 """Processes for runs that are done in this one."""
 REPEAT_AFTER, KILL_AFTER = 1.5, 3.5
 """Seconds after the first signal until it is repeated, because Python loses one that strikes in a
 callback of a library, and until what still runs is killed, so that all is over in five."""
-
-
-@dataclass(frozen=True)
-class State:
-    """What became of a request: a line to print, and why there is no result if there is none.
-
-    `run`: what is stored of it, where this process did it.
-    """
-
-    request: Request
-    status: Status
-    line: str
-    error: float | None = None
-    reason: str | None = None
-    run: StoredRun | None = None
 
 
 @dataclass
@@ -80,12 +62,14 @@ def run(
     overrides: Sequence[str] = (),
     tracking: Mapping[str, Any] = MappingProxyType({}),
 ) -> PlanOutcome:
-    """Do what is not done, `processes` runs at a time (default: `settings.processes`).
+    """Do what is not done, `processes` runs at a time (default: by `settings.workers`).
 
     A run that is asked for twice is done once; one that another process is doing is waited for. A
     run that raises, exits, is killed or takes too long is lost alone. After the first signal the
     runs in progress keep what they found and stop, and the states tell how all stand. With `HERE`
-    they are done in this process, one after the other, and a failure of one ends none.
+    they are done in this process, one after the other, and a failure of one ends none. Else, if
+    `settings.workers` is the address of a cluster, they are done there; if it is lost, the states
+    tell which runs are to be done again.
 
     Raises ResumeRefused if finished runs were made of something else. What is finished goes to the
     tracker of `tracking` at the end, unless a signal ended it.
@@ -96,7 +80,9 @@ def run(
         runs.states += [replace(stored_state(request), reason=None) for request in unique]
         return runs
     check_tracking(tracking)
-    at_once = settings.processes if processes is None else processes
+    at_once: int | str = settings.workers if processes is None else processes
+    if processes != HERE and is_address(settings.workers):
+        at_once = settings.workers
     _refuse_and_list(unique, overrides, fresh=fresh, in_process=at_once == HERE)
     try:
         try:
@@ -104,10 +90,12 @@ def run(
         except KeyboardInterrupt:
             say_unmirrored(unique, tracking)
             raise
+        except ClusterLost as error:
+            runs.states += _unknown(unique, runs.states)
+            print(f"{at_once}: {error}", file=sys.stderr)
         mirror_runs(unique, tracking)
     except KeyboardInterrupt as stopped:
-        known = {state.request.identity.id for state in runs.states}
-        runs.states += [_state_after_stop(r) for r in unique if r.identity.id not in known]
+        runs.states += _unknown(unique, runs.states)
         runs.stopped = stopped
     return runs
 
@@ -128,13 +116,13 @@ def _refuse_and_list(
 
 
 def _do(
-    plan: Sequence[Request], settings: SweepConfig, processes: int, states: list[State]
+    plan: Sequence[Request], settings: SweepConfig, at_once: int | str, states: list[State]
 ) -> None:
     """Go through a plan and append the state of each request as soon as it is known."""
-    in_process = processes == HERE
-    with _bar(len(plan), processes) as bar:
+    in_process = at_once == HERE
+    with _bar(len(plan), at_once) as bar:
         todo: list[Request] = []
-        executed = _run_here(todo) if in_process else _run_in_workers(todo, settings, processes)
+        executed = _run_here(todo) if in_process else _run_in_workers(todo, settings, at_once)
         for state in chain(_stored_states(plan, todo), executed):
             states.append(state)
             bar.show(state)
@@ -155,21 +143,15 @@ def stored_state(request: Request) -> State:
     return State(request, Status.TO_DO, f"to do again: {request.words}", reason=reason)
 
 
-def _executed_state(request: Request, execution: Execution) -> State:
-    last = (execution.error or "").strip().splitlines()[-1:]
-    return State(
-        request,
-        execution.status,
-        line_of(request.identity, execution),
-        result_error(None if execution.run is None else execution.run.result),
-        last[0] if last else None,
-    )
-
-
-def _state_after_stop(request: Request) -> State:
-    """The state of a run that was not begun before a signal, from a look at its folder."""
-    stored = Store(Path(request.root)).has_result(request.identity)
-    return State(request, Status.DONE_BEFORE if stored else Status.TO_DO, "")
+def _unknown(plan: Sequence[Request], states: Sequence[State]) -> list[State]:
+    """The states of the runs that were not begun when all ended, from a look at their folders."""
+    known = {state.request.identity.id for state in states}
+    unknown = [request for request in plan if request.identity.id not in known]
+    stored = [Store(Path(request.root)).has_result(request.identity) for request in unknown]
+    return [
+        State(request, Status.DONE_BEFORE if is_stored else Status.TO_DO, "")
+        for request, is_stored in zip(unknown, stored, strict=True)
+    ]
 
 
 def _stored_states(plan: Sequence[Request], todo: list[Request]) -> Iterator[State]:
@@ -205,28 +187,27 @@ def _run_here(plan: Sequence[Request]) -> Iterator[State]:
     """The runs as they end, each in this process with a bar of its own."""
     for request in plan:
         execution = execution_of(request.experiment or experiment_of(request.setting))
-        yield replace(_executed_state(request, execution), run=execution.run)
+        yield replace(executed_state(request, execution), run=execution.run)
+
+
+def _workers(
+    plan: Sequence[Request], settings: SweepConfig, at_once: int | str
+) -> AbstractContextManager[Workers[Request, State | None] | ClusterRuns]:
+    """Processes of this machine, or the workers of the cluster at an address."""
+    if isinstance(at_once, str):
+        return cluster_runs(at_once, settings, own_code=any(map(own_code, plan)))
+    return Workers(execute, at_once, settings.time_limit, MODULES, prepare=prepare, alone=own_code)
 
 
 def _run_in_workers(
-    plan: Sequence[Request], settings: SweepConfig, processes: int
+    plan: Sequence[Request], settings: SweepConfig, at_once: int | str
 ) -> Iterator[State]:
     """The runs as they end, each in a process of its own."""
     if not plan:
         return
     todo, elsewhere = deque(plan), deque[Request]()
-    first = _to_compile(plan) if processes > 1 else None
-    with (
-        Workers(
-            _execute,
-            processes,
-            settings.time_limit,
-            MODULES,
-            prepare=_prepare,
-            alone=_own_code,
-        ) as workers,
-        stopping(workers) as stop,
-    ):
+    first = _to_compile(plan) if at_once != 1 else None
+    with _workers(plan, settings, at_once) as workers, stopping(workers.interrupt) as stop:
         if first is not None:
             workers.start(first)
         while todo or elsewhere or workers.busy:
@@ -267,38 +248,6 @@ def _run_in_workers(
             raise Stopped(stop.number)
 
 
-def ended_state(ended: JobOutcome[Request, State | None]) -> State:
-    """The state that a worker gives, or that of a run whose worker ended without one."""
-    request, reason, interrupted = ended.job, ended.reason, ended.interrupted
-    if ended.result is not None:
-        if interrupted or ended.result.status is not Status.INTERRUPTED:
-            return replace(ended.result, request=request)
-        reason = SPURIOUS_INTERRUPT
-    reason = redacted(reason or "no answer")
-    status, identity = Status.INTERRUPTED if interrupted else Status.LOST, request.identity
-    if ended.result is None:  # else it has kept its curve
-        Store(Path(request.root)).keep_reason(identity, reason, ended.detail, str(status))
-    name = f"{identity.problem} {identity.optimizer} seed {identity.seed}"
-    return State(request, status, f"{name}: {status}: {reason}", reason=reason)
-
-
-def _own_code(request: Request) -> bool:
-    return request.own_code
-
-
-def _prepare(request: Request) -> None:
-    """In a worker: load what runs of a user's model share, before each is forked from it."""
-    if not request.own_code:
-        return
-    with single_thread():
-        reference_work().recent()
-        environment_stamp()
-        optimizer = build_optimizer(setting_of(request.setting))
-        our_code(frozenset({CurveFit.__module__, type(optimizer).__module__}))
-        dataset_of(request.setting)
-        packages_of(optimizer)
-
-
 def _to_compile(plan: Sequence[Request]) -> Request | None:
     """A run whose method is to be compiled before the others start: each would compile the same."""
     by_method = {r.identity.optimizer: r for r in reversed(plan) if not r.own_code}
@@ -311,25 +260,14 @@ def _to_compile(plan: Sequence[Request]) -> Request | None:
     return None
 
 
-def _execute(request: Request) -> State | None:
-    """In a process of its own: do a run, unless it is done; or only compile what it needs."""
-    if request.compile_only:
-        experiment = experiment_of(request.setting)
-        warm_up(experiment.optimizer, experiment.problem)
-        return None
-    root = Path(request.root).absolute()  # before a model of the user's may change the folder
-    experiment = replace(experiment_of(request.setting), identity=request.identity, root=root)
-    return _executed_state(request, execution_of(experiment, quiet=True))
-
-
 @contextmanager
-def _bar(total: int, processes: int) -> Iterator[Progress]:
+def _bar(total: int, at_once: int | str) -> Iterator[Progress]:
     """A bar on a terminal, else a line for each run; runs in this process have their own bars."""
-    if processes == HERE:
-        yield Progress(total, processes, None)
+    if at_once == HERE:
+        yield Progress(total, at_once, None)
         return
     with tqdm(total=total, desc="runs", smoothing=0.02, disable=None) as bar:
-        yield Progress(total, processes, bar)
+        yield Progress(total, at_once, bar)
 
 
 @dataclass
@@ -337,7 +275,7 @@ class Progress:
     """What a sweep has done so far."""
 
     total: int
-    processes: int
+    at_once: int | str
     bar: Any
     counts: Counter[Status] = field(default_factory=Counter)
     best: dict[str, float] = field(default_factory=dict)
@@ -356,7 +294,9 @@ class Progress:
             return
         self.bar.update()
         best = "" if len(self.best) != 1 else f", best {next(iter(self.best.values())):.5g}"
-        running = min(self.processes, self.total - self.counts.total())
-        self.bar.set_postfix_str(f"{running} running, {bad} failed{best}")
+        running = ""  # a cluster shows it on its dashboard
+        if isinstance(self.at_once, int):
+            running = f"{min(self.at_once, self.total - self.counts.total())} running, "
+        self.bar.set_postfix_str(f"{running}{bad} failed{best}")
         if state.reason is not None:
             self.bar.write(state.line, file=sys.stderr)

@@ -19,6 +19,7 @@ from types import ModuleType
 from typing import Any, NoReturn, TypeVar, cast
 
 import yaml
+from hydra.core.override_parser.types import Override
 from hydra.core.plugins import Plugins
 from hydra.plugins.launcher import Launcher
 from omegaconf import DictConfig, OmegaConf
@@ -33,6 +34,7 @@ from miho.data import Dataset
 from miho.identification import Loss
 from miho.models import Model
 from miho.optim import AskTell, Optimizer
+from miho.parallel.cluster import is_address
 from miho.study.redaction import holds_secret
 
 T = TypeVar("T")
@@ -199,6 +201,19 @@ def check_hydra(hydra: DictConfig, usual: DictConfig, overrides: Sequence[str]) 
             raise HydraSettingError(
                 f"{setting}: reaches a shell, so it must be typed on the command line"
             )
+
+
+def check_machines(cfg: DictConfig, overrides: Sequence[Override]) -> None:
+    """Refuse the address of a cluster that is not typed: code and data would go there."""
+    typed = {o.key_or_group for o in overrides}
+    for key in ("workers", "sweep.workers"):
+        workers = OmegaConf.select(cfg, key)
+        if not is_address(workers) or key in typed:
+            continue
+        raise HydraSettingError(
+            f"{key}: {_shortened(workers)} is where code and data would go, so it must be typed on "
+            "the command line"
+        )
 
 
 def _check_same(new: Mapping[str, Any], old: Mapping[str, Any], place: str, free: set[str]) -> None:

@@ -112,12 +112,18 @@ class ComparisonConfig:
 class SweepConfig:
     """How a sweep (-m) goes through its runs.
 
-    `processes` runs at a time; a run that takes longer than `time_limit` seconds in all is killed.
-    A run that fails or is lost stops no other, unless `stop_on_failure`; the next call does it
-    again. `dry_run` lists the runs and does none. `seeds` are those of one job of a launcher.
+    `workers` runs at a time, in processes of this machine, or as many as a cluster has threads:
+    dask://HOST:PORT, dask:N, slurm:N, pbs:N or lsf:N (`processes` is the former name). With
+    `shared` the workers of a cluster see `root` and the user's files at the same paths as this
+    machine, and store what they do by themselves; else it is sent here and stored here. A run that
+    takes longer than `time_limit` seconds in all is killed. A run that fails or is lost stops no
+    other, unless `stop_on_failure`; the next call does it again. `dry_run` lists the runs and does
+    none. `seeds` are those of one job of a launcher.
     """
 
-    processes: int = 1
+    workers: Any = 1
+    processes: int | None = None
+    shared: bool = False
     time_limit: float | None = None
     stop_on_failure: bool = False
     dry_run: bool = False
@@ -184,6 +190,10 @@ class Config:
     `fresh` sets aside finished runs of the same request that were made of other code, data,
     settings or packages, where the program else refuses to mix old and new; in a comparison on the
     clock also those whose seconds other work disturbed.
+
+    `workers` make the evaluations of a run where each takes long: a number of processes, -1 for one
+    per core, or the address of a cluster; in a sweep those of each run. An evaluation that takes
+    longer than `evaluation_limit` seconds is given up. What a run is does not depend on either.
     """
 
     model: dict[str, Any] = MISSING
@@ -194,6 +204,8 @@ class Config:
     optimizer: dict[str, Any] = MISSING
     budget: BudgetConfig = field(default_factory=BudgetConfig)
     seed: int = 0
+    workers: Any = 1
+    evaluation_limit: float | None = None
     root: str = "runs/identify"
     fresh: bool = False
     sweep: SweepConfig = field(default_factory=SweepConfig)

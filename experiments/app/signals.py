@@ -10,9 +10,6 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from types import FrameType
-from typing import Any
-
-from miho.parallel.workers import Workers
 
 HANG_UP = getattr(signal, "SIGHUP", None)
 """What a closed terminal sends; Windows has none."""
@@ -89,15 +86,15 @@ def _as_interrupt(number: int, frame: FrameType | None) -> None:
 
 
 @contextlib.contextmanager
-def stopping(workers: Workers[Any, Any]) -> Iterator[Stop]:
-    """While this lasts, the first signal asks the workers to stop, the second ends all at once."""
+def stopping(interrupt: Callable[[], None]) -> Iterator[Stop]:
+    """While this lasts, the first signal calls `interrupt`, the second ends all at once."""
     stop = Stop()
 
     def on_signal(number: int, frame: FrameType | None) -> None:
         if stop.number is not None:
             raise Stopped(number)
         stop.number, stop.at = number, time.monotonic()
-        workers.interrupt()
+        interrupt()
 
     if threading.current_thread() is not threading.main_thread():
         yield stop

@@ -44,7 +44,7 @@ def main() -> None:
         cfg = composed(overrides)
         cfg.comparison.repetitions = REPETITIONS
         cfg.comparison.methods = {method: {}}
-        run(plan_arena(cfg, overrides, methods=1).plan, SweepConfig(processes=2)).raise_if_stopped()
+        run(plan_arena(cfg, overrides, methods=1).plan, SweepConfig(workers=2)).raise_if_stopped()
         stored = load_runs(Path(root))
         runs, curves = as_configured(stored.runs), stored.curves
     for frame in (runs, curves):

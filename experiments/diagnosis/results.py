@@ -18,6 +18,7 @@ from miho.study import Runs, load_runs
 from miho.study.environment import ARITHMETIC
 from miho.study.files import (
     ENVIRONMENT,
+    JOURNAL,
     LARGEST_SETTINGS,
     MALFORMED,
     PARTIAL,
@@ -139,7 +140,7 @@ def move_aside(root: Path, folder: Path) -> Path | None:
 
 def partial(files: Sequence[Path]) -> Check:
     """Runs that were interrupted or failed; the best they had come to is kept."""
-    folders = {path.parent for path in files if path.name == PARTIAL}
+    folders = {path.parent for path in files if path.name in (PARTIAL, JOURNAL)}
     folders -= {path.parent for path in files if path.name == RESULT}
     if not folders:
         return Check("partial runs", Severity.OK, "none")

@@ -16,10 +16,12 @@ from tqdm import tqdm
 
 from experiments.app.build import ConfigError
 from experiments.app.origin import driving_code, regenerates
+from experiments.app.plan import sweep_settings
 from experiments.driving.laps import VARIANTS, SeedJob, laps_of, methods_of, stored_laps
 from experiments.driving.settings import factors_text, track_and_vehicle
 from miho.analysis import save
 from miho.analysis.figures.driving import lap_figure, lap_table, lap_text
+from miho.parallel.cluster import is_address
 from miho.parallel.workers import Workers
 from miho.study import write_text
 
@@ -51,12 +53,11 @@ def write_study(cfg: DictConfig, root: Path, rows: list[dict[str, Any]]) -> None
 def check_study(cfg: DictConfig) -> None:
     """Everything that can be wrong before the first seed."""
     track_and_vehicle(cfg)
-    for key, value in (
-        ("comparison.repetitions", cfg.comparison.repetitions),
-        ("sweep.processes", cfg.sweep.processes),
-    ):
-        if value < 1:
-            raise ConfigError(f"{key}: is {value}; expected at least 1")
+    repetitions, workers = cfg.comparison.repetitions, sweep_settings(cfg).workers
+    if repetitions < 1:
+        raise ConfigError(f"comparison.repetitions: is {repetitions}; expected at least 1")
+    if is_address(workers):
+        raise ConfigError(f"sweep.workers: is {workers}; a study of drives runs on this machine")
     missing = [method for method in NEEDED if method not in cfg.comparison.methods]
     if missing:
         raise ConfigError(f"comparison.methods.{missing[0]}: is missing; the variants need it")

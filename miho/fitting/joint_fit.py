@@ -9,14 +9,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from miho.data.dataset import Dataset
+from miho.fitting.dear_fit import JournalPath, dear_fit, is_tried
 from miho.fitting.joint_problem import Joint, Measured
-from miho.fitting.one_fit import Fit, searched
+from miho.fitting.one_fit import Fit, searched, without_priors
 from miho.fitting.statement import FAR, data_of
 from miho.identification.curve_fit import CurveFit
 from miho.identification.stated import stated_parameters
 from miho.models.joint import PART, parts_of
 from miho.models.model import Model
 from miho.optim import Budget, Optimizer, Parameter, Space
+from miho.parallel import Workers
 
 
 class Part(NamedTuple):
@@ -40,14 +42,17 @@ def fit_joint(
     budget: Budget | None = None,
     seed: int = 0,
     compiled: bool | None = None,
+    workers: Workers = None,
+    evaluation_limit: float | None = None,
+    journal: JournalPath = None,
 ) -> JointFit:
     """Fit several datasets, or several outputs of one motion, with parameters in common.
 
     `parts` are named. A parameter of one name is the same in all parts; one in `local` is one of
     each part's own, called NAME_PART, whose bounds are those of NAME unless it has its own.
-    `space`, `fixed`, `tied`, `constraints`, `method`, `budget` and `seed` are those of `miho.fit`.
-    Where all parts are the same expression, it is compiled from 20,000 rows on, or where `compiled`
-    is true.
+    `space`, `fixed`, `tied`, `constraints`, `method`, `budget`, `seed`, `workers`,
+    `evaluation_limit` and `journal` are those of `miho.fit`. Where all parts are the same
+    expression, it is compiled from 20,000 rows on, or where `compiled` is true.
 
     A part's sigma that is not given is estimated from its own residuals, see `Joint.complete`.
     Raises ValueError for what does not fit together.
@@ -58,8 +63,13 @@ def fit_joint(
         measured[name] = Measured(chosen, dataset, deviation)
     joint = Joint(measured, local)
     bounds = joint.space(space, fixed, tied, constraints)
-    problem = joint.complete(bounds, method, budget, seed, compiled=compiled)
-    fit = searched(problem, method, budget, seed)
+    plain = without_priors(bounds) if joint.lacking else bounds  # which need sigma
+    problem = joint.problem(plain, compiled=compiled, tried=is_tried(journal))
+    with dear_fit(problem, workers, evaluation_limit, journal) as evaluations:
+        if joint.lacking:
+            settings = {"compiled": compiled, "tried": True}
+            problem = joint.complete(bounds, method, budget, seed, evaluations, **settings)
+        fit = searched(problem, method, budget, seed, evaluations)
     return JointFit(fit.problem, fit.theta, fit.run, fit.descents)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.data.stacking import stacked_columns
+from miho.fitting.dear_fit import spread
 from miho.fitting.one_fit import Fit, has_priors, searched, without_priors
 from miho.fitting.statement import space_of
 from miho.identification.constraints import constrained
@@ -23,6 +24,7 @@ from miho.models.function_model import FunctionModel
 from miho.models.joint import PART, JointModel, JointPart, joined, parts_of
 from miho.models.model import Model
 from miho.optim import Budget, Optimizer, Parameter, Space
+from miho.parallel import Evaluations
 from miho.quantities import Array
 
 OUTPUT, SIGMA = "output of the part", "sigma of the row"
@@ -179,6 +181,7 @@ class Joint:
         method: Optimizer | None = None,
         budget: Budget | None = None,
         seed: int = 0,
+        evaluations: Evaluations | None = None,
         **settings: Any,
     ) -> CurveFit:
         """The problem within a space of all parameters, with sigma of all parts.
@@ -193,20 +196,24 @@ class Joint:
         self._check_estimable(settings.get("rho"))
         joint = self
         if has_priors(space):
-            plain = self.complete(without_priors(space), method, budget, seed, **settings)
+            plain = self.complete(
+                without_priors(space), method, budget, seed, evaluations, **settings
+            )
             rows = plain.dataset[PART]
             first = {name: float(plain.dataset[SIGMA][rows == k][0])
                      for k, name in enumerate(self.parts) if name in self.lacking}  # fmt: skip
             joint = self._with(first, parts_of(plain.model))
         problem = joint.problem(space, prior_scale=joint._scale, **settings)
-        fit = searched(problem, method, budget, seed)
+        fit = searched(problem, method, budget, seed, evaluations)
         models = parts_of(problem.model)  # traced once
         for _ in range(ROUNDS):
-            sigma = self._residual_deviations(fit)
+            whole = spread(fit.problem, evaluations)
+            sigma = self._residual_deviations(replace(fit, problem=whole))
             before = {name: deviations(name, joint.parts[name])[0] for name in sigma}
             joint = self._with(sigma, models)
             problem = joint.problem(space, prior_scale=joint._scale, **settings)
-            fit = replace(fit, problem=problem, theta=refit(problem, fit.theta).theta)
+            theta = refit(spread(problem, evaluations), fit.theta).theta
+            fit = replace(fit, problem=problem, theta=theta)
             if all(abs(sigma[name] / before[name] - 1) < SETTLED for name in sigma):
                 break
         return problem

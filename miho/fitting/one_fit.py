@@ -13,6 +13,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from miho.fitting.dear_fit import (
+    JournalPath,
+    dear_fit,
+    interrupted,
+    is_tried,
+    pace_line,
+    spread,
+)
 from miho.fitting.statement import Tire, data_of, inputs_of, of_tire, space_of
 from miho.identification.closed_form import linear_optimum
 from miho.identification.constraints import constrained, free_values
@@ -28,7 +36,8 @@ from miho.models.model import Model
 from miho.models.tied import Tied, whole_model
 from miho.models.tire_formula import TireFormula
 from miho.models.traced import Remade
-from miho.optim import MIHOGN, Budget, Descents, Optimizer, Space, minimize
+from miho.optim import MIHOGN, Budget, Descents, Optimizer, Outcome, Space, minimize
+from miho.parallel import Evaluations, Workers
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -69,6 +78,9 @@ def fit(
     budget: Budget | None = None,
     seed: int = 0,
     compiled: bool | None = None,
+    workers: Workers = None,
+    evaluation_limit: float | None = None,
+    journal: JournalPath = None,
 ) -> Fit:
     """Fit a model to data, within bounds and without a start, or from a start without a search.
 
@@ -96,6 +108,13 @@ def fit(
     names it; its coefficients that have bounds or a start are free, all others stay. Only named, as
     in ["PDY1", "PKY1"], they start from the tire's own values.
 
+    Where an evaluation takes long, `workers` make them: a number of processes, -1 for one per core,
+    an executor, or the address of a cluster; the result is the same. One that takes longer than
+    `evaluation_limit` seconds has no value. In the file `journal` stands every evaluation that
+    takes longer than some 10 ms, as soon as it is made: the same call makes none of them again.
+    One with other bounds, priors, sigma or another method knows them too, where it comes across the
+    same configurations; one of another model or of other data is refused.
+
     Raises ValueError for what does not fit together, and where no finite value was found.
     """
     # A tire has bounds or a start of its own; anything else needs them by name.
@@ -110,21 +129,33 @@ def fit(
         compiled = start is None and not isinstance(model, TireFormula)
     bounds = constrained(space_of(chosen, space, start, fixed or {}, tied or {}), constraints)
 
-    def solved(bounds: Space, prior_scale: float | None) -> Fit:
-        problem = CurveFit(
+    def problem_of(bounds: Space, prior_scale: float | None = None, tried: bool = True) -> CurveFit:
+        return CurveFit(
             chosen, dataset, bounds, loss or Square(), sigma=sigma, sigma_known=sigma_known,
-            compiled=compiled, prior_scale=prior_scale,
+            compiled=compiled, prior_scale=prior_scale, tried=tried,
         )  # fmt: skip
-        if start is None:
-            return searched(problem, method, budget, seed)
-        return descended(problem, start)
 
     # Beside errors that are not known, priors count by what the residuals say.
-    known = sigma is not None and sigma_known
-    return solved(bounds, None) if known or not has_priors(bounds) else settled(bounds, solved)
+    settles = has_priors(bounds) and (sigma is None or not sigma_known)
+    plain = without_priors(bounds) if settles else bounds
+    first = problem_of(plain, tried=is_tried(journal))
+    with dear_fit(first, workers, evaluation_limit, journal) as evaluations:
+
+        def solved(problem: CurveFit) -> Fit:
+            if start is None:
+                return searched(problem, method, budget, seed, evaluations)
+            return descended(problem, start, evaluations)
+
+        if not settles:
+            return solved(first)
+        return settled(bounds, lambda *box: solved(problem_of(*box)), evaluations)
 
 
-def settled(bounds: Space, solved: Callable[[Space, float | None], Fit]) -> Fit:
+def settled(
+    bounds: Space,
+    solved: Callable[[Space, float | None], Fit],
+    evaluations: Evaluations | None = None,
+) -> Fit:
     """The fit beside priors whose weight depends on the errors, which are not known.
 
     `solved` fits within bounds, with priors that count beside errors of a standard deviation. That
@@ -134,7 +165,8 @@ def settled(bounds: Space, solved: Callable[[Space, float | None], Fit]) -> Fit:
     """
 
     def noise(fit: Fit) -> float:
-        return max(linearised(fit.problem, fit.theta).noise, math.sqrt(fit.problem.rounding))
+        at = linearised(spread(fit.problem, evaluations), fit.theta)
+        return max(at.noise, math.sqrt(fit.problem.rounding))
 
     fit = solved(bounds, noise(solved(without_priors(bounds), None)))
     for _ in range(ROUNDS):
@@ -142,8 +174,9 @@ def settled(bounds: Space, solved: Callable[[Space, float | None], Fit]) -> Fit:
         before = fit.problem.prior_scale or scale
         if abs(scale - before) <= SETTLED * before:
             return fit if fit.descents is None else solved(bounds, scale)
-        problem = replace(fit.problem, prior_scale=scale)
-        fit = replace(fit, problem=problem, theta=refit(problem, fit.theta).theta)
+        problem = replace(fit.problem, prior_scale=scale, tried=True)
+        theta = refit(spread(problem, evaluations), fit.theta).theta
+        fit = replace(fit, problem=problem, theta=theta)
     raise ValueError("the errors and what priors count beside them do not settle; give sigma")
 
 
@@ -157,13 +190,15 @@ def without_priors(space: Space) -> Space:
     return replace(space, parameters=tuple(replace(p, prior=None) for p in space.parameters))
 
 
-def descended(problem: CurveFit, start: Mapping[str, float]) -> Fit:
+def descended(
+    problem: CurveFit, start: Mapping[str, float], evaluations: Evaluations | None = None
+) -> Fit:
     """The optimum that a descent from a start of every free parameter leads to."""
     model = problem.model
     theta = np.array([float(start.get(name, 0.0)) for name in problem.space.names])
     if isinstance(model, Tied):
         theta = free_values(problem.space, model.ties, start)
-    descent = refit(problem, theta)
+    descent = refit(spread(problem, evaluations), theta)
     if not math.isfinite(descent.cost):
         raise ValueError(f"{problem.name}: is not finite at the start; give another one")
     return Fit(problem, descent.theta, descent.theta)
@@ -174,18 +209,28 @@ def searched(
     method: Optimizer | None = None,
     budget: Budget | None = None,
     seed: int = 0,
+    evaluations: Evaluations | None = None,
 ) -> Fit:
-    """The optimum of a problem, by `MIHOGN()` unless another method is given."""
+    """The optimum of a problem, by `MIHOGN()` unless another method is given.
+
+    `evaluations` make those of search and descent. Raises KeyboardInterrupt after a Ctrl-C.
+    """
     method = method or MIHOGN()
     if problem.kernel is not None and method.uncompiled:
         sys.stderr.write(
             "miho: compiling the search, once on this machine, for about half a minute "
             "(compiled=False does without)\n"
         )
-    run = minimize(method, problem, budget, seed, rehearse=False)
+    run = minimize(
+        method, problem, budget, seed, rehearse=False, workers=evaluations,
+        observer=pace_line(problem, budget),
+    )  # fmt: skip
+    if run.outcome is Outcome.INTERRUPTED:
+        raise interrupted(run)
     if run.theta is None:
         raise ValueError(f"{problem.name}: no finite value was found: {run.error or run.rejected}")
-    return Fit(problem, refit(problem, run.theta).theta, run.theta, run.descents)
+    theta = refit(spread(problem, evaluations), run.theta).theta
+    return Fit(problem, theta, run.theta, run.descents)
 
 
 @dataclass(frozen=True, eq=False)

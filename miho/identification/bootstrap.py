@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
@@ -12,6 +13,9 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import refit
 from miho.identification.uncertainty import Linearised, events_of
 from miho.optim.space import Space
+from miho.parallel.blocks import in_blocks
+from miho.parallel.pool import Pool
+from miho.parallel.process_executor import WorkerLostError
 from miho.quantities import Array
 
 TINY = 1e-12
@@ -26,6 +30,7 @@ def bootstrap(
     progress: Callable[[], object] = lambda: None,
     held: Sequence[int] = (),
     block: int = 1,
+    pool: Pool | None = None,
 ) -> Array:
     """Estimates (replicates, d) from rows drawn with replacement, near the optimum `theta` (d,).
 
@@ -34,21 +39,39 @@ def bootstrap(
     them. Rows that depend on their neighbours are weighted by `block` rows at a time, exponentially
     (Rubin, Annals of Statistics 9, 1981): no weight is 0, so that what only a few rows of the data
     determine stays determined. The parameters at the positions `held` stay where they are.
-    `progress` is called after every replicate.
+    `progress` is called after every replicate. The workers of a `pool` make them where they take
+    long; they are the same without, to the last bit. Raises ValueError where one is lost.
     """
     event = events_of(problem.dataset)
     index = np.arange(len(problem.dataset)) if event is None else event
     units = int(index.max()) + 1
-    estimates = np.empty((replicates, theta.size))
-    for replicate in range(replicates):
+
+    def weights() -> Array:
         if block > 1:
-            weights = _block_weights(units, block, rng)
-        else:
-            counts = rng.multinomial(units, np.full(units, 1 / units))
-            weights = counts[index].astype(float)
-        estimates[replicate] = refit(problem, theta, weights, held, tolerance=1e-6).theta
+            return _block_weights(units, block, rng)
+        counts = rng.multinomial(units, np.full(units, 1 / units))
+        return np.asarray(counts[index].astype(float))
+
+    drawn = (weights() for _ in range(replicates))  # here, in their order, whoever refits
+    estimates = np.empty((replicates, theta.size))
+    for k, estimate in enumerate(in_blocks(pool, _Refitted(problem, theta, held), drawn)):
+        if isinstance(estimate, WorkerLostError):
+            raise ValueError(f"a bootstrap replicate was lost with its worker: {estimate}")
+        estimates[k] = estimate
         progress()
     return estimates
+
+
+@dataclass(frozen=True)
+class _Refitted:
+    """The optimum (d,) of rows with weights (N,), near that of all alike."""
+
+    problem: CurveFit
+    theta: Array
+    held: Sequence[int]
+
+    def __call__(self, weights: Array) -> Array:
+        return refit(self.problem, self.theta, weights, self.held, tolerance=1e-6).theta
 
 
 def block_length(errors: Array) -> int:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import math
+import threading
 from dataclasses import InitVar, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -17,6 +19,7 @@ from miho.identification.curve_fit_checks import (
     TRIALS,
     check_curve_fit,
     check_sigma,
+    dear_leaves,
     examined,
     ties_of,
 )
@@ -25,6 +28,7 @@ from miho.identification.loss import Loss, Square, slope
 from miho.identification.prior import PriorResiduals
 from miho.identification.row_order import row_order
 from miho.models.expression import Expression
+from miho.models.fingerprint import fingerprint
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.models.spread import SpreadModel
@@ -59,8 +63,10 @@ REMEMBERED = 1 << 20
 """Numbers of errors to remember for the derivatives of a robust loss at the same configurations."""
 WORTH_COMPILING = 20_000
 """Rows from which on a search by NumPy takes seconds, as compiling a user's function does."""
-OF_THE_MODEL = ("_fitted", "_latest_errors")
+OF_THE_MODEL = ("_fitted", "_of_thread")
 """What a problem remembers of its model's outputs."""
+DIGITS = 16
+"""Of the digests that tell what a journal is of."""
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
 
@@ -299,6 +305,18 @@ class CurveFit(Remade, LeastSquaresProblem):
         """The cost of the model's Jacobian, in evaluations."""
         return self.model.jacobian_cost
 
+    @property
+    def description(self) -> str:
+        """Digests of what the outputs of its models depend on: columns of the data and the models.
+
+        Bounds, ties, sigma, priors and the loss may change without another output.
+        """
+        data = hashlib.sha256()
+        for column in (*self.inputs, self._output):
+            data.update(np.ascontiguousarray(column).tobytes())
+        leaves = dear_leaves(self.model)
+        return f"data {data.hexdigest()[:DIGITS]} model {fingerprint(leaves)[:DIGITS]}"
+
     def spread(self, evaluations: Evaluations) -> CurveFit:
         """This problem with its model's outputs evaluated by these; itself if it is arithmetic."""
         count = itertools.count()
@@ -371,10 +389,16 @@ class CurveFit(Remade, LeastSquaresProblem):
         errors -= self._target if part is None else self._target[part]
         return np.asarray(errors)
 
-    @cached_property
+    @property
     def _latest_errors(self) -> dict[tuple[bytes, int], Array]:
-        """The latest errors by configuration and number of rows; robust derivatives need them."""
-        return {}
+        """The latest errors by configuration and number of rows, of each thread on its own; robust
+        derivatives need them."""
+        errors: dict[tuple[bytes, int], Array] = vars(self._of_thread).setdefault("errors", {})
+        return errors
+
+    @cached_property
+    def _of_thread(self) -> threading.local:
+        return threading.local()
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals, (m, d)."""

@@ -70,17 +70,10 @@ def check_curve_fit(problem: CurveFit, tried: bool = False) -> None:
 
 def _is_dear(problem: CurveFit, model_name: str) -> bool:
     """Whether an evaluation of somebody's own code takes long; refuses one of a wrong shape."""
-    model, leaves = problem.model, list[Model]()
-
-    def note(leaf: Model) -> Model:
-        leaves.append(leaf)
-        return leaf
-
-    model.with_leaves(note)
-    functions = [leaf for leaf in leaves if isinstance(leaf, FunctionModel)]
-    if any(function.dear for function in functions):
+    model, leaves = problem.model, dear_leaves(problem.model)
+    if any(isinstance(leaf, FunctionModel) and leaf.dear for leaf in leaves):
         return True
-    if not functions and not any(isinstance(leaf, ExternalModel) for leaf in leaves):
+    if not any(isinstance(leaf, FunctionModel | ExternalModel) for leaf in leaves):
         return False
     started = time.perf_counter()
     actual = model.predict(problem.space.decode(problem.space.initial(1)), *problem.inputs).shape
@@ -89,6 +82,18 @@ def _is_dear(problem: CurveFit, model_name: str) -> bool:
             f"{model_name}.predict gives shape {actual}; expected {(1, len(problem.dataset))}"
         )
     return time.perf_counter() - started > DEAR
+
+
+def dear_leaves(model: Model) -> list[Model]:
+    """The models that a model is made of and that may be dear, in their order."""
+    leaves = list[Model]()
+
+    def note(leaf: Model) -> Model:
+        leaves.append(leaf)
+        return leaf
+
+    model.with_leaves(note)
+    return leaves
 
 
 def _check_shapes(problem: CurveFit, model_name: str) -> None:

@@ -10,12 +10,14 @@ import scipy  # which loads its packages where they are used: importing them tak
 
 from miho.identification.curve_fit import CurveFit
 from miho.identification.limits import Pin
-from miho.identification.refit import Deadline, Refit, refit
+from miho.identification.refit import Deadline, OutOfTimeError, Refit, refit
 from miho.identification.stated import reported_space
 from miho.identification.uncertainty import Linearised
 from miho.models.tied import Tied
 from miho.quantities import Array
 
+SIGNS = (-1, 1)
+"""The lower side of a profile and the upper."""
 EXPANSIONS = 20
 """Steps outwards at most until an interval's end lies behind."""
 WALL = 100.0
@@ -99,22 +101,62 @@ def likelihood_profile(
     linearised model expects its optimum; where the residuals are not finite there is a wall.
     Raises OutOfTimeError after the deadline.
     """
-    quantile = at.quantile(level)
     target = _target(problem, at, of)
     tau = _SignedRoot(problem, at, target, level, deadline)
-    # First to the ends of independent rows: where a poor optimum makes neighbours alike, a better
-    # one may lie between. From there to those of rows that depend on each other.
+    lower, upper = (_side(tau, at, target, sign, level) for sign in SIGNS)
+    return joined(lower, upper)
+
+
+class Side(NamedTuple):
+    """One side of a profile: the interval's end there, tau by value, and the best refit."""
+
+    end: float
+    tau: dict[float, float]
+    best: Refit
+
+
+@dataclass(frozen=True)
+class ProfileSide:
+    """Gives one side of the profile of a parameter, which does not depend on the other."""
+
+    problem: CurveFit
+    at: Linearised
+    level: float
+    deadline: Deadline | None
+
+    def __call__(self, side: tuple[int | str, int]) -> Side | None:
+        """That of a parameter with a sign of SIGNS; None after the deadline."""
+        of, sign = side
+        target = _target(self.problem, self.at, of)
+        try:
+            tau = _SignedRoot(self.problem, self.at, target, self.level, self.deadline)
+            return _side(tau, self.at, target, sign, self.level)
+        except OutOfTimeError:
+            return None
+
+
+def joined(lower: Side, upper: Side) -> Profile:
+    """The profile of its two sides."""
+    tau = {**lower.tau, **upper.tau}
+    values = np.array(sorted(tau))
+    best = min(lower.best, upper.best, key=lambda refit: refit.cost)
+    return Profile(values, np.array([tau[v] for v in values]), lower.end, upper.end, best)
+
+
+def _side(tau: _SignedRoot, at: Linearised, target: _Target, sign: int, level: float) -> Side:
+    """The side of a profile with a sign.
+
+    First to the end of independent rows: where a poor optimum makes neighbours alike, a better one
+    may lie between. From there to that of rows that depend on each other.
+    """
+    quantile, bound = at.quantile(level), target.low if sign < 0 else target.high
     first = at.independent.quantile(level) / _widening(at, target, level)
     step = at.independent.quantile(level) * _error(at.independent, target)
-    ends = []
-    for sign, bound in ((-1, target.low), (1, target.high)):
-        end = _end(tau, sign, bound, first, step, tau.centre)
-        if np.isfinite(end) and quantile > first + CLOSE:
-            end = _end(tau, sign, bound, quantile, step * (quantile / first - 1), end)
-        ends.append(bound if np.isinf(end) and target.limited else end)
-    values = np.array(sorted(tau.points))
-    low, high = ends
-    return Profile(values, np.array([tau.points[v][0] for v in values]), low, high, tau.best)
+    end = _end(tau, sign, bound, first, step, tau.centre)
+    if np.isfinite(end) and quantile > first + CLOSE:
+        end = _end(tau, sign, bound, quantile, step * (quantile / first - 1), end)
+    end = bound if np.isinf(end) and target.limited else end
+    return Side(end, {value: root for value, (root, _) in tau.points.items()}, tau.best)
 
 
 class _SignedRoot:

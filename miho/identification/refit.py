@@ -17,6 +17,8 @@ from miho.quantities import Array
 
 EVALUATIONS = 200
 """Evaluations of the residuals at most, by default: enough from a start near the optimum."""
+FEW = 5
+"""Evaluations that a refit takes at least."""
 STANDSTILL = 1e-8
 """A descent whose second half gains less than this fraction of the sum of squares is at its end."""
 
@@ -44,6 +46,20 @@ class Deadline:
     def over(self) -> bool:
         """Whether the time is over."""
         return time.perf_counter() > self.at
+
+    def __getstate__(self) -> float:
+        """The seconds that are left: the clocks of other machines are others."""
+        return self.at - time.perf_counter()
+
+    def __setstate__(self, left: float) -> None:
+        self.at = time.perf_counter() + left
+
+
+def seconds_of_refit(problem: CurveFit, theta: Array) -> float:
+    """Seconds that a refit takes at least, by one evaluation."""
+    started = time.perf_counter()
+    problem.residuals(theta)
+    return FEW * (time.perf_counter() - started)
 
 
 class Refit(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
 from miho.identification.curve_fit import CurveFit
-from miho.identification.refit import Deadline, refit
+from miho.identification.refit import Deadline, refit, seconds_of_refit
+from miho.parallel.blocks import in_blocks
+from miho.parallel.pool import Pool
+from miho.parallel.process_executor import WorkerLostError
 from miho.quantities import Array
 
 MOST_LEVELS = 12
@@ -79,24 +82,34 @@ def leave_one_out(
     condition: str,
     held: Sequence[int] = (),
     deadline: Deadline | None = None,
+    pool: Pool | None = None,
 ) -> pd.DataFrame:
     """Fit without one group of a condition, and the error on that group; a row per group.
 
     Columns: condition, from, to and unit (of the group), rows, error of all rows
-    on the group, error of the fit that has not seen it (both in the output's unit). Raises
-    OutOfTimeError after the deadline.
+    on the group, error of the fit that has not seen it (both in the output's unit). The workers of
+    a `pool` make the fits where they take long. Raises OutOfTimeError after the deadline, and
+    WorkerLostError where a worker ended.
     """
     dataset = problem.dataset
     values = dataset[condition]
     index = groups(values)
+    parts = [index == group for group in np.unique(index)]
+    parts = [
+        left_out
+        for left_out in parts
+        if not left_out.all() and len(dataset) - left_out.sum() > len(problem.space)
+    ]
+    deadline = deadline or Deadline()
+    seconds = None if pool is None else seconds_of_refit(problem, theta)
+    without = _Without(problem, theta, held, deadline)
     rows = []
-    for group in np.unique(index):
-        left_out = index == group
-        if left_out.all() or len(dataset) - left_out.sum() <= len(problem.space):
-            continue
-        estimate = refit(problem, theta, (~left_out).astype(float), held, deadline=deadline).theta
-        if deadline is not None:
-            deadline.check()
+    for left_out, estimate in zip(
+        parts, in_blocks(pool, without, parts, seconds, deadline.check), strict=True
+    ):
+        if isinstance(estimate, WorkerLostError):
+            raise estimate
+        deadline.check()
         rows.append(
             {
                 "condition": condition,
@@ -109,6 +122,20 @@ def leave_one_out(
             }
         )
     return pd.DataFrame(rows)
+
+
+@dataclass(frozen=True)
+class _Without:
+    """The optimum (d,) without some of the rows (N,)."""
+
+    problem: CurveFit
+    theta: Array
+    held: Sequence[int]
+    deadline: Deadline
+
+    def __call__(self, left_out: NDArray[np.bool_]) -> Array:
+        weights = (~left_out).astype(float)
+        return refit(self.problem, self.theta, weights, self.held, deadline=self.deadline).theta
 
 
 def residual_trends(problem: CurveFit, theta: Array) -> pd.DataFrame:

@@ -44,10 +44,10 @@ class SpreadModel(Model):
         if isinstance(self.model, DifferencedModel | ExternalModel):
             return np.asarray(self.model.differences(self.predict, theta, *inputs))
         if self._evaluations.resting():
-            return self.model.jacobian(theta, *inputs)
+            return np.asarray(self.model.jacobian(theta, *inputs))
         shape = (inputs[0].size, theta.size)
         jacobians = partial(_jacobians, self.model.jacobian)
-        return self._task("jacobian", inputs, jacobians, shape)(theta[None])[0]
+        return np.asarray(self._task("jacobian", inputs, jacobians, shape)(theta[None])[0])
 
     def _task(
         self,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import copy
 import math
-import os
 import signal
 import sys
 import threading
@@ -28,9 +27,9 @@ from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
 from miho.optim.seeds import stream
 from miho.optim.space import Space
-from miho.optim.spread import spread_problem
+from miho.optim.spread import JournalFile, spread_problem
 from miho.optim.trace import Descents, Trace
-from miho.parallel import Workers
+from miho.parallel import Evaluations, NoWorkersLeft, Workers
 from miho.parallel.usage import Usage
 from miho.parallel.worker_process import SPURIOUS_INTERRUPT
 from miho.quantities import Array
@@ -69,8 +68,8 @@ class RunRecord:
     `theta` (d,) in units and `loss` are the best seen, None and math.inf if nothing was finite.
     `seconds` is the method's clock; imports, compilation and warm-up are in `setup_seconds`.
     `rejected` counts unusable values by reason; `error` holds the traceback of a failed run, with
-    the line of the method's file at its end. `outside` counts evaluations outside of the box, in
-    compiled blocks only those that improve.
+    the line of the method's file at its end, or one line where all workers are gone.
+    `outside` counts evaluations outside of the box, in compiled blocks only those that improve.
     `descents` says where those of a method that makes several ended, None of any other.
     `checkpoint` resumes a method that can be resumed (Resumable), else it is None; so it is after
     an interrupt that struck in the middle of a step. `usage` says how workers were used, None
@@ -104,9 +103,9 @@ def minimize(
     checkpoint: Checkpoint | None = None,
     observer: Callable[[Oracle], None] | None = None,
     rehearse: bool = True,
-    workers: Workers = None,
+    workers: Workers | Evaluations = None,
     evaluation_limit: float | None = None,
-    journal: str | os.PathLike[str] | None = None,
+    journal: JournalFile = None,
     replay: Arrivals | None = None,
 ) -> RunRecord:
     """Minimise the problem's loss; always returns a record, whatever model or method did.
@@ -122,10 +121,12 @@ def minimize(
     `workers` make the evaluations of a problem where each takes long: a number of processes, -1
     for one per core, an executor of `concurrent.futures`, a callable like `map`, or the address of
     a cluster (`miho.parallel.pool`). The result does not depend on them. A value that takes longer
-    than `evaluation_limit` seconds is given up. A `journal` is a file in which every evaluation
-    stands that takes longer than some 10 ms: the same run, called again after it was cut off, makes
-    none of them twice. Where the decisions of a method depend on which evaluation was there first,
-    `replay`, the `arrivals` of another run of it, has it make the same ones, with any workers.
+    than `evaluation_limit` seconds is given up, and so is one whose worker dies three times; a run
+    whose workers are all gone has failed, and keeps what it found. A `journal` is a file in which
+    every evaluation stands that takes longer than some 10 ms: the same run, called again after it
+    was cut off, makes none of them twice. Where the decisions of a method depend on which
+    evaluation was there first, `replay`, the `arrivals` of another run of it, has it make the same
+    ones, with any workers.
     """
     if problem.space.free is not problem.space:
         raise ValueError(
@@ -137,8 +138,8 @@ def minimize(
     meter = None if checkpoint is None else checkpoint.meter
     with spread_problem(problem, workers, evaluation_limit, journal) as (spread, evaluations):
         setup_started = time.perf_counter()
-        if rehearse and (evaluations is None or problem.kernel is not None):
-            warm_up(optimizer, problem)  # of what may be dear nothing is evaluated in vain
+        if rehearse:  # of what may be dear nothing is evaluated in vain
+            warm_up(optimizer, problem, evaluate=spread is problem)
         setup_seconds = time.perf_counter() - setup_started
         oracle = Oracle(
             spread, budget or Budget(), space=space, meter=meter, observer=observer,
@@ -191,6 +192,8 @@ def _search(
         outcome = Outcome.INTERRUPTED
     except KeyboardInterrupt:
         outcome, oracle.state = Outcome.INTERRUPTED, None
+    except NoWorkersLeft as reason:  # at an evaluation, so the state is whole
+        outcome, error = Outcome.FAILED, f"{reason}\n"
     except BaseException as raised:  # noqa: BLE001 -- a failed run is a result: its curve is kept
         outcome, oracle.state = Outcome.FAILED, None
         error = f"{traceback.format_exc().rstrip()} ({raised_at(raised, optimizer)})\n"
@@ -284,8 +287,10 @@ class _WarmedUp(NamedTuple):
 _last = _WarmedUp()
 
 
-def warm_up(optimizer: Optimizer, problem: Problem) -> None:
+def warm_up(optimizer: Optimizer, problem: Problem, *, evaluate: bool = True) -> None:
     """Let problem and method import, compile and allocate before the clock starts.
+
+    Without `evaluate` the method alone does.
 
     The method says how (`rehearsals`): by default the problem evaluates one configuration, and the
     method searches a paraboloid over the same space, so that it learns nothing of the problem. The
@@ -301,7 +306,7 @@ def warm_up(optimizer: Optimizer, problem: Problem) -> None:
     theta.setflags(write=False)  # as the oracle gives it, which is another type to compiled code
     toy = _Paraboloid(replace(problem.space, seed=()))
     interrupts: list[bool] = []
-    for job in optimizer.rehearsals(problem, toy, theta[0]):
+    for job in optimizer.rehearsals(problem if evaluate else toy, toy, theta[0]):
         try:
             with (
                 _ctrl_c_waits(partial(interrupts.append, True)),

@@ -18,6 +18,10 @@ from miho.validate import positive
 WHOLE = 1.0
 
 
+JournalFile = str | os.PathLike[str] | Journal | None
+"""A file for the evaluations of a problem, or the journal that was opened of it."""
+
+
 class SpreadProblem(Problem):
     """Another problem, whose losses are evaluated elsewhere; all else is as it says itself."""
 
@@ -69,27 +73,44 @@ class SpreadLeastSquares(SpreadProblem, LeastSquaresProblem):
 @contextmanager
 def spread_problem(
     problem: Any,
-    workers: Workers = None,
+    workers: Workers | Evaluations = None,
     evaluation_limit: float | None = None,
-    journal: str | os.PathLike[str] | None = None,
+    journal: JournalFile = None,
 ) -> Iterator[tuple[Any, Evaluations | None]]:
     """The problem whose evaluations are made by workers or kept in a journal, and what makes them.
 
-    The problem itself, and None, without either or where it is never dear.
+    The problem itself, and None, without either; itself too where it is never dear.
     """
+    with open_evaluations(problem, workers, evaluation_limit, journal) as evaluations:
+        yield problem if evaluations is None else problem.spread(evaluations), evaluations
+
+
+@contextmanager
+def open_evaluations(
+    problem: Problem,
+    workers: Workers | Evaluations = None,
+    evaluation_limit: float | None = None,
+    journal: JournalFile = None,
+) -> Iterator[Evaluations | None]:
+    """What makes the evaluations of a problem, and of others with its models and data.
+
+    Evaluations that are open already are used as they are.
+    """
+    if isinstance(workers, Evaluations):
+        yield workers
+        return
     if evaluation_limit is not None:
         positive("evaluation_limit", evaluation_limit)
     with ExitStack() as stack:
         pool = stack.enter_context(open_pool(workers, evaluation_limit))
-        kept = None
-        if journal is not None:
-            kept = stack.enter_context(closing(Journal(journal, problem.description)))
-        if pool is None and kept is None:
-            yield problem, None
+        if journal is not None and not isinstance(journal, Journal):
+            journal = stack.enter_context(closing(Journal(journal, problem)))
+        if pool is None and journal is None:
+            yield None
             return
-        evaluations = Evaluations(pool, kept, limited=evaluation_limit is not None)
+        evaluations = Evaluations(pool, journal, limited=evaluation_limit is not None)
         with closing(evaluations):
-            yield problem.spread(evaluations), evaluations
+            yield evaluations
 
 
 def spread(problem: Problem, evaluations: Evaluations) -> Problem:

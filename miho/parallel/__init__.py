@@ -1,6 +1,6 @@
 """Work in other processes and on other machines: workers, what they evaluate, and its journal."""
 
-from miho.parallel.evaluations import Ahead, Evaluated, Evaluations
+from miho.parallel.evaluations import Ahead, Evaluated, Evaluations, NoWorkersLeft
 from miho.parallel.journal import Journal, JournalError
 from miho.parallel.pool import Pool, Workers, open_pool
 
@@ -10,6 +10,7 @@ __all__ = [
     "Evaluations",
     "Journal",
     "JournalError",
+    "NoWorkersLeft",
     "Pool",
     "Workers",
     "open_pool",

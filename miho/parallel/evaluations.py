@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import math
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Future, InvalidStateError, wait
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,7 +18,7 @@ from numpy.typing import NDArray
 
 from miho.parallel.journal import Journal
 from miho.parallel.pool import LOOK, Pool, lost
-from miho.parallel.process_executor import WorkerLostError
+from miho.parallel.process_executor import OverdueError, WorkerLostError, WorkersGoneError
 from miho.parallel.remote import Answer, Raised
 from miho.parallel.usage import Usage
 
@@ -38,6 +40,15 @@ DEAR = 0.01
 """Seconds from which an evaluation is written to the journal."""
 LATEST = 0.2
 """What the latest evaluation counts in the mean of what they take."""
+MOST_LOST = 50
+"""After so many chunks in a row whose workers have ended, no more are tried."""
+MOST_KEPT = 1000
+"""Values of failed batches that are kept for those who ask again, row by row."""
+
+
+class NoWorkersLeft(BaseException):
+    """No value can be evaluated any more; one line says why. It is no error of a model, which is an
+    Exception that methods may take for a rejected value."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +79,7 @@ class _Pending:
     future: Future[Answer]
     keys: Sequence[Key]
     ended: float = math.inf
+    begun: float = field(default_factory=time.monotonic)
 
 
 @dataclass(frozen=True)
@@ -92,7 +104,8 @@ class Evaluations:
 
     Workers make them only where one takes so long that it is worth while; the first is made here
     to see that, unless `limited`: then a value may take no longer than the pool allows. `check` is
-    called while values are waited for, and may raise to end that.
+    called while values are waited for, and may raise to end that. Where no worker can evaluate
+    anything any more, what asks for a value gets NoWorkersLeft.
     """
 
     def __init__(
@@ -104,7 +117,10 @@ class Evaluations:
         self._pending: dict[Key, _Pending] = {}
         self._here: dict[Key, Array | Raised] = {}  # values that are known and not taken yet
         self._ends = itertools.count(0 if journal is None else len(journal))
+        self._arrivals = threading.Lock()
         self._submitted: list[Key] | None = None
+        self._lost = 0  # chunks in a row
+        self._latest = time.monotonic()  # when a value last came, or was given up
         self._rest = 0
 
     def function(self, name: str, function: Rows, shape: tuple[int, ...] = ()) -> Evaluated:
@@ -159,7 +175,7 @@ class Evaluations:
                 return first
             futures = [self._pending[k].future for n in needs for k in n.keys if self._waits(k)]
             wait(futures, LOOK, return_when=FIRST_COMPLETED)
-            self.check()
+            self._look([self._pending[k] for n in needs for k in n.keys if self._waits(k)])
 
     def close(self) -> None:
         """Give up what is not done."""
@@ -191,6 +207,9 @@ class Evaluations:
         if not errors or len(keys) == 1:
             for key in keys:
                 self._here.pop(key, None)
+        else:
+            while len(self._here) > max(MOST_KEPT, len(keys)):
+                del self._here[next(iter(self._here))]
         if errors:
             raise errors[0].as_error()
         return np.array(values, dtype=float)
@@ -216,13 +235,13 @@ class Evaluations:
         return self._journal is not None and key in self._journal
 
     def _end_of(self, key: Key) -> float:
-        """When a value came, in the order of all that came; infinite while a worker makes it, and
-        later than all that came where nobody does."""
+        """When a value came, in the order of all that came: infinite while a worker makes it, and
+        later than all that came where it is not known whether workers make them."""
         if key in self._pending:
             return self._pending[key].ended
         if self._journal is not None and key in self._journal:
             return float(self._journal.place(key))
-        return -1.0 if key in self._here else sys.float_info.max
+        return -1.0 if key in self._here or self.measured else sys.float_info.max
 
     def _waits(self, key: Key) -> bool:
         return key in self._pending and self._pending[key].ended == math.inf
@@ -249,10 +268,20 @@ class Evaluations:
         return True
 
     def _arrival(self, pending: _Pending) -> Callable[[Future[Answer]], None]:
-        """Note in which order answers come; called by the threads that bring them."""
+        """Note in which order answers come, and in the journal what was dear, before the search
+        gets to it; called by the threads that bring them."""
 
         def arrived(future: Future[Answer]) -> None:
-            pending.ended = next(self._ends)
+            with self._arrivals:
+                pending.ended, self._latest = next(self._ends), time.monotonic()
+                if self._journal is None or future.cancelled() or future.exception() is not None:
+                    return
+                answer, rows = future.result(), len(pending.keys)
+                if answer.seconds < DEAR * rows:
+                    return
+                values = answer.value if answer.raised is None else [answer.raised] * rows
+                for key, value in zip(pending.keys, values, strict=True):
+                    self._journal.add(key, _array(value))
 
         return arrived
 
@@ -266,7 +295,7 @@ class Evaluations:
         pending = self._pending[key]
         while not pending.future.done():
             wait([pending.future], LOOK)
-            self.check()
+            self._look([pending])
         self._take(pending)
         return self._here[key]
 
@@ -277,17 +306,45 @@ class Evaluations:
             answer = pending.future.result()
             values: Any = answer.value if answer.raised is None else [answer.raised] * rows
             self._count(answer.seconds / rows, rows, here=False)
+            self._lost = 0
+        except WorkersGoneError as error:
+            raise NoWorkersLeft(str(error)) from None
         except Exception as error:  # noqa: BLE001 -- its worker has ended without an answer
             values = [lost(error)] * rows
+            self._lost += not isinstance(error, OverdueError)
+            if self._lost >= MOST_LOST:
+                raise NoWorkersLeft(
+                    f"the last {MOST_LOST} evaluations have ended their workers ({error}); "
+                    "try the model without workers"
+                ) from None
         for key, value in zip(pending.keys, values, strict=True):
             self._pending.pop(key, None)
             self._keep(key, value)
 
+    def _look(self, waiting: Sequence[_Pending]) -> None:
+        """While these are waited for: whether the run is to end, and which of them to give up.
+
+        A worker of another library is not ours to end. Where none has given anything for as long as
+        the limit, what is waited for is given up, with the worker that it keeps busy.
+        """
+        self.check()
+        limit = None if self._pool is None else self._pool.limit
+        if limit is None:
+            return
+        now = time.monotonic()
+        overdue = [p for p in waiting if now - max(p.begun, self._latest) > limit]
+        for pending in {id(p): p for p in overdue}.values():
+            with contextlib.suppress(InvalidStateError):  # its value has just come
+                pending.future.set_exception(
+                    WorkerLostError(f"no end within {limit:g} s, so it was given up", again=False)
+                )
+
     def _keep(self, key: Key, value: Any) -> None:
-        value = value if isinstance(value, Raised) else np.asarray(value, dtype=float)
+        value = _array(value)
         self._here[key] = value
         if self._is_dear and self._journal is not None and not _is_lost(value):
-            self._journal.add(key, value)
+            with self._arrivals:
+                self._journal.add(key, value)
 
     def _evaluate_at_once(self, task: Evaluated, thetas: Array) -> Array:
         started = time.perf_counter()
@@ -330,11 +387,20 @@ class _ByRows:
 
     def __call__(self, thetas: Array) -> list[Array | Raised]:
         try:
-            return list(np.asarray(self.function(thetas)))
+            values = np.asarray(self.function(thetas))
+            if values.dtype.kind not in "fiu":
+                raise TypeError(f"not real numbers: {values.dtype} of shape {values.shape}")
+            if values.shape[:1] != (len(thetas),):
+                raise ValueError(f"values of shape {values.shape} for {len(thetas)} rows")
+            return list(values)
         except Exception as error:  # noqa: BLE001 -- whatever a model raises is its value
             if len(thetas) == 1:
                 return [Raised.of(error)]
         return [value for theta in thetas for value in self(theta[None])]
+
+
+def _array(value: Any) -> Array | Raised:
+    return value if isinstance(value, Raised) else np.asarray(value, dtype=float)
 
 
 def _is_lost(value: Array | Raised) -> bool:

@@ -6,10 +6,11 @@ import base64
 import contextlib
 import os
 import sys
+import threading
 import time
 import zlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import orjson
@@ -27,32 +28,41 @@ class JournalError(ValueError):
     """A journal that cannot be used: one line with the file and what to do."""
 
 
+class Described(Protocol):
+    """What a journal is of, in a text that tells it from all whose values are others."""
+
+    @property
+    def description(self) -> str:
+        """Its first line says it."""
+
+
 class Journal:
     """Values of evaluations by task and parameters, in a file that grows by a line for each.
 
     A line is the checksum of what follows, and JSON with arrays as base64: exact, and any line that
-    is damaged or cut short costs itself alone. The first says of which `problem` it is. Raises
-    JournalError for a journal of another problem, one that another process is writing, and a file
-    that is none.
+    is damaged or cut short costs itself alone. The first says of which `problem` it is. The file
+    comes to exist with its first value. Raises JournalError for a journal of another problem, one
+    that another process is writing, and a file that is none.
     """
 
-    def __init__(self, path: str | os.PathLike[str], problem: str) -> None:
+    def __init__(self, path: str | os.PathLike[str], problem: Described) -> None:
         self.path = Path(path)
+        self._problem = problem
         self._values: dict[Key, NDArray[np.float64] | Raised] = {}
         self._places: dict[Key, int] = {}
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("a+b")
-        except OSError as error:
-            raise JournalError(f"journal {path}: {error.strerror}; name another file") from None
-        try:
-            _lock(self._file, path)
-            self._read(problem)
-        except BaseException:
-            self._file.close()
-            raise
-        self.loaded = len(self._values)
+        self._file: Any = None
+        self._failed = False
         self._synced = time.monotonic()
+        self._adding = threading.Lock()
+        if os.path.lexists(self.path):
+            self._open()
+        self.loaded = len(self._values)
+
+    @property
+    def standing(self) -> str:
+        """What is known from an earlier call, in words; empty if nothing is."""
+        known = f"goes on from {self.loaded:,} evaluations of an earlier call"
+        return known if self.loaded else ""
 
     def __len__(self) -> int:
         return len(self._values)
@@ -68,40 +78,72 @@ class Journal:
         return self._places[key]
 
     def add(self, key: Key, value: NDArray[np.float64] | Raised) -> None:
-        """Write a value down; it stands in the file when this returns."""
-        if key in self._values:
-            return
-        self._remember(key, value)
+        """Write a value down; it stands in the file when this returns.
+
+        Where the file cannot be written, no more is, and a line on stderr says so: that may not
+        cost the run, to which an error here would look like one of the model.
+        """
         entry: dict[str, Any] = {"task": key[0], "theta": _text(key[1])}
         if isinstance(value, Raised):
             entry["raised"] = [value.name, value.message]
         else:
             entry |= {"value": _text(value.tobytes()), "shape": value.shape}
-        self._write(entry)
+        with self._adding:  # threads that bring values of workers add them
+            if key in self._values or self._failed:
+                return
+            try:
+                if self._file is None:
+                    self._open()
+                self._write(entry)
+                self._remember(key, value)
+            except JournalError as error:
+                self._failed = True
+                sys.stderr.write(f"miho: {error}; evaluations are not kept from now on\n")
 
     def close(self) -> None:
         """Have everything on the disk."""
+        if self._file is None:
+            return
         with contextlib.suppress(OSError):
             os.fsync(self._file.fileno())
         self._file.close()
 
+    def _open(self) -> None:
+        """Open and lock the file, and read what it holds; it is made if there is none."""
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            self._file = self.path.open("a+b")
+        except OSError as error:
+            raise JournalError(
+                f"journal {self.path}: {error.strerror}; name another file"
+            ) from None
+        try:
+            _lock(self._file, self.path)
+            self._read(self._problem.description)
+        except BaseException:
+            self._file.close()
+            self._file = None
+            raise
+
     def _read(self, problem: str) -> None:
+        """Raises JournalError for a journal of another problem, and for what is none."""
         self._file.seek(0)
-        lines = self._file.read().split(b"\n")
-        whole = sum(len(line) + 1 for line in lines[:-1])
-        if lines[-1]:  # cut short when its process ended
-            self._file.truncate(whole)
-        entries = [_entry(line) for line in lines[:-1]]
-        if not entries:
-            self._write({"format": FORMAT, "problem": problem})
-            return
-        head = entries[0]
+        *lines, tail = self._file.read().split(b"\n")
+        entries = [_entry(line) for line in lines]
+        first = {"format": FORMAT, "problem": problem}
+        head = first if not lines and _line(first).startswith(tail) else None
+        head = entries[0] if entries else head
         if head is None or head.get("format") != FORMAT:
             raise JournalError(f"journal {self.path}: is none of this version; name another file")
+        if tail:  # cut short when its process ended
+            self._file.truncate(sum(len(line) + 1 for line in lines))
+        if not entries:
+            self._write(first)
+            return
         if head.get("problem") != problem:
             raise JournalError(
-                f"journal {self.path}: is of another problem, model or data; name another file, "
-                "or delete it"
+                f"journal {self.path}: is of another problem, model or data; name another file, or "
+                "delete it"
             )
         damaged = 0
         for entry in entries[1:]:
@@ -120,17 +162,19 @@ class Journal:
         self._values[key] = value
 
     def _write(self, entry: dict[str, Any]) -> None:
-        text = orjson.dumps(entry)
         try:
-            self._file.write(b"%08x %s\n" % (zlib.crc32(text), text))
+            self._file.write(_line(entry))
             self._file.flush()
-            if time.monotonic() - getattr(self, "_synced", 0.0) >= SYNCED:
+            if time.monotonic() - self._synced >= SYNCED:
                 os.fsync(self._file.fileno())
                 self._synced = time.monotonic()
         except OSError as error:
-            raise JournalError(
-                f"journal {self.path}: {error.strerror}; make room, and call again to go on"
-            ) from None
+            raise JournalError(f"journal {self.path}: {error.strerror}") from None
+
+
+def _line(entry: dict[str, Any]) -> bytes:
+    text = orjson.dumps(entry)
+    return b"%08x %s\n" % (zlib.crc32(text), text)
 
 
 def _entry(line: bytes) -> dict[str, Any] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import functools
 import itertools
@@ -14,7 +15,13 @@ from typing import Any
 
 import cloudpickle
 
-from miho.parallel.process_executor import ProcessExecutor, WorkerLostError, processes_of
+from miho.parallel.cluster import check_address, cluster, is_address
+from miho.parallel.process_executor import (
+    ProcessExecutor,
+    WorkerLostError,
+    WorkersGoneError,
+    processes_of,
+)
 from miho.parallel.remote import Answer, Raised, shared, work
 
 Workers = int | str | Executor | Callable[..., Iterable[Any]] | None
@@ -35,27 +42,29 @@ def open_pool(workers: Workers, time_limit: float | None = None) -> Iterator[Poo
     """The pool of some workers, which ends with the context if it was begun here; None for one.
 
     A call that takes longer than `time_limit` seconds is killed, with its process where that is
-    ours. Raises ValueError for workers that are none of the kinds.
+    ours; of others `Pool.limit` says what they do not end themselves. Raises ValueError for workers
+    that are none of the kinds.
     """
+    limit = time_limit
     with ExitStack() as stack:
-        if isinstance(workers, str) and not workers.lstrip("-").isdigit():
-            from miho.parallel.cluster import cluster  # which needs the extra `cluster`
-
-            client = stack.enter_context(cluster(workers))
+        if is_address(workers):
+            client: Any = stack.enter_context(cluster(workers))
             executor: Any = client.get_executor(pure=False)
-            count = max(1, sum(client.ncores().values()))
+            place = check_address(workers)[1]
+            there = sum(client.ncores().values())  # jobs of a queue come later
+            count = place if isinstance(place, int) else max(1, there)
         elif isinstance(workers, Executor):
             executor, count = workers, processes_of(workers)
-        elif callable(workers):
-            executor, count = MapExecutor(workers), processes_of(workers)  # type: ignore[arg-type]
+        elif callable(workers) and (workers is map or not isinstance(workers, type)):
+            executor, count = MapExecutor(workers), processes_of(workers)
         else:
             count = number_of(workers)
             if count == 1 and time_limit is None:
                 yield None
                 return
-            executor = ProcessExecutor(count, time_limit)
+            executor, limit = ProcessExecutor(count, time_limit), None
             stack.callback(executor.shutdown)
-        with contextlib.closing(Pool(executor, count)) as pool:
+        with contextlib.closing(Pool(executor, count, limit)) as pool:
             yield pool
 
 
@@ -65,16 +74,20 @@ def number_of(workers: Any) -> int:
         count = 1 if workers is None else int(workers)
         if isinstance(workers, bool) or (count != -1 and count < 1) or count != float(workers or 1):
             raise ValueError
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(f"workers is {workers!r}; expected {EXPECTED}") from None
     return len(os.sched_getaffinity(0)) if count == -1 else count
 
 
 class Pool:
-    """`size` workers that call shared functions, which travel to each of them once."""
+    """`size` workers that call shared functions, which travel to each of them once.
 
-    def __init__(self, executor: Executor, size: int) -> None:
-        self.size = size
+    A call that takes longer than `limit` seconds is for its caller to give up; None where the
+    workers do so themselves.
+    """
+
+    def __init__(self, executor: Executor, size: int, limit: float | None = None) -> None:
+        self.size, self.limit = size, limit
         self._executor = executor
         self._pending: set[Future[Answer]] = set()
         self._tokens: list[str] = []
@@ -83,7 +96,8 @@ class Pool:
         """What has the function called by a worker, with an argument.
 
         The answer says what it raised. A call whose worker ended is tried again; if that happens
-        TRIES times, the future raises WorkerLostError.
+        TRIES times, the future raises WorkerLostError. It raises WorkersGoneError where no call
+        can be done any more: the executor is broken, or the function cannot be sent.
         """
         token = uuid.uuid4().hex
         shared[token] = function  # for workers that are threads of this process
@@ -122,7 +136,8 @@ class Pool:
 
     def _call(self, token: str, pickled: Callable[[], bytes], argument: Any) -> Future[Answer]:
         if isinstance(self._executor, ProcessExecutor) and not self._executor.started:
-            self._executor.load_at_start(pickled())
+            with contextlib.suppress(Exception):  # it is told where the function is to be sent
+                self._executor.load_at_start(pickled())
         result: Future[Answer] = Future()
         self._pending.add(result)
         result.add_done_callback(self._pending.discard)
@@ -134,28 +149,40 @@ class Pool:
             try:
                 inner = self._executor.submit(work, token, payload, argument)
             except Exception as error:  # noqa: BLE001 -- whatever an executor raises that has ended
-                _fail(result, error)
+                _fail(result, WorkersGoneError(_broken(error), again=False))
                 return
             inner.add_done_callback(partial_answer)
-            result.add_done_callback(lambda done: done.cancelled() and inner.cancel())
+            result.add_done_callback(lambda _: inner.cancel())  # where it is given up
 
         def partial_answer(inner: Future[Answer]) -> None:
             try:
                 answer = inner.result()
-                if answer.lacks:
-                    submit(pickled())
-                    return
             except WorkerLostError as error:
                 if error.again and next(tries) < TRIES:
                     submit(None)
                 else:
                     _fail(result, error)
                 return
-            except (Exception, CancelledError) as error:  # noqa: BLE001 -- of a foreign executor
-                _fail(result, error)
+            except BaseException as error:  # noqa: BLE001 -- of a foreign executor
+                _fail(result, _foreign(error))
                 return
-            with contextlib.suppress(Exception):  # it was cancelled meanwhile
-                result.set_result(answer)
+            if answer.lacks:
+                send()
+            elif answer.unloadable is not None:
+                reason = f"a worker cannot load what it is to evaluate ({answer.unloadable})"
+                _fail(result, WorkersGoneError(f"{reason}; install there what it needs", False))
+            else:
+                with contextlib.suppress(Exception):  # it was cancelled meanwhile
+                    result.set_result(answer)
+
+        def send() -> None:
+            try:
+                payload = pickled()
+            except Exception as error:  # noqa: BLE001 -- whatever pickling raises
+                reason = f"what is evaluated cannot be sent to workers ({Raised.of(error).line})"
+                _fail(result, WorkersGoneError(f"{reason}; give a ThreadPoolExecutor", False))
+            else:
+                submit(payload)
 
         submit(None)
         return result
@@ -179,9 +206,16 @@ class MapExecutor(Executor):
         while self._waiting:
             calls, self._waiting = self._waiting, []
             calls = [call for call in calls if call[0].set_running_or_notify_cancel()]
-            values = self._map(_apply, [call for _, call in calls])
-            for (future, _), value in zip(calls, values, strict=True):
-                future.set_result(value)
+            try:
+                values = self._map(_apply, [call for _, call in calls])
+                for (future, _), value in zip(calls, values, strict=True):
+                    future.set_result(value)
+            except BaseException as error:
+                for future, _ in calls:
+                    if not future.done():
+                        future.set_exception(WorkersGoneError(_broken(error), again=False))
+                if not isinstance(error, Exception):  # such as a second Ctrl-C
+                    raise
 
 
 def _apply(call: tuple[Callable[..., Any], Sequence[Any]]) -> Any:
@@ -193,18 +227,25 @@ def _pickled(function: Callable[[Any], Any]) -> bytes:
     return bytes(cloudpickle.dumps(function))
 
 
-def _fail(result: Future[Answer], error: BaseException) -> None:
-    """Have a call end with what its executor raised, in a line that says what that means."""
+def _foreign(error: BaseException) -> WorkerLostError:
+    """What it means that an executor of another library gives this instead of an answer."""
+    if isinstance(error, (BrokenExecutor, CancelledError)) or not isinstance(error, Exception):
+        return WorkersGoneError(_broken(error), again=False)
+    return WorkerLostError(Raised.of(error).line, again=False)
+
+
+def _broken(error: BaseException) -> str:
+    """In one line what it means that an executor takes no more calls."""
     if isinstance(error, WorkerLostError):
-        reason = str(error)
-    elif isinstance(error, BrokenExecutor):
-        reason = f"the executor is broken ({error}); give a new one"
-    elif isinstance(error, CancelledError):
-        reason = "its worker or scheduler has left"
-    else:
-        reason = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        return str(error)
+    if isinstance(error, (CancelledError, asyncio.CancelledError)):
+        return "the workers or their scheduler have left; give workers anew"
+    return f"the executor is broken ({Raised.of(error).line}); give a new one"
+
+
+def _fail(result: Future[Answer], error: WorkerLostError) -> None:
     with contextlib.suppress(Exception):  # it was cancelled meanwhile
-        result.set_exception(WorkerLostError(reason, again=False))
+        result.set_exception(error)
 
 
 def lost(error: BaseException) -> Raised:

@@ -13,8 +13,10 @@ from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from typing import Any
 
+from miho.parallel.remote import Raised
 from miho.parallel.workers import Workers
 
+ENDED = "the workers have ended"
 IDLE = 1.0
 """Seconds between two looks whether processes that do nothing have died."""
 Job = tuple[int, bytes]
@@ -28,22 +30,31 @@ class WorkerLostError(RuntimeError):
         self.again = again
 
 
+class OverdueError(WorkerLostError):
+    """The call took too long, and was killed."""
+
+
+class WorkersGoneError(WorkerLostError):
+    """No call can be done any more by these workers."""
+
+
 class ProcessExecutor(Executor):
     """Calls in up to `count` worker processes, which start when there is something to do.
 
-    Where a process dies, the call that it was doing raises WorkerLostError, and no other does. A
-    call that takes longer than `time_limit` seconds is killed. Functions and arguments have to be
-    picklable by reference. `shutdown` ends all processes at once.
+    Where a process dies, the call that it was doing raises WorkerLostError, and no other does; so
+    does a call whose result cannot be pickled. A call that takes longer than `time_limit` seconds
+    is killed. Functions and arguments have to be picklable by reference. `shutdown` ends all
+    processes at once.
     """
 
     def __init__(self, count: int, time_limit: float | None = None) -> None:
         self._max_workers = count
         self._count, self._limit = count, time_limit
-        self._modules = (__name__,)
-        self._waiting: deque[tuple[int, bytes]] = deque()
+        self._modules: tuple[str, ...] = (__name__,)
+        self._waiting: deque[Job] = deque()
         self._futures: dict[int, Future[Any]] = {}
         self._numbers = 0
-        self._closed = False
+        self._closed = self._waking = False
         self._lock = threading.Lock()
         self._woken, self._wake = multiprocessing.Pipe(duplex=False)
         self._thread: threading.Thread | None = None
@@ -66,14 +77,14 @@ class ProcessExecutor(Executor):
         future: Future[Any] = Future()
         with self._lock:
             if self._closed:
-                raise RuntimeError("the workers have ended")
+                raise WorkersGoneError(ENDED, again=False)
             self._numbers += 1
             self._futures[self._numbers] = future
             self._waiting.append((self._numbers, job))
             if self._thread is None:  # where nothing is submitted, nothing is started
                 self._thread = threading.Thread(target=self._serve, daemon=True)
                 self._thread.start()
-            self._wake.send_bytes(b"+")
+            self._wake_up()
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -82,27 +93,44 @@ class ProcessExecutor(Executor):
             if self._closed:
                 return
             self._closed = True
-            self._wake.send_bytes(b"-")
+            self._wake_up()
         if self._thread is not None:
             self._thread.join()
-        for future in self._futures.values():
-            if not future.cancel():
-                future.set_exception(WorkerLostError("the workers have ended", again=False))
-        self._futures.clear()
+        self._end_calls(ENDED)
         self._woken.close()
         self._wake.close()
 
-    def _serve(self) -> None:
-        """In a thread: have workers, until all are ended."""
-        with Workers[Job, Any](_call, self._count, self._limit, self._modules) as workers:
-            workers.watch.add(self._woken)
-            while not self._closed:
-                self._give_and_take(workers)
+    def _wake_up(self) -> None:
+        """Have the thread look for what is new; with the lock. The pipe holds one message at most:
+        a full one would block whoever holds the lock."""
+        if not self._waking:
+            self._waking = True
+            self._wake.send_bytes(b"+")
 
-    def _give_and_take(self, workers: Workers[Job, Any]) -> None:
+    def _end_calls(self, reason: str) -> None:
+        while self._futures:
+            _, future = self._futures.popitem()
+            if not future.cancel():
+                future.set_exception(WorkersGoneError(reason, again=False))
+
+    def _serve(self) -> None:
+        """In a thread: have workers, until all are ended; nothing may wait if this fails."""
+        try:
+            with Workers[Job, bytes](_call, self._count, self._limit, self._modules) as workers:
+                workers.watch.add(self._woken)
+                while not self._closed:
+                    self._give_and_take(workers)
+        except BaseException as error:  # noqa: BLE001 -- it is told to those who wait
+            with self._lock:
+                self._closed = True
+            self._end_calls(f"what gives work to processes has failed: {Raised.of(error).line}")
+
+    def _give_and_take(self, workers: Workers[Job, bytes]) -> None:
         """Give jobs to idle workers, and hand over what others answer."""
-        while self._woken.poll():
-            self._woken.recv_bytes()
+        with self._lock:
+            if self._waking:
+                self._woken.recv_bytes()
+                self._waking = False
         while workers.idle and self._waiting and not self._closed:
             with self._lock:
                 number, job = self._waiting.popleft()
@@ -113,24 +141,35 @@ class ProcessExecutor(Executor):
                 del self._futures[number]
         for outcome in workers.wait(IDLE):
             future = self._futures.pop(outcome.job[0])
-            if outcome.reason is None:
-                future.set_result(outcome.result)
-            else:
-                again = not outcome.overdue
-                future.set_exception(WorkerLostError(outcome.reason, again))
+            if outcome.result is not None:
+                _set_result(future, outcome.result)
+            elif outcome.overdue:
+                future.set_exception(OverdueError(str(outcome.reason), again=False))
+            else:  # what has raised would raise again
+                again = outcome.detail is None
+                future.set_exception(WorkerLostError(str(outcome.reason), again))
 
-    def _start(self, workers: Workers[Job, Any], number: int, job: bytes) -> None:
+    def _start(self, workers: Workers[Job, bytes], number: int, job: bytes) -> None:
         try:
             workers.start((number, job))
         except (OSError, EOFError) as error:
             reason = f"no worker could be started: {error}"
-            self._futures.pop(number).set_exception(WorkerLostError(reason))
+            self._futures.pop(number).set_exception(WorkersGoneError(reason))
 
 
-def _call(job: Job) -> Any:
-    """In a worker: what a job asks for."""
+def _call(job: Job) -> bytes:
+    """In a worker: what a job asks for, pickled here, so that an error of that is the job's own."""
     function, args, kwargs = pickle.loads(job[1])  # noqa: S301 -- of the process that started this
-    return function(*args, **kwargs)
+    return pickle.dumps(function(*args, **kwargs), protocol=pickle.HIGHEST_PROTOCOL)
+
+
+def _set_result(future: Future[Any], pickled: bytes) -> None:
+    try:
+        result = pickle.loads(pickled)  # noqa: S301 -- of a process that was started here
+    except Exception as error:  # noqa: BLE001 -- such as a module that was changed meanwhile
+        future.set_exception(WorkerLostError(Raised.of(error).line, again=False))
+    else:
+        future.set_result(result)
 
 
 def modules_in(pickled: bytes) -> list[str]:
@@ -138,17 +177,19 @@ def modules_in(pickled: bytes) -> list[str]:
     names, strings = set(), list[str]()
     for opcode, argument, _ in pickletools.genops(pickled):
         if "UNICODE" in opcode.name:
-            strings.append(argument)
+            strings.append(str(argument))
         elif opcode.name == "GLOBAL":
-            names.add(argument.split()[0])
+            names.add(str(argument).split()[0])
         elif opcode.name == "STACK_GLOBAL":
             names.update(strings[-2:-1])
     return sorted(name for name in names & set(sys.modules) if name != "__main__")
 
 
-def processes_of(executor: Executor) -> int:
-    """How many calls an executor does at a time, as far as it tells."""
-    for name in ("_max_workers", "max_workers"):
+def processes_of(workers: Any) -> int:
+    """How many calls an executor, a pool or a method of theirs does at a time, if it tells."""
+    if workers is map:
+        return 1
+    for name in ("_max_workers", "max_workers", "_processes"):
         with contextlib.suppress(TypeError, ValueError, AttributeError):
-            return max(1, int(getattr(executor, name)))
+            return max(1, int(getattr(getattr(workers, "__self__", workers), name)))
     return multiprocessing.cpu_count()

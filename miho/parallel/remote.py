@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import pickle
 import time
 from collections import OrderedDict
@@ -9,19 +10,21 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-MOST_SHARED = 16
-"""So many functions with their data are kept in a process; older ones are sent again if needed."""
+MOST_SHARED = 64
+"""So many functions with their data are kept in a process; those that were not used for longest are
+sent again if needed."""
 
 
 @dataclass(frozen=True)
 class Answer:
     """What a call gave, and how many seconds it took; or what it `raised`, or that the process
-    `lacks` the function."""
+    `lacks` the function, or in one line why it cannot load it."""
 
     value: Any = None
     seconds: float = 0.0
     raised: Raised | None = None
     lacks: bool = False
+    unloadable: str | None = None
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,17 @@ class Raised:
 
     @classmethod
     def of(cls, error: BaseException) -> Raised:
-        """What is told of an exception."""
-        return cls(type(error).__name__, str(error))
+        """What is told of an exception, even of one that cannot say anything itself."""
+        try:
+            message = str(error)
+        except Exception:  # noqa: BLE001 -- of the exception's own making
+            message = "(it has no message)"
+        return cls(type(error).__name__, message)
+
+    @property
+    def line(self) -> str:
+        """Name and message in one line."""
+        return f"{self.name}: {' '.join(self.message.split())}"
 
     def as_error(self) -> ValueError:
         """An error of the same name and message, whose class is made here."""
@@ -52,12 +64,14 @@ def work(token: str, pickled: bytes | None, argument: Any) -> Answer:
         try:
             shared[token] = pickle.loads(pickled)  # noqa: S301 -- by the process that starts this one
         except Exception as error:  # noqa: BLE001 -- such as a module that is not installed here
-            return Answer(raised=Raised.of(error))
+            return Answer(unloadable=Raised.of(error).line)
         while len(shared) > MOST_SHARED:
             shared.popitem(last=False)
     function: Callable[[Any], Any] | None = shared.get(token)
     if function is None:
         return Answer(lacks=True)
+    with contextlib.suppress(KeyError):  # another thread has dropped it meanwhile
+        shared.move_to_end(token)
     started = time.perf_counter()
     try:
         value = function(argument)

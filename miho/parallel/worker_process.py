@@ -16,6 +16,7 @@ from types import FrameType
 from typing import Any, NoReturn, TypeVar
 
 from miho.parallel.processes import adopt_orphans, child_has_ended, end_child, end_family, end_of
+from miho.parallel.remote import Raised
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -168,8 +169,7 @@ def _call(work: Callable[[Job], Result], job: Job) -> Answer[Result]:
     except SystemExit as error:
         return None, f"sys.exit({error.code!r})", traceback.format_exc()
     except BaseException as error:  # noqa: BLE001 -- one job's fault must not end the others
-        message = " ".join(str(error).split())
-        return None, f"{type(error).__name__}: {message}", traceback.format_exc()
+        return None, Raised.of(error).line, traceback.format_exc()
 
 
 def _die_with_parent() -> None:

@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import threading
 import time
 import types
 from collections.abc import Callable, Iterator, Sequence
@@ -35,6 +36,8 @@ PAUSE = 0.1
 """Seconds until the next try."""
 LOST = 255
 """The exit code that multiprocessing gives to a process whose server died first."""
+MAIN = threading.Lock()
+"""Held by the thread that hides the program's main module."""
 
 
 @dataclass(frozen=True)
@@ -180,7 +183,7 @@ class Workers(Generic[Job, Result]):
             arguments = (*self._task, worker_end)
             process = self._context.Process(target=serve, args=arguments, daemon=True)
             try:
-                with _without_main():
+                with without_main():
                     process.start()
                 break
             except (OSError, EOFError):  # the server that forks it was killed; another is started
@@ -238,18 +241,19 @@ class Workers(Generic[Job, Result]):
 
 
 @contextlib.contextmanager
-def _without_main() -> Iterator[None]:
+def without_main() -> Iterator[None]:
     """Start a process that does not run the program's main file again.
 
     Multiprocessing would, so that functions there can be unpickled: a program that starts workers
     without asking whether it is the main one would start them without end.
     """
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = types.ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = main
+    with MAIN:
+        main = sys.modules["__main__"]
+        sys.modules["__main__"] = types.ModuleType("__main__")
+        try:
+            yield
+        finally:
+            sys.modules["__main__"] = main
 
 
 def _context(modules: Sequence[str]) -> Any:

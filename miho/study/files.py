@@ -22,6 +22,7 @@ from miho.study.identity import canonical, sha256
 
 CONFIG, ENVIRONMENT, CURVE, RESULT = "config.json", "environment.json", "curve.json", "result.json"
 PARTIAL = "partial.json"
+JOURNAL = "journal"
 LARGEST = 256 << 20
 """No file of a run is larger, in bytes; whatever is, is not read."""
 LARGEST_SETTINGS = 1 << 20

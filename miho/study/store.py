@@ -4,7 +4,8 @@
 
 `result.json` is written last and carries the SHA-256 of the other files and of itself: it is the
 only sign that a run is done. A held lock is the only sign that one is running. `partial.json`, with
-a checksum of its own, is what a run left that was not done.
+a checksum of its own, is what a run left that was not done, and `journal`, with one for each line,
+holds the evaluations that it made, if they were dear.
 """
 
 from __future__ import annotations
@@ -25,18 +26,24 @@ from miho.study.files import (
     CONFIG,
     CURVE,
     ENVIRONMENT,
+    JOURNAL,
+    LARGEST,
     PARTIAL,
     RESULT,
     DamagedRun,
+    read_bytes,
     read_checked,
     read_signed,
     signed,
+    write_bytes,
     write_text,
 )
 from miho.study.identity import REQUEST, Identity, canonical, sha256
 from miho.study.places import inside
 from miho.study.redaction import redacted
 
+FILES = (CONFIG, ENVIRONMENT, CURVE, RESULT, PARTIAL)
+"""All files of a run, in the order in which they are written."""
 SUPERSEDED = ".superseded"
 RESOLUTION = 1e-3
 SPACING = 1e-2
@@ -131,8 +138,34 @@ class Store:
             "files": {name: sha256(text) for name, text in contents.items()},
         }
         write_text(folder / RESULT, signed(result))
-        (folder / PARTIAL).unlink(missing_ok=True)
+        for name in (PARTIAL, JOURNAL):
+            (folder / name).unlink(missing_ok=True)
         return read_run(folder)
+
+    def files(self, identity: Identity) -> dict[str, bytes]:
+        """The files of a run as they are stored, to be received by another store."""
+        folder = self.folder(identity)
+        present = [name for name in FILES if (folder / name).is_file()]
+        return {name: read_bytes(str(folder / name), LARGEST) for name in present}
+
+    def receive(self, identity: Identity, files: Mapping[str, bytes]) -> None:
+        """Store the `files` of a run that another store has; call it in a claim.
+
+        The result comes last, as when a run is committed. Raises DamagedRun, naming the run, if
+        what was written is not a whole run.
+        """
+        folder = self.folder(identity)
+        folder.mkdir(parents=True, exist_ok=True)
+        for name in FILES:
+            if name in files:
+                write_bytes(folder / name, files[name], last=name in (RESULT, PARTIAL))
+        if RESULT in files:
+            (folder / PARTIAL).unlink(missing_ok=True)
+            read_run(folder)
+
+    def journal(self, identity: Identity) -> Path:
+        """Where the evaluations of this run are kept until it is done."""
+        return self.folder(identity) / JOURNAL
 
     def keep_partial(self, identity: Identity, record: RunRecord) -> Path:
         """Write the curve of an interrupted or failed run; the run is not done."""

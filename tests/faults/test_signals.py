@@ -121,7 +121,7 @@ def _deaf(root: Path, numbers: list[signal.Signals]) -> Stopped:
 
 def _sweep(runs: Sequence[Request]) -> None:
     """What the command does once it is clear which runs are wanted."""
-    run_and_exit(lambda: run(runs, SweepConfig(processes=2)).raise_if_stopped())
+    run_and_exit(lambda: run(runs, SweepConfig(workers=2)).raise_if_stopped())
 
 
 def _stop(

@@ -1,0 +1,208 @@
+"""The runs of a sweep on a cluster of Dask: what its workers do, and where results go."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import sys
+from collections import deque
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from experiments.app.execution import result_error, result_line
+from experiments.app.explain import ConfigError
+from experiments.app.plan import MODULES, Request, experiment_of
+from experiments.app.schema import SweepConfig
+from experiments.app.working import State, execute, own_code, prepare
+from miho.parallel.cluster import check_address, cluster, dashboard
+from miho.parallel.cluster_process import Placed
+from miho.parallel.cluster_workers import ClusterWorkers
+from miho.parallel.workers import JobOutcome
+from miho.study import Status, Store
+from miho.study.store import RunInUse
+
+
+@dataclass(frozen=True)
+class Errand:
+    """A request for a worker of a cluster: the folder its relative paths start from, and whether
+    the worker sees the same files as this machine."""
+
+    request: Request
+    folder: str
+    shared: bool
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """What became of an errand, and the files of its run where they are to be stored here."""
+
+    state: State | None
+    files: Mapping[str, bytes]
+
+
+@contextmanager
+def cluster_runs(
+    address: str, settings: SweepConfig, *, own_code: bool = False
+) -> Iterator[ClusterRuns]:
+    """Meanwhile the workers of the cluster at `address`, for requests; raises ClusterError.
+
+    Raises ConfigError for runs of the user's code (`own_code`) on machines that do not see it.
+    """
+    shared = settings.shared or on_this_machine(address)
+    if own_code and not shared:
+        raise ConfigError(
+            "sweep.workers: the model is a file of yours, which other machines need not have; put "
+            "it and root on a file system that all share, and add sweep.shared=true"
+        )
+    with cluster(address) as client:
+        pages = dashboard(client)
+        if pages is not None:
+            print(f"dashboard {pages}", file=sys.stderr)
+        workers: ClusterWorkers[Errand, Delivery] = ClusterWorkers(
+            client, deliver, settings.time_limit, MODULES, prepare=prepare_errand, alone=_alone
+        )
+        with workers, ClusterRuns(workers, shared=shared) as runs:
+            yield runs
+
+
+def on_this_machine(address: str) -> bool:
+    """Whether the workers of a cluster are processes that are started here."""
+    kind, place = check_address(address)
+    return kind == "dask" and isinstance(place, int)
+
+
+class ClusterRuns:
+    """The workers of a cluster as a sweep uses them, in place of `Workers`; a context manager.
+
+    A run that is stored here is claimed here while a worker does it: what another process has
+    claimed is running elsewhere, and this process's death frees it.
+    """
+
+    def __init__(self, workers: ClusterWorkers[Errand, Delivery], *, shared: bool) -> None:
+        self._workers, self._shared = workers, shared
+        self._claims: dict[str, ExitStack] = {}
+        self._known: deque[JobOutcome[Request, State | None]] = deque()
+
+    def __enter__(self) -> ClusterRuns:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.kill()
+
+    @property
+    def idle(self) -> int:
+        """How many more runs can be started now."""
+        return self._workers.idle
+
+    @property
+    def busy(self) -> int:
+        """How many runs are being done, or are known without doing them."""
+        return self._workers.busy + len(self._known)
+
+    @property
+    def jobs(self) -> list[Request]:
+        """The runs that are being done."""
+        return [errand.request for errand in self._workers.jobs]
+
+    def start(self, request: Request) -> None:
+        """Have a run done, unless it is stored or another process does it."""
+        store = Store(Path(request.root).absolute())
+        if not (self._shared or request.compile_only):
+            with ExitStack() as stack:
+                try:
+                    stack.enter_context(store.claim(request.identity))
+                except RunInUse:
+                    self._knows(State(request, Status.RUNNING_ELSEWHERE, ""))
+                    return
+                result = store.result(request.identity)
+                if result is not None:
+                    line = result_line(request.identity, result, Status.DONE_BEFORE)
+                    error = result_error(result)
+                    self._knows(State(request, Status.DONE_BEFORE, line, error))
+                    return
+                self._claims[request.identity.id] = stack.pop_all()
+        there = replace(request, root=str(store.root))
+        self._workers.start(Errand(there, str(Path.cwd()), self._shared))
+
+    def wait(self, seconds: float) -> list[JobOutcome[Request, State | None]]:
+        """The runs that end within some seconds, stored, as soon as there is one."""
+        if self._known:
+            known = list(self._known)
+            self._known.clear()
+            return known
+        return [self._stored(ended) for ended in self._workers.wait(seconds)]
+
+    def interrupt(self) -> None:
+        """Interrupt all runs: what they have comes with `wait`."""
+        self._workers.interrupt()
+
+    def kill(self) -> None:
+        """Give up all runs."""
+        self._workers.kill()
+        for claim in self._claims.values():
+            claim.close()
+        self._claims.clear()
+
+    def _knows(self, state: State) -> None:
+        self._known.append(JobOutcome(state.request, state))
+
+    def _stored(self, ended: JobOutcome[Errand, Delivery]) -> JobOutcome[Request, State | None]:
+        """The outcome for the sweep, once what was sent lies in the store."""
+        request, delivery = ended.job.request, ended.result
+        reason, detail, interrupted = ended.reason, ended.detail, ended.interrupted
+        with self._claims.pop(request.identity.id, ExitStack()):
+            if delivery is None:
+                return JobOutcome(request, None, reason, detail, interrupted)
+            if delivery.files:
+                Store(Path(request.root)).receive(request.identity, delivery.files)
+            return JobOutcome(request, delivery.state, reason, detail, interrupted)
+
+
+def deliver(placed: Placed[Errand]) -> Delivery:
+    """In a process at a worker: do a run, in a store of its own unless it sees ours."""
+    errand, request = placed.job, placed.job.request
+    _go_to(errand)
+    _check_same(request)
+    if errand.shared or request.compile_only:
+        return Delivery(execute(request), {})
+    state = execute(replace(request, root=placed.folder))
+    if state is not None:  # its line names the file of what is not done
+        state = replace(state, line=state.line.replace(placed.folder, request.root))
+    return Delivery(state, Store(Path(placed.folder)).files(request.identity))
+
+
+def prepare_errand(placed: Placed[Errand]) -> None:
+    """In a process at a worker: load what runs of a user's model share."""
+    _go_to(placed.job)
+    prepare(placed.job.request)
+
+
+def _alone(placed: Placed[Errand]) -> bool:
+    return own_code(placed.job.request)
+
+
+def _go_to(errand: Errand) -> None:
+    """Where there is such a folder, relative paths start from it as they do at the sender's."""
+    with contextlib.suppress(OSError):
+        os.chdir(errand.folder)
+
+
+def _check_same(request: Request) -> None:
+    """Raise RuntimeError where this machine would do another run than the one that was sent."""
+    identity = replace(experiment_of(request.setting).identity, seed=request.identity.seed)
+    if identity.id == request.identity.id:
+        return
+    pairs = {
+        "settings": (identity.request, request.identity.request),
+        "code": (identity.code, request.identity.code),
+        "data": (identity.data, request.identity.data),
+        "packages": (dict(identity.packages), dict(request.identity.packages)),
+    }
+    other = ", ".join(name for name, (here, there) in pairs.items() if here != there)
+    raise RuntimeError(
+        f"the worker on {socket.gethostname()} has other {other} than the machine of the sweep; "
+        "install the same there"
+    )

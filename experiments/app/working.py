@@ -1,0 +1,89 @@
+"""What a worker does with a requested run, and the state that comes of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from experiments.app.build import build_optimizer
+from experiments.app.execution import execution_of, line_of, result_error
+from experiments.app.origin import our_code, packages_of
+from experiments.app.plan import Request, dataset_of, experiment_of, setting_of
+from miho.identification import CurveFit
+from miho.optim.minimize import warm_up
+from miho.parallel.worker_process import SPURIOUS_INTERRUPT
+from miho.parallel.workers import JobOutcome
+from miho.study import Execution, Status, Store, StoredRun, environment_stamp, single_thread
+from miho.study.contention import reference_work
+from miho.study.redaction import redacted
+
+
+@dataclass(frozen=True)
+class State:
+    """What became of a request: a line to print, and why there is no result if there is none.
+
+    `run`: what is stored of it, where this process did it.
+    """
+
+    request: Request
+    status: Status
+    line: str
+    error: float | None = None
+    reason: str | None = None
+    run: StoredRun | None = None
+
+
+def executed_state(request: Request, execution: Execution) -> State:
+    """The state that an execution comes to."""
+    last = (execution.error or "").strip().splitlines()[-1:]
+    return State(
+        request,
+        execution.status,
+        line_of(request.identity, execution),
+        result_error(None if execution.run is None else execution.run.result),
+        last[0] if last else None,
+    )
+
+
+def ended_state(ended: JobOutcome[Request, State | None]) -> State:
+    """The state that a worker gives, or that of a run whose worker ended without one."""
+    request, reason, interrupted = ended.job, ended.reason, ended.interrupted
+    if ended.result is not None:
+        if interrupted or ended.result.status is not Status.INTERRUPTED:
+            return replace(ended.result, request=request)
+        reason = SPURIOUS_INTERRUPT
+    reason = redacted(reason or "no answer")
+    status, identity = Status.INTERRUPTED if interrupted else Status.LOST, request.identity
+    if ended.result is None:  # else it has kept its curve
+        Store(Path(request.root)).keep_reason(identity, reason, ended.detail, str(status))
+    name = f"{identity.problem} {identity.optimizer} seed {identity.seed}"
+    return State(request, status, f"{name}: {status}: {reason}", reason=reason)
+
+
+def own_code(request: Request) -> bool:
+    """Whether a run needs a process of its own, because its model is the user's code."""
+    return request.own_code
+
+
+def prepare(request: Request) -> None:
+    """In a worker: load what runs of a user's model share, before each is forked from it."""
+    if not request.own_code:
+        return
+    with single_thread():
+        reference_work().recent()
+        environment_stamp()
+        optimizer = build_optimizer(setting_of(request.setting))
+        our_code(frozenset({CurveFit.__module__, type(optimizer).__module__}))
+        dataset_of(request.setting)
+        packages_of(optimizer)
+
+
+def execute(request: Request) -> State | None:
+    """In a process of its own: do a run, unless it is done; or only compile what it needs."""
+    if request.compile_only:
+        experiment = experiment_of(request.setting)
+        warm_up(experiment.optimizer, experiment.problem)
+        return None
+    root = Path(request.root).absolute()  # before a model of the user's may change the folder
+    experiment = replace(experiment_of(request.setting), identity=request.identity, root=root)
+    return executed_state(request, execution_of(experiment, quiet=True))

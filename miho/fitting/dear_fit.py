@@ -1,0 +1,96 @@
+"""A fit of a dear model: who makes its evaluations, what it says meanwhile, and what is kept."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+
+from miho.identification.curve_fit import CurveFit
+from miho.optim import Budget, Oracle, RunRecord
+from miho.optim.pace import Pace
+from miho.optim.spread import open_evaluations
+from miho.parallel import Evaluations, Journal, Workers
+from miho.parallel.evaluations import DEAR
+from miho.parallel.usage import span
+
+JournalPath = str | os.PathLike[str] | None
+
+
+def is_tried(journal: JournalPath) -> bool:
+    """Whether a fit was begun before, so that its model need not be tried out again."""
+    return journal is not None and Path(journal).is_file()
+
+
+@contextmanager
+def dear_fit(
+    problem: CurveFit,
+    workers: Workers = None,
+    evaluation_limit: float | None = None,
+    journal: JournalPath = None,
+) -> Iterator[Evaluations | None]:
+    """What makes the evaluations of a fit, search and descents together; None if nothing special.
+
+    Says on stderr from how many evaluations of an earlier call it goes on, why workers are not
+    used, and after a Ctrl-C what is kept.
+    """
+    with ExitStack() as stack:
+        kept = None if journal is None else stack.enter_context(closing(Journal(journal, problem)))
+        if kept is not None and kept.standing:
+            _say(f"{problem.name}: {kept.standing} ({journal})")
+        evaluations = stack.enter_context(
+            open_evaluations(problem, workers, evaluation_limit, kept)
+        )
+        try:
+            yield evaluations
+        except KeyboardInterrupt as error:
+            if kept is None or not len(kept):
+                raise
+            raise KeyboardInterrupt(
+                f"{len(kept):,} evaluations are kept in {journal}; the same call goes on from them"
+            ) from error
+        if evaluations is None or evaluations.workers == 1 or evaluations.usage.evaluations:
+            return
+        if evaluations.usage.each is None and not evaluations.usage.known:
+            _say("workers are not used: the model is a formula, which takes too little time")
+        elif evaluations.usage.each is not None:
+            _say(f"workers are not used: an evaluation takes {span(evaluations.usage.each)}")
+
+
+def spread(problem: CurveFit, evaluations: Evaluations | None) -> CurveFit:
+    """The problem with its evaluations made by these."""
+    return problem if evaluations is None else problem.spread(evaluations)
+
+
+def pace_line(problem: CurveFit, budget: Budget | None) -> Callable[[Oracle], None]:
+    """What has a search of a dear model seen to be alive: a line on stderr each ten seconds."""
+    pace = Pace(budget or Budget())
+
+    def observe(oracle: Oracle) -> None:
+        pace.update(oracle)
+        spent = oracle.meter.seconds
+        if pace.line_due() and spent >= DEAR * oracle.evaluations:
+            _say(
+                f"{problem.name}: error {max(0.0, oracle.best) ** 0.5:.5g} {problem.unit} after "
+                f"{oracle.evaluations:,.0f} evaluations, {spent:,.0f} s{pace.words(oracle)}"
+            )
+
+    return observe
+
+
+def interrupted(run: RunRecord) -> KeyboardInterrupt:
+    """What is raised of a search that a Ctrl-C has ended."""
+    each = run.seconds / max(1.0, run.evaluations)
+    if each < DEAR:
+        return KeyboardInterrupt("the search was interrupted")
+    return KeyboardInterrupt(
+        f"the search was interrupted; an evaluation takes {span(each)}: with journal='FILE' none "
+        "is lost, and the same call goes on"
+    )
+
+
+def _say(text: str) -> None:
+    sys.stderr.write(f"miho: {text}\n")
+    sys.stderr.flush()

@@ -1,0 +1,133 @@
+"""What tells a model from others: its class, its settings, and the code of its functions."""
+
+from __future__ import annotations
+
+import dis
+import functools
+import hashlib
+import types
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+CONTENTS = 64 << 20
+"""A file that a setting names is told by what it holds up to this size [bytes], else by its size.
+"""
+FOUNDATIONS = {"builtins", "abc", "typing", "collections.abc"}
+WRITTEN = {"STORE_GLOBAL", "STORE_DEREF", "DELETE_GLOBAL", "DELETE_DEREF"}
+
+
+def fingerprint(thing: Any) -> str:
+    """Hexadecimal digest of a model or function, the same in every process of one Python.
+
+    Of an object its class with its methods, and its fields. Of a function its code with constants,
+    defaults, closures and what it uses of its module: a comment changes nothing, a number does.
+    What a function may change, its own lists, mappings and counters, does not count, and of what
+    it imports only the name. A file that a setting names counts by its content.
+    """
+    digest = hashlib.sha256()
+    for part in _parts(thing, set()):
+        digest.update(part.encode())
+        digest.update(b"\0")
+    return digest.hexdigest()
+
+
+def _parts(thing: Any, seen: set[int]) -> Iterator[str]:
+    """What a thing consists of, in words; functions and objects that were `seen` only once."""
+    if thing is None or isinstance(thing, bool | int | float | complex | bytes | Enum):
+        yield repr(thing)
+    elif isinstance(thing, str | Path):
+        yield repr(str(thing))
+        yield from _file(thing)
+    elif isinstance(thing, np.ndarray | np.generic):
+        array = np.asarray(thing)
+        yield f"{array.dtype} {array.shape} {hashlib.sha256(array.tobytes()).hexdigest()}"
+    elif isinstance(thing, types.CodeType):
+        yield from _code(thing, seen)
+    elif isinstance(thing, functools.partial):
+        yield from _parts((thing.func, thing.args, thing.keywords), seen)
+    elif isinstance(thing, type | types.ModuleType | types.BuiltinFunctionType | np.ufunc):
+        yield f"{getattr(thing, '__module__', '')}.{thing.__name__}"
+    elif isinstance(thing, Mapping):
+        yield f"mapping of {len(thing)}"
+        for key in sorted(thing, key=repr):
+            yield from _parts((key, thing[key]), seen)
+    elif isinstance(thing, Collection):
+        yield f"{type(thing).__name__} of {len(thing)}"
+        unordered = isinstance(thing, set | frozenset)
+        for member in sorted(thing, key=repr) if unordered else thing:
+            yield from _parts(member, seen)
+    elif id(thing) not in seen:
+        seen.add(id(thing))
+        yield from (_function if isinstance(thing, types.FunctionType) else _object)(thing, seen)
+
+
+def _object(thing: Any, seen: set[int]) -> Iterator[str]:
+    """The class of an object with its methods, and its fields; all it holds if it declares none."""
+    for kind in type(thing).__mro__:
+        if kind.__module__ not in FOUNDATIONS:
+            yield f"{kind.__module__}.{kind.__qualname__}"
+            methods = (m for _, m in sorted(vars(kind).items()))
+            for method in methods:
+                if isinstance(method, types.FunctionType):
+                    yield from _parts(method, seen)
+    if is_dataclass(thing):
+        yield from _parts({f.name: getattr(thing, f.name) for f in fields(thing)}, seen)
+    else:
+        yield from _parts(dict(getattr(thing, "__dict__", {})), seen)
+
+
+def _function(function: types.FunctionType, seen: set[int]) -> Iterator[str]:
+    code = function.__code__
+    yield from _parts((code, function.__defaults__, function.__kwdefaults__), seen)
+    # What it uses of where it stands: numbers and arrays by value, functions by their code.
+    used = dict(zip(code.co_freevars, function.__closure__ or (), strict=True))
+    members = {name: cell.cell_contents for name, cell in used.items() if cell != types.CellType()}
+    for name in _names(code, "LOAD_GLOBAL", "LOAD_NAME"):
+        if name in function.__globals__:
+            members.setdefault(name, function.__globals__[name])
+    for name in sorted(members.keys() - _names(code, *WRITTEN)):
+        yield name
+        yield from _used(members[name], function.__module__, seen)
+
+
+def _used(member: Any, module: str, seen: set[int]) -> Iterator[str]:
+    """What a function uses: what it cannot change and what is of its own module by content."""
+    constant = member is None or isinstance(
+        member, bool | int | float | complex | str | bytes | tuple | np.ndarray | np.generic | Path
+    )
+    own = isinstance(member, types.FunctionType) and member.__module__ == module
+    if constant or own or isinstance(member, functools.partial):
+        yield from _parts(member, seen)
+    else:
+        yield f"{getattr(member, '__module__', '')}.{getattr(member, '__name__', '')}"
+
+
+def _names(code: types.CodeType, *operations: str) -> set[str]:
+    """The names that some operations of a function and of those inside of it refer to."""
+    names = {str(i.argval) for i in dis.get_instructions(code) if i.opname in operations}
+    inner = (constant for constant in code.co_consts if isinstance(constant, types.CodeType))
+    return names.union(*(_names(part, *operations) for part in inner))
+
+
+def _code(code: types.CodeType, seen: set[int]) -> Iterator[str]:
+    """The instructions with names and constants, without lines, files and docstrings."""
+    yield code.co_code.hex()
+    yield repr((code.co_names, code.co_varnames, code.co_freevars, code.co_argcount))
+    documented = code.co_consts[:1] and isinstance(code.co_consts[0], str)
+    yield from _parts(code.co_consts[1:] if documented else code.co_consts, seen)
+
+
+def _file(name: str | Path) -> Iterator[str]:
+    """The content of a file of this name, or its size where it is large."""
+    try:
+        path = Path(name)
+        if path.is_file():
+            size = path.stat().st_size
+            yield str(size) if size > CONTENTS else hashlib.sha256(path.read_bytes()).hexdigest()
+    except (OSError, ValueError):  # no name of a file
+        return

@@ -1,0 +1,67 @@
+"""How fast a run goes on: evaluations per second, busy workers, and the time to its end."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+
+from miho.optim.meter import Budget
+from miho.optim.oracle import Oracle
+
+LOGGED = 10.0
+"""Seconds between two lines in a log, and over which a rate is taken."""
+
+
+class Pace:
+    """What a run does at present; to be updated about ten times a second."""
+
+    def __init__(self, budget: Budget) -> None:
+        self._budget = budget
+        self._points = deque[tuple[float, float]]()
+        self._known = 0
+        self._logged = time.monotonic()
+
+    def update(self, oracle: Oracle) -> None:
+        """Take note of where the run is; what it knew from before is no pace."""
+        now, known = time.monotonic(), 0 if oracle.usage is None else oracle.usage.known
+        if known > self._known:
+            self._known = known
+            self._points.clear()
+        self._points.append((now, oracle.evaluations))
+        while now - self._points[0][0] > LOGGED:
+            self._points.popleft()
+
+    def line_due(self) -> bool:
+        """Whether LOGGED seconds have passed since the start, or since it was last due."""
+        due = time.monotonic() - self._logged >= LOGGED
+        if due:
+            self._logged = time.monotonic()
+        return due
+
+    @property
+    def rate(self) -> float:
+        """Evaluations per second, of late; 0 before there are any."""
+        if len(self._points) < 2:
+            return 0.0
+        (since, before), (now, count) = self._points[0], self._points[-1]
+        return (count - before) / (now - since) if now > since else 0.0
+
+    def seconds_left(self, oracle: Oracle) -> float:
+        """The most that are left at this pace, infinite without a limit: it may end by itself."""
+        left = math.inf
+        if self._budget.evaluations is not None and self.rate > 0:
+            left = (self._budget.evaluations - oracle.evaluations) / self.rate
+        if self._budget.seconds is not None:
+            left = min(left, self._budget.seconds - oracle.meter.seconds)
+        return max(0.0, left)
+
+    def words(self, oracle: Oracle) -> str:
+        """Rate, workers, and the time to the end, such as ', 4.9/s, 4 of 4 workers busy (98 %)'."""
+        words = f", {self.rate:,.3g}/s" if self.rate else ""
+        usage = oracle.usage
+        if usage is not None and usage.workers > 1 and usage.efficiency is not None:
+            share = f"{min(usage.efficiency, 1.0):.0%} of their time"
+            words += f", {oracle.busy} of {usage.workers} workers busy ({share})"
+        left = self.seconds_left(oracle)
+        return words + (f", at most {left:,.0f} s left" if math.isfinite(left) else "")

@@ -1,0 +1,221 @@
+"""A cluster of Dask by its address: one that runs, one on this machine, or jobs of a queue."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import importlib.util
+import logging
+import re
+import shutil
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any, TypeGuard
+
+from miho.parallel.processes import end_family
+from miho.parallel.workers import without_main
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+ADDRESSES = "dask://HOST:PORT, dask:N, slurm:N, pbs:N or lsf:N"
+QUEUES = {
+    "slurm": ("SLURMCluster", "sbatch"),
+    "pbs": ("PBSCluster", "qsub"),
+    "lsf": ("LSFCluster", "bsub"),
+}
+"""The class of dask-jobqueue of each queue, and the program that submits its jobs."""
+PATIENCE = 5.0
+"""Seconds that a scheduler has to answer: at the start, and when its connection broke."""
+LOOPBACK = "127.0.0.1"
+SETTINGS = {
+    "distributed.comm.timeouts.connect": f"{PATIENCE}s",
+    "distributed.scheduler.worker-saturation": 1.0,  # no job waits at a worker that may die
+}
+"""What holds in this process while it uses a cluster; the rest is the user's configuration."""
+
+
+class ClusterError(ValueError):
+    """One line: which address, what is wrong with it, and what to do."""
+
+
+class ClusterLost(RuntimeError):  # noqa: N818 -- what befell, not a mistake
+    """The connection to a cluster broke while it was used."""
+
+
+def is_address(workers: object) -> TypeGuard[str]:
+    """Whether this says where workers are, as `cluster` takes it, and not how many."""
+    return isinstance(workers, str) and re.match(r"[a-z]+:", workers) is not None
+
+
+def check_address(address: str) -> tuple[str, str | int]:
+    """The kind of a cluster, and the HOST:PORT of its scheduler or its number of workers or jobs.
+
+    Raises ClusterError.
+    """
+    kind, _, place = address.partition(":")
+    if kind == "dask" and re.fullmatch(r"//[^\s/]+:\d{1,5}", place):
+        return kind, place[2:]
+    if kind in ("dask", *QUEUES) and re.fullmatch(r"[1-9]\d{0,5}", place):
+        return kind, int(place)
+    raise ClusterError(f"{address!r}: is no address of workers; expected {ADDRESSES}")
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Client]:
+    """Meanwhile a client of the cluster at `address`; what was started for it ends with it.
+
+    `dask://HOST:PORT` is a scheduler that runs. `dask:N` starts N worker processes of one thread on
+    this machine, whose connections are encrypted, so that nobody else on it can use them.
+    `slurm:N`, `pbs:N` and `lsf:N` submit N jobs, as the user's configuration of dask-jobqueue says;
+    they come when the queue lets them.
+
+    Raises ClusterError if a library or the program of the queue is missing, nobody answers at the
+    address, or a worker that is there has another version of Python, MIHO or Dask.
+    """
+    kind, place = check_address(address)
+    distributed = _library("distributed")
+    dask_config = _library("dask.config")
+    quiet = distributed.utils.silence_logging_cmgr(logging.CRITICAL, "distributed.client")
+    with dask_config.set(SETTINGS), quiet, ExitStack() as stack:
+        try:
+            if isinstance(place, str):
+                scheduler: Any = place
+            elif kind == "dask":
+                scheduler = stack.enter_context(_local(distributed, place))
+            else:
+                scheduler = stack.enter_context(_job_queue(kind, place))
+            client = stack.enter_context(
+                distributed.Client(scheduler, timeout=PATIENCE, set_as_default=False)
+            )
+            _check_versions(client, address)
+        except ClusterError:
+            raise
+        except OSError as error:
+            raise ClusterError(
+                f"{address}: no Dask scheduler answers there within {PATIENCE:g} s; start one with "
+                f"`dask scheduler`, or correct the address ({_line(error)})"
+            ) from None
+        except Exception as error:
+            raise ClusterError(f"{address}: {_line(error)}") from error
+        yield client
+
+
+def dashboard(client: Client) -> str | None:
+    """Where a browser sees what the cluster does; None if the library of its pages is missing."""
+    return client.dashboard_link if importlib.util.find_spec("bokeh") else None
+
+
+def dask_setup(worker: object) -> None:
+    """Called by Dask in each worker that `dask:N` starts: the terminal's Ctrl-C is not for it.
+
+    The process that has the client decides what becomes of the jobs.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@contextmanager
+def _local(distributed: Any, count: int) -> Iterator[Any]:
+    """A cluster of `count` processes on this machine, whose start reruns no main file.
+
+    In the end they are killed with all that they started: nobody waits for anything of theirs, and
+    on a busy machine they take seconds to say goodbye.
+    """
+    with without_main():
+        local = distributed.LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            host=LOOPBACK,
+            security=True,
+            dashboard_address=f"{LOOPBACK}:0",
+            silence_logs=logging.CRITICAL,
+            preload=[__name__],
+        )
+    with local:
+        try:
+            yield local
+        finally:
+            for nanny in local.workers.values():
+                nanny.auto_restart = False
+                if nanny.pid is not None:
+                    end_family(nanny.pid)
+
+
+def _job_queue(kind: str, jobs: int) -> Any:
+    """A cluster of jobs of a queue."""
+    library, dask_config = _library("dask_jobqueue"), _library("dask.config")
+    name, program = QUEUES[kind]
+    if shutil.which(program) is None:
+        raise ClusterError(
+            f"{kind}:{jobs}: there is no program {program} here; start this on a machine that can "
+            f"submit jobs, or name a running scheduler by dask://HOST:PORT"
+        )
+    for key in ("cores", "memory"):
+        if dask_config.get(f"jobqueue.{kind}.{key}", None) is None:
+            raise ClusterError(
+                f"{kind}:{jobs}: the configuration of dask-jobqueue says nothing of {key}; set "
+                f"jobqueue.{kind}.{key}, as in ~/.config/dask/jobqueue.yaml"
+            )
+    options = {
+        "dashboard_address": f"{LOOPBACK}:0",  # any port that is free
+        **(dask_config.get(f"jobqueue.{kind}.scheduler-options", None) or {}),
+    }
+    queue = getattr(library, name)(scheduler_options=options, silence_logs=logging.CRITICAL)
+    queue.scale(jobs=jobs)
+    queue.sync(queue._correct_state)
+    refused = [job for job in queue.workers.values() if job.status.name == "created"]
+    if not refused:
+        return queue
+    reason = program  # nobody would miss such a job: no error of Dask's tells of it
+    try:
+        queue.sync(refused[0].start)
+    except Exception as error:  # noqa: BLE001 -- whatever the program says
+        reason = (str(error).strip().splitlines() or [type(error).__name__])[-1]
+    for job in refused:
+        job.status = type(job.status)["failed"]
+    queue.close()
+    raise ClusterError(f"{kind}:{jobs}: {program} refuses the job: {reason}")
+
+
+def _library(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise ClusterError(
+            f"a cluster needs the extra cluster: pip install miho[cluster] ({error})"
+        ) from None
+
+
+def versions() -> dict[str, str]:
+    """What has to be the same in a client and its workers."""
+    libraries = {name: importlib.metadata.version(name) for name in ("distributed", "cloudpickle")}
+    try:
+        ours = importlib.metadata.version("miho")
+    except importlib.metadata.PackageNotFoundError:
+        ours = "of a checkout"
+    return {"Python": "{}.{}".format(*sys.version_info), "miho": ours, **libraries}
+
+
+def _check_versions(client: Client, address: str) -> None:
+    """Refuse a worker that is there and could not do the same as this process."""
+    here = versions()
+    for worker, there in client.run(versions, on_error="return").items():
+        if isinstance(there, (ImportError, AttributeError)):
+            raise ClusterError(
+                f"{address}: the worker {worker} cannot import miho {here['miho']} ({_line(there)})"
+                "; start it where this version is installed"
+            )
+        if isinstance(there, BaseException):  # it left
+            continue
+        for name, version in here.items():
+            if there.get(name) != version:
+                raise ClusterError(
+                    f"{address}: the worker {worker} has {name} {there.get(name)}, this process "
+                    f"{version}; start it with the same version"
+                )
+
+
+def _line(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,174 @@
+"""Jobs on the workers of a cluster of Dask, as `Workers` does them on this machine."""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import threading
+import time
+import uuid
+from collections.abc import Callable, Sequence
+from functools import partial
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Generic
+
+from miho.parallel.cluster import PATIENCE, ClusterLost
+from miho.parallel.cluster_process import Placed, Task, dismiss, interrupt, run_at_worker
+from miho.parallel.worker_process import Job, Result
+from miho.parallel.workers import JobOutcome
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+COUNTED = 1.0
+"""Seconds for which the number of threads of a cluster is believed."""
+LEAVING = 1.0
+"""Seconds that giving up jobs may take, where a machine does not answer."""
+
+
+class ClusterWorkers(Generic[Job, Result]):
+    """As `Workers`, but on a cluster: a job for each thread of its workers; a context manager.
+
+    A job is done in a process of the worker's, which it does not share with another one at a time,
+    with the time limit and the isolation of `Workers`. A job whose worker dies or leaves goes to
+    another one; one that has lost several workers is given up (`allowed-failures` of Dask). If the
+    connection to the scheduler breaks, all jobs in progress end with that reason, and no more can
+    be started. What nobody waits for any more, because this process was killed, is interrupted.
+    """
+
+    def __init__(
+        self,
+        client: Client,
+        work: Callable[[Placed[Job]], Result],
+        time_limit: float | None = None,
+        modules: Sequence[str] = (),
+        *,
+        prepare: Callable[[Placed[Job]], object] | None = None,
+        alone: Callable[[Placed[Job]], bool] | None = None,
+    ) -> None:
+        self._client, self._owner = client, uuid.uuid4().hex
+        self._task = Task(self._owner, work, time_limit, tuple(modules), prepare, alone)
+        self._jobs: dict[Future[Any], Job] = {}
+        self._ended: queue.SimpleQueue[Future[Any]] = queue.SimpleQueue()
+        self._interrupts = self._sent = 0
+        self._count, self._counted = 1, float("-inf")
+        self._broken = False
+
+    def __enter__(self) -> ClusterWorkers[Job, Result]:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.kill()
+
+    @property
+    def idle(self) -> int:
+        """How many more jobs can be started now; at least one may wait for a first worker."""
+        now = time.monotonic()
+        if now > self._counted + COUNTED and not self._broken:
+            with contextlib.suppress(Exception):  # a break of the connection shows in the jobs
+                self._count = max(1, sum(self._client.nthreads().values()))
+            self._counted = now
+        return max(0, self._count - self.busy)
+
+    @property
+    def busy(self) -> int:
+        """How many jobs are being done."""
+        return len(self._jobs)
+
+    @property
+    def jobs(self) -> list[Job]:
+        """The jobs that are being done."""
+        return list(self._jobs.values())
+
+    def start(self, job: Job) -> None:
+        """Give a job to the cluster; raises ClusterLost if the connection is broken."""
+        if self._broken or self._client.status != "running":
+            raise ClusterLost(self._break)
+        future = self._client.submit(
+            run_at_worker, self._task, job, key=f"miho-{uuid.uuid4().hex}", pure=False
+        )
+        self._jobs[future] = job
+        future.add_done_callback(self._ended.put)
+
+    def wait(self, seconds: float) -> list[JobOutcome[Job, Result]]:
+        """The jobs that end within some seconds, as soon as there is one."""
+        self._send_interrupts()
+        outcomes = []
+        with contextlib.suppress(queue.Empty):
+            outcomes.append(self._outcome_of(self._ended.get(timeout=seconds)))
+            while True:
+                outcomes.append(self._outcome_of(self._ended.get_nowait()))
+        return [outcome for outcome in outcomes if outcome is not None]
+
+    def interrupt(self) -> None:
+        """Interrupt all jobs, with the next `wait`: what they raise or return then comes with it.
+
+        A signal handler may call this: it only counts.
+        """
+        self._interrupts += 1
+
+    def kill(self) -> None:
+        """Give up all jobs: their workers end them soon."""
+        futures = list(self._jobs)
+        self._jobs.clear()
+        if self._broken:
+            return
+        calls = [partial(self._client.run, dismiss, self._owner, on_error="ignore")]
+        if futures:
+            calls.insert(0, partial(self._client.cancel, futures, force=True))
+        _in_background(*calls).join(LEAVING)
+
+    def _send_interrupts(self) -> None:
+        if self._sent < self._interrupts and not self._broken:
+            self._sent = self._interrupts
+            _in_background(
+                partial(self._client.run, interrupt, self._owner, self._sent, on_error="ignore")
+            )
+
+    @property
+    def _break(self) -> str:
+        return "the connection to the Dask scheduler broke; the next call does what is not done"
+
+    def _outcome_of(self, future: Future[Any]) -> JobOutcome[Job, Result] | None:
+        """How a job ended; None if it was given up, or its answer was lost and is made again."""
+        if future not in self._jobs:
+            return None
+        interrupted = self._interrupts > 0
+        try:
+            result, reason, detail = future.result(timeout=PATIENCE)
+        except TimeoutError:
+            self._ended.put(future)
+            return None
+        except Exception as error:  # noqa: BLE001 -- of Dask: a lost worker or scheduler
+            self._broken |= future.cancelled()
+            result, detail = None, None
+            reason = self._break if future.cancelled() else _reason(error)
+        return JobOutcome(
+            self._jobs.pop(future), result, reason, detail, interrupted and reason != self._break
+        )
+
+
+def _reason(error: BaseException) -> str:
+    """Why Dask gave a job up, in one line."""
+    attempts = getattr(error, "allowed_failures", None)
+    if isinstance(attempts, int):
+        return f"each of the {attempts + 1} Dask workers that began it died, perhaps of it"
+    return f"its Dask worker: {type(error).__name__}: {' '.join(str(error).split())}"
+
+
+def _in_background(*calls: Callable[[], object]) -> threading.Thread:
+    """Call the cluster in a thread of its own, since a call can wait for a dead machine."""
+
+    def quietly() -> None:
+        for call in calls:
+            with contextlib.suppress(Exception):
+                call()
+
+    thread = threading.Thread(target=quietly, daemon=True)
+    thread.start()
+    return thread

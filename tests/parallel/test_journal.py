@@ -1,0 +1,159 @@
+"""The journal of evaluations: what is damaged costs itself alone, and nobody else's is used."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from miho.parallel import Evaluations, Journal, JournalError
+from miho.parallel.remote import Raised
+
+VALUES = [("task", bytes([k]) * 8) for k in range(5)]
+
+
+@dataclass(frozen=True)
+class Named:
+    description: str = "problem"
+
+
+def written(path: Path) -> Journal:
+    """A journal of five values, the last of them raised."""
+    journal = Journal(path, Named())
+    for k, key in enumerate(VALUES[:-1]):
+        journal.add(key, np.array([[k, 0.1]]))
+    journal.add(VALUES[-1], Raised("ValueError", "no value"))
+    journal.close()
+    return journal
+
+
+def loaded(path: Path) -> int:
+    """How many values a journal knows."""
+    with closing(Journal(path, Named())) as journal:
+        return journal.loaded
+
+
+def test_values_come_back_to_the_last_bit(tmp_path: Path) -> None:
+    written(tmp_path / "journal")
+    journal = Journal(tmp_path / "journal", Named())
+    assert journal.loaded == 5
+    assert journal.standing == "goes on from 5 evaluations of an earlier call"
+    value = journal[VALUES[3]]
+    assert isinstance(value, np.ndarray)
+    assert value.tolist() == [[3, 0.1]]
+    assert value.shape == (1, 2)
+    assert journal[VALUES[4]] == Raised("ValueError", "no value")
+    assert [journal.place(key) for key in VALUES] == list(range(5))
+    journal.close()
+
+
+def test_the_file_comes_to_exist_with_its_first_value(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "folder" / "journal", Named())
+    assert not journal.path.parent.exists()
+    assert not journal.standing
+    journal.add(VALUES[0], np.zeros(1))
+    assert journal.path.is_file()
+    journal.close()
+
+
+@pytest.mark.parametrize("cut", [1, 20, 60])
+def test_a_torn_tail_costs_the_last_value(tmp_path: Path, cut: int) -> None:
+    path = tmp_path / "journal"
+    written(path)
+    path.write_bytes(path.read_bytes()[:-cut])
+    journal = Journal(path, Named())
+    assert journal.loaded == 4
+    journal.add(VALUES[4], np.ones(1))
+    journal.close()
+    assert loaded(path) == 5
+
+
+def test_a_torn_first_line_is_an_empty_journal(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    written(path)
+    path.write_bytes(path.read_bytes()[:15])
+    journal = Journal(path, Named())
+    assert journal.loaded == 0
+    journal.add(VALUES[0], np.ones(1))
+    journal.close()
+    assert loaded(path) == 1
+
+
+def test_a_flipped_bit_costs_its_own_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "journal"
+    written(path)
+    lines = path.read_bytes().split(b"\n")
+    lines[2] = lines[2][:-20] + bytes([lines[2][-20] ^ 1]) + lines[2][-19:]
+    path.write_bytes(b"\n".join(lines))
+    journal = Journal(path, Named())
+    assert [key in journal for key in VALUES] == [True, False, True, True, True]
+    assert "1 damaged lines were left out" in capsys.readouterr().err
+    journal.close()
+
+
+def test_a_journal_of_another_problem_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    written(path)
+    with pytest.raises(JournalError, match="is of another problem, model or data; name another"):
+        Journal(path, Named("another"))
+    assert loaded(path) == 5
+
+
+@pytest.mark.parametrize("content", [b"notes", b"notes\nof mine\n", b"\x00\n" * 10])
+def test_a_file_that_is_none_is_refused_and_kept(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "journal"
+    path.write_bytes(content)
+    with pytest.raises(JournalError, match="is none of this version; name another file"):
+        Journal(path, Named())
+    assert path.read_bytes() == content
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="files are not locked there")
+def test_two_processes_do_not_write_one_journal(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    written(path)
+    code = (
+        "import sys; from miho.parallel import Journal\n"
+        "class Named: description = 'problem'\n"
+        f"journal = Journal({str(path)!r}, Named()); print('open', flush=True); sys.stdin.read()"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"open\n"
+        with pytest.raises(JournalError, match="another process is writing it"):
+            Journal(path, Named())
+        process.communicate()
+    assert loaded(path) == 5
+
+
+def test_where_it_cannot_be_written_the_run_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("")
+    journal = Journal(tmp_path / "file" / "journal", Named())
+    journal.add(VALUES[0], np.zeros(1))
+    journal.add(VALUES[1], np.zeros(1))
+    assert capsys.readouterr().err.count("evaluations are not kept from now on") == 1
+    journal.close()
+
+
+def test_only_what_is_dear_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dear is what takes longer than nothing, or nothing at all."""
+    rows = np.arange(6.0).reshape(3, 2)
+    for dear, count in ((0.0, 3), (np.inf, 0)):
+        monkeypatch.setattr("miho.parallel.evaluations.DEAR", dear)
+        monkeypatch.setattr("miho.parallel.evaluations.CHEAP", 0.0)
+        journal = Journal(tmp_path / f"journal-{dear}", Named())
+        evaluated = Evaluations(None, journal).function("sum", lambda thetas: thetas.sum(axis=1))
+        assert evaluated(rows).tolist() == [1.0, 5.0, 9.0]
+        assert len(journal) == count
+        journal.close()

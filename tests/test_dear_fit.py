@@ -1,0 +1,203 @@
+"""Fits of dear models: workers, journals, and what an interrupt leaves."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import miho
+from miho.identification import curve_fit_checks
+from miho.models import FunctionModel
+from miho.models.fingerprint import fingerprint
+from miho.parallel import JournalError, evaluations
+
+t = np.linspace(0, 2, 30)
+y = 2 * np.exp(-1.5 * t) + 0.05 * np.random.default_rng(1).standard_normal(30)
+BOX = {"a": (0, 5), "b": (0.01, 10)}
+BUDGET = miho.Budget(evaluations=60)
+
+
+class Counted:
+    """A model that no formula can be traced through, and how often it was evaluated."""
+
+    def __init__(self, on_call: Callable[[int], object] = lambda count: None) -> None:
+        self.calls: list[int] = []
+        self._on_call = on_call
+
+    @property
+    def model(self) -> FunctionModel:
+        calls, on_call = self.calls, self._on_call
+
+        def decay(t: Any, a: Any, b: Any) -> Any:
+            a, b = float(a), float(b)
+            calls.append(1)
+            on_call(len(calls))
+            return a * np.exp(-b * t)
+
+        return FunctionModel(decay, batched=False, columns=("t",))
+
+
+@pytest.fixture
+def dear(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every evaluation counts as dear, however long it takes."""
+    for module in (evaluations, curve_fit_checks):
+        monkeypatch.setattr(module, "DEAR", 0.0)
+    monkeypatch.setattr(evaluations, "CHEAP", 0.0)
+
+
+@pytest.mark.usefixtures("dear")
+def test_the_same_call_evaluates_nothing_again(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plain = miho.fit(Counted().model, t, y, BOX, budget=BUDGET)
+    first, again = Counted(), Counted()
+    one = miho.fit(first.model, t, y, BOX, budget=BUDGET, journal=tmp_path / "journal")
+    two = miho.fit(again.model, t, y, BOX, budget=BUDGET, journal=tmp_path / "journal")
+    assert len(first.calls) >= 60
+    assert not again.calls
+    assert plain.theta.tobytes() == one.theta.tobytes() == two.theta.tobytes()
+    assert "evaluations of an earlier call" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("dear")
+def test_other_bounds_use_a_journal_and_other_data_do_not(tmp_path: Path) -> None:
+    path = tmp_path / "journal"
+    miho.fit(Counted().model, t, y, start={"a": 1, "b": 1}, journal=path)
+    alone, known = Counted(), Counted()
+    for counted, journal in ((alone, None), (known, path)):
+        miho.fit(
+            counted.model, t, y, {"a": (0, 9), "b": (0, 9)}, start={"a": 1, "b": 1}, journal=journal
+        )
+    assert len(known.calls) < len(alone.calls)
+    with pytest.raises(JournalError, match="is of another problem, model or data"):
+        miho.fit(Counted().model, t, y + 1, start={"a": 1, "b": 1}, journal=path)
+
+
+@pytest.mark.usefixtures("dear")
+def test_an_interrupt_tells_what_is_kept_and_the_same_call_goes_on(tmp_path: Path) -> None:
+    stop = [30]
+
+    def interrupt(count: int) -> None:
+        if count in stop:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    first, again, path = Counted(interrupt), Counted(interrupt), tmp_path / "journal"
+    with pytest.raises(KeyboardInterrupt, match="evaluations are kept in"):
+        miho.fit(first.model, t, y, BOX, budget=BUDGET, journal=path)
+    stop.clear()
+    fit = miho.fit(again.model, t, y, BOX, budget=BUDGET, journal=path)
+    plain = Counted()
+    assert miho.fit(plain.model, t, y, BOX, budget=BUDGET).theta.tobytes() == fit.theta.tobytes()
+    assert len(first.calls) == 30
+    assert len(again.calls) <= len(plain.calls) - 30 + 1
+
+
+@pytest.mark.usefixtures("dear")
+def test_an_interrupt_without_a_journal_tells_of_it() -> None:
+    def interrupt(count: int) -> None:
+        if count == 30:
+            os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.02)
+
+    with pytest.raises(KeyboardInterrupt, match="with journal='FILE' none is lost"):
+        miho.fit(Counted(interrupt).model, t, y, BOX, budget=BUDGET)
+
+
+@pytest.mark.usefixtures("dear")
+def test_priors_are_settled_within_one_journal(tmp_path: Path) -> None:
+    space = {"a": {"low": 0, "high": 5, "prior": (2.0, 0.1)}, "b": (0.01, 10)}
+    first, again = Counted(), Counted()
+    one = miho.fit(first.model, t, y, space, budget=BUDGET, journal=tmp_path / "journal")
+    two = miho.fit(again.model, t, y, space, budget=BUDGET, journal=tmp_path / "journal")
+    assert first.calls
+    assert not again.calls
+    assert one.theta.tobytes() == two.theta.tobytes()
+
+
+@pytest.mark.usefixtures("dear")
+def test_joint_fits_have_a_journal_too(tmp_path: Path) -> None:
+    first, again = Counted(), Counted()
+    results = [
+        miho.fit_joint(
+            {"one": (counted.model, t, y), "two": (counted.model, t, 2 * y)},
+            BOX, local=["a"], budget=BUDGET, journal=tmp_path / "journal",
+        ).theta.tobytes()
+        for counted in (first, again)
+    ]  # fmt: skip
+    assert results[0] == results[1]
+    assert first.calls
+    assert not again.calls
+
+
+def test_workers_that_are_not_used_are_told_of(capsys: pytest.CaptureFixture[str]) -> None:
+    alone = miho.fit(lambda t, a, b: a * np.exp(-b * t), t, y, BOX, compiled=False)
+    fit = miho.fit(lambda t, a, b: a * np.exp(-b * t), t, y, BOX, compiled=False, workers=2)
+    assert fit.theta.tobytes() == alone.theta.tobytes()
+    assert "workers are not used: the model is a formula" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="workers is 0; expected a number of processes"):
+        miho.fit(lambda t, a, b: a * np.exp(-b * t), t, y, BOX, compiled=False, workers=0)
+
+
+@pytest.mark.parametrize("workers", [1, 3, "threads"])
+def test_a_report_is_the_same_by_workers(
+    workers: Any, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("miho.parallel.blocks.WORTH_SENDING", 0.0)  # all is sent
+    monkeypatch.setattr("miho.parallel.blocks.MOST", np.inf)
+    frame = {"t": t, "y": y, "z": np.repeat([0.0, 1.0, 2.0], 10)}
+    fit = miho.fit(lambda t, a, b: a * np.exp(-b * t), frame, "y", BOX, compiled=False)
+    plain = fit.report(replicates=20)
+    with ThreadPoolExecutor(3) as threads:
+        shared = fit.report(replicates=20, workers=threads if workers == "threads" else workers)
+    assert plain.replicates is not None
+    assert shared.replicates is not None
+    assert plain.replicates.tobytes() == shared.replicates.tobytes()
+    assert plain.parameters.equals(shared.parameters)
+    assert plain.left_out.equals(shared.left_out)
+    for one, two in zip(plain.profiles, shared.profiles, strict=True):
+        assert one is not None
+        assert two is not None
+        assert one.values.tobytes() == two.values.tobytes()
+        assert one.tau.tobytes() == two.tau.tobytes()
+
+
+def test_a_profile_whose_worker_is_lost_is_told_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("miho.parallel.blocks.MOST", np.inf)
+    parent = os.getpid()
+
+    def dies(t: Any, a: Any, b: Any) -> Any:
+        a, b = float(a), float(b)
+        if os.getpid() != parent:
+            os._exit(1)
+        return a * np.exp(-b * t)
+
+    fit = miho.fit(FunctionModel(dies, batched=False, columns=("t",)), t, y, BOX, budget=BUDGET)
+    report = fit.report(workers=2)
+    assert report.profiles == (None, None)
+    assert "profile intervals of a are left out: their worker was lost" in report.omitted[0]
+
+
+def test_a_fingerprint_tells_code_and_constants_apart() -> None:
+    def of(factor: float) -> Callable[[float], float]:
+        return lambda x: factor * x
+
+    def documented(x: float) -> float:
+        """Twice."""
+        return 2 * x  # it
+
+    documented_otherwise = {}
+    exec("def documented(x: float) -> float:\n    'Other words.'\n    return 2 * x",
+         documented_otherwise)  # fmt: skip
+    assert fingerprint(of(2.0)) == fingerprint(of(2.0))
+    assert fingerprint(of(2.0)) != fingerprint(of(3.0))
+    assert fingerprint(lambda x: 2 * x) != fingerprint(lambda x: 3 * x)
+    assert fingerprint(documented) == fingerprint(documented_otherwise["documented"])
+    assert fingerprint(np.arange(3)) != fingerprint(np.arange(4))
