@@ -212,7 +212,9 @@ def test_budgets(budget: str) -> None:
 def test_the_arena_is_everything_but_what_it_says() -> None:
     comparison = composed(["experiment=arena"]).comparison
     assert sorted(comparison.problems) == options("problem")
-    assert set(options("optimizer")) - set(comparison.methods) == {"gbo_small", "gbo_large"}
+    assert set(options("optimizer")) - set(comparison.methods) == {
+        "gbo_small", "gbo_large", "miho_asynchronous", "miho_gn_asynchronous"
+    }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", options("experiment"))

@@ -1,7 +1,10 @@
 """Search: what is searched, who searches, and the metered door between them."""
 
+from miho.optim.asynchronous_miho import AsynchronousMIHO
+from miho.optim.asynchronous_miho_gn import AsynchronousMIHOGN
 from miho.optim.evidence import Agreement, agreement, in_optimum
 from miho.optim.meter import (
+    Arrivals,
     Budget,
     BudgetExhausted,
     Clock,
@@ -26,7 +29,10 @@ __all__ = [
     "MIHOGN",
     "MIHOQN",
     "Agreement",
+    "Arrivals",
     "AskTell",
+    "AsynchronousMIHO",
+    "AsynchronousMIHOGN",
     "Budget",
     "BudgetExhausted",
     "Checkpoint",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,6 +37,7 @@ from miho.compiled.workspace import CHUNK, Work, room_for, work
 from miho.optim.meter import BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_state import MIHOGNState
 from miho.optim.oracle import Oracle
+from miho.parallel import Ahead
 from miho.quantities import Array, Integers
 
 EVENTS = 4096
@@ -51,12 +54,8 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
     rows = None if kernel is None else kernel.rows
     c, d, level_rows = state.candidates, state.d, state.level_rows
     if rows is None:
-        _step_by_step(oracle, state)
-        while after_steps(
-            *c[:3], state.stored, state.place, state.order, state.box, level_rows, state.minima,
-            state.settings,
-        ):  # fmt: skip
-            _step_by_step(oracle, state)
+        for _ in rounds(oracle, state):
+            pass
         return
     # Room for one block's improvements, and for the compiled code to work in.
     N, slope_cost = rows.y.size, state.settings.slope_cost
@@ -92,59 +91,131 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
     oracle.spend(block, least)
 
 
-def _step_by_step(oracle: Oracle, state: MIHOGNState) -> None:
-    """Give each candidate its steps, with each evaluation made by the problem."""
+class Round(NamedTuple):
+    """Evaluations that do not depend on each other, about so many, which workers begin `ahead`."""
+
+    evaluations: int
+    ahead: Ahead
+
+
+def rounds(oracle: Oracle, state: MIHOGNState) -> Iterator[Round]:
+    """Take a bracket to its end with each evaluation made by the problem, round by round.
+
+    A round is yielded when it has begun, and made when the next is asked for. Where that raises, it
+    goes on with new rounds from the state that is left.
+    """
+    c, place, level_rows = state.candidates, state.place, state.level_rows
+    yield from _rounds_of_phase(oracle, state)
+    while after_steps(
+        *c[:3], state.stored, place, state.order, state.box, level_rows, state.minima,
+        state.settings,
+    ):  # fmt: skip
+        yield from _rounds_of_phase(oracle, state)
+
+
+def _rounds_of_phase(oracle: Oracle, state: MIHOGNState) -> Iterator[Round]:
+    """Give each candidate its steps: one evaluation of each that needs one is a round."""
     box, level_rows, active = state.box, state.level_rows, int(state.place[ACTIVE])
     rules = rules_of(state.place, level_rows, state.d, state.settings)
-    p, d, m = box.linear.size, state.d, state.rows
+    d, m = state.d, state.rows
     w = work(np.empty(room_for(d, m, level_rows.size)), d, m, level_rows.size)
     size, with_derivatives = int(state.place[SIZE]), int(state.place[STORED])
     c = state.candidates.with_derivatives(state.stored, size, with_derivatives)
     fidelity = 1.0 if rules.last else m / int(level_rows[-1])
-    share = 1.0 if rules.last else oracle.cost(fidelity)
+    # All that enter a level are looked at in one batch: models that work on arrays are faster so.
     if not (rules.last and rules.steps):
-        _evaluate_entering(oracle, fidelity, c, active, box, level_rows, rules, w)
-    i = 0
-    while (i := next_to_evaluate(*c[:4], i, active, box, m, state.minima, rules, w)) < active:
-        stage = c.stage[i]
-        project = bool(c.projects[i]) and stage != RECORD
-        cost = p + 1 if project else 1
+        index, thetas = np.empty(active, np.int64), np.empty((active, d))
+        count = entering(*c[:4], active, box, index, thetas)
+        if count:
+            yield Round(count, oracle.ahead(thetas[:count], fidelity, "residuals"))
+            entrants = index[:count], thetas[:count]
+            _evaluate_entering(oracle, fidelity, c, *entrants, box, level_rows, rules, w)
+    while True:
+        needs, i = [], state.turn
+        while (i := next_to_evaluate(*c[:4], i, active, box, m, state.minima, rules, w)) < active:
+            needs.append((i, w.theta.copy()))
+            i += 1
+        if not needs and state.turn == 0:
+            return
+        if needs:
+            yield _begin_ahead(oracle, fidelity, c, needs, box)
+        for state.turn, theta in needs:
+            w.theta[:] = theta
+            _evaluate(oracle, state, fidelity, c, state.turn, rules, w)
+        state.turn = 0
+
+
+def _begin_ahead(
+    oracle: Oracle,
+    fidelity: float,
+    c: GNCandidates,
+    needs: Sequence[tuple[int, Array]],
+    box: GNBox,
+) -> Round:
+    """Have workers begin what candidates need at some configurations, by their position."""
+    looks: list[Array] = []
+    slopes: list[Array] = []
+    for i, theta in needs:
+        if c.stage[i] == SLOPES:
+            slopes.append(theta)
+            looks += [theta] * (not c.derivatives.shape[2])
+        else:
+            looks.append(theta)
+            if c.projects[i] and c.stage[i] != RECORD:
+                looks += [_probe(theta, k, box) for k in box.linear]
+    begun = oracle.ahead(np.array(slopes), fidelity, "jacobian")
+    begun += oracle.ahead(np.array(looks), fidelity, "residuals")
+    return Round(len(slopes) * oracle.jacobian_cost + len(looks), begun)
+
+
+def _evaluate(
+    oracle: Oracle,
+    state: MIHOGNState,
+    fidelity: float,
+    c: GNCandidates,
+    i: int,
+    rules: GNRules,
+    w: Work,
+) -> None:
+    """Make the evaluation that candidate i needs next, at w.theta, and move it on."""
+    box, m, stage = state.box, state.rows, c.stage[i]
+    project = bool(c.projects[i]) and stage != RECORD
+    cost = box.linear.size + 1 if project else 1
+    if stage == SLOPES:
+        cost = oracle.jacobian_cost + (not c.derivatives.shape[2])
+    if not oracle.affords(cost * (1.0 if rules.last else oracle.cost(fidelity))):
+        raise BudgetExhausted
+    try:
         if stage == SLOPES:
-            cost = oracle.jacobian_cost + (not c.derivatives.shape[2])
-        if not oracle.affords(cost * share):
-            raise BudgetExhausted
-        try:
-            if stage == SLOPES:
-                _evaluate_slopes(oracle, fidelity, c, i, box, m, w)
-            elif project:
-                loss = _evaluate_projected(oracle, fidelity, c, i, box, level_rows, w)
-                after_one_evaluation(*c[:4], i, loss, box, m, rules, oracle.best, w)
-            else:
-                r = oracle.residuals(w.theta.copy(), fidelity)
-                _hand_over(oracle, fidelity, c, np.array([i]), r[None], box, level_rows, rules, w)
-        except UnusableValueError:
-            if stage == SLOPES:
-                c.stage[i] = UNUSABLE
-            else:
-                after_one_evaluation(*c[:4], i, math.inf, box, m, rules, oracle.best, w)
-        c.spent[i] += m * cost
+            _evaluate_slopes(oracle, fidelity, c, i, box, m, w)
+        elif project:
+            loss = _evaluate_projected(oracle, fidelity, c, i, box, state.level_rows, w)
+            after_one_evaluation(*c[:4], i, loss, box, m, rules, oracle.best, w)
+        else:
+            r = oracle.residuals(w.theta.copy(), fidelity)
+            index = np.array([i])
+            _hand_over(oracle, fidelity, c, index, r[None], box, state.level_rows, rules, w)
+    except UnusableValueError:
+        if stage == SLOPES:
+            c.stage[i] = UNUSABLE
+        else:
+            after_one_evaluation(*c[:4], i, math.inf, box, m, rules, oracle.best, w)
+    c.spent[i] += m * cost
 
 
 def _evaluate_entering(
     oracle: Oracle,
     fidelity: float,
     c: GNCandidates,
-    active: int,
+    index: Integers,
+    thetas: Array,
     box: GNBox,
     level_rows: Integers,
     rules: GNRules,
     w: Work,
 ) -> None:
-    """Look at all that enter a level in one batch: models that work on arrays are faster so."""
+    """Look at the candidates `index` (k,) that enter a level at thetas (k, d)."""
     m = int(level_rows[rules.level])
-    index, thetas = np.empty(active, np.int64), np.empty((active, c.x.shape[1]))
-    count = entering(*c[:4], active, box, index, thetas)
-    index, thetas = index[:count], thetas[:count]
     while index.size:
         r = oracle.residual_rows(thetas, fidelity)
         k = len(r)
@@ -213,12 +284,20 @@ def _evaluate_projected(
     p = box.linear.size
     columns = np.empty((p + 1, r.size))
     for column, k in enumerate(box.linear):
-        # as far away as the box allows: the wider a difference, the more exact
-        probe, up = theta.copy(), box.high[k] - theta[k] >= theta[k] - box.low[k]
-        probe[k] = box.high[k] if up else box.low[k]
+        probe = _probe(theta, k, box)
         scale = (box.high[k] - box.low[k]) / (probe[k] - theta[k])
         columns[column] = (oracle.residuals(probe, fidelity, goes_on=True) - r) * scale
     columns[p] = r
     loss = solve_columns(*c[:4], i, box, columns, w)
     r += w.step[:p] @ columns[:p]
     return loss
+
+
+def _probe(theta: Array, k: int, box: GNBox) -> Array:
+    """The configuration whose residuals tell of the linear parameter k.
+
+    As far away as the box allows: the wider a difference, the more exact.
+    """
+    probe, up = theta.copy(), box.high[k] - theta[k] >= theta[k] - box.low[k]
+    probe[k] = box.high[k] if up else box.low[k]
+    return probe

@@ -49,13 +49,26 @@ class Budget:
 
 
 @dataclass
+class Arrivals:
+    """In which order the evaluations of a run were there, as far as a method asked for it.
+
+    A run begins with so many `workers`; `positions` are the answers of `Oracle.first_ready` where
+    there was a choice.
+    """
+
+    workers: int = 0
+    positions: list[int] = field(default_factory=list)
+
+
+@dataclass
 class Meter:
     """What a run has spent and seen; with the method's state, all that a resumed run needs.
 
     `unfinished` holds the losses of a batch that was cut off: the same batch, evaluated again, goes
     on after them. `rejected` counts the values that could not be used, by reason. `outside` counts
     configurations outside of the space's box: their values are used, but a method is to stay in it.
-    `starts` are those of a method that descends from several.
+    `starts` are those of a method that descends from several. `arrivals` are those by which a
+    method decided that works asynchronously.
     """
 
     evaluations: float = 0
@@ -67,6 +80,7 @@ class Meter:
     unfinished: list[float] = field(default_factory=list)
     outside: int = 0
     starts: Starts = field(default_factory=Starts)
+    arrivals: Arrivals = field(default_factory=Arrivals)
 
     def reject(self, reason: str, count: int = 1) -> None:
         """Count values that cannot be used, by reason; beyond REASONS of them, together."""

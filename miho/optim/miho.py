@@ -10,16 +10,14 @@ import numpy as np
 
 from miho.compiled import Block, Climb, Steps
 from miho.optim.meter import Budget
-from miho.optim.mutation import ANNEALINGS, CLIPS, annealed_sigma, climb_of, mutate
+from miho.optim.miho_settings import MIHOSettings
+from miho.optim.mutation import climb_of
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
-from miho.optim.schedule import ROUNDINGS, Rung, hyperband_table
-from miho.optim.space import LARGEST_BATCH, SAMPLINGS, Space
+from miho.optim.schedule import Rung
+from miho.optim.space import Space
 from miho.quantities import Array
-from miho.validate import one_of, whole
-
-PROPOSALS = ("mutation", "fresh")
 
 
 @dataclass
@@ -49,53 +47,25 @@ class MIHOState:
 
 
 @dataclass(frozen=True)
-class MIHO(Resumable[MIHOState]):
+class MIHO(MIHOSettings, Resumable[MIHOState]):
     """Alg. 1 with the settings it leaves open; the defaults are the paper as printed.
 
-    R is the largest number of mutations one configuration gets on a rung, eta the proportion kept
-    (one in eta). A fresh configuration costs one evaluation before its mutations; a survivor's
-    loss is known and not paid for again. All configurations of a rung are mutated side by side,
-    so a batch is one mutation of each. Ends by itself after the last bracket.
+    A fresh configuration costs one evaluation before its mutations; a survivor's loss is known and
+    not paid for again. All configurations of a rung are mutated side by side, so a batch is one
+    mutation of each. Ends by itself after the last bracket.
 
     `early_stopping` gives a mutant up as soon as its loss cannot be below its parent's, where the
     problem has a compiled loss; it changes no decision, but what the rest of its loss would have
     been, NaN included, is then not seen. Whether the loss is a compressed one is no setting of a
-    method but a switch of the problem, off by default, and applies to all methods alike. `proposal`
-    is what a configuration is compared with: a mutation of itself, or, to see what mutation is
-    worth, a fresh draw from the initial distribution in its place.
-
-    `rounding` is that of s_max; `sampling` that of fresh configurations; `annealing` that of
-    sigma, over the mutations of a rung; `clip` keeps mutants in the box or above its lower bounds.
+    method but a switch of the problem, off by default, and applies to all methods alike.
     """
 
-    R: int = 10_000
-    eta: int = 5
-    rounding: str = "ceil"
-    sampling: str = "normal"
-    annealing: str = "linear"
-    clip: str = "box"
     early_stopping: bool = True
-    proposal: str = "mutation"
-
-    def __post_init__(self) -> None:
-        whole("R", self.R, 1)
-        whole("eta", self.eta, 2)
-        one_of("rounding", self.rounding, ROUNDINGS)
-        one_of("sampling", self.sampling, SAMPLINGS)
-        one_of("annealing", self.annealing, ANNEALINGS)
-        one_of("clip", self.clip, CLIPS)
-        one_of("proposal", self.proposal, PROPOSALS)
-        first = hyperband_table(self.R, self.eta, self.rounding)[0].n
-        if first > LARGEST_BATCH:
-            raise ValueError(
-                f"R is {self.R} and eta is {self.eta}: the first bracket has {first:,} "
-                f"configurations; expected at most {LARGEST_BATCH:,}"
-            )
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOState:
         """The first bracket's configurations are the common initial ones."""
-        space, table = oracle.space, hyperband_table(self.R, self.eta, self.rounding)
-        P = self._clipped(space.initial(table[0].n, self.sampling), space)
+        space, table = oracle.space, self.table()
+        P = self.initial(space, table[0].n)
         return MIHOState(
             space=space,
             rng=rng,
@@ -104,7 +74,7 @@ class MIHO(Resumable[MIHOState]):
             P=P,
             L=np.full(len(P), np.inf),
             step=-1,
-            sigma=annealed_sigma(space, table[0].mutations, self.annealing),
+            sigma=self.sigma(space, table[0].mutations),
             batch=P,
         )
 
@@ -178,7 +148,8 @@ class MIHO(Resumable[MIHOState]):
             if not self._advance(state):
                 return
         if state.step >= 0:
-            state.batch = self._proposals(state)
+            sigma = state.sigma[state.step]
+            state.batch = self.proposals(state.P, sigma, state.space, state.rng)
 
     def done(self, state: MIHOState) -> bool:
         """After the last rung of the bracket s = 0."""
@@ -190,30 +161,15 @@ class MIHO(Resumable[MIHOState]):
         if self.done(state):
             return False
         if state.rung.j == 0:
-            fresh = state.space.sample(state.rung.n, state.rng, self.sampling)
-            state.P = self._clipped(fresh, state.space)
+            state.P = self.fresh(state.space, state.rung.n, state.rng)
             state.batch = state.P
             state.step = -1
         else:
             top = np.argsort(state.L, kind="stable")[: state.rung.n]
             state.P, state.L = state.P[top], state.L[top]
             state.step = 0
-        state.sigma = annealed_sigma(state.space, state.rung.mutations, self.annealing)
+        state.sigma = self.sigma(state.space, state.rung.mutations)
         return True
-
-    def _proposals(self, state: MIHOState) -> Array:
-        """What the configurations are compared with next."""
-        if self.proposal == "mutation":
-            sigma = state.sigma[state.step]
-            return mutate(state.P, sigma, state.space, state.rng, self.clip)
-        fresh = state.space.sample(len(state.P), state.rng, self.sampling)
-        return self._clipped(fresh, state.space)
-
-    def _clipped(self, P: Array, space: Space) -> Array:
-        """P (n, d) clipped as `clip` says, in search coordinates."""
-        low, high = space.bounds
-        P = np.maximum(P, low)
-        return np.minimum(P, high) if self.clip == "box" else P
 
 
 def _climb_once(problem: Problem, theta: Array) -> None:

@@ -20,16 +20,16 @@ from miho.compiled.gauss_newton_candidates import (
     Minima,
 )
 from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE, SOLVED
-from miho.optim.brackets import DRAWS, check_brackets, draw_starts, luby, rows_by_level
+from miho.optim.brackets import draw_starts, luby, rows_by_level
 from miho.optim.evidence import in_optimum
 from miho.optim.meter import Budget, UnusableValueError
+from miho.optim.miho_gn_settings import MIHOGNSettings
 from miho.optim.miho_gn_state import ROOM, MIHOGNState, box_of, square_distances
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.seeds import stream
 from miho.quantities import Array
-from miho.validate import one_of, positive_settings, whole, whole_settings
 
 SOLVED_FIRST = 9
 """A problem that is linear in all parameters is solved on one row in so many, then on all."""
@@ -38,68 +38,12 @@ ATTEMPTS = 1000
 
 
 @dataclass(frozen=True)
-class MIHOGN(Resumable[MIHOGNState]):
+class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     """Brackets of successive halving whose survivors descend, on ever more rows of the data.
 
-    A bracket looks at configurations on the first rows of the data, `rows` for each parameter, and
-    keeps the best. Each rung gives its candidates `steps` Levenberg-Marquardt steps, the best of
-    them up to `lead`, and hands the best one in `eta` on to the next, with `eta` times as many
-    rows, until the last candidate goes to its end on all rows. A level that would have more than
-    the share `jump` of all rows has all of them; so has one after more than `enough` rows for each
-    parameter, and so have all levels of a problem that cannot be evaluated on fewer. A rung costs
-    about `base` (d + 1) evaluations times Luby's sequence, at most `largest` (d + 1); a bracket
-    begins with `least` to `most` configurations.
-
-    Steps are damped by `damping` at first, and no longer than `reach` of the widths. A descent is
-    done where its linear model predicts a gain below the share `tolerance` of the loss; on m rows,
-    fewer than all, below `level_tolerance` d / m, which so few do not tell from noise. Up to
-    `secants` steps running update the derivatives (Broyden) instead of evaluating them. One bracket
-    in `projecting` (0: none) solves for the linear parameters at each look (variable projection).
-    `draws` is the distribution of starts, see `draw_starts`. A descent that gains less than the
-    share `progress` of its loss in `patience` (d + 1) evaluations is set aside; the best of those
-    may spend as much as the next bracket has. A descent that comes to a known minimum ends.
-
-    The search ends when the ends of its brackets are evidence enough (`miho.optim.evidence`).
-    Searches get stuck at bounds, where the data leave a parameter undetermined, and where the loss
-    is more than noise explains: such an optimum needs the ends of `doubtful` brackets, and a search
-    `longer` times as long as it took to find it. After `brackets` brackets the search ends in any
-    case, as `Outcome.BRACKETS`. At last it descends from the run's best to a tolerance of `digits`.
-    A problem that is linear in all parameters is solved.
-
-    Needs a least-squares problem. Uses residuals and derivatives of its first rows, if it can give
-    them, and compiled ones, if it has them.
+    `MIHOGNSettings` says how. Needs a least-squares problem. Uses residuals and derivatives of its
+    first rows, if it can give them, and compiled ones, if it has them.
     """
-
-    eta: int = 3
-    rows: float = 4.0
-    jump: float = 0.5
-    enough: float = 200.0
-    base: float = 0.5
-    largest: float = 32.0
-    least: int = 3
-    most: int = 243
-    steps: int = 3
-    lead: int = 20
-    damping: float = 0.1
-    reach: float = 0.25
-    secants: int = 4
-    projecting: int = 2
-    draws: str = "thirds"
-    tolerance: float = 1e-8
-    level_tolerance: float = 0.1
-    digits: float = 1e-16
-    patience: float = 4.0
-    progress: float = 0.05
-    doubtful: int = 20
-    longer: float = 10.0
-    brackets: int = 200
-
-    def __post_init__(self) -> None:
-        check_brackets(self)
-        whole("doubtful", self.doubtful, 1)
-        whole_settings(self, ("secants", "projecting"), 0)
-        one_of("draws", self.draws, DRAWS)
-        positive_settings(self, ("damping", "reach", "digits", "longer"))
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOGNState:
         """The state before the first look."""
@@ -158,9 +102,13 @@ class MIHOGN(Resumable[MIHOGNState]):
         from miho.optim.gauss_newton_steps import run_phases  # which needs numba
 
         if state.phase == CLOSED:
-            self._draw(state, oracle)
+            self.begin_bracket(state, oracle)
         if state.phase < CLOSED:
             run_phases(oracle, state)
+        self.end_phases(state, oracle)
+
+    def end_phases(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Record how a bracket has ended; then it is closed, or goes on with other phases."""
         endings = {
             EMPTY: self._close,
             RETURNED: self._after_return,
@@ -212,7 +160,7 @@ class MIHOGN(Resumable[MIHOGNState]):
 
     # The phases of a bracket.
 
-    def _draw(self, state: MIHOGNState, oracle: Oracle) -> None:
+    def begin_bracket(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Begin a bracket: say what it may cost, and draw its starts."""
         from miho.compiled.gauss_newton_bracket import make_room
 

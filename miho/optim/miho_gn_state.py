@@ -34,7 +34,8 @@ class MIHOGNState:
     `place` (5,) is where the bracket stands, `settings` how it goes on, `order` (n,) and `stored`
     room for the positions of its `candidates` and for their derivatives. `level_rows` (levels,):
     how many rows each level looks at, all of them on the last (0 as long as that is not known,
-    after so many `attempts` to find out). The best of the `minima` was found after
+    after so many `attempts` to find out). Where nothing is compiled candidates are evaluated in
+    turn, now the one at position `turn`. The best of the `minima` was found after
     `best_found_after` evaluations. `stalled` are candidates that made too little progress, one
     each; before the bracket, `spent_before` evaluations were spent.
     """
@@ -54,6 +55,7 @@ class MIHOGNState:
     spent_before: float = 0.0
     best_found_after: float = 0.0
     attempts: int = 0
+    turn: int = 0
     finished: bool = False
 
     @property

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from miho.optim.meter import Budget, BudgetExhausted, Meter, RunInterrupted
+from miho.optim.meter import Arrivals, Budget, BudgetExhausted, Meter, RunInterrupted
 from miho.optim.optimizer import Optimizer, Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
@@ -73,7 +73,8 @@ class RunRecord:
     `descents` says where those of a method that makes several ended, None of any other.
     `checkpoint` resumes a method that can be resumed (Resumable), else it is None; so it is after
     an interrupt that struck in the middle of a step. `usage` says how workers were used, None
-    without workers and journal.
+    without workers and journal; `arrivals` in which order a method took their evaluations that
+    works asynchronously, None with one worker.
     """
 
     outcome: Outcome
@@ -90,6 +91,7 @@ class RunRecord:
     outside: int = 0
     descents: Descents | None = None
     usage: Usage | None = None
+    arrivals: Arrivals | None = None
 
 
 def minimize(
@@ -104,6 +106,7 @@ def minimize(
     workers: Workers | Evaluations = None,
     evaluation_limit: float | None = None,
     journal: JournalFile = None,
+    replay: Arrivals | None = None,
 ) -> RunRecord:
     """Minimise the problem's loss; always returns a record, whatever model or method did.
 
@@ -121,7 +124,9 @@ def minimize(
     than `evaluation_limit` seconds is given up, and so is one whose worker dies three times; a run
     whose workers are all gone has failed, and keeps what it found. A `journal` is a file in which
     every evaluation stands that takes longer than some 10 ms: the same run, called again after it
-    was cut off, makes none of them twice.
+    was cut off, makes none of them twice. Where the decisions of a method depend on which
+    evaluation was there first, `replay`, the `arrivals` of another run of it, has it make the same
+    ones, with any workers.
     """
     if problem.space.free is not problem.space:
         raise ValueError(
@@ -138,7 +143,7 @@ def minimize(
         setup_seconds = time.perf_counter() - setup_started
         oracle = Oracle(
             spread, budget or Budget(), space=space, meter=meter, observer=observer,
-            evaluations=evaluations,
+            evaluations=evaluations, replay=replay,
         )  # fmt: skip
         outcome, error = _search(optimizer, oracle, checkpoint, (problem.name, seed))
         oracle.stop()
@@ -162,6 +167,7 @@ def minimize(
         outside=meter.outside,
         descents=Descents.of(meter.starts, meter.best),
         usage=None if evaluations is None else evaluations.usage,
+        arrivals=meter.arrivals if meter.arrivals.workers > 1 else None,
     )
 
 

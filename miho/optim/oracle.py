@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from miho.compiled import Block, Kernel
 from miho.optim.evidence import Agreement
 from miho.optim.meter import (
+    Arrivals,
     Budget,
     BudgetExhausted,
     Clock,
@@ -58,6 +59,7 @@ class Oracle:
         observer: Callable[[Oracle], None] | None = None,
         clock: Clock | None = None,
         evaluations: Evaluations | None = None,
+        replay: Arrivals | None = None,
     ) -> None:
         self.budget = budget
         self.space = problem.space if space is None else space
@@ -67,6 +69,10 @@ class Oracle:
         self.state: Any = None
         self.interrupted = False
         self._problem, self._evaluations = problem, evaluations
+        self._replayed = [] if replay is None else replay.positions
+        if not self.meter.arrivals.workers:
+            begun_with = 1 if evaluations is None else evaluations.workers
+            self.meter.arrivals.workers = begun_with if replay is None else replay.workers
         if evaluations is not None:
             evaluations.check = self._check_interrupt
         self._limit = math.inf if budget.evaluations is None else budget.evaluations
@@ -150,8 +156,8 @@ class Oracle:
 
     @property
     def workers(self) -> int:
-        """How many evaluations may be under way at a time."""
-        return 1 if self._evaluations is None else self._evaluations.workers
+        """How many evaluations a method may have under way at a time: as the run began."""
+        return self.meter.arrivals.workers
 
     @property
     def spreads(self) -> bool:
@@ -194,9 +200,22 @@ class Oracle:
     def first_ready(self, needs: Sequence[Ahead]) -> int:
         """The position of the evaluations that workers have ended first; waits for one of them.
 
-        Where workers make none, it is 0.
+        Where workers make none, it is 0; in a run that is a replay, what it was in the original.
         """
-        return 0 if self._evaluations is None else self._evaluations.first_ready(needs)
+        if len(needs) == 1:
+            return 0
+        positions, position = self.meter.arrivals.positions, 0
+        if len(positions) < len(self._replayed):
+            position = self._replayed[len(positions)]
+            if not 0 <= position < len(needs):
+                raise ValueError(
+                    f"replay: arrival {len(positions)} is at position {position} of {len(needs)}; "
+                    "expected the arrivals of the same method, problem and seed"
+                )
+        elif self._evaluations is not None:
+            position = self._evaluations.first_ready(needs)
+        positions.append(position)
+        return position
 
     @property
     def kernel(self) -> Kernel | None:

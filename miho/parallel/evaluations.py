@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
+import sys
 import threading
 import time
 from collections.abc import Callable, Sequence
@@ -52,10 +53,23 @@ class NoWorkersLeft(BaseException):
 
 @dataclass(frozen=True)
 class Ahead:
-    """Values that were asked for before they are needed: `again` asks for them."""
+    """Values that were asked for before they are needed: `again` asks for them.
+
+    Workers have `begun` them where it was known that it is worth while.
+    """
 
     keys: Sequence[Key]
     again: Callable[[], object]
+    begun: bool = True
+
+    def __add__(self, other: Ahead) -> Ahead:
+        """Both together."""
+
+        def again() -> None:
+            self.again()
+            other.again()
+
+        return Ahead([*self.keys, *other.keys], again, self.begun and other.begun)
 
 
 @dataclass
@@ -138,7 +152,7 @@ class Evaluations:
     def ahead(self, ask: Callable[[], object]) -> Ahead:
         """Begin all evaluations that `ask` needs, without waiting; what it computes is void."""
         keys: list[Key] = []
-        if self.spreads:
+        if self._pool is not None and not self._stays_here:
             self._submitted = keys
             try:
                 ask()
@@ -148,12 +162,12 @@ class Evaluations:
                 self._submitted = None
         if keys and self._pool is not None:
             self._pool.flush()
-        return Ahead(keys, ask)
+        return Ahead(keys, ask, self.measured)
 
     def first_ready(self, needs: Sequence[Ahead]) -> int:
         """The position of what is complete first, the first of all where nothing has to be waited
         for; needs that were not begun are."""
-        needs = [need if need.keys else self.ahead(need.again) for need in needs]
+        needs = [need if need.begun else self.ahead(need.again) for need in needs]
         while True:
             ends = [max(map(self._end_of, need.keys), default=-1.0) for need in needs]
             first = int(np.argmin(ends))
@@ -177,7 +191,8 @@ class Evaluations:
         keys: list[Key] = [(task.name, theta.tobytes()) for theta in thetas]
         todo = [k for k, key in enumerate(keys) if not self._is_known(key)]
         if self._submitted is not None:
-            self._submit(task, keys, thetas, todo)
+            if self.measured:
+                self._submit(task, keys, thetas, todo)
             self._submitted += keys
             return np.zeros((len(thetas), *task.shape))
         while todo and not self.measured:
@@ -220,12 +235,13 @@ class Evaluations:
         return self._journal is not None and key in self._journal
 
     def _end_of(self, key: Key) -> float:
-        """When a value came, in the order of all that came; infinite if it has not."""
+        """When a value came, in the order of all that came: infinite while a worker makes it, and
+        later than all that came where it is not known whether workers make them."""
         if key in self._pending:
             return self._pending[key].ended
         if self._journal is not None and key in self._journal:
             return float(self._journal.place(key))
-        return -1.0
+        return -1.0 if key in self._here or self.measured else sys.float_info.max
 
     def _waits(self, key: Key) -> bool:
         return key in self._pending and self._pending[key].ended == math.inf

@@ -1,0 +1,197 @@
+"""MIHO without batches: each configuration goes on as soon as its evaluation is there."""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Any
+
+import numpy as np
+
+from miho.optim.miho_settings import MIHOSettings
+from miho.optim.optimizer import Resumable
+from miho.optim.oracle import Oracle
+from miho.optim.schedule import Rung
+from miho.optim.space import Space
+from miho.parallel import Ahead
+from miho.quantities import Array
+
+
+@dataclass
+class Chain:
+    """A configuration on its way through the mutations of a rung, x (d,) with its loss.
+
+    `step` counts its mutations on this rung, -1 before its first evaluation. `proposal` (d,) is
+    evaluated next, `ahead` by a worker; that is not part of a stored state, and begun again.
+    """
+
+    rung: AsynchronousRung
+    x: Array
+    loss: float
+    step: int
+    proposal: Array
+    ahead: Ahead | None = field(default=None, repr=False)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"ahead": None}
+
+
+@dataclass
+class AsynchronousRung:
+    """A rung of a bracket that fills as configurations come.
+
+    `sigma` (mutations, d) anneals over its mutations. `seen` counts the configurations that ended
+    here; `waiting` is a heap of those that were not promoted, by loss and arrival.
+    """
+
+    rung: Rung
+    sigma: Array
+    seen: int = 0
+    promoted: int = 0
+    waiting: list[tuple[float, int, Array]] = field(default_factory=list, repr=False)
+
+    @property
+    def complete(self) -> bool:
+        """Whether all of its configurations ended."""
+        return self.seen == self.rung.n
+
+    def add(self, loss: float, x: Array) -> None:
+        """Take a configuration that ended here."""
+        heapq.heappush(self.waiting, (loss, self.seen, x))
+        self.seen += 1
+
+    def promotes(self, eta: int, n: int) -> bool:
+        """Whether the best that waits goes on to the next rung, which has n configurations.
+
+        It does if it is among the best floor(seen / eta): if fewer than so many were promoted. A
+        rung that is complete promotes as many as the next one has.
+        """
+        return self.promoted < (n if self.complete else min(self.seen // eta, n))
+
+    def promote(self) -> tuple[float, Array]:
+        """The best that waits, which goes on."""
+        self.promoted += 1
+        loss, _, x = heapq.heappop(self.waiting)
+        return loss, x
+
+
+@dataclass
+class AsynchronousBracket:
+    """A bracket's rungs, and its fresh configurations (n, d), of which the first `begun` are."""
+
+    rungs: Sequence[AsynchronousRung]
+    fresh: Array = field(repr=False)
+    begun: int = 0
+
+
+@dataclass
+class AsynchronousMIHOState:
+    """Up to `workers` chains are under way, in the brackets that have not ended.
+
+    `coming` are the rungs of the brackets that have not begun. The evaluation of the chain at
+    position `arrived` is there, None while that is not known.
+    """
+
+    space: Space
+    rng: np.random.Generator
+    workers: int
+    coming: list[tuple[Rung, ...]]
+    brackets: list[AsynchronousBracket] = field(default_factory=list)
+    chains: list[Chain] = field(default_factory=list)
+    arrived: int | None = None
+
+
+@dataclass(frozen=True)
+class AsynchronousMIHO(MIHOSettings, Resumable[AsynchronousMIHOState]):
+    """MIHO for evaluations of unequal length: as many chains of mutations as there are workers.
+
+    The settings are MIHO's, and so are the numbers of configurations on all rungs. A configuration
+    goes on to the next rung as soon as it is among the best one in eta of those seen on its rung
+    (ASHA: Li et al., A system for massively parallel hyperparameter tuning, MLSys 2020), the
+    deepest rung first; where none does, a fresh one begins. A bracket begins as soon as the one
+    before has begun all that it can, so that no worker waits before the last bracket.
+
+    What it decides depends on the order in which evaluations end, and on nothing else: by its
+    arrivals a run can be repeated to the last bit (`minimize(..., replay=record.arrivals)`). A run
+    has as many chains as it began with. Without workers there is one, and the search is
+    deterministic. Compiled steps of mutation are MIHO's: where evaluations are cheap, use that.
+    """
+
+    def start(self, oracle: Oracle, rng: np.random.Generator) -> AsynchronousMIHOState:
+        """Before the first bracket."""
+        brackets = [tuple(rungs) for _, rungs in groupby(self.table(), lambda rung: rung.s)]
+        return AsynchronousMIHOState(oracle.space, rng, oracle.workers, brackets)
+
+    def step(self, state: AsynchronousMIHOState, oracle: Oracle) -> None:
+        """Take the evaluation that ended first, and go on from there."""
+        space = state.space
+        if state.arrived is None:
+            self._fill(state)
+            needs = []
+            for chain in state.chains:
+                if chain.ahead is None:
+                    chain.ahead = oracle.ahead(space.decode(chain.proposal[None]))
+                needs.append(chain.ahead)
+            state.arrived = oracle.first_ready(needs)
+        chain = state.chains[state.arrived]
+        loss = float(oracle(space.decode(chain.proposal[None]))[0])
+        # The evaluation counts: nothing raises from here on. Who was served is last in line.
+        state.chains.append(state.chains.pop(state.arrived))
+        state.arrived = chain.ahead = None
+        if chain.step < 0 or loss < chain.loss:
+            chain.x, chain.loss = chain.proposal, loss
+        chain.step += 1
+        if chain.step < chain.rung.rung.mutations:
+            self._propose(state, chain)
+            return
+        chain.rung.add(chain.loss, chain.x)
+        state.chains.pop()
+        state.brackets = [b for b in state.brackets if not all(r.complete for r in b.rungs)]
+
+    def done(self, state: AsynchronousMIHOState) -> bool:
+        """After the last bracket."""
+        return not (state.chains or state.brackets or state.coming)
+
+    def _fill(self, state: AsynchronousMIHOState) -> None:
+        """Begin chains until as many are under way as there are workers, or none can begin."""
+        while len(state.chains) < state.workers:
+            chains = (self._next_chain(state, bracket) for bracket in state.brackets)
+            chain = next((chain for chain in chains if chain is not None), None)
+            if chain is not None:
+                state.chains.append(chain)
+            elif state.coming:
+                self._begin_bracket(state)
+            else:
+                return
+
+    def _begin_bracket(self, state: AsynchronousMIHOState) -> None:
+        """Begin the next bracket (Alg. 1, line 4); the first with the common configurations."""
+        space, table = state.space, state.coming.pop(0)
+        n, first = table[0].n, table[0] == self.table()[0]
+        fresh = self.initial(space, n) if first else self.fresh(space, n, state.rng)
+        rungs = [AsynchronousRung(rung, self.sigma(space, rung.mutations)) for rung in table]
+        state.brackets.append(AsynchronousBracket(rungs, fresh))
+
+    def _next_chain(
+        self, state: AsynchronousMIHOState, bracket: AsynchronousBracket
+    ) -> Chain | None:
+        """The promotion to the deepest rung, else a fresh configuration, else None."""
+        rungs = bracket.rungs
+        for below, above in zip(rungs[-2::-1], rungs[:0:-1], strict=True):
+            if below.promotes(self.eta, above.rung.n):
+                loss, x = below.promote()
+                chain = Chain(above, x, loss, 0, x)
+                self._propose(state, chain)
+                return chain
+        if bracket.begun == len(bracket.fresh):
+            return None
+        x = bracket.fresh[bracket.begun]
+        bracket.begun += 1
+        return Chain(rungs[0], x, math.inf, -1, x)
+
+    def _propose(self, state: AsynchronousMIHOState, chain: Chain) -> None:
+        sigma = chain.rung.sigma[chain.step]
+        chain.proposal = self.proposals(chain.x[None], sigma, state.space, state.rng)[0]
