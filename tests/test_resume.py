@@ -82,7 +82,7 @@ def dear(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluation counts as dear, however long it takes."""
     for module in (evaluations, curve_fit_checks):
         monkeypatch.setattr(module, "DEAR", 0.0)
-    monkeypatch.setattr(evaluations, "CHEAP", 0.0)
+    monkeypatch.setattr(evaluations, "LEAST", 0.0)
 
 
 @pytest.fixture

@@ -21,6 +21,10 @@ ALLOWED = {
     ("miho/models/formula_text.py", "compile"),
     # the conformance suite copies what it has just made
     ("miho/testing/optimizers.py", "pickle"),
+    # what a process and the workers that it has started, or was told to use, send to each other
+    ("miho/parallel/pool.py", "cloudpickle"),
+    ("miho/parallel/process_executor.py", "pickle"),
+    ("miho/parallel/remote.py", "pickle"),
 }
 
 
