@@ -30,8 +30,7 @@ SETTINGS = {
     "workers, evaluation_limit": "what makes evaluations that take long; seconds for one at most",
     "root, fresh": "where results go; fresh=true sets aside what is outdated",
     "space.NAME.low, .high, .scale": "the box of a parameter; 'space={a: {...}}' is a whole one",
-    "sweep.workers, .dry_run": "with -m: how many runs at a time, or on which cluster; list the "
-    "runs and do none",
+    "sweep.workers, .dry_run": "with -m: runs at a time, or their cluster; list them only",
     "tracking": "mlflow: mirror finished runs there",
 }
 

@@ -15,7 +15,7 @@ import pytest
 
 import miho
 from miho.identification import curve_fit_checks
-from miho.models import FunctionModel
+from miho.models import FunctionModel, function_model
 from miho.models.fingerprint import fingerprint
 from miho.parallel import JournalError, evaluations
 
@@ -48,7 +48,7 @@ class Counted:
 @pytest.fixture
 def dear(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluation counts as dear, however long it takes."""
-    for module in (evaluations, curve_fit_checks):
+    for module in (evaluations, curve_fit_checks, function_model):
         monkeypatch.setattr(module, "DEAR", 0.0)
     monkeypatch.setattr(evaluations, "LEAST", 0.0)
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import OmegaConf
 
 from experiments.app.build import ConfigError, build
 from experiments.app.compose import composed
@@ -16,6 +17,7 @@ from experiments.app.runs import HERE, run
 from experiments.app.safety import HydraSettingError, check_machines
 from experiments.app.schema import SweepConfig, register
 from miho.identification import curve_fit_checks
+from miho.models import function_model
 from miho.parallel import evaluations
 from miho.study.files import JOURNAL
 
@@ -80,7 +82,7 @@ class Runs:
 @pytest.fixture(autouse=True)
 def dear(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluation counts as dear, however long it takes."""
-    for module in (evaluations, curve_fit_checks):
+    for module in (evaluations, curve_fit_checks, function_model):
         monkeypatch.setattr(module, "DEAR", 0.0)
     monkeypatch.setattr(evaluations, "LEAST", 0.0)
 
@@ -152,7 +154,8 @@ def test_nonsense_is_refused_in_a_line(tmp_path: Path, override: str, message: s
 
 def test_the_address_of_other_machines_is_typed() -> None:
     typed = OverridesParser.create().parse_overrides(["workers=dask://elsewhere:8786"])
-    check_machines("dask://elsewhere:8786", typed)
-    check_machines(4, [])
+    there = OmegaConf.create({"workers": "dask://elsewhere:8786", "sweep": {"workers": 1}})
+    check_machines(there, typed)
+    check_machines(OmegaConf.create({"workers": 4, "sweep": {"workers": 2}}), [])
     with pytest.raises(HydraSettingError, match="must be typed on the command line"):
-        check_machines("dask://elsewhere:8786", [])
+        check_machines(there, [])

@@ -25,7 +25,6 @@ from miho.fitting.joint_problem import SIGMA as DEVIATION
 from miho.fitting.joint_problem import Joint, Measured
 from miho.identification import CurveFit, Loss, linear_optimum
 from miho.identification.constraints import constrained
-from miho.identification.curve_fit_checks import check_curve_fit
 from miho.identification.report import irreducible_of
 from miho.models import Model
 from miho.models.expression import Expression
@@ -118,7 +117,7 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
     if setting["seed"] < 0:
         raise ConfigError(f"seed: is {setting['seed']}; expected a whole number of at least 0")
     untried = problem is None
-    problem = build_problem(setting, tried=True) if problem is None else problem
+    problem = build_problem(setting, dear=True) if problem is None else problem
     try:
         budget = Budget(**part_of(setting, "budget"))
         config = {key: part_of(setting, key) for key in ("model", "dataset", "loss", "budget")}
@@ -142,15 +141,11 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
         )
     except (TypeError, ValueError) as error:
         raise ConfigError(str(error)) from None
-    optimum = recorded_optimum(setting)
-    experiment = Experiment(problem, optimizer, budget, identity, root, optimum, workers, limit)
     store = Store(root)
     if untried and not (store.has_result(identity) or store.journal(identity).is_file()):
-        try:
-            check_curve_fit(problem)
-        except (TypeError, ValueError) as error:
-            raise ConfigError(str(error)) from None
-    return experiment
+        problem = build_problem(setting, problem.dataset)
+    optimum = recorded_optimum(setting)
+    return Experiment(problem, optimizer, budget, identity, root, optimum, workers, limit)
 
 
 def _means(setting: Mapping[str, Any]) -> tuple[int | str, float | None]:
@@ -185,19 +180,17 @@ def build_optimizer(cfg: Settings) -> Optimizer:
     return instantiate(node, "optimizer", Optimizer)
 
 
-def build_problem(
-    cfg: Settings, dataset: Dataset | None = None, *, tried: bool = False
-) -> CurveFit:
+def build_problem(cfg: Settings, dataset: Dataset | None = None, *, dear: bool = False) -> CurveFit:
     """The problem alone; `dataset` is what its configuration gave, if it was built before.
 
-    One that was `tried` before is not evaluated here.
+    A model that is known to be `dear` is not evaluated here.
     """
     setting = plain(cfg)
     dataset, problem_of = _statement(setting, dataset)
     space = build_space(scaled_by(dataset, with_local(setting, part_of(setting, "space"))))
     rho = instantiate(part_of(setting, "loss"), "loss", Loss)
     settings = part_of(setting, "problem")
-    switches = {key: settings[key] for key in ("threads", "compressed")} | {"tried": tried}
+    switches = {key: settings[key] for key in ("threads", "compressed")} | {"dear": dear}
     try:
         constraints = settings["constraints"] or ()
         return problem_of(

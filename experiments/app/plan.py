@@ -170,13 +170,10 @@ def setting_of(text: str) -> Mapping[str, Any]:
 
 @lru_cache(maxsize=32)
 def experiment_of(text: str) -> Experiment:
-    """What all seeds of a configuration share; building it takes longer than a small run.
-
-    A model of the user's is not tried again: that was done in a process of its own (`requests`).
-    """
+    """What all seeds of a configuration share; building it takes longer than a small run."""
     setting = setting_of(text)
     if runs_own_code(setting):
-        return build(setting, build_problem(setting, dataset_of(text), tried=True))
+        return build(setting, build_problem(setting, dataset_of(text)))
     return build(setting, problem_of(setting))
 
 

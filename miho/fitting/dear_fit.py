@@ -19,8 +19,8 @@ from miho.parallel.usage import span
 JournalPath = str | os.PathLike[str] | None
 
 
-def is_tried(journal: JournalPath) -> bool:
-    """Whether a fit was begun before, so that its model need not be tried out again."""
+def known_dear(journal: JournalPath) -> bool:
+    """Whether a model is known to be dear: only what is dear stands in a journal."""
     return journal is not None and Path(journal).is_file()
 
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from miho.data.dataset import Dataset
-from miho.fitting.dear_fit import JournalPath, dear_fit, is_tried
+from miho.fitting.dear_fit import JournalPath, dear_fit, known_dear
 from miho.fitting.joint_problem import Joint, Measured
 from miho.fitting.one_fit import Fit, searched, without_priors
 from miho.fitting.statement import FAR, data_of
@@ -64,10 +64,11 @@ def fit_joint(
     joint = Joint(measured, local)
     bounds = joint.space(space, fixed, tied, constraints)
     plain = without_priors(bounds) if joint.lacking else bounds  # which need sigma
-    problem = joint.problem(plain, compiled=compiled, tried=is_tried(journal))
+    problem = joint.problem(plain, compiled=compiled, dear=known_dear(journal))
     with dear_fit(problem, workers, evaluation_limit, journal) as evaluations:
         if joint.lacking:
-            settings = {"compiled": compiled, "tried": True}
+            settings = {"compiled": compiled, "dear": True}
+            joint = joint.as_examined(problem)
             problem = joint.complete(bounds, method, budget, seed, evaluations, **settings)
         fit = searched(problem, method, budget, seed, evaluations)
     return JointFit(fit.problem, fit.theta, fit.run, fit.descents)

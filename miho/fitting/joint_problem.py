@@ -138,10 +138,10 @@ class Joint:
 
     def problem(self, space: Space, **settings: Any) -> CurveFit:
         """The problem within a space of all parameters; `settings` are those of `CurveFit`."""
+        model = self._traced(space, settings.get("dear", False))
         return CurveFit(
-            self._traced(space), self.dataset, space, sigma=SIGMA, sigma_known=self._known,
-            **settings,
-        )  # fmt: skip
+            model, self.dataset, space, sigma=SIGMA, sigma_known=self._known, **settings
+        )
 
     @property
     def _known(self) -> bool:
@@ -162,7 +162,7 @@ class Joint:
                     named.setdefault(joint, own)
         return named
 
-    def _traced(self, space: Space) -> Model:
+    def _traced(self, space: Space, dear: bool) -> Model:
         """The model, with formulas of functions that are some, and itself one where it can be."""
         named = {parameter.name: parameter for parameter in space.parameters}
         members = []
@@ -171,7 +171,7 @@ class Joint:
             if isinstance(model, FunctionModel):
                 own = zip(model.parameters, part.parameters, strict=True)
                 ranges = Space(tuple(replace(named[joint], name=name) for name, joint in own))
-                model = examined(model, self.parts[part.name].dataset, ranges)
+                model = examined(model, self.parts[part.name].dataset, ranges, dear)
             members.append(part._replace(model=model))
         return joined(JointModel(tuple(members)))
 
@@ -217,6 +217,10 @@ class Joint:
             if all(abs(sigma[name] / before[name] - 1) < SETTLED for name in sigma):
                 break
         return problem
+
+    def as_examined(self, problem: CurveFit) -> Joint:
+        """The same with the models of its problem, which are known for what they are."""
+        return self._with({}, parts_of(problem.model))
 
     def _with(self, sigma: Mapping[str, float], models: Sequence[JointPart]) -> Joint:
         """The same with sigma of the parts that lacked it, and models as they are traced."""

@@ -17,7 +17,7 @@ from miho.fitting.dear_fit import (
     JournalPath,
     dear_fit,
     interrupted,
-    is_tried,
+    known_dear,
     pace_line,
     spread,
 )
@@ -129,16 +129,19 @@ def fit(
         compiled = start is None and not isinstance(model, TireFormula)
     bounds = constrained(space_of(chosen, space, start, fixed or {}, tied or {}), constraints)
 
-    def problem_of(bounds: Space, prior_scale: float | None = None, tried: bool = True) -> CurveFit:
+    first: CurveFit | None = None  # whose model is known for what it is
+
+    def problem_of(bounds: Space, prior_scale: float | None = None, dear: bool = True) -> CurveFit:
+        known = chosen if first is None else whole_model(first.model)
         return CurveFit(
-            chosen, dataset, bounds, loss or Square(), sigma=sigma, sigma_known=sigma_known,
-            compiled=compiled, prior_scale=prior_scale, tried=tried,
+            known, dataset, bounds, loss or Square(), sigma=sigma, sigma_known=sigma_known,
+            compiled=compiled, prior_scale=prior_scale, dear=dear,
         )  # fmt: skip
 
     # Beside errors that are not known, priors count by what the residuals say.
     settles = has_priors(bounds) and (sigma is None or not sigma_known)
     plain = without_priors(bounds) if settles else bounds
-    first = problem_of(plain, tried=is_tried(journal))
+    first = problem_of(plain, dear=known_dear(journal))
     with dear_fit(first, workers, evaluation_limit, journal) as evaluations:
 
         def solved(problem: CurveFit) -> Fit:
@@ -174,7 +177,7 @@ def settled(
         before = fit.problem.prior_scale or scale
         if abs(scale - before) <= SETTLED * before:
             return fit if fit.descents is None else solved(bounds, scale)
-        problem = replace(fit.problem, prior_scale=scale, tried=True)
+        problem = replace(fit.problem, prior_scale=scale, dear=True)
         theta = refit(spread(problem, evaluations), fit.theta).theta
         fit = replace(fit, problem=problem, theta=theta)
     raise ValueError("the errors and what priors count beside them do not settle; give sigma")

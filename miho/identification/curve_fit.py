@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import math
 import threading
-from dataclasses import InitVar, dataclass, field
+from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -97,7 +97,7 @@ class CurveFit(Remade, LeastSquaresProblem):
     residuals then tell. Residuals and errors are weighted by `scale` / sigma, so that they and the
     loss keep the output's unit. `prior_scale` takes the place of `scale` for priors where sigma is
     not known: what it is estimated as. `tied_priors` are the tied parameters that have a prior. A
-    dear model that was `tried` before on these data is not evaluated here to see whether it can be.
+    model that is known to be `dear` is not evaluated here to see whether it can be.
     """
 
     model: Model
@@ -112,19 +112,19 @@ class CurveFit(Remade, LeastSquaresProblem):
     sigma_known: bool = True
     prior_scale: float | None = None
     tied_priors: tuple[Parameter, ...] = ()
-    tried: InitVar[bool] = False
+    dear: InitVar[bool] = False
 
-    def __post_init__(self, tried: bool) -> None:
+    def __post_init__(self, dear: bool) -> None:
         model = _model(self.model)
         if isinstance(model, FunctionModel):
-            model = examined(model, self.dataset, self.space, tried)
+            model = examined(model, self.dataset, self.space, dear)
         if self.space.free is not self.space:
             model = tie(model, ties_of(model, self.space))
             tied = tuple(p for p in self.space.parameters if p.tied and p.prior is not None)
             object.__setattr__(self, "tied_priors", tied)
         object.__setattr__(self, "model", model)
         object.__setattr__(self, "space", self.space.free)
-        check_curve_fit(self, tried)
+        check_curve_fit(self, dear)
         check_sigma(self)
         if self.compressed and (self.kernel is None or self.kernel.few_nodes is None):
             raise ValueError(
@@ -314,7 +314,10 @@ class CurveFit(Remade, LeastSquaresProblem):
         data = hashlib.sha256()
         for column in (*self.inputs, self._output):
             data.update(np.ascontiguousarray(column).tobytes())
-        leaves = dear_leaves(self.model)
+        leaves = [  # how a function is called changes nothing
+            replace(leaf, batched=None, rowwise=None) if isinstance(leaf, FunctionModel) else leaf
+            for leaf in dear_leaves(self.model)
+        ]
         return f"data {data.hexdigest()[:DIGITS]} model {fingerprint(leaves)[:DIGITS]}"
 
     def spread(self, evaluations: Evaluations) -> CurveFit:

@@ -37,12 +37,12 @@ SMALLEST, LARGEST = 1e-140, 1e150
 of squares over all rows then stay within double precision, 1e-308 to 1e308."""
 
 
-def check_curve_fit(problem: CurveFit, tried: bool = False) -> None:
+def check_curve_fit(problem: CurveFit, dear: bool = False) -> None:
     """Raise ValueError for parts that do not fit together; warn of far nominal values.
 
     So mistakes show before a search starts, and not as losses without a value in it. The model is
     evaluated for that at a few configurations: at a single one if that takes long, and at none if
-    it was `tried` before.
+    it is known to be `dear`.
     """
     model, dataset = problem.model, problem.dataset
     model_name = model.name or type(model).__name__
@@ -62,7 +62,7 @@ def check_curve_fit(problem: CurveFit, tried: bool = False) -> None:
             raise ValueError(f"{place} has unit {unit!r}; model {model_name} needs {needed!r}")
 
     _check_output_size(problem)
-    if not tried and not _is_dear(problem, model_name):
+    if not dear and not _is_dear(problem, model_name):
         _check_shapes(problem, model_name)
         _check_values(problem, model_name)
     _check_nominal(problem, model_name)
@@ -156,12 +156,12 @@ def _check_prior(problem: CurveFit) -> None:
         raise ValueError(f"space.{name}.prior: priors need the loss Square")
 
 
-def examined(model: FunctionModel, dataset: Dataset, space: Space, tried: bool = False) -> Model:
+def examined(model: FunctionModel, dataset: Dataset, space: Space, dear: bool = False) -> Model:
     """The function as a formula, if both give the same on the data at some configurations.
 
     Else as one that is known to be element by element in the rows of data, or not to be. One that
-    was read from a file is only traced if its text says that it is arithmetic. One that was `tried`
-    before, and found to be dear, is not called.
+    was read from a file is only traced if its text says that it is arithmetic. One that is known
+    to be `dear` is not called, and is asked for all rows.
     """
     lacking = [name for name in model.inputs if name not in dataset.columns]
     if lacking:
@@ -184,7 +184,7 @@ def examined(model: FunctionModel, dataset: Dataset, space: Space, tried: bool =
         formula = model.formula_at(thetas, *columns)
         if formula is not model:
             return formula
-    if tried and model.rowwise is None:
+    if dear and model.rowwise is None:
         return replace(model, rowwise=False)
     return model.rowwise_at(thetas, *columns)
 
