@@ -33,7 +33,7 @@ PATIENCE = 5.0
 LOOPBACK = "127.0.0.1"
 SETTINGS = {
     "distributed.comm.timeouts.connect": f"{PATIENCE}s",
-    "distributed.scheduler.worker-saturation": 1.0,  # no job waits at a worker that may die
+    "distributed.scheduler.worker-saturation": "inf",  # a short task waits for no round trip
 }
 """What holds in this process while it uses a cluster; the rest is the user's configuration."""
 

@@ -15,6 +15,7 @@ from concurrent.futures import (
     CancelledError,
     Executor,
     Future,
+    ThreadPoolExecutor,
     wait,
 )
 from contextlib import ExitStack, contextmanager
@@ -36,6 +37,8 @@ Workers = int | str | Executor | Callable[..., Iterable[Any]] | None
 like `map`, or the address of a cluster (`dask://HOST:PORT`, `dask:4`, `slurm:10`)."""
 TRIES = 3
 """How often a call is tried whose worker ends without an answer."""
+SMALL = 1 << 14
+"""Bytes of a function that cost nothing to send beside the call itself."""
 LOOK = 0.1
 """Seconds between two looks whether anybody wants to stop."""
 EXPECTED = (
@@ -110,7 +113,8 @@ class Pool:
         shared[token] = function  # for workers that are threads of this process
         self._tokens.append(token)
         pickled = functools.cache(functools.partial(_pickled, function))
-        return lambda argument: self._call(token, pickled, argument)
+        calls = itertools.count()
+        return lambda argument: self._call(token, pickled, argument, next(calls) < self.size)
 
     def map(self, function: Callable[[Any], Any], arguments: Iterable[Any]) -> Iterator[Any]:
         """What a function gives for each argument, in their order; raises what it raises."""
@@ -145,10 +149,17 @@ class Pool:
         for token in self._tokens:
             shared.pop(token, None)
 
-    def _call(self, token: str, pickled: Callable[[], bytes], argument: Any) -> Future[Answer]:
-        if isinstance(self._executor, ProcessExecutor) and not self._executor.started:
-            with contextlib.suppress(Exception):  # it is told where the function is to be sent
-                self._executor.load_at_start(pickled())
+    def _call(
+        self, token: str, pickled: Callable[[], bytes], argument: Any, first: bool
+    ) -> Future[Answer]:
+        """A call; the function goes with the `first` ones, so that each worker may get it, and with
+        all of them if it is small: calls that lack it wait in the queue a second time."""
+        payload = None
+        if not isinstance(self._executor, ThreadPoolExecutor):
+            with contextlib.suppress(Exception):  # it is told where a worker lacks the function
+                payload = pickled() if first or len(pickled()) <= SMALL else None
+        if isinstance(self._executor, ProcessExecutor) and not self._executor.started and payload:
+            self._executor.load_at_start(payload)
         result: Future[Answer] = Future()
         self._pending.add(result)
         result.add_done_callback(self._pending.discard)
@@ -170,7 +181,7 @@ class Pool:
                 answer = inner.result()
             except WorkerLostError as error:
                 if error.again and next(tries) < TRIES:
-                    submit(None)
+                    submit(payload)
                 else:
                     _fail(result, error)
                 return
@@ -195,7 +206,7 @@ class Pool:
             else:
                 submit(payload)
 
-        submit(None)
+        submit(payload)
         return result
 
 
