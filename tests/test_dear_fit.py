@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -17,7 +20,7 @@ import miho
 from miho.identification import curve_fit_checks
 from miho.models import FunctionModel, function_model
 from miho.models.fingerprint import fingerprint
-from miho.parallel import JournalError, evaluations
+from miho.parallel import Journal, JournalError, evaluations, open_pool
 
 t = np.linspace(0, 2, 30)
 y = 2 * np.exp(-1.5 * t) + 0.05 * np.random.default_rng(1).standard_normal(30)
@@ -201,3 +204,85 @@ def test_a_fingerprint_tells_code_and_constants_apart() -> None:
     assert fingerprint(lambda x: 2 * x) != fingerprint(lambda x: 3 * x)
     assert fingerprint(documented) == fingerprint(documented_otherwise["documented"])
     assert fingerprint(np.arange(3)) != fingerprint(np.arange(4))
+
+
+class Simulator:
+    """A model whose setting is one of an object."""
+
+    def __init__(self, gain: float) -> None:
+        self.gain = gain
+
+    def output(self, t: Any, a: Any, b: Any) -> Any:
+        return self.gain * a * np.exp(-b * t)
+
+
+def through(helper: Any) -> Any:
+    def decay(t: Any, a: Any, b: Any) -> Any:
+        return helper(a) * np.exp(-b * t)
+
+    return decay
+
+
+def test_a_journal_tells_objects_classes_and_wrapped_helpers_apart() -> None:
+    def once(a: Any) -> Any:
+        return a
+
+    def twice(a: Any) -> Any:
+        return 2 * a
+
+    same = fingerprint(Simulator(1.0).output)
+    assert same == fingerprint(Simulator(1.0).output)
+    assert same != fingerprint(Simulator(2.0).output)
+    prints = [fingerprint(through(lru_cache(helper))) for helper in (once, twice)]
+    assert prints[0] != prints[1]
+    spaces = [fingerprint(through(SimpleNamespace(k=k))) for k in (1, 1, 2)]
+    assert spaces[0] == spaces[1] != spaces[2]
+    kinds = [type("Gain", (), {"__module__": __name__, "of": helper}) for helper in (once, twice)]
+    assert fingerprint(through(kinds[0])) != fingerprint(through(kinds[1]))
+
+
+def test_a_model_that_becomes_slow_is_sent_to_workers_and_written_down(tmp_path: Path) -> None:
+    """It is fast below 0; so many seconds above it are far more than the machine may hesitate."""
+
+    def wait(thetas: Any) -> Any:
+        time.sleep(max(0.0, 0.05 * float((thetas > 0).any())))
+        return thetas[:, 0]
+
+    journal = Journal(tmp_path / "journal", SimpleNamespace(description="waits"))
+    with ThreadPoolExecutor(2) as threads, open_pool(threads) as pool:
+        spread = evaluations.Evaluations(pool, journal)
+        task = spread.function("wait", wait)
+        for k in range(20):
+            task(np.array([[-1.0 - k]]))
+        for k in range(10):
+            task(np.array([[1.0 + k]]))
+        assert spread.usage.evaluations >= 5
+        assert len(journal) >= 8
+        spread.close()
+    journal.close()
+
+
+def test_what_cannot_be_sent_ends_a_fit_in_one_line() -> None:
+    lock = threading.Lock()
+
+    def slow(t: Any, a: Any, b: Any) -> Any:
+        with lock:
+            time.sleep(0.02)
+        return float(a) * np.exp(-float(b) * t)
+
+    with pytest.raises(ValueError, match="cannot be sent to workers") as error:
+        miho.fit(slow, t, y, BOX, workers=2, budget=BUDGET)
+    assert "\n" not in str(error.value)
+
+
+def test_want_of_memory_is_not_written_down_as_a_value_of_the_model(tmp_path: Path) -> None:
+    def fail(thetas: Any) -> Any:
+        time.sleep(0.02)
+        raise MemoryError("no room")
+
+    journal = Journal(tmp_path / "journal", SimpleNamespace(description="fails"))
+    task = evaluations.Evaluations(None, journal).function("fail", fail)
+    with pytest.raises(MemoryError, match="no room"):
+        task(np.array([[1.0]]))
+    assert not len(journal)
+    journal.close()

@@ -12,7 +12,7 @@ from miho.identification.curve_fit import CurveFit
 from miho.optim import Budget, Oracle, RunRecord
 from miho.optim.pace import Pace
 from miho.optim.spread import open_evaluations
-from miho.parallel import Evaluations, Journal, Workers
+from miho.parallel import Evaluations, Journal, NoWorkersLeft, Workers
 from miho.parallel.evaluations import DEAR
 from miho.parallel.usage import span
 
@@ -21,7 +21,7 @@ JournalPath = str | os.PathLike[str] | None
 
 def known_dear(journal: JournalPath) -> bool:
     """Whether a model is known to be dear: only what is dear stands in a journal."""
-    return journal is not None and Path(journal).is_file()
+    return journal is not None and Path(journal).is_file() and Path(journal).stat().st_size > 0
 
 
 @contextmanager
@@ -45,6 +45,8 @@ def dear_fit(
         )
         try:
             yield evaluations
+        except NoWorkersLeft as reason:
+            raise ValueError(f"{problem.name}: {reason}") from None
         except KeyboardInterrupt as error:
             if kept is None or not len(kept):
                 raise

@@ -50,6 +50,8 @@ def _parts(thing: Any, seen: set[int]) -> Iterator[str]:
         yield from _code(thing, seen)
     elif isinstance(thing, functools.partial):
         yield from _parts((thing.func, thing.args, thing.keywords), seen)
+    elif isinstance(thing, types.MethodType):
+        yield from _parts((thing.__func__, thing.__self__), seen)
     elif isinstance(thing, type | types.ModuleType | types.BuiltinFunctionType | np.ufunc):
         yield f"{getattr(thing, '__module__', '')}.{thing.__name__}"
     elif isinstance(thing, Mapping):
@@ -68,17 +70,24 @@ def _parts(thing: Any, seen: set[int]) -> Iterator[str]:
 
 def _object(thing: Any, seen: set[int]) -> Iterator[str]:
     """The class of an object with its methods, and its fields; all it holds if it declares none."""
-    for kind in type(thing).__mro__:
-        if kind.__module__ not in FOUNDATIONS:
-            yield f"{kind.__module__}.{kind.__qualname__}"
-            methods = (m for _, m in sorted(vars(kind).items()))
-            for method in methods:
-                if isinstance(method, types.FunctionType):
-                    yield from _parts(method, seen)
+    yield from _class(type(thing), seen)
     if is_dataclass(thing):
         yield from _parts({f.name: getattr(thing, f.name) for f in fields(thing)}, seen)
-    else:
-        yield from _parts(dict(getattr(thing, "__dict__", {})), seen)
+        return
+    for name, value in sorted(getattr(thing, "__dict__", {}).items()):
+        yield name
+        yield from _used(value, type(thing).__module__, seen)
+
+
+def _class(kind: type, seen: set[int]) -> Iterator[str]:
+    """A class and those it stems from, by their names and methods."""
+    for ancestor in kind.__mro__:
+        if ancestor.__module__ in FOUNDATIONS:
+            continue
+        yield f"{ancestor.__module__}.{ancestor.__qualname__}"
+        for _, method in sorted(vars(ancestor).items()):
+            if isinstance(method, types.FunctionType):
+                yield from _parts(method, seen)
 
 
 def _function(function: types.FunctionType, seen: set[int]) -> Iterator[str]:
@@ -97,11 +106,19 @@ def _function(function: types.FunctionType, seen: set[int]) -> Iterator[str]:
 
 def _used(member: Any, module: str, seen: set[int]) -> Iterator[str]:
     """What a function uses: what it cannot change and what is of its own module by content."""
+    for wrapped in ("py_func", "__wrapped__"):  # of numba's and functools' decorators
+        member = getattr(member, wrapped, member)
     constant = member is None or isinstance(
         member, bool | int | float | complex | str | bytes | tuple | np.ndarray | np.generic | Path
     )
     own = isinstance(member, types.FunctionType) and member.__module__ == module
-    if constant or own or isinstance(member, functools.partial):
+    if constant or own or isinstance(member, functools.partial | types.MethodType):
+        yield from _parts(member, seen)
+    elif isinstance(member, type) and member.__module__ == module:
+        if id(member) not in seen:
+            seen.add(id(member))
+            yield from _class(member, seen)
+    elif type(member).__module__ == module or isinstance(member, types.SimpleNamespace):
         yield from _parts(member, seen)
     else:
         yield f"{getattr(member, '__module__', '')}.{getattr(member, '__name__', '')}"

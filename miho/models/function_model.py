@@ -164,8 +164,8 @@ class FunctionModel(DifferencedModel):
 
         Some rows of the columns alone, mixed, are compared with what they give among all. One that
         is not element by element ends that with its first two calls. Nothing is known of a function
-        that fails at all parameters, or of too few rows. A dear one is called once, and taken for
-        one that needs all rows: which is never wrong.
+        that fails at all parameters, or of too few rows. A dear one, both of whose first calls take
+        long, is taken for one that needs all rows: which is never wrong.
         """
         rows = inner_rows(inputs, COMPARED)
         if self.rowwise is not None or not rows.size:
@@ -177,22 +177,27 @@ class FunctionModel(DifferencedModel):
                 among_all = self.predict(theta[None], *inputs)[:, rows]
             except ValueError:  # which says nothing, here
                 continue
-            if time.perf_counter() - started > DEAR:
-                model = replace(self, rowwise=False)
-                model._calls.dear = True
-                return model
+            slow = time.perf_counter() - started > DEAR  # or it has loaded or compiled something
             if not np.isfinite(among_all).any():
                 continue
+            started = time.perf_counter()
             try:
                 alone = self.predict(theta[None], *columns)
             except ValueError:
-                return replace(self, rowwise=False)
+                return self._needing_all_rows(slow)
+            if slow and time.perf_counter() - started > DEAR:
+                return self._needing_all_rows(slow)
             if not alike(among_all, alone):
                 return replace(self, rowwise=False)
             compared += 1
             if compared == CONFIGURATIONS:
                 break
         return replace(self, rowwise=True) if compared else self
+
+    def _needing_all_rows(self, dear: bool) -> FunctionModel:
+        model = replace(self, rowwise=False)
+        model._calls.dear = dear
+        return model
 
     @property
     def dear(self) -> bool:

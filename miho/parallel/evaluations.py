@@ -95,7 +95,7 @@ class Evaluated:
     def __call__(self, thetas: Array) -> Array:
         """The values (n, ...) of rows (n, d); raises what the function raises, as ValueError."""
         if self.evaluations.resting():
-            return self.function(thetas)
+            return self.evaluations.brief(self.function, thetas)
         return self.evaluations.values(self, thetas)
 
 
@@ -134,9 +134,17 @@ class Evaluations:
         return self.usage.workers
 
     def resting(self) -> bool:
-        """Whether this evaluation is so short that it is made without a look at the clock."""
+        """Whether evaluations are so short that this one is made here (`brief`)."""
         self._rest -= 1
-        return self._rest >= 0
+        return self._rest >= 0 and self._submitted is None
+
+    def brief(self, function: Rows, thetas: Array, *inputs: Array) -> Array:
+        """Values of an evaluation that is expected to be short; the rest is over if it is not."""
+        started = time.perf_counter()
+        values = function(thetas, *inputs)
+        if time.perf_counter() - started >= LEAST * len(thetas):
+            self._rest = 0
+        return values
 
     @property
     def spreads(self) -> bool:
@@ -185,9 +193,11 @@ class Evaluations:
 
     def values(self, task: Evaluated, thetas: Array) -> Array:
         """Values (n, ...) of rows (n, d); raises the first error among them."""
-        if self._stays_here and not (self._pending or self._here or self._journal):
-            self._rest = REST
-            return self._evaluate_at_once(task, thetas)
+        known = self._pending or self._here or (self._journal is not None and len(self._journal))
+        if self._stays_here and self._submitted is None and not known:
+            brief = self._evaluate_at_once(task, thetas)
+            self._rest = REST * self._stays_here
+            return brief
         keys: list[Key] = [(task.name, theta.tobytes()) for theta in thetas]
         todo = [k for k, key in enumerate(keys) if not self._is_known(key)]
         if self._submitted is not None:
@@ -285,7 +295,8 @@ class Evaluations:
                     return
                 values = answer.value if answer.raised is None else [answer.raised] * rows
                 for key, value in zip(pending.keys, values, strict=True):
-                    self._journal.add(key, _array(value))
+                    if _is_the_models(value):
+                        self._journal.add(key, _array(value))
 
         return arrived
 
@@ -309,7 +320,8 @@ class Evaluations:
         try:
             answer = pending.future.result()
             values: Any = answer.value if answer.raised is None else [answer.raised] * rows
-            self._count(answer.seconds / rows, rows, here=False)
+            each = answer.seconds / rows
+            self._count(each, rows, here=False, raised=isinstance(values[0], Raised))
             self._lost = 0
         except WorkersGoneError as error:
             raise NoWorkersLeft(str(error)) from None
@@ -321,9 +333,9 @@ class Evaluations:
                     f"the last {MOST_LOST} evaluations have ended their workers ({error}); "
                     "try the model without workers"
                 ) from None
-        for key, value in zip(pending.keys, values, strict=True):
+        for key, value in zip(pending.keys, values, strict=True):  # in the journal already
             self._pending.pop(key, None)
-            self._keep(key, value)
+            self._here[key] = _array(value)
 
     def _look(self, waiting: Sequence[_Pending]) -> None:
         """While these are waited for: whether the run is to end, and which of them to give up.
@@ -343,10 +355,10 @@ class Evaluations:
                     WorkerLostError(f"no end within {limit:g} s, so it was given up", again=False)
                 )
 
-    def _keep(self, key: Key, value: Any) -> None:
-        value = _array(value)
+    def _keep(self, key: Key, value: Array | Raised, seconds: float) -> None:
+        """Have a value that was evaluated here, in so many seconds."""
         self._here[key] = value
-        if self._is_dear and self._journal is not None and not _is_lost(value):
+        if self._journal is not None and seconds >= DEAR and _is_the_models(value):
             with self._arrivals:
                 self._journal.add(key, value)
 
@@ -363,14 +375,17 @@ class Evaluations:
         by_rows = _ByRows(task.function)
         for k in todo:
             started = time.perf_counter()
-            (value,) = by_rows(thetas[k][None])
-            self._count(time.perf_counter() - started, 1, here=True)
-            self._keep(keys[k], value)
+            value = _array(by_rows(thetas[k][None])[0])
+            seconds = time.perf_counter() - started
+            self._count(seconds, 1, here=True, raised=isinstance(value, Raised))
+            self._keep(keys[k], value, seconds)
             self.check()
 
-    def _count(self, each: float, rows: int, *, here: bool) -> None:
+    def _count(self, each: float, rows: int, *, here: bool, raised: bool = False) -> None:
         usage = self.usage
-        if usage.each is None:
+        if raised and each < DEAR:  # which says nothing of how long a value takes
+            pass
+        elif usage.each is None:
             usage.each = each
         elif here and usage.here < FIRST:  # the very first may have loaded or compiled something
             usage.each = min(usage.each, each)
@@ -407,6 +422,6 @@ def _array(value: Any) -> Array | Raised:
     return value if isinstance(value, Raised) else np.asarray(value, dtype=float)
 
 
-def _is_lost(value: Array | Raised) -> bool:
-    """Whether a value is missing because of its worker, not because of the model."""
-    return isinstance(value, Raised) and value.name == WorkerLostError.__name__
+def _is_the_models(value: Array | Raised) -> bool:
+    """Whether a value is the model's, and not a failure of the machine that may not come again."""
+    return not (isinstance(value, Raised) and value.of_machine)

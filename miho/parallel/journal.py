@@ -106,7 +106,8 @@ class Journal:
             return
         with contextlib.suppress(OSError):
             os.fsync(self._file.fileno())
-        self._file.close()
+        with contextlib.suppress(OSError):  # a full disk, again
+            self._file.close()
 
     def _open(self) -> None:
         """Open and lock the file, and read what it holds; it is made if there is none."""

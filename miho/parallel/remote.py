@@ -29,10 +29,14 @@ class Answer:
 
 @dataclass(frozen=True)
 class Raised:
-    """An exception by the name of its class and its message: itself, it may not be picklable."""
+    """An exception by the name of its class and its message: itself, it may not be picklable.
+
+    One `of_machine` is no property of a model: want of memory, or of a file, may be over later.
+    """
 
     name: str
     message: str
+    of_machine: bool = False
 
     @classmethod
     def of(cls, error: BaseException) -> Raised:
@@ -41,15 +45,19 @@ class Raised:
             message = str(error)
         except Exception:  # noqa: BLE001 -- of the exception's own making
             message = "(it has no message)"
-        return cls(type(error).__name__, message)
+        chain = [error, error.__cause__, error.__context__]
+        machine = any(isinstance(link, MemoryError | OSError) for link in chain)
+        return cls(type(error).__name__, message, machine)
 
     @property
     def line(self) -> str:
         """Name and message in one line."""
         return f"{self.name}: {' '.join(self.message.split())}"
 
-    def as_error(self) -> ValueError:
+    def as_error(self) -> ValueError | MemoryError:
         """An error of the same name and message, whose class is made here."""
+        if self.name == MemoryError.__name__:
+            return MemoryError(self.message)
         kind: type[ValueError] = type(self.name, (ValueError,), {})
         return kind(self.message)
 
