@@ -377,6 +377,8 @@ class Evaluations:
             started = time.perf_counter()
             value = _array(by_rows(thetas[k][None])[0])
             seconds = time.perf_counter() - started
+            if isinstance(value, Raised) and value.name == MemoryError.__name__:
+                raise MemoryError(value.message)  # of this process, which a worker's end is not
             self._count(seconds, 1, here=True, raised=isinstance(value, Raised))
             self._keep(keys[k], value, seconds)
             self.check()

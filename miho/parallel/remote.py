@@ -54,10 +54,8 @@ class Raised:
         """Name and message in one line."""
         return f"{self.name}: {' '.join(self.message.split())}"
 
-    def as_error(self) -> ValueError | MemoryError:
+    def as_error(self) -> ValueError:
         """An error of the same name and message, whose class is made here."""
-        if self.name == MemoryError.__name__:
-            return MemoryError(self.message)
         kind: type[ValueError] = type(self.name, (ValueError,), {})
         return kind(self.message)
 
