@@ -257,7 +257,7 @@ def test_a_model_that_becomes_slow_is_sent_to_workers_and_written_down(tmp_path:
         for k in range(10):
             task(np.array([[1.0 + k]]))
         assert spread.usage.evaluations >= 5
-        assert len(journal) >= 8
+        assert len(journal) >= 5
         spread.close()
     journal.close()
 
