@@ -42,6 +42,8 @@ LATEST = 0.2
 """What the latest evaluation counts in the mean of what they take."""
 MOST_LOST = 50
 """After so many chunks in a row whose workers have ended, no more are tried."""
+PATIENCE = 7.0
+"""Seconds for which a broken connection may mend: Dask tries that for five."""
 MOST_KEPT = 1000
 """Values of failed batches that are kept for those who ask again, row by row."""
 
@@ -122,6 +124,7 @@ class Evaluations:
         self._lost = 0  # chunks in a row
         self._latest = time.monotonic()  # when a value last came, or was given up
         self._rest = 0
+        self._connected = time.monotonic()
 
     def function(self, name: str, function: Rows, shape: tuple[int, ...] = ()) -> Evaluated:
         """The same function, evaluated by the workers; its `name` stands in the journal."""
@@ -344,10 +347,15 @@ class Evaluations:
         the limit, what is waited for is given up, with the worker that it keeps busy.
         """
         self.check()
-        limit = None if self._pool is None else self._pool.limit
+        if self._pool is None:
+            return
+        now, limit = time.monotonic(), self._pool.limit
+        if self._pool.connected():
+            self._connected = now
+        elif now > self._connected + PATIENCE:  # not every call is told of it
+            raise NoWorkersLeft("the connection to the Dask scheduler broke")
         if limit is None:
             return
-        now = time.monotonic()
         overdue = [p for p in waiting if now - max(p.begun, self._latest) > limit]
         for pending in {id(p): p for p in overdue}.values():
             with contextlib.suppress(InvalidStateError):  # its value has just come

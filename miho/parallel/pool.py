@@ -75,6 +75,8 @@ def open_pool(workers: Workers, time_limit: float | None = None) -> Iterator[Poo
             executor, limit = ProcessExecutor(count, time_limit), None
             stack.callback(executor.shutdown)
         with contextlib.closing(Pool(executor, count, limit)) as pool:
+            if is_address(workers):
+                pool.connected = lambda: client.status == "running"
             yield pool
 
 
@@ -99,6 +101,7 @@ class Pool:
     def __init__(self, executor: Executor, size: int, limit: float | None = None) -> None:
         self.size, self.limit = size, limit
         self._executor = executor
+        self.connected: Callable[[], bool] = lambda: True
         self._pending: set[Future[Answer]] = set()
         self._tokens: list[str] = []
 
