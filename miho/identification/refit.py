@@ -120,17 +120,18 @@ def refit(
         start_slopes = objective.jacobian(objective.first)
         if at_optimum(start_slopes, start_values, objective.first):
             return _limited(problem, objective, weights, fixed, pin, True)
-        solution = scipy.optimize.least_squares(
-            residuals,
-            objective.first,
-            jac=jacobian,
-            bounds=(0.0, 1.0),
-            x_scale="jac",
-            ftol=tolerance,
-            xtol=tolerance,
-            gtol=None,
-            max_nfev=evaluations,
-        )
+        with np.errstate(all="ignore"):  # where nothing depends on a parameter SciPy divides by 0
+            solution = scipy.optimize.least_squares(
+                residuals,
+                objective.first,
+                jac=jacobian,
+                bounds=(0.0, 1.0),
+                x_scale="jac",
+                ftol=tolerance,
+                xtol=tolerance,
+                gtol=None,
+                max_nfev=evaluations,
+            )
         # Along directions that the data do not see SciPy goes on, and gains nothing.
         costs = objective.costs
         halfway = costs[(len(costs) + 1) // 2]

@@ -161,7 +161,8 @@ def test_jobs_of_a_queue(monkeypatch: Any, tmp_path: Path) -> None:
         program.write_text(text.format(folder=tmp_path), encoding="utf-8")
         program.chmod(program.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    with pytest.raises(ClusterError, match=r"says nothing of cores; set jobqueue\.slurm"):
+    nothing = config.set({"jobqueue.slurm.cores": None})  # whatever the user's own file says
+    with nothing, pytest.raises(ClusterError, match=r"says nothing of cores; set jobqueue\.slurm"):
         cluster("slurm:2").__enter__()
     queue = {"cores": 1, "memory": "1GB", "interface": "lo", "local-directory": str(tmp_path)}
     settings = {f"jobqueue.slurm.{key}": value for key, value in queue.items()}
