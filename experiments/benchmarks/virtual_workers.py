@@ -54,6 +54,10 @@ class VirtualPool:
         heapq.heappush(self._ends, (end, next(self._numbers), future, answer))
         return future
 
+    def connected(self) -> bool:
+        """Always: these workers cannot leave."""
+        return True
+
     def wait(self, futures: Sequence[Future[Answer]]) -> None:
         """Let time go on until one of these has ended."""
         while not any(future.done() for future in futures):
