@@ -55,11 +55,11 @@ def measured_overhead() -> float:
     """Seconds of the client for a task: evaluations of nothing, all of which are sent."""
     with started(PROCESSES, 2) as (pool, _):
         evaluations = Evaluations(pool, limited=True)
-        found = search(
+        ended = search(
             RandomSearch(batch=TASKS), Sleeping(Lengths(0.0)), evaluations,
             Budget(evaluations=TASKS),
         )  # fmt: skip
-    return found.seconds / TASKS
+    return ended.seconds / TASKS
 
 
 def optimum() -> float:
@@ -70,16 +70,16 @@ def optimum() -> float:
 def simulated(job: Job) -> dict[str, Any]:
     """A row: virtual seconds until the target, NaN if it was not reached."""
     lengths, budget = Lengths(SECONDS, job.sigma), Budget(target=job.target)
-    found = virtual_search(METHODS[job.name], lengths, job.workers, job.overhead, budget, job.seed)
+    ended = virtual_search(METHODS[job.name], lengths, job.workers, job.overhead, budget, job.seed)
     return {
         "kind": "simulated",
         "method": job.name,
         "workers": job.workers,
         "sigma": job.sigma,
         "seed": job.seed,
-        "seconds": found.seconds if found.loss <= job.target else math.nan,
-        "evaluations": found.evaluations,
-        "efficiency": found.work / (job.workers * found.seconds),
+        "seconds": ended.seconds if ended.loss <= job.target else math.nan,
+        "evaluations": ended.evaluations,
+        "efficiency": ended.work / (job.workers * ended.seconds),
     }
 
 

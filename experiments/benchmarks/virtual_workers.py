@@ -87,5 +87,5 @@ def virtual_search(
     evaluations = Evaluations(cast(Pool, pool), limited=True)
     clock = Clock(lambda: pool.now, lambda: 0.0)
     problem = Sleeping(lengths, pool.sleep)
-    found = search(optimizer, problem, evaluations, budget, seed, clock)
-    return Search(found.seconds + lengths.mean, found.evaluations, found.work, found.loss)
+    ended = search(optimizer, problem, evaluations, budget, seed, clock)
+    return Search(ended.seconds + lengths.mean, ended.evaluations, ended.work, ended.loss)

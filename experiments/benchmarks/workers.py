@@ -66,15 +66,15 @@ def efficiencies(quick: bool) -> Iterator[dict[str, object]]:
             count = 64 * max(1, -(-EACH * size // 64))
             with started(engine, size) as (pool, start):
                 problem, optimizer = Sleeping(Lengths(SECONDS)), RandomSearch(batch=BATCH)
-                found = search(optimizer, problem, Evaluations(pool), Budget(evaluations=count))
+                ended = search(optimizer, problem, Evaluations(pool), Budget(evaluations=count))
             yield {
                 "kind": "efficiency",
                 "name": engine,
                 "workers": size,
                 "evaluations": count,
-                "seconds": found.seconds,
+                "seconds": ended.seconds,
                 "start_seconds": start,
-                "efficiency": SECONDS * count / (size * found.seconds),
+                "efficiency": SECONDS * count / (size * ended.seconds),
             }
 
 
@@ -85,16 +85,16 @@ def throughputs(quick: bool) -> Iterator[dict[str, object]]:
         for seed in range(1 if quick else 3):
             for form, optimizer in forms("MIHO", MIHO, **settings).items():
                 problem = Sleeping(Lengths(SECONDS, SIGMA))
-                found = search(optimizer, problem, Evaluations(pool), Budget(), seed)
+                ended = search(optimizer, problem, Evaluations(pool), Budget(), seed)
                 yield {
                     "kind": "throughput",
                     "name": form,
                     "workers": size,
                     "seed": seed,
-                    "evaluations": found.evaluations,
-                    "seconds": found.seconds,
-                    "per_second": found.evaluations / found.seconds,
-                    "efficiency": found.work / (size * found.seconds),
+                    "evaluations": ended.evaluations,
+                    "seconds": ended.seconds,
+                    "per_second": ended.evaluations / ended.seconds,
+                    "efficiency": ended.work / (size * ended.seconds),
                 }
 
 
@@ -104,16 +104,16 @@ def final_errors(quick: bool) -> Iterator[dict[str, object]]:
     best = minimize(MIHOGN(), Sleeping(lengths, lambda seconds: None)).loss
     for seed in range(10 if quick else SEEDS):
         for form, optimizer in forms("MIHO", MIHO, R=100, eta=3).items():
-            found = virtual_search(optimizer, lengths, MANY, OVERHEAD, Budget(), seed)
+            ended = virtual_search(optimizer, lengths, MANY, OVERHEAD, Budget(), seed)
             yield {
                 "kind": "final error",
                 "name": form,
                 "workers": MANY,
                 "seed": seed,
-                "evaluations": found.evaluations,
-                "seconds": found.seconds,
-                "per_second": found.evaluations / found.seconds,
-                "error": float(np.sqrt(found.loss / best)),
+                "evaluations": ended.evaluations,
+                "seconds": ended.seconds,
+                "per_second": ended.evaluations / ended.seconds,
+                "error": float(np.sqrt(ended.loss / best)),
             }
 
 

@@ -37,21 +37,21 @@ def dear_fit(
     used, and after a Ctrl-C what is kept.
     """
     with ExitStack() as stack:
-        kept = None if journal is None else stack.enter_context(closing(Journal(journal, problem)))
-        if kept is not None and kept.standing:
-            _say(f"{problem.name}: {kept.standing} ({journal})")
+        book = None if journal is None else stack.enter_context(closing(Journal(journal, problem)))
+        if book is not None and book.standing:
+            _say(f"{problem.name}: {book.standing} ({journal})")
         evaluations = stack.enter_context(
-            open_evaluations(problem, workers, evaluation_limit, kept)
+            open_evaluations(problem, workers, evaluation_limit, book)
         )
         try:
             yield evaluations
         except NoWorkersLeft as reason:
             raise ValueError(f"{problem.name}: {reason}") from None
         except KeyboardInterrupt as error:
-            if kept is None or not len(kept):
+            if book is None or not len(book):
                 raise
             raise KeyboardInterrupt(
-                f"{len(kept):,} evaluations are kept in {journal}; the same call goes on from them"
+                f"{len(book):,} evaluations are kept in {journal}; the same call goes on from them"
             ) from error
         if evaluations is None or evaluations.workers == 1 or evaluations.usage.evaluations:
             return

@@ -120,7 +120,8 @@ def minimize(
 
     `workers` make the evaluations of a problem where each takes long: a number of processes, -1
     for one per core, an executor of `concurrent.futures`, a callable like `map`, or the address of
-    a cluster (`miho.parallel.pool`). The result does not depend on them. A value that takes longer
+    a cluster (`miho.parallel.pool`). The result does not depend on them, but that of
+    asynchronous methods. A value that takes longer
     than `evaluation_limit` seconds is given up, and so is one whose worker dies three times; a run
     whose workers are all gone has failed, and keeps what it found. A `journal` is a file in which
     every evaluation stands that takes longer than some 10 ms: the same run, called again after it
