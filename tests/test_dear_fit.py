@@ -15,10 +15,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.special import j0
 
 import miho
 from miho.identification import curve_fit_checks
-from miho.models import FunctionModel, function_model
+from miho.models import FunctionModel, function_calls
 from miho.models.fingerprint import fingerprint
 from miho.parallel import Journal, JournalError, evaluations, open_pool
 
@@ -51,7 +52,7 @@ class Counted:
 @pytest.fixture
 def dear(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluation counts as dear, however long it takes."""
-    for module in (evaluations, curve_fit_checks, function_model):
+    for module in (evaluations, curve_fit_checks, function_calls):
         monkeypatch.setattr(module, "DEAR", 0.0)
     monkeypatch.setattr(evaluations, "LEAST", 0.0)
 
@@ -68,6 +69,37 @@ def test_the_same_call_evaluates_nothing_again(
     assert not again.calls
     assert plain.theta.tobytes() == one.theta.tobytes() == two.theta.tobytes()
     assert "evaluations of an earlier call" in capsys.readouterr().err
+
+
+def test_who_goes_on_calls_a_function_as_it_was_called_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was quick when it was tried, and known to be row by row, and has become dear since."""
+    x, calls = np.linspace(0, 2, 300), list[int]()
+    measured = j0(2 * x) + 0.01 * np.sin(9 * x)
+
+    def bessel(x: Any, a: Any, b: Any) -> Any:
+        calls.append(x.size)
+        return a * j0(b * x)
+
+    def fitted(name: str) -> bytes:
+        calls.clear()
+        path = tmp_path / name
+        return miho.fit(bessel, x, measured, BOX, budget=BUDGET, journal=path).run.tobytes()
+
+    monkeypatch.setattr(evaluations, "DEAR", 0.0)
+    monkeypatch.setattr(evaluations, "LEAST", 0.0)
+    for module in (curve_fit_checks, function_calls):
+        monkeypatch.setattr(module, "DEAR", np.inf)
+    first = fitted("journal")
+    assert min(calls) < x.size // 2
+    for module in (curve_fit_checks, function_calls):
+        monkeypatch.setattr(module, "DEAR", 0.0)
+    again = fitted("journal")
+    assert not calls
+    assert again == first
+    fitted("another")
+    assert set(calls[2:]) == {x.size}
 
 
 @pytest.mark.usefixtures("dear")
@@ -248,7 +280,7 @@ def test_a_model_that_becomes_slow_is_sent_to_workers_and_written_down(tmp_path:
         time.sleep(max(0.0, 0.05 * float((thetas > 0).any())))
         return thetas[:, 0]
 
-    journal = Journal(tmp_path / "journal", SimpleNamespace(description="waits"))
+    journal = Journal(tmp_path / "journal", SimpleNamespace(description="waits", calls=()))
     with ThreadPoolExecutor(2) as threads, open_pool(threads) as pool:
         spread = evaluations.Evaluations(pool, journal)
         task = spread.function("wait", wait)
@@ -280,7 +312,7 @@ def test_want_of_memory_is_not_written_down_as_a_value_of_the_model(tmp_path: Pa
         time.sleep(0.02)
         raise MemoryError("no room")
 
-    journal = Journal(tmp_path / "journal", SimpleNamespace(description="fails"))
+    journal = Journal(tmp_path / "journal", SimpleNamespace(description="fails", calls=()))
     task = evaluations.Evaluations(None, journal).function("fail", fail)
     with pytest.raises(MemoryError, match="no room"):
         task(np.array([[1.0]]))

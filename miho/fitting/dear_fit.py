@@ -6,22 +6,25 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
-from pathlib import Path
 
 from miho.identification.curve_fit import CurveFit
 from miho.optim import Budget, Oracle, RunRecord
 from miho.optim.pace import Pace
 from miho.optim.spread import open_evaluations
-from miho.parallel import Evaluations, Journal, NoWorkersLeft, Workers
+from miho.parallel import Evaluations, Journal, NoWorkersLeft, Workers, calls_of
 from miho.parallel.evaluations import DEAR
 from miho.parallel.usage import span
 
 JournalPath = str | os.PathLike[str] | None
 
 
-def known_dear(journal: JournalPath) -> bool:
-    """Whether a model is known to be dear: only what is dear stands in a journal."""
-    return journal is not None and Path(journal).is_file() and Path(journal).stat().st_size > 0
+def as_begun(problem_of: Callable[[bool], CurveFit], journal: JournalPath) -> CurveFit:
+    """The problem of a fit; as it was when its journal was begun, where there is one.
+
+    Only what is dear stands in a journal: a problem that is known to be so is not evaluated.
+    """
+    calls = None if journal is None else calls_of(journal)
+    return problem_of(calls is not None).called(calls or ())
 
 
 @contextmanager

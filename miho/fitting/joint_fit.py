@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from miho.data.dataset import Dataset
-from miho.fitting.dear_fit import JournalPath, dear_fit, known_dear
+from miho.fitting.dear_fit import JournalPath, as_begun, dear_fit
 from miho.fitting.joint_problem import Joint, Measured
 from miho.fitting.one_fit import Fit, searched, without_priors
 from miho.fitting.statement import FAR, data_of
@@ -64,7 +64,7 @@ def fit_joint(
     joint = Joint(measured, local)
     bounds = joint.space(space, fixed, tied, constraints)
     plain = without_priors(bounds) if joint.lacking else bounds  # which need sigma
-    problem = joint.problem(plain, compiled=compiled, dear=known_dear(journal))
+    problem = as_begun(lambda dear: joint.problem(plain, compiled=compiled, dear=dear), journal)
     with dear_fit(problem, workers, evaluation_limit, journal) as evaluations:
         if joint.lacking:
             settings = {"compiled": compiled, "dear": True}

@@ -15,9 +15,9 @@ import numpy as np
 
 from miho.fitting.dear_fit import (
     JournalPath,
+    as_begun,
     dear_fit,
     interrupted,
-    known_dear,
     pace_line,
     spread,
 )
@@ -141,7 +141,7 @@ def fit(
     # Beside errors that are not known, priors count by what the residuals say.
     settles = has_priors(bounds) and (sigma is None or not sigma_known)
     plain = without_priors(bounds) if settles else bounds
-    first = problem_of(plain, dear=known_dear(journal))
+    first = as_begun(lambda dear: problem_of(plain, dear=dear), journal)
     with dear_fit(first, workers, evaluation_limit, journal) as evaluations:
 
         def solved(problem: CurveFit) -> Fit:

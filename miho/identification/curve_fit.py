@@ -6,9 +6,10 @@ import hashlib
 import itertools
 import math
 import threading
+from collections.abc import Callable, Iterable
 from dataclasses import InitVar, dataclass, field, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ from miho.identification.prior import PriorResiduals
 from miho.identification.row_order import row_order
 from miho.models.expression import Expression
 from miho.models.fingerprint import fingerprint
+from miho.models.function_calls import UNTRIED, Calls
 from miho.models.function_model import FunctionModel
 from miho.models.model import Model
 from miho.models.spread import SpreadModel
@@ -63,8 +65,8 @@ REMEMBERED = 1 << 20
 """Numbers of errors to remember for the derivatives of a robust loss at the same configurations."""
 WORTH_COMPILING = 20_000
 """Rows from which on a search by NumPy takes seconds, as compiling a user's function does."""
-OF_THE_MODEL = ("_fitted", "_of_thread")
-"""What a problem remembers of its model's outputs."""
+OF_THE_MODEL = ("noise", "_fitted", "_of_thread")
+"""What a problem remembers of its model."""
 DIGITS = 16
 """Of the digests that tell what a journal is of."""
 BLOCK = 50_000
@@ -314,20 +316,39 @@ class CurveFit(Remade, LeastSquaresProblem):
         data = hashlib.sha256()
         for column in (*self.inputs, self._output):
             data.update(np.ascontiguousarray(column).tobytes())
-        leaves = [  # how a function is called changes nothing
-            replace(leaf, batched=None, rowwise=None) if isinstance(leaf, FunctionModel) else leaf
+        untold = {"batched": None, "rowwise": None, "tried": UNTRIED}  # which changes nothing
+        leaves = [
+            replace(leaf, **untold) if isinstance(leaf, FunctionModel) else leaf
             for leaf in dear_leaves(self.model)
         ]
         return f"data {data.hexdigest()[:DIGITS]} model {fingerprint(leaves)[:DIGITS]}"
 
+    @property
+    def calls(self) -> list[list[bool | None]]:
+        """What trial calls have shown of its functions (`Calls`), nothing for other models."""
+        leaves = dear_leaves(self.model)
+        return [list(leaf.tried) if isinstance(leaf, FunctionModel) else [] for leaf in leaves]
+
+    def called(self, calls: Iterable[Any]) -> CurveFit:
+        """This problem, whose functions are called as `calls` of the same problem says, if any."""
+        known = iter(calls)
+
+        def as_known(leaf: Model) -> Model:
+            tried = next(known, None)
+            function = isinstance(leaf, FunctionModel) and tried is not None
+            return replace(leaf, tried=Calls(*tried)) if function else leaf
+
+        return self._with_leaves(as_known)
+
     def spread(self, evaluations: Evaluations) -> CurveFit:
         """This problem with its model's outputs evaluated by these; itself if it is arithmetic."""
         count = itertools.count()
-        model = self.model.with_leaves(
-            lambda leaf: SpreadModel(leaf, evaluations, f"model {next(count)}")
-        )
-        if model is self.model or not next(count):
+        return self._with_leaves(lambda m: SpreadModel(m, evaluations, f"model {next(count)}"))
+
+    def _with_leaves(self, other: Callable[[Model], Model]) -> CurveFit:
+        if not dear_leaves(self.model):
             return self
+        model = self.model.with_leaves(other)
         problem = object.__new__(CurveFit)  # all else that is known of this one stays so
         known = {key: value for key, value in vars(self).items() if key not in OF_THE_MODEL}
         vars(problem).update(known, model=model)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -71,7 +70,7 @@ def check_curve_fit(problem: CurveFit, dear: bool = False) -> None:
 def _is_dear(problem: CurveFit, model_name: str) -> bool:
     """Whether an evaluation of somebody's own code takes long; refuses one of a wrong shape."""
     model, leaves = problem.model, dear_leaves(problem.model)
-    if any(isinstance(leaf, FunctionModel) and leaf.dear for leaf in leaves):
+    if any(isinstance(leaf, FunctionModel) and leaf.tried.dear for leaf in leaves):
         return True
     if not any(isinstance(leaf, FunctionModel | ExternalModel) for leaf in leaves):
         return False
@@ -159,9 +158,8 @@ def _check_prior(problem: CurveFit) -> None:
 def examined(model: FunctionModel, dataset: Dataset, space: Space, dear: bool = False) -> Model:
     """The function as a formula, if both give the same on the data at some configurations.
 
-    Else as one that is known to be element by element in the rows of data, or not to be. One that
-    was read from a file is only traced if its text says that it is arithmetic. One that is known
-    to be `dear` is not called, and is asked for all rows.
+    Else as one of which it is known how it is called. One that was read from a file is only traced
+    if its text says that it is arithmetic. One that is known to be `dear` is not called.
     """
     lacking = [name for name in model.inputs if name not in dataset.columns]
     if lacking:
@@ -184,9 +182,7 @@ def examined(model: FunctionModel, dataset: Dataset, space: Space, dear: bool = 
         formula = model.formula_at(thetas, *columns)
         if formula is not model:
             return formula
-    if dear and model.rowwise is None:
-        return replace(model, rowwise=False)
-    return model.rowwise_at(thetas, *columns)
+    return model if dear else model.tried_at(thetas, *columns)
 
 
 def ties_of(model: Model, space: Space) -> Ties:

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.parallel.evaluations import DEAR
 from miho.quantities import Array
 
-DEAR = 1e-3
-"""Seconds of a call from which on calls side by side save nothing, and are not tried."""
+COMPARED, CONFIGURATIONS = 1000, 3
+"""Rows of data that are evaluated alone and among all, and for how many rows of parameters."""
+MOST_LONG = 2
+"""So many calls that take long are made in vain at most."""
 TRIED = 10
 """Rows of parameters at most for which both ways are compared."""
 ROUNDING = 1e-12
@@ -26,28 +30,40 @@ REMEDY = (
 Columns = Sequence[Array]
 
 
+class Calls(NamedTuple):
+    """What trial calls have shown of a function: whether it is `batched`, whether `rowwise`, and
+    whether it is so `dear` that it is not called in vain; None is not known."""
+
+    batched: bool | None = None
+    rowwise: bool | None = None
+    dear: bool = False
+
+
+UNTRIED = Calls()
+
+
 class FunctionCalls:
     """The values of `function(columns, parameters)`, which gives numbers or raises ValueError.
 
     Columns are (N,). Side by side, parameters are (n, 1) each and the result (n, N), or (n, 1) if
     it is the same for all rows of data; alone, they are numbers, and the result (N,) or a number.
-    With `batched` None rows of parameters that come together are evaluated alone, and if a call is
-    cheap, once side by side too: that stays if it gives the same to rounding, else it is not tried
-    again. A row that comes alone before that is evaluated so, or as (1, 1) where the function takes
-    no numbers. So how long a call takes moves results by rounding at most. `place` stands before
-    messages.
+    With `batched` None it is as `tried`. Where that is not known either, rows of parameters that
+    come together are evaluated alone, and if a call is cheap, once side by side too: that stays if
+    it gives the same to rounding, else it is not tried again. A row that comes alone before that is
+    evaluated so, or as (1, 1) where the function takes no numbers. So how long a call takes moves
+    results by rounding at most. `place` stands before messages.
     """
 
     def __init__(
         self,
         function: Callable[[Columns, Any], NDArray[Any]],
         batched: bool | None,
+        tried: bool | None,
         place: str,
     ) -> None:
         self.function, self.place = function, place
-        self.automatic, self.batched = batched is None, batched
+        self.automatic, self.batched = batched is None, tried if batched is None else batched
         self.takes_numbers = False
-        self.dear = False
 
     def values(self, thetas: Array, columns: Columns) -> Array:
         """Outputs (n, N) of parameter rows (n, d), a new array."""
@@ -139,6 +155,45 @@ def alike(first: Array, second: Array) -> bool:
     size = np.abs(np.where(np.isfinite(first), first, 0.0)).max(axis=1, initial=0.0)
     close = np.isclose(first, second, rtol=0.0, atol=ROUNDING * size[:, None], equal_nan=True)
     return bool(close.all())
+
+
+def tried_rowwise(
+    predict: Callable[..., Array], thetas: Array, columns: Columns
+) -> tuple[bool | None, bool]:
+    """Whether outputs are element by element, and whether each call takes long.
+
+    Some rows of the columns (N,) alone, mixed, are compared with what they give among all, at
+    parameter rows (n, d). A function that is not element by element ends that with its first two
+    calls. So does a dear one, for which they both take long: None then, as for one that fails at
+    all parameters, and for too few rows.
+    """
+    rows, seconds, long, compared = inner_rows(columns, COMPARED), math.inf, 0, 0
+    part = [column[rows] for column in columns]
+    for theta in thetas:
+        if compared == CONFIGURATIONS or (long == MOST_LONG and not compared):
+            break
+        started = time.perf_counter()
+        among_all = _or_none(predict, theta, columns)
+        took = time.perf_counter() - started
+        long += took >= DEAR
+        seconds = min(took, seconds)  # a first call may load or compile something
+        if among_all is None or not rows.size or not np.isfinite(among_all[:, rows]).any():
+            continue  # which says nothing, here
+        started = time.perf_counter()
+        alone = _or_none(predict, theta, part)
+        if min(took, time.perf_counter() - started) >= DEAR:
+            return None, True
+        if alone is None or not alike(among_all[:, rows], alone):
+            return False, seconds >= DEAR
+        compared += 1
+    return compared > 0 or None, seconds >= DEAR
+
+
+def _or_none(predict: Callable[..., Array], theta: Array, columns: Columns) -> Array | None:
+    try:
+        return predict(theta[None], *columns)
+    except ValueError:
+        return None
 
 
 def inner_rows(columns: Columns, most: int) -> NDArray[np.intp]:

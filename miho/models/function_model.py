@@ -4,8 +4,8 @@ from __future__ import annotations
 import __future__
 
 import ast
+import contextlib
 import inspect
-import time
 import traceback
 import types
 from collections.abc import Callable, Mapping, Sequence
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.models.function_calls import FunctionCalls, alike, inner_rows
+from miho.models.function_calls import CONFIGURATIONS, UNTRIED, Calls, FunctionCalls, tried_rowwise
 from miho.models.model import DifferencedModel, Model
 from miho.models.symbolic import (
     NotAFormulaError,
@@ -26,13 +26,10 @@ from miho.models.symbolic import (
     trace,
 )
 from miho.models.traced import TracedExpression
-from miho.parallel.evaluations import DEAR
 from miho.quantities import Array
 
 COMPARED, CLOSE = 1000, 1e-9
 """Rows on which a formula is compared with its function, and how close they have to be."""
-CONFIGURATIONS = 3
-"""Configurations at which some rows alone are compared with all."""
 COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
@@ -50,12 +47,12 @@ class FunctionModel(DifferencedModel):
     NumPy's functions give (n, N); a result (n, 1) is the same for all rows of data. With `batched`
     false it gets one row of parameters at a time, as numbers, and gives (N,) or a number: it may
     branch or simulate. None finds out: parameters come side by side where a call takes less than
-    a millisecond and gives the same either way, to rounding (`FunctionCalls`).
+    ten milliseconds and gives the same either way, to rounding (`FunctionCalls`).
 
     A `rowwise` function is element by element: what it gives for a row of data does not depend on
     the other rows, so it may be asked for some of them. One that is not, such as a simulation or a
     cumulative sum, always gets all rows in their order, as does one of which that is not known,
-    with None; `CurveFit` finds out by `rowwise_at`.
+    with None. What is None `CurveFit` finds out by `tried_at`, once for all processes.
 
     `columns` names the arguments that are input columns, and all others are parameters, for a
     function without keyword-only ones. `linear` names the parameters in which the output is jointly
@@ -72,6 +69,7 @@ class FunctionModel(DifferencedModel):
     source: Path | None = None
     columns: tuple[str, ...] = ()
     rowwise: bool | None = None
+    tried: Calls = UNTRIED
     inputs: Mapping[str, str] = field(init=False)
     parameters: Mapping[str, str] = field(init=False)
     output: str = field(init=False)
@@ -120,13 +118,13 @@ class FunctionModel(DifferencedModel):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """What it was made of, from which it is made again."""
-        parts = (self.function, self.batched, self.linear, self.source, self.columns, self.rowwise)
-        return FunctionModel, parts
+        own = (self.function, self.batched, self.linear, self.source, self.columns)
+        return FunctionModel, (*own, self.rowwise, self.tried)
 
     @property
     def ordered(self) -> bool:  # type: ignore[override]
         """Whether it may need every row in order: unless it is known to be `rowwise`."""
-        return not self.rowwise
+        return not (self.tried.rowwise if self.rowwise is None else self.rowwise)
 
     @property
     def formula(self) -> FunctionFormula | None:
@@ -159,50 +157,20 @@ class FunctionModel(DifferencedModel):
         usable = np.isfinite(slopes).all(axis=2) | ~np.isfinite(own)
         return formula if alike and usable.all() else self
 
-    def rowwise_at(self, thetas: Array, *inputs: Array) -> FunctionModel:
-        """This model, with `rowwise` as it shows at parameter rows (n, d) and columns (N,).
+    def tried_at(self, thetas: Array, *inputs: Array) -> FunctionModel:
+        """This model with what calls at parameter rows (n, d) and columns (N,) show of it.
 
-        Some rows of the columns alone, mixed, are compared with what they give among all. One that
-        is not element by element ends that with its first two calls. Nothing is known of a function
-        that fails at all parameters, or of too few rows. A dear one, both of whose first calls take
-        long, is taken for one that needs all rows: which is never wrong.
+        A call that takes long is made twice at most, and such a function gets all rows of data and
+        one row of parameters at a time, which is never wrong.
         """
-        rows = inner_rows(inputs, COMPARED)
-        if self.rowwise is not None or not rows.size:
+        if self.batched is not None and self.rowwise is not None:
             return self
-        columns, compared = [column[rows] for column in inputs], 0
-        for theta in thetas:
-            started = time.perf_counter()
-            try:
-                among_all = self.predict(theta[None], *inputs)[:, rows]
-            except ValueError:  # which says nothing, here
-                continue
-            slow = time.perf_counter() - started > DEAR  # or it has loaded or compiled something
-            if not np.isfinite(among_all).any():
-                continue
-            started = time.perf_counter()
-            try:
-                alone = self.predict(theta[None], *columns)
-            except ValueError:
-                return self._needing_all_rows(slow)
-            if slow and time.perf_counter() - started > DEAR:
-                return self._needing_all_rows(slow)
-            if not alike(among_all, alone):
-                return replace(self, rowwise=False)
-            compared += 1
-            if compared == CONFIGURATIONS:
-                break
-        return replace(self, rowwise=True) if compared else self
-
-    def _needing_all_rows(self, dear: bool) -> FunctionModel:
-        model = replace(self, rowwise=False)
-        model._calls.dear = dear
-        return model
-
-    @property
-    def dear(self) -> bool:
-        """Whether it was called already, and takes so long that it is not called in vain."""
-        return self._calls.dear
+        rowwise, long = tried_rowwise(self.predict, thetas, inputs)
+        if long:
+            return replace(self, tried=Calls(False, rowwise, dear=rowwise is None))
+        with contextlib.suppress(ValueError):  # of some configuration
+            self.predict(thetas[:CONFIGURATIONS], *inputs)
+        return replace(self, tried=Calls(self._calls.batched, rowwise))
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
@@ -213,7 +181,7 @@ class FunctionModel(DifferencedModel):
 
     @cached_property
     def _calls(self) -> FunctionCalls:
-        return FunctionCalls(self._call, self.batched, self._place)
+        return FunctionCalls(self._call, self.batched, self.tried.batched, self._place)
 
     def _call(self, columns: Sequence[Array], parameters: Any) -> NDArray[Any]:
         """The function's result, which must be real numbers; ValueError if it is not, or raises."""

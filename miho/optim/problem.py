@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +49,11 @@ class Problem(ABC):
     def description(self) -> str:
         """What tells this problem from others whose evaluations must not be mixed with its own."""
         return f"{self.name}: {', '.join(self.space.names)}"
+
+    @property
+    def calls(self) -> Sequence[Any]:
+        """How functions of the user's are called, for one that has to find it out."""
+        return ()
 
     def spread(self, evaluations: Evaluations) -> Problem:
         """This problem with its evaluations made by these; itself if it is never dear."""

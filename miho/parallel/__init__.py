@@ -1,7 +1,7 @@
 """Work in other processes and on other machines: workers, what they evaluate, and its journal."""
 
 from miho.parallel.evaluations import Ahead, Evaluated, Evaluations, NoWorkersLeft
-from miho.parallel.journal import Journal, JournalError
+from miho.parallel.journal import Journal, JournalError, calls_of
 from miho.parallel.pool import Pool, Workers, open_pool
 
 __all__ = [
@@ -13,5 +13,6 @@ __all__ = [
     "NoWorkersLeft",
     "Pool",
     "Workers",
+    "calls_of",
     "open_pool",
 ]

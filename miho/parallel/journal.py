@@ -9,6 +9,7 @@ import sys
 import threading
 import time
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -35,14 +36,18 @@ class Described(Protocol):
     def description(self) -> str:
         """Its first line says it."""
 
+    @property
+    def calls(self) -> Sequence[Any]:
+        """How its functions are called, which those who go on have to know."""
+
 
 class Journal:
     """Values of evaluations by task and parameters, in a file that grows by a line for each.
 
     A line is the checksum of what follows, and JSON with arrays as base64: exact, and any line that
-    is damaged or cut short costs itself alone. The first says of which `problem` it is. The file
-    comes to exist with its first value. Raises JournalError for a journal of another problem, one
-    that another process is writing, and a file that is none.
+    is damaged or cut short costs itself alone. The first says of which `problem` it is, and how
+    that is called. The file comes to exist with its first value. Raises JournalError for a journal
+    of another problem, one that another process is writing, and a file that is none.
     """
 
     def __init__(self, path: str | os.PathLike[str], problem: Described) -> None:
@@ -120,18 +125,19 @@ class Journal:
             ) from None
         try:
             _lock(self._file, self.path)
-            self._read(self._problem.description)
+            self._read()
         except BaseException:
             self._file.close()
             self._file = None
             raise
 
-    def _read(self, problem: str) -> None:
+    def _read(self) -> None:
         """Raises JournalError for a journal of another problem, and for what is none."""
+        problem, calls = self._problem.description, list(self._problem.calls)
         self._file.seek(0)
         *lines, tail = self._file.read().split(b"\n")
         entries = [_entry(line) for line in lines]
-        first = {"format": FORMAT, "problem": problem}
+        first = {"format": FORMAT, "problem": problem, "calls": calls}
         head = first if not lines and _line(first).startswith(tail) else None
         head = entries[0] if entries else head
         if head is None or head.get("format") != FORMAT:
@@ -171,6 +177,17 @@ class Journal:
                 self._synced = time.monotonic()
         except OSError as error:
             raise JournalError(f"journal {self.path}: {error.strerror}") from None
+
+
+def calls_of(path: str | os.PathLike[str]) -> Sequence[Any] | None:
+    """How the functions of a journal's problem are called; None where there is no journal yet."""
+    try:
+        with Path(path).open("rb") as file:
+            first = file.readline().rstrip(b"\n")
+    except OSError:
+        return None
+    calls = (_entry(first) or {}).get("calls")
+    return (calls if isinstance(calls, list) else ()) if first else None
 
 
 def _line(entry: dict[str, Any]) -> bytes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -166,18 +167,27 @@ def test_what_is_element_by_element_is_known_to_be() -> None:
     assert not known.ordered
     assert not pickle.loads(pickle.dumps(known)).ordered
     two = FunctionModel(lambda t, s, a, b: bessel(t, a, b) * s, columns=("t", "s"))
-    assert two.rowwise_at(THETAS, t, t > 1).rowwise is True
-    declared = model(bessel, rowwise=False)
-    assert declared.rowwise_at(THETAS, t) is declared
+    assert two.tried_at(THETAS, t, t > 1).tried.rowwise is True
+    declared = model(bessel, rowwise=False, batched=True)
+    assert declared.tried_at(THETAS, t) is declared
+    assert model(bessel, rowwise=False).tried_at(THETAS, t).ordered
 
 
 def test_nothing_is_known_of_three_rows_or_of_failures() -> None:
     function = model(bessel)
-    assert function.rowwise_at(THETAS, t[:3]) is function
+    assert function.tried_at(THETAS, t[:3]).tried == (True, None, False)
     failing = model(lambda t, a, b: 1 / 0)
-    assert failing.rowwise_at(THETAS, t) is failing
+    assert failing.tried_at(THETAS, t).tried == (None, None, False)
     partly = model(lambda t, a, b: bessel(t, a, b) if a < 1 else 1 / 0)
-    assert partly.rowwise_at(THETAS, t).rowwise is True
+    assert partly.tried_at(THETAS, t).tried == (None, True, False)
+
+
+def bessel(t, a, b):
+    return a * j0(b * t)
+
+
+def failing(t, a, b):
+    raise RuntimeError("diverges")
 
 
 def test_to_know_that_a_function_needs_all_rows_takes_two_calls() -> None:
@@ -187,12 +197,42 @@ def test_to_know_that_a_function_needs_all_rows_takes_two_calls() -> None:
         lengths.append(t.size)
         return cumulative(t, a, b)
 
-    model(counted).rowwise_at(THETAS, t)
-    assert lengths == [50, 25]
+    tried = model(counted).tried_at(THETAS, t)
+    assert lengths[:2] == [50, 25]
+    assert set(lengths[2:]) == {50}
+    assert tried.tried == (False, False, False)
 
 
-def bessel(t, a, b):
-    return a * j0(b * t)
+@pytest.mark.parametrize("function", [bessel, failing])
+def test_a_dear_function_is_tried_twice_at_most(
+    monkeypatch: pytest.MonkeyPatch, function: Callable[..., Any]
+) -> None:
+    monkeypatch.setattr(function_calls, "DEAR", 0.0)
+    calls = []
+
+    def counted(t, a, b):
+        calls.append(a)
+        return function(t, a, b)
+
+    dear = model(counted).tried_at(THETAS, t)
+    assert dear.ordered
+    assert len(calls) == 2
+
+
+def test_what_was_tried_is_known_in_other_processes() -> None:
+    """They call the function as this one does, without another trial."""
+    shapes = []
+
+    def decay(t, a, b):
+        shapes.append(np.shape(a))
+        return a * np.exp(-b * t)
+
+    known = model(decay).tried_at(THETAS, t)
+    shapes.clear()
+    same = replace(known)
+    same.predict(THETAS, t)
+    assert shapes == [(3, 1)]
+    assert same.tried == known.tried == (True, True, False)
 
 
 def _problem(function: FunctionModel) -> CurveFit:

@@ -7,11 +7,12 @@ import sys
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from miho.parallel import Evaluations, Journal, JournalError
+from miho.parallel import Evaluations, Journal, JournalError, calls_of
 from miho.parallel.remote import Raised
 
 VALUES = [("task", bytes([k]) * 8) for k in range(5)]
@@ -20,6 +21,7 @@ VALUES = [("task", bytes([k]) * 8) for k in range(5)]
 @dataclass(frozen=True)
 class Named:
     description: str = "problem"
+    calls: tuple[Any, ...] = ((False, True, False), ())
 
 
 def written(path: Path) -> Journal:
@@ -59,6 +61,16 @@ def test_the_file_comes_to_exist_with_its_first_value(tmp_path: Path) -> None:
     journal.add(VALUES[0], np.zeros(1))
     assert journal.path.is_file()
     journal.close()
+
+
+def test_the_first_line_says_how_functions_are_called(tmp_path: Path) -> None:
+    assert calls_of(tmp_path / "journal") is None
+    (tmp_path / "empty").touch()
+    assert calls_of(tmp_path / "empty") is None
+    written(tmp_path / "journal")
+    assert calls_of(tmp_path / "journal") == [[False, True, False], []]
+    (tmp_path / "notes").write_text("notes of mine\n")
+    assert calls_of(tmp_path / "notes") == ()
 
 
 @pytest.mark.parametrize("cut", [1, 20, 60])
@@ -121,7 +133,7 @@ def test_two_processes_do_not_write_one_journal(tmp_path: Path) -> None:
     written(path)
     code = (
         "import sys; from miho.parallel import Journal\n"
-        "class Named: description = 'problem'\n"
+        "class Named: description, calls = 'problem', ()\n"
         f"journal = Journal({str(path)!r}, Named()); print('open', flush=True); sys.stdin.read()"
     )
     with subprocess.Popen(
