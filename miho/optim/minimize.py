@@ -120,10 +120,10 @@ def minimize(
 
     `workers` make the evaluations of a problem where each takes long: a number of processes, -1
     for one per core, an executor of `concurrent.futures`, a callable like `map`, or the address of
-    a cluster (`miho.parallel.pool`). The result does not depend on them, but that of
-    asynchronous methods. A value that takes longer
-    than `evaluation_limit` seconds is given up, and so is one whose worker dies three times; a run
-    whose workers are all gone has failed, and keeps what it found. A `journal` is a file in which
+    a cluster (`miho.parallel.pool`). The result does not depend on them, but that of asynchronous
+    methods. A value that takes longer than `evaluation_limit` seconds is given up, and so is one
+    whose worker dies three times; a run whose workers are all gone has failed, and keeps what it
+    found. A `journal` is a file in which
     every evaluation stands that takes longer than some 10 ms: the same run, called again after it
     was cut off, makes none of them twice. Where the decisions of a method depend on which
     evaluation was there first, `replay`, the `arrivals` of another run of it, has it make the same
@@ -148,6 +148,8 @@ def minimize(
         )  # fmt: skip
         outcome, error = _search(optimizer, oracle, checkpoint, (problem.name, seed))
         oracle.stop()
+        if evaluations is not None:  # what was begun ahead of the end would keep workers busy
+            evaluations.close()
 
     meter = oracle.meter
     resumable = None

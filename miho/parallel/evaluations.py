@@ -189,7 +189,7 @@ class Evaluations:
             self._look([self._pending[k] for n in needs for k in n.keys if self._waits(k)])
 
     def close(self) -> None:
-        """Give up what is not done."""
+        """Give up what is not done; more may be begun."""
         for pending in self._pending.values():
             pending.future.cancel()
         self._pending.clear()

@@ -35,7 +35,7 @@ from miho.optim import (
     Space,
     minimize,
 )
-from miho.optim.spread import spread_problem
+from miho.optim.spread import open_evaluations, spread_problem
 from miho.parallel import Evaluations, NoWorkersLeft, evaluations, open_pool
 from miho.parallel.process_executor import WorkerLostError
 from tests.parallel.dear import (
@@ -99,6 +99,28 @@ def test_what_a_budget_pays_for_is_evaluated_once_and_no_more() -> None:
         )  # fmt: skip
     assert record.evaluations == problem.counts.total() == len(problem.counts) == 45
     assert 0 < sum(record.rejected.values()) < 45
+
+
+def test_what_was_begun_in_vain_is_given_up_at_the_end_of_a_search() -> None:
+    first, over = threading.Lock(), threading.Event()
+
+    def loss(thetas: Array) -> Array:
+        if not first.acquire(blocking=False):  # another than the first
+            over.wait()
+        return np.zeros(len(thetas))
+
+    problem = Counted(loss)
+    with (
+        ThreadPoolExecutor(1) as threads,
+        open_evaluations(problem, threads, LIMIT) as evaluations,
+    ):
+        assert evaluations is not None
+        record = minimize(RandomSearch(batch=10), problem, Budget(target=1.0), workers=evaluations)
+        busy = evaluations.busy
+        over.set()
+    assert record.evaluations == 1
+    assert busy == 0
+    assert problem.counts.total() <= 2
 
 
 def test_a_cheap_model_stays_here_and_says_so() -> None:
