@@ -8,7 +8,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,10 +18,9 @@ import pytest
 from scipy.special import j0
 
 import miho
-from miho.identification import curve_fit_checks
 from miho.models import FunctionModel, function_calls
 from miho.models.fingerprint import fingerprint
-from miho.parallel import Journal, JournalError, evaluations, open_pool
+from miho.parallel import Evaluations, Journal, JournalError, open_pool, worth
 
 t = np.linspace(0, 2, 30)
 y = 2 * np.exp(-1.5 * t) + 0.05 * np.random.default_rng(1).standard_normal(30)
@@ -52,9 +51,8 @@ class Counted:
 @pytest.fixture
 def dear(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluation counts as dear, however long it takes."""
-    for module in (evaluations, curve_fit_checks, function_calls):
-        monkeypatch.setattr(module, "DEAR", 0.0)
-    monkeypatch.setattr(evaluations, "LEAST", 0.0)
+    monkeypatch.setattr(worth, "DEAR", 0.0)
+    monkeypatch.setattr(worth, "LEAST", 0.0)
 
 
 @pytest.mark.usefixtures("dear")
@@ -71,6 +69,7 @@ def test_the_same_call_evaluates_nothing_again(
     assert "evaluations of an earlier call" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("dear")
 def test_who_goes_on_calls_a_function_as_it_was_called_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -87,14 +86,11 @@ def test_who_goes_on_calls_a_function_as_it_was_called_before(
         path = tmp_path / name
         return miho.fit(bessel, x, measured, BOX, budget=BUDGET, journal=path).run.tobytes()
 
-    monkeypatch.setattr(evaluations, "DEAR", 0.0)
-    monkeypatch.setattr(evaluations, "LEAST", 0.0)
-    for module in (curve_fit_checks, function_calls):
-        monkeypatch.setattr(module, "DEAR", np.inf)
+    tried_from = partial(monkeypatch.setattr, function_calls, "is_dear")
+    tried_from(lambda *_: False)
     first = fitted("journal")
     assert min(calls) < x.size // 2
-    for module in (curve_fit_checks, function_calls):
-        monkeypatch.setattr(module, "DEAR", 0.0)
+    tried_from(lambda *_: True)
     again = fitted("journal")
     assert not calls
     assert again == first
@@ -282,7 +278,7 @@ def test_a_model_that_becomes_slow_is_sent_to_workers_and_written_down(tmp_path:
 
     journal = Journal(tmp_path / "journal", SimpleNamespace(description="waits", calls=()))
     with ThreadPoolExecutor(2) as threads, open_pool(threads) as pool:
-        spread = evaluations.Evaluations(pool, journal)
+        spread = Evaluations(pool, journal)
         task = spread.function("wait", wait)
         for k in range(20):
             task(np.array([[-1.0 - k]]))
@@ -313,7 +309,7 @@ def test_want_of_memory_is_not_written_down_as_a_value_of_the_model(tmp_path: Pa
         raise MemoryError("no room")
 
     journal = Journal(tmp_path / "journal", SimpleNamespace(description="fails", calls=()))
-    task = evaluations.Evaluations(None, journal).function("fail", fail)
+    task = Evaluations(None, journal).function("fail", fail)
     with pytest.raises(MemoryError, match="no room"):
         task(np.array([[1.0]]))
     assert not len(journal)

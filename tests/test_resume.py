@@ -16,9 +16,7 @@ from experiments.app.plan import request_of
 from experiments.app.runs import HERE, run
 from experiments.app.safety import HydraSettingError, check_machines
 from experiments.app.schema import SweepConfig, register
-from miho.identification import curve_fit_checks
-from miho.models import function_model
-from miho.parallel import evaluations
+from miho.parallel import worth
 from miho.study.files import JOURNAL
 
 MODEL = """
@@ -82,9 +80,8 @@ class Runs:
 @pytest.fixture(autouse=True)
 def dear(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluation counts as dear, however long it takes."""
-    for module in (evaluations, curve_fit_checks, function_model):
-        monkeypatch.setattr(module, "DEAR", 0.0)
-    monkeypatch.setattr(evaluations, "LEAST", 0.0)
+    monkeypatch.setattr(worth, "DEAR", 0.0)
+    monkeypatch.setattr(worth, "LEAST", 0.0)
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ from miho.optim import Budget, Oracle, RunRecord
 from miho.optim.pace import Pace
 from miho.optim.spread import open_evaluations
 from miho.parallel import Evaluations, Journal, NoWorkersLeft, Workers, calls_of
-from miho.parallel.evaluations import DEAR
 from miho.parallel.usage import span
+from miho.parallel.worth import is_dear
 
 JournalPath = str | os.PathLike[str] | None
 
@@ -76,7 +76,7 @@ def pace_line(problem: CurveFit, budget: Budget | None) -> Callable[[Oracle], No
     def observe(oracle: Oracle) -> None:
         pace.update(oracle)
         spent = oracle.meter.seconds
-        if pace.line_due() and spent >= DEAR * oracle.evaluations:
+        if pace.line_due() and is_dear(spent, oracle.evaluations):
             _say(
                 f"{problem.name}: error {max(0.0, oracle.best) ** 0.5:.5g} {problem.unit} after "
                 f"{oracle.evaluations:,.0f} evaluations, {spent:,.0f} s{pace.words(oracle)}"
@@ -88,7 +88,7 @@ def pace_line(problem: CurveFit, budget: Budget | None) -> Callable[[Oracle], No
 def interrupted(run: RunRecord) -> KeyboardInterrupt:
     """What is raised of a search that a Ctrl-C has ended."""
     each = run.seconds / max(1.0, run.evaluations)
-    if each < DEAR:
+    if not is_dear(each):
         return KeyboardInterrupt("the search was interrupted")
     return KeyboardInterrupt(
         f"the search was interrupted; an evaluation takes {span(each)}: with journal='FILE' none "

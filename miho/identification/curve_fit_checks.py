@@ -17,7 +17,7 @@ from miho.models.plain_arithmetic import is_arithmetic
 from miho.models.symbolic import arguments_of
 from miho.models.tied import Ties, whole_model
 from miho.optim.space import Space
-from miho.parallel.evaluations import DEAR
+from miho.parallel.worth import is_dear
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def _is_dear(problem: CurveFit, model_name: str) -> bool:
         raise ValueError(
             f"{model_name}.predict gives shape {actual}; expected {(1, len(problem.dataset))}"
         )
-    return time.perf_counter() - started > DEAR
+    return is_dear(time.perf_counter() - started)
 
 
 def dear_leaves(model: Model) -> list[Model]:

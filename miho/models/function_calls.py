@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.parallel.evaluations import DEAR
+from miho.parallel.worth import is_dear
 from miho.quantities import Array
 
 COMPARED, CONFIGURATIONS = 1000, 3
@@ -91,7 +91,7 @@ class FunctionCalls:
             try:
                 return self._alone(thetas[0], columns)[None]
             except ValueError:
-                if not self.takes_numbers and time.perf_counter() - started < DEAR:
+                if not self.takes_numbers and not is_dear(time.perf_counter() - started):
                     with contextlib.suppress(ValueError):
                         return self._together(thetas, columns)
                 raise
@@ -106,7 +106,7 @@ class FunctionCalls:
             except ValueError as error:
                 failure = error
         # The fastest call counts, since a first one may load or compile what the function needs.
-        if not seconds or min(seconds) < DEAR:
+        if not seconds or not is_dear(min(seconds)):
             with contextlib.suppress(ValueError):
                 together = self._together(thetas, columns)
                 if alike(alone[worked], together[: len(alone)][worked]):
@@ -175,18 +175,18 @@ def tried_rowwise(
         started = time.perf_counter()
         among_all = _or_none(predict, theta, columns)
         took = time.perf_counter() - started
-        long += took >= DEAR
+        long += is_dear(took)
         seconds = min(took, seconds)  # a first call may load or compile something
         if among_all is None or not rows.size or not np.isfinite(among_all[:, rows]).any():
             continue  # which says nothing, here
         started = time.perf_counter()
         alone = _or_none(predict, theta, part)
-        if min(took, time.perf_counter() - started) >= DEAR:
+        if is_dear(min(took, time.perf_counter() - started)):
             return None, True
         if alone is None or not alike(among_all[:, rows], alone):
-            return False, seconds >= DEAR
+            return False, is_dear(seconds)
         compared += 1
-    return compared > 0 or None, seconds >= DEAR
+    return compared > 0 or None, is_dear(seconds)
 
 
 def _or_none(predict: Callable[..., Array], theta: Array, columns: Columns) -> Array | None:

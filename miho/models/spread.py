@@ -36,7 +36,7 @@ class SpreadModel(Model):
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d)."""
         if self._evaluations.resting():
-            return self._evaluations.brief(self.model.predict, thetas, *inputs)
+            return self._evaluations.worth.brief(self.model.predict, thetas, *inputs)
         return self._task("predict", inputs, self.model.predict, (inputs[0].size,))(thetas)
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:

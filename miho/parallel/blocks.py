@@ -11,10 +11,10 @@ from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from typing import Any
 
-from miho.parallel.evaluations import WORTH_SENDING
 from miho.parallel.pool import LOOK, Pool
 from miho.parallel.process_executor import WorkerLostError
 from miho.parallel.remote import Answer
+from miho.parallel.worth import WORTH_SENDING
 
 LEAST, MOST = 1e-9, 1000
 """Seconds that a call takes at least, and calls in a block at most: what takes less than some 5 µs

@@ -20,26 +20,13 @@ from miho.parallel.journal import Journal
 from miho.parallel.pool import Pool, lost
 from miho.parallel.process_executor import OverdueError, WorkerLostError, WorkersGoneError
 from miho.parallel.remote import Answer, Raised
+from miho.parallel.rows import ByRows, Rows, as_array
 from miho.parallel.usage import Usage
+from miho.parallel.worth import Worth, is_dear
 
 Array = NDArray[np.float64]
-Rows = Callable[[Array], Array]
-"""Values (n, ...) of parameter rows (n, d); those of a row do not depend on the others."""
 Key = tuple[str, bytes]
 
-WORTH_SENDING = 0.005
-"""Seconds of evaluations that are sent to a worker together, at least: fifty times what it costs
-to send them. Where all that is needed takes less than twice that, no worker is asked."""
-LEAST = 1e-4
-"""Seconds that an evaluation takes which is sent at all: its values travel in less."""
-FIRST = 3
-"""So many are made here to see how long they take, unless one shows that they are dear."""
-REST = 100
-"""So many short evaluations are made until the next is timed."""
-DEAR = 0.01
-"""Seconds from which an evaluation is written to the journal."""
-LATEST = 0.2
-"""What the latest evaluation counts in the mean of what they take."""
 MOST_LOST = 50
 """After so many chunks in a row whose workers have ended, no more are tried."""
 PATIENCE = 7.0
@@ -97,7 +84,7 @@ class Evaluated:
     def __call__(self, thetas: Array) -> Array:
         """The values (n, ...) of rows (n, d); raises what the function raises, as ValueError."""
         if self.evaluations.resting():
-            return self.evaluations.brief(self.function, thetas)
+            return self.evaluations.worth.brief(self.function, thetas)
         return self.evaluations.values(self, thetas)
 
 
@@ -114,8 +101,9 @@ class Evaluations:
         self, pool: Pool | None, journal: Journal | None = None, *, limited: bool = False
     ) -> None:
         self.usage = Usage(1 if pool is None else pool.size)
+        self.worth = Worth(self.usage, limited=limited)
         self.check: Callable[[], None] = lambda: None
-        self._pool, self._journal, self._limited = pool, journal, limited
+        self._pool, self._journal = pool, journal
         self._pending: dict[Key, _Pending] = {}
         self._here: dict[Key, Array | Raised] = {}  # values that are known and not taken yet
         self._ends = itertools.count(0 if journal is None else len(journal))
@@ -123,12 +111,11 @@ class Evaluations:
         self._submitted: list[Key] | None = None
         self._lost = 0  # chunks in a row
         self._latest = time.monotonic()  # when a value last came, or was given up
-        self._rest = 0
         self._connected = time.monotonic()
 
     def function(self, name: str, function: Rows, shape: tuple[int, ...] = ()) -> Evaluated:
         """The same function, evaluated by the workers; its `name` stands in the journal."""
-        send = None if self._pool is None else self._pool.share(_ByRows(function))
+        send = None if self._pool is None else self._pool.share(ByRows(function))
         return Evaluated(name, function, shape, self, send)
 
     @property
@@ -137,33 +124,19 @@ class Evaluations:
         return self.usage.workers
 
     def resting(self) -> bool:
-        """Whether evaluations are so short that this one is made here (`brief`)."""
-        self._rest -= 1
-        return self._rest >= 0 and self._submitted is None
-
-    def brief(self, function: Rows, thetas: Array, *inputs: Array) -> Array:
-        """Values of an evaluation that is expected to be short; the rest is over if it is not."""
-        started = time.perf_counter()
-        values = function(thetas, *inputs)
-        if time.perf_counter() - started >= LEAST * len(thetas):
-            self._rest = 0
-        return values
+        """Whether evaluations are so short that this one is made here, as if there were no workers
+        (`Worth.brief`)."""
+        return self.worth.resting() and self._submitted is None
 
     @property
     def spreads(self) -> bool:
         """Whether workers make evaluations: where it is known that each takes long enough."""
-        return self._pool is not None and self.measured and not self._stays_here
-
-    @property
-    def measured(self) -> bool:
-        """Whether it is known how long an evaluation takes, and so whether workers make them."""
-        each = self.usage.each
-        return self._limited or (each is not None and (each >= DEAR or self.usage.here >= FIRST))
+        return self._pool is not None and self.worth.measured and not self.worth.short
 
     def ahead(self, ask: Callable[[], object]) -> Ahead:
         """Begin all evaluations that `ask` needs, without waiting; what it computes is void."""
         keys: list[Key] = []
-        if self._pool is not None and not self._stays_here:
+        if self._pool is not None and not self.worth.short:
             self._submitted = keys
             try:
                 ask()
@@ -173,7 +146,7 @@ class Evaluations:
                 self._submitted = None
         if keys and self._pool is not None:
             self._pool.flush()
-        return Ahead(keys, ask, self.measured)
+        return Ahead(keys, ask, self.worth.measured)
 
     def first_ready(self, needs: Sequence[Ahead]) -> int:
         """The position of what is complete first, the first of all where nothing has to be waited
@@ -197,21 +170,23 @@ class Evaluations:
     def values(self, task: Evaluated, thetas: Array) -> Array:
         """Values (n, ...) of rows (n, d); raises the first error among them."""
         known = self._pending or self._here or (self._journal is not None and len(self._journal))
-        if self._stays_here and self._submitted is None and not known:
+        if self.worth.short and self._submitted is None and not known:
             brief = self._evaluate_at_once(task, thetas)
-            self._rest = REST * self._stays_here
+            self.worth.rest()
             return brief
         keys: list[Key] = [(task.name, theta.tobytes()) for theta in thetas]
         todo = [k for k, key in enumerate(keys) if not self._is_known(key)]
         if self._submitted is not None:
-            if self.measured:
+            if self.worth.measured:
                 self._submit(task, keys, thetas, todo)
             self._submitted += keys
             return np.zeros((len(thetas), *task.shape))
-        while todo and not self.measured:
+        while todo and not self.worth.measured:
             self._evaluate_here(task, keys, thetas, [todo.pop(0)])
         if todo and not self._submit(task, keys, thetas, todo):
-            if len(todo) == len(keys) and not self._is_dear:  # as without any of this
+            if len(todo) == len(keys) and (
+                self._journal is None or not self.worth.dear
+            ):  # as without any of this
                 return self._evaluate_at_once(task, thetas)
             self._evaluate_here(task, keys, thetas, todo)
         # Where a row has raised, the others are still there when they are asked for again.
@@ -233,15 +208,6 @@ class Evaluations:
         waiting = {id(p) for p in self._pending.values() if p.ended == math.inf}
         return min(len(waiting), self.workers)
 
-    @property
-    def _stays_here(self) -> bool:
-        """Whether no evaluation is sent to a worker, or written down."""
-        return self.measured and not self._limited and (self.usage.each or 0.0) < LEAST
-
-    @property
-    def _is_dear(self) -> bool:
-        return self._journal is not None and (self.usage.each or 0.0) >= DEAR
-
     def _is_known(self, key: Key) -> bool:
         if key in self._pending or key in self._here:
             return True
@@ -254,7 +220,7 @@ class Evaluations:
             return self._pending[key].ended
         if self._journal is not None and key in self._journal:
             return float(self._journal.place(key))
-        return -1.0 if key in self._here or self.measured else sys.float_info.max
+        return -1.0 if key in self._here or self.worth.measured else sys.float_info.max
 
     def _waits(self, key: Key) -> bool:
         return key in self._pending and self._pending[key].ended == math.inf
@@ -267,13 +233,11 @@ class Evaluations:
         self, task: Evaluated, keys: Sequence[Key], thetas: Array, todo: Sequence[int]
     ) -> bool:
         """Have workers evaluate rows, if that is worth while."""
-        if self._pool is None or task.send is None or not todo or self._stays_here:
+        if self._pool is None or task.send is None or not todo:
             return False
-        each = self.usage.each or WORTH_SENDING
-        few = each * len(todo) < 2 * WORTH_SENDING and not self._limited
-        if few and self._submitted is None:  # they are needed at once, and nothing else is
+        rows = self.worth.chunk(len(todo), at_once=self._submitted is None)
+        if not rows:
             return False
-        rows = 1 if self._limited else max(1, math.ceil(WORTH_SENDING / each))
         self.usage.begin()
         for start in range(0, len(todo), rows):
             chunk = list(todo[start : start + rows])
@@ -294,12 +258,12 @@ class Evaluations:
                 if self._journal is None or future.cancelled() or future.exception() is not None:
                     return
                 answer, rows = future.result(), len(pending.keys)
-                if answer.seconds < DEAR * rows:
+                if not is_dear(answer.seconds, rows):
                     return
                 values = answer.value if answer.raised is None else [answer.raised] * rows
                 for key, value in zip(pending.keys, values, strict=True):
                     if _is_the_models(value):
-                        self._journal.add(key, _array(value))
+                        self._journal.add(key, as_array(value))
 
         return arrived
 
@@ -324,7 +288,7 @@ class Evaluations:
             answer = pending.future.result()
             values: Any = answer.value if answer.raised is None else [answer.raised] * rows
             each = answer.seconds / rows
-            self._count(each, rows, here=False, raised=isinstance(values[0], Raised))
+            self.worth.count(each, rows, here=False, raised=isinstance(values[0], Raised))
             self._lost = 0
         except WorkersGoneError as error:
             raise NoWorkersLeft(str(error)) from None
@@ -338,7 +302,7 @@ class Evaluations:
                 ) from None
         for key, value in zip(pending.keys, values, strict=True):  # in the journal already
             self._pending.pop(key, None)
-            self._here[key] = _array(value)
+            self._here[key] = as_array(value)
 
     def _look(self, waiting: Sequence[_Pending]) -> None:
         """While these are waited for: whether the run is to end, and which of them to give up.
@@ -366,70 +330,30 @@ class Evaluations:
     def _keep(self, key: Key, value: Array | Raised, seconds: float) -> None:
         """Have a value that was evaluated here, in so many seconds."""
         self._here[key] = value
-        if self._journal is not None and seconds >= DEAR and _is_the_models(value):
+        if self._journal is not None and is_dear(seconds) and _is_the_models(value):
             with self._arrivals:
                 self._journal.add(key, value)
 
     def _evaluate_at_once(self, task: Evaluated, thetas: Array) -> Array:
         started = time.perf_counter()
         values = task.function(thetas)
-        self._count((time.perf_counter() - started) / len(thetas), len(thetas), here=True)
+        self.worth.count((time.perf_counter() - started) / len(thetas), len(thetas), here=True)
         return values
 
     def _evaluate_here(
         self, task: Evaluated, keys: Sequence[Key], thetas: Array, todo: Sequence[int]
     ) -> None:
         """Row by row, so that each is in the journal before the next begins."""
-        by_rows = _ByRows(task.function)
+        by_rows = ByRows(task.function)
         for k in todo:
             started = time.perf_counter()
-            value = _array(by_rows(thetas[k][None])[0])
+            value = as_array(by_rows(thetas[k][None])[0])
             seconds = time.perf_counter() - started
             if isinstance(value, Raised) and value.name == MemoryError.__name__:
                 raise MemoryError(value.message)  # of this process, which a worker's end is not
-            self._count(seconds, 1, here=True, raised=isinstance(value, Raised))
+            self.worth.count(seconds, 1, here=True, raised=isinstance(value, Raised))
             self._keep(keys[k], value, seconds)
             self.check()
-
-    def _count(self, each: float, rows: int, *, here: bool, raised: bool = False) -> None:
-        usage = self.usage
-        if raised and each < DEAR:  # which says nothing of how long a value takes
-            pass
-        elif usage.each is None:
-            usage.each = each
-        elif here and usage.here < FIRST:  # the very first may have loaded or compiled something
-            usage.each = min(usage.each, each)
-        else:
-            usage.each += (1 - (1 - LATEST) ** rows) * (each - usage.each)
-        if here:
-            usage.here += rows
-        else:
-            usage.evaluations += rows
-            usage.seconds += each * rows
-
-
-@dataclass(frozen=True)
-class _ByRows:
-    """Calls a function of rows, and row by row where it raises."""
-
-    function: Rows
-
-    def __call__(self, thetas: Array) -> list[Array | Raised]:
-        try:
-            values = np.asarray(self.function(thetas))
-            if values.dtype.kind not in "fiu":
-                raise TypeError(f"not real numbers: {values.dtype} of shape {values.shape}")
-            if values.shape[:1] != (len(thetas),):
-                raise ValueError(f"values of shape {values.shape} for {len(thetas)} rows")
-            return list(values)
-        except Exception as error:  # noqa: BLE001 -- whatever a model raises is its value
-            if len(thetas) == 1:
-                return [Raised.of(error)]
-        return [value for theta in thetas for value in self(theta[None])]
-
-
-def _array(value: Any) -> Array | Raised:
-    return value if isinstance(value, Raised) else np.asarray(value, dtype=float)
 
 
 def _is_the_models(value: Array | Raised) -> bool:

@@ -15,6 +15,7 @@ from scipy.special import j0
 
 from miho import CurveFit, Dataset, Parameter, Space
 from miho.models import FunctionModel, function_calls
+from miho.parallel import worth
 
 THETAS = np.array([[2.0, 1.5], [0.5, 0.3], [1.2, 4.0]])
 t = np.linspace(0, 2, 50)
@@ -23,7 +24,7 @@ t = np.linspace(0, 2, 50)
 @pytest.fixture(autouse=True)
 def cheap(monkeypatch: pytest.MonkeyPatch) -> None:
     """All calls count as cheap, however busy the machine is."""
-    monkeypatch.setattr(function_calls, "DEAR", math.inf)
+    monkeypatch.setattr(worth, "DEAR", math.inf)
 
 
 def model(function: Callable[..., Any], **settings: Any) -> FunctionModel:
@@ -95,7 +96,7 @@ def test_one_that_broadcasts_is_compared_once_and_then_called_once() -> None:
 
 
 def test_a_dear_function_is_never_called_to_compare(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(function_calls, "DEAR", 0.0)
+    monkeypatch.setattr(worth, "DEAR", 0.0)
     shapes = []
 
     def decay(t, a, b):
@@ -207,7 +208,7 @@ def test_to_know_that_a_function_needs_all_rows_takes_two_calls() -> None:
 def test_a_dear_function_is_tried_twice_at_most(
     monkeypatch: pytest.MonkeyPatch, function: Callable[..., Any]
 ) -> None:
-    monkeypatch.setattr(function_calls, "DEAR", 0.0)
+    monkeypatch.setattr(worth, "DEAR", 0.0)
     calls = []
 
     def counted(t, a, b):
