@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.metadata
 import importlib.util
@@ -30,6 +31,8 @@ QUEUES = {
 """The class of dask-jobqueue of each queue, and the program that submits its jobs."""
 PATIENCE = 5.0
 """Seconds that a scheduler has to answer: at the start, and when its connection broke."""
+LOOK = 10.0
+"""Seconds between two looks whether there is any worker."""
 LOOPBACK = "127.0.0.1"
 SETTINGS = {
     "distributed.comm.timeouts.connect": f"{PATIENCE}s",
@@ -71,7 +74,7 @@ def cluster(address: str) -> Iterator[Client]:
     `dask://HOST:PORT` is a scheduler that runs. `dask:N` starts N worker processes of one thread on
     this machine, whose connections are encrypted, so that nobody else on it can use them.
     `slurm:N`, `pbs:N` and `lsf:N` submit N jobs, as the user's configuration of dask-jobqueue says;
-    they come when the queue lets them.
+    they come when the queue lets them; a line on stderr tells of waiting for them.
 
     Raises ClusterError if a library or the program of the queue is missing, nobody answers at the
     address, or a worker that is there has another version of Python, MIHO or Dask.
@@ -101,7 +104,28 @@ def cluster(address: str) -> Iterator[Client]:
             ) from None
         except Exception as error:
             raise ClusterError(f"{address}: {_line(error)}") from error
+        stack.enter_context(_told_of_emptiness(client, address))
         yield client
+
+
+@contextmanager
+def _told_of_emptiness(client: Client, address: str) -> Iterator[None]:
+    """Meanwhile a line on stderr where no worker has come, or all have left."""
+    over = threading.Event()
+
+    def watch() -> None:
+        empty = False
+        while not over.wait(LOOK):
+            with contextlib.suppress(Exception):  # a break of the connection shows elsewhere
+                before, empty = empty, not client.nthreads()
+                if empty and not before and not over.is_set():
+                    sys.stderr.write(f"miho: {address}: no worker is there; waiting for one\n")
+
+    threading.Thread(target=watch, daemon=True).start()
+    try:
+        yield
+    finally:
+        over.set()
 
 
 def dashboard(client: Client) -> str | None:

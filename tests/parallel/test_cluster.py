@@ -151,25 +151,33 @@ kill "$1"
 
 
 @pytest.mark.slow
-def test_jobs_of_a_queue(monkeypatch: Any, tmp_path: Path) -> None:
+def test_jobs_of_a_queue(
+    monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """A queue that begins each job at once, by scripts in the place of SLURM's programs."""
     pytest.importorskip("distributed", reason="the extra cluster is not installed")
     from dask import config
 
+    request.addfinalizer(config.refresh)
+    config.refresh(paths=[])  # whatever the user's own files say
     for name, text in (("sbatch", SUBMIT), ("scancel", CANCEL)):
         program = tmp_path / name
         program.write_text(text.format(folder=tmp_path), encoding="utf-8")
         program.chmod(program.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    nothing = config.set({"jobqueue.slurm.cores": None})  # whatever the user's own file says
-    with nothing, pytest.raises(ClusterError, match=r"says nothing of cores; set jobqueue\.slurm"):
+    with pytest.raises(ClusterError, match=r"says nothing of cores; set jobqueue\.slurm"):
         cluster("slurm:2").__enter__()
     queue = {"cores": 1, "memory": "1GB", "interface": "lo", "local-directory": str(tmp_path)}
     settings = {f"jobqueue.slurm.{key}": value for key, value in queue.items()}
+    monkeypatch.setattr("miho.parallel.cluster.LOOK", 0.01)
     with config.set(settings), cluster("slurm:2") as client:
         workers: ClusterWorkers[str, str] = ClusterWorkers(client, misbehave_there)
         with workers:
             ended = all_of(["good 1", "good 2"], workers)
         assert {end.result for end in ended.values()} == {"good 1", "good 2"}
+    assert "miho: slurm:2: no worker is there; waiting for one\n" in capsys.readouterr().err
     jobs = [int(line) for line in (tmp_path / "jobs").read_text(encoding="utf-8").split()]
     wait_until(lambda: not alive(jobs))
