@@ -10,8 +10,8 @@ from typing import Any
 from experiments.app.build import Experiment
 from miho.data.preview import preview
 from miho.identification import CurveFit
-from miho.identification.curve_fit_checks import dear_leaves
 from miho.models.function_model import FunctionModel
+from miho.models.leaves import dear_leaves
 from miho.models.model import ExternalModel
 from miho.optim import Budget
 from miho.study import Store

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
-import itertools
 import math
 import threading
-from collections.abc import Callable, Iterable
-from dataclasses import InitVar, dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import InitVar, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -20,20 +18,17 @@ from miho.identification.curve_fit_checks import (
     TRIALS,
     check_curve_fit,
     check_sigma,
-    dear_leaves,
     examined,
     ties_of,
 )
-from miho.identification.irreducible import irreducible_interval, irreducible_limit
+from miho.identification.irreducible import irreducible_square
 from miho.identification.loss import Loss, Square, slope
 from miho.identification.prior import PriorResiduals
 from miho.identification.row_order import row_order
 from miho.models.expression import Expression
-from miho.models.fingerprint import fingerprint
-from miho.models.function_calls import UNTRIED, Calls
 from miho.models.function_model import FunctionModel
+from miho.models.leaves import called, calls_of, dear_leaves, description, spread
 from miho.models.model import Model
-from miho.models.spread import SpreadModel
 from miho.models.symbolic import arguments_of
 from miho.models.tied import Tied, tie
 from miho.models.traced import Remade, TracedExpression
@@ -56,19 +51,12 @@ ROUNDING = 100.0
 residual is rounded by some EPSILON of the output, r, which moves a loss L by up to 2 r sqrt(L).
 That is never more than AGREEING L + (ROUNDING r)^2, within which two losses count as equal: 100 is
 1 / sqrt(AGREEING) (`miho.optim.evidence`)."""
-FEWEST = 3
-"""Rows from which the scatter of neighbouring points can be estimated at all."""
-SORTED_ROWS, NEIGHBOUR_ROWS = 100_000, 20_000
-"""Rows from which it is estimated at most: for one input, which is sorted, and for several, where
-the search for nearest neighbours takes longer the more inputs there are."""
 REMEMBERED = 1 << 20
 """Numbers of errors to remember for the derivatives of a robust loss at the same configurations."""
 WORTH_COMPILING = 20_000
 """Rows from which on a search by NumPy takes seconds, as compiling a user's function does."""
 OF_THE_MODEL = ("noise", "_fitted", "_of_thread")
 """What a problem remembers of its model."""
-DIGITS = 16
-"""Of the digests that tell what a journal is of."""
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
 
@@ -168,19 +156,13 @@ class CurveFit(Remade, LeastSquaresProblem):
     def noise(self) -> float:  # type: ignore[override]
         """The mean square that is not the model's: how far neighbouring points scatter at most.
 
-        The upper end of an interval for it, see `irreducible_interval` for one input and
-        `irreducible_limit` for several; of long data every so many rows are used.
+        Infinite where that is not known, as beside priors.
         """
-        if not self._square or self.model.ordered or len(self.dataset) < FEWEST:
+        if not self._square or self.model.ordered:
             return math.inf
         if self.weights is not None or self.prior is not None:
             return math.inf  # neighbouring rows do not scatter alike, or are not all
-        most_rows = SORTED_ROWS if len(self.inputs) == 1 else NEIGHBOUR_ROWS
-        sample = slice(None, None, -(-len(self.dataset) // most_rows))
-        X, y = np.array(self.inputs)[:, sample], self._output[sample]
-        if len(X) == 1:
-            return float(irreducible_interval(X[0], y).high) ** 2
-        return irreducible_limit(X, y) ** 2
+        return irreducible_square(self.inputs, self._output)
 
     @cached_property
     def rounding(self) -> float:  # type: ignore[override]
@@ -313,42 +295,25 @@ class CurveFit(Remade, LeastSquaresProblem):
 
         Bounds, ties, sigma, priors and the loss may change without another output.
         """
-        data = hashlib.sha256()
-        for column in (*self.inputs, self._output):
-            data.update(np.ascontiguousarray(column).tobytes())
-        untold = {"batched": None, "rowwise": None, "tried": UNTRIED}  # which changes nothing
-        leaves = [
-            replace(leaf, **untold) if isinstance(leaf, FunctionModel) else leaf
-            for leaf in dear_leaves(self.model)
-        ]
-        return f"data {data.hexdigest()[:DIGITS]} model {fingerprint(leaves)[:DIGITS]}"
+        return description(self.model, (*self.inputs, self._output))
 
     @property
     def calls(self) -> list[list[bool | None]]:
-        """What trial calls have shown of its functions (`Calls`), nothing for other models."""
-        leaves = dear_leaves(self.model)
-        return [list(leaf.tried) if isinstance(leaf, FunctionModel) else [] for leaf in leaves]
+        """What trial calls have shown of its functions."""
+        return calls_of(self.model)
 
     def called(self, calls: Iterable[Any]) -> CurveFit:
         """This problem, whose functions are called as `calls` of the same problem says, if any."""
-        known = iter(calls)
-
-        def as_known(leaf: Model) -> Model:
-            tried = next(known, None)
-            function = isinstance(leaf, FunctionModel) and tried is not None
-            return replace(leaf, tried=Calls(*tried)) if function else leaf
-
-        return self._with_leaves(as_known)
+        return self._with(called(self.model, calls))
 
     def spread(self, evaluations: Evaluations) -> CurveFit:
         """This problem with its model's outputs evaluated by these; itself if it is arithmetic."""
-        count = itertools.count()
-        return self._with_leaves(lambda m: SpreadModel(m, evaluations, f"model {next(count)}"))
+        return self._with(spread(self.model, evaluations))
 
-    def _with_leaves(self, other: Callable[[Model], Model]) -> CurveFit:
+    def _with(self, model: Model) -> CurveFit:
+        """This problem with another form of its model, where that is more than arithmetic."""
         if not dear_leaves(self.model):
             return self
-        model = self.model.with_leaves(other)
         problem = object.__new__(CurveFit)  # all else that is known of this one stays so
         known = {key: value for key, value in vars(self).items() if key not in OF_THE_MODEL}
         vars(problem).update(known, model=model)

@@ -12,6 +12,7 @@ import numpy as np
 from miho.data.dataset import Dataset
 from miho.identification.loss import Square
 from miho.models.function_model import FunctionModel
+from miho.models.leaves import dear_leaves
 from miho.models.model import DifferencedModel, ExternalModel, Model
 from miho.models.plain_arithmetic import is_arithmetic
 from miho.models.symbolic import arguments_of
@@ -81,18 +82,6 @@ def _is_dear(problem: CurveFit, model_name: str) -> bool:
             f"{model_name}.predict gives shape {actual}; expected {(1, len(problem.dataset))}"
         )
     return is_dear(time.perf_counter() - started)
-
-
-def dear_leaves(model: Model) -> list[Model]:
-    """The models that a model is made of and that may be dear, in their order."""
-    leaves = list[Model]()
-
-    def note(leaf: Model) -> Model:
-        leaves.append(leaf)
-        return leaf
-
-    model.with_leaves(note)
-    return leaves
 
 
 def _check_shapes(problem: CurveFit, model_name: str) -> None:

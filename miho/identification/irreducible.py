@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,12 @@ TIED = 1e-9
 RESOLVED = 0.5
 """An estimate whose interval reaches below this fraction of it is of no use."""
 
+FEWEST = 3
+"""Rows from which it can be estimated at all."""
+SORTED_ROWS, NEIGHBOUR_ROWS = 100_000, 20_000
+"""Rows from which `irreducible_square` estimates at most: for one input, which is sorted, and for
+several, where the search for nearest neighbours takes longer the more inputs there are."""
+
 
 class Irreducible(NamedTuple):
     """An estimate of the irreducible error and its interval, all in the output's unit."""
@@ -28,6 +35,19 @@ class Irreducible(NamedTuple):
     def resolved(self) -> bool:
         """Whether the points lie close enough for the estimate to be of use."""
         return self.low >= RESOLVED * self.value and math.isfinite(self.high)
+
+
+def irreducible_square(inputs: Sequence[Array], y: Array) -> float:
+    """The most that the mean square of the irreducible error may be, in y's unit squared.
+
+    By `irreducible_interval` for one input (N,) and `irreducible_limit` for several; of long data
+    every so many rows are used. Infinite for fewer than three.
+    """
+    if y.size < FEWEST:
+        return math.inf
+    sample = slice(None, None, -(-y.size // (SORTED_ROWS if len(inputs) == 1 else NEIGHBOUR_ROWS)))
+    X, y = np.array(inputs)[:, sample], y[sample]
+    return (irreducible_interval(X[0], y).high if len(X) == 1 else irreducible_limit(X, y)) ** 2
 
 
 def irreducible_error(x: Array, y: Array) -> float:
@@ -51,7 +71,7 @@ def irreducible_interval(x: Array, y: Array, level: float = 0.95) -> Irreducible
     the distance counts it sixteen times, so the lower end is below by what twice the distance
     adds. All NaN for fewer than three points, an interval from 0 to infinity for fewer than five.
     """
-    if x.size < 3:
+    if x.size < FEWEST:
         return Irreducible(math.nan, math.nan, math.nan)
     # The estimate: the mean square of the pseudo-residuals.
     order = np.argsort(x, kind="stable")

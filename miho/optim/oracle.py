@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -23,19 +22,19 @@ from miho.optim.meter import (
     RunInterrupted,
     UnusableValueError,
 )
-from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
+from miho.optim.problem import Problem
 from miho.optim.recorder import Recorder
 from miho.optim.space import Space
 from miho.optim.trace import Descent, Trace
+from miho.optim.usable_values import UsableValues, read_only
 from miho.parallel import Ahead, Evaluations
 from miho.parallel.usage import Usage
 from miho.quantities import Array
 
 CHUNK_SECONDS = 0.02
 """Seconds of evaluations between two looks at the clock."""
-NOT_FINITE = "loss is"
-"""How the reason begins for which a value is rejected that was computed, but is not finite."""
 Kind = Literal["loss", "residuals", "jacobian"]
+NO_LOSS = np.array([math.inf])
 NO_LOSSES, NOWHERE = np.empty(0), np.empty(0, np.int64)
 
 
@@ -69,6 +68,7 @@ class Oracle:
         self.state: Any = None
         self.interrupted = False
         self._problem, self._evaluations = problem, evaluations
+        self._values = UsableValues(problem, self.meter.reject)
         self._replayed = [] if replay is None else replay.positions
         if not self.meter.arrivals.workers:
             begun_with = 1 if evaluations is None else evaluations.workers
@@ -116,7 +116,7 @@ class Oracle:
     @property
     def linear(self) -> tuple[str, ...]:
         """The parameters in which the residuals are jointly linear, as the problem declares."""
-        return self._least_squares.linear
+        return self._values.least_squares.linear
 
     @property
     def trace(self) -> Trace:
@@ -143,7 +143,7 @@ class Oracle:
                     raise BudgetExhausted
                 started = self.seconds
                 self._recorder.count_outside(rows)
-                chunk = self._losses(rows, fidelity)
+                chunk = self._values.losses(rows, fidelity)
                 self._record(rows, chunk, cost, started)
                 losses = np.concatenate((losses, chunk)) if losses.size else chunk
                 self._check_end()
@@ -184,16 +184,16 @@ class Oracle:
         affordable = len(thetas)
         while affordable and not self.affords(affordable * cost):
             affordable = min(affordable - 1, int(self.remaining / cost))
-        rows, part = _read_only(thetas[:affordable]), () if fidelity == 1.0 else (fidelity,)
+        rows, part = read_only(thetas[:affordable]), () if fidelity == 1.0 else (fidelity,)
 
         def ask() -> None:
             if kind == "loss" and affordable:
                 self._problem.loss(rows, *part)
             elif kind == "residuals" and affordable:
-                self._least_squares.residual_rows(rows, *part)
+                self._values.least_squares.residual_rows(rows, *part)
             elif kind == "jacobian":
                 for theta in rows:
-                    self._least_squares.jacobian(theta, *part)
+                    self._values.least_squares.jacobian(theta, *part)
 
         return Ahead([], ask) if self._evaluations is None else self._evaluations.ahead(ask)
 
@@ -225,12 +225,12 @@ class Oracle:
     @property
     def order(self) -> NDArray[np.intp] | None:
         """Positions of all residuals in the order of a fidelity, None if they stand in it."""
-        return self._least_squares.order
+        return self._values.least_squares.order
 
     @property
     def jacobian_cost(self) -> int:
         """What the derivatives of the residuals cost, in evaluations of the same rows."""
-        cost = self._least_squares.jacobian_cost
+        cost = self._values.least_squares.jacobian_cost
         return len(self.space) if cost is None else cost
 
     @property
@@ -266,7 +266,6 @@ class Oracle:
         Raises UnusableValueError if the problem raises; residuals that are not finite are
         returned as they are, for solvers that know what to do with them.
         """
-        problem = self._least_squares
         part, cost = self._part(fidelity)
         if not goes_on:
             self._check_open()
@@ -275,12 +274,10 @@ class Oracle:
         started = self.seconds
         self._recorder.count_outside(theta[None])
         try:
-            residuals = _real(problem.residuals(_read_only(theta), *part))
-            loss = self._usable(mean_square(residuals)[None])
-        except Exception as error:
-            self.meter.reject(f"{type(error).__name__}: {error}")
-            self._record(theta[None], np.array([math.inf]), cost, started)
-            raise UnusableValueError(str(error)) from error
+            residuals, loss = self._values.residuals(theta, *part)
+        except UnusableValueError:
+            self._record(theta[None], NO_LOSS, cost, started)
+            raise
         self._record(theta[None], loss, cost, started)
         return residuals
 
@@ -299,30 +296,9 @@ class Oracle:
             raise BudgetExhausted
         started = self.seconds
         self._recorder.count_outside(rows)
-        try:
-            residuals = _real(self._least_squares.residual_rows(_read_only(rows), *part))
-            losses = self._usable(mean_square(residuals))
-        except Exception:  # noqa: BLE001 -- whatever a model raises, or it has no such rows
-            residuals, losses = self._one_by_one(rows, part)
+        residuals, losses = self._values.residual_rows(rows, *part)
         self._record(rows, losses, cost, started)
         return residuals
-
-    def _one_by_one(self, rows: Array, part: tuple[float, ...]) -> tuple[Array, Array]:
-        """Residuals (n, m), NaN where the problem raises, and losses (n,)."""
-        computed: dict[int, Array] = {}
-        losses = np.full(len(rows), math.inf)
-        for k, theta in enumerate(rows):
-            try:
-                values = _real(self._least_squares.residuals(_read_only(theta), *part))
-                losses[k] = self._usable(mean_square(values)[None])[0]
-                computed[k] = values.copy()
-            except Exception as error:  # noqa: BLE001 -- as for residuals
-                self.meter.reject(f"{type(error).__name__}: {error}")
-        m = max((values.size for values in computed.values()), default=1)
-        residuals = np.full((len(rows), m), math.nan)
-        for k, values in computed.items():
-            residuals[k] = values
-        return residuals, losses
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals (m, d) at one configuration (d,) in units.
@@ -330,24 +306,16 @@ class Oracle:
         Costs `jacobian_cost` evaluations; a budget that cannot pay it is exhausted. Raises
         UnusableValueError if the problem raises or a derivative is not finite.
         """
-        problem = self._least_squares
         part, cost = self._part(fidelity)
         cost *= self.jacobian_cost
         self._check_open()
         if not self.affords(cost):
             raise BudgetExhausted
-        reason = "derivative is not finite"
         try:
-            jacobian = _real(problem.jacobian(_read_only(theta), *part))
-            usable = bool(np.isfinite(jacobian).all())
-        except Exception as error:  # noqa: BLE001 -- as for residuals
-            reason, usable = f"{type(error).__name__}: {error}", False
-        self._recorder.charge(cost)
-        self.meter.seconds = self.seconds
-        if not usable:
-            self.meter.reject(reason)
-            raise UnusableValueError(reason)
-        return jacobian
+            return self._values.jacobian(theta, *part)
+        finally:
+            self._recorder.charge(cost)
+            self.meter.seconds = self.seconds
 
     def _part(self, fidelity: float) -> tuple[tuple[float, ...], float]:
         """The arguments by which a problem takes a fidelity, none for all rows, and its cost."""
@@ -422,15 +390,6 @@ class Oracle:
         """Read the clocks for the last time: no evaluation follows."""
         self._recorder.stop()
 
-    @property
-    def _least_squares(self) -> LeastSquaresProblem:
-        if not isinstance(self._problem, LeastSquaresProblem):
-            raise TypeError(
-                f"problem {self._problem.name} gives no residuals; choose a method that needs "
-                "only losses (optimizer=miho_qn), or make it a LeastSquaresProblem"
-            )
-        return self._problem
-
     def _check_open(self) -> None:
         self._check_end()
         if self.meter.evaluations >= self._limit:
@@ -457,31 +416,6 @@ class Oracle:
             rows += self.affords((rows + 1) * cost)
         return rows
 
-    def _losses(self, rows: Array, fidelity: float) -> Array:
-        """The problem's losses; +inf, with its reason counted, for a row that has none."""
-        try:
-            losses = np.asarray(self._problem.loss(_read_only(rows), fidelity))
-            if losses.shape == (len(rows),) and losses.dtype.kind in "fiu":
-                return self._usable(losses.astype(float))
-            reason = f"not one real number a row: {losses.dtype} of shape {losses.shape}"
-        except MemoryError:
-            raise
-        except Exception as error:  # noqa: BLE001 -- whatever else a model raises is a rejected value
-            reason = f"{type(error).__name__}: {error}"
-        if len(rows) == 1:
-            self.meter.reject(reason)
-            return np.array([math.inf])
-        return np.concatenate([self._losses(row[None], fidelity) for row in rows])
-
-    def _usable(self, losses: Array) -> Array:
-        """The losses with +inf in place of every value that is not a finite number."""
-        finite = np.isfinite(losses)
-        if np.logical_and.reduce(finite):  # a third of the time of finite.all()
-            return losses
-        for value, count in Counter(losses[~finite].tolist()).items():
-            self.meter.reject(f"{NOT_FINITE} {value}", count)
-        return np.where(finite, losses, math.inf)
-
     def _record(self, rows: Array, losses: Array, cost: float, started: float) -> None:
         """Record a batch of losses (n,) with its improvements."""
         least = np.minimum.reduce(losses)
@@ -504,18 +438,3 @@ class Oracle:
         if block.losses.size:
             self._recorder.count_outside(block.thetas)  # of a block, only those that improve
         self._recorder.record(block.at, block.losses, block.thetas, block.evaluations, started)
-
-
-def _read_only(array: Array) -> Array:
-    """A view that a problem cannot edit: the method goes on working with the array itself."""
-    view = array.view()
-    view.flags.writeable = False
-    return view
-
-
-def _real(values: Array) -> Array:
-    """The values as an array; raises TypeError unless they are real numbers."""
-    array = np.asarray(values)
-    if array.dtype.kind not in "fiu":
-        raise TypeError(f"not real numbers: {array.dtype} of shape {array.shape}")
-    return array
