@@ -113,6 +113,24 @@ def test_other_bounds_use_a_journal_and_other_data_do_not(tmp_path: Path) -> Non
 
 
 @pytest.mark.usefixtures("dear")
+def test_a_descent_starts_from_the_best_of_what_another_method_evaluated(tmp_path: Path) -> None:
+    path, searched, alone, descended = tmp_path / "journal", Counted(), Counted(), Counted()
+    method = miho.optim.RandomSearch()
+    search = miho.fit(searched.model, t, y, BOX, method=method, budget=BUDGET, journal=path)
+    best = search.problem.space.names
+    values = dict(zip(best, search.run.tolist(), strict=True))
+    by_hand = miho.fit(alone.model, t, y, start=values)
+    known = miho.fit(descended.model, t, y, BOX, start="journal", journal=path)
+    assert known.run.tolist() == pytest.approx(by_hand.run.tolist(), rel=1e-6)
+    assert len(descended.calls) < len(alone.calls)
+    fixed = Counted()
+    with pytest.raises(ValueError, match="knows no configuration of decay-decay within the bounds"):
+        miho.fit(fixed.model, t, y, {"a": (0, 5)}, fixed={"b": 1.0}, start="journal", journal=path)
+    with pytest.raises(ValueError, match="give the journal's file as well"):
+        miho.fit(fixed.model, t, y, BOX, start="journal")
+
+
+@pytest.mark.usefixtures("dear")
 def test_an_interrupt_tells_what_is_kept_and_the_same_call_goes_on(tmp_path: Path) -> None:
     stop = [30]
 

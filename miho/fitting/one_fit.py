@@ -9,7 +9,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from miho.fitting.dear_fit import (
     pace_line,
     spread,
 )
+from miho.fitting.known_start import JOURNAL, best_known
 from miho.fitting.statement import Tire, data_of, inputs_of, of_tire, space_of
 from miho.identification.closed_form import linear_optimum
 from miho.identification.constraints import constrained, free_values
@@ -69,7 +70,7 @@ def fit(
     *,
     sigma: Any = None,
     sigma_known: bool = True,
-    start: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | Literal["journal"] | None = None,
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
     constraints: str | Sequence[str] = (),
@@ -99,10 +100,11 @@ def fit(
     priors count beside errors that are not known is settled with the fit.
 
     `method` searches within the bounds, `MIHOGN()` by default. With a `start` of every free
-    parameter there is one descent from there, and bounds are not needed. `loss` is what a residual
-    costs: its square, or one that outliers cannot dominate. For a search an arithmetic function is
-    compiled at its first fit, unless `compiled` is false: that takes seconds, later fits
-    milliseconds.
+    parameter there is one descent from there, and bounds are not needed; with "journal" one from
+    the best configuration that stands in the journal, whatever method evaluated it. `loss` is what
+    a residual costs: its square, or one that outliers cannot dominate. For a search an arithmetic
+    function is compiled at its first fit, unless `compiled` is false: that takes seconds, later
+    fits milliseconds.
 
     A tire, `miho.load_tir` of a property file or its path, is a model too, of Fx, Fy or Mz as `y`
     names it; its coefficients that have bounds or a start are free, all others stay. Only named, as
@@ -117,6 +119,9 @@ def fit(
 
     Raises ValueError for what does not fit together, and where no finite value was found.
     """
+    from_journal, start = (True, None) if start == JOURNAL else (False, start)
+    if from_journal and journal is None:
+        raise ValueError("start is 'journal'; give the journal's file as well")
     # A tire has bounds or a start of its own; anything else needs them by name.
     if isinstance(model, MagicFormula | str | os.PathLike):
         model, space, start = of_tire(model, x, y, space or (), start, fixed or {}, tied or {})
@@ -145,6 +150,8 @@ def fit(
     with dear_fit(first, workers, evaluation_limit, journal) as evaluations:
 
         def solved(problem: CurveFit) -> Fit:
+            if from_journal:
+                return descended(problem, best_known(spread(problem, evaluations)), evaluations)
             if start is None:
                 return searched(problem, method, budget, seed, evaluations)
             return descended(problem, start, evaluations)

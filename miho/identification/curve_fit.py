@@ -343,6 +343,11 @@ class CurveFit(Remade, LeastSquaresProblem):
         residuals -= output
         return mean_square(self._with_prior(thetas, self.rho.transform(residuals)))
 
+    def losses_of(self, outputs: Array) -> Array:
+        """Mean squared error (n,) of the model's outputs (n, N), priors left out."""
+        residuals = outputs if self.weights is None else outputs * self.weights
+        return mean_square(self.rho.transform(residuals - self._target))
+
     def _with_prior(self, thetas: Array, residuals: Array) -> Array:
         """Residuals (n, N) and behind them those of priors."""
         if self.prior is None:

@@ -49,6 +49,16 @@ class SpreadModel(Model):
         jacobians = partial(_jacobians, self.model.jacobian)
         return np.asarray(self._task("jacobian", inputs, jacobians, shape)(theta[None])[0])
 
+    def known(self, *inputs: Array) -> tuple[Array, Array]:
+        """Parameter rows (n, d) whose outputs (n, N) at these inputs stand in the journal."""
+        known = self._evaluations.known(self._name("predict", self._digest(inputs)))
+        thetas, outputs = zip(*known, strict=True) if known else ((), ())
+        rows = np.reshape(thetas, (-1, len(self.parameters)))
+        return rows, np.reshape(outputs, (-1, inputs[0].size))
+
+    def _name(self, kind: str, digest: bytes) -> str:
+        return f"{self._place} {kind} {digest.hex()}"
+
     def _task(
         self,
         kind: str,
@@ -60,8 +70,7 @@ class SpreadModel(Model):
         digest = self._digest(inputs)
         if (kind, digest) not in self._tasks:
             columns = tuple(np.array(column) for column in inputs)
-            name = f"{self._place} {kind} {digest.hex()}"
-            rows = _AtInputs(function, columns)
+            rows, name = _AtInputs(function, columns), self._name(kind, digest)
             self._tasks[kind, digest] = self._evaluations.function(name, rows, shape)
         return self._tasks[kind, digest]
 

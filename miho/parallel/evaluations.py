@@ -118,6 +118,10 @@ class Evaluations:
         send = None if self._pool is None else self._pool.share(ByRows(function))
         return Evaluated(name, function, shape, self, send)
 
+    def known(self, name: str) -> list[tuple[Array, Array]]:
+        """Rows of parameters and their values that the journal has of a function."""
+        return [] if self._journal is None else self._journal.values_of(name)
+
     @property
     def workers(self) -> int:
         """How many evaluations may be under way at a time."""

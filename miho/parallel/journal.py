@@ -78,6 +78,14 @@ class Journal:
     def __getitem__(self, key: Key) -> NDArray[np.float64] | Raised:
         return self._values[key]
 
+    def values_of(self, task: str) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+        """Parameters and values of a task, of those that have one."""
+        return [
+            (np.frombuffer(theta, dtype=float), value)
+            for (name, theta), value in self._values.items()
+            if name == task and not isinstance(value, Raised)
+        ]
+
     def place(self, key: Key) -> int:
         """The position of a value in the order in which values came."""
         return self._places[key]
