@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -99,6 +100,14 @@ def benchmark(
         return OK if all(bar.met for bar in bars) else BUG
 
     run_and_exit(job)
+
+
+def shown(rows: Iterable[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
+    """The rows of a benchmark that takes minutes, each shown on stderr as it comes."""
+    for row in rows:
+        line = ", ".join(f"{key} {value}" for key, value in row.items() if value == value)
+        print(line, file=sys.stderr, flush=True)
+        yield row
 
 
 def _write(path: Path, name: str, measured: Measured) -> None:

@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark
+from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark, shown
 from experiments.benchmarks.engines import PROCESSES, started
 from experiments.benchmarks.sleeping import SIGMA, Lengths, Sleeping, forms, search
 from experiments.benchmarks.virtual_workers import virtual_search
@@ -83,7 +83,7 @@ def simulated(job: Job) -> dict[str, Any]:
     }
 
 
-def growth(quick: bool, overhead: float, target: float) -> list[dict[str, Any]]:
+def growth(quick: bool, overhead: float, target: float) -> list[Mapping[str, Any]]:
     """A row for each method, number of workers, spread and seed; several at a time."""
     sizes, seeds = (SIZES[:5:2], 2) if quick else (SIZES, SEEDS)
     jobs = [
@@ -95,7 +95,7 @@ def growth(quick: bool, overhead: float, target: float) -> list[dict[str, Any]]:
     ]
     with started(PROCESSES, os.cpu_count() or 1) as (pool, _):
         # by their positions: only the function may be of the program's main file
-        return list(pool.map(lambda k: simulated(jobs[k]), range(len(jobs))))
+        return list(shown(pool.map(lambda k: simulated(jobs[k]), range(len(jobs)))))
 
 
 def checked(quick: bool, overhead: float) -> Iterator[dict[str, Any]]:
@@ -134,7 +134,7 @@ def measure(quick: bool, check: bool) -> Measured:
     ]
     bars = [Bar("the runs' share that gets there", float(reached.min()), AT_LEAST, 0.5)]
     if check:
-        rows = pd.DataFrame(checked(quick, overhead))
+        rows = pd.DataFrame(shown(checked(quick, overhead)))
         columns = ["method", "sigma", "workers", "seconds", "simulated_seconds", "ratio"]
         notes.append(rows[columns].to_string(index=False, float_format="{:.3g}".format))
         off = float(np.median(np.abs(rows["ratio"] - 1)))

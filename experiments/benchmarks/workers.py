@@ -13,7 +13,6 @@ those of more seeds, on virtual workers. *Cheap* is what `workers=2` costs a mod
 from __future__ import annotations
 
 import math
-import sys
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -26,7 +25,7 @@ from scipy.stats import mannwhitneyu
 from experiments.app.build import build
 from experiments.app.compose import composed
 from experiments.app.schema import register
-from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark
+from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark, shown
 from experiments.benchmarks.engines import PROCESSES, engines, started
 from experiments.benchmarks.sleeping import (
     SIGMA,
@@ -188,13 +187,9 @@ def _ratio(frame: pd.DataFrame, kind: str, column: str) -> float:
 
 def measure(quick: bool) -> Measured:
     """All rows; those of several seeds and turns by their medians in the table."""
-    tidy = []
-    for row in chain(cheap(quick), efficiencies(quick), throughputs(quick), final_errors(quick)):
-        tidy.append(row)  # a line each, since all together take a quarter of an hour
-        print(
-            ", ".join(f"{key} {value}" for key, value in row.items()), file=sys.stderr, flush=True
-        )
-    frame = pd.DataFrame(tidy)
+    frame = pd.DataFrame(
+        shown(chain(cheap(quick), efficiencies(quick), throughputs(quick), final_errors(quick)))
+    )
     numbers = [column for column in frame if column not in ("kind", "name", "seed", "says")]
     groups = frame.assign(workers=frame["workers"].fillna(1)).groupby(
         ["kind", "name", "workers"], sort=False
