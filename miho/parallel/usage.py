@@ -42,11 +42,10 @@ class Usage:
             alone = self.workers == 1 or self.each is None
             remark = "" if alone else f": too short for {self.workers} workers"
             return f"{known}evaluations made here{each}{remark}"
-        efficiency = self.efficiency or 0.0
-        return (
-            f"{known}{self.evaluations:,} evaluations by {self.workers} workers{each}, "
-            f"which were busy {min(efficiency, 1.0):.0%} of the time"
-        )
+        busy = f"busy {min(self.efficiency or 0.0, 1.0):.0%} of the time"
+        who = "a worker" if self.workers == 1 else f"{self.workers} workers"
+        verb = "was" if self.workers == 1 else "were"
+        return f"{known}{self.evaluations:,} evaluations by {who}{each}, which {verb} {busy}"
 
 
 def span(seconds: float) -> str:
