@@ -13,6 +13,7 @@ those of more seeds, on virtual workers. *Cheap* is what `workers=2` costs a mod
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -26,7 +27,7 @@ from experiments.app.build import build
 from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark, shown
-from experiments.benchmarks.engines import PROCESSES, engines, started
+from experiments.benchmarks.engines import DASK, PROCESSES, engines, started
 from experiments.benchmarks.sleeping import (
     SIGMA,
     Lengths,
@@ -43,6 +44,7 @@ from miho.quantities import Array
 SECONDS = 0.1
 SIZES = (1, 2, 4, 8, 16, 32, 64)
 BATCH = 256
+PER_CORE = 8
 EACH = 20
 """Evaluations for each worker, at least, and no fewer than a batch of 64 in all."""
 LIMITS = {8: 0.9, 64: 0.8}
@@ -58,10 +60,17 @@ OVERHEAD = 5e-4
 """Seconds of the client for a task of virtual workers, which matter little for final errors."""
 
 
+def sizes_of(engine: str) -> list[int]:
+    """Numbers of workers: of Dask no more than the machine can hold, each a Python of its own that
+    keeps in touch with the scheduler."""
+    most = SIZES[-1] if engine == PROCESSES else PER_CORE * (os.cpu_count() or 1)
+    return [size for size in SIZES if size <= most]
+
+
 def efficiencies(quick: bool) -> Iterator[dict[str, object]]:
     """A row for each engine and number of workers."""
     for engine in engines():
-        for size in (2, 8) if quick else SIZES:
+        for size in (2, 8) if quick else sizes_of(engine):
             count = 64 * max(1, -(-EACH * size // 64))
             with started(engine, size) as (pool, start):
                 problem, optimizer = Sleeping(Lengths(SECONDS)), RandomSearch(batch=BATCH)
@@ -205,6 +214,11 @@ def measure(quick: bool) -> Measured:
         notes.append(f"final errors over that of the optimum, both forms: Mann-Whitney p = {p:.2g}")
     else:
         notes.append(f"left out: {FORMS[1]}, which is not there")
+    left_out = len(SIZES) - len(sizes_of(DASK))
+    if left_out:
+        notes.append(
+            f"left out: Dask with more than {sizes_of(DASK)[-1]} workers, {PER_CORE} a core"
+        )
     if len(engines()) == 1:
         notes.append("left out: Dask, which is not installed (extra cluster)")
     facts = {"seconds": SECONDS, "sigma": SIGMA, "batch": BATCH, "seeds": "column seed"}
