@@ -294,7 +294,7 @@ def test_a_model_that_becomes_slow_is_sent_to_workers_and_written_down(tmp_path:
         time.sleep(max(0.0, 0.05 * float((thetas > 0).any())))
         return thetas[:, 0]
 
-    journal = Journal(tmp_path / "journal", SimpleNamespace(description="waits", calls=()))
+    journal = Journal(tmp_path / "journal", SimpleNamespace(description="waits", called_as=()))
     with ThreadPoolExecutor(2) as threads, open_pool(threads) as pool:
         spread = Evaluations(pool, journal)
         task = spread.function("wait", wait)
@@ -326,7 +326,7 @@ def test_want_of_memory_is_not_written_down_as_a_value_of_the_model(tmp_path: Pa
         time.sleep(0.02)
         raise MemoryError("no room")
 
-    journal = Journal(tmp_path / "journal", SimpleNamespace(description="fails", calls=()))
+    journal = Journal(tmp_path / "journal", SimpleNamespace(description="fails", called_as=()))
     task = Evaluations(None, journal).function("fail", fail)
     with pytest.raises(MemoryError, match="no room"):
         task(np.array([[1.0]]))

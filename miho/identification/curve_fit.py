@@ -298,12 +298,12 @@ class CurveFit(Remade, LeastSquaresProblem):
         return description(self.model, (*self.inputs, self._output))
 
     @property
-    def calls(self) -> list[list[bool | None]]:
+    def called_as(self) -> list[list[bool | None]]:  # type: ignore[override]
         """What trial calls have shown of its functions."""
         return calls_of(self.model)
 
     def called(self, calls: Iterable[Any]) -> CurveFit:
-        """This problem, whose functions are called as `calls` of the same problem says, if any."""
+        """This problem, whose functions are called as `called_as` of the same problem says."""
         return self._with(called(self.model, calls))
 
     def spread(self, evaluations: Evaluations) -> CurveFit:

@@ -26,7 +26,8 @@ class Problem(ABC):
     minimum whose loss is 0. A loss above `noise` is more than the noise of the data explains, as
     far as the problem can tell: the model is wrong, or a better optimum exists. `rows` is the
     number of rows of data, where a fidelity of m / rows takes the first m of them in the problem's
-    own order; it is None for a problem that has no cheaper versions of itself.
+    own order; it is None for a problem that has no cheaper versions of itself. `called_as` says how
+    functions of the user's are called, for one that has to find it out.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Problem(ABC):
     resolution: float = 0.0
     noise: float = math.inf
     rows: int | None = None
+    called_as: Sequence[Any] = ()
 
     @abstractmethod
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
@@ -49,11 +51,6 @@ class Problem(ABC):
     def description(self) -> str:
         """What tells this problem from others whose evaluations must not be mixed with its own."""
         return f"{self.name}: {', '.join(self.space.names)}"
-
-    @property
-    def calls(self) -> Sequence[Any]:
-        """How functions of the user's are called, for one that has to find it out."""
-        return ()
 
     def spread(self, evaluations: Evaluations) -> Problem:
         """This problem with its evaluations made by these; itself if it is never dear."""

@@ -37,7 +37,7 @@ class Described(Protocol):
         """Its first line says it."""
 
     @property
-    def calls(self) -> Sequence[Any]:
+    def called_as(self) -> Sequence[Any]:
         """How its functions are called, which those who go on have to know."""
 
 
@@ -141,7 +141,7 @@ class Journal:
 
     def _read(self) -> None:
         """Raises JournalError for a journal of another problem, and for what is none."""
-        problem, calls = self._problem.description, list(self._problem.calls)
+        problem, calls = self._problem.description, list(self._problem.called_as)
         self._file.seek(0)
         *lines, tail = self._file.read().split(b"\n")
         entries = [_entry(line) for line in lines]

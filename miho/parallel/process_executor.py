@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import multiprocessing
 import pickle
 import pickletools
@@ -51,9 +52,9 @@ class ProcessExecutor(Executor):
         self._max_workers = count
         self._count, self._limit = count, time_limit
         self._modules: tuple[str, ...] = (__name__,)
-        self._waiting: deque[Job] = deque()
-        self._futures: dict[int, Future[Any]] = {}
-        self._numbers = 0
+        self._waiting: deque[tuple[Future[Any], bytes]] = deque()
+        self._futures: dict[int, Future[Any]] = {}  # of calls that are being done
+        self._numbers = itertools.count()
         self._closed = self._waking = False
         self._lock = threading.Lock()
         self._woken, self._wake = multiprocessing.Pipe(duplex=False)
@@ -78,9 +79,7 @@ class ProcessExecutor(Executor):
         with self._lock:
             if self._closed:
                 raise WorkersGoneError(ENDED, again=False)
-            self._numbers += 1
-            self._futures[self._numbers] = future
-            self._waiting.append((self._numbers, job))
+            self._waiting.append((future, job))
             if self._thread is None:  # where nothing is submitted, nothing is started
                 self._thread = threading.Thread(target=self._serve, daemon=True)
                 self._thread.start()
@@ -101,15 +100,18 @@ class ProcessExecutor(Executor):
         self._wake.close()
 
     def _wake_up(self) -> None:
-        """Have the thread look for what is new; with the lock. The pipe holds one message at most:
-        a full one would block whoever holds the lock."""
+        """Have the thread look for what is new; with the lock, which the thread never takes while
+        it works, so that neither waits for the other. The pipe holds one message at most: a full
+        one would block whoever holds the lock."""
         if not self._waking:
             self._waking = True
             self._wake.send_bytes(b"+")
 
     def _end_calls(self, reason: str) -> None:
-        while self._futures:
-            _, future = self._futures.popitem()
+        calls = [*self._futures.values(), *(future for future, _ in self._waiting)]
+        self._futures.clear()
+        self._waiting.clear()
+        for future in calls:
             if not future.cancel():
                 future.set_exception(WorkersGoneError(reason, again=False))
 
@@ -127,18 +129,13 @@ class ProcessExecutor(Executor):
 
     def _give_and_take(self, workers: Workers[Job, bytes]) -> None:
         """Give jobs to idle workers, and hand over what others answer."""
-        with self._lock:
-            if self._waking:
-                self._woken.recv_bytes()
-                self._waking = False
+        if self._waking:
+            self._woken.recv_bytes()
+            self._waking = False  # what is submitted from here on is announced anew
         while workers.idle and self._waiting and not self._closed:
-            with self._lock:
-                number, job = self._waiting.popleft()
-                future = self._futures[number]
+            future, job = self._waiting.popleft()
             if future.set_running_or_notify_cancel():
-                self._start(workers, number, job)
-            else:
-                del self._futures[number]
+                self._start(workers, future, job)
         for outcome in workers.wait(IDLE):
             future = self._futures.pop(outcome.job[0])
             if outcome.result is not None:
@@ -149,7 +146,9 @@ class ProcessExecutor(Executor):
                 again = outcome.detail is None
                 future.set_exception(WorkerLostError(str(outcome.reason), again))
 
-    def _start(self, workers: Workers[Job, bytes], number: int, job: bytes) -> None:
+    def _start(self, workers: Workers[Job, bytes], future: Future[Any], job: bytes) -> None:
+        number = next(self._numbers)
+        self._futures[number] = future
         try:
             workers.start((number, job))
         except (OSError, EOFError) as error:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from miho.optim import Outcome, RunRecord, Space
-from miho.optim.oracle import NOT_FINITE
+from miho.optim.usable_values import NOT_FINITE
 from miho.study.contention import stamped
 from miho.study.environment import environment_stamp, single_thread
 from miho.study.identity import Identity

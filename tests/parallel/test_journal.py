@@ -21,7 +21,7 @@ VALUES = [("task", bytes([k]) * 8) for k in range(5)]
 @dataclass(frozen=True)
 class Named:
     description: str = "problem"
-    calls: tuple[Any, ...] = ((False, True, False), ())
+    called_as: tuple[Any, ...] = ((False, True, False), ())
 
 
 def written(path: Path) -> Journal:
@@ -133,7 +133,7 @@ def test_two_processes_do_not_write_one_journal(tmp_path: Path) -> None:
     written(path)
     code = (
         "import sys; from miho.parallel import Journal\n"
-        "class Named: description, calls = 'problem', ()\n"
+        "class Named: description, called_as = 'problem', ()\n"
         f"journal = Journal({str(path)!r}, Named()); print('open', flush=True); sys.stdin.read()"
     )
     with subprocess.Popen(

@@ -21,9 +21,10 @@ PANELS = {0.0: "evaluations of equal length", 0.7: "spread log-normally (σ = 0.
 
 
 def efficiency_figure(frame: pd.DataFrame) -> Figure:
-    """Efficiency over workers, a line per engine. Frame: kind, name, workers, efficiency."""
+    """Median efficiency over workers, a line per engine. Frame: kind, name, workers, efficiency."""
     require_columns(frame, {"kind", "name", "workers", "efficiency"}, "frame")
     rows = frame[frame["kind"] == "efficiency"]
+    rows = rows.groupby(["name", "workers"], sort=False)["efficiency"].median().reset_index()
     with house_style():
         figure = Figure(figsize=(WIDTH / 2, 3.0), layout="constrained")
         ax = figure.subplots()
