@@ -134,7 +134,7 @@ def measure(quick: bool, check: bool) -> Measured:
     ]
     bars = [Bar("the runs' share that gets there", float(reached.min()), AT_LEAST, 0.5)]
     if check:
-        rows = pd.DataFrame(shown(checked(quick, overhead)))
+        rows = pd.DataFrame(list(shown(checked(quick, overhead))))
         columns = ["method", "sigma", "workers", "seconds", "simulated_seconds", "ratio"]
         notes.append(rows[columns].to_string(index=False, float_format="{:.3g}".format))
         off = float(np.median(np.abs(rows["ratio"] - 1)))

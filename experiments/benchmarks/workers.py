@@ -174,9 +174,12 @@ def _bars(frame: pd.DataFrame) -> list[Bar]:
     """What has to be met, as far as it was measured."""
     bars = []
     rows = frame[(frame["kind"] == "efficiency") & frame["workers"].isin(LIMITS)]
-    for (engine, size), several in rows.groupby(["name", "workers"], sort=False):
-        name = f"efficiency of {size:.0f} workers, {engine}"
-        bars.append(Bar(name, several["efficiency"].median(), AT_LEAST, LIMITS[size]))
+    for engine in rows["name"].unique():
+        for size, limit in LIMITS.items():
+            several = rows.loc[(rows["name"] == engine) & (rows["workers"] == size), "efficiency"]
+            if several.size:
+                name = f"efficiency of {size} workers, {engine}"
+                bars.append(Bar(name, several.median(), AT_LEAST, limit))
     faster = _ratio(frame[frame["workers"] == MANY], "throughput", "per_second")
     if not math.isnan(faster):
         name = f"throughput at {MANY} workers, asynchronous against synchronous"
@@ -200,9 +203,8 @@ def _ratio(frame: pd.DataFrame, kind: str, column: str) -> float:
 
 def measure(quick: bool) -> Measured:
     """All rows; those of several seeds and turns by their medians in the table."""
-    frame = pd.DataFrame(
-        shown(chain(cheap(quick), efficiencies(quick), throughputs(quick), final_errors(quick)))
-    )
+    parts = cheap(quick), efficiencies(quick), throughputs(quick), final_errors(quick)
+    frame = pd.DataFrame(list(shown(chain(*parts))))
     numbers = [column for column in frame if column not in ("kind", "name", "seed", "says")]
     groups = frame.assign(workers=frame["workers"].fillna(1)).groupby(
         ["kind", "name", "workers"], sort=False

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from miho.fitting.dear_fit import JournalPath
 from miho.identification.constraints import free_values
 from miho.identification.curve_fit import CurveFit
 from miho.models.leaves import dear_leaves
@@ -16,6 +17,14 @@ CLOSE = 1e-9
 """Tied parameters have a value if theirs differs by less than this share: by rounding."""
 JOURNAL = "journal"
 """What a start is called that is the best known one."""
+
+
+def check_start(start: str, journal: JournalPath) -> None:
+    """Refuse a start by name that is not one of a journal."""
+    if start != JOURNAL:
+        raise ValueError(f"start is {start!r}; expected numbers by name, or {JOURNAL!r}")
+    if journal is None:
+        raise ValueError(f"start is {JOURNAL!r}; give the journal's file as well")
 
 
 def best_known(problem: CurveFit) -> dict[str, float]:

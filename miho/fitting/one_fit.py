@@ -21,7 +21,7 @@ from miho.fitting.dear_fit import (
     pace_line,
     spread,
 )
-from miho.fitting.known_start import JOURNAL, best_known
+from miho.fitting.known_start import best_known, check_start
 from miho.fitting.statement import Tire, data_of, inputs_of, of_tire, space_of
 from miho.identification.closed_form import linear_optimum
 from miho.identification.constraints import constrained, free_values
@@ -119,9 +119,10 @@ def fit(
 
     Raises ValueError for what does not fit together, and where no finite value was found.
     """
-    from_journal, start = (True, None) if start == JOURNAL else (False, start)
-    if from_journal and journal is None:
-        raise ValueError("start is 'journal'; give the journal's file as well")
+    from_journal = isinstance(start, str)
+    if isinstance(start, str):
+        check_start(start, journal)
+        start = None
     # A tire has bounds or a start of its own; anything else needs them by name.
     if isinstance(model, MagicFormula | str | os.PathLike):
         model, space, start = of_tire(model, x, y, space or (), start, fixed or {}, tied or {})

@@ -52,8 +52,9 @@ def called(model: Model, calls: Iterable[Any]) -> Model:
 
     def as_known(leaf: Model) -> Model:
         tried = next(known, None)
-        function = isinstance(leaf, FunctionModel) and tried is not None
-        return replace(leaf, tried=Calls(*tried)) if function else leaf
+        if tried is None or not isinstance(leaf, FunctionModel):
+            return leaf
+        return replace(leaf, tried=Calls(*tried))
 
     return model.with_leaves(as_known)
 
@@ -63,9 +64,10 @@ def description(model: Model, columns: Sequence[Array]) -> str:
     data = hashlib.sha256()
     for column in columns:
         data.update(np.ascontiguousarray(column).tobytes())
-    untold = {"batched": None, "rowwise": None, "tried": UNTRIED}
     leaves = [
-        replace(leaf, **untold) if isinstance(leaf, FunctionModel) else leaf
+        replace(leaf, batched=None, rowwise=None, tried=UNTRIED)
+        if isinstance(leaf, FunctionModel)
+        else leaf
         for leaf in dear_leaves(model)
     ]
     return f"data {data.hexdigest()[:DIGITS]} model {fingerprint(leaves)[:DIGITS]}"

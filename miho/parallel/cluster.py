@@ -109,7 +109,7 @@ def cluster(address: str) -> Iterator[Client]:
 
 
 @contextmanager
-def _told_of_emptiness(client: Client, address: str) -> Iterator[None]:
+def _told_of_emptiness(client: Any, address: str) -> Iterator[None]:
     """Meanwhile a line on stderr where no worker has come, or all have left."""
     over = threading.Event()
 
