@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import heapq
 import itertools
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
 from typing import Any, cast
@@ -58,12 +59,13 @@ class VirtualPool:
         """Always: these workers cannot leave."""
         return True
 
-    def wait(self, futures: Sequence[Future[Answer]]) -> None:
-        """Let time go on until one of these has ended."""
-        while not any(future.done() for future in futures):
+    def wait(self, news: threading.Event) -> None:
+        """Let time go on until a call has ended."""
+        while not news.is_set():
             self.now, _, future, answer = heapq.heappop(self._ends)
             if future.set_running_or_notify_cancel():
                 future.set_result(answer)
+        news.clear()
 
     def flush(self) -> None:
         """No call waits for others."""

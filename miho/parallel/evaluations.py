@@ -8,7 +8,7 @@ import math
 import sys
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass, field
 from typing import Any
@@ -40,16 +40,22 @@ class NoWorkersLeft(BaseException):
     Exception that methods may take for a rejected value."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Ahead:
     """Values that were asked for before they are needed: `again` asks for them.
 
-    Workers have `begun` them where it was known that it is worth while.
+    Workers have `begun` them where it was known that it is worth while. Those `left` may not have
+    come yet; of the others the `latest` is known, by its place in the order of all.
     """
 
     keys: Sequence[Key]
     again: Callable[[], object]
     begun: bool = True
+    left: list[Key] = field(init=False)
+    latest: float = field(init=False, default=-1.0)
+
+    def __post_init__(self) -> None:
+        self.left = list(self.keys)
 
     def __add__(self, other: Ahead) -> Ahead:
         """Both together."""
@@ -107,7 +113,7 @@ class Evaluations:
         self._pending: dict[Key, _Pending] = {}
         self._here: dict[Key, Array | Raised] = {}  # values that are known and not taken yet
         self._ends = itertools.count(0 if journal is None else len(journal))
-        self._arrivals = threading.Lock()
+        self._arrivals, self._news = threading.Lock(), threading.Event()
         self._submitted: list[Key] | None = None
         self._lost = 0  # chunks in a row
         self._latest = time.monotonic()  # when a value last came, or was given up
@@ -157,13 +163,11 @@ class Evaluations:
         for; needs that were not begun are."""
         needs = [need if need.begun else self.ahead(need.again) for need in needs]
         while True:
-            ends = [max(map(self._end_of, need.keys), default=-1.0) for need in needs]
-            first = int(np.argmin(ends))
-            if ends[first] < math.inf:
-                return first
-            futures = [self._pending[k].future for n in needs for k in n.keys if self._waits(k)]
-            self._wait(futures)
-            self._look([self._pending[k] for n in needs for k in n.keys if self._waits(k)])
+            ends = [self._end_of_all(need) if need.left else need.latest for need in needs]
+            first = min(ends)
+            if first < math.inf:
+                return ends.index(first)
+            self._wait(self._pending[k] for n in needs for k in n.left if self._waits(k))
 
     def close(self) -> None:
         """Give up what is not done; more may be begun."""
@@ -226,12 +230,18 @@ class Evaluations:
             return float(self._journal.place(key))
         return -1.0 if key in self._here or self.worth.measured else sys.float_info.max
 
+    def _end_of_all(self, need: Ahead) -> float:
+        """When the last of its values came; infinite while a worker makes one."""
+        while need.left:
+            end = self._end_of(need.left[-1])
+            if end == math.inf:
+                return end
+            need.latest = max(need.latest, end)
+            need.left.pop()
+        return need.latest
+
     def _waits(self, key: Key) -> bool:
         return key in self._pending and self._pending[key].ended == math.inf
-
-    def _wait(self, futures: Sequence[Future[Answer]]) -> None:
-        if self._pool is not None:
-            self._pool.wait(futures)
 
     def _submit(
         self, task: Evaluated, keys: Sequence[Key], thetas: Array, todo: Sequence[int]
@@ -257,19 +267,26 @@ class Evaluations:
         gets to it; called by the threads that bring them."""
 
         def arrived(future: Future[Answer]) -> None:
-            with self._arrivals:
-                pending.ended, self._latest = next(self._ends), time.monotonic()
-                if self._journal is None or future.cancelled() or future.exception() is not None:
-                    return
-                answer, rows = future.result(), len(pending.keys)
-                if not is_dear(answer.seconds, rows):
-                    return
-                values = answer.value if answer.raised is None else [answer.raised] * rows
-                for key, value in zip(pending.keys, values, strict=True):
-                    if _is_the_models(value):
-                        self._journal.add(key, as_array(value))
+            try:
+                with self._arrivals:
+                    pending.ended, self._latest = next(self._ends), time.monotonic()
+                    self._note(pending.keys, future)
+            finally:
+                self._news.set()
 
         return arrived
+
+    def _note(self, keys: Sequence[Key], future: Future[Answer]) -> None:
+        """Write a dear answer to the journal."""
+        if self._journal is None or future.cancelled() or future.exception() is not None:
+            return
+        answer = future.result()
+        if not is_dear(answer.seconds, len(keys)):
+            return
+        values = answer.value if answer.raised is None else [answer.raised] * len(keys)
+        for key, value in zip(keys, values, strict=True):
+            if _is_the_models(value):
+                self._journal.add(key, as_array(value))
 
     def _value(self, key: Key) -> Array | Raised:
         """The value of a row, as soon as it has come."""
@@ -280,8 +297,7 @@ class Evaluations:
             return self._journal[key]
         pending = self._pending[key]
         while not pending.future.done():
-            self._wait([pending.future])
-            self._look([pending])
+            self._wait([pending])
         self._take(pending)
         return self._here[key]
 
@@ -308,15 +324,16 @@ class Evaluations:
             self._pending.pop(key, None)
             self._here[key] = as_array(value)
 
-    def _look(self, waiting: Sequence[_Pending]) -> None:
-        """While these are waited for: whether the run is to end, and which of them to give up.
+    def _wait(self, waiting: Iterable[_Pending]) -> None:
+        """Wait until any value has come, and look whether the run is to end, and what to give up.
 
         A worker of another library is not ours to end. Where none has given anything for as long as
         the limit, what is waited for is given up, with the worker that it keeps busy.
         """
-        self.check()
-        if self._pool is None:
+        if self._pool is None:  # nothing is begun without one
             return
+        self._pool.wait(self._news)
+        self.check()
         now, limit = time.monotonic(), self._pool.limit
         if self._pool.connected():
             self._connected = now

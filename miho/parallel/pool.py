@@ -7,10 +7,10 @@ import contextlib
 import functools
 import itertools
 import os
+import threading
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import (
-    FIRST_COMPLETED,
     BrokenExecutor,
     CancelledError,
     Executor,
@@ -127,7 +127,7 @@ class Pool:
         try:
             for future in futures:
                 while not future.done():  # so that signals are seen
-                    self.wait([future])
+                    wait([future], LOOK)
                 answer = future.result()
                 if answer.raised is not None:
                     raise answer.raised.as_error()
@@ -136,9 +136,13 @@ class Pool:
             for future in futures:
                 future.cancel()
 
-    def wait(self, futures: Sequence[Future[Answer]]) -> None:
-        """Wait until a call has ended, but no longer than until somebody may want to stop."""
-        wait(futures, LOOK, return_when=FIRST_COMPLETED)
+    def wait(self, news: threading.Event) -> None:
+        """Wait until there is `news` of calls, but no longer than until somebody may want to stop.
+
+        What has ended is to be looked for afterwards.
+        """
+        news.wait(LOOK)
+        news.clear()
 
     def flush(self) -> None:
         """Have calls done that wait for others, where workers take several at once only."""
