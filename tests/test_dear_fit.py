@@ -8,11 +8,12 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import lru_cache, partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numba
 import numpy as np
 import pytest
 from scipy.special import j0
@@ -285,6 +286,54 @@ def test_a_journal_tells_objects_classes_and_wrapped_helpers_apart() -> None:
     assert spaces[0] == spaces[1] != spaces[2]
     kinds = [type("Gain", (), {"__module__": __name__, "of": helper}) for helper in (once, twice)]
     assert fingerprint(through(kinds[0])) != fingerprint(through(kinds[1]))
+
+
+def test_a_fingerprint_tells_members_of_classes_and_decorated_models_apart() -> None:
+    def of(members: dict[str, Any]) -> str:
+        return fingerprint(type("Gain", (), {"__module__": __name__, **members})())
+
+    def once(a: Any) -> Any:
+        return a
+
+    def twice(a: Any) -> Any:
+        return 2 * a
+
+    assert of({"gain": 2.0}) == of({"gain": 2.0}) != of({"gain": 3.0})
+    for kind in (staticmethod, property, cached_property):
+        assert of({"gain": kind(once)}) == of({"gain": kind(once)}) != of({"gain": kind(twice)})
+    for decorator in (lru_cache, numba.njit):
+        assert fingerprint(decorator(once)) == fingerprint(decorator(once))
+        assert fingerprint(decorator(once)) != fingerprint(decorator(twice))
+
+
+def test_a_search_that_failed_is_told_of(capsys: pytest.CaptureFixture[str]) -> None:
+    class Failing(miho.optim.RandomSearch):
+        def run(self, oracle: Any, rng: Any) -> None:
+            oracle(oracle.space.decode(oracle.space.initial(5)))
+            raise RuntimeError("out of ideas")
+
+    miho.fit(Counted().model, t, y, BOX, method=Failing())
+    assert "its best is taken, the search failed: RuntimeError: out of ideas" in (
+        capsys.readouterr().err
+    )
+
+
+def test_a_limit_holds_for_the_first_call_as_well() -> None:
+    """A model is not tried out where a call may hang."""
+    parent, calls = os.getpid(), list[int]()
+
+    def simulate(t: Any, a: Any, b: Any) -> Any:
+        a, b = float(a), float(b)
+        if os.getpid() == parent:
+            calls.append(1)
+        return a * np.exp(-b * t)
+
+    fit = miho.fit(
+        FunctionModel(simulate, columns=("t",)), t, y, BOX, budget=BUDGET, workers=2,
+        evaluation_limit=60.0,
+    )  # fmt: skip
+    assert not calls
+    assert fit.error < 0.1
 
 
 def test_a_model_that_becomes_slow_is_sent_to_workers_and_written_down(tmp_path: Path) -> None:

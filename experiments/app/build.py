@@ -30,7 +30,6 @@ from miho.models import Model
 from miho.models.expression import Expression
 from miho.models.joint import PART
 from miho.optim import Budget, Optimizer, Parameter, Space
-from miho.parallel import calls_of
 from miho.parallel.cluster import is_address
 from miho.parallel.pool import number_of
 from miho.study import Identity, Store, StoredRun
@@ -143,10 +142,8 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
     except (TypeError, ValueError) as error:
         raise ConfigError(str(error)) from None
     store = Store(root)
-    calls = calls_of(store.journal(identity))
-    if untried and calls is None and not store.has_result(identity):
+    if untried and not (store.has_result(identity) or store.journal(identity).is_file()):
         problem = build_problem(setting, problem.dataset)
-    problem = problem.called(calls or ())
     optimum = recorded_optimum(setting)
     return Experiment(problem, optimizer, budget, identity, root, optimum, workers, limit)
 

@@ -13,7 +13,7 @@ from experiments.app.build import Experiment
 from experiments.app.progress import Observer, progress
 from miho.identification import CurveFit
 from miho.optim import RunRecord, minimize
-from miho.parallel import Journal, JournalError
+from miho.parallel import Journal, JournalError, calls_of
 from miho.study import Execution, Identity, Status, Store, execute
 
 
@@ -23,6 +23,7 @@ def execution_of(experiment: Experiment, *, quiet: bool = False) -> Execution:
     title = f"{identity.problem} {identity.optimizer} seed {identity.seed}"
 
     store = Store(experiment.root)
+    problem = problem.called(calls_of(store.journal(identity)) or ())  # as it was begun
 
     def job() -> RunRecord:
         with closing(_journal(store.journal(identity), problem, title)) as journal:

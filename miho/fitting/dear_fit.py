@@ -18,13 +18,16 @@ from miho.parallel.worth import is_dear
 JournalPath = str | os.PathLike[str] | None
 
 
-def as_begun(problem_of: Callable[[bool], CurveFit], journal: JournalPath) -> CurveFit:
+def as_begun(
+    problem_of: Callable[[bool], CurveFit], journal: JournalPath, limit: float | None
+) -> CurveFit:
     """The problem of a fit; as it was when its journal was begun, where there is one.
 
-    Only what is dear stands in a journal: a problem that is known to be so is not evaluated.
+    It is not evaluated where it is known to be dear, since only that stands in a journal, and
+    where a `limit` is to hold for each evaluation.
     """
     calls = None if journal is None else calls_of(journal)
-    return problem_of(calls is not None).called(calls or ())
+    return problem_of(calls is not None or limit is not None).called(calls or ())
 
 
 @contextmanager

@@ -64,7 +64,9 @@ def fit_joint(
     joint = Joint(measured, local)
     bounds = joint.space(space, fixed, tied, constraints)
     plain = without_priors(bounds) if joint.lacking else bounds  # which need sigma
-    problem = as_begun(lambda dear: joint.problem(plain, compiled=compiled, dear=dear), journal)
+    problem = as_begun(
+        lambda dear: joint.problem(plain, compiled=compiled, dear=dear), journal, evaluation_limit
+    )
     with dear_fit(problem, workers, evaluation_limit, journal) as evaluations:
         if joint.lacking:
             settings = {"compiled": compiled, "dear": True}

@@ -147,7 +147,7 @@ def fit(
     # Beside errors that are not known, priors count by what the residuals say.
     settles = has_priors(bounds) and (sigma is None or not sigma_known)
     plain = without_priors(bounds) if settles else bounds
-    first = as_begun(lambda dear: problem_of(plain, dear=dear), journal)
+    first = as_begun(lambda dear: problem_of(plain, dear=dear), journal, evaluation_limit)
     with dear_fit(first, workers, evaluation_limit, journal) as evaluations:
 
         def solved(problem: CurveFit) -> Fit:
@@ -240,6 +240,9 @@ def searched(
         raise interrupted(run)
     if run.theta is None:
         raise ValueError(f"{problem.name}: no finite value was found: {run.error or run.rejected}")
+    if run.error is not None:
+        reason = run.error.strip().splitlines()[-1]
+        sys.stderr.write(f"miho: {problem.name}: its best is taken, the search failed: {reason}\n")
     theta = refit(spread(problem, evaluations), run.theta).theta
     return Fit(problem, theta, run.theta, run.descents)
 

@@ -368,6 +368,8 @@ class CurveFit(Remade, LeastSquaresProblem):
         if self._square:
             return self._with_prior(thetas, errors)
         for theta, row in zip(thetas, errors, strict=True):
+            if not np.isfinite(row).all():  # it has no derivatives, or is only begun by workers
+                continue
             while len(self._latest_errors) >= max(1, REMEMBERED // row.size):
                 del self._latest_errors[next(iter(self._latest_errors))]
             self._latest_errors[theta.tobytes(), row.size] = row.copy()

@@ -17,6 +17,8 @@ import numpy as np
 CONTENTS = 64 << 20
 """A file that a setting names is told by what it holds up to this size [bytes], else by its size.
 """
+WRAPPED = 10
+"""Decorators around one function, at most."""
 FOUNDATIONS = {"builtins", "abc", "typing", "collections.abc"}
 WRITTEN = {"STORE_GLOBAL", "STORE_DEREF", "DELETE_GLOBAL", "DELETE_DEREF"}
 
@@ -38,6 +40,7 @@ def fingerprint(thing: Any) -> str:
 
 def _parts(thing: Any, seen: set[int]) -> Iterator[str]:
     """What a thing consists of, in words; functions and objects that were `seen` only once."""
+    thing = _unwrapped(thing)
     if thing is None or isinstance(thing, bool | int | float | complex | bytes | Enum):
         yield repr(thing)
     elif isinstance(thing, str | Path):
@@ -85,9 +88,13 @@ def _class(kind: type, seen: set[int]) -> Iterator[str]:
         if ancestor.__module__ in FOUNDATIONS:
             continue
         yield f"{ancestor.__module__}.{ancestor.__qualname__}"
-        for _, method in sorted(vars(ancestor).items()):
-            if isinstance(method, types.FunctionType):
-                yield from _parts(method, seen)
+        for name, member in sorted(vars(ancestor).items()):
+            member = _unwrapped(member)
+            if isinstance(member, types.FunctionType):
+                yield from _parts(member, seen)
+            elif _is_constant(member) and not name.startswith("__"):
+                yield name
+                yield from _parts(member, seen)
 
 
 def _function(function: types.FunctionType, seen: set[int]) -> Iterator[str]:
@@ -106,13 +113,9 @@ def _function(function: types.FunctionType, seen: set[int]) -> Iterator[str]:
 
 def _used(member: Any, module: str, seen: set[int]) -> Iterator[str]:
     """What a function uses: what it cannot change and what is of its own module by content."""
-    for wrapped in ("py_func", "__wrapped__"):  # of numba's and functools' decorators
-        member = getattr(member, wrapped, member)
-    constant = member is None or isinstance(
-        member, bool | int | float | complex | str | bytes | tuple | np.ndarray | np.generic | Path
-    )
+    member = _unwrapped(member)
     own = isinstance(member, types.FunctionType) and member.__module__ == module
-    if constant or own or isinstance(member, functools.partial | types.MethodType):
+    if _is_constant(member) or own or isinstance(member, functools.partial | types.MethodType):
         yield from _parts(member, seen)
     elif isinstance(member, type) and member.__module__ == module:
         if id(member) not in seen:
@@ -122,6 +125,28 @@ def _used(member: Any, module: str, seen: set[int]) -> Iterator[str]:
         yield from _parts(member, seen)
     else:
         yield f"{getattr(member, '__module__', '')}.{getattr(member, '__name__', '')}"
+
+
+def _unwrapped(member: Any) -> Any:
+    """The function in a decorator of Python's, functools' or numba's; anything else as it is."""
+    for _ in range(WRAPPED):
+        inner = getattr(member, "fget", None) if isinstance(member, property) else None
+        if isinstance(member, staticmethod | classmethod):
+            inner = member.__func__
+        elif isinstance(member, functools.cached_property):
+            inner = member.func
+        elif inner is None and not isinstance(member, types.FunctionType | type):
+            inner = getattr(member, "py_func", None) or getattr(member, "__wrapped__", None)
+        if inner is None:
+            return member
+        member = inner
+    return member
+
+
+def _is_constant(member: Any) -> bool:
+    return member is None or isinstance(
+        member, bool | int | float | complex | str | bytes | tuple | np.ndarray | np.generic | Path
+    )
 
 
 def _names(code: types.CodeType, *operations: str) -> set[str]:

@@ -160,17 +160,19 @@ class FunctionModel(DifferencedModel):
     def tried_at(self, thetas: Array, *inputs: Array) -> FunctionModel:
         """This model with what calls at parameter rows (n, d) and columns (N,) show of it.
 
-        A call that takes long is made twice at most, and such a function gets all rows of data and
-        one row of parameters at a time, which is never wrong.
+        It is tried once. Of one that takes long also for some rows of data, two calls are made: it
+        gets all rows of data and one row of parameters at a time, which is never wrong.
         """
-        if self.batched is not None and self.rowwise is not None:
+        if self.tried != UNTRIED or (self.batched is not None and self.rowwise is not None):
             return self
         rowwise, long = tried_rowwise(self.predict, thetas, inputs)
-        if long:
-            return replace(self, tried=Calls(False, rowwise, dear=rowwise is None))
-        with contextlib.suppress(ValueError):  # of some configuration
-            self.predict(thetas[:CONFIGURATIONS], *inputs)
-        return replace(self, tried=Calls(self._calls.batched, rowwise))
+        if not long:
+            with contextlib.suppress(ValueError):  # of some configuration
+                self.predict(thetas[:CONFIGURATIONS], *inputs)
+        batched = self._calls.batched
+        if batched is None and self._calls.takes_numbers:
+            batched = False
+        return replace(self, tried=Calls(batched, rowwise, dear=long and rowwise is None))
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""

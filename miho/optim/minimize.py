@@ -148,8 +148,6 @@ def minimize(
         )  # fmt: skip
         outcome, error = _search(optimizer, oracle, checkpoint, (problem.name, seed))
         oracle.stop()
-        if evaluations is not None:  # what was begun ahead of the end would keep workers busy
-            evaluations.close()
 
     meter = oracle.meter
     resumable = None

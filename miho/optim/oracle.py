@@ -312,10 +312,16 @@ class Oracle:
         if not self.affords(cost):
             raise BudgetExhausted
         try:
-            return self._values.jacobian(theta, *part)
-        finally:
-            self._recorder.charge(cost)
-            self.meter.seconds = self.seconds
+            jacobian = self._values.jacobian(theta, *part)
+        except UnusableValueError:
+            self._charge(cost)
+            raise
+        self._charge(cost)
+        return jacobian
+
+    def _charge(self, cost: float) -> None:
+        self._recorder.charge(cost)
+        self.meter.seconds = self.seconds
 
     def _part(self, fidelity: float) -> tuple[tuple[float, ...], float]:
         """The arguments by which a problem takes a fidelity, none for all rows, and its cost."""

@@ -53,8 +53,9 @@ def in_blocks(
         return
     for first in itertools.islice(todo, 0 if seconds is not None else 1):
         started = time.perf_counter()
-        yield function(first)
+        value = function(first)
         seconds = time.perf_counter() - started
+        yield value
     size = max(1, math.ceil(WORTH_SENDING / max(seconds or 0.0, LEAST)))
     if size > MOST:
         yield from map(function, todo)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import importlib.metadata
 import importlib.util
@@ -116,16 +115,23 @@ def _told_of_emptiness(client: Any, address: str) -> Iterator[None]:
     def watch() -> None:
         empty = False
         while not over.wait(LOOK):
-            with contextlib.suppress(Exception):  # a break of the connection shows elsewhere
-                before, empty = empty, not client.nthreads()
-                if empty and not before and not over.is_set():
-                    sys.stderr.write(f"miho: {address}: no worker is there; waiting for one\n")
+            before, empty = empty, is_empty(client)
+            if empty and not before and not over.is_set():
+                sys.stderr.write(f"miho: {address}: no worker is there; waiting for one\n")
 
     threading.Thread(target=watch, daemon=True).start()
     try:
         yield
     finally:
         over.set()
+
+
+def is_empty(client: Any) -> bool:
+    """Whether no worker is there; a break of the connection shows elsewhere."""
+    try:
+        return not client.nthreads()
+    except Exception:  # noqa: BLE001 -- whatever a library raises whose connection broke
+        return False
 
 
 def dashboard(client: Client) -> str | None:

@@ -117,7 +117,7 @@ class Evaluations:
         self._submitted: list[Key] | None = None
         self._lost = 0  # chunks in a row
         self._latest = time.monotonic()  # when a value last came, or was given up
-        self._connected = time.monotonic()
+        self._broken = math.inf  # since when the connection is
 
     def function(self, name: str, function: Rows, shape: tuple[int, ...] = ()) -> Evaluated:
         """The same function, evaluated by the workers; its `name` stands in the journal."""
@@ -170,7 +170,7 @@ class Evaluations:
             self._wait(self._pending[k] for n in needs for k in n.left if self._waits(k))
 
     def close(self) -> None:
-        """Give up what is not done; more may be begun."""
+        """Give up what is not done."""
         for pending in self._pending.values():
             pending.future.cancel()
         self._pending.clear()
@@ -188,7 +188,7 @@ class Evaluations:
             if self.worth.measured:
                 self._submit(task, keys, thetas, todo)
             self._submitted += keys
-            return np.zeros((len(thetas), *task.shape))
+            return np.full((len(thetas), *task.shape), math.nan)  # which nobody takes for a value
         while todo and not self.worth.measured:
             self._evaluate_here(task, keys, thetas, [todo.pop(0)])
         if todo and not self._submit(task, keys, thetas, todo):
@@ -267,12 +267,12 @@ class Evaluations:
         gets to it; called by the threads that bring them."""
 
         def arrived(future: Future[Answer]) -> None:
-            try:
-                with self._arrivals:
-                    pending.ended, self._latest = next(self._ends), time.monotonic()
+            with self._arrivals:
+                try:
                     self._note(pending.keys, future)
-            finally:
-                self._news.set()
+                finally:  # nobody takes a value before it is written down
+                    pending.ended, self._latest = next(self._ends), time.monotonic()
+            self._news.set()
 
         return arrived
 
@@ -296,7 +296,7 @@ class Evaluations:
             self.usage.known += self._journal.place(key) < self._journal.loaded
             return self._journal[key]
         pending = self._pending[key]
-        while not pending.future.done():
+        while pending.ended == math.inf:
             self._wait([pending])
         self._take(pending)
         return self._here[key]
@@ -335,13 +335,15 @@ class Evaluations:
         self._pool.wait(self._news)
         self.check()
         now, limit = time.monotonic(), self._pool.limit
-        if self._pool.connected():
-            self._connected = now
-        elif now > self._connected + PATIENCE:  # not every call is told of it
+        self._broken = math.inf if self._pool.connected() else min(self._broken, now)
+        if now > self._broken + PATIENCE:  # not every call is told of it
             raise NoWorkersLeft("the connection to the Dask scheduler broke")
         if limit is None:
             return
         overdue = [p for p in waiting if now - max(p.begun, self._latest) > limit]
+        if overdue and self._pool.empty():  # nobody has begun them
+            self._latest = now
+            return
         for pending in {id(p): p for p in overdue}.values():
             with contextlib.suppress(InvalidStateError):  # its value has just come
                 pending.future.set_exception(

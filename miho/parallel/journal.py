@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import base64
 import contextlib
+import errno
 import os
+import re
 import sys
 import threading
 import time
+import weakref
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -39,6 +42,19 @@ class Described(Protocol):
     @property
     def called_as(self) -> Sequence[Any]:
         """How its functions are called, which those who go on have to know."""
+
+
+opened: weakref.WeakSet[Journal] = weakref.WeakSet()
+
+
+def _leave_to_parent() -> None:
+    """In a process that was forked: let go of files, whose locks would outlast who writes them."""
+    for journal in list(opened):
+        journal.abandon()
+
+
+if hasattr(os, "register_at_fork"):  # not on every system
+    os.register_at_fork(after_in_child=_leave_to_parent)
 
 
 class Journal:
@@ -114,24 +130,35 @@ class Journal:
                 sys.stderr.write(f"miho: {error}; evaluations are not kept from now on\n")
 
     def close(self) -> None:
-        """Have everything on the disk."""
-        if self._file is None:
-            return
-        with contextlib.suppress(OSError):
-            os.fsync(self._file.fileno())
-        with contextlib.suppress(OSError):  # a full disk, again
-            self._file.close()
+        """Have everything on the disk; what is added from now on is not kept."""
+        with self._adding:
+            self._failed = True
+            if self._file is None:
+                return
+            with contextlib.suppress(OSError):
+                os.fsync(self._file.fileno())
+            with contextlib.suppress(OSError):  # a full disk, again
+                self._file.close()
+
+    def abandon(self) -> None:
+        """Let go of the file, which another process writes."""
+        self._failed, self._adding = True, threading.Lock()
+        if self._file is not None:
+            with contextlib.suppress(OSError):
+                self._file.close()
+            self._file = None
 
     def _open(self) -> None:
         """Open and lock the file, and read what it holds; it is made if there is none."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._file = self.path.open("a+b")
+            self._file = self.path.open("a+b", buffering=0)
         except OSError as error:
             raise JournalError(
                 f"journal {self.path}: {error.strerror}; name another file"
             ) from None
         try:
+            opened.add(self)
             _lock(self._file, self.path)
             self._read()
         except BaseException:
@@ -146,7 +173,7 @@ class Journal:
         *lines, tail = self._file.read().split(b"\n")
         entries = [_entry(line) for line in lines]
         first = {"format": FORMAT, "problem": problem, "calls": calls}
-        head = first if not lines and _line(first).startswith(tail) else None
+        head = first if not lines and _is_cut_short(tail, first) else None
         head = entries[0] if entries else head
         if head is None or head.get("format") != FORMAT:
             raise JournalError(f"journal {self.path}: is none of this version; name another file")
@@ -178,8 +205,9 @@ class Journal:
 
     def _write(self, entry: dict[str, Any]) -> None:
         try:
-            self._file.write(_line(entry))
-            self._file.flush()
+            line = _line(entry)
+            if self._file.write(line) != len(line):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             if time.monotonic() - self._synced >= SYNCED:
                 os.fsync(self._file.fileno())
                 self._synced = time.monotonic()
@@ -191,16 +219,26 @@ def calls_of(path: str | os.PathLike[str]) -> Sequence[Any] | None:
     """How the functions of a journal's problem are called; None where there is no journal yet."""
     try:
         with Path(path).open("rb") as file:
-            first = file.readline().rstrip(b"\n")
+            first = file.readline()
     except OSError:
         return None
-    calls = (_entry(first) or {}).get("calls")
-    return (calls if isinstance(calls, list) else ()) if first else None
+    if not first.endswith(b"\n"):  # it was cut short, before any value
+        return None
+    calls = (_entry(first.rstrip(b"\n")) or {}).get("calls")
+    return calls if isinstance(calls, list) else ()
 
 
 def _line(entry: dict[str, Any]) -> bytes:
     text = orjson.dumps(entry)
     return b"%08x %s\n" % (zlib.crc32(text), text)
+
+
+def _is_cut_short(tail: bytes, first: dict[str, Any]) -> bool:
+    """Whether this is the beginning of a first line, whatever it was to say of calls."""
+    said = orjson.dumps(first | {"calls": None}).removesuffix(b"null}")
+    checksum, text = tail[:9], tail[9:]
+    known = text.startswith(said) or said.startswith(text)
+    return known and re.fullmatch(rb"[0-9a-f]{0,8}|[0-9a-f]{8} ", checksum) is not None
 
 
 def _entry(line: bytes) -> dict[str, Any] | None:
@@ -238,7 +276,9 @@ def _lock(file: Any, path: str | os.PathLike[str]) -> None:
         return
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+    except OSError as error:
+        if not isinstance(error, BlockingIOError):  # of a file system without locks
+            return
         raise JournalError(
             f"journal {path}: another process is writing it; wait for that, or name another file"
         ) from None

@@ -7,6 +7,7 @@ import contextlib
 import functools
 import itertools
 import os
+import sys
 import threading
 import uuid
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -23,7 +24,7 @@ from typing import Any
 
 import cloudpickle
 
-from miho.parallel.cluster import check_address, cluster, is_address
+from miho.parallel.cluster import check_address, cluster, is_address, is_empty
 from miho.parallel.process_executor import (
     ProcessExecutor,
     WorkerLostError,
@@ -77,6 +78,7 @@ def open_pool(workers: Workers, time_limit: float | None = None) -> Iterator[Poo
         with contextlib.closing(Pool(executor, count, limit)) as pool:
             if is_address(workers):
                 pool.connected = lambda: client.status == "running"
+                pool.empty = lambda: is_empty(client)
             yield pool
 
 
@@ -102,6 +104,7 @@ class Pool:
         self.size, self.limit = size, limit
         self._executor = executor
         self.connected: Callable[[], bool] = lambda: True
+        self.empty: Callable[[], bool] = lambda: False
         self._pending: set[Future[Answer]] = set()
         self._tokens: list[str] = []
 
@@ -253,7 +256,14 @@ def _apply(call: tuple[Callable[..., Any], Sequence[Any]]) -> Any:
 
 
 def _pickled(function: Callable[[Any], Any]) -> bytes:
-    return bytes(cloudpickle.dumps(function))
+    # Multiprocessing has another name for the main file, by which workers would look for what that
+    # imports and what has no module of its own, such as SciPy's functions.
+    main = sys.modules.pop("__mp_main__", None)
+    try:
+        return bytes(cloudpickle.dumps(function))
+    finally:
+        if main is not None:
+            sys.modules["__mp_main__"] = main
 
 
 def _foreign(error: BaseException) -> WorkerLostError:

@@ -180,7 +180,7 @@ def test_nothing_is_known_of_three_rows_or_of_failures() -> None:
     failing = model(lambda t, a, b: 1 / 0)
     assert failing.tried_at(THETAS, t).tried == (None, None, False)
     partly = model(lambda t, a, b: bessel(t, a, b) if a < 1 else 1 / 0)
-    assert partly.tried_at(THETAS, t).tried == (None, True, False)
+    assert partly.tried_at(THETAS, t).tried == (False, True, False)
 
 
 def bessel(t, a, b):
@@ -218,6 +218,25 @@ def test_a_dear_function_is_tried_twice_at_most(
     dear = model(counted).tried_at(THETAS, t)
     assert dear.ordered
     assert len(calls) == 2
+
+
+def test_a_dear_function_of_arrays_alone_gets_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It fails at once for numbers, and takes long for arrays."""
+    latest = []
+
+    def dear(t, a, b):
+        latest[:] = [isinstance(a, np.ndarray)]
+        return a * np.exp(-b * t) + np.zeros(a.shape)
+
+    monkeypatch.setattr(function_calls, "is_dear", lambda *_: latest[0])
+    tried = model(dear).tried_at(THETAS, t)
+    expected = THETAS[:, :1] * np.exp(-THETAS[:, 1:] * t)
+    assert np.array_equal(tried.predict(THETAS, t), expected)
+
+
+def test_what_was_tried_is_not_tried_again() -> None:
+    known = model(bessel).tried_at(THETAS, t)
+    assert known.tried_at(THETAS, t) is known
 
 
 def test_what_was_tried_is_known_in_other_processes() -> None:

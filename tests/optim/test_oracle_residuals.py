@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from miho import Budget, LeastSquaresProblem, Oracle, Parameter, Problem, Space
 from miho.optim import BudgetExhausted, UnusableValueError
+from miho.optim.meter import RunInterrupted
 
 Array = NDArray[np.float64]
 SPACE = Space((Parameter("x", "m", -10.0, 10.0),))
@@ -41,6 +42,17 @@ def test_residuals_and_jacobians_are_paid_for() -> None:
     with pytest.raises(BudgetExhausted):
         oracle.jacobian(np.array([2.0]))
     assert oracle.evaluations == 4
+
+
+def test_derivatives_that_an_interrupt_cuts_short_are_not_paid_for() -> None:
+    class Interrupted(Line):
+        def jacobian(self, theta: Array) -> Array:
+            raise RunInterrupted
+
+    oracle = Oracle(Interrupted(), Budget(evaluations=6))
+    with pytest.raises(RunInterrupted):
+        oracle.jacobian(np.array([2.0]))
+    assert oracle.evaluations == 0
 
 
 class Broken(Line):

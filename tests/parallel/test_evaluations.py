@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from miho.data import Dataset
-from miho.identification import CurveFit
+from miho.identification import CurveFit, Huber
 from miho.methods import PSO, LeastSquares
 from miho.models import FunctionModel
 from miho.models.joint import JointModel, JointPart
@@ -35,7 +35,7 @@ from miho.optim import (
     Space,
     minimize,
 )
-from miho.optim.spread import open_evaluations, spread_problem
+from miho.optim.spread import spread_problem
 from miho.parallel import Evaluations, NoWorkersLeft, evaluations, open_pool
 from miho.parallel.process_executor import WorkerLostError
 from tests.parallel.dear import (
@@ -99,28 +99,6 @@ def test_what_a_budget_pays_for_is_evaluated_once_and_no_more() -> None:
         )  # fmt: skip
     assert record.evaluations == problem.counts.total() == len(problem.counts) == 45
     assert 0 < sum(record.rejected.values()) < 45
-
-
-def test_what_was_begun_in_vain_is_given_up_at_the_end_of_a_search() -> None:
-    first, over = threading.Lock(), threading.Event()
-
-    def loss(thetas: Array) -> Array:
-        if not first.acquire(blocking=False):  # another than the first
-            over.wait()
-        return np.zeros(len(thetas))
-
-    problem = Counted(loss)
-    with (
-        ThreadPoolExecutor(1) as threads,
-        open_evaluations(problem, threads, LIMIT) as evaluations,
-    ):
-        assert evaluations is not None
-        record = minimize(RandomSearch(batch=10), problem, Budget(target=1.0), workers=evaluations)
-        busy = evaluations.busy
-        over.set()
-    assert record.evaluations == 1
-    assert busy == 0
-    assert problem.counts.total() <= 2
 
 
 def test_a_cheap_model_stays_here_and_says_so() -> None:
@@ -383,16 +361,50 @@ def test_a_limit_that_is_none_is_refused(limit: Any) -> None:
         pass
 
 
+def test_a_limit_does_not_run_while_no_worker_is_there() -> None:
+    """A queue may keep its jobs waiting for hours."""
+    late = LateExecutor()
+    with spread_problem(Bowl(), late, 0.1) as (problem, evaluations):
+        assert evaluations is not None
+        pool = evaluations._pool
+        assert pool is not None
+        pool.empty = lambda: not late.there.is_set()
+        timer = threading.Timer(1.0, late.arrive)
+        timer.start()
+        assert problem.loss(np.array([[1.0, 2.0]])).tolist() == [5.0]
+
+
+class LateExecutor(ThreadPoolExecutor):
+    """A thread that begins with its work when told."""
+
+    def __init__(self) -> None:
+        super().__init__(1)
+        self.there = threading.Event()
+        super().submit(self.there.wait)
+
+    def arrive(self) -> None:
+        self.there.set()
+
+
+def test_robust_losses_are_the_same_by_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where there is no room for derivatives beside residuals, and they come later."""
+    monkeypatch.setattr("miho.optim.miho_gn.ROOM", 0)
+    problem = decay_fit(rho=Huber(0.01))
+    alone = minimize(MIHOGN(), problem, BUDGET)
+    assert same(alone, minimize(MIHOGN(), problem, BUDGET, workers=2, evaluation_limit=LIMIT))
+
+
 SCRIPT = """
 import time
 import numpy as np
+from scipy.special import j0
 from miho.optim import Budget, Parameter, Problem, RandomSearch, Space, minimize
 print("the script runs")
 class Mine(Problem):
     name, space = "mine", Space((Parameter("x", "1", -1.0, 1.0),))
     def loss(self, thetas, fidelity=1.0):
         return square(thetas)
-square = lambda thetas: (thetas ** 2).sum(axis=1)
+square = lambda thetas: (thetas ** 2).sum(axis=1) + 0 * j0(1.0)
 record = minimize(RandomSearch(batch=4), Mine(), Budget(evaluations=8), workers=2,
                   evaluation_limit=60)
 print(record.outcome, record.evaluations, record.usage.evaluations, dict(record.rejected))

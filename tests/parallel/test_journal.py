@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+import time
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -71,6 +73,61 @@ def test_the_first_line_says_how_functions_are_called(tmp_path: Path) -> None:
     assert calls_of(tmp_path / "journal") == [[False, True, False], []]
     (tmp_path / "notes").write_text("notes of mine\n")
     assert calls_of(tmp_path / "notes") == ()
+
+
+def test_a_first_line_that_was_cut_short_says_nothing(tmp_path: Path) -> None:
+    """Another process may have found out something else of how functions are called."""
+    path = tmp_path / "journal"
+    written(path)
+    first = path.read_bytes().split(b"\n")[0]
+    for length in (1, 9, 30, len(first)):
+        path.write_bytes(first[:length])
+        assert calls_of(path) is None
+        journal = Journal(path, Named(called_as=()))
+        journal.add(VALUES[0], np.ones(1))
+        journal.close()
+        assert loaded(path) == 1
+
+
+def test_what_comes_after_the_end_is_not_kept(tmp_path: Path) -> None:
+    journal = written(tmp_path / "journal")
+    journal.add(("task", b"late"), np.ones(1))
+    assert loaded(tmp_path / "journal") == 5
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are not forked there")
+def test_a_forked_process_does_not_hold_the_file(tmp_path: Path) -> None:
+    journal = Journal(tmp_path / "journal", Named())
+    journal.add(VALUES[0], np.ones(1))
+    read, write = os.pipe()
+    child = os.fork()
+    if child == 0:
+        try:
+            journal.add(VALUES[1], np.ones(1))
+            os.read(read, 1)
+        finally:
+            os._exit(0)
+    try:
+        journal.close()
+        wait_until_free(tmp_path / "journal")
+        assert loaded(tmp_path / "journal") == 1
+    finally:
+        os.write(write, b"+")
+        os.waitpid(child, 0)
+        os.close(read)
+        os.close(write)
+
+
+def wait_until_free(path: Path) -> None:
+    """Until a process that was just forked has let go of the file."""
+    until = time.monotonic() + 60
+    while True:
+        try:
+            loaded(path)
+            return
+        except JournalError:
+            assert time.monotonic() < until
+            time.sleep(0.01)
 
 
 @pytest.mark.parametrize("cut", [1, 20, 60])
