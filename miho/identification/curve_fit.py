@@ -27,7 +27,7 @@ from miho.identification.prior import PriorResiduals
 from miho.identification.row_order import row_order
 from miho.models.expression import Expression
 from miho.models.function_model import FunctionModel
-from miho.models.leaves import called, calls_of, dear_leaves, description, spread
+from miho.models.leaves import called, dear_leaves, description, spread, tried_calls
 from miho.models.model import Model
 from miho.models.symbolic import arguments_of
 from miho.models.tied import Tied, tie
@@ -300,7 +300,7 @@ class CurveFit(Remade, LeastSquaresProblem):
     @property
     def called_as(self) -> list[list[bool | None]]:  # type: ignore[override]
         """What trial calls have shown of its functions."""
-        return calls_of(self.model)
+        return tried_calls(self.model)
 
     def called(self, calls: Iterable[Any]) -> CurveFit:
         """This problem, whose functions are called as `called_as` of the same problem says."""

@@ -40,14 +40,14 @@ def spread(model: Model, evaluations: Evaluations) -> Model:
     return model.with_leaves(lambda leaf: SpreadModel(leaf, evaluations, f"model {next(count)}"))
 
 
-def calls_of(model: Model) -> list[list[bool | None]]:
+def tried_calls(model: Model) -> list[list[bool | None]]:
     """What trial calls have shown of its functions (`Calls`), nothing for other leaves."""
     leaves = dear_leaves(model)
     return [list(leaf.tried) if isinstance(leaf, FunctionModel) else [] for leaf in leaves]
 
 
 def called(model: Model, calls: Iterable[Any]) -> Model:
-    """The model, whose functions are called as `calls_of` said of the same model, if anything."""
+    """The model, whose functions are called as `tried_calls` said of the same model, if anything."""
     known = iter(calls)
 
     def as_known(leaf: Model) -> Model:
