@@ -47,7 +47,7 @@ def tried_calls(model: Model) -> list[list[bool | None]]:
 
 
 def called(model: Model, calls: Iterable[Any]) -> Model:
-    """The model, whose functions are called as `tried_calls` said of the same model, if anything."""
+    """The model, whose functions are called as `tried_calls` said of the same one, if anything."""
     known = iter(calls)
 
     def as_known(leaf: Model) -> Model:
