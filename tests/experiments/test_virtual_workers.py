@@ -1,6 +1,7 @@
 """Virtual workers take the time that workers would, and decide nothing."""
 
 import math
+from threading import Event
 
 import numpy as np
 import pytest
@@ -36,13 +37,20 @@ def test_the_client_hands_over_one_task_at_a_time() -> None:
 
 
 def test_tasks_end_in_the_order_of_their_ends() -> None:
-    pool = VirtualPool(2, 0.0)
+    pool, news = VirtualPool(2, 0.0), Event()
     call = pool.share(pool.sleep)
-    long, short, last = call(3.0), call(1.0), call(1.0)
-    pool.wait([long, short, last])
-    assert (pool.now, long.done(), short.done(), last.done()) == (1.0, False, True, False)
-    pool.wait([long])
-    assert (pool.now, last.done()) == (3.0, True)
+    futures = [call(3.0), call(1.0), call(1.0)]
+    for future in futures:
+        future.add_done_callback(lambda _: news.set())
+    ends = []
+    for _ in futures:
+        pool.wait(news)
+        ends.append((pool.now, [future.done() for future in futures]))
+    assert ends == [
+        (1.0, [False, True, False]),
+        (2.0, [False, True, True]),
+        (3.0, [True, True, True]),
+    ]
 
 
 @pytest.mark.parametrize("method", [MIHO(R=9, eta=3), MIHOGN(brackets=2)])
