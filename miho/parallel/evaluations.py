@@ -192,9 +192,8 @@ class Evaluations:
         while todo and not self.worth.measured:
             self._evaluate_here(task, keys, thetas, [todo.pop(0)])
         if todo and not self._submit(task, keys, thetas, todo):
-            if len(todo) == len(keys) and (
-                self._journal is None or not self.worth.dear
-            ):  # as without any of this
+            kept = self._journal is not None and self.worth.dear
+            if len(todo) == len(keys) and not kept:  # as without any of this
                 return self._evaluate_at_once(task, thetas)
             self._evaluate_here(task, keys, thetas, todo)
         # Where a row has raised, the others are still there when they are asked for again.
@@ -302,7 +301,7 @@ class Evaluations:
         return self._here[key]
 
     def _take(self, pending: _Pending) -> None:
-        """Take the values that a worker has answered, and write them to the journal."""
+        """Take the values that a worker has answered."""
         rows = len(pending.keys)
         try:
             answer = pending.future.result()
