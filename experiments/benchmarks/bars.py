@@ -120,10 +120,13 @@ def _write(path: Path, name: str, measured: Measured) -> None:
             for bar in measured.bars
         ],
         "notes": list(measured.notes),
-        "rows": json.loads(measured.tidy.to_json(orient="records", double_precision=15)),
         "environment": environment_stamp(),
+        "rows": [],
     }
-    write_text(path, json.dumps(about, indent=1) + "\n")
+    rows = json.loads(measured.tidy.to_json(orient="records", double_precision=15))
+    lines = ",\n".join(f"  {json.dumps(row)}" for row in rows)  # a line each
+    text = json.dumps(about, indent=1).removesuffix("[]\n}")
+    write_text(path, f"{text}[\n{lines}\n ]\n}}\n")
 
 
 def machine() -> str:
