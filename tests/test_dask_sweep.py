@@ -52,7 +52,7 @@ register()
 def commands(tmp_path: Path) -> Iterator[DaskCommands]:
     commands = DaskCommands.started(tmp_path / "dask", 2)
     yield commands
-    commands.end()
+    commands.close()
 
 
 def runs_of(root: Path, *more: str, seeds: int = 3) -> list[Request]:

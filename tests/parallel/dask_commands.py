@@ -23,7 +23,7 @@ class DaskCommands:
     workers: list[subprocess.Popen[bytes]] = field(default_factory=list)
 
     @classmethod
-    def started(cls, folder: Path, workers: int) -> DaskCommands:
+    def started(cls, folder: Path, workers: int, *, nanny: bool = False) -> DaskCommands:
         """A scheduler that listens, and workers of one thread that come to it."""
         folder.mkdir(parents=True, exist_ok=True)
         options = ["--host", "127.0.0.1", "--port", "0", "--dashboard-address", "127.0.0.1:0"]
@@ -32,7 +32,7 @@ class DaskCommands:
         commands = cls(folder, scheduler)
         wait_until(lambda: commands.address is not None)
         for _ in range(workers):
-            commands.add_worker()
+            commands.add_worker(nanny=nanny)
         return commands
 
     @property
@@ -44,14 +44,15 @@ class DaskCommands:
         except (OSError, ValueError):
             return None
 
-    def add_worker(self) -> None:
-        """One more worker, whose process is the command itself."""
-        options = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--host", "127.0.0.1"]
+    def add_worker(self, *, nanny: bool = False) -> None:
+        """One more worker, whose process is the command itself, or a child that a nanny renews."""
+        options = ["--nthreads", "1", "--no-dashboard", "--host", "127.0.0.1"]
+        options += ["--nanny" if nanny else "--no-nanny"]
         file = str(self.folder / "scheduler.json")
         options += ["--scheduler-file", file, "--local-directory", str(self.folder)]
         self.workers.append(_dask(self.folder, "worker", *options))
 
-    def end(self) -> None:
+    def close(self) -> None:
         """Kill them all."""
         for process in (*self.workers, self.scheduler):
             process.kill()

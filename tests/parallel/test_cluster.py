@@ -6,6 +6,7 @@ import stat
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ WAIT = 120.0
 def commands(tmp_path_factory: pytest.TempPathFactory) -> Iterator[DaskCommands]:
     commands = DaskCommands.started(tmp_path_factory.mktemp("dask"), 2)
     yield commands
-    commands.end()
+    commands.close()
 
 
 def all_of(jobs: list[str], workers: ClusterWorkers[str, str]) -> dict[str, JobOutcome[str, str]]:
@@ -103,9 +104,10 @@ def test_jobs_that_go_wrong_are_lost_alone(commands: DaskCommands) -> None:
 
 
 @pytest.mark.slow
-def test_a_job_that_kills_its_worker_each_time_is_lost_alone() -> None:
+def test_a_job_that_kills_its_worker_each_time_is_lost_alone(tmp_path: Path) -> None:
     good = [f"good {k}" for k in range(6)]
-    with cluster("dask:2") as client:
+    renewed = DaskCommands.started(tmp_path, 2, nanny=True)
+    with closing(renewed), cluster(str(renewed.address)) as client:
         workers: ClusterWorkers[str, str] = ClusterWorkers(client, misbehave_there)
         with workers:
             ended = all_of([*good[:3], "worker", *good[3:]], workers)
@@ -141,12 +143,13 @@ def pid(place: str) -> str:
 
 
 SUBMIT = """#!/bin/sh
-sh "$1" > "{folder}/job.log" 2>&1 &
+cp "$1" "{folder}/$$.sh"
+setsid sh "{folder}/$$.sh" > "{folder}/$$.log" 2>&1 &
 echo "$!" >> "{folder}/jobs"
 echo "Submitted batch job $!"
 """
 CANCEL = """#!/bin/sh
-kill "$1"
+kill -- "-$1"
 """
 
 
