@@ -59,7 +59,8 @@ class Experiment:
     def facts(self) -> dict[str, Any]:
         """Facts about the problem that are stored: the unit of its error, and lower bounds of it.
 
-        `optimum` is the smallest loss in the space, where linear algebra finds it or it is known.
+        `called_as` tells how functions of the user's are called, for who repeats the run. `optimum`
+        is the smallest loss in the space, where linear algebra finds it or it is known.
         """
         facts = dict(_facts(self.problem))
         if self.optimum is not None:
@@ -70,6 +71,8 @@ class Experiment:
 @lru_cache(maxsize=4)
 def _facts(problem: CurveFit) -> Mapping[str, Any]:
     facts: dict[str, Any] = {"unit": problem.unit}
+    if any(problem.called_as):
+        facts["called_as"] = problem.called_as
     floor = irreducible_of(problem)
     if math.isfinite(floor.value):
         facts["irreducible"] = floor.value
@@ -272,7 +275,7 @@ def _joint_settings(settings: Mapping[str, Any], problem: CurveFit) -> dict[str,
 def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
     """The problem of a stored run, made again from its configuration and checked to be the same.
 
-    A model in a file of the user's is code: it runs only if `trusted`.
+    A model in a file of the user's is code: it runs only if `trusted`, and it is called as it was.
     """
     config = {
         key: stored_part(stored, key) for key in ("model", "dataset", "loss", "space", "problem")
@@ -291,9 +294,11 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
         name, space = config["problem"].get("name"), build_space(config["space"])
         compressed = config["problem"].get("compressed", False)
         constraints = config["problem"].get("constraints") or ()
+        calls = stored.result["facts"].get("called_as") or ()
         return problem_of(
-            space, rho=rho, label=name, compressed=compressed, constraints=constraints
-        )
+            space, rho=rho, label=name, compressed=compressed, constraints=constraints,
+            dear=bool(calls),
+        ).called(calls)  # fmt: skip
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{stored.folder}: {error}") from None
 

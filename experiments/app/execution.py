@@ -6,6 +6,7 @@ import math
 import sys
 from collections.abc import Mapping
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,12 @@ from miho.study import Execution, Identity, Status, Store, execute
 
 def execution_of(experiment: Experiment, *, quiet: bool = False) -> Execution:
     """Do one run, unless it is stored; with a progress bar, unless `quiet`."""
-    identity, problem = experiment.identity, experiment.problem
+    identity = experiment.identity
     title = f"{identity.problem} {identity.optimizer} seed {identity.seed}"
 
     store = Store(experiment.root)
-    problem = problem.called(calls_of(store.journal(identity)) or ())  # as it was begun
+    problem = experiment.problem.called(calls_of(store.journal(identity)) or ())  # as it was begun
+    facts = replace(experiment, problem=problem).facts
 
     def job() -> RunRecord:
         with closing(_journal(store.journal(identity), problem, title)) as journal:
@@ -46,7 +48,7 @@ def execution_of(experiment: Experiment, *, quiet: bool = False) -> Execution:
             journal=journal,
         )
 
-    return execute(store, identity, job, problem.space, experiment.facts)
+    return execute(store, identity, job, problem.space, facts)
 
 
 def _journal(path: Path, problem: CurveFit, title: str) -> Journal:

@@ -12,7 +12,9 @@ next_measurement    that advised rows narrow intervals as much as the best of ra
 nist                digits of parameters and standard errors on NIST's problems, beside others'
 optima              the best known optimum of each problem, found anew
 published_problems  writes conf/problem of the published problems by their rule
+replay              whether stored runs are repeated to the last bit
 row_order           what the first rows of an order determine
+same_by_workers     whether a run is the same, whoever makes its evaluations
 stated_coverage     the same as coverage, with ties, priors, sigma and several data sets
 
 What takes seconds of it is a test as well, in tests/experiments/test_check.py.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -302,9 +302,9 @@ class CurveFit(Remade, LeastSquaresProblem):
         """What trial calls have shown of its functions."""
         return tried_calls(self.model)
 
-    def called(self, calls: Iterable[Any]) -> CurveFit:
+    def called(self, calls: Sequence[Any]) -> CurveFit:
         """This problem, whose functions are called as `called_as` of the same problem says."""
-        return self._with(called(self.model, calls))
+        return self._with(called(self.model, calls)) if calls else self
 
     def spread(self, evaluations: Evaluations) -> CurveFit:
         """This problem with its model's outputs evaluated by these; itself if it is arithmetic."""

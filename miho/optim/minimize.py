@@ -168,7 +168,7 @@ def minimize(
         outside=meter.outside,
         descents=Descents.of(meter.starts, meter.best),
         usage=None if evaluations is None else evaluations.usage,
-        arrivals=meter.arrivals if meter.arrivals.workers > 1 else None,
+        arrivals=meter.arrivals if meter.arrivals.positions else None,
     )
 
 

@@ -300,4 +300,5 @@ def _result(identity: Identity, record: RunRecord, space: Space) -> dict[str, An
         "rejected": dict(record.rejected),
         "outside": record.outside,
         "descents": None if record.descents is None else asdict(record.descents),
+        "arrivals": None if record.arrivals is None else asdict(record.arrivals),
     }
