@@ -21,7 +21,7 @@ from miho.parallel.workers import without_main
 if TYPE_CHECKING:
     from distributed import Client
 
-ADDRESSES = "dask://HOST:PORT, dask:N, slurm:N, pbs:N or lsf:N"
+ADDRESSES = "dask://HOST:PORT, dask:N, slurm, slurm:N, pbs:N or lsf:N"
 QUEUES = {
     "slurm": ("SLURMCluster", "sbatch"),
     "pbs": ("PBSCluster", "qsub"),
@@ -50,15 +50,19 @@ class ClusterLost(RuntimeError):  # noqa: N818 -- what befell, not a mistake
 
 def is_address(workers: object) -> TypeGuard[str]:
     """Whether this says where workers are, as `cluster` takes it, and not how many."""
-    return isinstance(workers, str) and re.match(r"[a-z]+:", workers) is not None
+    if not isinstance(workers, str):
+        return False
+    return workers in QUEUES or re.match(r"[a-z]+:", workers) is not None
 
 
 def check_address(address: str) -> tuple[str, str | int]:
     """The kind of a cluster, and the HOST:PORT of its scheduler or its number of workers or jobs.
 
-    Raises ClusterError.
+    A queue without a number is one job. Raises ClusterError.
     """
     kind, _, place = address.partition(":")
+    if address in QUEUES:
+        return kind, 1
     if kind == "dask" and re.fullmatch(r"//[^\s/]+:\d{1,5}", place):
         return kind, place[2:]
     if kind in ("dask", *QUEUES) and re.fullmatch(r"[1-9]\d{0,5}", place):
@@ -73,7 +77,7 @@ def cluster(address: str) -> Iterator[Client]:
     `dask://HOST:PORT` is a scheduler that runs. `dask:N` starts N worker processes of one thread on
     this machine, whose connections are encrypted, so that nobody else on it can use them.
     `slurm:N`, `pbs:N` and `lsf:N` submit N jobs, as the user's configuration of dask-jobqueue says;
-    they come when the queue lets them; a line on stderr tells of waiting for them.
+    they come when the queue lets them; a line on stderr tells of waiting for them. `slurm` is one.
 
     Raises ClusterError if a library or the program of the queue is missing, nobody answers at the
     address, or a worker that is there has another version of Python, MIHO or Dask.
@@ -124,6 +128,14 @@ def _told_of_emptiness(client: Any, address: str) -> Iterator[None]:
         yield
     finally:
         over.set()
+
+
+def places(client: Any, address: str) -> int:
+    """How many calls its workers make at a time, those included that a queue is still to begin."""
+    kind, count = check_address(address)
+    if isinstance(count, str):
+        return max(1, sum(client.ncores().values()))
+    return count * int(_queued(kind, "cores")) if kind in QUEUES else count
 
 
 def is_empty(client: Any) -> bool:
@@ -178,7 +190,6 @@ def _job_queue(kind: str, jobs: int) -> Any:
     """A cluster of jobs of a queue."""
     with _own_signals():
         library = _library("dask_jobqueue")
-    dask_config = _library("dask.config")
     name, program = QUEUES[kind]
     if shutil.which(program) is None:
         raise ClusterError(
@@ -186,14 +197,14 @@ def _job_queue(kind: str, jobs: int) -> Any:
             f"submit jobs, or name a running scheduler by dask://HOST:PORT"
         )
     for key in ("cores", "memory"):
-        if dask_config.get(f"jobqueue.{kind}.{key}", None) is None:
+        if _queued(kind, key) is None:
             raise ClusterError(
                 f"{kind}:{jobs}: the configuration of dask-jobqueue says nothing of {key}; set "
                 f"jobqueue.{kind}.{key}, as in ~/.config/dask/jobqueue.yaml"
             )
     options = {
         "dashboard_address": f"{LOOPBACK}:0",  # any port that is free
-        **(dask_config.get(f"jobqueue.{kind}.scheduler-options", None) or {}),
+        **(_queued(kind, "scheduler-options") or {}),
     }
     queue = getattr(library, name)(scheduler_options=options, silence_logs=logging.CRITICAL)
     queue.scale(jobs=jobs)
@@ -210,6 +221,11 @@ def _job_queue(kind: str, jobs: int) -> Any:
         job.status = type(job.status)["failed"]
     queue.close()
     raise ClusterError(f"{kind}:{jobs}: {program} refuses the job: {reason}")
+
+
+def _queued(kind: str, key: str) -> Any:
+    """What the user's configuration says of the jobs of a queue."""
+    return _library("dask.config").get(f"jobqueue.{kind}.{key}", None)
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from typing import Any
 
 import cloudpickle
 
-from miho.parallel.cluster import check_address, cluster, is_address, is_empty
+from miho.parallel.cluster import cluster, is_address, is_empty, places
 from miho.parallel.process_executor import (
     ProcessExecutor,
     WorkerLostError,
@@ -61,9 +61,7 @@ def open_pool(workers: Workers, time_limit: float | None = None) -> Iterator[Poo
         if is_address(workers):
             client: Any = stack.enter_context(cluster(workers))
             executor: Any = client.get_executor(pure=False)
-            place = check_address(workers)[1]
-            there = sum(client.ncores().values())  # jobs of a queue come later
-            count = place if isinstance(place, int) else max(1, there)
+            count = places(client, workers)
         elif isinstance(workers, Executor):
             executor, count = workers, processes_of(workers)
         elif callable(workers) and (workers is map or not isinstance(workers, type)):

@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("distributed", reason="the extra cluster is not installed")
 
-from miho.parallel.cluster import ClusterError, check_address, cluster, is_address
+from miho.parallel.cluster import ClusterError, check_address, cluster, is_address, places
 from miho.parallel.cluster_workers import ClusterWorkers
 from miho.parallel.workers import JobOutcome
 from tests.faults.commands import alive
@@ -45,7 +45,9 @@ def test_addresses() -> None:
     assert check_address("dask://h:1") == ("dask", "h:1")
     assert check_address("dask:3") == ("dask", 3)
     assert check_address("lsf:12") == ("lsf", 12)
-    assert is_address("slurm:2") and not is_address(2) and not is_address("2")
+    assert check_address("slurm") == ("slurm", 1)
+    assert is_address("slurm:2") and is_address("slurm")
+    assert not any(is_address(number) for number in (2, "2", "many"))
     for wrong in ("dask:0", "dask:", "dask://h", "ssh:2", "slurm://h:1", "dask:-1", "dask://a b:1"):
         with pytest.raises(ClusterError, match=r"expected dask://HOST:PORT, dask:N"):
             check_address(wrong)
@@ -173,10 +175,11 @@ def test_jobs_of_a_queue(
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
     with pytest.raises(ClusterError, match=r"says nothing of cores; set jobqueue\.slurm"):
         cluster("slurm:2").__enter__()
-    queue = {"cores": 1, "memory": "1GB", "interface": "lo", "local-directory": str(tmp_path)}
+    queue = {"cores": 3, "memory": "1GB", "interface": "lo", "local-directory": str(tmp_path)}
     settings = {f"jobqueue.slurm.{key}": value for key, value in queue.items()}
     monkeypatch.setattr("miho.parallel.cluster.LOOK", 0.01)
     with config.set(settings), cluster("slurm:2") as client:
+        assert places(client, "slurm:2") == 6
         workers: ClusterWorkers[str, str] = ClusterWorkers(client, misbehave_there)
         with workers:
             ended = all_of(["good 1", "good 2"], workers)
