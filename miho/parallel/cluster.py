@@ -134,7 +134,7 @@ def places(client: Any, address: str) -> int:
     """How many calls its workers make at a time, those included that a queue is still to begin."""
     kind, count = check_address(address)
     if isinstance(count, str):
-        return max(1, sum(client.ncores().values()))
+        return max(1, int(sum(client.ncores().values())))
     return count * int(_queued(kind, "cores")) if kind in QUEUES else count
 
 
