@@ -4,9 +4,10 @@ python -m experiments.benchmarks.many_workers [--check] [--quick] [--output FOLD
 
 The methods are the real ones, with all their decisions; workers and their time are virtual
 (`experiments.benchmarks.virtual_workers`). What a task costs the client is measured first. Seconds
-are those until the loss is within 1 % of the optimum, with evaluations of 1 s on average, of equal
-length or spread log-normally. `--check` has real workers sleep as well, 1 to 64 of them, in smaller
-searches to their own end, and compares their seconds with those of virtual ones.
+are those until the loss is within 1 % of the optimum, with evaluations of 1 s on average: of equal
+length, spread log-normally, or as the lengths of a simulation are measured to be
+(`experiments.benchmarks.simulation_times`). `--check` has real workers sleep as well, 1 to 64 of
+them, in smaller searches to their own end, and compares their seconds with those of virtual ones.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,11 +23,13 @@ import pandas as pd
 
 from experiments.benchmarks.bars import AT_LEAST, AT_MOST, Bar, Measured, benchmark, shown
 from experiments.benchmarks.engines import PROCESSES, started
+from experiments.benchmarks.simulation_times import simulation_times
 from experiments.benchmarks.sleeping import SIGMA, Lengths, Sleeping, forms, search
 from experiments.benchmarks.virtual_workers import virtual_search
 from miho.analysis.figures.workers import many_workers_figure
 from miho.optim import MIHO, MIHOGN, Budget, RandomSearch, minimize
 from miho.parallel import Evaluations
+from miho.quantities import Array
 
 METHODS = forms("MIHO", MIHO, R=1000, eta=10) | forms("MIHO-GN", MIHOGN)
 SMALL = forms("MIHO", MIHO, R=27, eta=3) | forms("MIHO-GN", MIHOGN, brackets=3)
@@ -45,7 +49,7 @@ class Job(NamedTuple):
 
     name: str
     workers: int
-    sigma: float
+    spread: str
     seed: int
     overhead: float
     target: float
@@ -67,15 +71,15 @@ def optimum() -> float:
     return minimize(MIHOGN(), Sleeping(Lengths(0.0), lambda seconds: None)).loss
 
 
-def simulated(job: Job) -> dict[str, Any]:
+def simulated(job: Job, lengths: Lengths) -> dict[str, Any]:
     """A row: virtual seconds until the target, NaN if it was not reached."""
-    lengths, budget = Lengths(SECONDS, job.sigma), Budget(target=job.target)
+    lengths, budget = replace(lengths, mean=SECONDS), Budget(target=job.target)
     ended = virtual_search(METHODS[job.name], lengths, job.workers, job.overhead, budget, job.seed)
     return {
         "kind": "simulated",
         "method": job.name,
         "workers": job.workers,
-        "sigma": job.sigma,
+        "spread": job.spread,
         "seed": job.seed,
         "seconds": ended.seconds if ended.loss <= job.target else math.nan,
         "evaluations": ended.evaluations,
@@ -83,27 +87,32 @@ def simulated(job: Job) -> dict[str, Any]:
     }
 
 
-def growth(quick: bool, overhead: float, target: float) -> list[Mapping[str, Any]]:
+def growth(
+    quick: bool, spreads: Mapping[str, Lengths], overhead: float, target: float
+) -> list[Mapping[str, Any]]:
     """A row for each method, number of workers, spread and seed; several at a time."""
     sizes, seeds = (SIZES[:5:2], 2) if quick else (SIZES, SEEDS)
     jobs = [
-        Job(name, size, sigma, seed, overhead, target)
+        Job(name, size, spread, seed, overhead, target)
         for size in reversed(sizes)  # the longest first
-        for sigma in (0.0, SIGMA)
+        for spread in spreads
         for name in METHODS
         for seed in range(seeds)
     ]
     with started(PROCESSES, os.cpu_count() or 1) as (pool, _):
         # by their positions: only the function may be of the program's main file
-        return list(shown(pool.map(lambda k: simulated(jobs[k]), range(len(jobs)))))
+        rows = pool.map(lambda k: simulated(jobs[k], spreads[jobs[k].spread]), range(len(jobs)))
+        return list(shown(rows))
 
 
-def checked(quick: bool, overhead: float) -> Iterator[dict[str, Any]]:
+def checked(
+    quick: bool, spreads: Mapping[str, Lengths], overhead: float
+) -> Iterator[dict[str, Any]]:
     """A row for each method, number of workers and spread: seconds of real and virtual workers."""
     for size in REAL_SIZES[3:4] if quick else REAL_SIZES:
         with started(PROCESSES, size) as (pool, _):
-            for sigma in (0.0, SIGMA):
-                lengths = Lengths(REAL_SECONDS, sigma)
+            for spread, form in spreads.items():
+                lengths = replace(form, mean=REAL_SECONDS)
                 for name, optimizer in SMALL.items():
                     real = search(optimizer, Sleeping(lengths), Evaluations(pool), Budget())
                     virtual = virtual_search(optimizer, lengths, size, overhead, Budget())
@@ -111,7 +120,7 @@ def checked(quick: bool, overhead: float) -> Iterator[dict[str, Any]]:
                         "kind": "check",
                         "method": name,
                         "workers": size,
-                        "sigma": sigma,
+                        "spread": spread,
                         "seed": 0,
                         "seconds": real.seconds,
                         "simulated_seconds": virtual.seconds,
@@ -121,21 +130,28 @@ def checked(quick: bool, overhead: float) -> Iterator[dict[str, Any]]:
 
 def measure(quick: bool, check: bool) -> Measured:
     """The medians over seeds as a table, and how near real workers are."""
+    times = simulation_times()
+    spreads = {
+        "equal": Lengths(SECONDS),
+        "log-normal": Lengths(SECONDS, SIGMA),
+        "measured": Lengths(SECONDS, measured=tuple(times.tolist())),
+    }
     overhead, target = measured_overhead(), WITHIN * optimum()
-    frame = pd.DataFrame(growth(quick, overhead, target))
+    frame = pd.DataFrame(growth(quick, spreads, overhead, target))
     late = frame.assign(seconds=frame["seconds"].fillna(math.inf))
-    medians = late.groupby(["sigma", "workers", "method"])["seconds"].median().unstack()
+    medians = late.groupby(["spread", "workers", "method"])["seconds"].median().unstack()
     table = medians[list(METHODS)].reset_index()
     reached = frame.groupby("method")["seconds"].apply(lambda s: s.notna().mean())
     notes = [
         f"seconds until the loss is within 1 % of the optimum, medians of "
         f"{frame['seed'].nunique()} seeds; a task costs the client {1e3 * overhead:.2g} ms",
+        f"a simulation of the car took {1e3 * times.mean():.3g} ms, {_quantiles(times)}",
         *(f"{name} gets there in {reached[name]:.0%} of runs" for name in METHODS),
     ]
     bars = [Bar("the runs' share that gets there", float(reached.min()), AT_LEAST, 0.5)]
     if check:
-        rows = pd.DataFrame(list(shown(checked(quick, overhead))))
-        columns = ["method", "sigma", "workers", "seconds", "simulated_seconds", "ratio"]
+        rows = pd.DataFrame(list(shown(checked(quick, spreads, overhead))))
+        columns = ["method", "spread", "workers", "seconds", "simulated_seconds", "ratio"]
         notes.append(rows[columns].to_string(index=False, float_format="{:.3g}".format))
         off = float(np.median(np.abs(rows["ratio"] - 1)))
         bars.append(Bar("simulated against real seconds, median difference", off, AT_MOST, NEAR))
@@ -143,6 +159,7 @@ def measure(quick: bool, check: bool) -> Measured:
     facts = {
         "seconds_an_evaluation": SECONDS,
         "sigma": SIGMA,
+        "simulation_seconds": times.round(6).tolist(),
         "overhead_seconds": overhead,
         "target": target,
         "seeds": sorted(frame["seed"].unique().tolist()),
@@ -150,6 +167,12 @@ def measure(quick: bool, check: bool) -> Measured:
         "check": {name: repr(optimizer) for name, optimizer in SMALL.items()} if check else None,
     }
     return Measured(table, frame, bars, notes, facts)
+
+
+def _quantiles(times: Array) -> str:
+    """How much a time differs from another one, in words."""
+    shares = np.quantile(times, [0.05, 0.5, 0.95]) / times.mean()
+    return "of which 5, 50 and 95 % take at most {:.2f}, {:.2f} and {:.2f}".format(*shares)
 
 
 if __name__ == "__main__":

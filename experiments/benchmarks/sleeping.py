@@ -32,25 +32,31 @@ from miho.quantities import Array
 SIGMA = 0.7
 """The spread of log-normal lengths, of their natural logarithm."""
 ROWS, NOISE = 60, 0.05
+ASYNCHRONOUS = "Asynchronous"
+"""Before the name of the class of which this is the other form."""
 
 
 @dataclass(frozen=True)
 class Lengths:
     """How long an evaluation of a configuration (d,) takes: `mean` seconds on average.
 
-    Spread log-normally by `sigma`, 0 for equal ones. The same configuration takes as long wherever
-    it is evaluated: its bytes are hashed.
+    Spread log-normally by `sigma`, 0 for equal ones, or as those `measured`, the shortest first.
+    The same configuration takes as long wherever it is evaluated: its bytes are hashed.
     """
 
     mean: float
     sigma: float = 0.0
+    measured: tuple[float, ...] = ()
 
     def __call__(self, theta: Array) -> float:
         """Seconds of this configuration."""
-        if not self.sigma:
+        if not (self.sigma or self.measured):
             return self.mean
         digest = hashlib.blake2b(theta.tobytes(), digest_size=8).digest()
         uniform = (int.from_bytes(digest, "little") + 0.5) / 2**64
+        if self.measured:
+            length = self.measured[int(uniform * len(self.measured))]
+            return self.mean * length * len(self.measured) / math.fsum(self.measured)
         return self.mean * math.exp(self.sigma * float(ndtri(uniform)) - self.sigma**2 / 2)
 
 
@@ -134,7 +140,7 @@ class Search:
 def forms(name: str, method: Callable[..., Optimizer], **settings: Any) -> dict[str, Optimizer]:
     """A method with some settings by its name, and its asynchronous form where there is one."""
     library = importlib.import_module("miho.optim")
-    other = getattr(library, f"Asynchronous{method.__name__}", None)
+    other = getattr(library, ASYNCHRONOUS + method.__name__, None)
     both = {name: method(**settings)}
     return both if other is None else both | {f"{name}, asynchronous": other(**settings)}
 
@@ -147,7 +153,10 @@ def search(
     seed: int = 0,
     clock: Clock | None = None,
 ) -> Search:
-    """Search as `minimize` does, by workers that run already, real or virtual."""
+    """Search as `minimize` does, by workers that run already, real or virtual.
+
+    A method and its asynchronous form draw the same random numbers: their seeds are paired.
+    """
     oracle = Oracle(
         problem.spread(evaluations),
         budget,
@@ -155,8 +164,9 @@ def search(
         clock=clock,
         evaluations=evaluations,
     )
+    name = type(optimizer).__name__.removeprefix(ASYNCHRONOUS)
     with contextlib.suppress(BudgetExhausted):
-        optimizer.run(oracle, stream("own", problem.name, seed, type(optimizer).__name__))
+        optimizer.run(oracle, stream("own", problem.name, seed, name))
     seconds = oracle.seconds
     evaluations.close()
     oracle.stop()

@@ -6,6 +6,7 @@ from threading import Event
 import numpy as np
 import pytest
 
+from experiments.benchmarks.simulation_times import simulation_times
 from experiments.benchmarks.sleeping import Decay, Lengths, Sleeping
 from experiments.benchmarks.virtual_workers import VirtualPool, virtual_search
 from miho.optim import MIHO, MIHOGN, Budget, RandomSearch, minimize
@@ -17,6 +18,20 @@ def random_search(lengths: Lengths, workers: int, overhead: float = 0.0) -> floa
     """Virtual seconds of 64 evaluations in one batch, but for the first, made alone."""
     budget = Budget(evaluations=64)
     return virtual_search(RandomSearch(batch=64), lengths, workers, overhead, budget).seconds - 1.0
+
+
+def test_measured_lengths_come_as_often_as_they_were_measured() -> None:
+    lengths = Lengths(2.0, measured=(1.0, 2.0, 9.0))
+    thetas = np.random.default_rng(0).random((3000, 4))
+    seconds, counts = np.unique([lengths(theta) for theta in thetas], return_counts=True)
+    assert seconds == pytest.approx([0.5, 1.0, 4.5])
+    assert counts == pytest.approx([1000] * 3, abs=130)  # five standard deviations
+
+
+def test_simulations_of_some_parameters_take_longer() -> None:
+    times = simulation_times(8)
+    assert times.shape == (8,)
+    assert 0 < 2 * times[0] < times[-1]  # 0.24 and 2.2 times their mean of 60 draws
 
 
 @pytest.mark.parametrize("workers", [1, 4, 64, 1000])

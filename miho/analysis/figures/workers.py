@@ -17,7 +17,11 @@ COLOURS = sns.color_palette("colorblind").as_hex()
 DASHES = ("solid", (0, (4, 1.5)), (0, (1, 1.2)), "dashdot")
 MARKERS = ("o", "s", "^", "D")
 GREY = "#777777"
-PANELS = {0.0: "evaluations of equal length", 0.7: "spread log-normally (σ = 0.7)"}
+PANELS = {
+    "equal": "evaluations of equal length",
+    "log-normal": "spread log-normally (σ = 0.7)",
+    "measured": "spread as those of a simulation",
+}
 
 
 def efficiency_figure(frame: pd.DataFrame) -> Figure:
@@ -40,15 +44,15 @@ def efficiency_figure(frame: pd.DataFrame) -> Figure:
 def many_workers_figure(frame: pd.DataFrame) -> Figure:
     """Wall time over workers, a line per method with quartiles, a panel per spread of lengths.
 
-    Frame: kind, method, workers, sigma, seed, seconds (NaN where the optimum was not reached);
+    Frame: kind, method, workers, spread, seed, seconds (NaN where the optimum was not reached);
     rows of another kind than `simulated` are left out.
     """
-    require_columns(frame, {"kind", "method", "workers", "sigma", "seed", "seconds"}, "frame")
+    require_columns(frame, {"kind", "method", "workers", "spread", "seed", "seconds"}, "frame")
     with house_style():
         figure = Figure(figsize=(WIDTH, 3.8), layout="constrained")
-        panels = figure.subplots(1, 2, sharex=True, sharey=True)
-        for ax, (sigma, title) in zip(panels, PANELS.items(), strict=True):
-            rows = frame[(frame["sigma"] == sigma) & (frame["kind"] == "simulated")]
+        panels = figure.subplots(1, len(PANELS), sharex=True, sharey=True)
+        for ax, (spread, title) in zip(panels, PANELS.items(), strict=True):
+            rows = frame[(frame["spread"] == spread) & (frame["kind"] == "simulated")]
             for k, (name, line) in enumerate(rows.groupby("method", sort=False)):
                 _band(ax, line, str(name), k)
             _ideal(ax, rows)
