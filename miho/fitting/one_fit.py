@@ -6,10 +6,8 @@ import math
 import os
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from html import escape
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -21,45 +19,27 @@ from miho.fitting.dear_fit import (
     pace_line,
     spread,
 )
+from miho.fitting.fit_result import Fit
 from miho.fitting.known_start import best_known, check_start
-from miho.fitting.statement import Tire, data_of, inputs_of, of_tire, space_of
-from miho.identification.closed_form import linear_optimum
+from miho.fitting.statement import Tire, data_of, of_tire, space_of
 from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
-from miho.identification.standing import standing
-from miho.identification.stated import at_limits, stated_parameters, whole_values
-from miho.identification.uncertainty import Linearised, alike_beside_priors, linearised
-from miho.models.joint import rows_of_parts
+from miho.identification.uncertainty import linearised
 from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
 from miho.models.tied import Tied, whole_model
 from miho.models.tire_formula import TireFormula
-from miho.models.traced import Remade
-from miho.optim import MIHOGN, Budget, Descents, Optimizer, Outcome, Space, minimize
+from miho.optim import MIHOGN, Budget, Optimizer, Outcome, Space, minimize
 from miho.parallel import Evaluations, Workers
-from miho.quantities import Array
 
 if TYPE_CHECKING:
-    import pandas as pd
-    from matplotlib.figure import Figure
-
-    from miho.identification.report import Report
+    pass
 
 SETTLED, ROUNDS = 1e-6, 100
 """The deviation of the errors is estimated until it changes by less than this share, in so many
 rounds at most."""
-LINEAR = 1e-9
-"""The loss of a linear problem's optimum is known to this share."""
-
-
-class Prediction(NamedTuple):
-    """The curve at some inputs and the ends of its interval, (N,) each; not of new measurements."""
-
-    value: Array
-    low: Array
-    high: Array
 
 
 def fit(
@@ -245,159 +225,3 @@ def searched(
         sys.stderr.write(f"miho: {problem.name}: its best is taken, the search failed: {reason}\n")
     theta = refit(spread(problem, evaluations), run.theta).theta
     return Fit(problem, theta, run.theta, run.descents)
-
-
-@dataclass(frozen=True, eq=False)
-class Fit(Remade):
-    """The optimum `theta` (f,) of the free parameters of a problem, and what it can tell.
-
-    `run` (f,) is where the search ended, from which a descent led there, and `descents` what it
-    knows of other optima; None without a search.
-    """
-
-    problem: CurveFit
-    theta: Array
-    run: Array
-    descents: Descents | None = None
-    level: float = 0.95
-
-    @cached_property
-    def uncertainty(self) -> Linearised:
-        """Standard errors and correlations, which allow for errors that depend on neighbours'.
-
-        Raises ValueError with no more rows than parameters.
-        """
-        return linearised(self.problem, self.theta, neighbours=True)
-
-    @cached_property
-    def parameters(self) -> pd.DataFrame:
-        """A row per parameter, free, fixed or tied: value, standard error, linearised interval."""
-        import pandas as pd
-
-        try:
-            at = self.uncertainty
-        except ValueError:  # as many parameters as rows: values without errors
-            values = whole_values(self.problem, self.theta)
-            frame = pd.DataFrame({"value": values})
-            return frame.assign(standard_error=math.nan, low=math.nan, high=math.nan)
-        stated, slopes = stated_parameters(self.problem, at)
-        frame = pd.DataFrame(stated).set_index("name").rename_axis(None)
-        reach = at.quantiles(slopes, self.level) * frame["standard_error"]
-        frame.insert(3, "low", frame["value"] - reach)
-        frame.insert(4, "high", frame["value"] + reach)
-        return frame[["value", "standard_error", "low", "high", "unit", "held"]]
-
-    @property
-    def values(self) -> dict[str, float]:
-        """The parameters' values by name."""
-        return whole_values(self.problem, self.theta)
-
-    @cached_property
-    def error(self) -> float:
-        """Root-mean-square error, in the output's unit."""
-        return float(np.sqrt(np.mean(self.problem.errors(self.theta) ** 2)))
-
-    @cached_property
-    def optimum(self) -> str:
-        """What is known of the optimum: how many searches ended in it."""
-        loss = float(self.problem.loss(self.theta[None])[0])
-        searches = () if self.descents is None else (self.descents,)
-        exact = linear_optimum(self.problem)
-        if exact is not None and loss <= exact[1] * (1 + LINEAR) + self.problem.resolution:
-            evidence = "linear in all parameters, so that no other optimum is better"
-        else:
-            evidence = standing(loss, self.problem.resolution, searches).evidence
-        return "; ".join([evidence, *at_limits(self.problem, self.theta)])
-
-    def report(self, **settings: Any) -> Report:
-        """All that can be told, with profile intervals; `settings` are those of `make_report`.
-
-        Takes up to some seconds.
-        """
-        from miho.identification.report_steps import make_report
-
-        settings = {"descents": self.descents, "level": self.level, **settings}
-        return make_report(self.problem, self.run, **settings)
-
-    @cached_property
-    def notes(self) -> list[str]:
-        """What the report has to say of search, data and model, a sentence each."""
-        return self.report().notes
-
-    def predict(self, x: Any) -> Prediction:
-        """The curve at inputs, given as to `fit`, with its interval at `level`."""
-        inputs = inputs_of(self.problem.model, x)
-        columns = np.broadcast_arrays(*(np.atleast_1d(c).astype(float) for c in inputs.values()))
-        value, reach = self._band(*columns)
-        return Prediction(value, value - reach, value + reach)
-
-    def to_tir(self, path: str | os.PathLike[str]) -> None:
-        """Write a fitted tire as a property file; what else its own file says is kept."""
-        model = whole_model(self.problem.model)
-        if not isinstance(model, TireFormula):
-            raise TypeError("only a fit of a tire can be written as a property file")
-        model.write(self.values, path)
-
-    def posterior(self, **settings: Any) -> Any:
-        """The posterior distribution, as an ArviZ object (extra `posterior`).
-
-        `settings` are those of `miho.identification.sample_posterior`.
-        """
-        from miho.identification.posterior import sample_posterior
-
-        return sample_posterior(self.problem, self.theta, **settings)
-
-    def _band(self, *columns: Array) -> tuple[Array, Array]:
-        """The curve at input columns (N,), and the half width of its interval."""
-        value = self.problem.model.predict(self.theta[None], *columns)[0]
-        slopes = self.problem.model.jacobian(self.theta, *columns)
-        return value, self.uncertainty.reach(slopes, self.level)
-
-    def plot(self) -> Figure:
-        """Data and curve with its interval; over several inputs, measured over predicted values."""
-        from miho.analysis.figures.report import Column, curve_band, fit_figure
-
-        dataset, inputs = self.problem.dataset, self.problem.model.inputs
-        parts = rows_of_parts(self.problem.model, self.problem.inputs)
-        shown = "output" if parts else dataset.output
-        measured = Column(shown, self.problem.unit, dataset[dataset.output])
-        predicted = self.problem.model.predict(self.theta[None], *self.problem.inputs)[0]
-        x = band = None
-        if len(inputs) == 1:
-            (name,) = inputs
-            x = Column(name, dataset.units[name], dataset[name])
-            band = curve_band(x.values, self.problem.model.ordered, self._band)
-        return fit_figure(measured, predicted, x, band, parts)
-
-    def __str__(self) -> str:
-        """The parameters, the error, and what is known of the optimum."""
-        table = self.parameters.to_string(float_format=lambda number: f"{number:.5g}")
-        rows = len(self.problem.dataset)
-        error = f"error {self.error:.5g} {self.problem.unit}".rstrip()
-        weights = "" if self.problem.weights is None else ", weighted by sigma"
-        alike = "; intervals allow for errors that depend on those of neighbouring rows"
-        narrow = (
-            "; errors of neighbouring rows are alike, so intervals beside priors are too narrow"
-        )
-        priors = bool(alike_beside_priors(self.problem, self.theta))
-        return (
-            f"{table}\n{error} (root mean square of {rows:,} rows{weights}); {self.optimum}"
-            f"{alike * self._dependent}{narrow * priors}"
-        )
-
-    @property
-    def _dependent(self) -> bool:
-        try:
-            return self.uncertainty.dependence is not None
-        except ValueError:  # too few rows to tell
-            return False
-
-    def __repr__(self) -> str:
-        """As it is printed, so that an interpreter shows it."""
-        return str(self)
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows."""
-        table = self.parameters.to_html(float_format=lambda number: f"{number:.5g}")
-        last = escape(str(self).rpartition("\n")[2])
-        return f"{table}<p>{last}</p>"

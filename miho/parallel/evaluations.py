@@ -192,8 +192,8 @@ class Evaluations:
         while todo and not self.worth.measured:
             self._evaluate_here(task, keys, thetas, [todo.pop(0)])
         if todo and not self._submit(task, keys, thetas, todo):
-            kept = self._journal is not None and self.worth.dear
-            if len(todo) == len(keys) and not kept:  # as without any of this
+            journaled = self._journal is not None and self.worth.dear
+            if len(todo) == len(keys) and not journaled:  # as without any of this
                 return self._evaluate_at_once(task, thetas)
             self._evaluate_here(task, keys, thetas, todo)
         # Where a row has raised, the others are still there when they are asked for again.

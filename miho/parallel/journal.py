@@ -235,9 +235,9 @@ def _line(entry: dict[str, Any]) -> bytes:
 
 def _is_cut_short(tail: bytes, first: dict[str, Any]) -> bool:
     """Whether this is the beginning of a first line, whatever it was to say of calls."""
-    said = orjson.dumps(first | {"calls": None}).removesuffix(b"null}")
+    beginning = orjson.dumps(first | {"calls": None}).removesuffix(b"null}")
     checksum, text = tail[:9], tail[9:]
-    known = text.startswith(said) or said.startswith(text)
+    known = text.startswith(beginning) or beginning.startswith(text)
     return known and re.fullmatch(rb"[0-9a-f]{0,8}|[0-9a-f]{8} ", checksum) is not None
 
 
