@@ -294,7 +294,7 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
         name, space = config["problem"].get("name"), build_space(config["space"])
         compressed = config["problem"].get("compressed", False)
         constraints = config["problem"].get("constraints") or ()
-        calls = stored.result["facts"].get("called_as") or ()
+        calls = stored.result.get("facts", {}).get("called_as") or ()
         return problem_of(
             space, rho=rho, label=name, compressed=compressed, constraints=constraints,
             dear=bool(calls),
