@@ -73,7 +73,7 @@ def optimum() -> float:
 
 def simulated(job: Job, lengths: Lengths) -> dict[str, Any]:
     """A row: virtual seconds until the target, NaN if it was not reached."""
-    lengths, budget = replace(lengths, mean=SECONDS), Budget(target=job.target)
+    budget = Budget(target=job.target)
     ended = virtual_search(METHODS[job.name], lengths, job.workers, job.overhead, budget, job.seed)
     return {
         "kind": "simulated",

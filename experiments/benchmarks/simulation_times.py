@@ -7,8 +7,9 @@ comes (RK45, adaptive steps): stiff axles need more steps, and a car that slides
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from typing import cast
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any, cast
 
 import numpy as np
 
@@ -27,16 +28,20 @@ TOLERANCE = 1e-6
 
 def simulation_times(draws: int = DRAWS, seed: int = 0) -> Array:
     """Seconds (draws,) of simulations with parameters drawn uniformly, the shortest first."""
+    return np.sort([_seconds(simulation) for simulation in simulations(draws, seed)])
+
+
+def simulations(draws: int, seed: int = 0) -> list[Callable[[], Any]]:
+    """Simulations that are to be called, each of which gives SciPy's solution."""
     register()
     problem = build_problem(composed(["model=single_track_response", "dataset=steering_test"]))
     model, space = cast(Trajectory, problem.model), problem.space
     thetas = space.decode(space.sample(draws, np.random.default_rng(seed), "uniform"))
     names = [parameter.name for parameter in space.parameters]
-    return np.sort([_seconds(model, dict(zip(names, row, strict=True))) for row in thetas])
+    return [partial(_simulated, model, dict(zip(names, row, strict=True))) for row in thetas]
 
 
-def _seconds(model: Trajectory, parameters: Mapping[str, float]) -> float:
-    """How long one simulation takes."""
+def _simulated(model: Trajectory, parameters: Mapping[str, float]) -> Any:
     from scipy.integrate import solve_ivp  # here, since importing it takes a second
 
     def rates(t: float, state: Array) -> tuple[float, ...]:
@@ -44,6 +49,10 @@ def _seconds(model: Trajectory, parameters: Mapping[str, float]) -> float:
         motion: tuple[float, ...] = model.rhs(*state, vx, steering, **parameters)
         return motion
 
+    return solve_ivp(rates, (0, DURATION), np.zeros(2), rtol=TOLERANCE, atol=TOLERANCE)
+
+
+def _seconds(simulation: Callable[[], Any]) -> float:
     began = time.perf_counter()
-    solve_ivp(rates, (0, DURATION), np.zeros(2), rtol=TOLERANCE, atol=TOLERANCE)
+    simulation()
     return time.perf_counter() - began
