@@ -1,8 +1,9 @@
-"""Compare methods: on one problem on the clock, or on many problems at once.
+"""Compare methods: on one problem on the clock, or on many problems at once; then draw and judge.
 
-On one problem runs are interleaved, one at a time, on one thread. On many problems several run at a
-time, so that evaluations are what compares, and seconds are those of a machine in full use. Runs
-have processes of their own, so that one that is killed ends alone.
+On one problem a comparison is a multirun, as by experiments.identify -m: runs come one at a time,
+on one thread, one repetition after the other. On many problems several run at a time, so that
+evaluations are compared, and seconds are those of a machine in full use. Runs have processes of
+their own, so that one that is killed ends alone.
 
 python -m experiments.compare                        # reduced size, some three minutes
 python -m experiments.compare experiment=paper_fig6  # full size, some 70 minutes
@@ -16,62 +17,53 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+if not __package__:  # as python experiments/compare.py, like python -m experiments.compare
+    sys.path[0] = str(Path(__file__).parents[1])
+
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from experiments.app.comparing import planned_comparison
-from experiments.app.console import OK, SOME_FAILED, command
+from experiments.app.comparing import draw, note_on_size, planned_arena
+from experiments.app.console import OK, EndedError, command
+from experiments.app.launch import Sweep
 from experiments.app.plan import sweep_settings
 from experiments.app.runs import run
 
-DEFAULT = "experiment=compare"
 SETTINGS = {
     "experiment": "what is compared; experiment --help lists them",
-    "comparison.repetitions": "runs of each method, with seeds 0, 1, ...",
-    "comparison.methods": "'+comparison.methods.pso_100={}' adds one of optimizer --help",
+    "seed, optimizer": "repetitions and methods, as in 'seed=range(5)' optimizer=miho,pso_100",
+    "comparison.repetitions, .methods": "the same of an arena",
     "comparison.processes": "runs at a time, where several problems are compared",
     "comparison.target": "runs on several problems end at so many times the optimum",
     "budget.evaluations, budget.seconds": "what a run may spend; it ends at the first of them",
-    "root, fresh": "where results go; fresh=true sets aside what is outdated",
+    "root, fresh": "where results go; fresh=true sets aside what is outdated or was disturbed",
 }
 
 
-def compare(cfg: DictConfig) -> int:
-    """Run every method of `comparison.methods` for each repetition, then draw and judge.
-
-    Without all its runs a comparison is not drawn.
-    """
+def compare(cfg: DictConfig) -> None:
+    """Run an arena: every method on every problem for each repetition, then draw and judge."""
     overrides = [o for o in HydraConfig.get().overrides.task if not o.startswith("seed=")]
-    plan, processes, note = planned_comparison(cfg, overrides)
+    plan, note = planned_arena(cfg, overrides)
     runs = run(
-        plan, sweep_settings(cfg), processes=processes, fresh=cfg.fresh, overrides=overrides,
-        tracking=cfg.tracking,
+        plan, sweep_settings(cfg.sweep), processes=cfg.comparison.processes, fresh=cfg.fresh,
+        overrides=overrides, tracking=cfg.tracking,
     )  # fmt: skip
-    failed = [s.line for s in runs.states if s.error is None and s.reason is not None]
-    for line in failed:
-        print(line, file=sys.stderr)
-    if failed:
-        print(f"runs missing: {len(failed)}; nothing is drawn, run again", file=sys.stderr)
+    code = draw(cfg, plan, runs.states, overrides, note)
     runs.raise_if_stopped()
-    if failed:
-        return SOME_FAILED
-    # Here, because a worker process needs no figures, and they take a second to import.
-    from experiments.app.drawing import draw_arena, draw_comparison
-    from miho.analysis.compare.comparison import write_comparison
+    if code != OK:
+        raise EndedError(code)
 
-    root, command = Path(cfg.root), ["python", "-m", "experiments.compare", *overrides]
-    write_comparison(root, command, note, [request.identity.id for request in plan])
-    draw = draw_arena if cfg.comparison.problems else draw_comparison
-    for path in draw(root, Path(cfg.comparison.output)):
-        print(path)
-    return OK
+
+def draw_sweep(sweep: Sweep) -> int:
+    """Draw and judge the multirun of a comparison on one problem; gives the exit code."""
+    seeds = {request.identity.seed for request in sweep.plan}
+    note = note_on_size(sweep.cfg, [], len(seeds))
+    return draw(sweep.cfg, sweep.plan, sweep.states, sweep.typed, note)
 
 
 def main() -> None:
     """The command."""
-    if not any(argument.startswith(("experiment=", "--help", "-h")) for argument in sys.argv):
-        sys.argv.append(DEFAULT)
-    command(compare, settings=SETTINGS)
+    command(compare, config_name="compare", pool=True, afterwards=draw_sweep, settings=SETTINGS)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,7 @@
 
 python -m experiments.drive experiment=ims_obstacle   # Fig. 7: around an obstacle, a minute
 python -m experiments.drive experiment=lvms_laps      # Fig. 8: nine laps, 90 seconds
+python -m experiments.drive -m experiment=ims_obstacle drive.performance_factor=0.5,0.7
 
 A drive that leaves the road is written and drawn like any other, says so, and ends with exit code
 6.
@@ -10,12 +11,16 @@ A drive that leaves the road is written and drawn like any other, says so, and e
 from __future__ import annotations
 
 import sys
+from pathlib import Path
+
+if not __package__:  # as python experiments/drive.py, like python -m experiments.drive
+    sys.path[0] = str(Path(__file__).parents[1])
 
 import numpy as np
 from omegaconf import DictConfig
 from tqdm import tqdm
 
-from experiments.app.console import LEFT_ROAD, OK, command
+from experiments.app.console import LEFT_ROAD, EndedError, command
 from experiments.driving.car import known_car
 from experiments.driving.results import write_drive
 from experiments.driving.settings import as_config_error, driver_of, track_and_vehicle
@@ -32,12 +37,12 @@ SETTINGS = {
     "drive.road_friction": "what the road gives the car, which the plan does not know",
     "drive.top_speed, .distance": "[m/s] and [m]; see --cfg job for all of drive",
     "optimizer, seed": "what identifies the car, and the noise of all measurements",
-    "root": "where log, figure and table go",
+    "root": "where log, figure and table go; with -m each drive has a folder of its own below it",
 }
 
 
-def drive(cfg: DictConfig) -> int:
-    """One drive: log, figure, table and what regenerates them, in `root`."""
+def drive(cfg: DictConfig) -> None:
+    """One drive: log, figure, table and the command that regenerates them, in `drive.output`."""
     road, line, vehicle = track_and_vehicle(cfg)
     car, parts = known_car(cfg, vehicle)
     with as_config_error():
@@ -55,12 +60,11 @@ def drive(cfg: DictConfig) -> int:
                 watch=lambda driven: bar.update(driven - bar.n),
             )  # fmt: skip
     off_road = write_drive(cfg, simulated, driver, road, parts)
-    if off_road is None:
-        return OK
-    advice = "lower drive.performance_factor or drive.top_speed"
-    print(f"the car left the road {off_road}; {advice}", file=sys.stderr)
-    return LEFT_ROAD
+    if off_road is not None:
+        advice = "lower drive.performance_factor or drive.top_speed"
+        print(f"the car left the road {off_road}; {advice}", file=sys.stderr)
+        raise EndedError(LEFT_ROAD)
 
 
 if __name__ == "__main__":
-    command(drive, settings=SETTINGS)
+    command(drive, config_name="drive", settings=SETTINGS)

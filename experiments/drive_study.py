@@ -13,9 +13,12 @@ import sys
 from pathlib import Path
 from typing import Any
 
+if not __package__:  # as python experiments/drive_study.py, like python -m experiments.drive_study
+    sys.path[0] = str(Path(__file__).parents[1])
+
 from omegaconf import DictConfig
 
-from experiments.app.console import OK, SOME_FAILED, command
+from experiments.app.console import SOME_FAILED, EndedError, command
 from experiments.app.plan import sweep_settings
 from experiments.driving.study import check_study, each_seed, jobs_of, write_study
 
@@ -28,14 +31,14 @@ SETTINGS = {
 }
 
 
-def study(cfg: DictConfig) -> int:
+def study(cfg: DictConfig) -> None:
     """Do what is not done yet, then the table as text and CSV, the figure, and what made them."""
     check_study(cfg)
     root = Path(cfg.root)
     root.mkdir(parents=True, exist_ok=True)
     rows: list[dict[str, Any]] = []
     failures: list[str] = []
-    for laps in each_seed(jobs_of(cfg, root), sweep_settings(cfg).workers):
+    for laps in each_seed(jobs_of(cfg, root), sweep_settings(cfg.sweep).workers):
         if isinstance(laps, str):
             failures.append(laps)
         else:
@@ -44,8 +47,9 @@ def study(cfg: DictConfig) -> int:
         print(line, file=sys.stderr)
     if rows:
         write_study(cfg, root, rows)
-    return SOME_FAILED if failures else OK
+    if failures:
+        raise EndedError(SOME_FAILED)
 
 
 if __name__ == "__main__":
-    command(study, settings=SETTINGS)
+    command(study, config_name="drive", settings=SETTINGS)

@@ -2,23 +2,27 @@
 
 python -m experiments.identify model=pacejka dataset=tire_lf optimizer=miho_gn seed=0
 python -m experiments.identify -m optimizer=miho_gn,least_squares 'seed=range(10)' sweep.workers=2
+python -m experiments.identify -m experiment=paper_fig6    # the paper's comparison, 70 minutes
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sys
+from pathlib import Path
 
-from hydra.core.override_parser.types import Override
-from hydra.types import HydraContext
+if not __package__:  # as python experiments/identify.py, like python -m experiments.identify
+    sys.path[0] = str(Path(__file__).parents[1])
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from experiments.app.build import build
-from experiments.app.console import OK, SOME_FAILED, command
+from experiments.app.console import SOME_FAILED, EndedError, command
 from experiments.app.forecast import announce
-from experiments.app.launch import BASIC, FOR_EVERY_JOB, launch_plan
-from experiments.app.plan import is_of, planned_sweep, request_of, requests, sweep_settings
+from experiments.app.plan import request_of, requests, sweep_settings
 from experiments.app.run_text import print_summary, result_text
-from experiments.app.runs import HERE, PlanOutcome, run
+from experiments.app.runs import HERE, run
 from miho.study import Status
 
 SETTINGS = {
@@ -31,54 +35,41 @@ SETTINGS = {
     "root, fresh": "where results go; fresh=true sets aside what is outdated",
     "space.NAME.low, .high, .scale": "the box of a parameter; 'space={a: {...}}' is a whole one",
     "sweep.workers, .dry_run": "with -m: runs at a time, or their cluster; list them only",
+    "hydra/launcher, hydra/sweeper": "with -m: joblib, slurm; optuna tunes settings of a method",
     "tracking": "mlflow: mirror finished runs there",
 }
 
 
-def identify(cfg: DictConfig) -> int:
-    """Run one composed configuration in this process and print what was identified.
+def identify(cfg: DictConfig) -> float | None:
+    """Run one composed configuration in this process; gives the error that it reached.
 
-    As a job of a launcher, with `sweep.seeds`, it does a run for each of these seeds in others.
+    Prints what was identified, or one line as a job of a sweep.
     """
-    settings = sweep_settings(cfg)
-    if settings.seeds is not None:
-        plan = requests(cfg, "", settings.seeds, settings.time_limit)
-        runs = run(plan, settings, fresh=cfg.fresh)
-        runs.raise_if_stopped()
-        return OK
+    settings = sweep_settings(cfg.sweep)
     if settings.dry_run:
-        return _summed_up(run(requests(cfg, "", [cfg.seed], settings.time_limit), settings))
+        plan = requests(cfg, "", [cfg.seed], settings.time_limit)
+        print_summary(run(plan, settings).states)
+        return None
+    is_job = HydraConfig.get().mode is RunMode.MULTIRUN
     experiment = build(cfg)
-    announce(experiment, cfg.dataset)
+    if not is_job:
+        announce(experiment, cfg.dataset)
     plan = [request_of(experiment, cfg)]
     runs = run(plan, settings, processes=HERE, fresh=cfg.fresh, tracking=cfg.tracking)
     (state,) = runs.states
     if state.line:
         print(state.line, flush=True)
     runs.raise_if_stopped()
-    if state.run is not None:
+    if state.status is Status.FAILED:
+        raise EndedError(SOME_FAILED)
+    if state.run is not None and not is_job:
         print("\n" + result_text(experiment, state.run))
-    return SOME_FAILED if state.status is Status.FAILED else OK
-
-
-def sweep(context: HydraContext, cfg: DictConfig, overrides: Sequence[Override]) -> int:
-    """Do the runs that the overrides of -m ask for, here or by a launcher."""
-    plan, settings = planned_sweep(cfg, overrides), sweep_settings(cfg)
-    if cfg.hydra.launcher._target_ != BASIC and not settings.dry_run:
-        return _summed_up(launch_plan(plan, identify, context, cfg, overrides))
-    words = [str(o.input_line) for o in overrides if not is_of(o.key_or_group, FOR_EVERY_JOB)]
-    return _summed_up(run(plan, settings, fresh=cfg.fresh, overrides=words, tracking=cfg.tracking))
-
-
-def _summed_up(runs: PlanOutcome) -> int:
-    code = print_summary(runs.states)
-    runs.raise_if_stopped()
-    return code
+    return state.error
 
 
 def main() -> None:
     """The command."""
-    command(identify, sweep=sweep, settings=SETTINGS)
+    command(identify, pool=True, settings=SETTINGS)
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from omegaconf import OmegaConf
 from experiments.app.build import ConfigError, build, build_optimizer, build_problem, plain
 from experiments.app.comparing import chosen_method
 from experiments.app.compose import composed
+from experiments.app.options import options_of
 from experiments.app.schema import register
 from experiments.check.published_problems import BOXES, files, problems
 from miho.data import published_names
@@ -21,6 +22,7 @@ from miho.optim import Budget, minimize
 CONF = Path(__file__).parent.parent / "conf"
 NEEDS_A_SETTING = {"axle_log", "brake_log", "csv", "mat", "published", "tir", "torque_log"}
 NEEDS_A_LIBRARY = {"ngopt": "nevergrad", "dehb": "dehb", "dfo_ls": "dfols"}
+SWEPT = "hydra.sweeper.params.optimizer"
 register()
 
 
@@ -30,6 +32,10 @@ def text(dataset: str) -> str:
 
 def options(group: str) -> list[str]:
     return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+
+
+def in_folders(group: str) -> list[str]:
+    return [name for name in options_of(group) if "/" in name]
 
 
 def test_the_groups_are_known() -> None:
@@ -46,6 +52,18 @@ def test_optimizers(optimizer: str) -> None:
         pytest.importorskip(NEEDS_A_LIBRARY[optimizer])
     experiment = build(composed([f"optimizer={optimizer}"]))
     assert experiment.identity.optimizer == optimizer
+
+
+@pytest.mark.parametrize("option", in_folders("optimizer"))
+def test_an_option_in_a_folder_is_its_method_with_other_settings(option: str) -> None:
+    identity = build(composed([f"optimizer={option}"])).identity
+    assert identity.optimizer == option.rpartition("/")[2]
+
+
+def test_a_method_can_be_named() -> None:
+    assert build(composed(["optimizer=miho", "method=mine"])).identity.optimizer == "mine"
+    unnamed = plain(composed(["optimizer=pso_500"])) | {"method": None}
+    assert build(unnamed).identity.optimizer == "pso", "the class names it"
 
 
 @pytest.mark.parametrize(
@@ -223,6 +241,8 @@ def test_experiments(name: str) -> None:
     assert cfg.root == f"runs/{name}"
     assert set(cfg.comparison.problems) <= set(options("problem"))
     build(cfg)
+    swept = OmegaConf.select(OmegaConf.load(CONF / "experiment" / f"{name}.yaml"), SWEPT) or ""
+    assert set(filter(None, swept.split(","))) <= set(options_of("optimizer"))
     for method, settings in cfg.comparison.methods.items():
         if method in NEEDS_A_LIBRARY and find_spec(NEEDS_A_LIBRARY[method]) is None:
             continue
@@ -250,9 +270,11 @@ def test_the_optimum_of_a_torque_is_not_where_methods_start(problem: str) -> Non
 
 
 def test_paper_fig6_is_full_size() -> None:
-    cfg = composed(["experiment=paper_fig6"])
-    assert cfg.comparison.repetitions == 20
-    assert cfg.comparison.methods.miho == {}
+    params = OmegaConf.load(CONF / "experiment" / "paper_fig6.yaml").hydra.sweeper.params
+    assert params.seed == "range(20)"
+    assert set(params.optimizer.split(",")) >= {
+        "miho", "gbo_small", "gbo_large", "pso_100", "pso_500", "optuna_hyperband"
+    }  # fmt: skip
     optimizer = composed(["optimizer=miho"]).optimizer
     assert (optimizer.R, optimizer.eta) == (10_000, 5)
 
@@ -260,7 +282,7 @@ def test_paper_fig6_is_full_size() -> None:
 @pytest.mark.parametrize("name", ["ims_obstacle", "lvms_laps"])
 def test_the_drives_of_the_paper_are_those_of_its_method(name: str) -> None:
     """Whatever the default: their published figures are."""
-    assert composed([f"experiment={name}"]).optimizer.name == "miho"
+    assert composed([f"experiment={name}"]).method == "miho"
 
 
 def test_targets_lie_in_our_packages() -> None:

@@ -7,14 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from omegaconf import OmegaConf
 
 from experiments.app.build import ConfigError, build
 from experiments.app.compose import composed
 from experiments.app.plan import request_of
 from experiments.app.runs import HERE, run
-from experiments.app.safety import HydraSettingError, check_machines
 from experiments.app.schema import SweepConfig, register
 from experiments.check import replay
 from miho.parallel import worth
@@ -172,12 +169,3 @@ def test_nonsense_is_refused_in_a_line(tmp_path: Path, override: str, message: s
     with pytest.raises(ConfigError, match=message) as error:
         build(Runs(tmp_path / "runs").configured(override))
     assert "\n" not in str(error.value)
-
-
-def test_the_address_of_other_machines_is_typed() -> None:
-    typed = OverridesParser.create().parse_overrides(["workers=dask://elsewhere:8786"])
-    there = OmegaConf.create({"workers": "dask://elsewhere:8786", "sweep": {"workers": 1}})
-    check_machines(there, typed)
-    check_machines(OmegaConf.create({"workers": 4, "sweep": {"workers": 2}}), [])
-    with pytest.raises(HydraSettingError, match="must be typed on the command line"):
-        check_machines(there, [])

@@ -10,8 +10,7 @@ from omegaconf import DictConfig
 
 from experiments.app.build import ConfigError
 from experiments.app.compose import composed
-from experiments.app.explain import parse_overrides
-from experiments.app.plan import Request, requests, seed_groups, sweep_settings
+from experiments.app.plan import Request, requests, sweep_settings
 from experiments.app.reports import read_sweep, save_sweep
 from experiments.app.runs import run, stored_state
 from experiments.app.schema import SweepConfig, register
@@ -39,19 +38,10 @@ def statuses(runs: list[State]) -> list[Status]:
     return [state.status for state in runs]
 
 
-def test_seeds_of_one_setting_are_one_group_in_the_order_asked() -> None:
-    typed = ("optimizer=random,miho", "seed=3,1,3", "sweep.processes=2", "fresh=true")
-    groups = seed_groups(parse_overrides(typed))
-    assert groups == [(("optimizer=random",), [3, 1]), (("optimizer=miho",), [3, 1])]
-    assert seed_groups(parse_overrides(["optimizer=random"])) == [(("optimizer=random",), [0])]
-    with pytest.raises(ConfigError, match="seed: is x"):
-        seed_groups(parse_overrides(["seed=x"]))
-
-
 @pytest.mark.parametrize("setting", ["workers=0", "processes=0", "time_limit=0"])
 def test_a_bad_setting_is_one_line(tmp_path: Path, setting: str) -> None:
     with pytest.raises(ConfigError, match=f"sweep.{setting.partition('=')[0]}: is 0"):
-        sweep_settings(config(tmp_path, f"sweep.{setting}"))
+        sweep_settings(config(tmp_path, f"sweep.{setting}").sweep)
 
 
 def test_what_is_wanted_twice_is_done_once_and_then_done_before(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
@@ -19,6 +18,7 @@ from experiments.app.explain import unknown_message
 from experiments.app.instantiation import MISSING, instantiate, part_of, without_secret
 from experiments.app.origin import code_of, packages_of
 from experiments.app.parts import model_files, part_nodes, with_local
+from experiments.app.safety import check_root
 from experiments.app.schema import Config
 from miho.data import Dataset
 from miho.fitting.joint_problem import SIGMA as DEVIATION
@@ -39,7 +39,9 @@ Settings = DictConfig | Mapping[str, Any]
 """A composed configuration, or what `plain` makes of it."""
 MEANS = ("workers", "evaluation_limit")
 """Settings by which a run is done; it is the same without."""
-PARTS = ("model", "dataset", "space", "loss", "problem", "optimizer", "budget", "seed", "root")
+PARTS = (
+    "model", "dataset", "space", "loss", "problem", "optimizer", "method", "budget", "seed", "root",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -115,8 +117,6 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
     if runs_own_code(setting):
         root = root.absolute()  # now, since the user's file may change the working directory
     optimizer = build_optimizer(setting)
-    optimizer_node = part_of(setting, "optimizer")
-    name = optimizer_node.pop("name")
     if setting["seed"] < 0:
         raise ConfigError(f"seed: is {setting['seed']}; expected a whole number of at least 0")
     untried = problem is None
@@ -135,9 +135,9 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
             config["problem"]["constraints"] = setting["problem"]["constraints"]
         identity = Identity(
             problem=problem.name,
-            optimizer=name,
+            optimizer=method_of(setting),
             seed=setting["seed"],
-            config=config | {"optimizer": optimizer_node},
+            config=config | {"optimizer": part_of(setting, "optimizer")},
             code=code_of(setting, problem, optimizer),
             data=problem.dataset.digest,
             packages=packages_of(optimizer),
@@ -177,10 +177,14 @@ def recorded_optimum(cfg: Settings) -> float | None:
 
 def build_optimizer(cfg: Settings) -> Optimizer:
     """The method alone."""
-    node = part_of(plain(cfg), "optimizer")
-    if not isinstance(node.pop("name", None), str):
-        raise ConfigError("optimizer.name: is missing; give the method a name for its runs")
-    return instantiate(node, "optimizer", Optimizer)
+    return instantiate(part_of(plain(cfg), "optimizer"), "optimizer", Optimizer)
+
+
+def method_of(cfg: Settings) -> str:
+    """The name of the method in the results: `method`, or else the name of its class."""
+    setting = plain(cfg)
+    target = str(part_of(setting, "optimizer").get("_target_"))
+    return str(setting["method"] or target.rpartition(".")[2].lower())
 
 
 def build_problem(cfg: Settings, dataset: Dataset | None = None, *, dear: bool = False) -> CurveFit:
@@ -377,13 +381,5 @@ def build_space(node: Mapping[str, Any]) -> Space:
 
 def _root(text: str) -> Path:
     without_secret(text, "root")
-    if not text.strip() or not text.isprintable():
-        raise ConfigError(f"root: is {text[:80]!r}; expected the path of a folder")
-    try:
-        os.fsencode(text)
-    except UnicodeEncodeError:
-        raise ConfigError(
-            f"root: {text!a} cannot be a file name in the locale of this system; "
-            "set LC_ALL=C.UTF-8 or choose a plain name"
-        ) from None
+    check_root(text)
     return Path(text)

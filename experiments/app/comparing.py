@@ -1,4 +1,4 @@
-"""Which runs a comparison is made of: methods on one problem, or many methods on many."""
+"""Which runs an arena is made of: many methods on many problems."""
 
 from __future__ import annotations
 
@@ -19,61 +19,17 @@ from experiments.app.build import (
     recorded_optimum,
 )
 from experiments.app.compose import composed
+from experiments.app.console import OK, SOME_FAILED
 from experiments.app.instantiation import MissingLibraryError
 from experiments.app.plan import Request, requests
+from experiments.app.working import State
 from miho.data import DataUnavailableError
-from miho.optim import MIHO
-from miho.study import Store
+from miho.study import Status
 
 
-def planned_comparison(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Request], int, str]:
-    """The runs of a comparison, how many at a time, and a note on its size for figures."""
+def planned_arena(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Request], str]:
+    """The runs of an arena, and a note on its size for figures."""
     _check(cfg, overrides)
-    on = _on_problems if cfg.comparison.problems else _on_one
-    plan, processes, size = on(cfg, overrides)
-    return plan, processes, _note(cfg, size)
-
-
-def _check(cfg: DictConfig, overrides: Sequence[str]) -> None:
-    """Raise ConfigError for what a comparison cannot be."""
-    if not cfg.comparison.methods:
-        raise ConfigError("comparison.methods: is empty; choose an experiment that compares some")
-    for key in ("repetitions", "processes"):
-        if cfg.comparison[key] < 1:
-            raise ConfigError(f"comparison.{key}: is {cfg.comparison[key]}; expected at least 1")
-    for group in ("optimizer", *(("problem",) if cfg.comparison.problems else ())):
-        if any(o.startswith(f"{group}=") for o in overrides):
-            raise ConfigError(f"{group}: cannot be chosen here; see comparison.{group}s")
-
-
-def _on_one(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Request], int, list[str]]:
-    """One problem, one run at a time, methods interleaved; how many at a time, and its size."""
-    by_method: list[list[Request]] = []
-    size: list[str] = []
-    for name, replaced in cfg.comparison.methods.items():
-        method_overrides = chosen_method(name, replaced)
-        method = composed([*overrides, *method_overrides])
-        seeds = range(cfg.comparison.repetitions)
-        by_method.append(requests(method, " ".join(method_overrides), seeds, cfg.sweep.time_limit))
-        optimizer = build_optimizer(method)
-        if isinstance(optimizer, MIHO) and not size:
-            size = [f"R = {optimizer.R}"]
-    plan = [request for seed in zip(*by_method, strict=True) for request in seed]
-    if cfg.fresh:
-        set_aside_disturbed(plan, Store(Path(cfg.root)))
-    return plan, 1, size
-
-
-def set_aside_disturbed(plan: Sequence[Request], store: Store) -> None:
-    """Make room for runs on a quieter machine: those whose seconds count are kept."""
-    for request in plan:
-        stored = store.find(request.identity)
-        if stored is not None and not stored.result["facts"].get("timing_valid"):
-            store.set_aside(stored.folder)
-
-
-def _on_problems(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Request], int, list[str]]:
-    """Several problems; their runs, how many at a time, and the parts of a note on their size."""
     arena = plan_arena(cfg, overrides)
     for name, reason in arena.left_out.items():
         print(f"{name}: left out: {reason}", file=sys.stderr)
@@ -81,19 +37,34 @@ def _on_problems(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Reques
     size = [f"{problems} problems", f"{cfg.comparison.processes} runs at a time"]
     if arena.left_out:
         size.append(f"without {', '.join(arena.left_out)}, which were not to be had here")
-    return list(arena.plan), cfg.comparison.processes, size
+    if cfg.comparison.target is not None:
+        size.append(f"runs end at {cfg.comparison.target:g} times the optimum")
+    return list(arena.plan), note_on_size(cfg, size, cfg.comparison.repetitions)
 
 
-def _note(cfg: DictConfig, size: list[str]) -> str:
-    """The note on the size of the comparison, for figures and tables."""
+def _check(cfg: DictConfig, overrides: Sequence[str]) -> None:
+    """Raise ConfigError for an arena that cannot be."""
+    if not (cfg.comparison.methods and cfg.comparison.problems):
+        raise ConfigError(
+            "experiment: compares nothing; choose one that sweeps over methods, such as "
+            "experiment=compare, or that names problems, such as experiment=arena_small"
+        )
+    for key in ("repetitions", "processes"):
+        if cfg.comparison[key] < 1:
+            raise ConfigError(f"comparison.{key}: is {cfg.comparison[key]}; expected at least 1")
+    for group in ("optimizer", "problem"):
+        if any(o.startswith(f"{group}=") for o in overrides):
+            raise ConfigError(f"{group}: cannot be chosen here; see comparison.{group}s")
+
+
+def note_on_size(cfg: DictConfig, size: Sequence[str], repetitions: int) -> str:
+    """The note on the size of a comparison, for figures and tables."""
     parts = [cfg.comparison.note] if cfg.comparison.note else []
-    parts += [*size, f"{cfg.comparison.repetitions} repetitions"]
+    parts += [*size, f"{repetitions} repetitions"]
     if cfg.budget.seconds is not None:
         parts.append(f"at most {cfg.budget.seconds:g} s per run")
     if cfg.budget.evaluations is not None:
         parts.append(f"at most {cfg.budget.evaluations:,} evaluations per run")
-    if cfg.comparison.problems and cfg.comparison.target is not None:
-        parts.append(f"runs end at {cfg.comparison.target:g} times the optimum")
     return ", ".join(parts)
 
 
@@ -142,7 +113,7 @@ def plan_arena(
             except MissingLibraryError as error:
                 left_out[name] = str(error)
                 continue
-            optimizers.append(method["optimizer"])
+            optimizers.append({key: method[key] for key in ("optimizer", "method")})
         # A problem with each of the methods, interleaved by seed.
         for name in comparison.problems:
             bar.update()
@@ -155,8 +126,8 @@ def plan_arena(
             try:
                 by_method = [
                     requests(
-                        {**setting, "optimizer": optimizer},
-                        f"problem={name} optimizer={optimizer['name']}",
+                        {**setting, **optimizer},
+                        f"problem={name} optimizer={optimizer['method']}",
                         range(comparison.repetitions),
                         cfg.sweep.time_limit,
                     )
@@ -175,3 +146,30 @@ def plan_arena(
             f"comparison.problems{reasons}"
         )
     return ArenaPlan(tuple(plan), left_out)
+
+
+def draw(
+    cfg: DictConfig,
+    plan: Sequence[Request],
+    states: Sequence[State],
+    overrides: Sequence[str],
+    note: str,
+) -> int:
+    """Draw and judge a comparison, unless runs of it are missing; gives the exit code."""
+    failed = [s.line for s in states if s.error is None and s.reason is not None]
+    if failed:
+        print("\n".join(failed), file=sys.stderr)
+        print(f"runs missing: {len(failed)}; nothing is drawn, run again", file=sys.stderr)
+        return SOME_FAILED
+    if any(state.status is Status.TO_DO for state in states):  # of a dry run
+        return OK
+    # Here, because a worker process needs no figures, and they take a second to import.
+    from experiments.app.drawing import draw_arena, draw_comparison
+    from miho.analysis.compare.comparison import write_comparison
+
+    root, command = Path(cfg.root), ["python", "-m", "experiments.compare", *overrides]
+    write_comparison(root, command, note, [request.identity.id for request in plan])
+    draw_it = draw_arena if cfg.comparison.problems else draw_comparison
+    for path in draw_it(root, Path(cfg.comparison.output)):
+        print(path)
+    return OK

@@ -79,15 +79,15 @@ def differences(runs: pd.DataFrame) -> Differences:
     Methods that the paper's comparison does not hold are left out.
     """
     full = cast(DictConfig, OmegaConf.load(CONF / "experiment" / f"{FULL_SIZE}.yaml"))
+    compared = full.hydra.sweeper.params.optimizer.split(",")
     methods, budget = {}, ""
     for name, folder in runs.groupby("optimizer")["folder"].first().items():
         stored = read_run(Path(folder))
         budget = _smaller_budget(stored_part(stored, "budget"), full.budget)
-        if name not in full.comparison.methods:
+        if name not in compared:
             continue
-        node = OmegaConf.load(CONF / "optimizer" / f"{name}.yaml")
-        expected = OmegaConf.merge(node, full.comparison.methods[name])
-        settings = {**stored_part(stored, "optimizer"), "name": name}
+        expected = cast(DictConfig, OmegaConf.load(CONF / "optimizer" / f"{name}.yaml"))
+        settings = stored_part(stored, "optimizer")
         deviations = [
             f"{key!s} = {settings.get(str(key))} instead of {value}"
             for key, value in expected.items()

@@ -1,47 +1,33 @@
-"""What every command does alike: its configuration is composed, errors are one line, exit codes
-have a meaning."""
+"""What all commands share: Hydra composes and calls them, errors are one line, exit codes have a
+meaning."""
 
 from __future__ import annotations
 
-import argparse
+import functools
 import io
 import os
 import sys
 import threading
 import traceback
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
-from typing import NoReturn
+from typing import Any, NoReturn
 
-from hydra._internal.callbacks import Callbacks
-from hydra._internal.hydra import Hydra
-from hydra._internal.utils import get_args_parser
+import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.types import Override
 from hydra.errors import HydraException
-from hydra.types import HydraContext, RunMode
+from hydra.types import RunMode
 from omegaconf import DictConfig
 from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
 from yaml import YAMLError
 
 from experiments.app import schema
-from experiments.app.compose import (
-    CONF,
-    check_values,
-    command_name,
-    hydra_of,
-    whole_config,
-    without_hydra,
-)
-from experiments.app.explain import ConfigError, one_line, parse_overrides, replace_spaces
+from experiments.app.compose import CONF, VERSION_BASE, job_config
+from experiments.app.explain import ConfigError, composition_message, one_line, replace_spaces
 from experiments.app.help import completion, help_text
-from experiments.app.safety import (
-    HydraSettingError,
-    ReceivedError,
-    check_arguments,
-    check_machines,
-)
+from experiments.app.safety import ReceivedError, SecretError, check_folder, check_typed
 from experiments.app.signals import Stopped, name_of, stopping_signal
 from miho.data import CSVError, DataUnavailableError
 from miho.models import TirError
@@ -60,89 +46,149 @@ OK, BUG, BAD_INPUT, SOME_FAILED, STORAGE, REFUSED, LEFT_ROAD, PIPE_CLOSED = 0, 1
 BY_SIGNAL = 128
 BAD_INPUT_ERRORS = (
     ClusterError, HydraException, OmegaConfBaseException, ConfigError, CSVError, TirError,
-    DataUnavailableError,
-    HydraSettingError, NotAFileError, ReceivedError, YAMLError, FileNotFoundError,
+    DataUnavailableError, NotAFileError, ReceivedError, SecretError, YAMLError, FileNotFoundError,
     IsADirectoryError,
 )  # fmt: skip
 
-Task = Callable[[DictConfig], int]
-Sweep = Callable[[HydraContext, DictConfig, Sequence[Override]], int]
+Task = Callable[[DictConfig], float | None]
+VALUED = (
+    "--cfg", "-c", "--package", "-p", "--config-path", "-cp", "--config-name", "-cn",
+    "--config-dir", "-cd", "--experimental-rerun",
+)  # fmt: skip
+"""Options of Hydra that take the next word as their value."""
+
+
+class EndedError(Exception):
+    """A command has printed how it ended; `code` is the exit code that says so."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"exit code {code}")
+        self.code = code
+
+
+class _Refused(BaseException):
+    """Bad input that a task finds before it does anything: no failure of a job of Hydra's."""
+
+
+class _Left(BaseException):
+    """A command ended by a call that only the user's code can have made."""
+
+
+class Job:
+    """The function that Hydra calls for each of its jobs: a task, and how its runs ended.
+
+    Parameters
+    ----------
+    task
+        Does one composed configuration; gives the error that was reached, if it is to be optimised.
+    pool
+        Whether the jobs of a sweep may be done by our pool of workers instead of by `task`.
+    """
+
+    def __init__(self, task: Task, *, pool: bool = False) -> None:
+        functools.update_wrapper(self, task)
+        self.task, self.pool = task, pool
+        self.sweep: Any = None
+        """The `experiments.app.launch.Sweep` of the pool, once it has begun."""
+
+    def __call__(self, cfg: DictConfig) -> float | None:
+        """Do one job; what is wrong with the input of a single run is no failed job."""
+        context = HydraConfig.get()
+        alone = context.mode is RunMode.RUN
+        try:
+            return self.task(job_config(cfg, context.runtime.choices))
+        except (*BAD_INPUT_ERRORS, ResumeRefused) as error:
+            if alone:
+                raise _Refused from error
+            raise
+        except SystemExit as error:  # of a model: nothing of ours ends a task by it
+            call = f"SystemExit({error.code!r})"
+            if alone:
+                raise _Left(call).with_traceback(error.__traceback__) from None
+            raise RuntimeError(f"{_place(error)}: raises {call}") from None
 
 
 def command(
-    task: Task, *, sweep: Sweep | None = None, settings: Mapping[str, str] = MappingProxyType({})
+    task: Task,
+    *,
+    config_name: str = "config",
+    pool: bool = False,
+    afterwards: Callable[[Any], int] | None = None,
+    settings: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
-    """Compose the configuration from the command line, run `task` on it, exit with what it returns.
+    """Let Hydra compose the configuration from the command line and call `task`; exit by its end.
 
-    With -m, `sweep` gets Hydra's context, the whole configuration, `hydra` included, and the
-    overrides. `settings` are the command's own, for its help.
+    Parameters
+    ----------
+    task
+        Does one composed configuration.
+    config_name
+        The file of conf/ that is composed, unless --config-name names another.
+    pool
+        Whether `hydra/launcher=pool` may do the jobs of a sweep.
+    afterwards
+        Called with the `Sweep` that the pool has done; gives the exit code.
+    settings
+        The command's own settings and their meanings, for its help.
     """
     schema.register()
+    job = Job(task, pool=pool)
+    # Hydra raises its errors instead of printing them, and run_and_exit prints them in one line.
+    os.environ["HYDRA_FULL_ERROR"] = "1"
 
-    def job() -> int:
-        parser = get_args_parser()
-        parser.error = _refuse_option  # type: ignore[method-assign]
-        arguments = parser.parse_intermixed_args()
-        check_arguments(arguments)
-        # What only shows something ends here; all else is a run or a sweep.
-        with hydra_of(arguments.config_dir) as hydra:
-            if arguments.help:
-                print(help_text(task, settings, arguments.overrides, hydra.config_loader))
-            elif arguments.shell_completion:
-                print(completion(CONF))
-            elif arguments.hydra_help or arguments.cfg or arguments.info:
-                _show(hydra, parser, arguments)
-            else:
-                return _start(hydra, arguments)
-        return OK
-
-    def _start(hydra: Hydra, arguments: argparse.Namespace) -> int:
-        overrides = parse_overrides(arguments.overrides)
-        mode = RunMode.MULTIRUN if arguments.multirun else RunMode.RUN
-        check_values(overrides, mode)
-        if mode is RunMode.MULTIRUN and sweep is None:
-            raise ConfigError(
-                f"-m: {command_name()} goes through its runs by itself; leave it out, or sweep "
-                "with python -m experiments.identify -m"
-            )
-        # Composed once, and checked as it is composed; Hydra's own settings are for the sweep.
-        cfg = whole_config((*arguments.overrides, f"hydra.mode={mode.name}"), mode)
-        check_machines(cfg, overrides)
-        HydraConfig.instance().set_config(cfg)
+    def run() -> int:
+        options, overrides = _split(sys.argv[1:])
+        folders = [CONF, *map(Path, _values(options, "--config-dir", "-cd"))]
+        if {"--help", "-h"} & set(options):
+            print(help_text(task, settings, overrides, folders))
+            return OK
+        if options in (["--shell-completion"], ["-sc"]) and not overrides:
+            print(completion())
+            return OK
+        for folder in folders[1:]:
+            if not folder.is_dir():
+                raise ConfigError(f"--config-dir: {folder} is not a folder; name one that is")
+            check_folder(folder)
+        check_typed(overrides)
+        sys.argv[1:] = [*options, *replace_spaces(overrides)]
         try:
-            if mode is RunMode.MULTIRUN and sweep is not None:
-                return sweep(HydraContext(hydra.config_loader, Callbacks(cfg)), cfg, overrides)
-            return task(without_hydra(cfg))
-        except SystemExit as error:  # of a model: nothing of ours ends a task by it
-            call = f"SystemExit({error.code!r})"
-            raise _Ended(call).with_traceback(error.__traceback__) from None
+            main = hydra.main(
+                version_base=VERSION_BASE, config_path=str(CONF), config_name=config_name
+            )
+            main(job)()
+        except (HydraException, OmegaConfBaseException) as error:
+            raise ConfigError(composition_message(error, overrides)) from error
+        except _Refused as refused:
+            raise refused.__cause__ or refused from None
+        finally:
+            code = OK if job.sweep is None else job.sweep.summed_up()
+        return afterwards(job.sweep) if afterwards and job.sweep is not None else code
 
-    run_and_exit(job)
-
-
-def _show(hydra: Hydra, parser: argparse.ArgumentParser, arguments: argparse.Namespace) -> None:
-    """Print what Hydra shows of a configuration: --cfg, --info, --hydra-help."""
-    overrides, mode = arguments.overrides, RunMode.MULTIRUN if arguments.multirun else RunMode.RUN
-    whole_config(tuple(overrides), mode)
-    if arguments.hydra_help:
-        hydra.hydra_help("config", parser, arguments)
-    elif arguments.cfg:
-        hydra.show_cfg(
-            "config", replace_spaces(overrides), arguments.cfg, arguments.package, arguments.resolve
-        )
-    else:
-        hydra.show_info(arguments.info, "config", replace_spaces(overrides), mode)
+    run_and_exit(run)
 
 
-def _refuse_option(message: str) -> NoReturn:
-    raise ConfigError(
-        f"{message.removeprefix('unrecognized arguments: ')}: is no option; settings have no "
-        "dashes, as in seed=1; see --help"
-    )
+def _split(arguments: Sequence[str]) -> tuple[list[str], list[str]]:
+    """The options for Hydra, with their values, and the overrides."""
+    options: list[str] = []
+    overrides: list[str] = []
+    is_value = False
+    for text in arguments:
+        if is_value or text.startswith("-") or (options[-1:] == ["--info"] and "=" not in text):
+            options.append(text)
+            is_value = text in VALUED and not is_value
+        else:
+            overrides.append(text)
+    return options, overrides
 
 
-class _Ended(BaseException):
-    """A command ended by what only the user's code can have called."""
+def _values(options: Sequence[str], *names: str) -> list[str]:
+    """The values of an option, given as `--name VALUE` or `--name=VALUE`."""
+    values = []
+    for text, following in zip(options, [*options, ""][1:], strict=True):
+        name, equals, value = text.partition("=")
+        if name in names:
+            values.append(value if equals else following)
+    return values
 
 
 def run_and_exit(job: Callable[[], int | None]) -> NoReturn:
@@ -178,13 +224,15 @@ def run_and_exit(job: Callable[[], int | None]) -> NoReturn:
             else:
                 print(f"interrupted by {name_of(number)}", file=sys.stderr)
                 code = BY_SIGNAL + number
+        except EndedError as error:
+            code = error.code
         except SystemExit:
             raise
         except Exception:  # noqa: BLE001 -- a bug: the traceback is the message
             print(redacted(traceback.format_exc()), file=sys.stderr, end="")
             code = BUG
         except BaseException as error:  # noqa: BLE001 -- nothing of ours raises it
-            call = f"{error}" if isinstance(error, _Ended) else f"{type(error).__name__}: {error}"
+            call = f"{error}" if isinstance(error, _Left) else f"{type(error).__name__}: {error}"
             code = _say(RuntimeError(f"{_place(error)}: raises {call}"), SOME_FAILED)
     sys.exit(code)
 

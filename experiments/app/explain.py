@@ -1,16 +1,14 @@
-"""What is wrong with a command line or a received configuration, in one line with a remedy."""
+"""What is wrong with a command line or a configuration, in one line with a remedy."""
 
 from __future__ import annotations
 
 import difflib
 import re
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
-from hydra.core.config_loader import ConfigLoader
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
-from hydra.errors import HydraException, MissingConfigException
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from omegaconf import DictConfig
 from omegaconf.errors import (
     ConfigAttributeError,
@@ -20,6 +18,7 @@ from omegaconf.errors import (
 )
 from omegaconf.nodes import BooleanNode, FloatNode, IntegerNode
 
+from experiments.app.options import options_of, source
 from experiments.app.schema import RENAMED
 
 EXPECTED: dict[type, str] = {
@@ -29,6 +28,12 @@ EXPECTED: dict[type, str] = {
 }
 HIDDEN = ("hydra", "_target_")
 LISTED = 40
+EXTRAS = {
+    "hydra/launcher": ("joblib", "submitit_local", "submitit_slurm", "slurm"),
+    "hydra/job_logging": ("colorlog",),
+    "hydra/hydra_logging": ("colorlog",),
+}
+"""Options of Hydra's groups that come with the plugins of the extra `launchers`."""
 
 
 class ConfigError(ValueError):
@@ -61,7 +66,8 @@ def parse_overrides(texts: Sequence[str]) -> list[Override]:
 
 def replace_spaces(texts: Sequence[str]) -> list[str]:
     """The overrides with `space={...}` meaning that space and nothing of the chosen one, and with
-    `+space.NAME=...` and `problem.parts.NAME=...` as what adds to the chosen ones."""
+    `+space.NAME=...`, `problem.parts.NAME=...` and `hydra.sweeper.params.KEY=...` as what adds to
+    the chosen ones."""
     whole: list[str] = []
     for text, override in zip(texts, parse_overrides(texts), strict=True):
         key, _, value = text.partition("=")
@@ -78,6 +84,8 @@ def replace_spaces(texts: Sequence[str]) -> list[str]:
             for name in reversed(names[2:]):
                 value = f"{{{name}: {value}}}"
             whole.append(f"++problem.parts={value}")
+        elif names[:3] == ["hydra", "sweeper", "params"] and not override.is_delete():
+            whole.append(f"++{text.lstrip('+')}")
         else:
             whole.append(text)
     return whole
@@ -95,50 +103,51 @@ def _unreadable(text: str) -> str:
     return f"{text}: cannot be read; {quoted}{example}"
 
 
-def composition_message(
-    error: Exception, overrides: Sequence[Override], loader: ConfigLoader
-) -> str:
-    """The message on a failed composition, from fields of Hydra's error rather than its text."""
+def composition_message(error: Exception, texts: Sequence[str]) -> str:
+    """The message on a failed composition, from fields of Hydra's error rather than its text.
+
+    texts: the overrides that were composed.
+    """
     cause = error.__cause__
+    if isinstance(error, OverrideParseException):
+        return _unreadable(error.override)
     if isinstance(error, MissingConfigException) and error.options is not None:
-        group, _, name = str(error.missing_cfg_file).rpartition("/")
-        place = f"{str(error).partition(':')[0]}: "  # the file that chooses it
-        if any(override.key_or_group == group for override in overrides):
-            place = ""
-        return place + unknown_message(f"{group}={name}", error.options)
+        return _missing_message(error, texts)
     node = getattr(cause, "parent_node", None)
     if isinstance(cause, ConfigKeyError | ConfigAttributeError) and isinstance(node, DictConfig):
         key = str(cause.full_key)
         if key in RENAMED:
             return f"{key}: {RENAMED[key]}"
-        return unknown_message(key, node) + _having(key, loader)
+        return unknown_message(key, node) + _having(key)
     if isinstance(cause, ValidationError) and isinstance(node, DictConfig):
         expected = EXPECTED.get(type(node._get_node(cause.key)))
-        values = [o.value() for o in overrides if o.key_or_group == cause.full_key]
+        key = str(cause.full_key)
+        values = [text.partition("=")[2] for text in texts if text.startswith(f"{key}=")]
         if expected and values:
-            return f"{cause.full_key}: is {values[-1]!r}; expected {expected}"
+            return f"{key}: is {values[-1]!r}; expected {expected}"
     message = one_line(error)
     if isinstance(cause, OmegaConfBaseException):
         message += f": {one_line(cause)}"
     return message
 
 
-def _having(key: str, loader: ConfigLoader) -> str:
+def _missing_message(error: MissingConfigException, texts: Sequence[str]) -> str:
+    """The message on an option that no folder holds: of an extra, or misspelt."""
+    group, _, name = str(error.missing_cfg_file).rpartition("/")
+    chosen = any(text.lstrip("+").startswith(f"{group}=") for text in texts)
+    place = "" if chosen else f"{str(error).partition(':')[0]}: "  # the file that chooses it
+    if name in EXTRAS.get(group, ()):
+        return f"{place}{group}={name}: is not installed; pip install 'miho[launchers]'"
+    return place + unknown_message(f"{group}={name}", error.options or ())
+
+
+def _having(key: str) -> str:
     """The options of its group that have a setting which the chosen one lacks."""
     group, _, setting = key.partition(".")
     line = re.compile(rf"^\s*{re.escape(setting)}:", re.MULTILINE)
-    names = [name for name in loader.get_group_options(group) if setting]
-    having = [f"{group}={name}" for name in names if line.search(source(loader, group, name))]
+    names = options_of(group) if setting else []
+    having = [f"{group}={name}" for name in names if line.search(source(group, name))]
     return f"; {setting} is a setting of {', '.join(having)}" if having else ""
-
-
-def source(loader: ConfigLoader, group: str, option: str) -> str:
-    """The file of an option with its comments; empty for one that a package registers."""
-    for place in loader.get_sources():
-        if place.scheme() == "file" and place.is_config(f"{group}/{option}"):
-            file = Path(place.path) / group / f"{option}.yaml"
-            return file.read_text(encoding="utf-8").strip()
-    return ""
 
 
 def one_line(error: BaseException) -> str:

@@ -9,71 +9,68 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hydra.core.config_loader import ConfigLoader
-from hydra.core.object_type import ObjectType
-
-from experiments.app.explain import source
+from experiments.app.options import CONF, groups_of, options_of, source
 
 WIDTH = 100
 
 FOOTER = """\
 more:
   GROUP --help            the options of a group, such as: dataset --help
-  GROUP=OPTION --help     what one of them means, such as: dataset=csv --help
+  GROUP=OPTION --help     the file of one of them, such as: dataset=csv --help
   --cfg job               the whole configuration, any value of which can be replaced
   --config-dir FOLDER     further options of your own, such as FOLDER/experiment/mine.yaml
-  --shell-completion      how to complete groups and options with the tabulator key
+  --hydra-help            the options of Hydra, which composes the configuration
+  --shell-completion      a script that completes groups and options with the tabulator key
 Exit codes: 0 ok, 1 a bug, 2 bad input, 3 some runs failed, 4 storage, 5 finished runs are of other
 code, data or settings (fresh=true), 6 a simulated car left its road, 130 interrupted."""
 
 
-def completion(conf: Path) -> str:
-    """A script for bash that completes groups and options of `conf` behind `python -m`.
+def completion() -> str:
+    """A script for bash that completes groups and options of conf/ after `python -m`.
 
-    Hydra's own does not know `python -m`, and starts Python for each stroke of the key.
+    Hydra's own (`-sc install=bash`) does not know `python -m`, and starts Python for each key.
     """
     script = Path(__file__).with_name("completion.bash").read_text(encoding="utf-8")
-    return script.replace("@CONF@", shlex.quote(str(conf))).strip()
+    return script.replace("@CONF@", shlex.quote(str(CONF))).strip()
 
 
 def help_text(
     task: Callable[..., Any],
     settings: Mapping[str, str],
     overrides: Sequence[str],
-    loader: ConfigLoader,
+    folders: Sequence[Path],
 ) -> str:
-    """Help about the last of `overrides` that names a group or an option, else the command."""
+    """Help on the last of `overrides` that names a group or an option, else on the command.
+
+    folders: conf/ and further folders of options.
+    """
     for text in reversed(overrides):
         group, _, option = text.partition("=")
-        options = loader.get_group_options(group, ObjectType.CONFIG)
+        options = options_of(group, folders)
         if option in options:
-            return source(loader, group, option)
+            return source(group, option, folders)
         if options:
-            return _options(loader, group, options)
-    return _command(task, settings, loader)
+            return _options(group, options, folders)
+    return _command(task, settings, folders)
 
 
-def _command(task: Callable[..., Any], settings: Mapping[str, str], loader: ConfigLoader) -> str:
+def _command(task: Callable[..., Any], settings: Mapping[str, str], folders: Sequence[Path]) -> str:
     """What a command does, its own settings, and the groups that it chooses from."""
     description = (sys.modules[task.__module__].__doc__ or "").strip()
     width = max(map(len, settings), default=0)
     setting_lines = [f"  {key:<{width}}  {meaning}" for key, meaning in settings.items()]
-    groups = [
-        f"{group} ({len(loader.get_group_options(group))})"
-        for group in loader.list_groups("")
-        if group != "hydra" and loader.get_group_options(group)
-    ]
+    groups = [f"{group} ({len(options_of(group, folders))})" for group in groups_of(folders)]
     choices = textwrap.wrap("groups (and how many options): " + ", ".join(groups), WIDTH)
     return "\n".join(
         [description, "", "settings, as KEY=VALUE:", *setting_lines, "", *choices, "", FOOTER]
     )
 
 
-def _options(loader: ConfigLoader, group: str, options: Sequence[str]) -> str:
+def _options(group: str, options: Sequence[str], folders: Sequence[Path]) -> str:
     """The options of a group, each with the first sentence of its file."""
     width = max(map(len, options))
     room = WIDTH - width - 4
-    titles = [textwrap.shorten(_title(source(loader, group, name)), room) for name in options]
+    titles = [textwrap.shorten(_title(source(group, name, folders)), room) for name in options]
     lines = [f"  {name:<{width}}  {title}" for name, title in zip(options, titles, strict=True)]
     return "\n".join([f"{group}=OPTION, one of:", *lines])
 

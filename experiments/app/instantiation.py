@@ -18,8 +18,8 @@ from experiments.app.safety import (
     TargetError,
     check_no_secret,
     find_target,
+    guard_environment,
     nested_target,
-    refuse_environment,
 )
 
 PLAIN = {kind.__name__: kind for kind in (int, float, str, bool)}
@@ -28,7 +28,7 @@ T = TypeVar("T")
 MISSING = "???"
 """What Hydra leaves where a choice must be made."""
 
-refuse_environment()
+guard_environment()
 
 
 class MissingLibraryError(ConfigError):

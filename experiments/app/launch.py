@@ -1,60 +1,210 @@
-"""A sweep by a launcher of Hydra: a job for each setting, which does all its seeds."""
+"""The jobs of a multirun as a plan of runs, and what becomes of them.
+
+Jobs that differ by their seed alone share one composition, because composing takes a tenth of a
+second, and are planned together.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
-from hydra.core.override_parser.types import Override
-from hydra.core.plugins import Plugins
+from hydra.core.utils import JobReturn, JobStatus
 from hydra.types import HydraContext, TaskFunction
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf, open_dict
 
-from experiments.app.explain import replace_spaces
-from experiments.app.mirror import check_tracking, mirror_runs, say_unmirrored
-from experiments.app.plan import Request, is_of, seed_groups
-from experiments.app.runs import PlanOutcome, stored_state
+from experiments.app.compose import job_config
+from experiments.app.console import OK, Job
+from experiments.app.explain import ConfigError
+from experiments.app.plan import Request, requests, sweep_settings
+from experiments.app.run_text import print_summary
+from experiments.app.runs import run
 from experiments.app.working import State
-from miho.study import Status
+from miho.study import Store
 
-BASIC = "hydra._internal.core_plugins.basic_launcher.BasicLauncher"
-"""Hydra's own, in whose place our workers do the runs."""
-FOR_EVERY_JOB = ("fresh", "sweep")
-"""Keys that say how to go through the runs, to each job as well."""
+HOW_TO_RUN = ("seed", "fresh", "sweep", "hydra")
+"""Keys that say how to go through the runs, or which repetition, but not what they are."""
 
 
-def launch_plan(
-    plan: Sequence[Request],
-    task: TaskFunction,
+@dataclass
+class Sweep:
+    """The runs of a multirun so far, with its configuration and the overrides that were typed."""
+
+    cfg: DictConfig
+    typed: Sequence[str]
+    plan: list[Request] = field(default_factory=list)
+    states: list[State] = field(default_factory=list)
+
+    def summed_up(self) -> int:
+        """Print what became of the runs; gives the exit code."""
+        return print_summary(self.states) if self.states else OK
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One job of Hydra's: its number, its overrides without the seed, and the seed."""
+
+    number: int
+    overrides: tuple[str, ...]
+    setting: tuple[str, ...]
+    seed: int | None
+
+
+def launch(
+    job_overrides: Sequence[Sequence[str]],
+    first: int,
     context: HydraContext,
-    cfg: DictConfig,
-    overrides: Sequence[Override],
-) -> PlanOutcome:
-    """Have a launcher do a plan; what became of it is then read from the results, and mirrored."""
-    check_tracking(cfg.tracking)
-    launcher = Plugins.instance().instantiate_launcher(
-        hydra_context=context, task_function=task, config=cfg
+    task: TaskFunction,
+    config: DictConfig,
+    settings: Mapping[str, Any],
+) -> list[JobReturn]:
+    """Do the runs of a batch of jobs that are not done; the error of each, NaN without a result.
+
+    A run that fails or is lost ends no other and is no exception: the sweep prints it, and its exit
+    code says so. Raises ConfigError before anything begins if a job cannot be built, and the
+    interrupt if a signal ended the batch.
+    """
+    if not isinstance(task, Job) or not task.pool:
+        raise ConfigError(
+            "hydra/launcher=pool: does the runs of experiments.identify and experiments.compare; "
+            "choose hydra/launcher=basic here"
+        )
+    jobs = [_job(number, texts) for number, texts in enumerate(job_overrides, first)]
+    if not jobs:
+        raise ConfigError("-m: has no values to sweep over, so there is nothing to do")
+    if task.sweep is None:
+        cfg = job_config(_copied(config), config.hydra.runtime.choices)
+        task.sweep = Sweep(cfg, _typed(config))
+    sweep, checked = task.sweep, sweep_settings(settings)
+    composed = {job.setting: _composed(job.setting, context, config) for job in reversed(jobs)}
+    plan = _planned(jobs, composed, checked.time_limit)
+    _announce(jobs, composed, context, task)
+    if checked.timed and config.fresh:
+        set_aside_disturbed(plan)
+    outcome = run(
+        plan, checked, fresh=config.fresh, overrides=sweep.typed, tracking=config.tracking
     )
-    shared = [str(o.input_line) for o in overrides if is_of(o.key_or_group, FOR_EVERY_JOB)]
-    jobs = [
-        [*replace_spaces(group), *shared, f"sweep.seeds=[{','.join(map(str, seeds))}]"]
-        for group, seeds in seed_groups(overrides)
+    sweep.plan += plan
+    sweep.states += outcome.states
+    outcome.raise_if_stopped()
+    states = {state.request.identity.id: state for state in outcome.states}
+    errors = [states[request.identity.id].error for request in plan]
+    return [
+        _returned(job, error, composed[job.setting], context)
+        for job, error in zip(jobs, errors, strict=True)
     ]
-    try:
-        launcher.launch(jobs, initial_job_idx=0)
-    except KeyboardInterrupt:
-        say_unmirrored(plan, cfg.tracking)
-        raise
-    except Exception as error:  # noqa: BLE001 -- a job of the launcher died; the others are stored
-        print(f"{type(launcher).__name__}: {type(error).__name__}: {error}")
-    states = [_after_launch(stored_state(request)) for request in plan]
-    mirror_runs(plan, cfg.tracking)
-    return PlanOutcome(states)
 
 
-def _after_launch(state: State) -> State:
-    """The state of a run after its launcher has ended: what is not done is lost."""
-    if state.status is Status.DONE_BEFORE:
-        return state
-    reason = state.reason or "its job ended without a result"
-    return replace(state, status=Status.LOST, reason=reason)
+def _job(number: int, texts: Sequence[str]) -> _Job:
+    seeds = [text.partition("=")[2] for text in texts if text.startswith("seed=")]
+    setting = tuple(text for text in texts if not text.startswith("seed="))
+    if seeds and not seeds[-1].isdecimal():
+        raise ConfigError(f"seed: is {seeds[-1]}; expected a whole number of at least 0")
+    return _Job(number, tuple(texts), setting, int(seeds[-1]) if seeds else None)
+
+
+def _composed(setting: Sequence[str], context: HydraContext, config: DictConfig) -> DictConfig:
+    """The configuration of a job, with the node `hydra`."""
+    return context.config_loader.load_sweep_config(config, list(setting))
+
+
+def _planned(
+    jobs: Sequence[_Job],
+    composed: Mapping[tuple[str, ...], DictConfig],
+    time_limit: float | None,
+) -> list[Request]:
+    """The runs in the order of the jobs, planned setting by setting."""
+    planned: dict[int, Request] = {}
+    for setting, config in composed.items():
+        cfg = job_config(_copied(config), config.hydra.runtime.choices)
+        here = [job for job in jobs if job.setting == setting]
+        seeds = [cfg.seed if job.seed is None else job.seed for job in here]
+        words = " ".join(text for text in setting if not _is_of(text, HOW_TO_RUN))
+        for job, request in zip(here, requests(cfg, words, seeds, time_limit), strict=True):
+            planned[job.number] = request
+    return [planned[job.number] for job in jobs]
+
+
+def _copied(config: DictConfig) -> DictConfig:
+    copy: DictConfig = OmegaConf.masked_copy(config, [str(key) for key in config if key != "hydra"])
+    return copy
+
+
+def _is_of(text: str, keys: Sequence[str]) -> bool:
+    """Whether an override, such as sweep.workers=2, is of one of these keys or below one."""
+    return text.lstrip("+~").partition("=")[0].partition(".")[0].partition("/")[0] in keys
+
+
+def _typed(config: DictConfig) -> list[str]:
+    """The overrides of the whole multirun, for its record in the root."""
+    return [text for text in config.hydra.overrides.task if not _is_of(text, ("fresh", "sweep"))]
+
+
+def set_aside_disturbed(plan: Sequence[Request]) -> None:
+    """Make room for runs on a quieter machine: finished ones whose seconds count are kept."""
+    for request in plan:
+        store = Store(Path(request.root))
+        stored = store.find(request.identity)
+        if stored is not None and not stored.result["facts"].get("timing_valid"):
+            store.set_aside(stored.folder)
+
+
+def _announce(
+    jobs: Sequence[_Job],
+    composed: Mapping[tuple[str, ...], DictConfig],
+    context: HydraContext,
+    task: TaskFunction,
+) -> None:
+    """Write each job's `.hydra` folder, and call Hydra's callbacks at its start."""
+    for job in jobs:
+        config = _of_job(job, composed[job.setting])
+        subdir = config.hydra.output_subdir
+        if subdir is not None:
+            folder = Path(config.hydra.runtime.output_dir, subdir)
+            folder.mkdir(parents=True, exist_ok=True)
+            for name, text in _texts(config):
+                (folder / name).write_text(text, encoding="utf-8")
+        context.callbacks.on_job_start(config=config, task_function=task)
+
+
+def _texts(config: DictConfig) -> Iterator[tuple[str, str]]:
+    """The files that Hydra leaves of each job, by their names."""
+    yield "config.yaml", OmegaConf.to_yaml(_copied(config))
+    yield "hydra.yaml", OmegaConf.to_yaml(OmegaConf.masked_copy(config, ["hydra"]))
+    yield "overrides.yaml", OmegaConf.to_yaml(config.hydra.overrides.task)
+
+
+def _of_job(job: _Job, config: DictConfig) -> DictConfig:
+    """The configuration of a job's setting, as that job has it until the next one is asked for."""
+    with open_dict(config):
+        if job.seed is not None:
+            config.seed = job.seed
+        node = config.hydra
+        node.job.id, node.job.num = str(job.number), job.number
+        node.overrides.task = list(job.overrides)
+        naming = node.job.config.override_dirname
+        named = sorted(
+            text for text in job.overrides if text.partition("=")[0] not in naming.exclude_keys
+        )
+        pairs = (text.replace("=", naming.kv_sep, 1) for text in named)
+        node.job.override_dirname = naming.item_sep.join(pairs)
+        node.runtime.output_dir = str(Path(node.sweep.dir, str(node.sweep.subdir)).absolute())
+    return config
+
+
+def _returned(
+    job: _Job, error: float | None, config: DictConfig, context: HydraContext
+) -> JobReturn:
+    """What Hydra's sweepers and callbacks get of a job."""
+    returned = JobReturn(
+        overrides=list(job.overrides),
+        task_name=config.hydra.job.name,
+        working_dir=str(Path.cwd()),
+        status=JobStatus.COMPLETED,
+        _return_value=math.nan if error is None else error,
+    )
+    context.callbacks.on_job_end(config=_of_job(job, config), job_return=returned)
+    return returned

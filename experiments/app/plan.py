@@ -9,10 +9,6 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
-from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-from hydra.core.override_parser.types import Override
-from omegaconf import DictConfig
-
 from experiments.app.build import (
     MEANS,
     Experiment,
@@ -20,10 +16,10 @@ from experiments.app.build import (
     build,
     build_dataset,
     build_problem,
+    method_of,
     plain,
     runs_own_code,
 )
-from experiments.app.compose import composed
 from experiments.app.explain import ConfigError, one_line
 from experiments.app.parts import model_files
 from experiments.app.schema import SweepConfig
@@ -35,8 +31,6 @@ from miho.study import Identity
 from miho.study.identity import sha256
 
 PROBLEM = ("model", "dataset", "space", "loss", "problem")
-HOW_TO_RUN = ("seed", "fresh", "sweep")
-"""Keys that say how to go through the runs, or which repetition, but not what they are."""
 NAMELESS = "model"
 POLL = 0.2
 MODULES = ("experiments.app.runs",)
@@ -92,19 +86,9 @@ def requests(
     ]
 
 
-def planned_sweep(cfg: DictConfig, overrides: Sequence[Override]) -> list[Request]:
-    """The runs that the overrides of -m ask for, by setting and then by seed."""
-    limit = sweep_settings(cfg).time_limit
-    return [
-        request
-        for group, seeds in seed_groups(overrides)
-        for request in requests(composed(group), " ".join(group), seeds, limit)
-    ]
-
-
-def sweep_settings(cfg: DictConfig) -> SweepConfig:
+def sweep_settings(given: Mapping[Any, Any]) -> SweepConfig:
     """The checked settings of `sweep`; raises ConfigError."""
-    settings = SweepConfig(**{str(key): value for key, value in cfg.sweep.items()})
+    settings = SweepConfig(**{str(key): value for key, value in given.items()})
     former, workers = settings.processes, settings.workers
     if former is not None:
         if former < 1:
@@ -128,30 +112,6 @@ def _check_workers(address: str) -> None:
         check_address(address)
     except ClusterError as error:
         raise ConfigError(f"sweep.workers: {error}") from None
-
-
-def seed_groups(overrides: Sequence[Override]) -> list[tuple[tuple[str, ...], list[int]]]:
-    """The settings of a sweep but for the seed, each with its seeds, in the order asked."""
-    jobs = BasicSweeper.split_arguments(list(overrides), max_batch_size=None)[0]
-    seeds_of: dict[tuple[str, ...], dict[int, None]] = {}
-    for job in jobs:
-        group = tuple(
-            text for text in job if not is_of(text.partition("=")[0].lstrip("+~"), HOW_TO_RUN)
-        )
-        seeds = [text.partition("=")[2] for text in job if text.startswith("seed=")]
-        seeds_of.setdefault(group, {})[_whole(seeds[-1]) if seeds else 0] = None
-    return [(group, list(seeds)) for group, seeds in seeds_of.items()]
-
-
-def is_of(key: str, keys: Sequence[str]) -> bool:
-    """Whether a key, such as sweep.processes, is one of these or below one."""
-    return key.partition(".")[0] in keys
-
-
-def _whole(seed: str) -> int:
-    if not seed.isdecimal():
-        raise ConfigError(f"seed: is {seed}; expected a whole number of at least 0")
-    return int(seed)
 
 
 def _text(setting: Mapping[str, Any]) -> str:
@@ -231,9 +191,15 @@ def _code_of(setting: Mapping[str, Any]) -> str:
 
 def _named_only(setting: Mapping[str, Any], code: str) -> Identity:
     """The identity of a run whose model cannot be built: the file's name stands for the model's."""
-    optimizer = setting["optimizer"]["name"]
+    optimizer = method_of(setting)
     config = {key: value for key, value in setting.items() if key not in MEANS}
-    about = {"optimizer": optimizer, "seed": 0, "config": config, "code": code, "data": ""}
+    about: dict[str, Any] = {
+        "optimizer": optimizer,
+        "seed": 0,
+        "config": config,
+        "code": code,
+        "data": "",
+    }
     try:
         return Identity(Path(model_files(setting)[0]).stem, **about)
     except ValueError:  # a name that no folder can have

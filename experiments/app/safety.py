@@ -1,28 +1,26 @@
-"""What a configuration may say, since it may come from somebody else: checked before it acts.
+"""Checks of configurations before they act.
 
-Four doors lead from text to code or memory. A target names what is called: allowed are the public
-classes and functions of our own packages, decided before anything is imported. A setting of Hydra
-itself runs targets too: Hydra makes its launcher, sweeper, callbacks and loggers from what is
-configured, sets environment variables and reads pickles. A file of YAML can stand for more than any
-memory holds. And what is stored with a run must hold no secret.
+A model, dataset, loss or method names its target: allowed are the public classes and functions of
+our own packages, so that a stored result or a received experiment runs no other code. A file of
+YAML can stand for more than any memory holds. A stored run must hold no secret. Settings of Hydra
+itself, such as callbacks and launchers, are the user's own: they come from the command line, from
+conf/ or from --config-dir, and never from a stored result.
 """
 
 from __future__ import annotations
 
-import argparse
 import ast
 import importlib
 import inspect
+import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
-from typing import Any, NoReturn, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import yaml
-from hydra.core.override_parser.types import Override
-from hydra.core.plugins import Plugins
-from hydra.plugins.launcher import Launcher
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import OmegaConf
+from omegaconf.resolvers import oc
 
 import baselines
 import miho.data
@@ -30,12 +28,12 @@ import miho.identification
 import miho.methods
 import miho.models
 import miho.optim
+from experiments.app.explain import ConfigError
 from miho.data import Dataset
 from miho.identification import Loss
 from miho.models import Model
 from miho.optim import AskTell, Optimizer
-from miho.parallel.cluster import is_address
-from miho.study.redaction import holds_secret
+from miho.study.redaction import holds_secret, names_secret, redacted
 
 T = TypeVar("T")
 
@@ -139,97 +137,6 @@ def _shortened(path: object) -> str:
     return text if len(text) <= LONGEST_SHOWN else f"{text[:LONGEST_SHOWN]}..."
 
 
-FREE = {"launcher", "mode", "verbose", "overrides", "runtime", "job"}
-FREE_OF_JOB = {"name", "override_dirname", "id", "num", "config_name"}
-SHELL = ("setup", "teardown", "srun_args", "additional_parameters", "python")
-"""Settings of launchers that become shell commands on a cluster."""
-OPTIONS = {
-    "config_path": "name a folder of further options with --config-dir",
-    "config_name": "choose an experiment=... instead",
-    "experimental_rerun": "it reads a pickle, which can run anything; type the overrides again",
-}
-
-
-class HydraSettingError(ValueError):
-    """One line naming the setting of Hydra that is refused."""
-
-
-def check_arguments(arguments: argparse.Namespace) -> None:
-    """Refuse options that replace our configuration, or load code to find another one."""
-    for option, remedy in OPTIONS.items():
-        if getattr(arguments, option) is not None:
-            name = option.replace("_", "-")
-            raise HydraSettingError(f"--{name}: cannot be used here; {remedy}")
-    if arguments.config_dir is not None:
-        check_folder(Path(arguments.config_dir))
-    for override in arguments.overrides:
-        if "searchpath" in override:
-            raise HydraSettingError(
-                "hydra.searchpath: cannot be changed here, since it can import packages; name a "
-                "folder of further options with --config-dir"
-            )
-
-
-def check_hydra(hydra: DictConfig, usual: DictConfig, overrides: Sequence[str]) -> None:
-    """Refuse settings of Hydra other than a choice of a launcher and its plain settings.
-
-    `hydra` and `usual` are the nodes `hydra` of the composed configuration and of the one
-    without overrides. What a launcher passes to a shell must be typed in `overrides`.
-    """
-    new, old = _plain(hydra), _plain(usual)
-    _check_same(new, old, "hydra", FREE)
-    for key in ("job", "launcher"):
-        if not isinstance(new.get(key), Mapping):
-            raise HydraSettingError(f"hydra.{key}: is not a mapping; leave it as it is")
-    _check_same(new["job"], old["job"], "hydra.job", FREE_OF_JOB)
-    node = dict(new["launcher"])
-    target = node.pop("_target_", None)
-    launchers = Plugins.instance().discover(Launcher)
-    names = sorted(f"{launcher.__module__}.{launcher.__name__}" for launcher in launchers)
-    if target not in names:
-        raise HydraSettingError(
-            f"hydra.launcher._target_: {str(target)[:80]!r} is not a plugin of Hydra that is "
-            f"installed; allowed are {', '.join(names)}"
-        )
-    inner = nested_target(node, "hydra.launcher")
-    if inner:
-        raise HydraSettingError(f"{inner}: hydra.launcher holds a target of its own; remove it")
-    for key in SHELL:
-        setting = f"hydra.launcher.{key}"
-        on_command_line = any(text.lstrip("+").startswith(setting) for text in overrides)
-        if new["launcher"].get(key) and not on_command_line:
-            raise HydraSettingError(
-                f"{setting}: reaches a shell, so it must be typed on the command line"
-            )
-
-
-def check_machines(cfg: DictConfig, overrides: Sequence[Override]) -> None:
-    """Refuse the address of a cluster that is not typed: code and data would go there."""
-    typed = {o.key_or_group for o in overrides}
-    for key in ("workers", "sweep.workers"):
-        workers = OmegaConf.select(cfg, key)
-        if not is_address(workers) or key in typed:
-            continue
-        raise HydraSettingError(
-            f"{key}: {_shortened(workers)} is where code and data would go, so it must be typed on "
-            "the command line"
-        )
-
-
-def _check_same(new: Mapping[str, Any], old: Mapping[str, Any], place: str, free: set[str]) -> None:
-    for key in (new.keys() | old.keys()) - free:
-        if new.get(key) != old.get(key):
-            raise HydraSettingError(f"{place}.{key}: cannot be changed here; leave it as it is")
-
-
-def _plain(node: DictConfig) -> dict[str, Any]:
-    """The node as a dictionary, interpolations unresolved, so that their texts are compared."""
-    plain = OmegaConf.to_container(node, resolve=False)
-    if not isinstance(plain, dict):
-        raise HydraSettingError("hydra: is not a mapping; leave it as it is")
-    return {str(key): value for key, value in plain.items()}
-
-
 LARGEST = 1 << 20
 """No configuration is larger, in bytes."""
 DEEPEST = 50
@@ -310,16 +217,50 @@ def check_no_secret(value: Any, key: str) -> None:
         )
 
 
-def refuse_environment() -> None:
-    """Make `${oc.env:NAME}` an error in every configuration of this process, Hydra's included."""
-    OmegaConf.register_new_resolver("oc.env", _no_environment, replace=True)
+def check_typed(overrides: Sequence[str]) -> None:
+    """Raise SecretError or ConfigError for overrides that Hydra must not write into its files.
+
+    Hydra stores what was typed in `.hydra/overrides.yaml` before it calls a task, in a folder below
+    `root`.
+    """
+    for text in overrides:
+        key, _, value = text.partition("=")
+        if holds_secret(text) or names_secret(key.rpartition(".")[2]):
+            raise SecretError(
+                f"{redacted(key)}: holds a password or token, which would be stored with the run; "
+                "remove it"
+            )
+        if key == "root":
+            check_root(value)
 
 
-def _no_environment(name: str, *_: object) -> NoReturn:
-    raise SecretError(
-        f"a configuration cannot read the environment variable {name}, which would be stored "
-        "with the run; give the value itself"
-    )
+def check_root(text: str) -> None:
+    """Raise ConfigError if `root` is no path that this system can store."""
+    if not text.strip() or not text.isprintable():
+        raise ConfigError(f"root: is {text[:LONGEST_SHOWN]!r}; expected the path of a folder")
+    try:
+        os.fsencode(text)
+    except UnicodeEncodeError:
+        raise ConfigError(
+            f"root: {text!a} cannot be a file name in the locale of this system; "
+            "set LC_ALL=C.UTF-8 or choose a plain name"
+        ) from None
+
+
+def guard_environment() -> None:
+    """Keep `${oc.env:NAME}` from reading variables whose names say that they are secret."""
+    OmegaConf.register_new_resolver("oc.env", _environment, replace=True)
+
+
+def _environment(name: str, *default: str | None) -> str | None:
+    """OmegaConf's own resolver, for variables that hold no secret."""
+    if names_secret(name) and name in os.environ:
+        raise SecretError(
+            f"the environment variable {name} names a secret, which would be stored with the run; "
+            "a configuration cannot read it"
+        )
+    value: str | None = oc.env(name, *default)
+    return value
 
 
 def _texts(value: Any, key: str) -> Iterator[tuple[str, str]]:

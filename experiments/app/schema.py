@@ -118,7 +118,8 @@ class SweepConfig:
     machine, and store what they do by themselves; else it is sent here and stored here. A run that
     takes longer than `time_limit` seconds in all is killed. A run that fails or is lost stops no
     other, unless `stop_on_failure`; the next call does it again. `dry_run` lists the runs and does
-    none. `seeds` are those of one job of a launcher.
+    none. `timed` says that seconds are compared: `fresh` then also sets aside finished runs whose
+    seconds other work disturbed.
     """
 
     workers: Any = 1
@@ -127,7 +128,7 @@ class SweepConfig:
     time_limit: float | None = None
     stop_on_failure: bool = False
     dry_run: bool = False
-    seeds: list[int] | None = None
+    timed: bool = False
 
 
 @dataclass
@@ -161,7 +162,8 @@ class DriveConfig:
     the plan uses (the paper's mu). road_friction: what the road gives the simulated car, over the
     road on which its tires were measured; the plan does not know it. The car starts at the arc
     length `start` [m] of the line with `speed` [m/s] and drives a distance [m]. `top_speeds` [m/s]
-    of the laps in turn; without them only the plan's `top_speed` counts.
+    of the laps in turn; without them only the plan's `top_speed` counts. Log, figure and table go
+    to `output`, identified parts to `root`.
     """
 
     vehicle: dict[str, Any] = field(default_factory=dict)
@@ -181,6 +183,7 @@ class DriveConfig:
     distance: float = 0.0
     figure: str = "fig8"
     obstacle: ObstacleConfig = field(default_factory=ObstacleConfig)
+    output: str = "${root}"
 
 
 @dataclass
@@ -188,8 +191,10 @@ class Config:
     """One run, or with `comparison` a set of runs of the same problem.
 
     `fresh` sets aside finished runs of the same request that were made of other code, data,
-    settings or packages, where the program else refuses to mix old and new; in a comparison on the
-    clock also those whose seconds other work disturbed.
+    settings or packages, where the program else refuses to mix old and new.
+
+    `method` is the name of the method in the results; without it, the name of the option that was
+    chosen for `optimizer` (of `small/miho`: miho).
 
     `workers` make the evaluations of a run where each takes long: a number of processes, -1 for one
     per core, or the address of a cluster; in a sweep those of each run. An evaluation that takes
@@ -202,6 +207,7 @@ class Config:
     loss: dict[str, Any] = MISSING
     problem: ProblemConfig = field(default_factory=ProblemConfig)
     optimizer: dict[str, Any] = MISSING
+    method: str | None = None
     budget: BudgetConfig = field(default_factory=BudgetConfig)
     seed: int = 0
     workers: Any = 1

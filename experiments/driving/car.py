@@ -100,7 +100,7 @@ def part_setting(cfg: DictConfig, part: str) -> Mapping[str, Any]:
     """One problem of `PARTS` with the method, the budget, the seed and the root of a drive."""
     drive = plain(cfg)
     budget = {**drive["budget"], "target": None}
-    shared = {key: drive[key] for key in ("optimizer", "seed", "root")}
+    shared = {key: drive[key] for key in ("optimizer", "method", "seed", "root")}
     return {**plain(composed([*PARTS[part]])), **shared, "budget": budget}
 
 

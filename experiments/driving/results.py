@@ -9,7 +9,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from omegaconf import DictConfig
 
-from experiments.app.build import build_optimizer
+from experiments.app.build import build_optimizer, method_of
 from experiments.app.origin import regenerates
 from experiments.driving.car import Parts
 from experiments.driving.settings import factors_text
@@ -29,7 +29,7 @@ def write_drive(
 
     Gives how the car left the road, if it did.
     """
-    root = Path(cfg.root)
+    root = Path(cfg.drive.output)
     root.mkdir(parents=True, exist_ok=True)
     log = pd.DataFrame(dict(drive.columns))
     write_text(root / "log.csv", log.to_csv(index=False, float_format="%.6g"))
@@ -37,7 +37,7 @@ def write_drive(
     write_text(root / "measured.csv", measured.to_csv(index=False, float_format="%.6g"))
     clearance = Clearance.of(drive, road)
     off_road = departure(drive, clearance)
-    models = "true models" if not parts else f"models identified by {cfg.optimizer.name}"
+    models = "true models" if not parts else f"models identified by {method_of(cfg)}"
     figure = _figure(cfg, log, driver, off_road, f"{factors_text(cfg)}; {models}")
     paths = save(figure, root / "figures" / cfg.drive.figure)
     table = outcome_table(drive, driver, clearance, cfg.drive.road_friction)

@@ -53,7 +53,7 @@ def write_study(cfg: DictConfig, root: Path, rows: list[dict[str, Any]]) -> None
 def check_study(cfg: DictConfig) -> None:
     """Everything that can be wrong before the first seed."""
     track_and_vehicle(cfg)
-    repetitions, workers = cfg.comparison.repetitions, sweep_settings(cfg).workers
+    repetitions, workers = cfg.comparison.repetitions, sweep_settings(cfg.sweep).workers
     if repetitions < 1:
         raise ConfigError(f"comparison.repetitions: is {repetitions}; expected at least 1")
     if is_address(workers):
@@ -65,10 +65,12 @@ def check_study(cfg: DictConfig) -> None:
 
 def jobs_of(cfg: DictConfig, root: Path) -> list[SeedJob]:
     """A job per seed; its setting leaves out how many seeds there are, and the root."""
-    parts = ("drive", "budget")
-    setting = {part: OmegaConf.to_container(cfg[part], resolve=True) for part in parts}
+    setting: dict[str, Any] = {
+        part: OmegaConf.to_container(cfg[part], resolve=True) for part in ("drive", "budget")
+    }
     methods = OmegaConf.to_container(cfg.comparison.methods, resolve=True)
     setting["comparison"] = {"methods": methods}
+    setting["drive"].pop("output")
     text = OmegaConf.to_yaml(OmegaConf.create(setting))
     code = driving_code(methods_of(cfg).values())
     return [

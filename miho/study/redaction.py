@@ -17,10 +17,15 @@ SHORTEST = 8
 """Shorter values of secret variables are too common as words to be looked for."""
 
 
+def names_secret(name: str) -> bool:
+    """Whether the name of a variable or setting says that its value is secret."""
+    return bool(SECRET.search(name)) and not PLACE.search(name)
+
+
 def redacted(text: str) -> str:
     """The text without logins in URLs and values of environment variables that name a secret."""
     for name, value in os.environ.items():
-        if len(value) >= SHORTEST and SECRET.search(name) and not PLACE.search(name):
+        if len(value) >= SHORTEST and names_secret(name):
             text = text.replace(value, f"<{name}>")
     return LOGIN.sub("<login>@", text)
 

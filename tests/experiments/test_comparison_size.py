@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from experiments.app.build import ConfigError
-from experiments.app.comparing import set_aside_disturbed
 from experiments.app.compose import composed
 from experiments.app.configured import differences
+from experiments.app.launch import set_aside_disturbed
 from experiments.app.plan import Request, requests
 from experiments.app.schema import register
 from miho.optim import Budget, RandomSearch, minimize
@@ -31,11 +31,10 @@ def stored(root: Path, *overrides: str, valid: bool = True, seed: int = 0) -> Re
 
 
 def test_fresh_makes_room_for_what_was_disturbed_as_often_as_asked(tmp_path: Path) -> None:
-    store = Store(tmp_path)
     quiet = stored(tmp_path, "optimizer=random", seed=0)
     for _ in range(3):
         disturbed = stored(tmp_path, "optimizer=random", valid=False, seed=1)
-        set_aside_disturbed([quiet, disturbed], store)
+        set_aside_disturbed([quiet, disturbed])
         assert load_runs(tmp_path).runs["seed"].tolist() == [0]
     assert len(list((tmp_path / ".superseded").rglob("result.json"))) == 3
 

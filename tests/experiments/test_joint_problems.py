@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from experiments.app.build import ConfigError, build, rebuild
-from experiments.app.compose import composed, hydra_of
+from experiments.app.compose import composed
 from experiments.app.configured import as_configured
 from experiments.app.execution import execution_of
 from experiments.app.optimum import report_of
@@ -21,6 +21,11 @@ register()
 PAGE = Path(__file__).parents[2] / "docs" / "joint.md"
 AXLE = "experiment=front_axle_tires"
 t = np.linspace(0, 2, 40)
+
+
+def own_options() -> str:
+    """The folder of options that the manual's example makes, as --config-dir names it."""
+    return f"hydra.searchpath=[file://{Path('my_options').absolute()}]"
 
 
 def decay(a: float, b: float) -> np.ndarray:
@@ -59,8 +64,7 @@ def by_hand(values: np.ndarray, sigma: tuple[float, float]) -> np.ndarray:
 
 def test_the_manuals_configuration_is_what_scipy_finds(data: np.ndarray) -> None:
     """One sigma is given and one estimated; a stored run is rebuilt with it, and reported."""
-    with hydra_of("my_options"):
-        cfg = composed(["experiment=two_decays", "root=runs", "budget.seconds=60"])
+    cfg = composed([own_options(), "experiment=two_decays", "root=runs", "budget.seconds=60"])
     (request,) = requests(cfg, "", [0])
     assert request.own_code
     experiment = build(cfg)
@@ -89,8 +93,7 @@ def test_the_manuals_configuration_is_what_scipy_finds(data: np.ndarray) -> None
 
 
 def test_a_sweep_shares_what_its_seeds_share(data: np.ndarray) -> None:
-    with hydra_of("my_options"):
-        cfg = composed(["experiment=two_decays", "problem.parts.first.sigma=0.05"])
+    cfg = composed([own_options(), "experiment=two_decays", "problem.parts.first.sigma=0.05"])
     first, second = requests(cfg, "", [0, 1])
     assert first.setting == second.setting
     problem = experiment_of(first.setting).problem
