@@ -1,0 +1,221 @@
+"""The study behind `hydra/sweeper=optuna`: its search space, its trials and its result."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import optuna
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import (
+    ChoiceSweep,
+    IntervalSweep,
+    Override,
+    RangeSweep,
+    Transformer,
+)
+from hydra.plugins.launcher import Launcher
+from omegaconf import DictConfig, OmegaConf
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
+from optuna.study import StudyDirection
+from optuna.trial import Trial, TrialState
+
+from experiments.app.explain import ConfigError
+
+if TYPE_CHECKING:
+    from experiments.plugins.hydra_plugins.miho_optuna import OptunaSweeper
+
+FINISHED = (TrialState.COMPLETE, TrialState.FAIL, TrialState.PRUNED)
+DIRECTIONS = ("minimize", "maximize")
+ENDED_EARLY = "ended_early"
+"""Marks trials that a signal ended, or that could not begin: they count for nothing."""
+RESULTS = "optimization_results.yaml"
+"""What is left in the folder of the sweep: the best trial."""
+
+
+def tune(
+    sweeper: OptunaSweeper, launcher: Launcher, config: DictConfig, arguments: Sequence[str]
+) -> None:
+    """Ask for trials, have them done and tell their errors until the study has `n_trials`."""
+    _check(sweeper)
+    space, fixed = search_space(sweeper.params, arguments, config)
+    study = _study(sweeper, space)
+    folder = Path(config.hydra.sweep.dir)
+    folder.mkdir(parents=True, exist_ok=True)
+    OmegaConf.save(config, folder / "multirun.yaml")
+    number = 0
+    while (left := sweeper.n_trials - _finished(study)) > 0:
+        trials = [study.ask(space) for _ in range(min(left, sweeper.n_jobs))]
+        batch = [[*fixed, *map("=".join, _texts(trial))] for trial in trials]
+        try:
+            sweeper.validate_batch_is_legal(batch)
+            returned = launcher.launch(batch, initial_job_idx=number)
+            errors = [float(job.return_value) for job in returned]
+        except BaseException:
+            for trial in trials:  # the next call begins with them
+                trial.set_user_attr(ENDED_EARLY, True)
+                study.tell(trial, state=TrialState.FAIL)
+                study.enqueue_trial(trial.params)
+            raise
+        number += len(batch)
+        for trial, error in zip(trials, errors, strict=True):
+            known = math.isfinite(error)
+            study.tell(trial, error if known else None, None if known else TrialState.FAIL)
+            if known:
+                print(f"trial {trial.number}: {error:.6g} with {_in_words(trial)}", flush=True)
+        failed = sum(not math.isfinite(error) for error in errors)
+        if failed > sweeper.max_failure_rate * len(errors):
+            print(
+                f"{failed} of {len(errors)} trials have no result, so the study ends; "
+                "hydra.sweeper.max_failure_rate allows a share of them",
+                file=sys.stderr,
+            )
+            break
+    _save_best(study, folder)
+
+
+def search_space(
+    params: dict[str, Any], arguments: Sequence[str], config: DictConfig
+) -> tuple[dict[str, BaseDistribution], list[str]]:
+    """The distributions of the settings that are searched, and the overrides of all trials.
+
+    Parameters
+    ----------
+    params
+        Settings and their values or sweeps, as configured.
+    arguments
+        Overrides; they replace `params` of the same setting.
+    config
+        The composed configuration: a setting that is a whole number there gets whole numbers from
+        an interval between whole numbers, which Hydra reads as real ones.
+    """
+    parser = OverridesParser.create()
+    texts = [*(f"{key}={value}" for key, value in params.items()), *arguments]
+    last = {override.get_key_element(): override for override in parser.parse_overrides(texts)}
+    space = {
+        key: _distribution(key, override, whole=type(OmegaConf.select(config, key)) is int)
+        for key, override in last.items()
+        if override.is_sweep_override()
+    }
+    fixed = [str(override.input_line) for key, override in last.items() if key not in space]
+    if not space:
+        raise ConfigError(
+            "hydra.sweeper.params: is empty, so there is nothing to choose; give such as "
+            "'optimizer.R=interval(100, 10000)'"
+        )
+    return space, fixed
+
+
+def _distribution(key: str, override: Override, *, whole: bool) -> BaseDistribution:
+    """What a `choice()`, `range()` or `interval()` stands for; tag(log, ...) is logarithmic."""
+    value = override.value()
+    if isinstance(value, ChoiceSweep):
+        choices = override.sweep_iterator(transformer=Transformer.encode)
+        return CategoricalDistribution([_plain(choice) for choice in choices])
+    log = "log" in getattr(value, "tags", ())
+    if isinstance(value, RangeSweep) and value.start is not None and value.stop is not None:
+        if all(isinstance(n, int) for n in (value.start, value.stop, value.step)):
+            # Hydra's range leaves out its end, as Python's does.
+            last = list(range(int(value.start), int(value.stop), int(value.step)))[-1]
+            return IntDistribution(int(value.start), last, log=log, step=int(value.step))
+        return FloatDistribution(value.start, value.stop, log=log, step=value.step)
+    if isinstance(value, IntervalSweep) and value.start is not None and value.end is not None:
+        ends = (value.start, value.end)
+        if all(isinstance(end, int) or (whole and end.is_integer()) for end in ends):
+            return IntDistribution(int(value.start), int(value.end), log=log)
+        return FloatDistribution(value.start, value.end, log=log)
+    raise ConfigError(
+        f"{key}: is {override.get_value_element_as_str()}; expected choice(), range() or "
+        "interval() with its ends"
+    )
+
+
+def _plain(choice: object) -> str | int | float | bool | None:
+    """A choice as Optuna stores it: plain values as they are, all others as their text."""
+    if choice is None or isinstance(choice, str | int | float | bool):
+        return choice
+    return str(choice)
+
+
+def _check(sweeper: OptunaSweeper) -> None:
+    if sweeper.direction not in DIRECTIONS:
+        raise ConfigError(
+            f"hydra.sweeper.direction: is {sweeper.direction!r}; expected minimize or maximize"
+        )
+    for key in ("n_trials", "n_jobs"):
+        if getattr(sweeper, key) < 1:
+            raise ConfigError(
+                f"hydra.sweeper.{key}: is {getattr(sweeper, key)}; expected 1 or more"
+            )
+
+
+def _study(sweeper: OptunaSweeper, space: dict[str, BaseDistribution]) -> optuna.Study:
+    """The study, begun or gone on with."""
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    sampler = sweeper.sampler
+    if isinstance(sampler, partial):
+        sampler = sampler(_grid(space))
+    if sweeper.storage is not None and sweeper.study_name is None:
+        raise ConfigError("hydra.sweeper.study_name: is missing; the storage keeps studies by name")
+    study = optuna.create_study(
+        study_name=sweeper.study_name,
+        storage=sweeper.storage,
+        sampler=sampler,
+        direction=StudyDirection[sweeper.direction.upper()],
+        load_if_exists=True,
+    )
+    if study.get_trials(deepcopy=False):  # the same seed would make the first trials again
+        sampler.reseed_rng()
+    return study
+
+
+def _finished(study: optuna.Study) -> int:
+    """How many trials of the study have ended by themselves."""
+    trials = study.get_trials(deepcopy=False, states=FINISHED)
+    return sum(ENDED_EARLY not in trial.user_attrs for trial in trials)
+
+
+def _grid(space: dict[str, BaseDistribution]) -> dict[str, list[Any]]:
+    """All values of each setting."""
+    values: dict[str, list[Any]] = {}
+    for key, found in space.items():
+        if isinstance(found, CategoricalDistribution):
+            values[key] = list(found.choices)
+        elif isinstance(found, IntDistribution) and not found.log:
+            values[key] = list(range(found.low, found.high + 1, found.step))
+        else:
+            raise ConfigError(f"{key}: is an interval; a grid needs choice() or range()")
+    return values
+
+
+def _texts(trial: Trial) -> list[tuple[str, str]]:
+    """The settings of a trial as Hydra reads them; JSON writes null, true and false as it does."""
+    return [
+        (key, value if isinstance(value, str) else json.dumps(value))
+        for key, value in trial.params.items()
+    ]
+
+
+def _in_words(trial: Trial) -> str:
+    return " ".join(map("=".join, _texts(trial)))
+
+
+def _save_best(study: optuna.Study, folder: Path) -> None:
+    """Print the best trial and leave it in the folder of the sweep."""
+    if not study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
+        return
+    best = study.best_trial
+    words = " ".join(f"{key}={value}" for key, value in best.params.items())
+    print(f"best of {len(study.trials)} trials: {best.value:.6g} with {words}")
+    result = {"name": "optuna", "best_params": dict(best.params), "best_value": best.value}
+    OmegaConf.save(OmegaConf.create(result), folder / RESULTS)
