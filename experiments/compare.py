@@ -31,12 +31,12 @@ from experiments.app.runs import run
 
 SETTINGS = {
     "experiment": "what is compared; experiment --help lists them",
-    "seed, optimizer": "repetitions and methods, as in 'seed=range(5)' optimizer=miho,pso_100",
-    "comparison.repetitions, .methods": "the same of an arena",
+    "seed, optimizer": "both swept over: 'seed=range(5)' optimizer=miho,random",
+    "comparison.repetitions, .methods": "repetitions and methods of an arena",
     "comparison.processes": "runs at a time, where several problems are compared",
     "comparison.target": "runs on several problems end at so many times the optimum",
     "budget.evaluations, budget.seconds": "what a run may spend; it ends at the first of them",
-    "root, fresh": "where results go; fresh=true sets aside what is outdated or was disturbed",
+    "root, fresh": "where results go; fresh=true sets aside what is outdated",
 }
 
 

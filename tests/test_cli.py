@@ -520,7 +520,7 @@ def test_compare_writes_figure_tables_and_provenance(compare: Command, tmp_path:
     assert provenance["seeds"] == "0 to 1"
     assert "experiments.compare" in provenance["command"]
     code, out, _ = compare(*small)
-    assert out.count("(done before)") == 18
+    assert "18 runs: 18 done before" in out
     order = [line.split()[2] for line in out.splitlines() if line.startswith("[")]
     assert order[:9] == order[9:], "methods are interleaved inside a repetition"
 

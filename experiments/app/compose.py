@@ -14,7 +14,12 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, open_dict
 from omegaconf.errors import OmegaConfBaseException
 
-from experiments.app.explain import ConfigError, composition_message, replace_spaces
+from experiments.app.explain import (
+    ConfigError,
+    check_choices,
+    composition_message,
+    replace_spaces,
+)
 
 CONF = Path(__file__).parents[2] / "conf"
 VERSION_BASE = "1.3"
@@ -45,6 +50,7 @@ def _copied(overrides: tuple[str, ...]) -> DictConfig:
 @cache
 def _once(overrides: tuple[str, ...], search_path: tuple[str, ...]) -> DictConfig:
     """Composing takes a tenth of a second, so each configuration is composed once."""
+    check_choices(overrides)
     try:
         config = compose("config", replace_spaces(overrides), return_hydra_config=True)
     except (HydraException, OmegaConfBaseException, ValueError) as error:

@@ -25,7 +25,13 @@ from yaml import YAMLError
 
 from experiments.app import schema
 from experiments.app.compose import CONF, VERSION_BASE, job_config
-from experiments.app.explain import ConfigError, composition_message, one_line, replace_spaces
+from experiments.app.explain import (
+    ConfigError,
+    check_choices,
+    composition_message,
+    one_line,
+    replace_spaces,
+)
 from experiments.app.help import completion, help_text
 from experiments.app.safety import ReceivedError, SecretError, check_folder, check_typed
 from experiments.app.signals import Stopped, name_of, stopping_signal
@@ -142,14 +148,17 @@ def command(
         if {"--help", "-h"} & set(options):
             print(help_text(task, settings, overrides, folders))
             return OK
-        if options in (["--shell-completion"], ["-sc"]) and not overrides:
+        completes = any(text.startswith(("install=", "uninstall=", "query=")) for text in overrides)
+        if options in (["--shell-completion"], ["-sc"]) and not completes:
             print(completion())
             return OK
         for folder in folders[1:]:
             if not folder.is_dir():
                 raise ConfigError(f"--config-dir: {folder} is not a folder; name one that is")
             check_folder(folder)
-        check_typed(overrides)
+        if not completes:
+            check_typed(overrides)
+            check_choices(overrides)
         sys.argv[1:] = [*options, *replace_spaces(overrides)]
         try:
             main = hydra.main(

@@ -64,6 +64,19 @@ def parse_overrides(texts: Sequence[str]) -> list[Override]:
     return overrides
 
 
+def check_choices(texts: Sequence[str]) -> None:
+    """Raise ConfigError for a number or null in place of an option of conf/, before Hydra fails."""
+    for override in parse_overrides(texts):
+        key, value = override.key_or_group, override.value()
+        if override.is_delete() or not isinstance(value, int | float | None):
+            continue
+        options = options_of(key)
+        if options and value is None:
+            raise ConfigError(f"{key}=null: is no choice; ~{key} leaves it out")
+        if options:
+            raise ConfigError(unknown_message(f"{key}={value}", options))
+
+
 def replace_spaces(texts: Sequence[str]) -> list[str]:
     """The overrides with `space={...}` meaning that space and nothing of the chosen one, and with
     `+space.NAME=...`, `problem.parts.NAME=...` and `hydra.sweeper.params.KEY=...` as what adds to
@@ -122,9 +135,9 @@ def composition_message(error: Exception, texts: Sequence[str]) -> str:
     if isinstance(cause, ValidationError) and isinstance(node, DictConfig):
         expected = EXPECTED.get(type(node._get_node(cause.key)))
         key = str(cause.full_key)
-        values = [text.partition("=")[2] for text in texts if text.startswith(f"{key}=")]
-        if expected and values:
-            return f"{key}: is {values[-1]!r}; expected {expected}"
+        typed = [text for text in texts if text.lstrip("+").startswith(f"{key}=")]
+        if expected and typed:
+            return f"{key}: is {parse_overrides(typed)[-1].value()!r}; expected {expected}"
     message = one_line(error)
     if isinstance(cause, OmegaConfBaseException):
         message += f": {one_line(cause)}"
