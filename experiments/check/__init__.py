@@ -6,6 +6,7 @@ coverage            how often 95 % intervals hold the truth
 engine              curves and map of the engine against the true one
 ert                 expected running times against those of iohinspector
 false_ends          how often `miho_gn` agrees on a wrong optimum
+gradient_descent    how steadily the paper's gradient descent falls
 killed              what it costs to kill a dear run twenty times
 mf61_lateral        27 coefficients of MF 6.1 from noisy samples
 next_measurement    that advised rows narrow intervals as much as the best of random ones

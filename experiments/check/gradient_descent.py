@@ -1,0 +1,102 @@
+"""How steadily the paper's gradient descent falls (Sec. V-A.3): GBO-small and GBO-large.
+
+python -m experiments.check.gradient_descent [--steps 1000] [--repetitions 20]    # 10 seconds
+
+The paper calls the small rate stable and the large one unstable. Each run descends on the
+left-front tire from one common initial configuration; a steady descent has no step after which the
+loss rises. For each rate the table has the mean errors in kN at the start, at best and at the end,
+the number of runs in which the loss rises at least once, and the median share of steps after which
+it does.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from experiments.app.build import build
+from experiments.app.compose import composed
+from experiments.app.console import run_and_exit
+from experiments.app.schema import register
+from miho import Budget, minimize
+from miho.optim import LeastSquaresProblem, Optimizer
+
+Array = NDArray[np.float64]
+
+METHODS = ("gbo_small", "gbo_large")
+
+
+class Watched(LeastSquaresProblem):
+    """A problem that keeps the mean square of all residuals it gave, in `losses`."""
+
+    def __init__(self, problem: LeastSquaresProblem) -> None:
+        self.problem, self.name, self.space = problem, problem.name, problem.space
+        self.jacobian_cost = problem.jacobian_cost
+        self.losses: list[float] = []
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        """The problem's loss, which is not kept."""
+        return self.problem.loss(thetas, fidelity)
+
+    def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
+        """The problem's residuals."""
+        residuals = self.problem.residuals(theta, fidelity)
+        self.losses.append(float(np.mean(residuals**2)))
+        return residuals
+
+    def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
+        """The problem's derivatives."""
+        return self.problem.jacobian(theta, fidelity)
+
+
+def descent(optimizer: Optimizer, problem: LeastSquaresProblem, seed: int, steps: int) -> Array:
+    """Errors (steps,) of one run, in the unit of the problem."""
+    watched = Watched(problem)
+    cost = 1 + len(watched.space)  # residuals and derivatives of one step
+    minimize(optimizer, watched, Budget(evaluations=steps * cost), seed=seed)
+    return np.sqrt(watched.losses[-steps:])
+
+
+def steadiness(steps: int, repetitions: int) -> pd.DataFrame:
+    """A row per rate, as the table of this module says."""
+    rows = []
+    for method in METHODS:
+        run = build(composed(["dataset=tire_lf", f"optimizer={method}"]))
+        seeds = range(repetitions)
+        errors = np.array([descent(run.optimizer, run.problem, seed, steps) for seed in seeds])
+        errors /= 1000
+        rises = np.diff(errors, axis=1) > 0
+        start, best, end = errors[:, 0], errors.min(axis=1), errors[:, -1]
+        rows.append(
+            {
+                "method": method,
+                "first [kN]": start.mean(),
+                "best [kN]": best.mean(),
+                "last [kN]": end.mean(),
+                "runs that rise": f"{rises.any(axis=1).sum()} of {repetitions}",
+                "rising steps [%]": 100 * float(np.median(rises.mean(axis=1))),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def main() -> None:
+    """Read the command line and print the table."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.check.gradient_descent")
+    parser.add_argument("--steps", type=int, default=1000, help="of each descent")
+    parser.add_argument("--repetitions", type=int, default=20, help="runs of each rate")
+    arguments = parser.parse_args()
+
+    def job() -> None:
+        register()
+        table = steadiness(arguments.steps, arguments.repetitions)
+        print(table.to_string(index=False, float_format="%.3g"))
+
+    run_and_exit(job)
+
+
+if __name__ == "__main__":
+    main()
