@@ -80,7 +80,7 @@ def assert_exists(reference: str) -> None:
 
 
 def options(group: str) -> Iterator[str]:
-    """The texts of all files of a group, with files that stand in other groups."""
+    """The texts of all files of a group."""
     for path in (CONF / group).glob("*.yaml"):
         yield path.read_text(encoding="utf-8")
 

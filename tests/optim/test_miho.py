@@ -108,3 +108,16 @@ def test_it_finds_the_optimum_of_a_smooth_problem() -> None:
 def test_bad_settings(settings: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         MIHO(**settings)
+
+
+def test_fresh_proposals_are_draws_of_the_initial_distribution() -> None:
+    """MIHO without mutation compares a configuration with a draw that does not depend on it."""
+    space = DecayFit.space
+    settings = MIHO(proposal="fresh")
+    sigma = space.sigma[0]
+    draws = [
+        settings.proposals(P, sigma, space, stream("t"))
+        for P in (np.zeros((5, 2)), np.ones((5, 2)))
+    ]
+    assert np.array_equal(draws[0], draws[1])
+    assert np.array_equal(draws[0], space.sample(5, stream("t")))
