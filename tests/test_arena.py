@@ -92,7 +92,7 @@ def test_runs_that_are_lost_are_named_and_nothing_is_drawn(
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "it was lost"
     assert lines[1].startswith("runs missing: 1")
-    assert not (tmp_path / "runs").exists()
+    assert not (tmp_path / "runs" / "figures").exists()
 
 
 def _model(cfg: Any) -> str:

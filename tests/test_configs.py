@@ -286,7 +286,7 @@ def test_the_drives_of_the_paper_are_those_of_its_method(name: str) -> None:
 
 
 def test_targets_lie_in_our_packages() -> None:
-    for path in CONF.rglob("*.yaml"):
+    for path in set(CONF.rglob("*.yaml")) - set((CONF / "hydra").rglob("*.yaml")):
         for line in path.read_text(encoding="utf-8").splitlines():
             if "_target_" in line:
                 assert line.split(":")[1].strip().split(".")[0] in {"miho", "baselines"}, path

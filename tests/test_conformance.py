@@ -47,7 +47,6 @@ def test_conformance(path: Path, check: str) -> None:
     if path.stem in NEEDS:
         pytest.importorskip(NEEDS[path.stem])
     node = OmegaConf.to_container(OmegaConf.load(path))
-    assert node.pop("name") == path.stem
     optimizer = instantiate(node, "optimizer", Optimizer)
     evaluations = EVALUATIONS.get(path.stem, BUDGET)
     run_check(check, optimizer, EXPECTED_FAILURES.get(path.stem, {}), evaluations)

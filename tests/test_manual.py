@@ -60,7 +60,7 @@ def test_links_and_names_exist(page: Path) -> None:
         if anchor:
             titles = re.findall(r"^#+ (.*)", linked.read_text(encoding="utf-8"), re.MULTILINE)
             assert anchor in {re.sub(r"\W+", "-", title.lower()).strip("-") for title in titles}
-    for name in re.findall(r"`?(?:dataset|optimizer|space|problem)=([a-z]\w*)(?![\w.*])", text):
+    for name in re.findall(r"`?(?:dataset|optimizer|space|problem)=([a-z][\w/]*)(?![\w.*])", text):
         exists = name in {"null", "halving"} or list((ROOT / "conf").glob(f"*/{name}*.yaml"))
         assert exists, name
     for module in re.findall(r"python -m (experiments[\w.]*)", text):

@@ -73,7 +73,7 @@ class EndedError(Exception):
 
 
 class _Refused(BaseException):
-    """Bad input that a task finds before it does anything: no failure of a job of Hydra's."""
+    """Passes the end of a single run through Hydra, which would print a line of its own."""
 
 
 class _Left(BaseException):
@@ -98,12 +98,12 @@ class Job:
         """The `experiments.app.launch.Sweep` of the pool, once it has begun."""
 
     def __call__(self, cfg: DictConfig) -> float | None:
-        """Do one job; what is wrong with the input of a single run is no failed job."""
+        """Do one job. Bad input of a single run, or an end that it printed, is no failed job."""
         context = HydraConfig.get()
         alone = context.mode is RunMode.RUN
         try:
             return self.task(job_config(cfg, context.runtime.choices))
-        except (*BAD_INPUT_ERRORS, ResumeRefused) as error:
+        except (*BAD_INPUT_ERRORS, ResumeRefused, EndedError) as error:
             if alone:
                 raise _Refused from error
             raise

@@ -196,7 +196,6 @@ def optimizers() -> tuple[dict[str, Optimizer], list[str]]:
     missing = []
     for path in sorted(CONF.glob("*.yaml")):
         node = cast(dict[str, Any], OmegaConf.to_container(OmegaConf.load(path)))
-        node.pop("name")
         if "screen" in node:
             node["screen"] = SCREEN
         try:
