@@ -294,7 +294,7 @@ def _errors(root: Path) -> list[float]:
         (["hydra.sweeper.direction=up", "seed=choice(1,2)"], "direction: is 'up'; expected min"),
         (["hydra.sweeper.n_trials=0", "seed=choice(1,2)"], "n_trials: is 0; expected at least 1"),
         ([], "hydra.sweeper.params: is empty"),
-        (["optimizer.batch=interval(1,5)", "hydra/sweeper/sampler=grid"], "is an interval; a grid"),
+        (["seed=interval(1,x)"], "cannot be read"),
         (["seed=range(3)", "hydra.sweeper.storage=sqlite:///x.db"], "study_name: is missing"),
     ],
 )
@@ -306,14 +306,6 @@ def test_a_study_that_cannot_be_is_one_line(
     assert ended.code == 2
     assert message in ended.err
     assert ended.err.count("\n") == 1
-
-
-@pytest.mark.slow
-def test_a_grid_ends_when_it_is_gone_through(typed: Typed) -> None:
-    grid = ["hydra/sweeper=optuna", "hydra/sweeper/sampler=grid", "hydra.sweeper.n_trials=4"]
-    ended = typed("-m", *grid, "seed=range(2)", "optimizer.batch=choice(5,10)")
-    assert ended.code == 0, ended.err
-    assert len(ended.ids) == 4
 
 
 @pytest.mark.slow

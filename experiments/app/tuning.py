@@ -6,7 +6,6 @@ import json
 import math
 import sys
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -49,7 +48,7 @@ def tune(
     """Ask for trials, have them done and tell their errors until the study has `n_trials`."""
     _check(sweeper)
     space, fixed = search_space(sweeper.params, arguments, config)
-    study = _study(sweeper, space)
+    study = _study(sweeper)
     folder = Path(config.hydra.sweep.dir)
     folder.mkdir(parents=True, exist_ok=True)
     OmegaConf.save(config, folder / "multirun.yaml")
@@ -155,27 +154,24 @@ def _check(sweeper: OptunaSweeper) -> None:
     for key in ("n_trials", "n_jobs"):
         if getattr(sweeper, key) < 1:
             raise ConfigError(
-                f"hydra.sweeper.{key}: is {getattr(sweeper, key)}; expected 1 or more"
+                f"hydra.sweeper.{key}: is {getattr(sweeper, key)}; expected at least 1"
             )
 
 
-def _study(sweeper: OptunaSweeper, space: dict[str, BaseDistribution]) -> optuna.Study:
+def _study(sweeper: OptunaSweeper) -> optuna.Study:
     """The study, begun or gone on with."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
-    sampler = sweeper.sampler
-    if isinstance(sampler, partial):
-        sampler = sampler(_grid(space))
     if sweeper.storage is not None and sweeper.study_name is None:
         raise ConfigError("hydra.sweeper.study_name: is missing; the storage keeps studies by name")
     study = optuna.create_study(
         study_name=sweeper.study_name,
         storage=sweeper.storage,
-        sampler=sampler,
+        sampler=sweeper.sampler,
         direction=StudyDirection[sweeper.direction.upper()],
         load_if_exists=True,
     )
     if study.get_trials(deepcopy=False):  # the same seed would make the first trials again
-        sampler.reseed_rng()
+        sweeper.sampler.reseed_rng()
     return study
 
 
@@ -183,19 +179,6 @@ def _finished(study: optuna.Study) -> int:
     """How many trials of the study have ended by themselves."""
     trials = study.get_trials(deepcopy=False, states=FINISHED)
     return sum(ENDED_EARLY not in trial.user_attrs for trial in trials)
-
-
-def _grid(space: dict[str, BaseDistribution]) -> dict[str, list[Any]]:
-    """All values of each setting."""
-    values: dict[str, list[Any]] = {}
-    for key, found in space.items():
-        if isinstance(found, CategoricalDistribution):
-            values[key] = list(found.choices)
-        elif isinstance(found, IntDistribution) and not found.log:
-            values[key] = list(range(found.low, found.high + 1, found.step))
-        else:
-            raise ConfigError(f"{key}: is an interval; a grid needs choice() or range()")
-    return values
 
 
 def _texts(trial: Trial) -> list[tuple[str, str]]:

@@ -6,7 +6,6 @@ Hydra imports this file at the start of every command, so Optuna is imported whe
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from hydra.core.plugins import Plugins
@@ -27,7 +26,7 @@ class OptunaSweeper(Sweeper):
     Parameters
     ----------
     sampler
-        One of Optuna's samplers, or a function that makes one of the search space.
+        One of Optuna's samplers.
     direction
         ``minimize`` or ``maximize``.
     n_trials
@@ -46,7 +45,7 @@ class OptunaSweeper(Sweeper):
 
     def __init__(
         self,
-        sampler: BaseSampler | partial[BaseSampler],
+        sampler: BaseSampler,
         direction: str = "minimize",
         n_trials: int = 20,
         n_jobs: int = 1,
