@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from miho.models.function_model import FunctionModel
     from miho.models.identified import Identified, OutsideDataWarning, read_parameters
     from miho.models.lateral_magic_formula import LateralMagicFormula, mf61_lateral
+    from miho.models.load_scaling import LoadSensitivity, at_load, load_sensitivity
     from miho.models.longitudinal import Longitudinal
     from miho.models.model import Model
     from miho.models.published import PublishedModel
@@ -33,12 +34,12 @@ if TYPE_CHECKING:
 __all__ = [
     "Axle", "Brake", "BrakeCommand", "BrakeDeceleration", "BrakePlay", "BrakePressure",
     "BrakeResponse", "BrakeTorque", "EngineMap", "FmuModel", "FrontRear", "FunctionModel",
-    "Identified", "LateralMagicFormula", "Longitudinal", "Model", "OutsideDataWarning", "Pacejka",
-    "PacejkaCurvature", "PacejkaLandmarks", "PublishedModel", "SimplifiedTire", "SingleTrack",
-    "TirError", "TireFormula", "TorqueCubic", "TorqueCurve", "Trajectory", "central_stiffness",
-    "cornering_stiffness", "from_simplified", "load_function", "load_tir", "load_trajectory",
-    "mf61_lateral", "play", "read_parameters", "simplify", "single_track_drive",
-    "single_track_response", "write_tir",
+    "Identified", "LateralMagicFormula", "LoadSensitivity", "Longitudinal", "Model",
+    "OutsideDataWarning", "Pacejka", "PacejkaCurvature", "PacejkaLandmarks", "PublishedModel",
+    "SimplifiedTire", "SingleTrack", "TirError", "TireFormula", "TorqueCubic", "TorqueCurve",
+    "Trajectory", "at_load", "central_stiffness", "cornering_stiffness", "from_simplified",
+    "load_function", "load_sensitivity", "load_tir", "load_trajectory", "mf61_lateral", "play",
+    "read_parameters", "simplify", "single_track_drive", "single_track_response", "write_tir",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

@@ -76,8 +76,8 @@ def central_stiffness(theta: ArrayLike) -> Array:
     return np.asarray(B * C * D)
 
 
-def _curve(theta: ArrayLike) -> tuple[Array, Array, Array, Array, Array]:
-    """B, C, D, E, Sx; E is 0 for the parameters of `Pacejka`."""
+def curve_model(theta: ArrayLike) -> Pacejka | PacejkaCurvature:
+    """The model of parameters (..., 5) or (..., 6); raises ValueError for others."""
     values = np.asarray(theta, dtype=float)
     size = values.shape[-1] if values.ndim else 0
     if size not in _MODELS:
@@ -85,6 +85,12 @@ def _curve(theta: ArrayLike) -> tuple[Array, Array, Array, Array, Array]:
             f"theta has shape {values.shape}; expected 5 parameters of Pacejka or 6 of "
             "PacejkaCurvature last"
         )
-    parameters = dict(zip(_MODELS[size].parameters, np.moveaxis(values, -1, 0), strict=True))
+    return _MODELS[size]
+
+
+def _curve(theta: ArrayLike) -> tuple[Array, Array, Array, Array, Array]:
+    """B, C, D, E, Sx; E is 0 for the parameters of `Pacejka`."""
+    columns = np.moveaxis(np.asarray(theta, dtype=float), -1, 0)
+    parameters = dict(zip(curve_model(theta).parameters, columns, strict=True))
     B, C, D, Sx = (parameters[name] for name in ("B", "C", "D", "Sx"))
     return B, C, D, parameters.get("E", np.zeros_like(B)), Sx
