@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from miho.driving.grip import Grip
+from miho.driving.grip import LOADS, Grip
 from miho.driving.load_transfer import LoadTransfer
+from miho.driving.loaded_axle import LoadedAxle
 from miho.driving.path_tracking import (
+    SPEEDS,
     GainSchedule,
     LateralModel,
     SampledModel,
@@ -23,6 +25,8 @@ from miho.driving.velocity_planner import VelocityPlanner
 from miho.models.axle import Axle
 from miho.models.brake import Brake
 from miho.models.engine_map import EngineMap
+from miho.models.load_scaling import LoadSensitivity
+from miho.models.magic_formula import MagicFormula
 from miho.models.simplified_tire import simplify
 from miho.quantities import Array
 
@@ -32,7 +36,9 @@ class KnownCar:
     """A vehicle with its tires, engine and brake as they are known, right or wrong.
 
     front, rear: the axles' curves, at loads [N] (4,) of the wheels: front left, front right, rear
-    left, rear right. grip: the tires' largest forces.
+    left, rear right. grip: the tires' largest forces, at the same loads. stiffness_sensitivity:
+    q_K of `LoadSensitivity` at those loads [-], (4,); if None the curves keep their shape, and it
+    is the sensitivity of the largest forces.
     """
 
     vehicle: Vehicle
@@ -42,6 +48,7 @@ class KnownCar:
     grip: Grip
     engine: EngineMap
     brake: Brake
+    stiffness_sensitivity: Array | None = None
 
     @classmethod
     def of_tires(cls, vehicle: Vehicle, tires: Tires, engine: EngineMap, brake: Brake) -> KnownCar:
@@ -57,7 +64,25 @@ class KnownCar:
             curves.append(np.array([getattr(simple, name)[0] for name in names]))
         front, rear = Axle(curves[0], curves[1]), Axle(curves[2], curves[3])
         grip = Grip.of_tires(tires, loads, lean)
-        return cls(vehicle, front, rear, loads, grip, engine, brake)
+        stiffness = [_stiffness_sensitivity(*of) for of in zip(tires, loads, lean, strict=True)]
+        return cls(vehicle, front, rear, loads, grip, engine, brake, np.array(stiffness))
+
+    @property
+    def loaded_axles(self) -> tuple[LoadedAxle, LoadedAxle]:
+        """Front and rear axle with the loads at which their curves hold."""
+        peak = self.grip.lateral_sensitivity
+        stiffness = peak if self.stiffness_sensitivity is None else self.stiffness_sensitivity
+        front, rear = (
+            LoadedAxle(axle, self.loads[part], LoadSensitivity(peak[part], stiffness[part]))
+            for axle, part in ((self.front, slice(0, 2)), (self.rear, slice(2, 4)))
+        )
+        return front, rear
+
+    def axles(self, vx: float) -> tuple[Axle, Axle]:
+        """Front and rear axle at the loads of straight running at a speed [m/s], on a plane."""
+        loads = np.array(LoadTransfer(self.vehicle).wheel_loads(vx))
+        front, rear = self.loaded_axles
+        return front.at(loads[:2]), rear.at(loads[2:])
 
     def planner(self, mu: float = 1.0, top_speed: float = 90.0) -> VelocityPlanner:
         """The velocity planner for this car."""
@@ -71,18 +96,22 @@ class KnownCar:
     def steering_controller(self, weights: Weights, period: float = 0.01) -> SteeringController:
         """The path tracker, with a command every `period` [s]."""
         car = self.vehicle
+        axles = [self.axles(float(vx)) for vx in SPEEDS]
         lateral = LateralModel(
             car=car.single_track,
-            C_f=self.front.cornering_stiffness,
-            C_r=self.rear.cornering_stiffness,
+            C_f=np.array([front.cornering_stiffness for front, _ in axles]),
+            C_r=np.array([rear.cornering_stiffness for _, rear in axles]),
+            speeds=SPEEDS,
         )
         actuator = SteeringActuator(delay=car.steering_delay, lag=car.steering_lag)
         sampled = SampledModel(model=lateral, steering=actuator, period=period)
+        front, rear = self.loaded_axles
+        loads = static_loads(car)
         return SteeringController(
             car,
             GainSchedule.of(sampled, weights),
-            AxleSlip.of(self.front, float(self.loads[:2].sum())),
-            AxleSlip.of(self.rear, float(self.loads[2:].sum())),
+            _axle_slip(front, loads[:2]),
+            _axle_slip(rear, loads[2:]),
         )
 
 
@@ -94,3 +123,18 @@ def static_loads(vehicle: Vehicle) -> Array:
 def inclinations(vehicle: Vehicle) -> Array:
     """ISO-W inclinations of the wheels [rad], (4,), in the same order."""
     return np.repeat([vehicle.inclination_front, vehicle.inclination_rear], 2)
+
+
+def _axle_slip(axle: LoadedAxle, loads: Array) -> AxleSlip:
+    """The slip of an axle from its curve at loads (2,) [N], with the mean of its sensitivities."""
+    peak, stiffness = axle.sensitivity.at_load(loads / axle.loads)
+    mean = LoadSensitivity(float(np.mean(peak)), float(np.mean(stiffness)))
+    return AxleSlip.of(axle.at(loads), float(loads.sum()), mean)
+
+
+def _stiffness_sensitivity(tire: MagicFormula, load: float, inclination: float) -> float:
+    """q_K of a full tire at a load [N], fitted by least squares between 0.4 and 1.9 of it."""
+    x = np.array(LOADS)
+    curve = simplify(tire, load * x, inclination)
+    slope, level = np.polyfit(x * x - 1, x / (curve.B * curve.C * curve.D), 1)
+    return float(-2 * slope / level)

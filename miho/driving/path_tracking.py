@@ -6,17 +6,19 @@ Symbols are those of Eq. 13-15 and of Rajamani, Vehicle Dynamics and Control (20
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import expm, solve_continuous_are, solve_discrete_are
 
 from miho.models.single_track import SingleTrack
 from miho.quantities import Array, g
-from miho.validate import positive, positive_settings
+from miho.validate import positive
 
 SLOWEST = 3.0
 """Speed [m/s] below which the tires' slip says nothing and the path is followed by geometry."""
+SPEEDS = np.geomspace(SLOWEST, 90.0, 32)
+"""Speeds [m/s] at which gains are computed, closer when slow."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,23 +30,39 @@ class LateralModel:
     e_y [m] is how far the car is to the left of the path, e_psi [rad] its heading less the path's,
     delta [rad] the steering angle and psi_des' = vx kappa [rad/s] the path's yaw rate. C_f and C_r
     are the axles' cornering stiffnesses [N/rad], each of both tires (Eq. 14, no factor 2); bank is
-    positive when the left side is lower.
+    positive when the left side is lower. Downforce stiffens an axle: C_f and C_r may be arrays
+    (k,) that hold at rising `speeds` (k,) [m/s], linear between, held beyond.
     """
 
     car: SingleTrack
-    C_f: float
-    C_r: float
+    C_f: float | Array
+    C_r: float | Array
+    speeds: Array = field(default_factory=lambda: np.zeros(1))
 
     def __post_init__(self) -> None:
-        positive_settings(self, ("C_f", "C_r"), "[N/rad]")
+        for name in ("C_f", "C_r"):
+            values = np.atleast_1d(getattr(self, name))
+            if values.shape != self.speeds.shape or not ((values > 0) & np.isfinite(values)).all():
+                raise ValueError(
+                    f"{name} is {getattr(self, name)}; expected a positive number [N/rad] for each "
+                    f"of {self.speeds.size} speeds"
+                )
+
+    def stiffnesses(self, vx: float) -> tuple[float, float]:
+        """C_f and C_r [N/rad] at a speed [m/s]."""
+        front, rear = (
+            float(np.interp(vx, self.speeds, np.atleast_1d(C))) for C in (self.C_f, self.C_r)
+        )
+        return front, rear
 
     def matrices(self, vx: float) -> tuple[Array, Array, Array, Array]:
         """A (4, 4), B1, B2 and B3 (4,) at a speed [m/s] above 0."""
         if not 0 < vx < math.inf:
             raise ValueError(f"vx is {vx}; expected a speed above 0 m/s")
         m, lf, lr, Izz = self.car.mass, self.car.lf, self.car.lr, self.car.Izz
-        total, turn = self.C_f + self.C_r, self.C_f * lf - self.C_r * lr
-        square = self.C_f * lf**2 + self.C_r * lr**2
+        C_f, C_r = self.stiffnesses(vx)
+        total, turn = C_f + C_r, C_f * lf - C_r * lr
+        square = C_f * lf**2 + C_r * lr**2
         A = np.array(
             [
                 [0, 1, 0, 0],
@@ -53,7 +71,7 @@ class LateralModel:
                 [0, -turn / (Izz * vx), turn / Izz, -square / (Izz * vx)],
             ]
         )
-        B1 = np.array([0, self.C_f / m, 0, self.C_f * lf / Izz])
+        B1 = np.array([0, C_f / m, 0, C_f * lf / Izz])
         B2 = np.array([0, -turn / (m * vx) - vx, 0, -square / (Izz * vx)])
         return A, B1, B2, np.array([0, g, 0, 0])
 
@@ -162,8 +180,8 @@ class GainSchedule:
     def of(
         cls, sampled: SampledModel, weights: Weights, speeds: Array | None = None
     ) -> GainSchedule:
-        """The optimal gains at these speeds, by default 32 from 3 to 90 m/s, closer when slow."""
-        speeds = np.geomspace(SLOWEST, 90.0, 32) if speeds is None else np.asarray(speeds, float)
+        """The optimal gains at these speeds, by default `SPEEDS`."""
+        speeds = SPEEDS if speeds is None else np.asarray(speeds, float)
         if speeds.ndim != 1 or speeds.size < 2 or not (np.diff(speeds) > 0).all() or speeds[0] <= 0:
             raise ValueError(f"speeds are {speeds}; expected rising numbers above 0 m/s")
         return cls(sampled, speeds, np.array([sampled.gains(weights, float(v)) for v in speeds]))

@@ -13,6 +13,7 @@ from miho.driving.path_tracking import SLOWEST, GainSchedule
 from miho.driving.track import Projection, Track
 from miho.driving.vehicle import Vehicle
 from miho.models.axle import Axle
+from miho.models.load_scaling import PROPORTIONAL, LoadSensitivity, growth
 from miho.quantities import Array
 
 STEEPEST = 0.15
@@ -23,18 +24,20 @@ STEEPEST = 0.15
 class AxleSlip:
     """The slip angle [rad] that gives an axle's lateral force, ISO-W, from its curve at a load.
 
-    force (k,) rising [N] and slip (k,) [rad]: the part of the curve between its two peaks. At
-    another load the curve is taken to grow in proportion; beyond the peaks the slip stays there.
-    load [N]: of the axle, both wheels.
+    force (k,) rising [N] and slip (k,) [rad]: the part of the curve between its two peaks; beyond
+    the peaks the slip stays there. load [N]: of the axle, both wheels. At another load the curve
+    is stretched about its centre [rad] by `growth`; without sensitivity it grows in proportion.
     """
 
     load: float
     force: Array
     slip: Array
+    centre: float = 0.0
+    sensitivity: LoadSensitivity = PROPORTIONAL
 
     @classmethod
-    def of(cls, axle: Axle, load: float) -> AxleSlip:
-        """The slip of an axle whose tires were identified at this load of both [N]."""
+    def of(cls, axle: Axle, load: float, sensitivity: LoadSensitivity = PROPORTIONAL) -> AxleSlip:
+        """The slip of an axle whose tires' curves hold at this load of both [N]."""
         slip = np.linspace(-STEEPEST, STEEPEST, 601)
         force = axle.force(slip)
         left, right = int(np.argmax(force)), int(np.argmin(force))
@@ -45,11 +48,14 @@ class AxleSlip:
                 "a force that falls with the slip angle between its peaks (ISO-W)"
             )
         part = slice(left, right + 1)
-        return cls(load, force[part][::-1], slip[part][::-1])
+        centre = float(axle.left[-2] + axle.right[-2]) / 2  # Sx
+        return cls(load, force[part][::-1], slip[part][::-1], centre, sensitivity)
 
     def at(self, force: float, load: float) -> float:
         """The slip angle [rad] for a lateral force at a load of the axle [N]."""
-        return float(np.interp(force * self.load / max(load, 1.0), self.force, self.slip))
+        peak, stiffness = growth(max(load, 1.0) / self.load, self.sensitivity)
+        slip = float(np.interp(force / peak, self.force, self.slip))
+        return self.centre + (slip - self.centre) * float(peak / stiffness)
 
 
 class FeedForward(NamedTuple):

@@ -1,0 +1,92 @@
+"""An axle whose tires are known at one load each, at the loads that act on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from miho.driving.load_transfer import LoadTransfer
+from miho.models.axle import Axle, curve_model
+from miho.models.load_scaling import LoadSensitivity, at_load
+from miho.quantities import Array
+
+ITERATIONS = 60
+"""Of the force and the load transfer it causes; each leaves less than half of the error."""
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedAxle:
+    """The curves of two tires with the loads at which they hold.
+
+    axle: the curves. loads [N], (2,): of the left and the right wheel, at which they were
+    identified. sensitivity: of each tire at that load, (2,) each, or numbers for both.
+    """
+
+    axle: Axle
+    loads: Array
+    sensitivity: LoadSensitivity
+
+    def at(self, loads: ArrayLike) -> Axle:
+        """The axle at loads [N] of the left and the right wheel, (2,)."""
+        left, right = (self._curve(side, load) for side, load in enumerate(np.asarray(loads)))
+        return Axle(left, right)
+
+    def in_turn(self, alpha: ArrayLike, load: float, transfer: float) -> Array:
+        """The axle's lateral force in steady turns, with the load transfer that it causes.
+
+        Parameters
+        ----------
+        alpha : array_like
+            Slip angles [rad], ISO-W.
+        load : float
+            Of both wheels [N].
+        transfer : float
+            Load that moves from the left to the right wheel per lateral force [-], at least 0; see
+            `transfer_per_force`.
+
+        Returns
+        -------
+        ndarray of alpha's shape
+            Lateral force of both tires [N].
+
+        Raises
+        ------
+        ValueError
+            If force and loads do not agree after `ITERATIONS`.
+        """
+        slip = np.asarray(alpha, dtype=float)
+        force = self.at([load / 2, load / 2]).force(slip)
+        for _ in range(ITERATIONS):
+            moved = np.clip(transfer * force, -load / 2, load / 2)
+            before, force = force, self._force(slip, load / 2 - moved, load / 2 + moved)
+        if not np.allclose(force, before, rtol=0.0, atol=1e-6 * load):
+            raise ValueError(
+                f"transfer is {transfer:g}; expected a load transfer so small that the tires' "
+                "forces settle"
+            )
+        return force
+
+    def _force(self, slip: Array, left: Array, right: Array) -> Array:
+        """Sum of both tires at loads [N] of the shape of the slip angles."""
+        total = np.zeros(slip.shape)
+        for side, load in enumerate((left, right)):
+            theta = self._curve(side, load)
+            total += curve_model(theta).value((slip,), tuple(np.moveaxis(theta, -1, 0)))
+        return total
+
+    def _curve(self, side: int, load: ArrayLike) -> Array:
+        peak, stiffness = (np.broadcast_to(part, 2)[side] for part in self.sensitivity)
+        theta = (self.axle.left, self.axle.right)[side]
+        ratio = np.asarray(load) / self.loads[side]
+        return at_load(theta, ratio, LoadSensitivity(peak, stiffness))
+
+
+def transfer_per_force(transfer: LoadTransfer) -> tuple[float, float]:
+    """Load that moves between the wheels of the front and the rear axle per its lateral force [-].
+
+    In a steady turn an axle bears the lateral force of the mass that it carries at rest.
+    """
+    c = transfer.coefficients
+    return c.lateral_front / c.mass_front, c.lateral_rear / c.mass_rear
