@@ -152,6 +152,14 @@ def test_a_part_comes_from_its_parameters_file(tmp_path: Path) -> None:
         known_car(wrong, Vehicle.from_settings(av21()))
 
 
+def test_a_tire_of_the_users_needs_a_load_sensitivity(tmp_path: Path) -> None:
+    named = [IMS, f"+drive.parameters.rf={tmp_path / 'parameters.json'}"]
+    with pytest.raises(
+        ConfigError, match=r"drive\.sensitivity: is null; expected a number with dr"
+    ):
+        known_car(composed(named), Vehicle.from_settings(av21()))
+
+
 def test_parts_are_stored_and_a_second_drive_identifies_what_is_missing(tmp_path: Path) -> None:
     """What a Ctrl-C came before is there; the parameters are those of the stored runs."""
     few = ["optimizer=least_squares", "budget.evaluations=500", f"root={tmp_path}"]

@@ -158,12 +158,13 @@ class DriveConfig:
 
     known: what planner and controllers know of the car, `identified` from the embedded data by the
     optimizer or the `truth`; `parameters` names parameters.json files of parts of it that
-    were identified before. performance_factor: the share of the tires' grip, as it is known, that
-    the plan uses (the paper's mu). road_friction: what the road gives the simulated car, over the
-    road on which its tires were measured; the plan does not know it. The car starts at the arc
-    length `start` [m] of the line with `speed` [m/s] and drives a distance [m]. `top_speeds` [m/s]
-    of the laps in turn; without them only the plan's `top_speed` counts. Log, figure and table go
-    to `output`, identified parts to `root`.
+    were identified before. sensitivity [-]: how far the tires' forces fall behind their loads; null
+    takes it from the property data. performance_factor: the share of the tires' grip, as it is
+    known, that the plan uses (the paper's mu). road_friction: what the road gives the simulated
+    car, over the road on which its tires were measured; the plan does not know it. The car starts
+    at the arc length `start` [m] of the line with `speed` [m/s] and drives a distance [m].
+    `top_speeds` [m/s] of the laps in turn; without them only the plan's `top_speed` counts. Log,
+    figure and table go to `output`, identified parts to `root`.
     """
 
     vehicle: dict[str, Any] = field(default_factory=dict)
@@ -171,7 +172,7 @@ class DriveConfig:
     controller: dict[str, Any] = field(default_factory=dict)
     known: str = "identified"
     parameters: dict[str, str] = field(default_factory=dict)
-    sensitivity: float = 0.0
+    sensitivity: float | None = None
     noise: bool = True
     performance_factor: float = 1.0
     road_friction: float = 1.0

@@ -59,6 +59,11 @@ def known_car(cfg: DictConfig, vehicle: Vehicle) -> tuple[KnownCar, Parts]:
         raise ConfigError(
             f"drive.parameters.{unknown[0]}: is unknown; allowed are {', '.join(PARTS)}"
         )
+    if cfg.drive.sensitivity is None and (own := sorted(set(cfg.drive.parameters) & set(TIRES))):
+        raise ConfigError(
+            f"drive.sensitivity: is null; expected a number with drive.parameters.{own[0]}, since "
+            "the property data tell that of their own tires only"
+        )
     parts = identified_parts(cfg)
     problems = {part: problem for part, (problem, _) in parts.items()}
     thetas = {part: theta for part, (_, theta) in parts.items()}

@@ -58,6 +58,11 @@ def check_study(cfg: DictConfig) -> None:
         raise ConfigError(f"comparison.repetitions: is {repetitions}; expected at least 1")
     if is_address(workers):
         raise ConfigError(f"sweep.workers: is {workers}; a study of drives runs on this machine")
+    if cfg.drive.sensitivity is None:
+        raise ConfigError(
+            "drive.sensitivity: is null; expected a number, which drives do not tell as property "
+            "data do"
+        )
     missing = [method for method in NEEDED if method not in cfg.comparison.methods]
     if missing:
         raise ConfigError(f"comparison.methods.{missing[0]}: is missing; the variants need it")

@@ -82,6 +82,9 @@ def test_unknown_seeds_and_methods_are_one_line() -> None:
     cfg.comparison.repetitions = 0
     with pytest.raises(ConfigError, match=r"comparison\.repetitions: is 0; expected at least 1"):
         check_study(cfg)
+    cfg = composed([EXPERIMENT, "drive.sensitivity=null"])
+    with pytest.raises(ConfigError, match=r"drive\.sensitivity: is null; expected a number"):
+        check_study(cfg)
     cfg = composed([EXPERIMENT])
     cfg.comparison.methods = {"least_squares": {}}
     with pytest.raises(ConfigError, match=r"comparison\.methods\.miho: is missing"):

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.data import Dataset
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
-from miho.data.tir_sampling import EMBEDDED_RANGES
 from miho.driving.assembly.engine import DATASETS, engine_of
 from miho.driving.grip import Grip
 from miho.driving.known_car import KnownCar
+from miho.driving.loaded_axle import LoadedAxle
 from miho.driving.vehicle import Vehicle
 from miho.identification import CurveFit
 from miho.models import Axle, Brake, EngineMap
+from miho.models.load_scaling import LoadSensitivity, load_sensitivity
 
 Array = NDArray[np.float64]
 
@@ -26,19 +28,39 @@ def assembled(
     vehicle: Vehicle,
     problems: Mapping[str, CurveFit],
     thetas: Mapping[str, Array],
-    sensitivity: float,
+    sensitivity: float | None = None,
 ) -> KnownCar:
     """The car that identified parameters of all its parts make.
 
-    The tires' curves are those of the middle of the loads they were sampled at. sensitivity: of
-    their peaks to the load [-], which is in none of the curves.
+    The tires' curves are those of `loaded_axle`; sensitivity [-] replaces what the property data
+    tell of it, for peak and stiffness of all tires.
     """
-    front, rear = Axle(thetas["lf"], thetas["rf"]), Axle(thetas["lr"], thetas["rr"])
-    loads = np.array([np.mean(EMBEDDED_RANGES[tire].Fz) for tire in TIRES])
-    grip = Grip.of_axles(front, rear, loads, sensitivity=sensitivity)
-    return KnownCar(
-        vehicle, front, rear, loads, grip, _engine(problems, thetas), _brake(problems, thetas)
+    front, rear = (
+        loaded_axle([problems[tire].dataset for tire in pair], [thetas[tire] for tire in pair])
+        for pair in (TIRES[:2], TIRES[2:])
     )
+    loads = np.concatenate([front.loads, rear.loads])
+    peak, stiffness = np.concatenate([front.sensitivity, rear.sensitivity], axis=1)
+    if sensitivity is not None:
+        peak = stiffness = np.full(4, sensitivity)
+    grip = Grip.of_axles(front.axle, rear.axle, loads, sensitivity=peak)
+    engine, brake = _engine(problems, thetas), _brake(problems, thetas)
+    return KnownCar(vehicle, front.axle, rear.axle, loads, grip, engine, brake, stiffness)
+
+
+def loaded_axle(data: Sequence[Dataset], thetas: Sequence[Array]) -> LoadedAxle:
+    """Two tires, left and right, whose curves were identified from data of `sample_tir`.
+
+    Each curve holds at the middle of the loads in its data, and the data tell how it changes with
+    the load; a sensitivity above 0, which noise can give, counts as 0.
+    """
+    loads = np.array([(rows["Fz"].min() + rows["Fz"].max()) / 2 for rows in data])
+    learned = [
+        load_sensitivity(theta, rows["alpha"], rows["Fz"], rows["Fy"], load)
+        for rows, theta, load in zip(data, thetas, loads, strict=True)
+    ]
+    peak, stiffness = np.minimum(np.array(learned, dtype=float).T, 0.0)
+    return LoadedAxle(Axle(*thetas), loads, LoadSensitivity(peak, stiffness))
 
 
 def _engine(problems: Mapping[str, CurveFit], thetas: Mapping[str, Array]) -> EngineMap:
