@@ -582,7 +582,13 @@ def test_fig4_of_four_identified_tires(
     with pytest.raises(SystemExit) as end:
         figures.main()
     assert end.value.code == 0
-    assert (tmp_path / "runs" / "figures" / "fig4.pdf").stat().st_size > 10_000
+    folder = tmp_path / "runs" / "figures"
+    assert (folder / "fig4.pdf").stat().st_size > 10_000
+    assert "front axle, learned from property data" in capsys.readouterr().out
+    axle = json.loads((folder / "fig4.json").read_text())["front_axle"]
+    assert sum(axle["sampled_at"]) == pytest.approx(6510.0, rel=0.02)
+    sampled, loaded, turning = (model["error"] for model in axle["models"].values())
+    assert turning < loaded < 0.2 * sampled
 
 
 @pytest.mark.slow

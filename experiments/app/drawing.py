@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from experiments.app.build import ConfigError, build_dataset, rebuild
 from experiments.app.configured import as_configured, differences
+from experiments.app.front_axle import FrontAxle, facts, verdict
 from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save
 from miho.analysis.arena_results import ArenaResults, TooFewError, write_arena
 from miho.analysis.compare.claims import MIHO, is_on_a_tire
@@ -84,7 +86,10 @@ def draw_comparison(root: Path, output: Path) -> list[Path]:
 
 
 def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:
-    """Fig. 4, left and middle: the best run of `optimizer` on each of the four tires."""
+    """Fig. 4: the best run of `optimizer` on each of the four tires; the verdict is printed.
+
+    The right panel is the front axle that the tires' curves make, over a drive.
+    """
     runs = _best_runs(root, "pacejka", [f"tire_{tire}" for tire in TIRES], optimizer)
     samples, curves, errors = {}, {}, {}
     for tire, stored in zip(TIRES, runs, strict=True):
@@ -95,16 +100,17 @@ def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:
         samples[tire.upper()] = np.degrees(dataset["alpha"]), dataset["Fy"] / 1000
         curves[tire.upper()] = np.degrees(alpha), force / 1000
         errors[tire.upper()] = math.sqrt(stored.result["loss"]) / 1000
-    note = f"{len(dataset)} samples per tire; curves learned by {optimizer}; ISO-W signs"
-    figure = fig4(samples, curves, errors=errors, note=note)
-    return [*save(figure, output / "fig4"), _write_origin(output / "fig4.json", runs)]
+    axle = FrontAxle.of(runs[:2])
+    print("\n".join(verdict(axle)))
+    note = f"{len(dataset)} samples per tire; curves learned by {optimizer}; ISO-W signs; right: "
+    note += axle.note()
+    figure = fig4(samples, curves, errors=errors, axle=axle.panel(), note=note)
+    paths = save(figure, output / "fig4")
+    return [*paths, _write_origin(output / "fig4.json", runs, {"front_axle": facts(axle)})]
 
 
 def draw_axle(root: Path, output: Path, optimizer: str) -> list[Path]:
-    """Fig. 4, right: the best run of `optimizer` on the first part of a driving log, over the rest.
-
-    Beside it stands the sum of both front tires' curves, as in the paper, where runs on them are.
-    """
+    """Fig. 4, right, of a log: the best run of `optimizer` on its first part, over the rest."""
     learned = _axle_run(root, optimizer)
     config = learned.config["dataset"]
     later = {**config, "start": config["end"], "end": None}
@@ -112,25 +118,13 @@ def draw_axle(root: Path, output: Path, optimizer: str) -> list[Path]:
     theta = np.array(learned.result["theta"])
     axle = Axle(theta * HALF, theta * HALF)
     curves = {"learned from other laps": _axle_curve(axle, data, identified_from["alpha"])}
-    runs = [learned]
-    try:
-        tires = _best_runs(root, "pacejka", ["tire_lf", "tire_rf"], optimizer)
-    except ConfigError:
-        tires = []
-    if tires and config["axle"] == "front":
-        left, right = (np.array(run.result["theta"]) for run in tires)
-        identified_from = rebuild(tires[0]).dataset
-        curves["sum of both learned tires"] = _axle_curve(
-            Axle(left, right), data, identified_from["alpha"]
-        )
-        runs += tires
     points = np.degrees(data["alpha"]), data[data.output] / 1000
     note = f"points: {len(data)} samples after {config['end']:g} s; learned by {optimizer}\n"
     note += "from those before; dashed: beyond the slip angles learned from; ISO-W signs"
     figure = fig4_right(points, curves, note=note)
     return [
         *save(figure, output / "fig4_right"),
-        _write_origin(output / "fig4_right.json", runs),
+        _write_origin(output / "fig4_right.json", [learned]),
     ]
 
 
@@ -186,7 +180,11 @@ def _best_runs(root: Path, model: str, datasets: Sequence[str], optimizer: str) 
     return best
 
 
-def _write_origin(path: Path, stored: Sequence[StoredRun]) -> Path:
-    """What regenerates a figure of single runs, and what they ran on."""
-    facts = {"runs": [{key: run.result[key] for key in IDENTITY} for run in stored]}
-    return write_provenance(path, command_line("experiments.figures"), stored, facts)
+def _write_origin(
+    path: Path, stored: Sequence[StoredRun], more: Mapping[str, Any] | None = None
+) -> Path:
+    """What regenerates a figure of single runs, what they ran on, and more facts about it."""
+    runs = {"runs": [{key: run.result[key] for key in IDENTITY} for run in stored]}
+    return write_provenance(
+        path, command_line("experiments.figures"), stored, runs | dict(more or {})
+    )

@@ -38,24 +38,33 @@ def fig4(
     curves: Mapping[str, Points],
     *,
     errors: Mapping[str, float] | None = None,
+    axle: tuple[Points, Mapping[str, AxleCurve]] | None = None,
     note: str = "",
 ) -> Figure:
-    """Fig. 4, left and middle: samples and learned curves of front and rear tires.
+    """Fig. 4: samples and learned curves of front and rear tires, and the front axle on a drive.
 
     Keys are LF, RF, LR, RR; each value is (slip angle in degrees, lateral force in kN), both
     (n,). `errors` in kN (root mean square over the samples) go into the legends. Tires without
-    a curve show samples only, and the other way round.
+    a curve show samples only, and the other way round. `axle`: data and curves of `plot_axle`;
+    without it there are two panels.
     """
     unknown = sorted((set(samples) | set(curves)) - set(TIRE_NAMES))
     if unknown:
         raise ValueError(f"tires {', '.join(unknown)} are unknown; expected LF, RF, LR or RR")
     with house_style():
-        figure = Figure(figsize=(WIDTH, 3.1), layout="constrained")
-        panels = figure.subplots(1, 2, sharey=True)
-        for ax, tires, title in zip(panels, TIRE_PANELS, ("front", "rear"), strict=True):
+        count = 2 if axle is None else 3
+        figure = Figure(figsize=(WIDTH, 3.7), layout="constrained")
+        panels = figure.subplots(1, count)
+        panels[1].sharey(panels[0])
+        for ax, tires, title in zip(panels, TIRE_PANELS, ("front", "rear"), strict=False):
             plot_tires(samples, curves, ax, tires=tires, errors=errors or {})
             ax.set_title(f"{title} tires", loc="left")
         panels[1].set_ylabel("")
+        panels[1].tick_params(labelleft=False)
+        if axle is not None:
+            plot_axle(*axle, panels[2])
+            panels[2].set_xlim(panels[0].get_xlim())
+            panels[2].set_title("front axle, unseen drive", loc="left")
         caption(figure, note)
         figure.draw_without_rendering()
     return figure
@@ -84,10 +93,19 @@ def plot_tires(
             alpha, force = curves[tire]
             ax.plot(alpha, force, dashes, color="white", linewidth=3.2, zorder=2)
             ax.plot(alpha, force, dashes, color=color, linewidth=1.8, label=label, zorder=3)
-            rises = np.cov(alpha, force)[0, 1] > 0
-            ax.legend(loc="upper left" if rises else "upper right", handlelength=1.6)
+            _legend_below(ax)
     ax.set(xlabel="slip angle [deg]", ylabel="lateral force [kN]")
     return ax
+
+
+def _legend_below(ax: Axes) -> None:
+    ax.legend(
+        loc="upper left",
+        bbox_to_anchor=(-0.05, -0.2),
+        borderaxespad=0,
+        borderpad=0,
+        handlelength=1.4,
+    )
 
 
 def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
@@ -231,16 +249,17 @@ def fig4_right(data: Points, curves: Mapping[str, AxleCurve], *, note: str = "")
 def plot_axle(data: Points, curves: Mapping[str, AxleCurve], ax: Axes) -> Axes:
     """Driving data and curves of an axle, as in `fig4_right`."""
     alpha, force = data
-    ax.scatter(alpha, force, s=3, color=COLORS[0], alpha=0.12, linewidths=0, rasterized=True)
+    opacity = min(max(500 / alpha.size, 0.12), 0.5)
+    ax.scatter(alpha, force, s=4, color=COLORS[0], alpha=opacity, linewidths=0, rasterized=True)
     for (name, curve), color in zip(curves.items(), (COLORS[3], "black"), strict=False):
         at, forces = curve.points
         inside = (at >= curve.learned[0]) & (at <= curve.learned[1])
         label = f"{name}, error {curve.error:.2f} kN"
         ax.plot(at, forces, color=color, linewidth=0.9, linestyle=(0, (4, 2)))
-        ax.plot(at[inside], forces[inside], color=color, linewidth=1.8, label=label)
+        ax.plot(at[inside], forces[inside], color=color, linewidth=1.4, label=label)
     reach = MARGIN * float(np.abs(alpha).max())
     largest = 1.3 * float(np.abs(force).max())
     ax.set(xlim=(-reach, reach), ylim=(-largest, largest))
     ax.set(xlabel="slip angle [deg]", ylabel="lateral force, both tires [kN]")
-    ax.legend(loc="upper right", handlelength=1.6)
+    _legend_below(ax)
     return ax

@@ -48,11 +48,13 @@ def problems_of(logs: Logs, vehicle: Vehicle, spaces: Mapping[str, Space]) -> di
 
     `spaces` holds those named in `SPACES`.
     """
-    weave, car = logs["weave"], vehicle.single_track
     data: dict[str, tuple[Model, str, Dataset]] = {}
     for axle in ("front", "rear"):
-        samples = (axle_samples(log, car, axle, max_ax=3.0) for log in weave)
-        data[f"{axle}_axle"] = Pacejka(), "axle_physical", joined(samples, f"{axle}_axle")
+        data[f"{axle}_axle"] = (
+            Pacejka(),
+            "axle_physical",
+            weave_samples(logs["weave"], vehicle, axle),
+        )
     braked = (braking_samples(log, settle=0.4) for log in logs["braking"])
     data["brake"] = BrakeDeceleration(), "brake_deceleration", joined(braked, "braking")
     for part in (name for name in logs if name.startswith("throttle_")):
@@ -62,6 +64,12 @@ def problems_of(logs: Logs, vehicle: Vehicle, spaces: Mapping[str, Space]) -> di
         part: CurveFit(model, dataset, spaces[space], label=part)
         for part, (model, space, dataset) in data.items()
     }
+
+
+def weave_samples(logs: Iterable[DrivingLog], vehicle: Vehicle, axle: str) -> Dataset:
+    """`axle_samples` of weaves below each other, where the car hardly brakes or accelerates."""
+    samples = (axle_samples(log, vehicle.single_track, axle, max_ax=3.0) for log in logs)
+    return joined(samples, f"{axle}_axle")
 
 
 def part_of(opening: float) -> str:

@@ -1,0 +1,153 @@
+"""Fig. 4, right: the front axle of property data, over a drive that it was not learned from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from omegaconf import OmegaConf
+
+from experiments.app.build import rebuild
+from experiments.app.compose import composed
+from experiments.app.schema import register
+from miho.analysis.figures.paper import AxleCurve
+from miho.analysis.generalisation import Generalisation, generalisation, near_peaks
+from miho.data import Dataset
+from miho.driving.assembly.bench import loaded_axle
+from miho.driving.assembly.from_drives import weave_samples
+from miho.driving.embedded import embedded_plant
+from miho.driving.load_transfer import LoadTransfer
+from miho.driving.loaded_axle import LoadedAxle, transfer_per_force
+from miho.driving.proving_ground import perform, weaves
+from miho.driving.sensors import Sensors
+from miho.driving.vehicle import Vehicle
+from miho.quantities import Array
+from miho.study import StoredRun
+
+SLIP = np.linspace(-0.22, 0.22, 881)
+"""Slip angles [rad] at which curves are drawn, those of the property data."""
+AT_LOAD, IN_TURN = "at the drive's load", "with load transfer"
+
+
+@dataclass(frozen=True, eq=False)
+class FrontAxle:
+    """The front axle of two tires' property data, and a drive of a car on the same tires.
+
+    axle: the learned curves. load: of both wheels at the drive's mean speed [N]. transfer: as in
+    `LoadedAxle.in_turn`. drive: what sensors show of the axle, 3 weaves up to and beyond its peaks.
+    reference: error on the property data over the largest force of the learned axle [-].
+    """
+
+    axle: LoadedAxle
+    load: float
+    transfer: float
+    drive: Dataset
+    reference: float
+
+    @classmethod
+    def of(cls, tires: Sequence[StoredRun], seed: int = 0) -> FrontAxle:
+        """The axle of the runs on the left and the right tire; seed: of the sensors' noise."""
+        data = [rebuild(run).dataset for run in tires]
+        thetas = [np.array(run.result["theta"]) for run in tires]
+        axle = loaded_axle(data, thetas)
+        losses = sum(run.result["loss"] for run in tires)
+        vehicle = _vehicle()
+        rng = np.random.default_rng(seed)
+        recordings = [perform(embedded_plant(vehicle), weave) for weave in weaves()]
+        logs = [recording.log("weave", Sensors(), rng) for recording in recordings]
+        drive = weave_samples(logs, vehicle, "front")
+        loads = LoadTransfer(vehicle).wheel_loads(drive["vx"])
+        return cls(
+            axle,
+            float(np.mean(loads.front_left + loads.front_right)),
+            transfer_per_force(LoadTransfer(vehicle))[0],
+            drive,
+            math.sqrt(losses) / float(np.abs(axle.axle.force(SLIP)).max()),
+        )
+
+    @property
+    def models(self) -> Mapping[str, Callable[[Array], Array]]:
+        """Lateral force [N] over the slip angle [rad], by name: as sampled, and corrected twice."""
+        return {
+            "as sampled": self.axle.axle.force,
+            AT_LOAD: self.axle.at([self.load / 2, self.load / 2]).force,
+            IN_TURN: lambda alpha: self.axle.in_turn(alpha, self.load, self.transfer),
+        }
+
+    def judged(self) -> Mapping[str, Generalisation]:
+        """How well each model holds on the drive."""
+        judged = {}
+        for name, force in self.models.items():
+            curve, predicted = force(SLIP), force(self.drive["alpha"])
+            near = near_peaks(predicted, (float(curve.min()), float(curve.max())))
+            rng = np.random.default_rng(0)
+            judged[name] = generalisation(self.drive["Fy"], predicted, near, rng)
+        return judged
+
+    def panel(self) -> tuple[tuple[Array, Array], Mapping[str, AxleCurve]]:
+        """What `fig4` draws: points of the drive, and the two curves at its loads."""
+        points = np.degrees(self.drive["alpha"]), self.drive["Fy"] / 1000
+        learned = float(np.degrees(SLIP[0])), float(np.degrees(SLIP[-1]))
+        curves = {
+            name: AxleCurve(
+                (np.degrees(SLIP), force(SLIP) / 1000), self.judged()[name].error / 1000, learned
+            )
+            for name, force in self.models.items()
+            if name != "as sampled"
+        }
+        return points, curves
+
+    def note(self) -> str:
+        """The small print of that panel."""
+        judged = self.judged()
+        near, turning = (
+            f"{found.ratio:.2f} [{found.low:.2f}, {found.high:.2f}]"
+            for found in (judged[AT_LOAD], judged[IN_TURN])
+        )
+        return (
+            f"the front tires' curves at {self.load / 1000:.1f} kN on both wheels, over "
+            f"{len(self.drive['Fy'])} samples of a simulated drive on the same tires; near the "
+            f"peaks the error is {near} times the error below, with load transfer {turning}"
+        )
+
+
+def verdict(axle: FrontAxle) -> list[str]:
+    """The paper's sentence on the right panel of Fig. 4, judged; a line for each model."""
+    sampled = float(axle.axle.loads.sum())
+    lines = [
+        f"front axle, learned from property data, over {len(axle.drive['Fy'])} samples of a drive "
+        f"that was not used; sampled at {sampled:.0f} N, driven at {axle.load:.0f} N",
+    ]
+    for name, found in axle.judged().items():
+        holds = found.share <= axle.reference
+        words = (
+            f"{'holds' if holds else 'does not hold'} over the whole drive (property data: "
+            f"{100 * axle.reference:.1f} %), "
+            f"{'less' if found.less_near_the_peaks else 'no less'} accurate near the peaks"
+        )
+        lines.append(f"{name}: {found.text()}: {words}")
+    return lines
+
+
+def facts(axle: FrontAxle) -> dict[str, Any]:
+    """What the file beside the figure says of its right panel."""
+    return {
+        "drive": axle.drive.digest,
+        "load": axle.load,
+        "sampled_at": axle.axle.loads.tolist(),
+        "peak_sensitivity": np.asarray(axle.axle.sensitivity.peak).tolist(),
+        "stiffness_sensitivity": np.asarray(axle.axle.sensitivity.stiffness).tolist(),
+        "reference": axle.reference,
+        "models": {name: found._asdict() for name, found in axle.judged().items()},
+        "verdict": verdict(axle),
+    }
+
+
+def _vehicle() -> Vehicle:
+    """The car of the paper, as it is driven."""
+    register()
+    settings = composed(["+vehicle@drive.vehicle=av21_full"]).drive.vehicle
+    return Vehicle.from_settings(cast(dict[str, Any], OmegaConf.to_container(settings)))
