@@ -1,7 +1,8 @@
 """Draw the paper's figures from the store.
 
 python -m experiments.figures fig6   # error over time, and the claims table (after `compare`)
-python -m experiments.figures fig4   # the four learned tires (after `identify` on each of them)
+python -m experiments.figures fig4   # the four learned tires, and the front axle on a drive
+                                   # (after `identify` on each of the tires)
 python -m experiments.figures arena  # leaderboard, tests and profiles (after experiment=arena)
 python -m experiments.figures fig4_right # the front axle over laps it was not learned from (after
                                          # `identify` with dataset=axle_log and dataset.end)
