@@ -17,6 +17,10 @@ DOCS = ROOT / "docs"
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 LONG = {"method.md"}
 """Pages whose Python takes minutes."""
+SECONDS = {
+    "add-a-method.md", "compare-models.md", "fit.md", "next-measurement.md", "trajectories.md",
+}  # fmt: skip
+"""Pages whose Python takes seconds; the README's shows whether an installation works."""
 NEEDS = {"posterior.md": ("arviz", "emcee")}
 """Libraries of an extra that the Python of a page needs."""
 BLOCKS = [
@@ -24,6 +28,7 @@ BLOCKS = [
         block,
         id=f"{page.name}-{number}",
         marks=[
+            *([pytest.mark.slow] if page.name in SECONDS else []),
             pytest.mark.filterwarnings(r"ignore:\s*ArviZ is undergoing:FutureWarning"),
             *(
                 pytest.mark.skipif(find_spec(library) is None, reason=f"{library} is not installed")

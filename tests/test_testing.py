@@ -136,13 +136,14 @@ def test_a_sound_method_passes() -> None:
 )
 def test_a_fault_is_caught(fault: str, check: str) -> None:
     with pytest.raises(ConformanceError, match=check):
-        run_check(check, Sound(fault), {})
+        run_check(check, Sound(fault), {}, 2000)
 
 
 def test_a_declared_failure_must_fail() -> None:
-    run_check("stays_in_the_box", Sound("leaves the box"), {"stays_in_the_box": "by design"})
+    leaves = Sound("leaves the box")
+    run_check("stays_in_the_box", leaves, {"stays_in_the_box": "by design"}, 2000)
     with pytest.raises(ConformanceError, match="remove the declared failure"):
-        run_check("stays_in_the_box", Sound(), {"stays_in_the_box": "by design"})
+        run_check("stays_in_the_box", Sound(), {"stays_in_the_box": "by design"}, 2000)
 
 
 def test_hiding_the_budget_is_caught() -> None:

@@ -210,7 +210,7 @@ def resumes_bit_exactly(optimizer: Optimizer, evaluations: int = BUDGET) -> None
         return
     whole = minimize(optimizer, DecayFit(), Budget(evaluations=evaluations), seed=3)
     cut: RunRecord | None = None
-    cuts = (n for n in (1, 5, 57, 58, 15_700, 15_701, 18_211) if n < evaluations)
+    cuts = (n for n in (1, 5, 57, 58, 2_911, 15_700, 15_701, 18_211) if n < evaluations)
     for n in (*cuts, evaluations):
         checkpoint = None if cut is None else pickle.loads(pickle.dumps(cut.checkpoint))
         budget = Budget(evaluations=n)

@@ -260,14 +260,14 @@ def test_segments_start_at_states_of_their_own() -> None:
     np.testing.assert_allclose(J[10:20, 2], np.exp(-1.7 * ROWS[:10]), atol=1e-6)
 
 
-@pytest.mark.parametrize("start", [{"restart": 4}, {"segments": 4, "states": {"x": "identified"}}])
+@pytest.mark.parametrize("start", [{"restart": 4}, {"segments": 3, "states": {"x": "identified"}}])
 def test_all_solvers_go_the_same_way(start: dict[str, Any]) -> None:
     """Compiled, in NumPy with a right-hand side that branches, and SciPy's at 1e-8."""
     model = replace(DRIVEN, substeps=10, **start)
     branching = replace(model, rhs=lambda x, force, *, k: force - k * x if k < 9 else force)
     others = branching, replace(model, solver="Radau"), replace(model, solver="LSODA")
     columns = (ROWS, FORCE, NOISY)[: len(model.inputs)]
-    theta = np.array([1.7, 0.5, -1.0, 2.0, 0.1])[: len(model.parameters)]
+    theta = np.array([1.7, 0.5, -1.0, 2.0])[: len(model.parameters)]
     values, slopes = model.predict(theta[None], *columns), model.jacobian(theta, *columns)
     for other in others:
         assert other._compiled is None
@@ -280,11 +280,11 @@ def test_inputs_are_straight_between_rows_or_held() -> None:
     dt = np.diff(ROWS)
     straight = np.append(0, np.cumsum(dt * (FORCE[1:] + FORCE[:-1]) / 2))
     held = np.append(0, np.cumsum(dt * FORCE[:-1]))
-    model = replace(DRIVEN, states={"x": 0.0})
+    start = np.zeros(ROWS.size)
     for solver, tolerance in (("RK4", 1e-12), ("Radau", 1e-6)):
         for interpolation, expected in (("linear", straight), ("hold", held)):
-            other = replace(model, solver=solver, interpolation=interpolation)
-            np.testing.assert_allclose(lag(other, k=0.0), expected, atol=tolerance)
+            model = replace(DRIVEN, solver=solver, interpolation=interpolation)
+            np.testing.assert_allclose(lag(model, start, k=0.0), expected, atol=tolerance)
 
 
 def test_several_outputs_stand_below_each_other_at_times_of_their_own() -> None:
@@ -305,9 +305,16 @@ def test_several_outputs_stand_below_each_other_at_times_of_their_own() -> None:
 
 
 @pytest.mark.parametrize("solver", ["RK4", "Radau"])
-def test_what_fails_or_diverges_is_nan_without_a_word(solver: str) -> None:
-    """x' = k x^2 from 1 is infinite at t = 1 / k."""
-    for rhs in (lambda x, *, k: k * x * x, lambda x, *, k: k * x * x if x < 1e300 else 1 / 0):
+def test_what_fails_or_diverges_is_nan_without_a_word(
+    solver: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """x' = k x^2 from 1 is infinite at t = 1 / k: a stiff solver ends there for want of a step, or
+    before for want of calls."""
+    for rhs, calls in (
+        (lambda x, *, k: k * x * x, 100_000),
+        (lambda x, *, k: k * x * x if x < 1e300 else 1 / 0, 2000),
+    ):
+        monkeypatch.setattr("miho.models.integration.MOST_CALLS", calls)
         model = Trajectory(rhs, {"x": 1.0}, ["x"], solver=solver, name="explosion")
         with warnings.catch_warnings():
             warnings.simplefilter("error")

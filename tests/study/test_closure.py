@@ -3,7 +3,7 @@
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -17,6 +17,7 @@ RUN = (
     "miho.identification.curve_fit", "miho.optim.minimize", "miho.models.tire",
     "miho.data.tir_sampling", "miho.methods.least_squares",
 )  # fmt: skip
+PART = ("miho.optim.minimize",)
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +32,18 @@ def roots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return copies
 
 
+@pytest.fixture(scope="module")
+def cache(roots: dict[str, Path]) -> Path:
+    """A file for what was read, so that each test reads only what it changes."""
+    return roots["miho"].parent / "cache" / "closure.json"
+
+
+@pytest.fixture(scope="module")
+def before(roots: dict[str, Path], cache: Path) -> str:
+    """The digest of the run's code before any change."""
+    return Sources(roots, cache=cache).digest(RUN)
+
+
 @contextmanager
 def appended(path: Path, text: str) -> Iterator[None]:
     """A file that has more for a while."""
@@ -40,13 +53,15 @@ def appended(path: Path, text: str) -> Iterator[None]:
     path.unlink() if before is None else path.write_text(before)
 
 
-def test_code_that_a_run_does_not_use_may_change(roots: dict[str, Path]) -> None:
-    before = Sources(roots).digest(RUN)
-    for place in ("data/mat.py", "methods/tiktak.py", "models/engine.py", "study/store.py"):
-        with appended(roots["miho"] / place, "\nCHANGED = 1\n"):
-            assert Sources(roots).digest(RUN) == before
-    with appended(roots["baselines"] / "another.py", "from miho.optim import Optimizer\n"):
-        assert Sources(roots).digest(RUN) == before
+def test_code_that_a_run_does_not_use_may_change(
+    roots: dict[str, Path], cache: Path, before: str
+) -> None:
+    with ExitStack() as changes:
+        for place in ("data/mat.py", "methods/tiktak.py", "models/engine.py", "study/store.py"):
+            changes.enter_context(appended(roots["miho"] / place, "\nCHANGED = 1\n"))
+        another = roots["baselines"] / "another.py"
+        changes.enter_context(appended(another, "from miho.optim import Optimizer\n"))
+        assert Sources(roots, cache=cache).digest(RUN) == before
 
 
 @pytest.mark.parametrize(
@@ -54,10 +69,11 @@ def test_code_that_a_run_does_not_use_may_change(roots: dict[str, Path]) -> None
     ["optim/oracle.py", "optim/space.py", "compiled/fused.py", "identification/loss.py",
      "compiled/elementary.py", "models/tire.py", "methods/descent.py", "data/dataset.py"],
 )  # fmt: skip
-def test_one_constant_of_what_it_uses_may_not(roots: dict[str, Path], place: str) -> None:
-    before = Sources(roots).digest(RUN)
+def test_one_constant_of_what_it_uses_may_not(
+    roots: dict[str, Path], cache: Path, before: str, place: str
+) -> None:
     with appended(roots["miho"] / place, "\nCHANGED = 1\n"):
-        assert Sources(roots).digest(RUN) != before
+        assert Sources(roots, cache=cache).digest(RUN) != before
 
 
 def test_what_was_read_is_kept_and_never_of_another_text(
@@ -65,29 +81,30 @@ def test_what_was_read_is_kept_and_never_of_another_text(
 ) -> None:
     monkeypatch.setattr("sys.dont_write_bytecode", False)
     cache, place = tmp_path / "cache" / "closure.json", roots["miho"] / "optim" / "oracle.py"
-    before = Sources(roots).digest(RUN)
-    assert Sources(roots, cache=cache).digest(RUN) == before
+    before = Sources(roots).digest(PART)
+    assert Sources(roots, cache=cache).digest(PART) == before
     written = cache.read_bytes()
     with monkeypatch.context() as context:
         context.setattr("miho.study.closure.ast.parse", None)
-        assert Sources(roots, cache=cache).digest(RUN) == before
+        assert Sources(roots, cache=cache).digest(PART) == before
     times = place.stat()
     with appended(place, "\nCHANGED = 1\n"):
         os.utime(place, ns=(times.st_atime_ns, times.st_mtime_ns))
-        changed = Sources(roots).digest(RUN)
+        changed = Sources(roots).digest(PART)
         assert changed != before
-        assert Sources(roots, cache=cache).digest(RUN) == changed
+        assert Sources(roots, cache=cache).digest(PART) == changed
     for damaged in (written[:-1], b"", written.replace(b"oracle", b"orache")):
         cache.write_bytes(damaged)
-        assert Sources(roots, cache=cache).digest(RUN) == before
+        assert Sources(roots, cache=cache).digest(PART) == before
         assert cache.read_bytes() == written
-    assert Sources(roots, cache=place / "closure.json").digest(RUN) == before
+    assert Sources(roots, cache=place / "closure.json").digest(PART) == before
 
 
-def test_comments_and_docstrings_may_change(roots: dict[str, Path]) -> None:
-    before = Sources(roots).digest(RUN)
+def test_comments_and_docstrings_may_change(
+    roots: dict[str, Path], cache: Path, before: str
+) -> None:
     with appended(roots["miho"] / "optim" / "oracle.py", "\n# a comment\n"):
-        assert Sources(roots).digest(RUN) == before
+        assert Sources(roots, cache=cache).digest(RUN) == before
 
 
 def test_a_name_leads_to_the_module_that_defines_it(tmp_path: Path) -> None:
