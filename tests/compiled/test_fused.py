@@ -191,7 +191,7 @@ class Sum(Expression):
         )
 
 
-@pytest.mark.parametrize("p", [1, 5])
+@pytest.mark.parametrize("p", [1, pytest.param(5, marks=pytest.mark.slow)])
 def test_derivatives_may_be_inputs_of_any_number(p: int) -> None:
     """A line of one input and of five, whose least squares are known in closed form."""
     rng, model = np.random.default_rng(5), Sum(p)
@@ -298,7 +298,7 @@ def _as_compiled(x: Any) -> Any:
 SHIFT = 1e-3
 
 
-@pytest.mark.parametrize("wrong", ["value", "derivatives"])
+@pytest.mark.parametrize("wrong", ["value", pytest.param("derivatives", marks=pytest.mark.slow)])
 def test_compiled_values_that_are_not_numpys_are_not_used(wrong: str) -> None:
     class Shifted(Expression):
         inputs = MappingProxyType({"x": "1"})

@@ -106,6 +106,7 @@ def untraced(model: Trajectory) -> Trajectory:
     return other
 
 
+@pytest.mark.slow
 def test_a_motor_that_is_driven_is_its_closed_form() -> None:
     """RK4 at a third of a millisecond."""
     u = np.full(T.size, 12.0)
@@ -120,6 +121,7 @@ def lotka_volterra(h: Any, l: Any, *, a: Any, b: Any, c: Any, d: Any) -> list[An
     return [a * h - b * h * l, d * h * l - c * l]
 
 
+@pytest.mark.slow
 def test_predator_and_prey_keep_their_invariant() -> None:
     """d h - c ln h + b l - a ln l is constant along every orbit."""
     t, theta = np.linspace(0, 20, 401), np.array([0.55, 0.028, 0.84, 0.026])
@@ -152,7 +154,7 @@ def by_differences(f: Callable[[Array], Array], theta: Array) -> Array:
     return np.stack(columns, axis=-1)
 
 
-@pytest.mark.parametrize("solver", ["RK4", "Radau", "LSODA"])
+@pytest.mark.parametrize("solver", [pytest.param("RK4", marks=pytest.mark.slow), "Radau", "LSODA"])
 def test_sensitivities_are_those_of_an_independent_integration(solver: str) -> None:
     t, theta = np.linspace(0, 8, 81), np.array([0.55, 0.028, 0.84, 0.026])
     model = Trajectory(lotka_volterra, {"h": 34.0, "l": 6.0}, ["l"], solver=solver, substeps=20)
