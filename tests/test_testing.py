@@ -162,7 +162,7 @@ def test_a_method_that_asks_for_nothing_is_ended(
     monkeypatch: pytest.MonkeyPatch, asks: int, check: str
 ) -> None:
     """Directly, and in a run whose warm-up and whose failures are caught."""
-    monkeypatch.setattr("miho.testing.patience.PATIENCE", 0.2)
+    monkeypatch.setattr("miho.testing.patience.PATIENCE", 0.05)
     with pytest.raises(ConformanceError, match=f"{check}: NoEvaluation: it (computed|waited) for"):
         run_check(check, Silent(asks), {})
     assert signal.getitimer(signal.ITIMER_VIRTUAL) == (0.0, 0.0)

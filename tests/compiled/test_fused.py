@@ -298,7 +298,7 @@ def _as_compiled(x: Any) -> Any:
 SHIFT = 1e-3
 
 
-@pytest.mark.parametrize("wrong", ["value", pytest.param("derivatives", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("wrong", ["value", "derivatives"])
 def test_compiled_values_that_are_not_numpys_are_not_used(wrong: str) -> None:
     class Shifted(Expression):
         inputs = MappingProxyType({"x": "1"})
