@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import groupby
 from typing import Any
 
 import numpy as np
 
+from miho.compiled import Block, Climb
+from miho.optim.meter import Budget
 from miho.optim.miho_settings import MIHOSettings
+from miho.optim.mutation import climb_of, climb_once, compiled_steps
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
+from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.schedule import Rung
 from miho.optim.space import Space
 from miho.parallel import Ahead
@@ -89,7 +94,7 @@ class AsynchronousBracket:
 
 @dataclass
 class AsynchronousMIHOState:
-    """Up to `workers` chains are under way, in the brackets that have not ended.
+    """Chains that are under way, in the brackets that have not ended.
 
     `coming` are the rungs of the brackets that have not begun. The evaluation of the chain at
     position `arrived` is there, None while that is not known.
@@ -97,7 +102,6 @@ class AsynchronousMIHOState:
 
     space: Space
     rng: np.random.Generator
-    workers: int
     coming: list[tuple[Rung, ...]]
     brackets: list[AsynchronousBracket] = field(default_factory=list)
     chains: list[Chain] = field(default_factory=list)
@@ -114,36 +118,93 @@ class AsynchronousMIHO(MIHOSettings, Resumable[AsynchronousMIHOState]):
     deepest rung first; where none does, a fresh one begins. A bracket begins as soon as the one
     before has begun all that it can, so that no worker waits before the last bracket.
 
-    What it decides depends on the order in which evaluations end, and on nothing else: by its
-    arrivals a run can be repeated to the last bit (`minimize(..., replay=record.arrivals)`). A run
-    has as many chains as it began with. Without workers there is one, and the search is
-    deterministic. Compiled steps of mutation are MIHO's: where evaluations are cheap, use that.
+    There is one chain until an evaluation is known to be worth a worker of its own
+    (`Oracle.workers`). So the search is deterministic without workers, and where evaluations are
+    cheap; the steps of a single chain are made in compiled blocks if the problem has them. What
+    several chains decide depends on the evaluation after which they began and on the order in which
+    their evaluations end, and on nothing else: the arrivals of a run repeat it to the last bit
+    (`minimize(..., replay=record.arrivals)`).
     """
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> AsynchronousMIHOState:
         """Before the first bracket."""
         brackets = [tuple(rungs) for _, rungs in groupby(self.table(), lambda rung: rung.s)]
-        return AsynchronousMIHOState(oracle.space, rng, oracle.workers, brackets)
+        return AsynchronousMIHOState(oracle.space, rng, brackets)
 
     def step(self, state: AsynchronousMIHOState, oracle: Oracle) -> None:
-        """Take the evaluation that ended first, and go on from there."""
-        space = state.space
+        """Take the evaluation that ended first, and go on from there; or compiled steps."""
         if state.arrived is None:
-            self._fill(state)
-            needs = []
-            for chain in state.chains:
-                if chain.ahead is None:
-                    chain.ahead = oracle.ahead(space.decode(chain.proposal[None]))
-                needs.append(chain.ahead)
-            state.arrived = oracle.first_ready(needs)
+            self._fill(state, oracle.workers)
+            climb = self._climb_of(state, oracle)
+            if climb is not None:
+                oracle.spend(partial(self._climb, climb, state), 1)
+                return
+            state.arrived = self._first_ready(state, oracle)
         chain = state.chains[state.arrived]
-        loss = float(oracle(space.decode(chain.proposal[None]))[0])
+        loss = float(oracle(state.space.decode(chain.proposal[None]))[0])
         # The evaluation counts: nothing raises from here on. Who was served is last in line.
         state.chains.append(state.chains.pop(state.arrived))
         state.arrived = chain.ahead = None
         if chain.step < 0 or loss < chain.loss:
             chain.x, chain.loss = chain.proposal, loss
-        chain.step += 1
+        self._count(state, 1)
+
+    def done(self, state: AsynchronousMIHOState) -> bool:
+        """After the last bracket."""
+        return not (state.chains or state.brackets or state.coming)
+
+    def rehearsals(
+        self, problem: Problem, toy: LeastSquaresProblem, theta: Array
+    ) -> Sequence[Callable[[], object]]:
+        """Losses, compiled steps where the problem has them, and a search of the toy."""
+        return [
+            lambda: Oracle(problem, Budget())(theta[None]),
+            lambda: climb_once(problem, theta),
+            lambda: self.search_toy(toy),
+        ]
+
+    def _first_ready(self, state: AsynchronousMIHOState, oracle: Oracle) -> int:
+        """Have workers evaluate what chains propose; the position of the one that is there first.
+
+        A chain that is alone waits for no other, so nothing is begun ahead for it.
+        """
+        if len(state.chains) == 1:
+            return 0
+        needs = []
+        for chain in state.chains:
+            if chain.ahead is None:
+                chain.ahead = oracle.ahead(state.space.decode(chain.proposal[None]))
+            needs.append(chain.ahead)
+        return oracle.first_ready(needs)
+
+    def _climb_of(self, state: AsynchronousMIHOState, oracle: Oracle) -> Climb | None:
+        """Compiled steps of a chain that is alone and has its first evaluation."""
+        alone = len(state.chains) == 1 and state.chains[0].step >= 0
+        return climb_of(oracle) if alone and self.proposal == "mutation" else None
+
+    def _climb(
+        self, climb: Climb, state: AsynchronousMIHOState, most: float, best: float, target: float
+    ) -> Block:
+        """At most `most` mutations of the only chain in compiled code."""
+        (chain,) = state.chains
+        count = min(int(most), chain.rung.rung.mutations - chain.step)
+        P, L = chain.x[None].copy(), np.array([chain.loss])
+        block = compiled_steps(
+            climb,
+            (chain.proposal[None], P, L),
+            chain.rung.sigma[chain.step + 1 : chain.step + count],
+            self.bounds(state.space),
+            state.rng,
+            (best, target),
+        )
+        chain.x, chain.loss = P[0], float(L[0])
+        self._count(state, round(block.evaluations))
+        return block
+
+    def _count(self, state: AsynchronousMIHOState, evaluations: int) -> None:
+        """Count evaluations of the last chain; it goes on, or ends on this rung."""
+        chain = state.chains[-1]
+        chain.step += evaluations
         if chain.step < chain.rung.rung.mutations:
             self._propose(state, chain)
             return
@@ -151,13 +212,9 @@ class AsynchronousMIHO(MIHOSettings, Resumable[AsynchronousMIHOState]):
         state.chains.pop()
         state.brackets = [b for b in state.brackets if not all(r.complete for r in b.rungs)]
 
-    def done(self, state: AsynchronousMIHOState) -> bool:
-        """After the last bracket."""
-        return not (state.chains or state.brackets or state.coming)
-
-    def _fill(self, state: AsynchronousMIHOState) -> None:
+    def _fill(self, state: AsynchronousMIHOState, workers: int) -> None:
         """Begin chains until as many are under way as there are workers, or none can begin."""
-        while len(state.chains) < state.workers:
+        while len(state.chains) < workers:
             chains = (self._next_chain(state, bracket) for bracket in state.brackets)
             chain = next((chain for chain in chains if chain is not None), None)
             if chain is not None:

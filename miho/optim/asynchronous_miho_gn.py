@@ -79,9 +79,10 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
     workers, another one begins. They have the known minima, the stalled candidates and the evidence
     in common, and the rule by which the search ends; what is then under way is given up.
 
-    What it decides depends on the order in which rounds end, and on nothing else (`record.arrivals`
-    repeats it). With one worker, with compiled residuals, and where all parameters are linear it
-    makes one bracket after the other, as `MIHOGN` does, whose settings it has.
+    What it decides depends on when several were under way and in which order rounds ended, and on
+    nothing else (`record.arrivals` repeats it). With one worker, where evaluations are not known to
+    be worth a worker each, with compiled residuals, and where all parameters are linear it makes one
+    bracket after the other, as `MIHOGN` does, whose settings it has.
     """
 
     @cached_property
@@ -96,8 +97,7 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
     def step(self, state: AsynchronousMIHOGNState, oracle: Oracle) -> None:
         """Make the round that ended first, and go on from there."""
         search = state.search
-        compiled = search.settings.compiled
-        if oracle.workers == 1 or compiled or search.linear or not search.level_rows[-1]:
+        if search.settings.compiled or search.linear or not search.level_rows[-1]:
             self.method.step(search, oracle)
             return
         if state.arrived is None:

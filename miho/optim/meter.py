@@ -52,12 +52,13 @@ class Budget:
 class Arrivals:
     """In which order the evaluations of a run were there, as far as a method asked for it.
 
-    A run begins with so many `workers`; `positions` are the answers of `Oracle.first_ready` where
-    there was a choice.
+    After `alone` evaluations, made one at a time, so many `workers` made them, 0 as long as they do
+    not. `positions` are the answers of `Oracle.first_ready` where there was a choice.
     """
 
     workers: int = 0
     positions: list[int] = field(default_factory=list)
+    alone: float = 0
 
 
 @dataclass

@@ -8,10 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from miho.compiled import Block, Climb, Steps
+from miho.compiled import Block, Climb
 from miho.optim.meter import Budget
 from miho.optim.miho_settings import MIHOSettings
-from miho.optim.mutation import climb_of
+from miho.optim.mutation import climb_of, climb_once, compiled_steps
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
@@ -106,29 +106,22 @@ class MIHO(MIHOSettings, Resumable[MIHOState]):
         self, climb: Climb, state: MIHOState, most: float, best: float, target: float
     ) -> Block:
         """At most `most` evaluations in compiled code: whole steps of all rows, or one of some."""
-        evaluations, n, space, rng = int(most), len(state.P), state.space, state.rng
+        evaluations, n = int(most), len(state.P)
         whole = evaluations >= n and state.row == 0
         count = min(evaluations // n, state.rung.mutations - state.step) if whole else 1
         rows = slice(state.row, min(state.row + evaluations, n))
-        low, high = space.bounds
-        generator, shape = rng.bit_generator.state, (count - 1, *state.P.shape)
-        steps = Steps(
-            state.batch[rows],
-            state.P[rows],
-            state.L[rows],
-            rng.standard_normal(shape),
+        block = compiled_steps(
+            climb,
+            (state.batch[rows], state.P[rows], state.L[rows]),
             state.sigma[state.step + 1 : state.step + count],
-            (low, high if self.clip == "box" else np.full(high.shape, np.inf)),
-            self.early_stopping,
+            self.bounds(state.space),
+            state.rng,
+            (best, target),
+            early_stopping=self.early_stopping,
         )
-        block = climb(steps, best, target)
-        steps_made = round(block.evaluations) // (rows.stop - rows.start)
-        if steps_made < count:  # the target was reached: draw again only what these steps used
-            rng.bit_generator.state = generator
-            rng.standard_normal((steps_made - 1, *shape[1:]))
         state.row = rows.stop % n
         if state.row == 0:
-            self._count(state, steps_made)
+            self._count(state, round(block.evaluations) // (rows.stop - rows.start))
         return block
 
     def rehearsals(
@@ -137,7 +130,7 @@ class MIHO(MIHOSettings, Resumable[MIHOState]):
         """Losses, compiled steps where the problem has them, and a search of the toy."""
         return [
             lambda: Oracle(problem, Budget())(theta[None]),
-            lambda: _climb_once(problem, theta),
+            lambda: climb_once(problem, theta),
             lambda: self.search_toy(toy),
         ]
 
@@ -170,11 +163,3 @@ class MIHO(MIHOSettings, Resumable[MIHOState]):
             state.step = 0
         state.sigma = self.sigma(state.space, state.rung.mutations)
         return True
-
-
-def _climb_once(problem: Problem, theta: Array) -> None:
-    """Compile the steps of the problem's kernel, by one step of one row."""
-    climb = climb_of(Oracle(problem, Budget()))
-    if climb is not None:
-        P, noise, L = theta[None].copy(), np.empty((0, 1, theta.size)), np.array([np.inf])
-        climb(Steps(P, P.copy(), L, noise, noise[:, 0], problem.space.bounds), np.inf, -np.inf)

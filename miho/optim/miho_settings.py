@@ -65,6 +65,11 @@ class MIHOSettings:
         """Sigma of each mutation on a rung, (mutations, d)."""
         return annealed_sigma(space, mutations, self.annealing)
 
+    def bounds(self, space: Space) -> tuple[Array, Array]:
+        """Ends (d,) within which `clip` keeps mutants, in search coordinates."""
+        low, high = space.bounds
+        return low, high if self.clip == "box" else np.full(high.shape, np.inf)
+
     def proposals(self, P: Array, sigma: Array, space: Space, rng: np.random.Generator) -> Array:
         """What configurations P (n, d) are compared with next, in search coordinates."""
         if self.proposal == "mutation":

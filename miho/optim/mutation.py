@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from miho.compiled import Climb
+from miho.compiled import Block, Climb, Steps
+from miho.optim.meter import Budget
 from miho.optim.oracle import Oracle
+from miho.optim.problem import Problem
 from miho.optim.space import Space
 from miho.quantities import Array
 
@@ -53,3 +55,57 @@ def climb_of(oracle: Oracle) -> Climb | None:
     if any(parameter.scale == "log" for parameter in oracle.space.parameters):
         return None
     return oracle.kernel.climb
+
+
+def compiled_steps(
+    climb: Climb,
+    rows: tuple[Array, Array, Array],
+    sigma: Array,
+    bounds: tuple[Array, Array],
+    rng: np.random.Generator,
+    ends: tuple[float, float],
+    *,
+    early_stopping: bool = True,
+) -> Block:
+    """Steps of mutation whose noise `rng` draws as `mutate` would, one step after the other.
+
+    Parameters
+    ----------
+    climb : Climb
+        Compiled steps of the problem.
+    rows : tuple of ndarray
+        Mutants of the first step (n, d), their parents (n, d) and losses of these (n,), which are
+        changed in place.
+    sigma : ndarray of shape (steps - 1, d)
+        Standard deviations of each step after the first (Eq. 2).
+    bounds : tuple of ndarray
+        Lower and upper ends (d,) within which mutants are kept.
+    rng : numpy.random.Generator
+        Is left as if each step that was made had drawn its own noise.
+    ends : tuple of float
+        The best loss so far, and the target at which the steps end.
+    early_stopping : bool
+        Whether a mutant that cannot be better than its parent is given up (`Steps`).
+
+    Returns
+    -------
+    Block
+        The evaluations and the improvements.
+    """
+    mutants, P, L = rows
+    generator, shape = rng.bit_generator.state, (len(sigma), *P.shape)
+    noise = rng.standard_normal(shape)
+    block = climb(Steps(mutants, P, L, noise, sigma, bounds, early_stopping), *ends)
+    more = round(block.evaluations) // len(P) - 1
+    if more < len(sigma):  # the target was reached: draw again only what these steps used
+        rng.bit_generator.state = generator
+        rng.standard_normal((more, *shape[1:]))
+    return block
+
+
+def climb_once(problem: Problem, theta: Array) -> None:
+    """Compile the steps of the problem's kernel, if it has them, by one step of one row."""
+    climb = climb_of(Oracle(problem, Budget()))
+    if climb is not None:
+        P, noise, L = theta[None].copy(), np.empty((0, 1, theta.size)), np.array([np.inf])
+        climb(Steps(P, P.copy(), L, noise, noise[:, 0], problem.space.bounds), np.inf, -np.inf)

@@ -69,10 +69,7 @@ class Oracle:
         self.interrupted = False
         self._problem, self._evaluations = problem, evaluations
         self._values = UsableValues(problem, self.meter.reject)
-        self._replayed = [] if replay is None else replay.positions
-        if not self.meter.arrivals.workers:
-            begun_with = 1 if evaluations is None else evaluations.workers
-            self.meter.arrivals.workers = begun_with if replay is None else replay.workers
+        self._replay = replay
         if evaluations is not None:
             evaluations.check = self._check_interrupt
         self._limit = math.inf if budget.evaluations is None else budget.evaluations
@@ -156,8 +153,21 @@ class Oracle:
 
     @property
     def workers(self) -> int:
-        """How many evaluations a method may have under way at a time: as the run began."""
-        return self.meter.arrivals.workers
+        """How many evaluations a method may have under way at a time.
+
+        One, until it is known that each is worth a worker of its own; from then on as many as there
+        are workers, also in a run that is resumed. In a replay as many as in the original.
+        """
+        arrivals, replay, evaluations = self.meter.arrivals, self._replay, self._evaluations
+        if not arrivals.workers:
+            count = 0
+            if replay is not None:
+                count = replay.workers if self.evaluations >= replay.alone else 0
+            elif evaluations is not None and evaluations.worth_one:
+                count = evaluations.workers
+            if count > 1:
+                arrivals.workers, arrivals.alone = count, self.evaluations
+        return max(1, arrivals.workers)
 
     @property
     def spreads(self) -> bool:
@@ -205,8 +215,9 @@ class Oracle:
         if len(needs) == 1:
             return 0
         positions, position = self.meter.arrivals.positions, 0
-        if len(positions) < len(self._replayed):
-            position = self._replayed[len(positions)]
+        replayed = [] if self._replay is None else self._replay.positions
+        if len(positions) < len(replayed):
+            position = replayed[len(positions)]
             if not 0 <= position < len(needs):
                 raise ValueError(
                     f"replay: arrival {len(positions)} is at position {position} of {len(needs)}; "

@@ -143,6 +143,11 @@ class Evaluations:
         """Whether workers make evaluations: where it is known that each takes long enough."""
         return self._pool is not None and self.worth.measured and not self.worth.short
 
+    @property
+    def worth_one(self) -> bool:
+        """Whether it is known that workers gain where each makes one evaluation at a time."""
+        return self._pool is not None and self.worth.alone
+
     def ahead(self, ask: Callable[[], object]) -> Ahead:
         """Begin all evaluations that `ask` needs, without waiting; what it computes is void."""
         keys: list[Key] = []
@@ -293,6 +298,7 @@ class Evaluations:
             return self._here[key]
         if key not in self._pending and self._journal is not None:
             self.usage.known += self._journal.place(key) < self._journal.loaded
+            self.worth.remember()
             return self._journal[key]
         pending = self._pending[key]
         while pending.ended == math.inf:

@@ -27,6 +27,12 @@ DEAR = 0.01
 """
 LATEST = 0.2
 """What the latest evaluation counts in the mean of what they take."""
+ALONE = 1e-3
+"""Seconds from which on one evaluation is worth a worker of its own: a task of one costs the client
+up to 0.2 ms, besides what the method computes to know its next step."""
+IN_A_ROW, AGAIN = 2, 10
+"""So many evaluations in a row have to take ALONE, the first of which may have loaded something; so
+many more where one did not, since any may be held up by other programs."""
 
 
 def is_dear(seconds: float, evaluations: float = 1) -> bool:
@@ -43,7 +49,7 @@ class Worth:
 
     def __init__(self, usage: Usage, *, limited: bool) -> None:
         self._usage, self.limited = usage, limited
-        self._rest = 0
+        self._rest = self._long = 0
 
     @property
     def measured(self) -> bool:
@@ -57,6 +63,11 @@ class Worth:
         return self.measured and not self.limited and (self._usage.each or 0.0) < LEAST
 
     @property
+    def alone(self) -> bool:
+        """Whether one evaluation is known to be worth a worker of its own."""
+        return self.limited or self._long >= IN_A_ROW
+
+    @property
     def dear(self) -> bool:
         """Whether evaluations are known to be worth a line of a journal."""
         return is_dear(self._usage.each or 0.0)
@@ -67,10 +78,14 @@ class Worth:
         If they are needed `at_once`, nothing else is done meanwhile.
         """
         each = self._usage.each or WORTH_SENDING
-        few = each * rows < 2 * WORTH_SENDING and not self.limited
-        if self.short or (few and at_once):
+        few = each * rows < 2 * WORTH_SENDING or (rows == 1 and self._usage.here < IN_A_ROW)
+        if self.short or (few and at_once and not self.limited):
             return 0
         return 1 if self.limited else max(1, int(np.ceil(WORTH_SENDING / each)))
+
+    def remember(self) -> None:
+        """One evaluation is known from before, since it was dear."""
+        self._long += 1
 
     def resting(self) -> bool:
         """Whether evaluations are so short that this one is made here, untimed (`brief`)."""
@@ -91,8 +106,10 @@ class Worth:
 
     def count(self, each: float, rows: int, *, here: bool, raised: bool = False) -> None:
         """Some rows took so many seconds each, `here` or by a worker."""
-        usage = self._usage
-        if raised and not is_dear(each):  # which says nothing of how long a value takes
+        usage, quick = self._usage, raised and not is_dear(each)
+        if not quick:
+            self._long = self._long + 1 if each >= ALONE else -AGAIN
+        if quick:  # which says nothing of how long a value takes
             pass
         elif usage.each is None:
             usage.each = each
