@@ -81,6 +81,7 @@ def dear(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluation counts as dear, however long it takes."""
     monkeypatch.setattr(worth, "DEAR", 0.0)
     monkeypatch.setattr(worth, "LEAST", 0.0)
+    monkeypatch.setattr(worth, "ALONE", 0.0)
 
 
 @pytest.fixture

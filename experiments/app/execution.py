@@ -15,6 +15,7 @@ from experiments.app.progress import Observer, progress
 from miho.identification import CurveFit
 from miho.optim import RunRecord, minimize
 from miho.parallel import Journal, JournalError, calls_of
+from miho.parallel.usage import Usage
 from miho.study import Execution, Identity, Status, Store, execute
 
 
@@ -82,9 +83,11 @@ def result_line(identity: Identity, result: Mapping[str, Any], status: Status) -
         error = f"{math.sqrt(result['loss']):.5g} {result['facts']['unit']}"
     outside = result.get("outside", 0)
     remark = f", at least {outside:,} of them outside of the box" if outside else ""
+    usage = Usage(**(result.get("usage") or {"workers": 1}))
+    ending = f"({status})" + (f"; {usage}" if usage.workers > 1 else "")
     return (
         f"{identity.problem} {identity.optimizer} seed {identity.seed}: {error}, "
-        f"{result['evaluations']:,.0f} evaluations{remark}, {result['seconds']:.2f} s ({status})"
+        f"{result['evaluations']:,.0f} evaluations{remark}, {result['seconds']:.2f} s {ending}"
     )
 
 

@@ -19,6 +19,7 @@ from miho.identification import Square, linear_optimum
 from miho.identification.standing import kind_of
 from miho.identification.validation import root_mean_square
 from miho.optim import Descents, agreement, in_optimum
+from miho.parallel.usage import Usage
 from miho.study import Status, StoredRun
 
 ENDINGS = {
@@ -124,6 +125,8 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
         rows.append(("rejected", ", ".join(f"{n} x {r}" for r, n in result["rejected"].items())))
     if result.get("outside"):
         rows.append(("outside", f"at least {result['outside']:,} evaluations, beyond the box"))
+    if result.get("usage"):
+        rows.append(("workers", str(Usage(**result["usage"]))))
     rows.append(("run", str(stored.folder)))
     if report is not None:
         rows.append(("report", str(save_run(report, stored))))

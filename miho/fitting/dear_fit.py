@@ -39,8 +39,8 @@ def dear_fit(
 ) -> Iterator[Evaluations | None]:
     """What makes the evaluations of a fit, search and descents together; None if nothing special.
 
-    Says on stderr from how many evaluations of an earlier call it goes on, why workers are not
-    used, and after a Ctrl-C what is kept.
+    Says on stderr from how many evaluations of an earlier call it goes on, how workers were used or
+    why they were not, and after a Ctrl-C what is kept.
     """
     with ExitStack() as stack:
         book = None if journal is None else stack.enter_context(closing(Journal(journal, problem)))
@@ -59,12 +59,8 @@ def dear_fit(
             raise KeyboardInterrupt(
                 f"{len(book):,} evaluations are kept in {journal}; the same call goes on from them"
             ) from error
-        if evaluations is None or evaluations.workers == 1 or evaluations.usage.evaluations:
-            return
-        if evaluations.usage.each is None and not evaluations.usage.known:
-            _say("workers are not used: the model is a formula, which takes too little time")
-        elif evaluations.usage.each is not None:
-            _say(f"workers are not used: an evaluation takes {span(evaluations.usage.each)}")
+        if evaluations is not None and evaluations.workers > 1:
+            _say(str(evaluations.usage))
 
 
 def spread(problem: CurveFit, evaluations: Evaluations | None) -> CurveFit:

@@ -80,9 +80,9 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
     in common, and the rule by which the search ends; what is then under way is given up.
 
     What it decides depends on when several were under way and in which order rounds ended, and on
-    nothing else (`record.arrivals` repeats it). With one worker, where evaluations are not known to
-    be worth a worker each, with compiled residuals, and where all parameters are linear it makes one
-    bracket after the other, as `MIHOGN` does, whose settings it has.
+    nothing else (`record.arrivals` repeats it). It makes one bracket after the other, as `MIHOGN`
+    does, with one worker, with compiled residuals, where all parameters are linear, and as long as
+    evaluations are not known to be worth a worker each. It has the settings of `MIHOGN`.
     """
 
     @cached_property

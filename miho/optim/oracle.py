@@ -167,7 +167,10 @@ class Oracle:
                 count = evaluations.workers
             if count > 1:
                 arrivals.workers, arrivals.alone = count, self.evaluations
-        return max(1, arrivals.workers)
+        at_a_time = max(1, arrivals.workers)
+        if evaluations is not None:
+            evaluations.usage.at_a_time = at_a_time
+        return at_a_time
 
     @property
     def spreads(self) -> bool:
@@ -406,6 +409,10 @@ class Oracle:
     def stop(self) -> None:
         """Read the clocks for the last time: no evaluation follows."""
         self._recorder.stop()
+        usage, recorder = self.usage, self._recorder
+        if usage is not None and usage.each is None and not usage.known and recorder.evaluated:
+            usage.here += round(recorder.evaluated)  # compiled ones, which nobody else has timed
+            usage.each = recorder.evaluating / recorder.evaluated
 
     def _check_open(self) -> None:
         self._check_end()

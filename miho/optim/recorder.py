@@ -44,6 +44,7 @@ class Recorder:
         self._observed = -math.inf
         self._unchecked: list[Array] = []
         self._rows_unchecked = 0
+        self.evaluated = self.evaluating = 0.0  # evaluations, and the seconds of all
         self._wall = clock.wall() - meter.seconds
         self._cpu = clock.cpu() - meter.cpu_seconds
 
@@ -68,6 +69,8 @@ class Recorder:
         """
         meter = self.meter
         meter.seconds = now = self._clock.wall() - self._wall
+        self.evaluated += evaluations
+        self.evaluating += now - started
         if at.size:
             meter.cpu_seconds = self._clock.cpu() - self._cpu
             per_evaluation = (now - started) / evaluations

@@ -179,6 +179,7 @@ class Evaluations:
         for pending in self._pending.values():
             pending.future.cancel()
         self._pending.clear()
+        self.usage.end()
 
     def values(self, task: Evaluated, thetas: Array) -> Array:
         """Values (n, ...) of rows (n, d); raises the first error among them."""

@@ -3,15 +3,36 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+DEAR = 0.01
+"""Seconds from which on an evaluation is dear: it is written to the journal, and none made in vain.
+"""
 
 
 @dataclass
 class Usage:
-    """Evaluations that workers made, the `seconds` that these took.
+    """How the evaluations of a run were made.
 
-    `here` were made in the searching process, where one takes `each` seconds; `known` came from a
-    journal.
+    Attributes
+    ----------
+    workers : int
+        How many evaluations can be made at a time; 1 where there are no workers.
+    evaluations : int
+        Evaluations that workers made.
+    seconds : float
+        How long these took, summed over workers [s].
+    here : int
+        Evaluations in the searching process.
+    known : int
+        Evaluations that a journal of an earlier call had.
+    each : float or None
+        How long an evaluation takes [s], None before the first.
+    at_a_time : int or None
+        How many an asynchronous method had under way; None for other methods.
+    wall : float or None
+        From the first evaluation by a worker to the end [s]; None before the end, and without one.
     """
 
     workers: int
@@ -20,32 +41,54 @@ class Usage:
     here: int = 0
     known: int = 0
     each: float | None = None
-    _began: float | None = field(default=None, repr=False)
+    at_a_time: int | None = None
+    wall: float | None = None
+    _began: float | None = field(default=None, init=False, repr=False, compare=False)
 
     def begin(self) -> None:
         """Workers have something to do from now on."""
         if self._began is None:
             self._began = time.perf_counter()
 
+    def end(self) -> None:
+        """Workers have nothing to do any more."""
+        if self._began is not None:
+            self.wall = time.perf_counter() - self._began
+
+    @property
+    def stored(self) -> dict[str, Any]:
+        """All attributes by name, from which `Usage(**stored)` is made again."""
+        return {part.name: getattr(self, part.name) for part in fields(self) if part.init}
+
     @property
     def efficiency(self) -> float | None:
         """The share of the workers' time that went into evaluations; None before there are any."""
-        if self._began is None or not self.evaluations:
-            return None
-        return self.seconds / (self.workers * (time.perf_counter() - self._began))
+        wall = self.wall
+        if wall is None and self._began is not None:
+            wall = time.perf_counter() - self._began
+        return self.seconds / (self.workers * wall) if wall and self.evaluations else None
 
     def __str__(self) -> str:
-        """In a few words."""
+        """One line: who made the evaluations, how long one takes, and why no worker did."""
+        known = [f"{self.known:,} evaluations known from before"] if self.known else []
         each = "" if self.each is None else f", {span(self.each)} each"
-        known = f"{self.known:,} evaluations known from before; " if self.known else ""
-        if not self.evaluations:
-            alone = self.workers == 1 or self.each is None
-            remark = "" if alone else f": too short for {self.workers} workers"
-            return f"{known}evaluations made here{each}{remark}"
-        busy = f"busy {min(self.efficiency or 0.0, 1.0):.0%} of the time"
-        who = "a worker" if self.workers == 1 else f"{self.workers} workers"
-        verb = "was" if self.workers == 1 else "were"
-        return f"{known}{self.evaluations:,} evaluations by {who}{each}, which {verb} {busy}"
+        made = []
+        if self.evaluations:
+            busy = f"busy {min(self.efficiency or 0.0, 1.0):.0%} of the time"
+            one = self.workers == 1
+            who, verb = ("a worker", "was") if one else (f"{self.workers} workers", "were")
+            made = [f"{self.evaluations:,} evaluations by {who}{each}, which {verb} {busy}"]
+        elif self.here or not known:
+            made = [f"evaluations made here{each}{self._why_here}"]
+        return "; ".join(known + made)
+
+    @property
+    def _why_here(self) -> str:
+        """Why no worker made an evaluation, where there are workers."""
+        if self.workers == 1 or self.each is None:
+            return ""
+        alone = ", so one at a time" if self.at_a_time == 1 else ""
+        return f": too {'few' if self.each >= DEAR else 'short'} for {self.workers} workers{alone}"
 
 
 def span(seconds: float) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.parallel.usage import Usage
+from miho.parallel.usage import DEAR, Usage
 
 Array = NDArray[np.float64]
 
@@ -22,9 +22,6 @@ FIRST = 3
 """So many are made here to see how long they take, unless one shows that they are dear."""
 REST = 100
 """So many short evaluations are made until the next is timed."""
-DEAR = 0.01
-"""Seconds from which on an evaluation is dear: it is written to the journal, and none made in vain.
-"""
 LATEST = 0.2
 """What the latest evaluation counts in the mean of what they take."""
 ALONE = 1e-3

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import pickle
 import random
 import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from miho.optim import (
     AsynchronousMIHOGN,
     Budget,
     BudgetExhausted,
+    Optimizer,
     Oracle,
     Outcome,
     Parameter,
@@ -34,7 +37,7 @@ from miho.optim import (
 from miho.optim.asynchronous_miho import AsynchronousRung
 from miho.optim.oracle import Kind
 from miho.optim.schedule import Rung
-from miho.parallel import Ahead
+from miho.parallel import Ahead, worth
 from tests.optim.decays import Outside, fit
 
 Array = NDArray[np.float64]
@@ -262,6 +265,51 @@ def test_rounds_of_candidates_are_the_same_with_any_workers(
 
 
 BRACKETS = AsynchronousMIHOGN(brackets=12)
+
+
+@pytest.mark.parametrize("method", [METHOD, BRACKETS], ids=["miho", "miho_gn"])
+def test_a_cheap_loss_has_one_evaluation_at_a_time_and_says_so(
+    method: Optimizer, workers: Shuffling, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is sent, and the run is that without workers to the last bit."""
+    monkeypatch.setattr(worth, "ALONE", math.inf)  # however busy the machine is
+    monkeypatch.setattr(worth, "WORTH_SENDING", math.inf)
+    problem, budget = Outside(fit()), Budget(evaluations=200)
+    alone = minimize(method, problem, budget, seed=1)
+    record = minimize(method, problem, budget, seed=1, workers=workers)
+    assert same(record, alone)
+    assert record.arrivals is None
+    assert record.usage is not None
+    assert record.usage.evaluations == 0
+    assert str(record.usage).endswith("for 4 workers, so one at a time")
+
+
+def test_chains_begin_when_two_evaluations_in_a_row_were_long(workers: Shuffling) -> None:
+    budget = Budget(evaluations=40)
+    record = minimize(METHOD, Valley(0.011), budget, workers=workers)
+    assert record.error is None
+    assert record.arrivals is not None
+    assert (record.arrivals.alone, record.arrivals.workers) == (2, 4)
+    assert record.usage is not None
+    assert record.usage.here == 2
+    assert record.usage.at_a_time == 4
+    assert same(minimize(METHOD, Valley(), budget, replay=record.arrivals), record)
+    # Arrivals of a run whose chains all began at its start decide otherwise.
+    early = replace(record.arrivals, alone=0)
+    assert not same(minimize(METHOD, Valley(), budget, replay=early), record)
+
+
+def test_a_run_that_was_alone_may_go_on_with_several(workers: Shuffling) -> None:
+    """It repeats itself by its arrivals, and so does one that is cut before chains begin."""
+    first = minimize(METHOD, Valley(), Budget(evaluations=30))
+    budget = Budget(evaluations=90)
+    record = minimize(
+        METHOD, Valley(), budget, checkpoint=first.checkpoint, workers=workers,
+        evaluation_limit=LIMIT,
+    )  # fmt: skip
+    assert record.arrivals is not None
+    assert record.arrivals.alone == 31, "the evaluation at which it was cut is made first"
+    assert same(minimize(METHOD, Valley(), budget, replay=record.arrivals), record)
 
 
 def test_brackets_at_a_time_are_repeated_by_their_arrivals(workers: Shuffling) -> None:
