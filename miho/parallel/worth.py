@@ -25,8 +25,8 @@ REST = 100
 LATEST = 0.2
 """What the latest evaluation counts in the mean of what they take."""
 ALONE = 1e-3
-"""Seconds from which on one evaluation is worth a worker of its own: a task of one costs the client
-up to 0.2 ms, besides what the method computes to know its next step."""
+"""Seconds from which on one evaluation is worth a worker of its own: an asynchronous method spends
+0.5 to 0.9 ms of CPU on a task of one, and 0.2 ms on an evaluation without workers."""
 IN_A_ROW, AGAIN = 2, 10
 """So many evaluations in a row have to take ALONE, the first of which may have loaded something; so
 many more where one did not, since any may be held up by other programs."""
