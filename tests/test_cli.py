@@ -12,6 +12,8 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +23,10 @@ from experiments import compare as comparing
 from experiments import figures
 from experiments import identify as identifying
 from experiments.app.build import rebuild
+from experiments.app.execution import result_line
 from miho import load_runs
+from miho.parallel.usage import Usage
+from miho.study import Status
 from miho.study.store import read_run
 from tests.faults.misbehaviour import MODEL
 
@@ -71,7 +76,23 @@ def test_identify_prints_parameters_errors_and_evidence(identify: Command, tmp_p
     assert re.search(r"optimum +1,500 starts screened for 30 descents; \d+ of them ended here", out)
     assert "best known" not in out, "nothing was recorded, and nothing else is run to know it"
     assert len(load_runs(tmp_path / "runs").runs) == 1
-    assert "(done before)" in identify(*QUICK)[1]
+    assert re.search(r"^workers +evaluations made here, [\d.]+ .s each$", out, re.MULTILINE)
+    again = identify(*QUICK)[1]
+    assert "(done before)" in again
+    assert re.findall("^workers .*", again, re.MULTILINE) == re.findall("^workers .*", out, re.M)
+
+
+def test_the_line_of_a_run_says_what_its_workers_did() -> None:
+    identity: Any = SimpleNamespace(problem="tire", optimizer="miho_asynchronous", seed=0)
+    usage = Usage(32, here=9, each=1e-6, at_a_time=1).stored
+    result = {"loss": 4.0, "facts": {"unit": "N"}, "rejected": {}, "evaluations": 9, "seconds": 0.5}
+    line = "tire miho_asynchronous seed 0: 2 N, 9 evaluations, 0.50 s (ran)"
+    said = "; evaluations made here, 1 µs each: too short for 32 workers, so one at a time"
+    assert result_line(identity, result | {"usage": usage}, Status.RAN) == line + said
+    # One process needs no remark, and runs that were stored before have none.
+    alone = Usage(1, here=9, each=1e-6).stored
+    for others in ({"usage": alone}, {"usage": None}, {}):
+        assert result_line(identity, result | others, Status.RAN) == line
 
 
 def test_a_budget_that_buys_no_value_says_what_to_do(identify: Command) -> None:
