@@ -13,7 +13,9 @@ import numpy as np
 import pandas as pd
 
 from miho.study.compaction import COLUMNS, compacted, curve_of, error_of, without_theta
+from miho.study.files import CONFIG
 from miho.study.scan import CheckedRun, Damage, scan
+from miho.study.settings import Asked, Parts, differing, parts_of
 
 RUN_COLUMNS = [
     "id", "problem", "optimizer", "seed", "outcome", "error", "unit", "evaluations", "seconds",
@@ -28,11 +30,13 @@ KEYS = ["id", "problem", "optimizer", "seed"]
 class Runs:
     """The runs of a root as they were when it was read.
 
-    `runs`: a row per finished run; `error` is the root of its loss in `unit`, `irreducible` an
+    `runs`: a row per finished run, with a column for each setting that differs among them, such as
+    `optimizer.R` or `dataset.n`; `error` is the root of its loss in `unit`, `irreducible` an
     estimate of the error that no model of the same inputs can beat, `optimum` the smallest error in
     the space where it is known (else NaN), `dimension` the number of parameters and `theta.<name>`
     their values.
-    `curves`: a row per improvement and one at the end of each run; a step function.
+    `curves`: a row per improvement and one at the end of each run, a step function, with the same
+    columns of settings.
     `damaged`: folders that were skipped, with the reason.
     """
 
@@ -45,7 +49,7 @@ class Runs:
 
     @property
     def curves(self) -> pd.DataFrame:
-        """Id, problem, optimizer, seed, evaluations, seconds, cpu_seconds and error."""
+        """Id, problem, optimizer, seed, settings, evaluations, seconds, cpu_seconds and error."""
         return self._curves[0]
 
     @cached_property
@@ -66,7 +70,7 @@ class Runs:
             except ValueError as error:
                 folder = str(self.keys["folder"].iloc[row])
                 malformed.append(Damage(folder, f"{folder}: {error}"))
-        keys = self.keys[KEYS].iloc[rows].reset_index(drop=True)
+        keys = self.keys.drop(columns="folder").iloc[rows].reset_index(drop=True)
         lengths = [curve.shape[1] for curve in curves]
         table = keys.loc[keys.index.repeat(lengths)].reset_index(drop=True)
         joined = np.hstack([np.empty((len(COLUMNS), 0)), *curves])
@@ -92,18 +96,34 @@ def load_runs(root: str | Path) -> Runs:
     rows: list[dict[str, Any]] = []
     curves: list[tuple[str, bytes]] = []
     skipped: list[Damage] = []
+    asked: list[Asked] = []
+    configs: dict[str, Parts] = {}  # by the digest of their file, which seeds share
     for run in scan(top):
         if isinstance(run, Damage):
             skipped.append(run)
             continue
         try:
-            rows.append(_run_row(run))
-            curves.append((run.digest, without_theta(run.curve)))
+            row, request = _run_row(run), _asked(run, configs)
         except (ArithmeticError, ValueError, LookupError, TypeError, AttributeError) as error:
             reason = f"{run.folder}: {type(error).__name__}: {error}"
             skipped.append(Damage(run.folder, reason))
+            continue
+        rows.append(row)
+        curves.append((run.digest, without_theta(run.curve)))
+        asked.append(request)
     table = pd.DataFrame(rows) if rows else pd.DataFrame(columns=RUN_COLUMNS)
-    return Runs(table, top, tuple(skipped), table[[*KEYS, "folder"]], tuple(curves))
+    columns = differing(asked)
+    table = pd.concat([table[KEYS], columns, table.drop(columns=KEYS)], axis=1)
+    keys = table[[*KEYS, *columns, "folder"]]
+    return Runs(table, top, tuple(skipped), keys, tuple(curves))
+
+
+def _asked(run: CheckedRun, configs: dict[str, Parts]) -> Asked:
+    result, digest = run.result, str(run.result["files"][CONFIG])
+    if digest not in configs:
+        configs[digest] = parts_of(run.config)
+    names = str(result["problem"]), str(result["optimizer"]), result["seed"]
+    return Asked(*names, configs[digest], str(result["code"]), str(result["data"]))
 
 
 def _run_row(run: CheckedRun) -> dict[str, Any]:

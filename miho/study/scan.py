@@ -8,18 +8,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from miho.study.files import CURVE, DamagedRun, NoResult, read_checked
+from miho.study.files import CONFIG, CURVE, DamagedRun, NoResult, read_checked
 
 DEPTH = 3
 """Runs lie at root/<problem>/<optimizer>/<id>."""
 
 
 class CheckedRun(NamedTuple):
-    """A run whose four files match their checksums: its result, and `curve.json` as it is."""
+    """A run whose four files match their checksums: its result, and two of them as they are."""
 
     folder: str
     result: dict[str, Any]
     curve: bytes
+    config: bytes
 
     @property
     def digest(self) -> str:
@@ -49,7 +50,7 @@ def scan(root: Path) -> Iterator[CheckedRun | Damage]:
             continue
         try:
             result, files = read_checked(folder)
-            yield CheckedRun(folder, result, files[CURVE])
+            yield CheckedRun(folder, result, files[CURVE], files[CONFIG])
         except NoResult:
             continue
         except DamagedRun as error:

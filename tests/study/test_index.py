@@ -12,8 +12,10 @@ import pandas as pd
 import pytest
 
 from miho import load_runs
-from miho.study import DamagedRun, read_run
+from miho.optim import Budget, RandomSearch, minimize
+from miho.study import DamagedRun, Identity, Store, read_run
 from miho.study.identity import canonical, sha256
+from miho.testing import DecayFit
 from tests.faults.stored_runs import POINTS, make_runs
 
 
@@ -81,6 +83,24 @@ def test_the_tables_are_of_one_moment(folders: list[Path]) -> None:
     runs.runs["id"] = runs.runs["id"].to_numpy()[::-1]
     runs.runs["seed"] = -1
     pd.testing.assert_frame_equal(runs.curves, expected)
+
+
+def test_settings_that_differ_are_columns_of_both_tables(tmp_path: Path) -> None:
+    store, space = Store(tmp_path), DecayFit.space
+    for R, n, seed in ((300, 50, 0), (300, 50, 1), (1000, 60, 0)):
+        config = {"optimizer": {"R": R, "eta": 5}, "dataset": {"n": n}}
+        identity = Identity("decay", "miho", seed, config, code="c0de", data=f"{n}")
+        record = minimize(RandomSearch(), DecayFit(), Budget(evaluations=9), seed)
+        with store.claim(identity):
+            store.commit(identity, record, space, {}, {})
+    runs = load_runs(tmp_path)
+    assert list(runs.runs.columns[3:6]) == ["seed", "dataset.n", "optimizer.R"]
+    keys = ["id", "seed", "optimizer.R", "dataset.n"]
+    rows = sorted(runs.runs[keys[1:]].itertuples(index=False, name=None))
+    assert rows == [(0, 300, 50), (0, 1000, 60), (1, 300, 50)]
+    of_curves = runs.curves[keys].drop_duplicates().sort_values("id", ignore_index=True)
+    of_runs = runs.runs[keys].sort_values("id", ignore_index=True)
+    pd.testing.assert_frame_equal(of_curves, of_runs)
 
 
 def test_an_empty_root_has_the_columns(tmp_path: Path) -> None:

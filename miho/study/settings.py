@@ -1,0 +1,115 @@
+"""The settings that differ among runs, as columns of their tables."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from typing import Any, NamedTuple
+
+import orjson
+import pandas as pd
+
+from miho.study.files import MALFORMED, decoded
+from miho.study.identity import canonical
+from miho.study.provenance import flattened
+
+CODE, DATA = "code", "data"
+OPTIMIZER = "optimizer"
+THETA = "theta"
+DIGEST = 6
+"""Hexadecimal digits of a digest that tell columns apart."""
+
+Parts = Mapping[str, bytes]
+"""The groups of a configuration, each as JSON: most runs share most of them."""
+
+
+class Asked(NamedTuple):
+    """What one run was asked, and the digests of its code and data."""
+
+    problem: str
+    optimizer: str
+    seed: int
+    parts: Parts
+    code: str
+    data: str
+
+
+def parts_of(config: bytes) -> dict[str, bytes]:
+    """The groups of a `config.json`; none where the text holds no configuration.
+
+    What lies in no group, or in a group whose name runs have for their parameters, is left out.
+    """
+    try:
+        groups = decoded(config).items()
+        return {
+            name: orjson.dumps(group, option=orjson.OPT_SORT_KEYS)
+            for name, group in groups
+            if isinstance(group, dict) and name != THETA
+        }
+    except MALFORMED:
+        return {}
+
+
+def is_setting(column: str) -> bool:
+    """Whether a column of `miho.load_runs` is a setting that differs among its runs."""
+    return column in (CODE, DATA) or ("." in column and not column.startswith(f"{THETA}."))
+
+
+def differing(asked: Sequence[Asked]) -> pd.DataFrame:
+    """A column for each setting that differs, and a row per run.
+
+    Settings of the optimizer are compared among runs of one method, all others among runs of one
+    problem, so that neither the methods nor the problems of a sweep bring all of their own. What
+    follows the seed is no setting. Lists are JSON texts. Digests of code and data are columns where
+    they differ among runs that are otherwise the same.
+    """
+    distinct = {(a.problem, a.optimizer, id(a.parts), a.code, a.data): a for a in asked}
+    runs = list(distinct.values())
+    columns: dict[str, list[Any]] = {}
+    for name, path in _varying(runs):
+        values = [_leaves(a.parts.get(name, b"{}")).get(path) for a in asked]
+        if any(value != a.seed for value, a in zip(values, asked, strict=True)):
+            columns[f"{name}.{path}"] = values
+    if _several([((a.problem, a.optimizer), a.code) for a in runs]):
+        columns[CODE] = [a.code[:DIGEST] for a in asked]
+    if _several([((a.problem, _outside_optimizer(a.parts)), a.data) for a in runs]):
+        columns[DATA] = [a.data[:DIGEST] for a in asked]
+    return pd.DataFrame(columns, index=range(len(asked)))
+
+
+def _varying(runs: Sequence[Asked]) -> list[tuple[str, str]]:
+    """Group and path of what differs within a method, or within a problem; absent is null."""
+    alike: dict[tuple[str, str], set[bytes]] = defaultdict(set)
+    names = dict.fromkeys(name for run in runs for name in run.parts)
+    for run in runs:
+        for name in names:
+            within = run.optimizer if name == OPTIMIZER else run.problem
+            alike[name, within].add(run.parts.get(name, b"{}"))
+    varying: dict[tuple[str, str], None] = {}
+    for (name, _), texts in alike.items():
+        if len(texts) > 1:
+            several = [_leaves(text) for text in sorted(texts)]
+            for path in dict.fromkeys(path for leaves in several for path in leaves):
+                if len({leaves.get(path) for leaves in several}) > 1:
+                    varying[name, path] = None
+    return list(varying)
+
+
+@lru_cache(maxsize=4096)
+def _leaves(part: bytes) -> dict[str, Any]:
+    """The settings of a group by dotted path; not to be changed."""
+    leaves = flattened(orjson.loads(part))
+    return {
+        path: canonical(value) if isinstance(value, list | dict) else value
+        for path, value in leaves.items()
+    }
+
+
+def _several(pairs: Sequence[tuple[Any, str]]) -> bool:
+    """Whether any key comes with more than one value."""
+    return len(set(pairs)) > len({key for key, _ in pairs})
+
+
+def _outside_optimizer(parts: Parts) -> tuple[tuple[str, bytes], ...]:
+    return tuple((name, part) for name, part in parts.items() if name != OPTIMIZER)
