@@ -10,6 +10,7 @@ from miho.exports import at_first_use
 if TYPE_CHECKING:
     from miho.analysis.compare.claims import claims_table
     from miho.analysis.compare.leaderboard import leaderboard, results_table
+    from miho.analysis.curves import on_grid, summary
     from miho.analysis.export import write_csv, write_ioh, write_parquet
     from miho.analysis.figures.design import design_figure
     from miho.analysis.figures.engine import fig5
@@ -20,9 +21,9 @@ if TYPE_CHECKING:
     from miho.analysis.text import to_markdown
 
 __all__ = [
-    "claims_table", "design_figure", "fig4", "fig5", "fig6", "leaderboard", "plot_error_over",
-    "plot_tires", "results_table", "save", "save_report", "save_sweep_page", "to_markdown",
-    "write_csv", "write_ioh", "write_parquet",
+    "claims_table", "design_figure", "fig4", "fig5", "fig6", "leaderboard", "on_grid",
+    "plot_error_over", "plot_tires", "results_table", "save", "save_report", "save_sweep_page",
+    "summary", "to_markdown", "write_csv", "write_ioh", "write_parquet",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

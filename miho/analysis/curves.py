@@ -14,6 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from miho.analysis.tidy import CURVE_COLUMNS, require_columns
+from miho.analysis.variants import setting_columns
 
 Array = NDArray[np.float64]
 Axis = Literal["seconds", "cpu_seconds", "evaluations"]
@@ -36,17 +37,19 @@ def log_grid(curves: pd.DataFrame, axis: Axis, points: int = 400) -> Array:
 def on_grid(curves: pd.DataFrame, axis: Axis, grid: Array | None = None) -> pd.DataFrame:
     """Every run on a common grid (default: `log_grid`): a row per run and grid position.
 
-    Columns: id, problem, optimizer, seed, the axis, error (NaN before the first value).
+    Columns: id, problem, optimizer, seed, settings, the axis, error (NaN before the first value).
+    All runs have a value at each position, so that a mean over runs is one: give these rows, and
+    not `curves` themselves, to a function that averages, such as seaborn's `lineplot`.
     """
     grid = log_grid(curves, axis) if grid is None else np.asarray(grid, dtype=float)
     at, errors = positions(curves, axis), curves["error"].to_numpy(dtype=float)
-    pieces = []
-    for rows in curves.groupby(RUN_KEY, sort=False).indices.values():
-        piece = pd.DataFrame({axis: grid, "error": step(at[rows], errors[rows], grid)})
-        pieces.append(piece.assign(**{key: curves[key].iloc[rows[0]] for key in RUN_KEY}))
-    if not pieces:
-        return pd.DataFrame(columns=[*RUN_KEY, axis, "error"])
-    return pd.concat(pieces, ignore_index=True)[[*RUN_KEY, axis, "error"]]
+    keys = [*RUN_KEY, *setting_columns(curves)]
+    of_run = list(curves.groupby("id", sort=False).indices.values())
+    table = curves[keys].iloc[[rows[0] for rows in of_run]]
+    table = table.loc[table.index.repeat(len(grid))].reset_index(drop=True)
+    stepped = [step(at[rows], errors[rows], grid) for rows in of_run]
+    on = {axis: np.tile(grid, len(of_run)), "error": np.concatenate([np.empty(0), *stepped])}
+    return table.assign(**on)
 
 
 def step(at: Array, errors: Array, grid: Array) -> Array:
@@ -64,19 +67,20 @@ def summary(
 ) -> pd.DataFrame:
     """Per method and grid position of `on_grid`: runs, mean, median, low and high quantile.
 
+    A method whose runs differ in a setting is as many methods, each with its settings.
     All are NaN where any run of the method has no value yet: a mean over the runs that happen
     to have started is a mean over a changing set. The mean is the paper's curve (Fig. 6).
     """
     pieces = []
-    for (problem, optimizer), group in gridded.groupby(["problem", "optimizer"], sort=False):
+    keys = ["problem", "optimizer", *setting_columns(gridded)]
+    for values, group in gridded.groupby(keys, sort=False, dropna=False):
         wide = group.pivot(index="id", columns=axis, values="error")
         errors = wide.to_numpy(dtype=float)
         low, median, high = np.quantile(errors, [quantiles[0], 0.5, quantiles[1]], axis=0)
         pieces.append(
             pd.DataFrame(
                 {
-                    "problem": problem,
-                    "optimizer": optimizer,
+                    **dict(zip(keys, values, strict=True)),
                     axis: wide.columns.to_numpy(dtype=float),
                     "runs": len(errors),
                     "mean": errors.mean(axis=0),
@@ -94,12 +98,13 @@ def to_target(curves: pd.DataFrame, axis: Axis, target: float | Array) -> pd.Dat
 
     `target` is one number, or (rows,) one for each row of `curves`.
     One row per run of `curves`, which knows no run without rows: see `tidy.with_silent_runs`.
-    Columns: id, problem, optimizer, seed, the axis.
+    Columns: id, problem, optimizer, seed, settings, the axis.
     """
     at = pd.Series(positions(curves, axis), index=curves.index)
     reached = at.where(curves["error"] <= target, np.inf)
-    firsts = curves[RUN_KEY].assign(**{axis: reached}).groupby(RUN_KEY, sort=False)[axis].min()
-    return firsts.reset_index()
+    firsts = reached.groupby(curves["id"], sort=False).min()
+    runs = curves.drop_duplicates("id")[[*RUN_KEY, *setting_columns(curves)]]
+    return runs.assign(**{axis: runs["id"].map(firsts)}).reset_index(drop=True)
 
 
 def positions(curves: pd.DataFrame, axis: Axis) -> Array:

@@ -16,6 +16,7 @@ import pandas as pd
 from miho.analysis.tidy import comparison, dimensions
 from miho.study import read_run, write_text
 from miho.study.identity import sha256
+from miho.study.settings import is_setting
 
 FORMAT = "0.3.22"
 """Version of IOHexperimenter (PyPI: ioh) whose output this layout was compared with."""
@@ -124,6 +125,9 @@ def _column(name: str, kind: object, units: dict[str, dict[str, str]]) -> dict[s
     if name.startswith("theta."):
         meaning = "value of the parameter in the best point, empty where a problem has none"
         return {"type": str(kind), "unit": units.get(name, {}), "meaning": meaning}
+    if is_setting(name):
+        meaning = "setting of the run, by its name on the command line; empty where there is none"
+        return {"type": str(kind), "unit": "", "meaning": meaning}
     unit, meaning = MEANING.get(name, ("", ""))
     return {"type": str(kind), "unit": unit, "meaning": meaning}
 
@@ -161,7 +165,8 @@ def write_ioh(runs: pd.DataFrame, curves: pd.DataFrame, folder: str | Path) -> l
     for key, group in runs.sort_values("seed").groupby(["optimizer", "problem"]):
         optimizer, problem = map(str, key)
         records = [_steps(steps[run["id"]], run["evaluations"]) for _, run in group.iterrows()]
-        name = f"f{numbers[problem]}_{problem}"
+        # Settings in a name may be paths, and a name may not lead out of the folder.
+        name = f"f{numbers[problem]}_{problem}".replace("/", "_")
         data = Path(f"data_{name}") / f"IOHprofiler_f{numbers[problem]}_DIM{sizes[problem]}.dat"
         facts = {
             "version": FORMAT,
@@ -182,7 +187,7 @@ def write_ioh(runs: pd.DataFrame, curves: pd.DataFrame, folder: str | Path) -> l
                 }
             ],
         }
-        path = folder / optimizer / data
+        path = folder / optimizer.replace("/", "_") / data
         path.parent.mkdir(parents=True)
         path.write_text("".join(map(_text, records)), encoding="utf-8")
         path.parents[1].joinpath(f"IOHprofiler_{name}.json").write_text(

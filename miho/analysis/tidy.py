@@ -7,6 +7,8 @@ from collections.abc import Collection
 import numpy as np
 import pandas as pd
 
+from miho.analysis.variants import named_apart, with_names_of
+
 CURVE_COLUMNS = (
     "id", "problem", "optimizer", "seed", "evaluations", "seconds", "cpu_seconds", "error",
 )  # fmt: skip
@@ -23,7 +25,10 @@ def require_columns(frame: pd.DataFrame, columns: Collection[str], name: str) ->
 
 
 def one_problem(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Both frames, checked as by `comparison` and to hold one problem and unit."""
+    """Both frames, checked as by `comparison` and to hold one problem and unit.
+
+    All settings that differ are told with the method, those of the data as well.
+    """
     require_columns(runs, RUN_COLUMNS, "runs")
     for column in ("problem", "unit"):
         values = sorted(map(str, runs[column].unique()))
@@ -32,17 +37,22 @@ def one_problem(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame,
                 f"runs hold {len(values)} different values of {column} ({', '.join(values)}); "
                 f"pass the runs of one problem at a time"
             )
-    return comparison(runs, curves)
+    return _checked(named_apart(runs, of_problem=()), curves)
 
 
 def comparison(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Both frames, checked: one unit per problem, one run per problem, method and seed.
 
+    Runs of one name that differ in their settings get names of their own, as of `named_apart`.
     The curves come back sorted by run and evaluations, and complete: a run that never saw a
     finite error gets one row, at its end, whose error is NaN, so that no average forgets it.
     Raises ValueError otherwise, also when an error rises within a run: curves are best so far.
     """
     require_columns(runs, RUN_COLUMNS, "runs")
+    return _checked(named_apart(runs), curves)
+
+
+def _checked(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     require_columns(curves, CURVE_COLUMNS, "curves")
     units = runs.groupby("problem")["unit"].nunique()
     if (units > 1).any():
@@ -55,7 +65,7 @@ def comparison(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame, 
         first = twins.iloc[0]
         raise ValueError(
             f"runs hold several runs of {first['optimizer']} with seed {first['seed']}; "
-            f"keep one configuration per method, or give the variants different names"
+            f"keep one of each, or the columns of settings that tell them apart"
         )
     strangers = sorted(set(curves["id"].unique()) - set(runs["id"]))
     if strangers:
@@ -63,6 +73,7 @@ def comparison(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame, 
             f"curves hold {len(strangers)} runs that are not in runs, such as {strangers[0]}; "
             f"filter both frames alike"
         )
+    curves = with_names_of(curves, runs)
     curves = curves.sort_values(["id", "evaluations"], kind="stable", ignore_index=True)
     rises = (curves["error"].diff() > 0) & (curves["id"] == curves["id"].shift())
     if rises.any():

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from typing import Any
 
 import pandas as pd
 
-from miho.analysis.pages.sweep_runs import Origin, Sweep, json_leaves, with_distinct_names
+from miho.analysis.pages.sweep_runs import Origin, Sweep, json_leaves
+from miho.analysis.variants import named_apart, with_names_of
+from miho.study.settings import Asked, Parts, differing, parts_of
 
 ENVIRONMENT = {
     "time": "2026-11-21T18:44:25+00:00",
@@ -37,13 +40,26 @@ def sweep_of(runs: pd.DataFrame, curves: pd.DataFrame, **folders: Origin) -> Swe
     """A sweep of these runs; `folders` are origins that differ, by the id of the run."""
     runs = runs.assign(folder=runs["id"], dimension=5)
     origins = {str(run): folders.get(str(run), origin()) for run in runs["id"]}
-    labelled = with_distinct_names(runs, list(origins.values()))
-    names = labelled.set_index("id")
-    curves = curves.assign(
-        **{name: curves["id"].map(names[name]) for name in ("problem", "optimizer")}
-    )
+    names = runs[["problem", "optimizer", "seed"]].itertuples(index=False)
+    asked = [
+        Asked(*name, parts(where.config), where.code, where.data)
+        for name, where in zip(names, origins.values(), strict=True)
+    ]
+    runs = named_apart(pd.concat([runs, differing(asked).set_axis(runs.index)], axis=1))
     nothing = pd.DataFrame({"folder": [], "reason": []}, dtype=str)
-    return Sweep(labelled, curves, nothing, origins)
+    return Sweep(runs, with_names_of(curves, runs), nothing, origins)
+
+
+def parts(settings: Mapping[str, str]) -> Parts:
+    """The groups of a configuration from its leaves, which are JSON texts by dotted path."""
+    tree: dict[str, Any] = {}
+    for path, text in settings.items():
+        *groups, last = path.split(".")
+        node = tree
+        for group in groups:
+            node = node.setdefault(group, {})
+        node[last] = json.loads(text)
+    return parts_of(json.dumps(tree).encode())
 
 
 def embedded(html: str, identity: str) -> dict[str, object]:

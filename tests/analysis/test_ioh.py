@@ -45,6 +45,19 @@ def test_the_layout_of_a_folder(tmp_path: Path) -> None:
     assert text.count("evaluations raw_y\n1 ") == 3
 
 
+@pytest.mark.parametrize("group", ["optimizer", "dataset"])
+def test_settings_that_are_paths_do_not_lead_out_of_the_folder(tmp_path: Path, group: str) -> None:
+    runs, curves = random_runs(np.random.default_rng(7), problems=1, methods=1, seeds=2)
+    runs[f"{group}.path"] = ["/../../up", "x"]
+    write_ioh(with_parameters(runs), curves, tmp_path / "a" / "ioh")
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+    assert [path.name for path in (tmp_path / "a").iterdir()] == ["ioh"]
+    written = {str(path.relative_to(tmp_path / "a" / "ioh")) for path in tmp_path.rglob("*.json")}
+    of_path = {"optimizer": "m0 path=_.._.._up/IOHprofiler_f1_p0.json",
+               "dataset": "m0/IOHprofiler_f1_p0 path=_.._.._up.json"}  # fmt: skip
+    assert of_path[group] in written
+
+
 def test_evaluations_are_whole_and_begin_at_one(tmp_path: Path) -> None:
     """Parts of the data are rounded up; what nothing finite was seen for is inf."""
     runs, curves = several(

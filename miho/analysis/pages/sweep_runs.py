@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Collection, Hashable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any
@@ -12,6 +12,7 @@ from typing import Any
 import pandas as pd
 
 from miho.analysis.text import significant
+from miho.analysis.variants import named_apart, with_names_of
 from miho.study import Runs
 from miho.study.files import CONFIG, ENVIRONMENT, DamagedRun, read_checked
 from miho.study.provenance import flattened
@@ -102,14 +103,9 @@ def _range(values: list[str]) -> str:
     return ordered[0] if ordered[0] == ordered[-1] else f"{ordered[0]} to {ordered[-1]}"
 
 
-OF_PROBLEM = ("model", "loss")
 FINITE = ("seed", "evaluations", "seconds", "dimension")
 WORDS = ("problem", "optimizer", "outcome")
 MALFORMED = "holds something else where a number or a word belongs"
-DIGEST = 6
-"""Hexadecimal digits of a digest that tell names apart."""
-LONGEST = 40
-"""Of a value so many characters are told, the last ones: paths differ at their ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,11 +134,8 @@ class Sweep:
             damaged = pd.concat([damaged, pd.DataFrame(rows)], ignore_index=True)
         origins = {folder: origins[folder] for folder in runs["folder"]}
         runs = runs.assign(unit=runs["unit"].fillna("-"))
-        runs = with_distinct_names(runs, list(origins.values()))
-        names = runs.set_index("id")
-        curves = curves.assign(
-            **{name: curves["id"].map(names[name]) for name in ("problem", "optimizer")}
-        )
+        runs = named_apart(runs)
+        curves = with_names_of(curves, runs)
         return cls(runs.reset_index(drop=True), curves.reset_index(drop=True), damaged, origins)
 
 
@@ -157,90 +150,3 @@ def _malformed(runs: pd.DataFrame) -> list[str]:
     for column in WORDS:
         right &= runs[column].map(lambda value: isinstance(value, str)).astype(bool)
     return [str(folder) for folder in runs["folder"][~right]]
-
-
-def with_distinct_names(runs: pd.DataFrame, origins: Sequence[Origin]) -> pd.DataFrame:
-    """`runs` with what differs under one name added to `problem` and to `optimizer`.
-
-    Runs are of one problem if they have the same data, model and loss, and of one method if all
-    else but the seed is the same as well, code included.
-    """
-    seeds = [str(seed) for seed in runs["seed"]]
-    names = [str(name) for name in runs["problem"]]
-    of_problem = [_under(origin.config, OF_PROBLEM) for origin in origins]
-    kinds = [
-        (origin.data, _key(settings)) for origin, settings in zip(origins, of_problem, strict=True)
-    ]
-    described = [
-        {**settings, **_under(origin.config, ("dataset",)), "data": origin.data[:DIGEST]}
-        for origin, settings in zip(origins, of_problem, strict=True)
-    ]
-    problems = _labels(names, names, kinds, described, seeds)
-
-    names = [str(name) for name in runs["optimizer"]]
-    other_settings = [
-        {**_outside(origin.config, OF_PROBLEM), "code": origin.code[:DIGEST]} for origin in origins
-    ]
-    within = list(zip(problems, names, strict=True))
-    keys = [_key(settings) for settings in other_settings]
-    methods = _labels(names, within, keys, other_settings, seeds)
-    return runs.assign(problem=problems, optimizer=methods)
-
-
-def _under(config: Settings, groups: Collection[str]) -> dict[str, str]:
-    """The settings inside these groups of the configuration."""
-    return {key: value for key, value in config.items() if key.partition(".")[0] in groups}
-
-
-def _outside(config: Settings, groups: Collection[str]) -> dict[str, str]:
-    return {key: value for key, value in config.items() if key.partition(".")[0] not in groups}
-
-
-def _key(settings: Settings) -> Hashable:
-    return frozenset(settings.items())
-
-
-def _labels(
-    names: Sequence[str],
-    within: Sequence[Hashable],
-    kinds: Sequence[Hashable],
-    settings: Sequence[Settings],
-    seeds: Sequence[str],
-) -> list[str]:
-    """Each run's name, followed by the settings that vary between runs of equal `within`.
-
-    Runs of equal `kinds` are the same but for their seed; `settings` are what may be told of them.
-    What varies for one of the runs of a name is told of all of them. What follows the seed does not
-    count.
-    """
-    groups: dict[Hashable, dict[Hashable, int]] = {}
-    for row, (group, kind) in enumerate(zip(within, kinds, strict=True)):
-        groups.setdefault(group, {}).setdefault(kind, row)
-    varying: dict[str, dict[str, None]] = {}
-    for firsts in groups.values():
-        rows = list(firsts.values())
-        keys = _varying([settings[row] for row in rows], [seeds[row] for row in rows])
-        varying.setdefault(names[rows[0]], {}).update(dict.fromkeys(keys))
-    return [
-        _label(name, list(varying[name]), values)
-        for name, values in zip(names, settings, strict=True)
-    ]
-
-
-def _varying(settings: Sequence[Settings], seeds: Sequence[str]) -> list[str]:
-    keys = dict.fromkeys(key for mapping in settings for key in mapping)
-    varying = []
-    for key in keys:
-        values = [mapping.get(key) for mapping in settings]
-        if len(set(values)) > 1 and values != list(seeds):
-            varying.append(key)
-    return varying
-
-
-def _label(name: str, keys: Sequence[str], settings: Settings) -> str:
-    lasts = [key.rpartition(".")[2] for key in keys]
-    parts = [
-        f"{last if lasts.count(last) == 1 else key}={plain(settings.get(key, '-'))[-LONGEST:]}"
-        for key, last in zip(keys, lasts, strict=True)
-    ]
-    return f"{name} {', '.join(parts)}" if parts else name

@@ -1,0 +1,94 @@
+"""Runs of one method that differ in a setting get a name each, such as `miho R=300`.
+
+Everything here that draws, averages or judges goes by the columns `problem` and `optimizer`, so
+that runs with different settings are never pooled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import pandas as pd
+
+from miho.study.settings import DATA, is_setting
+
+OF_PROBLEM = ("model", "loss", "dataset", DATA)
+"""Groups of settings that make another problem; all others make another method."""
+LONGEST = 40
+"""Characters of a value that a name shows, the last ones: paths differ at their ends."""
+
+
+def setting_columns(frame: pd.DataFrame) -> list[str]:
+    """The columns of runs or curves that are settings."""
+    return [str(column) for column in frame.columns if is_setting(str(column))]
+
+
+def named_apart(runs: pd.DataFrame, *, of_problem: Collection[str] = OF_PROBLEM) -> pd.DataFrame:
+    """`runs` with what differs under one name added to `problem` and to `optimizer`.
+
+    Parameters
+    ----------
+    runs : DataFrame
+        A row per run, or curves, with the columns of settings of `miho.load_runs`.
+    of_problem : collection of str
+        The groups of settings that make another problem; empty where all runs are to be compared.
+
+    Returns
+    -------
+    DataFrame
+        The same rows. Named twice they are as named once.
+    """
+    columns = setting_columns(runs)
+    if not columns:
+        return runs
+    problem = [column for column in columns if column.partition(".")[0] in of_problem]
+    method = [column for column in columns if column not in problem]
+    problems = _labelled(runs["problem"], [], runs[problem])
+    return runs.assign(
+        problem=problems, optimizer=_labelled(runs["optimizer"], [problems], runs[method])
+    )
+
+
+def base_name(name: str) -> str:
+    """The name of a method without the settings that `named_apart` adds."""
+    return name.partition(" ")[0]
+
+
+def with_names_of(curves: pd.DataFrame, runs: pd.DataFrame) -> pd.DataFrame:
+    """`curves` with the problems and methods that `runs` have under the same id."""
+    names = runs.set_index("id")
+    return curves.assign(**{key: curves["id"].map(names[key]) for key in ("problem", "optimizer")})
+
+
+def _labelled(names: pd.Series, within: Sequence[pd.Series], settings: pd.DataFrame) -> pd.Series:
+    """Each name, followed by the settings that vary under it in one of the groups of `within`."""
+    if settings.empty:
+        return names
+    groups = settings.groupby([*within, names], sort=False)
+    varies = (groups.nunique(dropna=False) > 1).groupby(level=-1).any()
+    columns = list(map(str, settings.columns))
+    flags = varies.to_dict("index").items()
+    varying = {str(name): [column for column in columns if row[column]] for name, row in flags}
+    if not any(varying.values()):
+        return names
+    rows = zip(names, settings.to_dict("records"), strict=True)
+    return pd.Series([_label(name, varying[name], row) for name, row in rows], names.index)
+
+
+def _label(name: str, columns: Sequence[str], settings: Mapping[Any, Any]) -> str:
+    lasts = [column.rpartition(".")[2] for column in columns]
+    parts = [
+        f"{last if lasts.count(last) == 1 else column}={shown(settings[column])}"
+        for column, last in zip(columns, lasts, strict=True)
+    ]
+    return f"{name} {', '.join(parts)}" if parts else name
+
+
+def shown(value: Any) -> str:
+    """A setting as a reader writes it: whole numbers without a point, "-" for none."""
+    if value is None or value != value:
+        return "-"
+    if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:
+        return str(int(value))
+    return str(value)[-LONGEST:]
