@@ -1,25 +1,22 @@
-"""What conf/ says of runs that are done: of their problems now, and of the paper's full size."""
+"""What conf/ says now of the problems of runs that are done."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import pandas as pd
 from omegaconf import DictConfig, OmegaConf
 
 from experiments.app import schema
-from experiments.app.build import HELD, recorded_optimum, stored_part
+from experiments.app.build import HELD, recorded_optimum
 from experiments.app.compose import CONF, composed
 from miho.analysis.compare.bootstrap import ENDED_BY_ITSELF
-from miho.analysis.compare.claims import Differences
 from miho.study import StoredRun, read_run
 
 PROBLEM_PARTS = ("model", "dataset", "space", "loss")
 """What makes a problem, and with it its optimum."""
-FULL_SIZE = "paper_fig6"
-"""The experiment that has the size of the paper's comparison."""
 
 
 def as_configured(runs: pd.DataFrame) -> pd.DataFrame:
@@ -71,39 +68,3 @@ def _cut(runs: pd.DataFrame, stored: StoredRun) -> pd.Series:
     if budget["evaluations"] is not None:
         late &= runs["evaluations"] < budget["evaluations"]
     return late & ~runs["outcome"].isin(ENDED_BY_ITSELF)
-
-
-def differences(runs: pd.DataFrame) -> Differences:
-    """How stored runs of one comparison differ from the paper's at full size.
-
-    Methods that the paper's comparison does not hold are left out.
-    """
-    full = cast(DictConfig, OmegaConf.load(CONF / "experiment" / f"{FULL_SIZE}.yaml"))
-    compared = full.hydra.sweeper.params.optimizer.split(",")
-    methods, budget = {}, ""
-    for name, folder in runs.groupby("optimizer")["folder"].first().items():
-        stored = read_run(Path(folder))
-        budget = _smaller_budget(stored_part(stored, "budget"), full.budget)
-        if name not in compared:
-            continue
-        expected = cast(DictConfig, OmegaConf.load(CONF / "optimizer" / f"{name}.yaml"))
-        settings = stored_part(stored, "optimizer")
-        deviations = [
-            f"{key!s} = {settings.get(str(key))} instead of {value}"
-            for key, value in expected.items()
-            if settings.get(str(key)) != value
-        ]
-        if deviations:
-            methods[str(name)] = f"{name!s} has {', '.join(deviations)}"
-    return Differences(methods, budget)
-
-
-def _smaller_budget(budget: Mapping[str, Any], full: DictConfig) -> str:
-    """What of a budget ends a run sooner than the full one, in words."""
-    parts = []
-    for key, unit in (("seconds", "s"), ("evaluations", "evaluations")):
-        limit, expected = budget.get(key), full[key]
-        if isinstance(limit, int | float) and (expected is None or limit < expected):
-            instead = "" if expected is None else f" instead of {expected:,g}"
-            parts.append(f"at most {limit:,g} {unit} per run{instead}")
-    return ", ".join(parts)

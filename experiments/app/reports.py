@@ -13,7 +13,7 @@ from typing import Any
 from tqdm import tqdm
 
 from experiments.app.build import ConfigError, rebuild
-from experiments.app.configured import as_configured, differences
+from experiments.app.configured import as_configured
 from experiments.app.console import OK, SOME_FAILED
 from experiments.app.explain import one_line
 from experiments.app.next_measurement import advise
@@ -106,7 +106,7 @@ def save_sweep(sweep: Sweep, root: Path, path: Path, best: Mapping[str, Best]) -
         warnings.append(f"{missing}.".replace(f"{root}{os.sep}", ""))
     options = [argument for argument in sys.argv[1:] if argument.startswith("--")]
     made_by = " ".join(["python -m experiments.report", root.resolve().name, *options])
-    configured = Configured(as_configured, differences)
+    configured = Configured(as_configured)
     with at_work("report") as show_stage:
         show_stage("page of all runs")
         return save_sweep_page(

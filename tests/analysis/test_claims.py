@@ -7,8 +7,9 @@ import pandas as pd
 import pytest
 
 from miho.analysis.compare.bootstrap import Interval
-from miho.analysis.compare.claims import Differences, claims_table
+from miho.analysis.compare.claims import claims_table
 from miho.analysis.compare.leaderboard import results_table
+from miho.analysis.compare.size import PAPER as FULL
 from miho.analysis.text import number, to_markdown, with_interval
 from tests.analysis.synthetic import Steps, frames, like_fig6
 
@@ -19,11 +20,12 @@ PAPER: dict[str, list[Steps]] = {
     "pso_100": [[(50.0, 2000.0), (1300.0, 750.0)]] * 5,
     "pso_500": [[(50.0, 2000.0), (9000.0, 513.0)]] * 5,
 }
-SPEED_1, SPEED_05 = "to 1.0 kN", "to 0.5 kN"
+SPEED_1, SPEED_05 = "faster than GBO and PSO to 1.0 kN", "faster than GBO and PSO to 0.5 kN"
+HARDLY = "gbo_small hardly moves"
 
 
 def claims(runs: dict[str, list[Steps]], **options: Any) -> pd.DataFrame:
-    return claims_table(*frames(runs, **options), resamples=300)
+    return claims_table(*frames(runs, **options), settings=FULL, resamples=300)
 
 
 def verdicts(table: pd.DataFrame, words: str) -> list[str]:
@@ -45,7 +47,7 @@ def test_the_papers_own_figures_reproduce_the_paper() -> None:
     assert verdicts(table, SPEED_05) == ["reproduced"] * 2
     assert row(table, SPEED_1)["ours"] == "13× [13, 13]"
     table = claims(PAPER)
-    for words in ("terminal", "below pso_500", "below gbo_large", "pso_100 stays", "gbo_small"):
+    for words in ("terminal", "below pso_500", "below gbo_large", "pso_100 stops", HARDLY):
         assert verdicts(table, words) == ["reproduced"], words
 
 
@@ -90,7 +92,7 @@ def test_a_speed_claim_that_holds_on_one_axis_only_depends_on_the_axis() -> None
     curves_of_miho, runs_of_miho = curves["optimizer"] == "miho", runs["optimizer"] == "miho"
     curves.loc[curves_of_miho, "seconds"] *= 10
     runs.loc[runs_of_miho, "seconds"] *= 10
-    table = claims_table(runs, curves, resamples=100)
+    table = claims_table(runs, curves, settings=FULL, resamples=100)
     assert verdicts(table, SPEED_1) == ["depends on the axis"] * 2
     assert row(table, SPEED_1)["reason"] == "not reproduced in seconds, reproduced in evaluations"
 
@@ -99,8 +101,8 @@ def test_disturbed_runs_are_compared_in_cpu_seconds() -> None:
     """CPU seconds here are 0.9 of the wall's for all, so the ratio is that of evaluations."""
     runs, curves = frames(PAPER)
     curves["seconds"] *= np.where(curves["optimizer"] == "miho", 10, 1)
-    table = claims_table(runs.assign(timing_valid=False), curves, resamples=100)
-    assert row(table, "to 1.0 kN, in CPU seconds")["ours"] == "13× [13, 13]"
+    table = claims_table(runs.assign(timing_valid=False), curves, settings=FULL, resamples=100)
+    assert row(table, SPEED_1 + ", in CPU seconds")["ours"] == "13× [13, 13]"
     assert not table["claim"].str.contains("in seconds").any()
     assert not table["reason"].str.contains("no runs to compare with").any()
     results = results_table(runs.assign(timing_valid=False), curves).set_index("method")
@@ -108,37 +110,86 @@ def test_disturbed_runs_are_compared_in_cpu_seconds() -> None:
     assert "seconds to 1 kN" not in results
 
 
-def test_settings_other_than_the_papers_leave_a_claim_untested() -> None:
-    other = Differences({"miho": "miho has R = 2000 instead of 10000"})
-    runs = PAPER | {"pso_100": [[(150.0, 750.0)]] * 5}
-    table = claims_table(*frames(runs), differences=other, resamples=100)
-    for words in (SPEED_1, SPEED_05, "terminal", "below pso_500", "below gbo_large"):
-        assert set(verdicts(table, words)) == {"not tested at this size"}, words
-        assert row(table, words)["reason"] == "miho has R = 2000 instead of 10000"
-    for words in ("pso_100 stays", "gbo_small"):  # these are not about MIHO
-        assert verdicts(table, words) == ["reproduced"], words
+def test_runs_of_another_size_judge_no_claim_about_it() -> None:
+    """What is said of MIHO at R = 10,000 is left open at R = 300, in every direction."""
+    settings = FULL | {"miho": FULL["miho"] | {"optimizer.R": 300}}
+    runs = PAPER | {"pso_100": [[(150.0, 750.0)]] * 5, "pso_500": spread_of([391.0] * 5)}
+    table = claims_table(*frames(runs), settings=settings, resamples=100)
+    about_miho = table[table["claim"].str.contains("miho|MIHO")]
+    assert len(about_miho) == 8
+    assert set(about_miho["verdict"]) == {"not judged: R = 300, the claim is for R = 10,000"}
+    for words in ("pso_100 stops", "than pso_100", HARDLY):  # these are not about MIHO
+        assert not verdicts(table, words)[0].startswith("not judged"), words
 
 
-def test_an_error_at_the_floor_is_tested_at_any_size() -> None:
-    """No setting of MIHO ends below what the best other method ends at."""
-    other = Differences({"miho": "miho has R = 2000 instead of 10000"})
-    runs = PAPER | {"least_squares": spread_of([389.0] * 5), "pso_500": spread_of([391.0] * 5)}
-    table = claims_table(*frames(runs), differences=other, resamples=100)
-    assert verdicts(table, "terminal") == ["reproduced"]
-    assert verdicts(table, "below pso_500") == ["not reproduced"]
-    assert set(verdicts(table, SPEED_1)) == {"not tested at this size"}
+@pytest.mark.parametrize(
+    ("method", "path", "value", "expected"),
+    [
+        ("miho", "optimizer.eta", 3, "eta = 3, the claim is for eta = 5"),
+        ("miho", "optimizer.annealing", "exponential", "annealing = exponential, the claim is for "
+         "annealing = linear"),
+        ("pso_100", "dataset.n", 500, "rows = 500, the claim is for rows = 3,000"),
+        ("pso_100", "optimizer.particles", 10, "particles = 10, the claim is for particles = 100"),
+        ("gbo_small", "dimension", 4, "parameters = 4, the claim is for parameters = 5"),
+        ("gbo_small", "optimizer.learning_rate", 1e-9, "learning_rate = 1e-09, the claim is for "
+         "learning_rate = 5e-12"),
+    ],
+)  # fmt: skip
+def test_a_verdict_names_the_setting_that_differs(
+    method: str, path: str, value: object, expected: str
+) -> None:
+    settings = FULL | {method: FULL[method] | {path: value}}
+    table = claims_table(*frames(PAPER), settings=settings, resamples=100)
+    words = {"miho": "terminal", "pso_100": "pso_100 stops", "gbo_small": HARDLY}[method]
+    assert verdicts(table, words) == [f"not judged: {expected}"]
 
 
-def test_runs_that_end_sooner_test_only_what_a_longer_one_could_not_change() -> None:
-    sooner = Differences(budget="at most 4 s per run instead of 30")
-    table = claims_table(*frames(PAPER), differences=sooner, resamples=100)
-    for words in ("pso_100 stays", "gbo_small"):  # a longer run may still fall
-        assert verdicts(table, words) == ["not tested at this size"], words
-        assert row(table, words)["reason"] == "at most 4 s per run instead of 30"
-    runs = PAPER | {"pso_100": spread_of([391] * 5), "gbo_small": spread_of([5000.0] * 5)}
-    table = claims_table(*frames(runs), differences=sooner, resamples=100)
-    for words in ("pso_100 stays", "gbo_small"):  # it has fallen already
-        assert verdicts(table, words) == ["not reproduced"], words
+def test_runs_of_which_nothing_is_known_judge_no_claim() -> None:
+    table = claims_table(*frames(PAPER), resamples=100)
+    assert set(table["verdict"]) == {"not judged: the settings of these runs are not known"}
+
+
+def test_of_several_settings_the_papers_own_are_judged() -> None:
+    runs, curves = frames(PAPER | {"miho R=300": spread_of([700.0] * 5)})
+    kept = runs["optimizer"].replace("miho R=300", "miho")
+    R = runs["optimizer"].map({"miho": 10_000.0, "miho R=300": 300.0})
+    columns = {"optimizer": kept, "optimizer.R": R}
+    settings = FULL | {"miho R=10000": FULL["miho"], "miho R=300": {"optimizer.R": 300}}
+    table = claims_table(runs.assign(**columns), curves, settings=settings, resamples=100)
+    assert row(table, "terminal")["ours"] == "0.390 kN [0.390, 0.390]"
+    assert row(table, "terminal")["repetitions"] == 5
+
+
+def test_the_sentences_about_gradient_descent() -> None:
+    """A descent is stable where its error falls until the end, and else waits."""
+    falls: list[Steps] = [[(at, 9000.0 - at / 300) for at in np.geomspace(1, 1e6, 900)]] * 5
+    waits: list[Steps] = [[(1.0, 9000.0), (10.0, 1625.0)]] * 5
+    table = claims(PAPER | {"gbo_small": falls, "gbo_large": waits})
+    assert verdicts(table, "gbo_small is stable") == ["reproduced"]
+    assert verdicts(table, "gbo_large is unstable") == ["reproduced"]
+    assert row(table, "gbo_large is unstable")["ours"] == "100.0 % [100.0, 100.0]"
+    assert verdicts(table, "gbo_large ends in a local minimum") == ["reproduced"]
+    table = claims(PAPER | {"gbo_small": waits, "gbo_large": falls})
+    assert verdicts(table, "gbo_small is stable") == ["not reproduced"]
+    assert verdicts(table, "gbo_large is unstable") == ["not reproduced"]
+    assert verdicts(table, "gbo_large ends in a local minimum") == ["depends on the budget"]
+    at_best = claims(PAPER | {"gbo_large": spread_of([391.0] * 5)})
+    assert verdicts(at_best, "gbo_large ends in a local minimum") == ["not reproduced"]
+
+
+def test_what_the_large_swarm_costs() -> None:
+    table = claims(PAPER)
+    assert row(table, "more evaluations than pso_100")["ours"] == "6.92× [6.92, 6.92]"
+    assert verdicts(table, "more evaluations than pso_100") == ["reproduced"]
+    cheap = claims(PAPER | {"pso_500": [[(50.0, 2000.0), (400.0, 390.0)]] * 5})
+    assert verdicts(cheap, "more evaluations than pso_100") == ["not reproduced"]
+    assert verdicts(cheap, "more evaluations than miho") == ["not reproduced"]
+
+
+def test_a_descent_that_still_falls_depends_on_the_budget() -> None:
+    """A longer run might fall by more than the limit, and by no less."""
+    still: list[Steps] = [[(1.0, 9000.0), (9e5, 8500.0)]] * 5
+    assert verdicts(claims(PAPER | {"gbo_small": still}), HARDLY) == ["depends on the budget"]
 
 
 def test_two_repetitions_are_too_few_for_any_verdict() -> None:
@@ -199,9 +250,9 @@ def test_a_level_above_the_paper_that_still_falls_depends_on_the_budget() -> Non
 def test_pso_that_escapes_in_some_runs_is_not_stuck() -> None:
     runs = PAPER | {"pso_100": spread_of([390, 390, 780, 1090, 1100])}
     table = claims(runs)
-    assert verdicts(table, "pso_100 stays") == ["depends on the repetitions"]
-    assert row(table, "pso_100 stays")["reason"] == "2 of 5 came within 1 % of the best"
-    assert verdicts(claims(PAPER | {"pso_100": spread_of([391] * 5)}), "pso_100 stays") == [
+    assert verdicts(table, "pso_100 stops") == ["depends on the repetitions"]
+    assert row(table, "pso_100 stops")["reason"] == "2 of 5 came within 1 % of the best"
+    assert verdicts(claims(PAPER | {"pso_100": spread_of([391] * 5)}), "pso_100 stops") == [
         "not reproduced"
     ]
 
@@ -215,12 +266,12 @@ def test_pso_that_escapes_in_some_runs_is_not_stuck() -> None:
     ],
 )
 def test_flatness(final: list[float], expected: str) -> None:
-    assert verdicts(claims(PAPER | {"gbo_small": spread_of(final)}), "gbo_small") == [expected]
+    assert verdicts(claims(PAPER | {"gbo_small": spread_of(final)}), HARDLY) == [expected]
 
 
 def test_runs_without_a_value_do_not_count_as_flat() -> None:
     table = claims(PAPER | {"gbo_small": [[]] * 5})
-    assert verdicts(table, "gbo_small") == ["depends on gbo_small"]
+    assert verdicts(table, HARDLY) == ["depends on gbo_small"]
 
 
 def test_missing_methods_are_named() -> None:
@@ -233,7 +284,7 @@ def test_missing_methods_are_named() -> None:
     assert verdicts(slower, SPEED_1) == ["not reproduced"] * 2
     alone = claims({"miho": PAPER["miho"]})
     assert row(alone, SPEED_1)["ours"] == "-"
-    assert row(alone, "pso_100 stays")["verdict"] == "depends on pso_100"
+    assert row(alone, "pso_100 stops")["verdict"] == "depends on pso_100"
 
 
 def test_other_methods_are_compared_without_a_claim() -> None:
@@ -246,14 +297,14 @@ def test_other_methods_are_compared_without_a_claim() -> None:
 
 
 def test_claims_need_miho_and_a_force() -> None:
-    with pytest.raises(ValueError, match="no runs of 'miho_reference'"):
-        claims_table(*frames(PAPER), miho="miho_reference")
+    with pytest.raises(ValueError, match="no runs of 'miho'; the methods are pso_100"):
+        claims_table(*frames({"pso_100": PAPER["pso_100"]}))
     with pytest.raises(ValueError, match="these runs are in N m"):
         claims(PAPER, unit="N m")
 
 
 def test_the_same_table_is_printed_again() -> None:
-    first, second = (claims_table(*like_fig6(3), resamples=200) for _ in range(2))
+    first, second = (claims_table(*like_fig6(3), settings=FULL, resamples=200) for _ in range(2))
     pd.testing.assert_frame_equal(first, second)
 
 

@@ -1,18 +1,16 @@
-"""Which runs of a comparison are done again, and what its size leaves untested."""
+"""Which runs of a comparison are done again, and what their configurations say of its size."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from experiments.app.build import ConfigError
 from experiments.app.compose import composed
-from experiments.app.configured import differences
 from experiments.app.launch import set_aside_disturbed
 from experiments.app.plan import Request, requests
 from experiments.app.schema import register
+from miho.analysis.compare.size import PAPER, mismatch, settings_by_method, size_note
 from miho.optim import Budget, RandomSearch, minimize
 from miho.study import Store, load_runs
 from miho.testing import DecayFit
@@ -39,37 +37,36 @@ def test_fresh_makes_room_for_what_was_disturbed_as_often_as_asked(tmp_path: Pat
     assert len(list((tmp_path / ".superseded").rglob("result.json"))) == 3
 
 
-def test_a_comparison_of_full_size_has_no_differences(tmp_path: Path) -> None:
-    for method in ("miho", "pso_100", "random"):
-        stored(tmp_path, "experiment=paper_fig6", f"optimizer={method}")
-    result = differences(load_runs(tmp_path).runs)
-    assert (result.methods, result.budget) == ({}, "")
-
-
-def test_a_configuration_that_says_nothing_is_bad_input(tmp_path: Path) -> None:
-    run = stored(tmp_path, "optimizer=random")
-    other = replace(run.identity, config={"budget": 3})
-    record = minimize(RandomSearch(), DecayFit(), Budget(evaluations=5), 0)
-    store = Store(tmp_path / "other")
-    with store.claim(other):
-        store.commit(other, record, DecayFit.space, {}, {})
-    with pytest.raises(ConfigError, match="its configuration has no budget; identify again"):
-        differences(load_runs(tmp_path / "other").runs)
+@pytest.mark.parametrize("method", PAPER)
+def test_the_configured_methods_have_the_papers_size(method: str, tmp_path: Path) -> None:
+    """Rows and settings; the five parameters are those of the model, which was not run here."""
+    stored(tmp_path, "dataset=tire_lf", f"optimizer={method}")
+    runs = load_runs(tmp_path).runs.assign(dimension=5)
+    assert mismatch(settings_by_method(runs), method) == ""
 
 
 def test_a_reduced_comparison_says_what_is_smaller(tmp_path: Path) -> None:
-    reduced = "experiment=compare"
-    stored(tmp_path, reduced, "optimizer=miho", "optimizer.R=2000")
-    stored(tmp_path, reduced, "optimizer=pso_100", "optimizer.particles=10")
-    stored(tmp_path, reduced, "optimizer=random")
-    stored(tmp_path, reduced, "optimizer=dual_annealing")  # has no part in the paper's
-    result = differences(load_runs(tmp_path).runs)
-    assert result.methods == {
-        "miho": "miho has R = 2000 instead of 10000",
-        "pso_100": "pso_100 has particles = 10 instead of 100",
-    }
-    assert result.budget == "at most 4 s per run instead of 30"
-    stored(tmp_path / "few", reduced, "optimizer=random", "budget.evaluations=2000")
-    assert differences(load_runs(tmp_path / "few").runs).budget == (
-        "at most 4 s per run instead of 30, at most 2,000 evaluations per run"
+    stored(tmp_path, "dataset=tire_lf", "optimizer=miho", "optimizer.R=300", "dataset.n=500")
+    runs = load_runs(tmp_path).runs.assign(dimension=5)
+    assert mismatch(settings_by_method(runs), "miho") == (
+        "rows = 500, the claim is for rows = 3,000; R = 300, the claim is for R = 10,000"
     )
+
+
+def test_runs_that_are_no_longer_there_are_not_known(tmp_path: Path) -> None:
+    stored(tmp_path, "dataset=tire_lf", "optimizer=miho")
+    runs = load_runs(tmp_path).runs
+    (tmp_path / "pacejka-tire_lf").rename(tmp_path / ".gone")
+    assert mismatch(settings_by_method(runs), "miho") == "the settings of these runs are not known"
+
+
+def test_the_note_says_how_large_the_runs_are(tmp_path: Path) -> None:
+    common = "dataset=tire_lf", "budget.seconds=4", "budget.evaluations=null"
+    for seed in (0, 1):
+        stored(tmp_path, *common, "optimizer=miho", "optimizer.R=2000", seed=seed)
+    stored(tmp_path, *common, "optimizer=random")
+    assert size_note(load_runs(tmp_path).runs) == (
+        "R = 2,000, eta = 5, 1 to 2 repetitions, at most 4 s per run"
+    )
+    stored(tmp_path, *common, "optimizer=miho", "optimizer.R=300")
+    assert size_note(load_runs(tmp_path).runs) == "eta = 5, 1 to 2 repetitions, at most 4 s per run"

@@ -19,11 +19,20 @@ from miho.analysis.compare.bootstrap import (
     mean_error,
     speed_up,
 )
+from miho.analysis.compare.size import (
+    MIHO,
+    PAPER,
+    Settings,
+    mismatch,
+    nearest_to_paper,
+    settings_by_method,
+)
 from miho.analysis.compare.verdict import Printed, Verdict
 from miho.analysis.curves import Axis
 from miho.analysis.text import with_interval
 from miho.analysis.tidy import one_problem
 from miho.analysis.timing import UNITS, Clock, clock_of
+from miho.analysis.variants import base_name, with_names_of
 
 Array = NDArray[np.float64]
 Row = dict[str, object]
@@ -33,96 +42,121 @@ SPEED_CLAIMS = ((1000.0, Printed(13, 0.5)), (500.0, Printed(494, 0.5)))
 TERMINAL_ERROR = Printed(0.39, 0.005)
 GAINS = (("pso_500", Printed(24, 0.5)), ("gbo_large", Printed(76, 0.5)))
 STUCK = ("pso_100", Printed(0.75, 0.005))
+MORE = Printed(1, 0)
+COSTS = (("pso_100", 1000.0), (MIHO, 500.0))
+"""PSO-500 needs more evaluations than these to so many N; the paper's PSO-100 ends above 0.5 kN."""
 FLAT = ("gbo_small", 0.1)
+IDLE = 0.1
+"""The error of a stable descent falls at every step: more of it without improvement is unstable."""
 NEAR_BEST = 1.01
-
-MIHO = "miho"
-"""The name of the runs that the claims are about."""
-
-
-@dataclass(frozen=True)
-class Differences:
-    """In what a comparison differs from the paper's at full size, in words.
-
-    methods: by method, its settings, such as "miho has R = 2000 instead of 10000". budget: what
-    ends a run sooner, such as "at most 4 s per run instead of 30", "" if nothing does.
-    """
-
-    methods: Mapping[str, str] = field(default_factory=dict)
-    budget: str = ""
-
-    def of(self, *methods: str, ends_sooner: bool = False) -> list[str]:
-        """What differs of these methods; that runs end sooner only where it matters."""
-        budget = [self.budget] if ends_sooner and self.budget else []
-        return [self.methods[method] for method in methods if method in self.methods] + budget
-
-
-NONE = Differences()
 
 
 def is_on_a_tire(runs: pd.DataFrame) -> bool:
     """Whether these are runs of MIHO and others on the paper's tires, as its claims are."""
     on_a_tire = runs["problem"].str.startswith("pacejka-tire_").all()
-    return bool(on_a_tire) and MIHO in set(runs["optimizer"])
+    return bool(on_a_tire) and MIHO in set(runs["optimizer"].map(base_name))
 
 
 def claims_table(
     runs: pd.DataFrame,
     curves: pd.DataFrame,
-    miho: str = "miho",
     *,
-    differences: Differences = NONE,
+    settings: Mapping[str, Settings] | None = None,
     rng: np.random.Generator | None = None,
     resamples: int = RESAMPLES,
 ) -> pd.DataFrame:
-    """A row per claim: claim, paper, ours (95 % bootstrap interval), repetitions, verdict, reason.
+    """Judge the claims of the paper's comparison (Sec. V-A.3, Fig. 6) against these runs.
 
-    `miho` is the method that claims are about. Speed claims have two rows, seconds, of the clock
-    that `timing.clock_of` chooses, and evaluations, which do not depend on the machine. A claim
-    uses the seeds that all its methods have. Errors are those of `runs` in N; the rules are those
-    of `miho.analysis.compare.verdict`:
+    Parameters
+    ----------
+    runs, curves : DataFrame
+        As of `miho.load_runs`, of one problem; errors in N. Of a method with several settings the
+        runs nearest to the paper's count.
+    settings : mapping of str to mapping, optional
+        The settings of each method, such as `{"miho": {"optimizer.R": 300}}`. By default those that
+        are stored with the runs.
+    rng : Generator, optional
+        Of the resamples; by default that of seed 0, so that a table can be printed again.
+    resamples : int
+        Bootstrap resamples.
 
-    - speed-ups and gains: reproduced if the interval holds the paper's figure or lies above it,
-      not reproduced if it lies below; depends on the repetitions if it holds no advantage as
+    Returns
+    -------
+    DataFrame
+        A row per claim: claim, paper, ours (95 % bootstrap interval), repetitions, verdict, reason.
+
+    Raises
+    ------
+    ValueError
+        Where there are no runs of MIHO, errors are no force in N, or runs are of several problems.
+
+    Notes
+    -----
+    A claim is judged by runs of its size only: the settings of `size.PAPER` of the methods that it
+    is about, 3000 rows and 5 parameters. Else its verdict is such as "not judged: R = 300, the
+    claim is for R = 10,000". Claims about gradient descent and swarms do not depend on R.
+
+    A claim uses the seeds that all its methods have. Speed claims have two rows, seconds, of the
+    clock that `timing.clock_of` chooses, and evaluations, which do not depend on the machine. The
+    rules are those of `miho.analysis.compare.verdict`:
+
+    - speed-ups, gains and costs: reproduced if the interval holds the paper's figure or lies above
+      it, not reproduced if it lies below; depends on the repetitions if it holds no advantage as
       well; depends on the budget if cut runs decide; depends on the axis if seconds and
       evaluations disagree; depends on a method that has no runs.
     - terminal errors: reproduced if the interval touches the printed figure and is narrow, not
       reproduced if it does not; depends on the data if MIHO ended on another floor than the
       paper's. PSO-100 is stuck only if no run of it came within 1 % of the best of any method.
-    - GBO-small is flat if it gains less than 10 % of its first error.
-    - not tested at this size: `differences` name settings of a method that the claim is about,
-      unless it is about the final error of MIHO and that is within 1 % of the best of any other
-      method, so that no setting ends lower; or runs end sooner than at full size, and in a longer
-      one the error could still fall to the paper's (PSO-100) or beyond (PSO-100, GBO-small).
+    - GBO-small hardly moves if its error falls by less than 10 % of the first one.
+    - A descent is stable if less than 10 % of its evaluations pass without improvement.
+    - GBO-large is in a local minimum if its error falls no longer, more than 1 % above the best.
 
     The last rows compare MIHO with every other method at 0.5 kN, where the paper claims nothing.
-    Without `rng` the resamples are those of seed 0, so that a table can be printed again.
     """
     runs, curves = one_problem(runs, curves)
     unit = runs["unit"].iloc[0]
     if unit != "N":
         raise ValueError(f"the paper's claims are about a force in N; these runs are in {unit}")
-    if miho not in set(runs["optimizer"]):
+    settings = settings_by_method(runs) if settings is None else settings
+    runs, settings = _of_paper(runs, settings)
+    curves = with_names_of(curves[curves["id"].isin(runs["id"])], runs)
+    if MIHO not in set(runs["optimizer"]):
         present = ", ".join(sorted(set(runs["optimizer"])))
-        raise ValueError(f"there are no runs of {miho!r}; the methods are {present}")
-    study = _Study(runs, curves, miho, rng or np.random.default_rng(0), resamples, differences)
+        raise ValueError(f"there are no runs of {MIHO!r}; the methods are {present}")
+    study = _Study(runs, curves, settings, rng or np.random.default_rng(0), resamples)
     rows = [row for target, paper in SPEED_CLAIMS for row in study.speed_claim(target, paper)]
     rows.append(study.terminal_claim())
     rows += [study.gain_claim(rival, paper) for rival, paper in GAINS]
-    rows += [study.stuck_claim(*STUCK), study.flat_claim(*FLAT)]
-    without_claim = [m for m in study.methods if m != miho and m not in PAPER_RIVALS]
+    rows.append(study.stuck_claim(*STUCK))
+    rows += [study.cost_claim("pso_500", *cheaper) for cheaper in COSTS]
+    rows += [study.flat_claim(*FLAT), study.stable_claim("gbo_small", stable=True)]
+    rows += [study.stable_claim("gbo_large", stable=False), study.minimum_claim("gbo_large")]
+    without_claim = [m for m in study.methods if m not in PAPER]
     rows += [study.extra(other, axis) for other in without_claim for axis in study.speed_axes]
     return pd.DataFrame(rows)
+
+
+def _of_paper(
+    runs: pd.DataFrame, settings: Mapping[str, Settings]
+) -> tuple[pd.DataFrame, Mapping[str, Settings]]:
+    """The runs of each paper's method that are nearest to its settings, under its own name."""
+    nearest = {name: base for base, name in nearest_to_paper(runs, settings).items()}
+    left_out = [
+        name for name in runs["optimizer"] if base_name(name) in PAPER and name not in nearest
+    ]
+    runs = runs[~runs["optimizer"].isin(left_out)]
+    names = runs["optimizer"].map(lambda name: nearest.get(name, name))
+    named = {nearest.get(name, name): known for name, known in settings.items()}
+    return runs.assign(optimizer=names), named
 
 
 @dataclass(frozen=True, eq=False)
 class _Study:
     runs: pd.DataFrame
     curves: pd.DataFrame
-    miho: str
+    settings: Mapping[str, Settings]
     rng: np.random.Generator
     resamples: int
-    differences: Differences
     mean_curves: dict[tuple[str, Axis, tuple[int, ...]], MeanCurve] = field(default_factory=dict)
     """Mean curves that several claims are about."""
 
@@ -163,22 +197,28 @@ class _Study:
 
         That MIHO itself is the best of all would not show that the data allow nothing better.
         """
-        best_other = self.runs["error"][self.runs["optimizer"] != self.miho].min()
+        best_other = self.runs["error"][self.runs["optimizer"] != MIHO].min()
         return bool(best_other / NEAR_BEST <= error <= best_other * NEAR_BEST)
 
     def speed(
         self, rivals: Sequence[str], target: float, axis: Axis
     ) -> tuple[Interval, int] | None:
-        """The speed-up against the fastest of the rivals; None without common seeds."""
-        seeds = self.seeds([self.miho, *rivals])
+        """The speed-up of MIHO against the fastest of the rivals; None without common seeds."""
+        return self.speed_of(MIHO, rivals, target, axis)
+
+    def speed_of(
+        self, method: str, rivals: Sequence[str], target: float, axis: Axis
+    ) -> tuple[Interval, int] | None:
+        """The speed-up of a method against the fastest of the rivals, and on how many seeds."""
+        seeds = self.seeds([method, *rivals])
         if axis == self.clock.axis:
             timed = set(self.clock.runs["seed"])
             seeds = [seed for seed in seeds if seed in timed]
         if not seeds:
             return None
-        miho_curve = self.curve(self.miho, axis, seeds)
+        curve = self.curve(method, axis, seeds)
         rival_curves = [self.curve(rival, axis, seeds) for rival in rivals]
-        return speed_up(miho_curve, rival_curves, target, self.rng, self.resamples), len(seeds)
+        return speed_up(curve, rival_curves, target, self.rng, self.resamples), len(seeds)
 
     def speed_claim(self, target: float, paper: Printed) -> list[Row]:
         present = [rival for rival in PAPER_RIVALS if rival in self.methods]
@@ -190,14 +230,14 @@ class _Study:
         printed = f"{paper.value:g}×"
         measured = [self.speed(present, target, a) if present else None for a in self.speed_axes]
         verdicts = []
-        differences = self.differences.of(self.miho, *present)
+        size = mismatch(self.settings, MIHO, *present)
         for speed in measured:
             if speed is None:
                 verdicts.append(verdict.without_runs(absent or ["common seeds"]))
                 continue
             of_present = verdict.of_advantage(speed[0], paper, speed[1], no_advantage=1)
             of_all = verdict.with_missing_rivals(of_present, absent)
-            verdicts.append(verdict.at_this_size(of_all, differences))
+            verdicts.append(verdict.at_this_size(of_all, size))
         first, second = verdicts
         verdicts = list(verdict.of_both_axes(first, second, self.clock.unit))
         return [
@@ -206,44 +246,39 @@ class _Study:
         ]
 
     def terminal_claim(self) -> Row:
-        seeds = self.seeds([self.miho])
-        final = self.final(self.miho, seeds)
+        seeds = self.seeds([MIHO])
+        final = self.final(MIHO, seeds)
         interval = mean_error(final, self.rng, self.resamples).scaled(1e-3)
         result = verdict.of_level(
             interval,
             TERMINAL_ERROR,
             len(seeds),
-            falling=self.falling(self.miho, seeds),
+            falling=self.falling(MIHO, seeds),
             at_floor=self.at_floor(float(final.mean())),
         )
-        result = verdict.at_this_size(result, self.differences_at_end(final))
+        result = verdict.at_this_size(result, mismatch(self.settings, MIHO))
         return _row("terminal error of MIHO", "0.39 kN", (interval, len(seeds)), " kN", result)
-
-    def differences_at_end(self, final: Array) -> list[str]:
-        """What differs of MIHO, unless it ended where no setting ends lower."""
-        return [] if self.at_floor(float(final.mean())) else self.differences.of(self.miho)
 
     def gain_claim(self, rival: str, paper: Printed) -> Row:
         claim, printed = f"MIHO ends below {rival} by", f"{paper.value:g} %"
-        seeds = self.seeds([self.miho, rival]) if rival in self.methods else []
+        seeds = self.seeds([MIHO, rival]) if rival in self.methods else []
         if not seeds:
             return _row(claim, printed, None, " %", verdict.without_runs([rival]))
-        miho_errors, rival_errors = self.final(self.miho, seeds), self.final(rival, seeds)
+        miho_errors, rival_errors = self.final(MIHO, seeds), self.final(rival, seeds)
         interval = improvement(miho_errors, rival_errors, self.rng, self.resamples).scaled(100)
         result = verdict.of_advantage(
             interval,
             paper,
             len(seeds),
             no_advantage=0,
-            miho_falling=self.falling(self.miho, seeds),
+            miho_falling=self.falling(MIHO, seeds),
             rival_falling=self.falling(rival, seeds),
         )
-        differences = [*self.differences_at_end(miho_errors), *self.differences.of(rival)]
-        result = verdict.at_this_size(result, differences)
+        result = verdict.at_this_size(result, mismatch(self.settings, MIHO, rival))
         return _row(claim, printed, (interval, len(seeds)), " %", result)
 
     def stuck_claim(self, method: str, paper: Printed) -> Row:
-        claim, printed = f"{method} stays at", f"{paper.value:g} kN"
+        claim, printed = f"{method} stops at", f"{paper.value:g} kN"
         if method not in self.methods:
             return _row(claim, printed, None, " kN", verdict.without_runs([method]))
         seeds = self.seeds([method])
@@ -257,24 +292,55 @@ class _Study:
             result = Verdict(
                 verdict.ON_REPETITIONS, f"{escaped} of {len(seeds)} came within 1 % of the best"
             )
-        differences = self.differences.of(method, ends_sooner=interval.high >= paper.low)
-        result = verdict.at_this_size(result, differences)
+        result = verdict.at_this_size(result, mismatch(self.settings, method))
         return _row(claim, printed, (interval, len(seeds)), " kN", result)
 
+    def cost_claim(self, method: str, cheaper: str, target: float) -> Row:
+        claim = f"{method} needs more evaluations than {cheaper} to {target / 1e3:.1f} kN"
+        present = {method, cheaper} <= set(self.methods)
+        cost = self.speed_of(cheaper, [method], target, "evaluations") if present else None
+        if cost is None:
+            return _row(claim, "more", None, "×", verdict.without_runs([method]))
+        result = verdict.of_advantage(cost[0], MORE, cost[1], no_advantage=1)
+        size = mismatch(self.settings, method, cheaper)
+        return _row(claim, "more", cost, "×", verdict.at_this_size(result, size))
+
     def flat_claim(self, method: str, limit: float) -> Row:
-        claim, printed = f"{method} improves by", f"negligible (< {limit * 100:g} %)"
-        if method not in self.methods:
-            return _row(claim, printed, None, " %", verdict.without_runs([method]))
+        claim, printed = f"{method} hardly moves: its error falls by", f"< {limit * 100:g} %"
         first = self.curves[self.curves["optimizer"] == method].groupby("seed")["error"].first()
         seeds = [int(seed) for seed in first.dropna().index]
         if not seeds:
             return _row(claim, printed, None, " %", verdict.without_runs([method]))
         start = first.loc[seeds].to_numpy(dtype=float)
         fall = improvement(self.final(method, seeds), start, self.rng, self.resamples)
-        result = verdict.of_flatness(fall, limit, len(seeds))
-        differences = self.differences.of(method, ends_sooner=fall.low < limit)
-        result = verdict.at_this_size(result, differences)
+        falling = self.falling(method, seeds)
+        result = verdict.of_share(fall, limit, len(seeds), below=True, falling=falling)
+        result = verdict.at_this_size(result, mismatch(self.settings, method))
         return _row(claim, printed, (fall.scaled(100), len(seeds)), " %", result)
+
+    def stable_claim(self, method: str, *, stable: bool) -> Row:
+        word, sign = ("stable", "<") if stable else ("unstable", "≥")
+        claim = f"{method} is {word}: evaluations without improvement"
+        printed = f"{sign} {IDLE * 100:g} %"
+        if method not in self.methods:
+            return _row(claim, printed, None, " %", verdict.without_runs([method]))
+        seeds = self.seeds([method])
+        idle = self.curve(method, "evaluations", seeds).idle()
+        share = mean_error(idle, self.rng, self.resamples)
+        result = verdict.of_share(share, IDLE, len(seeds), below=stable)
+        result = verdict.at_this_size(result, mismatch(self.settings, method))
+        return _row(claim, printed, (share.scaled(100), len(seeds)), " %", result)
+
+    def minimum_claim(self, method: str) -> Row:
+        claim, printed = f"{method} ends in a local minimum: its error over the best", "> 1.01×"
+        if method not in self.methods:
+            return _row(claim, printed, None, "×", verdict.without_runs([method]))
+        seeds, best = self.seeds([method]), float(self.runs["error"].min())
+        excess = mean_error(self.final(method, seeds) / best, self.rng, self.resamples)
+        falling = self.falling(method, seeds)
+        result = verdict.of_local_minimum(excess, NEAR_BEST, len(seeds), falling=falling)
+        result = verdict.at_this_size(result, mismatch(self.settings, method))
+        return _row(claim, printed, (excess, len(seeds)), "×", result)
 
     def extra(self, other: str, axis: Axis) -> Row:
         claim = f"MIHO is faster than {other} to 0.5 kN, in {UNITS[axis]}"

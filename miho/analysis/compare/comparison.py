@@ -7,9 +7,11 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
 import pandas as pd
 
+from miho.analysis.compare.size import size_note
 from miho.analysis.text import to_markdown
 from miho.study import read_run, write_text
 from miho.study.provenance import write_provenance
@@ -29,6 +31,11 @@ class Comparison:
     missing: int
     command: tuple[str, ...]
     note: str
+
+    @classmethod
+    def of_stored(cls, runs: pd.DataFrame, curves: pd.DataFrame, command: Sequence[str]) -> Self:
+        """These runs as they are, whoever made them; their configurations say how large it is."""
+        return cls(runs, curves, 0, tuple(command), size_note(runs))
 
     @classmethod
     def of(cls, runs: pd.DataFrame, curves: pd.DataFrame, root: Path) -> Comparison | None:

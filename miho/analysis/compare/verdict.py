@@ -7,7 +7,6 @@ interval that leaves room for one of them only, from runs that a larger budget w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from miho.analysis.compare.bootstrap import Interval
@@ -17,7 +16,7 @@ NOT_REPRODUCED = "not reproduced"
 ON_REPETITIONS = "depends on the repetitions"
 ON_BUDGET = "depends on the budget"
 ON_DATA = "depends on the data"
-NOT_TESTED = "not tested at this size"
+NOT_JUDGED = "not judged"
 
 LEAST_REPETITIONS = 3
 WIDEST_LEVEL = 0.2
@@ -26,7 +25,7 @@ TAIL = 0.025
 
 @dataclass(frozen=True)
 class Verdict:
-    """`word` is reproduced, not reproduced, depends on ... or not tested at this size.
+    """`word` is reproduced, not reproduced, depends on ... or not judged, with the size at fault.
 
     `reason` says why in a clause.
     """
@@ -131,22 +130,46 @@ def of_level(
     return Verdict(REPRODUCED, "the interval holds the paper's figure")
 
 
-def of_flatness(fall: Interval, limit: float, repetitions: int) -> Verdict:
-    """Of "negligible improvement": the relative fall of the error stays below `limit`.
+def of_share(
+    share: Interval, limit: float, repetitions: int, *, below: bool, falling: bool = False
+) -> Verdict:
+    """Of a share that stays `below` its limit, or is not below it.
 
-    Fewer than three repetitions: depends on the repetitions. Reproduced if the interval is
-    wholly below the limit, not reproduced if wholly at or above it, else depends on the
-    repetitions.
+    1. Fewer than three repetitions: depends on the repetitions.
+    2. The interval is wholly on one side of the limit: reproduced, or not reproduced; but depends
+       on the budget if the share is below, and the runs were cut while the error still fell, which
+       can only raise it.
+    3. The interval holds the limit: depends on the repetitions.
     """
     if repetitions < LEAST_REPETITIONS:
         return _too_few(repetitions)
-    if fall.high < limit:
-        return Verdict(REPRODUCED, f"it improves by less than {limit * 100:g} % of its first error")
-    if fall.low >= limit:
-        return Verdict(
-            NOT_REPRODUCED, f"it improves by {limit * 100:g} % of its first error or more"
-        )
-    return Verdict(ON_REPETITIONS, f"the interval holds {limit * 100:g} %, the limit of negligible")
+    percent = f"{limit * 100:g} %"
+    if share.high < limit:
+        if falling:
+            return Verdict(ON_BUDGET, f"below {percent}, but cut while its error fell")
+        return Verdict(REPRODUCED if below else NOT_REPRODUCED, f"it is less than {percent}")
+    if share.low >= limit:
+        return Verdict(NOT_REPRODUCED if below else REPRODUCED, f"it is {percent} or more")
+    return Verdict(ON_REPETITIONS, f"the interval holds {percent}, the limit")
+
+
+def of_local_minimum(excess: Interval, limit: float, repetitions: int, *, falling: bool) -> Verdict:
+    """Of "ends in a local minimum": the error stops falling above the best of all methods.
+
+    `excess` is the final error over that of the best. Fewer than three repetitions: depends on the
+    repetitions. Not reproduced if the excess is wholly at or below `limit`, depends on the
+    repetitions if its interval holds the limit, on the budget if runs were cut while the error
+    fell, else reproduced.
+    """
+    if repetitions < LEAST_REPETITIONS:
+        return _too_few(repetitions)
+    if excess.high <= limit:
+        return Verdict(NOT_REPRODUCED, f"it ends within {(limit - 1) * 100:.0f} % of the best")
+    if excess.low <= limit:
+        return Verdict(ON_REPETITIONS, "some repetitions end at the best error")
+    if falling:
+        return Verdict(ON_BUDGET, "above the best, but cut while its error fell")
+    return Verdict(REPRODUCED, "it no longer falls, above the best of all methods")
 
 
 def without_runs(methods: list[str]) -> Verdict:
@@ -163,13 +186,13 @@ def with_missing_rivals(verdict: Verdict, methods: list[str]) -> Verdict:
     )
 
 
-def at_this_size(verdict: Verdict, differences: Sequence[str]) -> Verdict:
-    """The verdict on a claim about the full size: not tested if settings or budgets differ.
+def at_this_size(verdict: Verdict, mismatch: str) -> Verdict:
+    """The verdict on a claim about runs of one size: none on runs of another.
 
-    `differences` name them in words. The number of repetitions is none of them, since intervals and
-    their rules account for it.
+    `mismatch` says how these differ, such as "R = 300, the claim is for R = 10,000", "" if they do
+    not. The number of repetitions is no part of it, since intervals and their rules account for it.
     """
-    return Verdict(NOT_TESTED, "; ".join(differences)) if differences else verdict
+    return Verdict(f"{NOT_JUDGED}: {mismatch}", "") if mismatch else verdict
 
 
 def of_both_axes(

@@ -11,12 +11,13 @@ from pathlib import Path
 
 import pandas as pd
 
-from miho.analysis.compare.claims import MIHO, Differences, claims_table, is_on_a_tire
+from miho.analysis.compare.claims import claims_table, is_on_a_tire
 from miho.analysis.compare.comparison import Comparison
 from miho.analysis.compare.leaderboard import leaderboard
 from miho.analysis.compare.running_time import references
 from miho.analysis.pages.sweep_runs import Sweep, environment_table
 from miho.analysis.timing import undisturbed
+from miho.analysis.variants import base_name
 
 CLAIMS = (
     "The paper's claims; ours with 95 % bootstrap intervals. What decides is written beside each."
@@ -54,12 +55,9 @@ class Configured:
     """What a configuration adds to the files of runs; the defaults add nothing.
 
     `runs` gives the runs of a comparison with the optima and families that are configured now.
-    `differences` says in what a comparison differs from the paper's at full size; without it the
-    paper's claims are not judged.
     """
 
     runs: Callable[[pd.DataFrame], pd.DataFrame] = lambda runs: runs
-    differences: Callable[[pd.DataFrame], Differences] | None = None
 
 
 NOTHING_CONFIGURED = Configured()
@@ -84,7 +82,7 @@ def contents(
     board = claims = None
     try:
         board = _leaderboard(sweep, comparison, configured)
-        claims = _claims(comparison, configured)
+        claims = _claims(sweep, comparison)
     except ValueError as error:
         sentences.append(f"A table is left out: {error}.")
     best_known, unrecorded = _references(sweep.runs)
@@ -127,14 +125,17 @@ def _timed(sweep: Sweep, comparison: Comparison | None) -> str:
     return f"{int(undisturbed(runs).sum())} of {len(runs)}"
 
 
-def _claims(comparison: Comparison | None, configured: Configured) -> pd.DataFrame | None:
-    """The claims are about MIHO on a tire, and about whole comparisons."""
-    if configured.differences is None or comparison is None or comparison.missing:
+def _claims(sweep: Sweep, comparison: Comparison | None) -> pd.DataFrame | None:
+    """The claims are about MIHO on a tire beside others, and about whole comparisons."""
+    runs, curves = sweep.runs, sweep.curves
+    if comparison is not None:
+        runs, curves = comparison.runs, comparison.curves
+        if comparison.missing:
+            return None
+    several = runs["optimizer"].map(base_name).nunique() > 1
+    if runs["problem"].nunique() != 1 or not several or not is_on_a_tire(runs):
         return None
-    runs = comparison.runs
-    if runs["problem"].nunique() != 1 or not is_on_a_tire(runs):
-        return None
-    return claims_table(runs, comparison.curves, MIHO, differences=configured.differences(runs))
+    return claims_table(runs, curves)
 
 
 def _references(runs: pd.DataFrame) -> tuple[dict[str, float], set[str]]:

@@ -1,0 +1,159 @@
+"""The size of a comparison, as the stored configurations of its runs say."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Literal
+
+import pandas as pd
+
+from miho.analysis.variants import base_name, named_apart, shown
+from miho.study import DamagedRun, read_run
+from miho.study.provenance import flattened
+
+Settings = Mapping[str, Any]
+"""Settings of a run by dotted path, such as `optimizer.R`."""
+Methods = Literal["paper"] | Collection[str]
+"""The paper's methods, or some by name."""
+
+MIHO = "miho"
+_TIRE = {"dataset.n": 3000, "dimension": 5}
+_SWARM = {
+    "optimizer.c1": 2.0,
+    "optimizer.c2": 2.0,
+    "optimizer.inertia_start": 0.9,
+    "optimizer.inertia_end": 0.4,
+    "optimizer.iterations": 1000,
+}
+PAPER: Mapping[str, Settings] = MappingProxyType(
+    {
+        MIHO: _TIRE
+        | {
+            "optimizer.R": 10_000,
+            "optimizer.eta": 5,
+            "optimizer.rounding": "ceil",
+            "optimizer.sampling": "normal",
+            "optimizer.annealing": "linear",
+            "optimizer.clip": "box",
+            "optimizer.proposal": "mutation",
+        },
+        "gbo_small": _TIRE | {"optimizer.learning_rate": 5e-12},
+        "gbo_large": _TIRE | {"optimizer.learning_rate": 1e-10},
+        "pso_100": _TIRE | _SWARM | {"optimizer.particles": 100},
+        "pso_500": _TIRE | _SWARM | {"optimizer.particles": 500},
+    }
+)
+"""The methods of Sec. V-A.3 at the size that its claims are about: rows, parameters and settings.
+
+Inertia and iterations of the swarms, and all of MIHO but R and eta, are not printed there. They are
+those of `conf/optimizer`, so that no claim is judged by a method that was changed."""
+NAMES = MappingProxyType({"dataset.n": "rows", "dimension": "parameters"})
+OPTUNA = "optuna_hyperband"
+PAPER_METHODS = (*PAPER, OPTUNA)
+"""The paper's five methods, and the Hyperband of a library beside them."""
+
+
+def chosen(present: Collection[str], methods: Methods) -> list[str]:
+    """Those of the `present` methods that are meant by "paper", or by their names.
+
+    A name stands for the method with all its settings. "paper" are PAPER_METHODS, as far as they
+    are present. Raises ValueError for another name of which there are no runs.
+    """
+    names = set(PAPER_METHODS if methods == "paper" else methods)
+    known = {*present, *map(base_name, present)}
+    unknown = sorted(names - known)
+    if (unknown and methods != "paper") or not known & names:
+        raise ValueError(
+            f"methods: there are no runs of {', '.join(unknown)}; "
+            f"expected paper or some of {', '.join(sorted(known))}"
+        )
+    return [name for name in present if name in names or base_name(name) in names]
+
+
+def settings_by_method(runs: pd.DataFrame) -> dict[str, Settings]:
+    """The settings of each method of `runs`, read from the folder of its first run.
+
+    Empty where the table names no folder, or there is no readable run any more.
+    """
+    settings: dict[str, Settings] = {}
+    for method, first in runs.drop_duplicates("optimizer").set_index("optimizer").iterrows():
+        try:
+            stored = flattened(read_run(Path(first["folder"])).config)
+        except (DamagedRun, LookupError, TypeError, AttributeError):
+            settings[str(method)] = {}
+            continue
+        settings[str(method)] = stored | {"dimension": first.get("dimension")}
+    return settings
+
+
+def deviations(method: str, settings: Settings) -> dict[str, tuple[Any, Any]]:
+    """Name, value and the paper's value of each setting of a method that is not the paper's."""
+    expected = PAPER.get(base_name(method), {})
+    return {
+        NAMES.get(path, path.rpartition(".")[2]): (settings.get(path), value)
+        for path, value in expected.items()
+        if settings.get(path) != value
+    }
+
+
+def mismatch(settings: Mapping[str, Settings], *methods: str) -> str:
+    """How these methods differ from the paper's, such as "R = 300, the claim is for R = 10,000".
+
+    "" if they do not, and for methods that are none of the paper's.
+    """
+    parts: dict[str, None] = {}
+    for method in methods:
+        if method in PAPER and not settings.get(method):
+            return "the settings of these runs are not known"
+        for name, (value, expected) in deviations(method, settings.get(method, {})).items():
+            claim = f"the claim is for {name} = {in_words(expected)}"
+            parts[f"{name} = {in_words(value)}, {claim}"] = None
+    return "; ".join(parts)
+
+
+def nearest_to_paper(runs: pd.DataFrame, settings: Mapping[str, Settings]) -> dict[str, str]:
+    """Of each of the paper's methods that is there, the name whose settings are nearest to its own.
+
+    With the same number of deviations the last name counts, in the order of names.
+    """
+    nearest: dict[str, str] = {}
+    for name in sorted(map(str, runs["optimizer"].unique()), key=lambda name: (len(name), name)):
+        base = base_name(name)
+        if base not in PAPER:
+            continue
+        count = len(deviations(name, settings.get(name, {})))
+        if base not in nearest or count <= len(deviations(base, settings.get(nearest[base], {}))):
+            nearest[base] = name
+    return nearest
+
+
+def in_words(value: Any) -> str:
+    """A setting with thousands separated."""
+    return f"{value:,}" if type(value) is int else shown(value)
+
+
+def size_note(runs: pd.DataFrame) -> str:
+    """The size of a comparison in words, from the stored configurations of its runs.
+
+    Such as "R = 2,000, eta = 5, 5 repetitions, at most 4 s per run". R and eta are those of MIHO;
+    where they differ among its runs, the names of the methods tell them.
+    """
+    runs = named_apart(runs, of_problem=())
+    settings = settings_by_method(runs)
+    parts = []
+    for path in ("optimizer.R", "optimizer.eta"):
+        values = {s.get(path) for name, s in settings.items() if base_name(name) == MIHO}
+        if len(values) == 1 and values != {None}:
+            parts.append(f"{path.rpartition('.')[2]} = {in_words(values.pop())}")
+    counts = runs.groupby("optimizer")["seed"].nunique()
+    fewest, most = int(counts.min()), int(counts.max())
+    several = f"{most}" if fewest == most else f"{fewest} to {most}"
+    parts.append(f"{several} repetition{'s' * (most > 1)}")
+    for path, unit in (("budget.seconds", "s"), ("budget.evaluations", "evaluations")):
+        limits = sorted({s[path] for s in settings.values() if s.get(path) is not None})
+        if limits:
+            ends = dict.fromkeys(in_words(limit) for limit in (limits[0], limits[-1]))
+            parts.append(f"at most {' to '.join(ends)} {unit} per run")
+    return ", ".join(parts)
