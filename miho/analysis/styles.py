@@ -21,6 +21,7 @@ BLUE, ORANGE, GREEN, RED = COLORS[:4]
 _PINK, _TAN, _SKY = COLORS[4], COLORS[5], COLORS[9]
 _BLACK, _GREY, _MUTED, _PURPLE = "#222222", "#6e6e6e", "#8a8a8a", "#6a3d9a"
 _BROWN = "#6b3e12"
+_INDIGO = "#4b0082"
 
 Dashes = tuple[float, tuple[float, ...] | None]
 
@@ -111,8 +112,36 @@ def styles_of(methods: Iterable[str]) -> dict[str, MethodStyle]:
     styles = {method: STYLES[method] for method in STYLES if method in methods}
     for index, method in enumerate(sorted(methods - set(STYLES))):
         color, dashes = _SPARE[index % len(_SPARE)]
-        styles[method] = MethodStyle(method.replace("_", " "), color, dashes)
+        base, _, settings = method.partition(" ")
+        name = STYLES[base].name if base in STYLES else base.replace("_", " ")
+        styles[method] = MethodStyle(f"{name} {settings}".rstrip(), color, dashes)
     return styles
+
+
+_RELATED = {
+    RED: _INDIGO, _PINK: RED, _TAN: _BROWN, _SKY: BLUE, BLUE: _SKY, GREEN: "#8fb339",
+    _BLACK: _GREY, _GREY: _BLACK, _BROWN: _TAN, _PURPLE: _PINK,
+    _INDIGO: _PURPLE, ORANGE: _TAN,
+}  # fmt: skip
+"""The hue that a method takes where its own is another's already."""
+HUES = tuple(_RELATED)
+
+
+def distinct(methods: Iterable[str]) -> dict[str, MethodStyle]:
+    """As `styles_of`, with a hue for each method, as long as there are hues: for a figure of few.
+
+    Of a family the solid line keeps its hue; the others take the one that is nearest to it of those
+    that nobody in the figure has.
+    """
+    styles = styles_of(methods)
+    own = {style.color for style in styles.values()}
+    free = [hue for hue in HUES if hue not in own]
+    taken: dict[str, str] = {}
+    for method in sorted(styles, key=lambda method: styles[method].dashes != SOLID):
+        color = styles[method].color
+        wanted = color, _RELATED.get(color, color), *free
+        taken[method] = next((hue for hue in wanted if hue not in taken.values()), color)
+    return {method: replace(style, color=taken[method]) for method, style in styles.items()}
 
 
 MAIN = ("miho_gn", "miho_qn", "miho", "cma_es", "differential_evolution", "optuna_tpe", "pso_500",

@@ -1,16 +1,18 @@
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from numpy.typing import NDArray
 
 from miho.analysis.figures.house import save, spread_apart
 from miho.analysis.figures.paper import fig4, fig6, plot_error_over
-from miho.analysis.styles import STYLES, styles_of
+from miho.analysis.styles import STYLES, distinct, styles_of
 from tests.analysis.synthetic import frames, like_fig6
 
 
@@ -45,7 +47,72 @@ def test_fig6_names_each_method_once_with_its_final_error_and_colour() -> None:
         assert len(label) == 1
         assert float(label[0].split()[0]) == pytest.approx(errors.mean() / 1e3, rel=0.01, abs=5e-3)
     assert any("R = 625" in text for text in written)
-    assert "irreducible: 0.38 to 0.40 kN" in written
+    (small,) = (text for text in written if text.startswith("lines: mean"))
+    assert "irreducible error, 0.38 to 0.40 kN" in small.replace("\n", " ")
+
+
+def test_fig6_has_its_labels_beside_the_papers_panel_and_no_text_among_the_curves() -> None:
+    figure = fig6(*like_fig6(3))
+    over_time, over_evaluations = figure.axes
+    assert len(over_time.texts) == 8
+    assert all(label.get_position()[0] > 1 for label in over_time.texts)
+    assert not over_evaluations.texts
+    assert (over_time.get_xlabel(), over_evaluations.get_xlabel()) == (
+        "time [s]", "evaluations of the full loss",
+    )  # fmt: skip
+
+
+def test_fig6_of_the_papers_methods_alone() -> None:
+    runs, curves = like_fig6(2)
+    lines = {line.get_label() for line in fig6(runs, curves, methods="paper").axes[0].get_lines()}
+    drawn = {name for name in lines if name and not str(name).startswith("_")}
+    assert drawn == {"MIHO", "GBO-small", "GBO-large", "PSO-100", "PSO-500", "Optuna Hyperband"}
+    two = fig6(runs, curves, methods=["miho", "random"])
+    assert len(two.axes[0].texts) == 2
+    with pytest.raises(ValueError, match="no runs of pso_9; expected paper or some of gbo_large"):
+        fig6(runs, curves, methods=["miho", "pso_9"])
+
+
+def test_fig6_draws_runs_of_other_settings_as_other_methods() -> None:
+    runs, curves = frames({"miho": [[(1.0, 400.0)], [(1.0, 600.0)], [(1.0, 900.0)]]})
+    R = {"miho-0": 300, "miho-1": 1000, "miho-2": 1000}
+    runs["seed"], curves["seed"] = [0, 0, 1], curves["id"].map({"miho-0": 0, "miho-1": 0}).fillna(1)
+    runs["optimizer.R"], curves["optimizer.R"] = runs["id"].map(R), curves["id"].map(R)
+    labels = {label.get_text() for label in fig6(runs, curves).axes[0].texts}
+    assert labels == {"0.40  MIHO R=300", "0.75  MIHO R=1000"}
+
+
+FULL_COMPARISON = (
+    "miho_gn", "miho", "gbo_small", "gbo_large", "pso_100", "pso_500", "optuna_hyperband", "random",
+    "least_squares",
+)  # fmt: skip
+DEUTERANOPIA = [[0.367, 0.861, -0.228], [0.280, 0.673, 0.047], [-0.012, 0.043, 0.969]]
+"""Machado, Oliveira and Fernandes (2009), severity 1, on linear RGB."""
+
+
+def lab(color: str, seen: list[list[float]]) -> NDArray[np.float64]:
+    """CIE L*a*b* of a colour (D65), as it is seen through a matrix on linear RGB."""
+    rgb = np.array(to_rgb(color))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    xyz = np.array(to_xyz) @ np.clip(np.array(seen) @ linear, 0, 1) / [0.9505, 1.0, 1.089]
+    x, y, z = np.where(xyz > 216 / 24389, np.cbrt(xyz), xyz * 841 / 108 + 4 / 29)
+    return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
+
+
+@pytest.mark.parametrize("seen", [np.eye(3).tolist(), DEUTERANOPIA], ids=["all", "deuteranopia"])
+def test_nine_methods_have_nine_hues_that_can_be_told_apart(seen: list[list[float]]) -> None:
+    """Some 2 units of L*a*b* are just noticed side by side; lines apart need several times that."""
+    styles = distinct(FULL_COMPARISON).values()
+    assert len({style.color for style in styles}) == 9
+    colors = [lab(style.color, seen) for style in styles]
+    gaps = [float(np.linalg.norm(a - b)) for a, b in combinations(colors, 2)]
+    assert min(gaps) > 15
+
+
+def test_more_methods_than_hues_keep_their_dashes() -> None:
+    looks = [(s.color, s.dashes) for s in distinct([f"miho R={R}" for R in range(14)]).values()]
+    assert len(set(looks)) > 11
 
 
 def test_fig6_of_disturbed_runs_is_whole_and_says_whose_seconds_it_shows() -> None:

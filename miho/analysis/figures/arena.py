@@ -35,8 +35,8 @@ from miho.analysis.timing import Clock
 COLUMNS = 4
 GAP_FLOOR = 1e-6
 GAP_CEILING = 1e3
-"""Range of the relative gap that is drawn: below it sums of the loss differ between methods, above
-it a curve says only that it has not begun."""
+"""Widest range of the relative gap that is drawn: below it sums of the loss differ between methods,
+above it a curve says only that it has not begun."""
 QUANTILES = (0.1, 0.5, 0.9)
 
 
@@ -72,6 +72,8 @@ def error_curves(
             plot_gap(of_problem, curves[curves["problem"] == problem], axis, ax, best, grid, styles)
             title = textwrap.fill(f"{problem} *" if problem in starred else problem, 27)
             ax.set_title(title, loc="left", fontsize=8)
+        low, high = panels[0].get_ylim()  # of the curves in all panels
+        panels[0].set_ylim(low, min(high, GAP_CEILING))
         for ax in panels[len(problems) :]:
             ax.remove()
         for ax in panels[len(problems) - columns : len(problems)]:
@@ -116,7 +118,6 @@ def plot_gap(
         if style != style.muted:
             ax.fill_between(grid, low, high, color=style.color, alpha=0.15, linewidth=0)
     ax.set(xscale="log", yscale="log", xlim=(grid[0], grid[-1]))
-    ax.set_ylim(GAP_FLOOR / 2, GAP_CEILING)
     _powers_of_ten(ax.xaxis)
     _powers_of_ten(ax.yaxis)
     return ax

@@ -23,6 +23,8 @@ from miho.analysis.timing import Clock
 from miho.study import write_bytes
 
 WIDTH = 180 / 25.4
+NARROW = 140 / 25.4
+"""Width in inches of a figure that a phone shows large enough to read."""
 CAPTION_WIDTH = 110  # characters of 8 pt text that fit into WIDTH
 TIME_LABEL_WIDTH = 44  # characters of 9 pt text below a panel of half WIDTH
 AXIS_LABELS = {
@@ -84,9 +86,11 @@ def time_label(clock: Clock) -> str:
     return f"{AXIS_LABELS[clock.axis]}\n{reason}"
 
 
-def caption(figure: Figure, *parts: str) -> None:
+def caption(figure: Figure, *parts: str, width: float = WIDTH) -> None:
     """Small print below the panels: the parts that are not empty, in as many lines as needed."""
-    lines = textwrap.fill("; ".join(part for part in parts if part), CAPTION_WIDTH)
+    characters = int(CAPTION_WIDTH * width / WIDTH)
+    text = "; ".join(part for part in parts if part).replace(" = ", "\u00a0=\u00a0")
+    lines = textwrap.fill(text, characters).replace("\u00a0", " ")
     if lines:
         figure.supxlabel(lines, fontsize=8, color="#444444", x=0.01, ha="left")
 
@@ -136,6 +140,7 @@ def draw_end_labels(ax: Axes, labels: Sequence[EndLabel], size: float = 8.0) -> 
             color=label.style.color,
             fontsize=size,
             verticalalignment="center_baseline",
+            parse_math=False,  # a setting may hold what reads as a formula
         )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -13,9 +14,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
+from miho.analysis.compare.size import Methods, chosen
 from miho.analysis.curves import Array, Axis, log_grid, on_grid, summary
 from miho.analysis.figures.house import (
     AXIS_LABELS,
+    NARROW,
     WIDTH,
     EndLabel,
     caption,
@@ -23,10 +26,11 @@ from miho.analysis.figures.house import (
     house_style,
     time_label,
 )
-from miho.analysis.styles import styles_of
+from miho.analysis.styles import MethodStyle, distinct, styles_of
 from miho.analysis.text import number
 from miho.analysis.tidy import one_problem, shown_unit
 from miho.analysis.timing import clock_of
+from miho.analysis.variants import named_apart
 
 Points = tuple[NDArray[np.float64], NDArray[np.float64]]
 TIRE_NAMES = {"LF": "left front", "RF": "right front", "LR": "left rear", "RR": "right rear"}
@@ -108,54 +112,68 @@ def _legend_below(ax: Axes) -> None:
     )
 
 
-def fig6(runs: pd.DataFrame, curves: pd.DataFrame, *, note: str = "") -> Figure:
-    """Fig. 6: mean error over time, and over evaluations, which no machine changes.
+def fig6(
+    runs: pd.DataFrame,
+    curves: pd.DataFrame,
+    *,
+    methods: Methods | None = None,
+    note: str = "",
+) -> Figure:
+    """Fig. 6: mean error over time, and below it over evaluations, which no machine changes.
 
     Time is that of the wall clock, or the processor's where other work disturbed the runs, as
-    `timing.clock_of` decides for the whole figure; the axis says which.
+    `timing.clock_of` decides for the whole figure; the axis says which. The mean final error of
+    each method stands beside it in its colour; "-" where a run saw nothing finite, which leaves the
+    mean undefined. The grey band is the interval of the estimated irreducible error.
 
-    The mean final error of each method stands at the right in its colour; "-" where a run saw
-    nothing finite, which leaves the mean undefined. The grey band is the interval
-    of the estimated irreducible error.
-    `note` is printed small below: sizes, repetitions, budget.
+    Parameters
+    ----------
+    runs, curves : DataFrame
+        As of `miho.load_runs`, of one problem. Runs of one method with different settings are drawn
+        as as many methods, such as `MIHO R=300`.
+    methods : "paper" or collection of str, optional
+        The paper's five methods and Optuna's Hyperband, or some by name; by default all.
+    note : str
+        Printed small below: sizes, repetitions, budget; by default nothing.
+
+    Returns
+    -------
+    Figure
+        Two panels, 140 mm wide.
+
+    Raises
+    ------
+    ValueError
+        Where runs are of several problems or units, or there are none of a method.
     """
     runs, curves = one_problem(runs, curves)
+    if methods is not None:
+        runs = runs[runs["optimizer"].isin(chosen(list(runs["optimizer"].unique()), methods))]
+        curves = curves[curves["id"].isin(runs["id"])]
     unit = str(runs["unit"].iloc[0])
     shown_in, factor = shown_unit(unit)
-    # The irreducible error, and the clock that all runs may be compared on.
-    low, high = (float(runs[f"irreducible_{end}"].mean()) for end in ("low", "high"))
+    # The irreducible error, the clock that all runs may be compared on, and a hue for each method.
+    low, high = float(runs["irreducible_low"].min()), float(runs["irreducible_high"].max())
     irreducible = (low, high) if np.isfinite(low) else None
-    clock = clock_of(runs)
+    clock, styles = clock_of(runs), distinct(runs["optimizer"])
+    band = f"grey: irreducible error, {low * factor:.2f} to {high * factor:.2f} {shown_in}"
+    plot = partial(plot_error_over, unit=unit, irreducible=irreducible, styles=styles)
     with house_style():
-        figure = Figure(figsize=(WIDTH, 3.3), layout="constrained")
-        left, right = figure.subplots(1, 2, sharey=True)
-        # Left over time, of the runs that count there; right over evaluations, of all.
+        figure = Figure(figsize=(NARROW, 6.1), layout="constrained")
+        above, below = figure.subplots(2, 1, sharey=True, height_ratios=[1.15, 1])
+        # Above over time, of the runs that count there; below over evaluations, of all.
         timed = curves[curves["id"].isin(clock.runs["id"])]
-        plot_error_over(timed, clock.axis, left, unit=unit, irreducible=irreducible)
-        left.set_xlabel(time_label(clock))
-        plot_error_over(curves, "evaluations", right, unit=unit, irreducible=irreducible)
-        right.set_ylabel("")
+        plot(timed, clock.axis, above)
+        above.set_xlabel(time_label(clock))
+        plot(curves, "evaluations", below)
         wall = clock.axis == "seconds"
-        left.set_title("as in the paper: over time" if wall else "over CPU time", loc="left")
-        right.set_title("the same over evaluations", loc="left")
-        _plain_log_ticks(left)
-        caption(
-            figure,
-            "lines: mean over repetitions, bands: 10 to 90 %",
-            clock.note if wall else "",
-            note,
-        )
-        if irreducible is not None:
-            left.annotate(
-                f"irreducible: {low * factor:.2f} to {high * factor:.2f} {shown_in}",
-                (0.02, high * factor),
-                xycoords=("axes fraction", "data"),
-                xytext=(0, 2),
-                textcoords="offset points",
-                fontsize=8,
-                verticalalignment="bottom",
-            )
-        draw_end_labels(right, _final_labels(runs, factor))
+        above.set_title("as in the paper: over time" if wall else "over CPU time", loc="left")
+        below.set_title("the same over evaluations", loc="left")
+        _plain_log_ticks(above)
+        lines = "lines: mean over repetitions, bands: 10 to 90 %"
+        disturbed = clock.note if wall else ""
+        caption(figure, lines, band if irreducible else "", disturbed, note, width=NARROW)
+        draw_end_labels(above, _final_labels(runs, factor, styles), size=9)
     return figure
 
 
@@ -167,19 +185,23 @@ def plot_error_over(
     unit: str = "N",
     irreducible: tuple[float, float] | None = None,
     grid: Array | None = None,
+    styles: Mapping[str, MethodStyle] | None = None,
 ) -> Axes:
     """Mean error of each method over the axis, with a band from the 10 % to the 90 % quantile.
 
     Both scales are logarithmic. Beyond the last row of a method's runs the line goes on thin:
     the answer is kept, nothing runs. `irreducible` is the interval that holds the
     error no method undercuts, a grey band. `unit` is that of `curves` and `irreducible`; forces are
-    drawn in kN. Runs without rows are unknown here: see `tidy.with_silent_runs`.
+    drawn in kN. Runs without rows are unknown here: see `tidy.with_silent_runs`. `styles` are by
+    default the fixed ones of all methods.
     """
+    curves = named_apart(curves, of_problem=())
     grid = log_grid(curves, axis) if grid is None else grid
     shown_in, factor = shown_unit(unit)
     means = summary(on_grid(curves, axis, grid), axis)
     ends = curves.groupby("optimizer")[axis].max()
-    for order, (method, style) in enumerate(styles_of(means["optimizer"]).items()):
+    looks = styles_of(means["optimizer"]) if styles is None else styles
+    for order, (method, style) in enumerate(looks.items()):
         rows = means[means["optimizer"] == method]
         at = rows[axis].to_numpy(dtype=float)
         mean, low, high = (rows[c].to_numpy(dtype=float) * factor for c in ("mean", "low", "high"))
@@ -197,10 +219,12 @@ def plot_error_over(
     return ax
 
 
-def _final_labels(runs: pd.DataFrame, factor: float) -> list[EndLabel]:
+def _final_labels(
+    runs: pd.DataFrame, factor: float, styles: Mapping[str, MethodStyle]
+) -> list[EndLabel]:
     """Mean final error per method; NaN if a run saw nothing finite."""
     labels = []
-    for method, style in styles_of(runs["optimizer"]).items():
+    for method, style in styles.items():
         errors = runs.loc[runs["optimizer"] == method, "error"].to_numpy(dtype=float) * factor
         final = float(errors.mean()) if np.isfinite(errors).all() else float("nan")
         printed = f"{final:.2f}" if final < 10 else number(final)
