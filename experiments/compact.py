@@ -6,8 +6,8 @@ python -m experiments.compact runs/arena
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
+from experiments.app.arguments import root_folder
 from experiments.app.console import run_and_exit
 from miho.study.compaction import compact
 
@@ -20,7 +20,7 @@ def main() -> None:
         "faster. It is a cache: the runs stay as they are, runs that come later are read from "
         "their own files, and it can be removed or written again at any time.",
     )
-    parser.add_argument("root", type=Path, help="folder of runs")
+    parser.add_argument("root", type=root_folder, help="folder of runs")
     arguments = parser.parse_args()
 
     def job() -> None:

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
 
+from experiments.app.arguments import root_folder
 from experiments.app.console import OK, SOME_FAILED, run_and_exit
 from experiments.diagnosis.machine import Check, Severity, machine_checks
 from experiments.diagnosis.packages import package_checks
@@ -27,7 +28,9 @@ def diagnose(arguments: Sequence[str] | None = None) -> int:
         prog="python -m experiments.doctor",
         description="Check this machine, the installed packages and a folder of results.",
     )
-    parser.add_argument("root", type=Path, nargs="?", metavar="ROOT", help="a folder of runs")
+    parser.add_argument(
+        "root", type=root_folder, nargs="?", metavar="ROOT", help="a folder of runs"
+    )
     parser.add_argument(
         "--quarantine",
         action="store_true",

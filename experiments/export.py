@@ -14,6 +14,7 @@ import argparse
 import sys
 from pathlib import Path
 
+from experiments.app.arguments import root_folder
 from experiments.app.build import ConfigError
 from experiments.app.console import run_and_exit
 from miho.analysis.export import write_csv, write_ioh, write_parquet
@@ -30,7 +31,7 @@ def main() -> None:
         "format (errors over evaluations, a folder for each method), which IOHanalyzer and "
         "iohinspector read.",
     )
-    parser.add_argument("root", type=Path, help="folder of runs")
+    parser.add_argument("root", type=root_folder, help="folder of runs")
     parser.add_argument("folder", type=Path, nargs="?", help="the same as --output")
     parser.add_argument("--to", choices=sorted(WRITERS), default="ioh", help="format (ioh)")
     parser.add_argument(

@@ -1,8 +1,10 @@
 """Draw the paper's figures from the store.
 
-python -m experiments.figures fig6   # error over time, and the claims table (after `compare`)
+python -m experiments.figures fig6   # error over time, and the claims table, of the methods that
+                                     # a root holds runs of (by default after `compare`)
+python -m experiments.figures fig6 root=runs/identify methods=paper   # the paper's five and Optuna
 python -m experiments.figures fig4   # the four learned tires, and the front axle on a drive
-                                   # (after `identify` on each of the tires)
+                                     # (after `identify` on each of the tires)
 python -m experiments.figures arena  # leaderboard, tests and profiles (after experiment=arena)
 python -m experiments.figures fig4_right # the front axle over laps it was not learned from (after
                                          # `identify` with dataset=axle_log and dataset.end)
@@ -12,8 +14,10 @@ python -m experiments.figures fig5   # torque curves and engine map (after `iden
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
+from experiments.app.arguments import as_options
 from experiments.app.console import run_and_exit
 from experiments.app.drawing import (
     draw_arena,
@@ -23,12 +27,16 @@ from experiments.app.drawing import (
     draw_tires,
 )
 
+OPTIONS = ("root", "output", "optimizer", "methods", "problem")
+"""May be given as --root PATH and as root=PATH."""
+
 
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(
         prog="python -m experiments.figures",
-        description="Draw a figure of the paper from finished runs, as PNG and PDF.",
+        description="Draw a figure of the paper from finished runs, as PNG and PDF. Each option "
+        "may be written as an override is as well: root=PATH.",
     )
     parser.add_argument("name", choices=("fig4", "fig4_right", "fig5", "fig6", "arena"))
     parser.add_argument(
@@ -40,14 +48,23 @@ def main() -> None:
     parser.add_argument(
         "--optimizer", default="miho", help="of fig4, fig4_right, fig5 (default: miho)"
     )
-    arguments = parser.parse_args()
+    parser.add_argument(
+        "--methods", metavar="NAME,NAME", help="of fig6: paper, or some of those of the root (all)"
+    )
+    parser.add_argument("--problem", help="of fig6, where the root holds runs on several")
+    arguments = parser.parse_args(as_options(sys.argv[1:], OPTIONS))
     usual = {"fig6": "compare", "arena": "arena"}.get(arguments.name, "identify")
     root = arguments.root or Path("runs", usual)
     output = arguments.output or root / "figures"
+    methods = arguments.methods
+    if methods not in (None, "paper"):
+        methods = methods.split(",")
 
     def job() -> None:
-        if arguments.name in ("fig6", "arena"):
-            paths = {"fig6": draw_comparison, "arena": draw_arena}[arguments.name](root, output)
+        if arguments.name == "fig6":
+            paths = draw_comparison(root, output, methods=methods, problem=arguments.problem)
+        elif arguments.name == "arena":
+            paths = draw_arena(root, output)
         else:
             draw = {"fig4": draw_tires, "fig4_right": draw_axle, "fig5": draw_engine}
             paths = draw[arguments.name](root, output, arguments.optimizer)

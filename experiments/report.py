@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from experiments.app.arguments import root_folder
 from experiments.app.console import OK, SOME_FAILED, run_and_exit
 from experiments.app.next_measurement import check_candidates
 from experiments.app.optimum import CHECK_SECONDS, LEAST_SECONDS
@@ -29,7 +30,7 @@ def main() -> int:
         prog="python -m experiments.report",
         description="Intervals, identifiability and validation of finished runs.",
     )
-    parser.add_argument("path", type=Path, help="a run's folder, or a root: its best runs")
+    parser.add_argument("path", type=root_folder, help="a run's folder, or a root: its best runs")
     parser.add_argument("--bootstrap", type=int, default=0, metavar="N", help="replicates: 1000")
     parser.add_argument(
         "--profile", action=argparse.BooleanOptionalAction, default=None,
@@ -67,9 +68,8 @@ def main() -> int:
         parser.error("--seconds and --check must be above 0")
     if (arguments.candidates is None) != (arguments.rows is None):
         parser.error("--next needs --rows, how many of the candidates to choose, and they need it")
-    path = arguments.path
     options = Options(**{name: value for name, value in vars(arguments).items() if name != "path"})
-    if (path / "result.json").is_file():
+    if ((path := arguments.path) / "result.json").is_file():
         if arguments.quick:
             parser.error("--quick is for a root of runs; this is the folder of one run")
         if arguments.rows is not None:

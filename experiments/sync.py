@@ -20,6 +20,7 @@ from collections import Counter
 from importlib.metadata import version
 from pathlib import Path
 
+from experiments.app.arguments import root_folder
 from experiments.app.console import OK, SOME_FAILED, run_and_exit
 from experiments.app.mirror import sync
 from experiments.app.mlflow_tracker import as_tracker_error, connect
@@ -32,7 +33,7 @@ def main() -> int:
         prog="python -m experiments.sync",
         description="Mirror finished runs into MLflow. What is there and equal is left as it is.",
     )
-    parser.add_argument("root", type=Path, help="folder of runs")
+    parser.add_argument("root", type=root_folder, help="folder of runs")
     parser.add_argument("--uri", help="of the tracker; by default SQLite below ROOT/.mlflow")
     parser.add_argument("--experiment", help="its name there; by default that of the root")
     arguments = parser.parse_args()

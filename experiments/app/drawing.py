@@ -4,26 +4,30 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from experiments.app.build import ConfigError, build_dataset, rebuild
-from experiments.app.configured import as_configured, differences
+from experiments.app.configured import as_configured
 from experiments.app.front_axle import FrontAxle, facts, verdict
 from miho.analysis import claims_table, fig4, fig5, fig6, results_table, save
 from miho.analysis.arena_results import ArenaResults, TooFewError, write_arena
-from miho.analysis.compare.claims import MIHO, is_on_a_tire
+from miho.analysis.compare.claims import is_on_a_tire
 from miho.analysis.compare.comparison import Comparison, write_origin, write_tables
+from miho.analysis.compare.size import Methods, chosen
 from miho.analysis.figures.paper import AxleCurve, fig4_right
 from miho.analysis.timing import clock_of
+from miho.analysis.variants import named_apart
 from miho.data import Dataset
 from miho.driving.assembly.engine import DATASETS, engine_of, fig5_data
 from miho.models import Axle
 from miho.study import StoredRun, load_runs, read_run
+from miho.study.manifest import missing_runs, sweep_overrides
 from miho.study.provenance import IDENTITY, command_line, write_provenance
 
 TIRES = ("lf", "rf", "lr", "rr")
@@ -37,12 +41,13 @@ CAPTIONS = {
 
 
 def read_comparison(root: Path) -> Comparison:
-    """The last comparison below `root`; raises ConfigError if it is not there or not whole."""
+    """The last arena below `root`; raises ConfigError if it is not there or not whole."""
     stored = load_runs(root)
     comparison = Comparison.of(stored.runs, stored.curves, root)
     if comparison is None:
         raise ConfigError(
-            f"{root}: holds no comparison; run python -m experiments.compare root={root} first"
+            f"{root}: holds no arena; run python -m experiments.compare experiment=arena_small "
+            f"root={root} first"
         )
     if comparison.missing:
         raise ConfigError(
@@ -66,23 +71,83 @@ def draw_arena(root: Path, output: Path) -> list[Path]:
     return paths
 
 
-def draw_comparison(root: Path, output: Path) -> list[Path]:
+def draw_comparison(
+    root: Path,
+    output: Path,
+    *,
+    methods: Methods | None = None,
+    problem: str | None = None,
+    ids: Collection[str] | None = None,
+    command: Sequence[str] = (),
+) -> list[Path]:
     """Fig. 6, the results table, the table of the paper's claims, and their provenance.
 
-    The claims are about MIHO on a tire: without either there is no table of them.
+    Drawn are the runs on the one problem of a root, or on `problem`: those with these `ids`, of
+    these `methods`, by default all. `command` are the words that made them, by default those of the
+    root's sweeps. The claims are about MIHO on a tire: without either there is no table of them.
     """
-    comparison = read_comparison(root)
-    runs, curves, note = comparison.runs, comparison.curves, comparison.note
+    if message := missing_runs(root):
+        print(message, file=sys.stderr)
+    runs, curves = compared(root, methods, problem, ids)
+    comparison = Comparison.of_stored(runs, curves, command or _made_by(root))
+    runs, note = comparison.runs, comparison.note
     paths = save(fig6(runs, curves, note=note), output / "fig6")
     tables = {"results": results_table(runs, curves)}
     if is_on_a_tire(runs):
-        tables["claims"] = claims_table(runs, curves, MIHO, differences=differences(runs))
+        tables["claims"] = claims_table(runs, curves)
     texts, table_paths = write_tables(comparison, tables, CAPTIONS, output)
     print("\n".join(texts))
-    command = " ".join(word for word in comparison.command if not word.startswith("fresh="))
-    if advice := clock_of(runs).advice(command):
+    if advice := clock_of(runs).advice(" ".join(comparison.command)):
         print(advice, file=sys.stderr)
     return [*paths, *table_paths, write_origin(comparison, output)]
+
+
+def compared(
+    root: Path,
+    methods: Methods | None = None,
+    problem: str | None = None,
+    ids: Collection[str] | None = None,
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The runs and curves of a root that one figure compares, as of `draw_comparison`.
+
+    Raises ConfigError where they are not of one problem, or of one method only.
+    """
+    stored = load_runs(root)
+    runs = stored.runs if ids is None else stored.runs[stored.runs["id"].isin(ids)]
+    problems = sorted(map(str, runs["problem"].unique()))
+    if problem is not None and problem not in problems:
+        raise ConfigError(f"problem: is {problem}, of which {root} has no runs; {_of(problems)}")
+    if problem is None and len(problems) != 1:
+        choose = f"add problem=NAME, {_of(problems)}" if problems else "run something first"
+        raise ConfigError(f"{root}: holds runs on {len(problems)} problems; {choose}")
+    runs = runs[runs["problem"] == (problem or problems[0])]
+    if methods is not None:
+        present = sorted(map(str, runs["optimizer"].unique()))
+        try:
+            runs = runs[runs["optimizer"].isin(chosen(present, methods))]
+        except ValueError as error:
+            raise ConfigError(f"{root}: {error}") from None
+    names = named_apart(runs, of_problem=())["optimizer"].unique()
+    if len(names) < 2:
+        raise ConfigError(
+            f"{root}: holds runs of {', '.join(names)} alone; a comparison needs a second method "
+            f"or setting, such as python -m experiments.identify -m optimizer=... root={root}"
+        )
+    curves = stored.curves
+    return runs, curves[curves["id"].isin(runs["id"])]
+
+
+def _of(names: Sequence[str]) -> str:
+    return f"expected one of {', '.join(names)}"
+
+
+def _made_by(root: Path) -> list[str]:
+    """The commands that made the runs of a root, or if no sweep did, the one that draws them."""
+    sweeps = [
+        ["python -m experiments.identify -m", *(w for w in words if not w.startswith("fresh="))]
+        for words in sweep_overrides(root)
+    ]
+    return [" && ".join(map(" ".join, sweeps)) or command_line("experiments.figures")]
 
 
 def draw_tires(root: Path, output: Path, optimizer: str) -> list[Path]:

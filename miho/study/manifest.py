@@ -9,13 +9,14 @@ of runs that differ in seed and one setting repeat nothing else.
 
 from __future__ import annotations
 
+import contextlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from miho.study.files import CURVE, RESULT, write_text
+from miho.study.files import CURVE, LARGEST, MALFORMED, RESULT, decoded, read_bytes, write_text
 from miho.study.identity import Identity, canonical, sha256
 from miho.study.places import inside
 from miho.study.store import SUPERSEDED
@@ -39,6 +40,17 @@ def write_manifest(root: Path, overrides: Sequence[str], runs: Mapping[str, Iden
         entries[words] = {"place": place, "config": numbers[id(identity.config)]}
     about = {"parts": parts.values, "configs": configs.values, "runs": entries}
     write_text(path, canonical({"overrides": list(overrides), **about}) + "\n")
+
+
+def sweep_overrides(root: Path) -> list[list[str]]:
+    """The overrides of each sweep that wrote into a root, the sweep that was called first first."""
+    paths = sorted((root / MANIFESTS).glob("*.json"), key=lambda path: path.stat().st_mtime_ns)
+    sweeps = []
+    for path in paths:
+        with contextlib.suppress(OSError, *MALFORMED):
+            about = decoded(read_bytes(str(path), LARGEST))
+            sweeps.append([str(word) for word in about["overrides"]])
+    return sweeps
 
 
 def first_names(names: Sequence[str]) -> str:

@@ -1,0 +1,105 @@
+"""Figures of any root: `root=` and `--root`, one problem, two methods or settings or more."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from experiments import figures
+from experiments.app.arguments import as_options, root_folder
+from experiments.app.build import ConfigError, build
+from experiments.app.compose import composed
+from experiments.app.drawing import compared
+from experiments.app.execution import execution_of
+from experiments.app.schema import register
+from miho.optim import Budget, RandomSearch, minimize
+from miho.study import Identity, Store
+from miho.study.manifest import sweep_overrides, write_manifest
+from miho.testing import DecayFit
+
+register()
+TIRE = ("dataset=tire_lf", "dataset.n=60", "budget.evaluations=60")
+
+
+def run(root: Path, *overrides: str) -> Identity:
+    """One small run, stored."""
+    experiment = build(composed([*TIRE, *overrides, f"root={root}"]))
+    assert execution_of(experiment).run is not None
+    return experiment.identity
+
+
+def draw(monkeypatch: pytest.MonkeyPatch, *words: object) -> int | str | None:
+    monkeypatch.setattr(sys, "argv", ["figures", "fig6", *map(str, words)])
+    with pytest.raises(SystemExit) as end:
+        figures.main()
+    return end.value.code
+
+
+@pytest.mark.slow
+def test_fig6_of_a_root_that_no_comparison_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "runs"
+    overrides = ["optimizer=miho,random", "optimizer.R=30,60"]
+    runs = [
+        run(root, "optimizer=miho", "optimizer.R=30"),
+        run(root, "optimizer=miho", "optimizer.R=60"),
+        run(root, "optimizer=random"),
+    ]
+    write_manifest(root, overrides, {str(number): r for number, r in enumerate(runs)})
+    assert draw(monkeypatch, f"root={root}") == 0
+    out = capsys.readouterr().out
+    for words in ("miho R=30", "miho R=60", "not judged: rows = 60", "at most 60 evaluations"):
+        assert words in out, words
+    about = json.loads((root / "figures" / "provenance.json").read_text())
+    assert about["command"] == f"python -m experiments.identify -m {' '.join(overrides)}"
+    elsewhere = tmp_path / "elsewhere"
+    assert draw(monkeypatch, "--root", root, "methods=paper", f"output={elsewhere}") == 0
+    assert "random" not in (elsewhere / "results.csv").read_text()
+    assert draw(monkeypatch, f"root={root}", "methods=random,gone") == 2
+    assert "no runs of gone; expected paper or some of miho, random" in capsys.readouterr().err
+
+
+def commit(root: Path, optimizer: str, problem: str = "decay") -> None:
+    """A run that is stored without a configuration."""
+    identity = Identity(problem, optimizer, 0, {}, code="c0de", data="da7a")
+    record = minimize(RandomSearch(), DecayFit(), Budget(evaluations=5), 0)
+    store = Store(root)
+    with store.claim(identity):
+        store.commit(identity, record, DecayFit.space, {}, {"unit": "V"})
+
+
+def test_what_cannot_be_compared_is_said(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="holds runs on 0 problems; run something first"):
+        compared(tmp_path)
+    commit(tmp_path, "random")
+    with pytest.raises(ConfigError, match="holds runs of random alone; a comparison needs a sec"):
+        compared(tmp_path)
+    commit(tmp_path, "pso_100")
+    runs, curves = compared(tmp_path)
+    assert set(runs["id"]) == set(curves["id"])
+    assert len(compared(tmp_path, ids=list(runs["id"]))[0]) == 2
+    with pytest.raises(ConfigError, match="no runs of gone; expected paper or some of pso_100, r"):
+        compared(tmp_path, methods=["random", "gone"])
+    commit(tmp_path, "random", "growth")
+    with pytest.raises(ConfigError, match="2 problems; add problem=NAME, expected one of decay, g"):
+        compared(tmp_path)
+    assert len(compared(tmp_path, problem="decay")[0]) == 2
+    with pytest.raises(ConfigError, match=r"problem: is x, of which .* has no runs; expected one"):
+        compared(tmp_path, problem="x")
+
+
+def test_options_may_be_written_as_overrides_are() -> None:
+    words = ["fig6", "root=a=b", "--output", "c", "other=d"]
+    assert as_options(words, ("root",)) == ["fig6", "--root=a=b", "--output", "c", "other=d"]
+    assert root_folder("root=runs/x") == root_folder("runs/x") == Path("runs/x")
+
+
+def test_the_sweeps_of_a_root_are_known_by_their_overrides(tmp_path: Path) -> None:
+    assert sweep_overrides(tmp_path) == []
+    write_manifest(tmp_path, ["optimizer=miho", "seed=0,1"], {})
+    (tmp_path / ".sweeps" / "broken.json").write_text("{")
+    assert sweep_overrides(tmp_path) == [["optimizer=miho", "seed=0,1"]]
