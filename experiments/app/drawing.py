@@ -89,7 +89,7 @@ def draw_comparison(
     if message := missing_runs(root):
         print(message, file=sys.stderr)
     runs, curves = compared(root, methods, problem, ids)
-    comparison = Comparison.of_stored(runs, curves, command or _made_by(root))
+    comparison = Comparison.of_stored(runs, curves, command or _made_by(root, runs))
     runs, note = comparison.runs, comparison.note
     paths = save(fig6(runs, curves, note=note), output / "fig6")
     tables = {"results": results_table(runs, curves)}
@@ -141,8 +141,14 @@ def _of(names: Sequence[str]) -> str:
     return f"expected one of {', '.join(names)}"
 
 
-def _made_by(root: Path) -> list[str]:
-    """The commands that made the runs of a root, or if no sweep did, the one that draws them."""
+def _made_by(root: Path, runs: pd.DataFrame) -> Sequence[str]:
+    """What made these runs: a comparison of just them, the sweeps of the root, or else nothing.
+
+    Where nothing is known of that, the command that draws them.
+    """
+    declared = Comparison.of(runs, runs, root)
+    if declared is not None and len(declared.runs) == len(runs):
+        return declared.command
     sweeps = [
         ["python -m experiments.identify -m", *(w for w in words if not w.startswith("fresh="))]
         for words in sweep_overrides(root)
