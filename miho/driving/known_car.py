@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from miho.driving.error_estimator import ErrorEstimator
 from miho.driving.grip import LOADS, Grip
 from miho.driving.load_transfer import LoadTransfer
 from miho.driving.loaded_axle import LoadedAxle
@@ -18,6 +19,7 @@ from miho.driving.path_tracking import (
     Weights,
 )
 from miho.driving.plant_parameters import Tires
+from miho.driving.sensors import Sensors
 from miho.driving.speed_control import SpeedController, SpeedSettings
 from miho.driving.steering_control import AxleSlip, SteeringController
 from miho.driving.vehicle import Vehicle
@@ -93,8 +95,13 @@ class KnownCar:
         settings = SpeedSettings() if settings is None else settings
         return SpeedController(self.vehicle, self.engine, self.brake, settings)
 
-    def steering_controller(self, weights: Weights, period: float = 0.01) -> SteeringController:
-        """The path tracker, with a command every `period` [s]."""
+    def steering_controller(
+        self, weights: Weights, period: float = 0.01, noise: Sensors | None = None
+    ) -> SteeringController:
+        """The path tracker, with a command every `period` [s].
+
+        noise: of the sensors that it expects, by default that of `Sensors`.
+        """
         car = self.vehicle
         axles = [self.axles(float(vx)) for vx in SPEEDS]
         lateral = LateralModel(
@@ -107,11 +114,14 @@ class KnownCar:
         sampled = SampledModel(model=lateral, steering=actuator, period=period)
         front, rear = self.loaded_axles
         loads = static_loads(car)
+        schedule = GainSchedule.of(sampled, weights)
+        noise = Sensors() if noise is None else noise
         return SteeringController(
             car,
-            GainSchedule.of(sampled, weights),
+            schedule,
             _axle_slip(front, loads[:2]),
             _axle_slip(rear, loads[2:]),
+            ErrorEstimator.of(sampled, noise, schedule.speeds),
         )
 
 

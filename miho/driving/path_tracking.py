@@ -188,12 +188,17 @@ class GainSchedule:
 
     def at(self, vx: float) -> Array:
         """K (5 + d,) at a speed [m/s]."""
-        right = min(max(int(np.searchsorted(self.speeds, vx)), 1), self.speeds.size - 1)
-        low, high = self.speeds[right - 1], self.speeds[right]
-        part = min(max((vx - low) / (high - low), 0.0), 1.0)
-        return np.asarray((1 - part) * self.K[right - 1] + part * self.K[right])
+        return between(self.speeds, self.K, vx)
 
     def radius(self, vx: float) -> float:
         """Largest modulus of the closed loop's poles at a speed [m/s]: below 1 it is stable."""
         F, G = self.sampled.matrices(vx)
         return float(np.abs(np.linalg.eigvals(F - np.outer(G, self.at(vx)))).max())
+
+
+def between(speeds: Array, values: Array, vx: float) -> Array:
+    """Values (k, ...) at rising speeds (k,) [m/s], at a speed: linear between, held beyond."""
+    right = min(max(int(np.searchsorted(speeds, vx)), 1), speeds.size - 1)
+    low, high = speeds[right - 1], speeds[right]
+    part = min(max((vx - low) / (high - low), 0.0), 1.0)
+    return np.asarray((1 - part) * values[right - 1] + part * values[right])

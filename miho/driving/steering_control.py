@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from miho.driving.error_estimator import ErrorEstimator
 from miho.driving.friction import demand
 from miho.driving.path_tracking import SLOWEST, GainSchedule
 from miho.driving.track import Projection, Track
@@ -67,9 +68,16 @@ class FeedForward(NamedTuple):
 
 
 class SteeringState(NamedTuple):
-    """The feedback parts of the last commands [rad], the newest first, (d,)."""
+    """What the controller remembers.
+
+    past: the feedback parts of the last commands [rad], the newest first, (d,); sent: the whole
+    commands likewise, at least one; expected: errors and steering at the next measurement, (5,), as
+    `ErrorEstimator` has them. sent is empty and expected is None before the first command.
+    """
 
     past: tuple[float, ...]
+    sent: tuple[float, ...] = ()
+    expected: Array | None = None
 
 
 class TrackingError(NamedTuple):
@@ -85,15 +93,18 @@ class TrackingError(NamedTuple):
 class SteeringController:
     """u = u_ff - K (z - z_ff) on a line, with the state z of `SampledModel`.
 
-    u_ff is the angle of the steady turn where the car will be once delay and lag have passed; the
-    axles' curves give the slip that it takes, on a bank less the part of the turn that weight
-    does. Below 3 m/s there is no slip to speak of, and the path is followed by geometry alone.
+    z_ff is the steady turn where the car is, and u_ff the angle of the one where it will be once
+    delay and lag have passed; the axles' curves give the slip that it takes, on a bank less the
+    part of the turn that weight does. The errors and the steering in z are estimates where there
+    is an estimator, else as measured. The command never turns faster than the rack. Below 3 m/s
+    there is no slip to speak of, and the path is followed by geometry alone.
     """
 
     vehicle: Vehicle
     schedule: GainSchedule
     front: AxleSlip
     rear: AxleSlip
+    estimator: ErrorEstimator | None = None
 
     @property
     def initial(self) -> SteeringState:
@@ -125,32 +136,48 @@ class SteeringController:
         at: where the car is on the line; vx [m/s]; steering: measured angle of the wheels [rad].
         """
         if vx < SLOWEST:
-            return self._by_geometry(line, at, error), _remember(state, 0.0)
+            u = self._reachable(state, self._by_geometry(line, at, error))
+            return u, _remember(state, 0.0, u, None)
         actuator = self.schedule.sampled.steering
         point = line.at(at.s)
         ahead = line.at(at.s + vx * (actuator.delay + actuator.lag))
         now = self.feed_forward(vx, float(point.curvature), float(point.bank))
         later = self.feed_forward(vx, float(ahead.curvature), float(ahead.bank))
-        z = np.array([*error, steering - now.steering, *state.past])
-        z[2] += now.slip  # a car that slips outward points into the turn
-        feedback = -float(self.schedule.at(vx) @ z)
-        u = later.steering + feedback
+        # A car that slips outward points into the turn.
+        steady = np.array([0.0, 0.0, -now.slip, 0.0, now.steering])
+        x = np.array([*error, steering]) - steady
+        if self.estimator is not None and state.expected is not None:
+            x = self.estimator.correct(state.expected - steady, x, vx)
+        feedback = -float(self.schedule.at(vx) @ np.array([*x, *state.past]))
+        u = self._reachable(state, later.steering + feedback)
+        expected = None
+        if self.estimator is not None:
+            arriving = (u, *state.sent)[: len(state.past) + 1][-1]
+            expected = steady + self.estimator.predict(x, arriving - now.steering, vx)
+        return u, _remember(state, u - later.steering, u, expected)
+
+    def _reachable(self, state: SteeringState, u: float) -> float:
+        """The command [rad] nearest to u that the rack reaches from the last one in a period."""
         largest = self.vehicle.steering_max
-        u = min(max(u, -largest), largest)
-        return u, _remember(state, u - later.steering)
+        if state.sent:
+            turn = self.vehicle.steering_rate * self.schedule.sampled.period
+            u = min(max(u, state.sent[0] - turn), state.sent[0] + turn)
+        return min(max(u, -largest), largest)
 
     def _by_geometry(self, line: Track, at: Projection, error: TrackingError) -> float:
         """The angle of an arc through the path 6 m ahead (pure pursuit)."""
         reach = 6.0
         bend = float(line.at(at.s + reach / 2).curvature)
         arc = bend - 2 * (error.e_y + reach * error.e_psi) / reach**2
-        largest = self.vehicle.steering_max
-        return min(max(math.atan(self.vehicle.wheelbase * arc), -largest), largest)
+        return math.atan(self.vehicle.wheelbase * arc)
 
 
-def _remember(state: SteeringState, feedback: float) -> SteeringState:
-    """The state after one more command, of which the feedback part [rad] is remembered."""
-    return SteeringState((feedback, *state.past)[: len(state.past)])
+def _remember(
+    state: SteeringState, feedback: float, u: float, expected: Array | None
+) -> SteeringState:
+    """The state after one more command u [rad], of which a part is feedback."""
+    d = len(state.past)
+    return SteeringState((feedback, *state.past)[:d], (u, *state.sent)[: max(d, 1)], expected)
 
 
 def tracking_error(

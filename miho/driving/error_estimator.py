@@ -1,0 +1,77 @@
+"""Tracking errors from noisy sensors: a Kalman filter on the model of the path tracker."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_discrete_are
+
+from miho.driving.path_tracking import SampledModel, between
+from miho.driving.sensors import Sensors
+from miho.quantities import Array
+
+LATERAL, YAW, RACK = 3.0, 3.0, 0.1
+"""Standard deviations of what the linear model leaves out, white from one command to the next:
+lateral acceleration [m/s^2], yaw acceleration [rad/s^2] and rate of the rack [rad/s]. They are
+ours: of the size of the errors of the steady feed-forward in a swerve."""
+
+
+@dataclass(frozen=True, eq=False)
+class ErrorEstimator:
+    """Estimates x = [e_y, e_y', e_psi, e_psi', delta], each less its value in the steady turn.
+
+    x_next = F x + G u with F (k, 5, 5) and G (k, 5) of `SampledModel`, and the steady gains
+    L (k, 5, 5) of the Kalman filter whose measurements are all of x; at rising speeds (k,) [m/s],
+    linear between, held beyond. The filter is the corrected mode: the paper feeds Eq. 15 with the
+    errors as they are measured, whose noise of 0.2 degrees no steering rack follows.
+    """
+
+    speeds: Array
+    F: Array
+    G: Array
+    L: Array
+
+    @classmethod
+    def of(cls, sampled: SampledModel, noise: Sensors, speeds: Array) -> ErrorEstimator:
+        """The filter for sensors with this noise.
+
+        Parameters
+        ----------
+        sampled : SampledModel
+            Model of the errors and of the steering.
+        noise : Sensors
+            Standard deviations of position, yaw, vy, yaw rate and steering.
+        speeds : array (k,)
+            Rising speeds [m/s] at which the gains are computed.
+        """
+        d, period = sampled.delayed, sampled.period
+        W = np.diag([0.0, LATERAL, 0.0, YAW, RACK]) * period
+        rows = []
+        for vx in speeds:
+            F, G = sampled.matrices(float(vx))
+            acting = F[:5, 4 + d] if d else G[:5]
+            V = _measured(noise, float(vx))
+            P = solve_discrete_are(F[:5, :5].T, np.eye(5), W @ W, V)
+            rows.append((F[:5, :5], acting, P @ np.linalg.inv(P + V)))
+        return cls(np.asarray(speeds, dtype=float), *map(np.array, zip(*rows, strict=True)))
+
+    def correct(self, expected: Array, measured: Array, vx: float) -> Array:
+        """The estimate (5,) from the expected and the measured x at a speed [m/s]."""
+        return np.asarray(expected + between(self.speeds, self.L, vx) @ (measured - expected))
+
+    def predict(self, x: Array, u: float, vx: float) -> Array:
+        """x (5,) one period later. u [rad]: the command that reaches the rack, less the steering of
+        the steady turn."""
+        F, G = (between(self.speeds, values, vx) for values in (self.F, self.G))
+        return np.asarray(F @ x + G * u)
+
+
+def _measured(noise: Sensors, vx: float) -> Array:
+    """Covariance (5, 5) of a measurement of x: noise of the yaw is in e_y' and in e_psi."""
+    stds = (noise.position, noise.vy, noise.yaw, noise.yaw_rate, noise.steering)
+    V = np.diag(np.maximum(stds, 1e-6)) ** 2
+    yaw = noise.yaw**2
+    V[1, 1] += vx * vx * yaw
+    V[1, 2] = V[2, 1] = vx * yaw
+    return V
