@@ -30,21 +30,52 @@ NEEDED = ("x", "y", "yaw", "vx", "vy", "yaw_rate", "steering")
 """What must be known of the motion to drive."""
 
 
+class SlowZone(NamedTuple):
+    """A stretch from `start` to `end` [m] along the line, laps added up, with a top speed [m/s].
+
+    Behind slower traffic, for instance, or on the way to the pits.
+    """
+
+    start: float
+    end: float
+    top_speed: float
+
+
 @dataclass(frozen=True)
 class Pace:
-    """Top speeds [m/s] of the laps in turn, the last one for all further, reached by a ramp.
+    """Top speeds [m/s] of the laps in turn, the last one for all further, reached by ramps.
 
-    ramp [m/s^2]: rate of the desired speed on the way from one to the next.
+    slow: where a lower top speed stands. ramp, brake_ramp [m/s^2]: rates at which the desired speed
+    rises and falls on the way from one top speed to the next.
     """
 
     top_speeds: tuple[float, ...]
     ramp: float = 1.5
+    brake_ramp: float = 1.5
+    slow: tuple[SlowZone, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "top_speeds", tuple(self.top_speeds))
+        object.__setattr__(self, "slow", tuple(self.slow))
         if not self.top_speeds or not all(0 < v < math.inf for v in self.top_speeds):
             raise ValueError(f"top_speeds is {self.top_speeds}; expected speeds above 0 m/s")
         positive("ramp", self.ramp, "[m/s^2]")
+        positive("brake_ramp", self.brake_ramp, "[m/s^2]")
+        for zone in self.slow:
+            if not (0 <= zone.start < zone.end and 0 < zone.top_speed < math.inf):
+                raise ValueError(
+                    f"slow zone is {tuple(zone)}; expected a start [m] of at least 0, an end "
+                    "beyond it and a top speed above 0 m/s"
+                )
+
+    def top(self, laps: int, distance: float) -> float:
+        """The top speed [m/s] after so many laps, at a distance [m] with the laps added up."""
+        tops = [self.top_speeds[min(laps, len(self.top_speeds) - 1)]]
+        return min(tops + [z.top_speed for z in self.slow if z.start <= distance < z.end])
+
+    def step(self, cap: float, top: float, period: float) -> float:
+        """The change [m/s] of the desired speed `cap` towards a top speed in a period [s]."""
+        return min(max(top - cap, -self.brake_ramp * period), self.ramp * period)
 
 
 @dataclass(frozen=True)
@@ -199,12 +230,12 @@ class Driver:
 
     def _desired(self, state: DriverState) -> tuple[float, float, float]:
         """Desired speed [m/s], its rate [m/s^2], and the cap of the pace [m/s]."""
-        v, ax = state.plan.at(state.at)
+        v, _ = state.plan.at(state.at)
+        _, ax = state.plan.at(state.at + state.vx * self.speed.lead)
         if self.pace is None:
             return v, ax, state.cap
-        tops, largest = self.pace.top_speeds, self.pace.ramp * self.period
-        change = tops[min(state.laps, len(tops) - 1)] - state.cap
-        rise = min(max(change, -largest), largest)
+        driven = state.laps * state.plan.line.length + state.at
+        rise = self.pace.step(state.cap, self.pace.top(state.laps, driven), self.period)
         cap = state.cap + rise
         return (v, ax, cap) if v <= cap else (cap, rise / self.period, cap)
 

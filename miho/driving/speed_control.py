@@ -76,6 +76,14 @@ class SpeedController:
     brake: Brake
     settings: SpeedSettings = SpeedSettings()
 
+    @property
+    def lead(self) -> float:
+        """How much sooner an acceleration is asked for than it is planned [s].
+
+        It is the time in which the brakes answer; the engine's spool takes about as long.
+        """
+        return self.brake.delay + self.brake.tau_rise
+
     def start(self, vx: float) -> SpeedState:
         """The state of a controller that begins at a speed [m/s], in the gear that fits it."""
         gear = 1
