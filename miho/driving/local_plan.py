@@ -38,8 +38,9 @@ class Obstacle:
 class Swerve:
     """An offset from a line of length `lap`: out to e over one stretch, and back over another.
 
-    It rises from `start` over `out` [m] to e [m], stays for `stay` and returns over `back`, each
-    by the polynomial of fifth degree whose slope and bend are zero at both ends.
+    It rises from `start` over `out` [m] to e [m], stays for `stay` and returns over `back`. Each of
+    the two is made of clothoids, whose bend rises and falls in proportion to the way: it is the
+    swerve of this length for which the steering has to turn least fast.
     """
 
     lap: float
@@ -54,18 +55,24 @@ class Swerve:
         since = np.mod(s - self.start, self.lap)
         rising = np.clip(since / self.out, 0, 1)
         falling = np.clip((since - self.out - self.stay) / self.back, 0, 1)
-        up, up_slope, up_bend = _quintic(rising, self.out)
-        down, down_slope, down_bend = _quintic(falling, self.back)
+        up, up_slope, up_bend = _clothoids(rising, self.out)
+        down, down_slope, down_bend = _clothoids(falling, self.back)
         return Offset(
             self.e * (up - down), self.e * (up_slope - down_slope), self.e * (up_bend - down_bend)
         )
 
 
-def _quintic(t: Array, length: float) -> tuple[Array, Array, Array]:
-    """10 t^3 - 15 t^4 + 6 t^5 and its first two derivatives by t * length."""
-    value = t**3 * (10 - 15 * t + 6 * t * t)
-    slope = 30 * t * t * (1 - t) ** 2 / length
-    bend = 60 * t * (1 - t) * (1 - 2 * t) / length**2
+def _clothoids(t: Array, length: float) -> tuple[Array, Array, Array]:
+    """From 0 to 1 over t from 0 to 1, and the first two derivatives by t * length.
+
+    The second derivative is linear from 0 to 8 at t = 1/4, to -8 at 3/4 and to 0 at 1.
+    """
+    value, slope, bend = np.zeros((3, *np.shape(t)))
+    for weight, knot in ((1, 0.0), (-2, 0.25), (2, 0.75)):
+        beyond = np.maximum(t - knot, 0)
+        value += weight * beyond**3 * 16 / 3
+        slope += weight * beyond**2 * 16 / length
+        bend += weight * beyond * 32 / length**2
     return value, slope, bend
 
 

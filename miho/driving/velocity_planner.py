@@ -41,7 +41,7 @@ class VelocityPlan:
     ax [m/s^2]: from each point to the next, at which the speed's square is linear between them.
     lateral: as in `Demand`; limit: the largest magnitude of it at this speed and ax that leaves
     the tires' friction as planned, in the direction in which it acts. use: of the friction
-    ellipse of the worse axle, 1 at its limit.
+    ellipse of the worse axle, 1 at its limit. friction: the limits, as they are planned with.
     """
 
     line: Track
@@ -50,6 +50,7 @@ class VelocityPlan:
     lateral: Array
     limit: Array
     use: Array
+    friction: FrictionCar
 
     def at(self, s: float) -> tuple[float, float]:
         """Speed [m/s] and acceleration [m/s^2] at an arc length [m], beyond a lap too."""
@@ -79,8 +80,10 @@ class VelocityPlanner:
     """Plans for a car with what is known of its tires, engine and brakes.
 
     mu [-]: the performance factor of Eq. 10, which scales all tire forces. top_speed [m/s] is
-    never exceeded. brake_share [-] of the largest brake force may be planned with. engine None
-    leaves drive and drag out, brake None the brake's own limit: then tires alone count.
+    never exceeded. brake_share [-] of the largest brake force may be planned with. reserve [-]:
+    the share of the tires' forces within mu that the speeds leave to the controllers, because a
+    car that is brought into a turn, or into braking, overshoots the steady values of the plan.
+    engine None leaves drive and drag out, brake None the brake's own limit: then tires alone count.
     """
 
     vehicle: Vehicle
@@ -90,15 +93,23 @@ class VelocityPlanner:
     mu: float = 1.0
     top_speed: float = 90.0
     brake_share: float = 0.9
+    reserve: float = 0.0
 
     def __post_init__(self) -> None:
         positive_settings(self, ("mu", "top_speed", "brake_share"))
+        if not 0 <= self.reserve < 1:
+            raise ValueError(f"reserve is {self.reserve:g}; expected at least 0 and below 1")
 
     @property
     def friction(self) -> FrictionCar:
-        """The tires' limits as they are planned with."""
+        """The tires' limits with the performance factor mu, the reserve included."""
         share = 0.5 if self.brake is None else front_share(self.brake)
         return friction_car(self.vehicle, self.grip, self.mu, share, self.engine is not None)
+
+    @property
+    def _planned(self) -> FrictionCar:
+        """The limits that the speeds keep to."""
+        return self.friction._replace(mu=self.mu * (1 - self.reserve))
 
     def plan(self, line: Track) -> VelocityPlan:
         """The fastest plan for laps of a closed line; raises ValueError where no speed is safe."""
@@ -110,16 +121,16 @@ class VelocityPlanner:
                 f"curvature is {line.curvature[i]:.4g} 1/m and the bank {line.bank[i]:.4g} rad; "
                 f"expected more grip than a performance factor of {self.mu:g} gives"
             )
-        v = _passes(self.friction, self._powers(), line.curvature, line.bank, limits, line.step)
+        v = _passes(self._planned, self._powers(), line.curvature, line.bank, limits, line.step)
         ax = (np.roll(v, -1) ** 2 - v**2) / (2 * line.step)
         lateral, _ = demand(v, line.curvature, line.bank)
         limit, use = limits_and_use(self.friction, v, ax, line.curvature, line.bank)
-        return VelocityPlan(line, v, ax, lateral, limit, use)
+        return VelocityPlan(line, v, ax, lateral, limit, use, self.friction)
 
     def lateral_limits(self, line: Track) -> Array:
         """Largest speeds (n,) [m/s] that can be kept at each point of a line; 0 where none can."""
         highest = self._highest(self._powers())
-        return np.asarray(_lateral_limits(self.friction, line.curvature, line.bank, highest))
+        return np.asarray(_lateral_limits(self._planned, line.curvature, line.bank, highest))
 
     def _powers(self) -> _Powers:
         speeds = np.arange(1.0, self.top_speed + 2.0)

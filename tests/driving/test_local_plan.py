@@ -26,8 +26,9 @@ def test_a_swerve_is_as_steep_and_bent_as_it_says() -> None:
     assert e.min() == pytest.approx(-3.0)
     assert np.gradient(e, s)[5:-5] == pytest.approx(slope[5:-5], abs=5e-5)
     assert np.gradient(slope, s)[5:-5] == pytest.approx(bend[5:-5], abs=5e-5)
-    # The quintic's largest second derivative is 10 / sqrt(3) over the length squared.
-    assert np.abs(bend).max() == pytest.approx(3 * 10 / math.sqrt(3) / 40**2, rel=1e-4)
+    # Clothoids: 8 over the length squared at most, and it changes by 32 over its cube everywhere.
+    assert np.abs(bend).max() == pytest.approx(3 * 8 / 40**2, rel=1e-4)
+    assert np.abs(np.gradient(bend, s)).max() == pytest.approx(3 * 32 / 40**3, rel=1e-6)
 
 
 @settings(max_examples=12, deadline=None)
