@@ -143,13 +143,25 @@ class TrackingConfig:
 @dataclass
 class ObstacleConfig:
     """A box on the line that is driven: s along it, e to its left, sides [m]; and from how far
-    before it is seen [m]. Without `sight` there is none."""
+    before it is seen [m]. Without `sight` there is none. The path around it leaves the line over
+    the last `out` [m] before it at most, and returns over `back` [m] behind it."""
 
     s: float = 0.0
     e: float = 0.0
     length: float = 5.0
     width: float = 2.0
     sight: float | None = None
+    out: float = 80.0
+    back: float = 120.0
+
+
+@dataclass
+class SlowZoneConfig:
+    """From `start` to `end` [m] along the line, laps added up, with a top speed [m/s]."""
+
+    start: float = MISSING
+    end: float = MISSING
+    top_speed: float = MISSING
 
 
 @dataclass
@@ -161,9 +173,12 @@ class DriveConfig:
     were identified before. sensitivity [-]: how far the tires' forces fall behind their loads; null
     takes it from the property data. performance_factor: the share of the tires' grip, as it is
     known, that the plan uses (the paper's mu). road_friction: what the road gives the simulated
-    car, over the road on which its tires were measured; the plan does not know it. The car starts
-    at the arc length `start` [m] of the line with `speed` [m/s] and drives a distance [m].
-    `top_speeds` [m/s] of the laps in turn; without them only the plan's `top_speed` counts. Log,
+    car, over the road on which its tires were measured; the plan does not know it. reserve: the
+    share of the planned grip that the speeds leave to the controllers. The car starts at the arc
+    length `start` [m] of the line with `speed` [m/s] and drives a distance [m]. `top_speeds` [m/s]
+    of the laps in turn, less in the `slow` zones; the desired speed goes from one to the next by
+    `ramp` upwards
+    and `brake_ramp` downwards [m/s^2]. Without them only the plan's `top_speed` counts. Log,
     figure and table go to `output`, identified parts to `root`.
     """
 
@@ -176,9 +191,12 @@ class DriveConfig:
     noise: bool = True
     performance_factor: float = 1.0
     road_friction: float = 1.0
+    reserve: float = 0.0
     top_speed: float = 90.0
     top_speeds: list[float] = field(default_factory=list)
     ramp: float = 1.5
+    brake_ramp: float = 1.5
+    slow: list[SlowZoneConfig] = field(default_factory=list)
     start: float = 0.0
     speed: float = 30.0
     distance: float = 0.0

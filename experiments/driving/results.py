@@ -16,7 +16,16 @@ from experiments.driving.settings import factors_text
 from miho.analysis import save
 from miho.analysis.figures.driving import fig7, fig8
 from miho.driving.driver import Driver
-from miho.driving.outcome import Clearance, Departure, departure, outcome_table, plans
+from miho.driving.outcome import (
+    Clearance,
+    Departure,
+    departure,
+    excess,
+    outcome_table,
+    planned_use,
+    plans,
+    speed_bands,
+)
 from miho.driving.simulation import Drive
 from miho.driving.track import Track
 from miho.study import write_text
@@ -31,20 +40,24 @@ def write_drive(
     """
     root = Path(cfg.drive.output)
     root.mkdir(parents=True, exist_ok=True)
-    log = pd.DataFrame(dict(drive.columns))
+    use = planned_use(drive, driver)
+    log = pd.DataFrame({**drive.columns, "planned_use": use})
     write_text(root / "log.csv", log.to_csv(index=False, float_format="%.6g"))
     measured = pd.DataFrame(dict(drive.measured))
     write_text(root / "measured.csv", measured.to_csv(index=False, float_format="%.6g"))
     clearance = Clearance.of(drive, road)
     off_road = departure(drive, clearance)
     models = "true models" if not parts else f"models identified by {method_of(cfg)}"
-    figure = _figure(cfg, log, driver, off_road, f"{factors_text(cfg)}; {models}")
+    beyond = excess(drive, use)
+    note = f"{factors_text(cfg)}; {models}"
+    figure = _figure(cfg, log, driver, off_road, note, "" if beyond is None else str(beyond))
     paths = save(figure, root / "figures" / cfg.drive.figure)
     table = outcome_table(drive, driver, clearance, cfg.drive.road_friction)
     if driver.sighting is not None:
         table |= plans(driver, cfg.drive.start)
     about = regenerates("experiments.drive", [build_optimizer(cfg)])
-    about |= {"seed": cfg.seed, "results": table}
+    bands = speed_bands(drive)
+    about |= {"seed": cfg.seed, "results": table, "speed bands": bands}
     about["identified"] = {
         part: {"data": problem.dataset.digest, **dict(zip(problem.space.names, theta, strict=True))}
         for part, (problem, theta) in parts.items()
@@ -52,16 +65,24 @@ def write_drive(
     write_text(root / "drive.json", json.dumps(about, indent=1) + "\n")
     for name, value in table.items():
         print(f"{name:<48} {value}")
+    print(pd.DataFrame(bands).to_string(index=False))
     print("\n".join(map(str, [*paths, root / "log.csv", root / "drive.json"])))
     return off_road
 
 
 def _figure(
-    cfg: DictConfig, log: pd.DataFrame, driver: Driver, off_road: Departure | None, note: str
+    cfg: DictConfig,
+    log: pd.DataFrame,
+    driver: Driver,
+    off_road: Departure | None,
+    note: str,
+    beyond: str,
 ) -> Figure:
-    """Fig. 7 over time, or Fig. 8 over distance, marked where the car left the road."""
+    """Fig. 7 over time, or Fig. 8 over distance, marked where the car left the road.
+
+    beyond: how the car used more friction than was planned, in words, "" if it did not.
+    """
     if cfg.drive.figure == "fig7":
-        ratio = driver.speed.vehicle.steering_ratio
         mark = (
             None
             if off_road is None
@@ -71,7 +92,7 @@ def _figure(
             )
         )
         passing = _passing(cfg, log)
-        return fig7(log, steering_ratio=ratio, obstacle=passing, departure=mark, note=note)
+        return fig7(log, obstacle=passing, departure=mark, excess=beyond, note=note)
     length = driver.plan.line.length
     laps = [k * length for k in range(int(log["distance"].max() / length) + 1)]
     mark = None if off_road is None else (off_road.distance, f"the car left the road {off_road}")

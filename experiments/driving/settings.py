@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
@@ -13,7 +13,7 @@ from experiments.app.build import ConfigError
 from experiments.app.schema import RENAMED, DriveConfig
 from miho.data import CSVError
 from miho.driving.centre_line import track_from_csv
-from miho.driving.driver import Driver, Pace, Sighting
+from miho.driving.driver import Driver, Pace, Sighting, SlowZone
 from miho.driving.known_car import KnownCar
 from miho.driving.lines import beside, constant
 from miho.driving.local_plan import LocalPlanner, Obstacle
@@ -67,15 +67,18 @@ def driver_of(cfg: DictConfig, car: KnownCar, line: Track) -> Driver:
     """The driver that `drive` describes, for a line and what is known of the car."""
     settings = _mapping(cfg.drive.controller)
     planner = car.planner(cfg.drive.performance_factor, cfg.drive.top_speed)
+    planner = replace(planner, reserve=cfg.drive.reserve)
     steering = car.steering_controller(Weights(**settings["weights"]), settings["period"])
     speed = car.speed_controller(SpeedSettings(**settings["speed"]))
     tops = tuple(cfg.drive.top_speeds)
-    pace = Pace(tops, cfg.drive.ramp) if tops else None
+    slow = tuple(SlowZone(zone.start, zone.end, zone.top_speed) for zone in cfg.drive.slow)
+    pace = Pace(tops, cfg.drive.ramp, cfg.drive.brake_ramp, slow) if tops else None
     box = cfg.drive.obstacle
     sighting = None
     if box.sight is not None:
         obstacle = Obstacle(s=box.s, e=box.e, length=box.length, width=box.width)
-        sighting = Sighting((obstacle,), box.sight, LocalPlanner(), planner)
+        local = LocalPlanner(out=box.out, back=box.back)
+        sighting = Sighting((obstacle,), box.sight, local, planner)
     return Driver(planner.plan(line), speed, steering, pace, sighting)
 
 

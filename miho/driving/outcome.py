@@ -11,7 +11,7 @@ from scipy.constants import g
 
 from miho.driving.driver import Driver
 from miho.driving.embedded import embedded_tires
-from miho.driving.friction import friction_car, measured_use
+from miho.driving.friction import FrictionCar, friction_car, measured_use
 from miho.driving.grip import Grip
 from miho.driving.known_car import inclinations, static_loads
 from miho.driving.simulation import Drive
@@ -89,7 +89,6 @@ def outcome_table(
     """Largest errors and uses of a drive on a road of this friction."""
     e_psi = float(np.degrees(np.abs(drive["e_psi"]).max()))
     error = drive["vx"] - drive["v_des"]
-    within = np.abs(drive["ay"]) / drive["ay_limit"]
     table: dict[str, float | str] = {
         "stopped": drive.stopped or "no",
         "left the road": str(departure(drive, clearance) or "no"),
@@ -100,7 +99,11 @@ def outcome_table(
         "velocity error, RMS [m/s]": _round(math.sqrt(float(np.mean(error**2)))),
         "velocity error, largest [m/s]": _round(np.abs(error).max()),
         "largest lateral acceleration [m/s^2]": _round(np.abs(drive["ay"]).max()),
-        "largest share of the planned lateral limit": _round(within.max()),
+        "largest steering command, road wheels [deg]": _round(
+            np.degrees(np.abs(drive["u_steering"]).max())
+        ),
+        "largest use of the planned friction": _round(planned_use(drive, driver).max()),
+        "beyond the planned friction": str(excess(drive, planned_use(drive, driver)) or "no"),
         "largest use of the true tires' friction": _round(
             true_use(drive, driver, road_friction).max()
         ),
@@ -111,31 +114,115 @@ def outcome_table(
     return table
 
 
+class Excess(NamedTuple):
+    """How a car used more than the planned friction: for how long in all [s], when first [s] and
+    after how many metres, and the largest use, above 1 [-]."""
+
+    duration: float
+    time: float
+    distance: float
+    largest: float
+
+    def __str__(self) -> str:
+        return (
+            f"for {self.duration:.2f} s, first after {self.distance:.0f} m and {self.time:.1f} s, "
+            f"by up to {100 * (self.largest - 1):.0f} %"
+        )
+
+
+def excess(drive: Drive, use: np.ndarray) -> Excess | None:
+    """The excess in a use of friction (N,), of which 1 is the limit; None without any."""
+    beyond = np.flatnonzero(use > 1)
+    if not beyond.size:
+        return None
+    first, time = beyond[0], drive["time"]
+    return Excess(
+        float(np.gradient(time)[beyond].sum()),
+        float(time[first] - time[0]),
+        float(drive["distance"][first]),
+        float(use.max()),
+    )
+
+
+def planned_use(drive: Drive, driver: Driver) -> np.ndarray:
+    """Use of the friction that was planned with, (N,), in steady terms by the driven motion.
+
+    Above 1 the car does more than the performance factor of Eq. 10 allows the plan to ask for, as
+    far as the tires are known.
+    """
+    return _use(drive, driver.plan.friction)
+
+
 def true_use(drive: Drive, driver: Driver, road_friction: float = 1.0) -> np.ndarray:
     """Use of the true tires' friction in steady terms, (N,); above 1 an axle would slide."""
     vehicle = driver.speed.vehicle
     grip = Grip.of_tires(embedded_tires(), static_loads(vehicle), inclinations(vehicle))
-    car = friction_car(vehicle, grip, road_friction, front_share(driver.speed.brake))
+    return _use(drive, friction_car(vehicle, grip, road_friction, front_share(driver.speed.brake)))
+
+
+def _use(drive: Drive, car: FrictionCar) -> np.ndarray:
     turning = drive["vx"] ** 2 * drive["curvature"]
     gravity = g * np.cos(drive["bank"]) + turning * np.sin(drive["bank"])
     return np.asarray(measured_use(car, drive["vx"], drive["ax"], drive["ay"], gravity))
 
 
+BANDS = (
+    ("all", 0.0, math.inf),
+    ("up to 144 km/h", 0.0, 40.0),
+    ("above 144 km/h", 40.0, math.inf),
+    ("151 to 187 km/h", 42.0, 52.0),
+)
+"""Speeds [m/s] whose errors the paper looks at apart (Sec. V-B.2), by the driven speed."""
+
+
+def speed_bands(drive: Drive) -> list[dict[str, float | str]]:
+    """Error of the speed, driven less desired, in each of `BANDS` that was driven in.
+
+    Of the throttle the mean, and the share of the time above 40 %, where the paper's engine map is
+    from the dynamometer alone.
+    """
+    vx, error, throttle = drive["vx"], drive["vx"] - drive["v_des"], drive["u_throttle"]
+    step = np.gradient(drive["time"])
+    rows: list[dict[str, float | str]] = []
+    for name, low, high in BANDS:
+        part = (vx > low) & (vx <= high)
+        if not part.any():
+            continue
+        here = error[part]
+        rows.append({
+            "band": name,
+            "time [s]": _round(step[part].sum()),
+            "RMS error [m/s]": _round(math.sqrt(float(np.mean(here**2)))),
+            "mean error [m/s]": _round(here.mean()),
+            "largest error [m/s]": _round(np.abs(here).max()),
+            "mean throttle [%]": _round(100 * throttle[part].mean()),
+            "time above 40 % throttle [%]": _round(100 * (throttle[part] > 0.4).mean()),
+        })  # fmt: skip
+    return rows
+
+
 def gap(drive: Drive, driver: Driver) -> float:
     """Least distance [m] between the boxes of car and obstacle, negative in a collision.
 
-    The car is taken to lie along the line that it would drive without the obstacle.
+    Along the line that the car would drive without the obstacle; the car's box is the one that
+    holds it as it is turned to that line.
     """
     if driver.sighting is None:
         raise ValueError("the driver has no obstacle; expected a sighting")
     obstacle, line = driver.sighting.obstacles[0], driver.plan.line
     least, hint = math.inf, None
-    for x, y in zip(drive["x"], drive["y"], strict=True):
+    for x, y, yaw in zip(drive["x"], drive["y"], drive["yaw"], strict=True):
         at = line.project(float(x), float(y), hint)
         hint = at.s
+        turn = yaw - float(line.at(at.s).heading)
+        cosine, sine = abs(math.cos(turn)), abs(math.sin(turn))
+        length, width = (
+            CAR_LENGTH * cosine + CAR_WIDTH * sine,
+            CAR_WIDTH * cosine + CAR_LENGTH * sine,
+        )
         ahead = abs(math.remainder(at.s - obstacle.s, line.length))
-        beside = abs(at.e - obstacle.e) - (CAR_WIDTH + obstacle.width) / 2
-        along = ahead - (CAR_LENGTH + obstacle.length) / 2
+        beside = abs(at.e - obstacle.e) - (width + obstacle.width) / 2
+        along = ahead - (length + obstacle.length) / 2
         least = min(least, max(beside, along))
     return least
 
@@ -143,8 +230,8 @@ def gap(drive: Drive, driver: Driver) -> float:
 def plans(driver: Driver, start: float) -> dict[str, float | str]:
     """The least speeds [km/h] that the planners give on the path around the obstacle.
 
-    start: arc length [m] at which the drive begins. The avoidance is planned without a top speed,
-    at the point at which the obstacle is seen, so that the tires alone are the limit.
+    start: arc length [m] at which the drive begins. The avoidance is planned without top speed and
+    reserve, at the point at which the obstacle is seen, so that the tires alone are the limit.
     """
     sighting = driver.sighting
     if sighting is None:
@@ -153,7 +240,7 @@ def plans(driver: Driver, start: float) -> dict[str, float | str]:
     sighted = max(start, sighting.obstacles[0].s - sighting.distance)
     path = sighting.local.path(line, sighting.obstacles, sighted)
     near = (path.s > sighted) & (path.s < sighting.obstacles[0].s + sighting.distance)
-    planner = replace(sighting.velocity, top_speed=90.0)
+    planner = replace(sighting.velocity, top_speed=90.0, reserve=0.0)
     slowest = {"corrected": planner.lateral_limits(path)[near].min()}
     for name, transfer, yaw in (
         ("as printed", False, True),

@@ -11,41 +11,63 @@ import seaborn as sns
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
+from numpy.typing import ArrayLike
 
 from miho.analysis.compare.bootstrap import mean_error
 from miho.analysis.figures.house import WIDTH, caption, house_style
 
 BLUE, _, GREEN, RED = sns.color_palette("colorblind").as_hex()[:4]
+AMBER = "#f0b756"
 ALARM = "#b00020"
 DASHED = (0, (4, 2))
 KMH = 3.6
-LEAST_RANGE = 20.0
-"""Of the axis of velocities [km/h], so that noise does not fill it."""
+LEAST_RANGE = 5.0
+"""Of the axis of velocities [m/s], so that noise does not fill it."""
+BANDS = (
+    (40.0, math.inf, "#dfe6ee", "above 40 m/s (144 km/h)"),
+    (42.0, 52.0, "#f6d9a8", "42-52 m/s (151-187 km/h)"),
+)
+"""Velocities [m/s] that the paper looks at apart (Sec. V-B.2), with the colour behind them."""
 
 
 def fig7(
-    log: pd.DataFrame, *, steering_ratio: float, obstacle: float | None = None,
-    departure: tuple[float, str] | None = None, note: str = "",
+    log: pd.DataFrame, *, obstacle: float | None = None,
+    departure: tuple[float, str] | None = None, excess: str = "", note: str = "",
 ) -> Figure:  # fmt: skip
     """Fig. 7: velocity, lateral acceleration within its limits, and steering, over time.
 
-    `log` has the columns of `miho.driving.simulation.Drive`. steering_ratio: steering wheel over
-    road wheel [-]. obstacle: the time [s] at which the car is beside it, marked in all panels.
-    departure: the same for when it left the road, and what to write of that above them.
+    A panel that the paper does not have shows the use of the friction that was planned with.
+
+    Parameters
+    ----------
+    log : DataFrame
+        The columns of `miho.driving.simulation.Drive`, and planned_use [-].
+    obstacle : float, optional
+        Time [s] at which the car is beside it, marked in all panels.
+    departure : (float, str), optional
+        Time [s] at which the car left the road, marked in all panels, and what to write of it.
+    excess : str
+        What to write of how the car used more friction than was planned with.
+    note : str
+        Below the figure.
     """
     with house_style():
-        figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
-        velocity, lateral, steering = figure.subplots(3, 1, sharex=True)
+        figure = Figure(figsize=(WIDTH, 5.8), layout="constrained")
+        velocity, lateral, steering, friction = figure.subplots(4, 1, sharex=True)
         plot_velocity(log, velocity, over="time")
         plot_lateral(log, lateral)
-        plot_steering(log, steering, steering_ratio)
-        for ax in (velocity, lateral, steering):
+        plot_steering(log, steering)
+        plot_use(log, friction)
+        for ax in (velocity, lateral, steering, friction):
             ax.margins(x=0)
             if obstacle is not None:
                 ax.axvline(obstacle, color="#888888", linewidth=0.9, linestyle=":")
+        lines = [f"red: beyond the planned friction {excess}"] if excess else []
         if departure is not None:
-            _mark_departure(figure, *departure)
-        steering.set_xlabel("time [s]")
+            _mark_departure(figure, departure[0])
+            lines.append(f"red line: {departure[1]}")
+        _alarm(figure, lines)
+        friction.set_xlabel("time [s]")
         caption(figure, "" if obstacle is None else "dotted: beside the obstacle", note)
         figure.draw_without_rendering()
     return figure
@@ -57,22 +79,35 @@ def fig8(
 ) -> Figure:  # fmt: skip
     """Fig. 8: errors of position and heading, velocity, throttle and brake, over the distance.
 
-    `laps`: distances [m] at which laps begin, marked in all panels. departure: the same for where
-    the car left the road, and what to write of that above them.
+    A panel that the paper does not have shows the error of the velocity, over `BANDS`.
+
+    Parameters
+    ----------
+    log : DataFrame
+        The columns of `miho.driving.simulation.Drive`.
+    laps : list of float, optional
+        Distances [m] at which laps begin, marked in all panels.
+    departure : (float, str), optional
+        Distance [m] at which the car left the road, marked in all panels, and what to write of it.
+    note : str
+        Below the figure.
     """
     with house_style():
-        figure = Figure(figsize=(WIDTH, 5.8), layout="constrained")
-        position, heading, velocity, pedals = figure.subplots(4, 1, sharex=True)
+        figure = Figure(figsize=(WIDTH, 7.2), layout="constrained")
+        panels = figure.subplots(5, 1, sharex=True)
+        position, heading, velocity, error, pedals = panels
         plot_error(log, "e_y", 1.0, "position\nerror [m]", position)
         plot_error(log, "e_psi", 180 / math.pi, "heading\nerror [deg]", heading)
         plot_velocity(log, velocity, over="distance")
+        plot_velocity_error(log, error)
         plot_pedals(log, pedals)
-        for ax in (position, heading, velocity, pedals):
+        for ax in panels:
             ax.margins(x=0)
             for start in laps or []:
                 ax.axvline(start / 1000, color="#bbbbbb", linewidth=0.7, linestyle=":", zorder=0)
         if departure is not None:
-            _mark_departure(figure, departure[0] / 1000, departure[1])
+            _mark_departure(figure, departure[0] / 1000)
+            _alarm(figure, [f"red line: {departure[1]}"])
         pedals.set_xlabel("distance [km]")
         caption(figure, "dotted: start of a lap" if laps else "", note)
         figure.draw_without_rendering()
@@ -80,46 +115,88 @@ def fig8(
 
 
 def plot_velocity(log: pd.DataFrame, ax: Axes, *, over: str) -> Axes:
-    """Measured and desired velocity [km/h] over the time [s] or the distance [km]."""
+    """Driven velocity [m/s] on the desired one, over the time [s] or the distance [km].
+
+    The axis on the right is in km/h.
+    """
     at = log["time"] if over == "time" else log["distance"] / 1000
-    ax.plot(at, KMH * log["v_des"], color="black", linewidth=1.0, linestyle=DASHED, label="desired")
-    ax.plot(at, KMH * log["vx"], color=BLUE, linewidth=1.4, label="driven")
+    ax.plot(at, log["v_des"], color=AMBER, linewidth=3.2, label="desired")
+    ax.plot(at, log["vx"], color=BLUE, linewidth=1.1, label="driven")
     low, high = ax.get_ylim()
     spare = max(LEAST_RANGE - (high - low), 0.0) / 2
-    ax.set(ylabel="velocity\n[km/h]", ylim=(low - spare, high + spare))
+    ax.set(ylabel="velocity\n[m/s]", ylim=(low - spare, high + spare))
+    right = ax.secondary_yaxis("right", functions=(_kmh, _mps))
+    right.set_ylabel("[km/h]")
     _legend(ax)
     return ax
 
 
 def plot_lateral(log: pd.DataFrame, ax: Axes) -> Axes:
-    """Lateral acceleration [m/s^2], driven and planned, between the planned limits, over time."""
-    t = log["time"]
-    ax.plot(t, log["ay_plan"], color="black", linewidth=1.0, linestyle=DASHED, label="planned")
-    ax.plot(t, log["ay"], color=BLUE, linewidth=1.4, label="driven")
-    ax.plot(t, log["ay_limit"], color=RED, linewidth=1.0, label="limit")
-    ax.plot(t, -log["ay_limit"], color=RED, linewidth=1.0)
+    """Lateral acceleration [m/s^2], driven and planned, between the planned limits, over time.
+
+    Where the car used more friction than was planned with, it is drawn in red.
+    """
+    t, beyond = log["time"], log["planned_use"] > 1
+    ax.plot(t, log["ay_plan"], color=AMBER, linewidth=3.2, label="planned")
+    ax.plot(t, log["ay"], color=BLUE, linewidth=1.1, label="driven")
+    ax.plot(t, log["ay_limit"], color="black", linewidth=0.8, linestyle=DASHED, label="limit")
+    ax.plot(t, -log["ay_limit"], color="black", linewidth=0.8, linestyle=DASHED)
+    _red(ax, t, log["ay"], beyond)
     ax.set_ylabel("lateral accel.\n[m/s²]")
     _legend(ax)
     return ax
 
 
-def plot_steering(log: pd.DataFrame, ax: Axes, ratio: float) -> Axes:
-    """Angle of the steering wheel [deg], commanded and driven, over time."""
-    degrees = ratio * 180 / math.pi
+def plot_steering(log: pd.DataFrame, ax: Axes) -> Axes:
+    """Angle of the road wheels [deg], commanded and driven, over time."""
     t = log["time"]
-    ax.plot(
-        t, degrees * log["u_steering"], color="black", linewidth=1.0, linestyle=DASHED,
-        label="command",
-    )  # fmt: skip
-    ax.plot(t, degrees * log["steering"], color=BLUE, linewidth=1.4, label="driven")
-    ax.set_ylabel("steering wheel\n[deg]")
+    ax.plot(t, np.degrees(log["u_steering"]), color=AMBER, linewidth=3.2, label="command")
+    ax.plot(t, np.degrees(log["steering"]), color=BLUE, linewidth=1.1, label="driven")
+    ax.set_ylabel("steering of the\nroad wheels [deg]")
+    _legend(ax)
+    return ax
+
+
+def plot_use(log: pd.DataFrame, ax: Axes) -> Axes:
+    """Use of the planned friction [-] over time; red above 1."""
+    t, use = log["time"], log["planned_use"]
+    ax.plot(t, use, color=BLUE, linewidth=1.1, label="driven")
+    ax.axhline(1.0, color="black", linewidth=0.8, linestyle=DASHED, label="limit")
+    _red(ax, t, use, use > 1)
+    ax.set(ylabel="use of planned\nfriction [-]", ylim=(0, max(1.15, 1.05 * float(use.max()))))
     _legend(ax)
     return ax
 
 
 def plot_error(log: pd.DataFrame, column: str, factor: float, label: str, ax: Axes) -> Axes:
     """A column times a factor over the distance [km], with its largest magnitude written in."""
-    values = factor * log[column]
+    return _error(log, factor * log[column], label, ax)
+
+
+def plot_velocity_error(log: pd.DataFrame, ax: Axes) -> Axes:
+    """Driven less desired velocity [m/s] over the distance [km], on the bands of `BANDS`."""
+    for low, high, color, name in BANDS:
+        inside = (log["vx"] > low) & (log["vx"] <= high)
+        ax.fill_between(
+            log["distance"] / 1000, 0, 1, where=inside, transform=ax.get_xaxis_transform(),
+            color=color, linewidth=0, label=name, zorder=0.5,
+        )  # fmt: skip
+    _error(log, log["vx"] - log["v_des"], "velocity\nerror [m/s]", ax)
+    ax.legend(loc="lower left", bbox_to_anchor=(0.0, 0.97), ncols=2, borderpad=0.1)
+    return ax
+
+
+def plot_pedals(log: pd.DataFrame, ax: Axes) -> Axes:
+    """Throttle [%] and brake pressure [bar], as commanded, over the distance [km]."""
+    at = log["distance"] / 1000
+    ax.plot(at, 100 * log["u_throttle"], color=GREEN, linewidth=0.9, label="throttle [%]")
+    ax.plot(at, log["u_brake"] / 1e5, color=RED, linewidth=1.2, label="brake [bar]")
+    ax.set(ylabel="throttle [%],\nbrake [bar]", ylim=(0, 105))
+    _legend(ax)
+    return ax
+
+
+def _error(log: pd.DataFrame, values: pd.Series[float], label: str, ax: Axes) -> Axes:
     ax.plot(log["distance"] / 1000, values, color=BLUE, linewidth=0.9)
     ax.axhline(0.0, color="black", linewidth=0.6)
     largest = float(values.abs().max())
@@ -129,26 +206,35 @@ def plot_error(log: pd.DataFrame, column: str, factor: float, label: str, ax: Ax
     return ax
 
 
-def plot_pedals(log: pd.DataFrame, ax: Axes) -> Axes:
-    """Throttle [%] and brake pressure [bar], as commanded, over the distance [km]."""
-    at = log["distance"] / 1000
-    ax.plot(at, 100 * log["u_throttle"], color=GREEN, linewidth=0.9, label="throttle [%]")
-    ax.plot(at, log["u_brake"] / 1e5, color=RED, linewidth=0.9, label="brake [bar]")
-    ax.set(ylabel="throttle, brake", ylim=(0, 105))
-    _legend(ax)
-    return ax
+def _red(ax: Axes, at: pd.Series[float], values: pd.Series[float], where: pd.Series[bool]) -> None:
+    """The part of a curve in red."""
+    if where.any():
+        ax.plot(at, values.where(where), color=ALARM, linewidth=2.2, label="beyond the plan")
 
 
-def _mark_departure(figure: Figure, at: float, text: str) -> None:
-    """A red line in all panels, and above them what it stands for."""
+def _mark_departure(figure: Figure, at: float) -> None:
+    """A red line in all panels."""
     for ax in figure.axes:
         ax.axvline(at, color=ALARM, linewidth=1.4)
-    figure.suptitle(f"red line: {text}", color=ALARM, fontsize=9, x=0.01, ha="left")
+
+
+def _alarm(figure: Figure, lines: list[str]) -> None:
+    """Lines above the panels, in red."""
+    if lines:
+        figure.suptitle("\n".join(lines), color=ALARM, fontsize=9, x=0.01, ha="left")
+
+
+def _kmh(v: ArrayLike) -> np.ndarray:
+    return KMH * np.asarray(v, dtype=float)
+
+
+def _mps(v: ArrayLike) -> np.ndarray:
+    return np.asarray(v, dtype=float) / KMH
 
 
 def _legend(ax: Axes) -> None:
     """The legend in a row above the panel, where it covers no curve."""
-    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=3, borderpad=0.1)
+    ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, borderpad=0.1)
 
 
 MEASURES = {
