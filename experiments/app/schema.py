@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -159,9 +160,9 @@ class ObstacleConfig:
 class SlowZoneConfig:
     """From `start` to `end` [m] along the line, laps added up, with a top speed [m/s]."""
 
-    start: float = MISSING
-    end: float = MISSING
-    top_speed: float = MISSING
+    start: float = 0.0
+    end: float = math.inf
+    top_speed: float = 0.0
 
 
 @dataclass

@@ -70,7 +70,7 @@ def driver_of(cfg: DictConfig, car: KnownCar, line: Track) -> Driver:
     planner = replace(planner, reserve=cfg.drive.reserve)
     steering = car.steering_controller(Weights(**settings["weights"]), settings["period"])
     speed = car.speed_controller(SpeedSettings(**settings["speed"]))
-    tops = tuple(cfg.drive.top_speeds)
+    tops = tuple(cfg.drive.top_speeds) or (cfg.drive.top_speed,) * bool(cfg.drive.slow)
     slow = tuple(SlowZone(zone.start, zone.end, zone.top_speed) for zone in cfg.drive.slow)
     pace = Pace(tops, cfg.drive.ramp, cfg.drive.brake_ramp, slow) if tops else None
     box = cfg.drive.obstacle
@@ -83,9 +83,10 @@ def driver_of(cfg: DictConfig, car: KnownCar, line: Track) -> Driver:
 
 
 def factors_text(cfg: DictConfig) -> str:
-    """The two factors of `drive` in words, for figures."""
+    """The two factors of `drive` and its reserve in words, for figures."""
+    reserve = f" with a reserve of {cfg.drive.reserve:g}" if cfg.drive.reserve else ""
     return (
-        f"performance factor {cfg.drive.performance_factor:g}, "
+        f"performance factor {cfg.drive.performance_factor:g}{reserve}, "
         f"road friction {cfg.drive.road_friction:g}"
     )
 

@@ -9,7 +9,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from miho.driving.driver import Driver, Pace, Sighting
+from miho.driving.driver import Driver, Pace, Sighting, SlowZone
 from miho.driving.embedded import embedded_plant
 from miho.driving.local_plan import LocalPlanner, Obstacle
 from miho.driving.ovals import lvms
@@ -75,6 +75,25 @@ def test_the_pace_moves_by_its_ramp_and_counts_laps() -> None:
     assert (state.desired, state.laps) == (pytest.approx(36.0), 1)
 
 
+def test_the_pace_slows_down_in_a_zone_on_the_brakes() -> None:
+    """At its own rate, in the second lap alone, as the zone's distance has it."""
+    zone = SlowZone(LINE.length + 40.0, LINE.length + 60.0, 20.0)
+    pace = Pace((30.0,), ramp=2.0, brake_ramp=5.0, slow=(zone,))
+    driver = replace(planned(), pace=pace)
+    state = driver.begin(motion())
+    _, state = driver.step(state, motion())
+    assert state.desired == pytest.approx(30.0), "the first lap"
+    state = state._replace(laps=1)
+    for _ in range(100):
+        command, state = driver.step(state, motion())
+    assert state.desired == pytest.approx(25.0), "a second of 5 m/s^2"
+    assert command.brake > 0
+    assert command.throttle == 0
+    for _ in range(100):
+        _, state = driver.step(state, motion(70.0))
+    assert state.desired == pytest.approx(27.0), "a second of 2 m/s^2 beyond it"
+
+
 def test_an_obstacle_is_planned_around_once_it_is_seen() -> None:
     obstacle = Obstacle(s=160.0, e=0.0)
     driver = replace(planned(), sighting=Sighting((obstacle,), 80.0, LocalPlanner(), PLANNER))
@@ -114,3 +133,7 @@ def test_a_bad_pace_is_refused() -> None:
         Pace(())
     with pytest.raises(ValueError, match="ramp is 0"):
         Pace((30.0,), ramp=0)
+    with pytest.raises(ValueError, match="brake_ramp is 0"):
+        Pace((30.0,), brake_ramp=0)
+    with pytest.raises(ValueError, match=r"slow zone is \(60.0, 40.0, 20.0\); expected a start"):
+        Pace((30.0,), slow=(SlowZone(60.0, 40.0, 20.0),))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -96,3 +97,29 @@ def test_left_of_the_path_it_steers_to_the_right(vx: float) -> None:
     far = TrackingError(50.0, 0.0, 0.5, 0.0)
     most, _ = CONTROL.command(CONTROL.initial, ring, Projection(10.0, 50.0), far, vx, 0.0)
     assert most == -CAR.vehicle.steering_max
+
+
+def test_no_command_turns_faster_than_the_rack() -> None:
+    """Whatever the errors jump to; without an estimator too, for which they are the state."""
+    ring = track_of("ring", [Segment(length=2000 * math.pi, curvature=(1e-3, 1e-3))])
+    largest = CAR.vehicle.steering_rate * CONTROL.schedule.sampled.period
+    for control in (CONTROL, replace(CONTROL, estimator=None)):
+        commands, state = [], control.initial
+        for e in (0.0, 0.0, 2.0, -2.0, 2.0, 2.0, 2.0):
+            error = TrackingError(e, 0.0, 0.0, 0.0)
+            u, state = control.command(state, ring, Projection(10.0, e), error, 30.0, 0.0)
+            commands.append(u)
+        turns = np.abs(np.diff(commands))
+        assert turns.max() == pytest.approx(largest)
+        assert (turns <= largest + 1e-12).all()
+
+
+def test_the_estimator_leaves_a_steady_turn_alone() -> None:
+    """On the path and as the feed-forward has it, the command stays the feed-forward."""
+    ring = track_of("ring", [Segment(length=2000 * math.pi, curvature=(1e-3, 1e-3))])
+    turn = CONTROL.feed_forward(30.0, 1e-3, 0.0)
+    error, state = TrackingError(0.0, 0.0, -turn.slip, 0.0), CONTROL.initial
+    for _ in range(20):
+        u, state = CONTROL.command(state, ring, Projection(10.0, 0.0), error, 30.0, turn.steering)
+        # The ring is sampled, so that its curvature is 1e-3 but for some 1e-9.
+        assert u == pytest.approx(turn.steering, abs=1e-6)

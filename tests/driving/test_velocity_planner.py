@@ -53,6 +53,21 @@ def test_a_banked_ring_has_the_closed_form(bank: float, expected: float) -> None
     assert plan.ax == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_reserve_lowers_the_speeds_and_not_the_limit() -> None:
+    """The speeds are those of a smaller mu, and their use of the whole one is 1 less the reserve.
+
+    On a flat ring without downforce the use is in proportion to the lateral acceleration.
+    """
+    flat = ring(233.0, 0.0)
+    planner = VelocityPlanner(PLAIN, equal_grip(), mu=0.8)
+    kept = replace(planner, reserve=0.25).plan(flat)
+    assert kept.v == pytest.approx(replace(planner, mu=0.6).plan(flat).v, rel=1e-9)
+    assert kept.use == pytest.approx(0.75, abs=1e-9)
+    assert kept.limit == pytest.approx(0.8 * g, rel=1e-9)
+    with pytest.raises(ValueError, match="reserve is 1; expected at least 0 and below 1"):
+        replace(planner, reserve=1.0)
+
+
 def test_downforce_adds_to_the_closed_form() -> None:
     """m v^2 / R = mu (m g + C_l v^2), with downforce at the centre of gravity."""
     front = CAR.vehicle.lr / CAR.vehicle.wheelbase
