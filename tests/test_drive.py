@@ -232,7 +232,7 @@ def test_nine_laps_on_identified_parameters(identified: list[str]) -> None:
     assert results["top speed [km/h]"] > 217
     assert results["largest position error [m]"] < 0.6
     assert results["largest heading error [deg]"] < 2.2
-    assert log["u_brake"].max() > 1e6
+    assert log["u_brake"].max() > 1e6, "10 bar"
     assert [row["band"] for row in about["speed bands"]][-1] == "151 to 187 km/h"
     assert all(row["RMS error [m/s]"] < 0.5 for row in about["speed bands"])
 

@@ -84,7 +84,7 @@ def test_fig8_shows_errors_over_the_distance() -> None:
     assert position.get_lines()[0].get_xdata() == pytest.approx(log["distance"] / 1000)
     assert heading.get_lines()[0].get_ydata() == pytest.approx(np.degrees(log["e_psi"]))
     largest = np.degrees(log["e_psi"].max())
-    assert heading.get_title(loc="right") == f"largest {largest:.2f}"
+    assert heading.get_title(loc="right") == f"largest {largest:.2f} deg"
     assert curve(velocity, "driven") == pytest.approx(log["vx"])
     assert error.get_lines()[0].get_ydata() == pytest.approx(log["vx"] - log["v_des"])
     assert curve(pedals, "brake [bar]") == pytest.approx(log["u_brake"] / 1e5)

@@ -45,13 +45,13 @@ def driven(
 
 
 @cache
-def avoidance(seed: int | None = 0, reserve: float = 0.15) -> tuple[Drive, Driver]:
+def avoidance(seed: int | None = 0, reserve: float = 0.12) -> tuple[Drive, Driver]:
     """IMS, mu = 0.7, 100 km/h, an obstacle on the line that is seen 80 m before."""
     road = ims()
     line, speed = beside(road, constant(-4.5)), 100 / 3.6
     follower = driver(line, 0.7, speed)
     planner = replace(car().planner(0.7, speed), reserve=reserve)
-    local = LocalPlanner(out=21.5, back=32.0)
+    local = LocalPlanner(out=20.5, back=32.0)
     sighting = Sighting((Obstacle(s=440.0, e=0.0, width=4.0),), 80.0, local, planner)
     follower = replace(follower, sighting=sighting)
     return driven(follower, road, 355.0, -4.5, speed, 120.0, seed), follower

@@ -201,7 +201,8 @@ def _error(log: pd.DataFrame, values: pd.Series[float], label: str, ax: Axes) ->
     ax.axhline(0.0, color="black", linewidth=0.6)
     largest = float(values.abs().max())
     ax.set_ylim(-1.45 * largest, 1.45 * largest)
-    ax.set_title(f"largest {largest:.2f}", loc="right", pad=2, fontsize=8)
+    unit = label.split("[")[1].rstrip("]")
+    ax.set_title(f"largest {largest:.2f} {unit}", loc="right", pad=2, fontsize=8)
     ax.set_ylabel(label)
     return ax
 
