@@ -191,8 +191,9 @@ def test_parts_are_stored_and_a_second_drive_identifies_what_is_missing(tmp_path
 
 @pytest.fixture(scope="module")
 def identified(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    """Overrides with which whole drives identify the car once, by least squares."""
-    return ["optimizer=least_squares", f"root={tmp_path_factory.mktemp('identified')}"]
+    """Overrides with which whole drives identify the car once, within evaluations, not seconds."""
+    few = ["budget.seconds=null", "budget.evaluations=20000"]
+    return ["optimizer=miho_gn", *few, f"root={tmp_path_factory.mktemp('identified')}"]
 
 
 def driven(experiment: str, identified: list[str]) -> tuple[dict[str, Any], pd.DataFrame]:
@@ -239,7 +240,7 @@ def test_nine_laps_on_identified_parameters(identified: list[str]) -> None:
 
 @pytest.mark.slow
 def test_the_identified_car_is_near_the_true_one(identified: list[str]) -> None:
-    """By least squares: the brake within 2 %, tires within their spread of 20 % in the load."""
+    """The brake within 2 %, tires within their spread of 20 % in the load."""
     vehicle = Vehicle.from_settings(av21())
     cfg = composed([IMS, *identified])
     (known, parts), (true, _) = (

@@ -11,10 +11,11 @@ from miho.driving.path_tracking import SampledModel, between
 from miho.driving.sensors import Sensors
 from miho.quantities import Array
 
-LATERAL, YAW, RACK = 3.0, 3.0, 0.1
+LATERAL, HEADING, YAW, RACK = 3.0, 0.1, 3.0, 0.1
 """Standard deviations of what the linear model leaves out, white from one command to the next:
-lateral acceleration [m/s^2], yaw acceleration [rad/s^2] and rate of the rack [rad/s]. They are
-ours: of the size of the errors of the steady feed-forward in a swerve."""
+lateral acceleration [m/s^2], rate of the heading [rad/s], yaw acceleration [rad/s^2] and rate of
+the rack [rad/s]. They are ours: of the size of the errors of the steady feed-forward in a swerve;
+without that of the heading the car of CommonRoad leaves its line by 0.34 m instead of 0.26 m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +47,7 @@ class ErrorEstimator:
             Rising speeds [m/s] at which the gains are computed.
         """
         d, period = sampled.delayed, sampled.period
-        W = np.diag([0.0, LATERAL, 0.0, YAW, RACK]) * period
+        W = np.diag([0.0, LATERAL, HEADING, YAW, RACK]) * period
         rows = []
         for vx in speeds:
             F, G = sampled.matrices(float(vx))
