@@ -178,9 +178,8 @@ class DriveConfig:
     share of the planned grip that the speeds leave to the controllers. The car starts at the arc
     length `start` [m] of the line with `speed` [m/s] and drives a distance [m]. `top_speeds` [m/s]
     of the laps in turn, less in the `slow` zones; the desired speed goes from one to the next by
-    `ramp` upwards
-    and `brake_ramp` downwards [m/s^2]. Without them only the plan's `top_speed` counts. Log,
-    figure and table go to `output`, identified parts to `root`.
+    `ramp` upwards and `brake_ramp` downwards [m/s^2]. Without them only the plan's `top_speed`
+    counts. Log, figure and table go to `output`, identified parts to `root`.
     """
 
     vehicle: dict[str, Any] = field(default_factory=dict)
