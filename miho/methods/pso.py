@@ -7,9 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from miho.optim import AskTell, Space
-from miho.optim.space import LARGEST_BATCH
+from miho.optim.space import LARGEST_BATCH, SAMPLINGS
 from miho.quantities import Array
-from miho.validate import at_least, positive, whole
+from miho.validate import at_least, one_of, positive, whole
+
+BOUNDS = ("clip", "none")
+FAR = 1e12
+"""Ranges of the box from where a particle does not come back: its steps are as long."""
 
 
 @dataclass
@@ -29,15 +33,36 @@ class PSOState:
 class PSO(AskTell[PSOState]):
     """v <- w v + c1 r1 (own best - x) + c2 r2 (swarm's best - x);  x <- x + v.
 
-    c1 = c2 = 2 are the defaults of the paper's reference [5]; the inertia w, which the paper
-    does not give, falls linearly over `iterations` and then stays (Shi and Eberhart, 1999:
-    0.9 to 0.4). Velocities are limited to `velocity_limit` of the range per step, and a particle
-    that meets a bound stops there. Particles start at rest at the first common configurations.
-    Runs until the budget ends.
+    Particles start at rest at the first common configurations. Runs until the budget ends, or
+    until a swarm without bounds has diverged.
 
-    A constant inertia chi with c1 = c2 = chi phi / 2 is the swarm with constriction coefficient
-    chi = 2 / |2 - phi - sqrt(phi^2 - 4 phi)| (Clerc and Kennedy, 2002), whose particles converge
-    for phi > 4.
+    Parameters
+    ----------
+    particles : int
+        Size of the swarm.
+    c1, c2 : float
+        Acceleration towards a particle's own best and the swarm's best position. The defaults are
+        those of the paper's reference [5].
+    inertia_start, inertia_end : float
+        The inertia w falls linearly from the first to the second over `iterations`, and then stays
+        (Shi and Eberhart, 1999). The paper does not give w. The swarm of Kennedy and Eberhart
+        (1995) has w = 1. A constant w = chi with c1 = c2 = chi phi / 2 is the swarm with
+        constriction coefficient chi = 2 / abs(2 - phi - sqrt(phi^2 - 4 phi)) (Clerc and Kennedy,
+        2002), whose particles converge for phi > 4.
+    iterations : int
+        Iterations over which the inertia falls.
+    velocity_limit : float or None
+        Largest velocity per iteration, as a share of each parameter's range in search coordinates;
+        None for no limit.
+    bounds : {"clip", "none"}
+        "clip": a particle that meets a bound stops there. "none": particles may leave the box.
+    sampling : {"normal", "uniform_plus_noise", "uniform"}
+        Distribution of the first positions, as in `miho.optim.Space.sample`.
+
+    Raises
+    ------
+    ValueError
+        If a setting is out of its range.
     """
 
     particles: int = 100
@@ -46,18 +71,23 @@ class PSO(AskTell[PSOState]):
     inertia_start: float = 0.9
     inertia_end: float = 0.4
     iterations: int = 1000
-    velocity_limit: float = 0.5
+    velocity_limit: float | None = 0.5
+    bounds: str = "clip"
+    sampling: str = "normal"
 
     def __post_init__(self) -> None:
         whole("particles", self.particles, 1, LARGEST_BATCH)
         whole("iterations", self.iterations, 1)
         for field in ("c1", "c2", "inertia_start", "inertia_end"):
             at_least(field, getattr(self, field), 0)
-        positive("velocity_limit", self.velocity_limit)
+        if self.velocity_limit is not None:
+            positive("velocity_limit", self.velocity_limit)
+        one_of("bounds", self.bounds, BOUNDS)
+        one_of("sampling", self.sampling, SAMPLINGS)
 
     def init(self, space: Space, rng: np.random.Generator) -> PSOState:
         """Particles at the common initial configurations, at rest."""
-        positions = space.initial(self.particles)
+        positions = self._bounded(space.initial(self.particles, self.sampling), space)
         return PSOState(
             space=space,
             rng=rng,
@@ -69,7 +99,8 @@ class PSO(AskTell[PSOState]):
 
     def ask(self, state: PSOState) -> Array:
         """The particles' positions."""
-        return state.space.decode(state.positions)
+        with np.errstate(over="ignore"):  # of a swarm without bounds on a log scale
+            return state.space.decode(state.positions)
 
     def tell(self, state: PSOState, thetas: Array, losses: Array) -> None:
         """Update the bests, then move every particle."""
@@ -79,20 +110,33 @@ class PSO(AskTell[PSOState]):
         leader = state.best[np.argmin(state.best_losses)]
 
         x, rng = state.positions, state.rng
-        low, high = state.space.bounds
-        v = self._inertia(state.iteration) * state.velocities
-        v += self.c1 * rng.random(x.shape) * (state.best - x)
-        v += self.c2 * rng.random(x.shape) * (leader - x)
-        limit = self.velocity_limit * (high - low)
-        v = np.minimum(np.maximum(v, -limit), limit)
-        unbounded = x + v
-        state.positions = np.minimum(np.maximum(unbounded, low), high)
-        state.velocities = np.where(unbounded == state.positions, v, 0.0)
+        with np.errstate(over="ignore", invalid="ignore"):  # a swarm without bounds may diverge
+            v = self._inertia(state.iteration) * state.velocities
+            v += self.c1 * rng.random(x.shape) * (state.best - x)
+            v += self.c2 * rng.random(x.shape) * (leader - x)
+            if self.velocity_limit is not None:
+                low, high = state.space.bounds
+                limit = self.velocity_limit * (high - low)
+                v = np.minimum(np.maximum(v, -limit), limit)
+            moved = x + v
+        state.positions = self._bounded(moved, state.space)
+        state.velocities = np.where(moved == state.positions, v, 0.0)
         state.iteration += 1
 
     def done(self, state: PSOState) -> bool:
-        """False: only the budget ends it."""
-        return False
+        """Whether a swarm without bounds has diverged: no particle is within FAR of the box."""
+        if self.bounds != "none":
+            return False
+        low, high = state.space.bounds
+        near = np.abs(state.positions - low) <= FAR * (high - low)  # False for NaN
+        return not near.all(axis=1).any()
+
+    def _bounded(self, positions: Array, space: Space) -> Array:
+        """Positions (n, d) in search coordinates, in the box unless there are no bounds."""
+        if self.bounds == "none":
+            return positions
+        low, high = space.bounds
+        return np.minimum(np.maximum(positions, low), high)
 
     def _inertia(self, iteration: int) -> float:
         fraction = min(1.0, iteration / self.iterations)

@@ -15,7 +15,7 @@ import numpy as np
 from miho.compiled import Block, Climb
 from miho.optim.meter import Budget
 from miho.optim.miho_settings import MIHOSettings
-from miho.optim.mutation import climb_of, climb_once, compiled_steps
+from miho.optim.mutation import climb_of, climb_once, compiled_steps, limits
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
@@ -193,7 +193,7 @@ class AsynchronousMIHO(MIHOSettings, Resumable[AsynchronousMIHOState]):
             climb,
             (chain.proposal[None], P, L),
             chain.rung.sigma[chain.step + 1 : chain.step + count],
-            self.bounds(state.space),
+            limits(state.space, self.clip),
             state.rng,
             (best, target),
         )

@@ -11,7 +11,7 @@ import numpy as np
 from miho.compiled import Block, Climb
 from miho.optim.meter import Budget
 from miho.optim.miho_settings import MIHOSettings
-from miho.optim.mutation import climb_of, climb_once, compiled_steps
+from miho.optim.mutation import climb_of, climb_once, compiled_steps, limits
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
@@ -114,7 +114,7 @@ class MIHO(MIHOSettings, Resumable[MIHOState]):
             climb,
             (state.batch[rows], state.P[rows], state.L[rows]),
             state.sigma[state.step + 1 : state.step + count],
-            self.bounds(state.space),
+            limits(state.space, self.clip),
             state.rng,
             (best, target),
             early_stopping=self.early_stopping,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from miho.optim.mutation import ANNEALINGS, CLIPS, annealed_sigma, mutate
+from miho.optim.mutation import ANNEALINGS, CLIPS, annealed_sigma, limits, mutate
 from miho.optim.schedule import ROUNDINGS, Rung, hyperband_table
 from miho.optim.space import LARGEST_BATCH, SAMPLINGS, Space
 from miho.quantities import Array
@@ -21,9 +21,10 @@ class MIHOSettings:
 
     R is the largest number of mutations one configuration gets on a rung, eta the proportion kept
     (one in eta). `rounding` is that of s_max; `sampling` that of fresh configurations; `annealing`
-    that of sigma, over the mutations of a rung; `clip` keeps mutants in the box or above its lower
-    bounds. `proposal` is what a configuration is compared with: a mutation of itself, or, to see
-    what mutation is worth, a fresh draw from the initial distribution in its place.
+    that of sigma, over the mutations of a rung; `clip` keeps mutants in the box, above its lower
+    bounds, or not at all ("none"). `proposal` is what a configuration is compared with: a mutation
+    of itself, or, to see what mutation is worth, a fresh draw from the initial distribution in its
+    place.
     """
 
     R: int = 10_000
@@ -65,11 +66,6 @@ class MIHOSettings:
         """Sigma of each mutation on a rung, (mutations, d)."""
         return annealed_sigma(space, mutations, self.annealing)
 
-    def bounds(self, space: Space) -> tuple[Array, Array]:
-        """Ends (d,) within which `clip` keeps mutants, in search coordinates."""
-        low, high = space.bounds
-        return low, high if self.clip == "box" else np.full(high.shape, np.inf)
-
     def proposals(self, P: Array, sigma: Array, space: Space, rng: np.random.Generator) -> Array:
         """What configurations P (n, d) are compared with next, in search coordinates."""
         if self.proposal == "mutation":
@@ -78,6 +74,5 @@ class MIHOSettings:
 
     def _clipped(self, P: Array, space: Space) -> Array:
         """P (n, d) clipped as `clip` says, in search coordinates."""
-        low, high = space.bounds
-        P = np.maximum(P, low)
-        return np.minimum(P, high) if self.clip == "box" else P
+        low, high = limits(space, self.clip)
+        return np.asarray(np.minimum(np.maximum(P, low), high))

@@ -12,7 +12,7 @@ from miho.optim.space import Space
 from miho.quantities import Array
 
 ANNEALINGS = ("linear", "exponential")
-CLIPS = ("box", "lower")
+CLIPS = ("box", "lower", "none")
 
 
 def annealed_sigma(space: Space, mutations: int, annealing: str = "linear") -> Array:
@@ -30,18 +30,25 @@ def annealed_sigma(space: Space, mutations: int, annealing: str = "linear") -> A
 
 
 def mutate(P: Array, sigma: Array, space: Space, rng: np.random.Generator, clip: str) -> Array:
-    """p + sigma * epsilon for every row of P (n, d), kept in the box or above its lower bounds.
+    """p + sigma * epsilon for every row of P (n, d), kept within `limits` of `clip`.
 
     In search coordinates; epsilon is standard normal, sigma is (d,).
     """
-    low, high = space.bounds
+    low, high = limits(space, clip)
     mutated = rng.standard_normal(P.shape)
     mutated *= sigma
     mutated += P
     np.maximum(mutated, low, out=mutated)
-    if clip == "box":
-        np.minimum(mutated, high, out=mutated)
+    np.minimum(mutated, high, out=mutated)
     return mutated
+
+
+def limits(space: Space, clip: str) -> tuple[Array, Array]:
+    """The lowest and highest search coordinates (d,) that `clip` leaves: of a box, or infinite."""
+    low, high = space.bounds
+    if clip == "none":
+        low = np.full(low.shape, -np.inf)
+    return low, high if clip == "box" else np.full(high.shape, np.inf)
 
 
 def climb_of(oracle: Oracle) -> Climb | None:
