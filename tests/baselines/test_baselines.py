@@ -1,5 +1,7 @@
 """Each baseline does what its source says: one step by hand, or an optimum known otherwise."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -10,7 +12,7 @@ from miho import Budget, Parameter, Space, minimize
 from miho.methods.gbo import GBO
 from miho.methods.least_squares import LeastSquares
 from miho.methods.pso import PSO, PSOState
-from miho.optim import Outcome
+from miho.optim import LeastSquaresProblem, Outcome
 from miho.optim.seeds import stream
 from miho.testing import DecayFit
 
@@ -44,6 +46,71 @@ def test_gbo_steps_down_the_gradient_of_the_loss() -> None:
         h = 1e-6 * (np.arange(2) == k)
         slope = (loss((first + h)[None])[0] - loss((first - h)[None])[0]) / 2e-6
         assert second[k] == pytest.approx(first[k] - 1e-3 * slope, rel=1e-6)
+
+
+@pytest.mark.parametrize("units", ["SI", "kN_deg", "box"])
+def test_gbo_steps_in_its_units(units: str) -> None:
+    """Closed form: in units of s a step is s^2 times as long, because the gradient is per unit."""
+    space = Space(
+        (
+            Parameter("B", "1/rad", 0.0, 40.0),
+            Parameter("C", "-", 0.0, 3.0),
+            Parameter("D", "N", 0.0, 6000.0),
+            Parameter("Sx", "rad", -0.1, 0.1),
+        )
+    )
+    sizes = {
+        "SI": [1.0, 1.0, 1.0, 1.0],
+        "kN_deg": [180 / np.pi, 1.0, 1000.0, np.pi / 180],
+        "box": [40.0, 3.0, 6000.0, 0.2],
+    }
+    target = space.initial(1)[0] * 0.9
+
+    class Distance(LeastSquaresProblem):
+        name = "distance"
+
+        def __init__(self) -> None:
+            self.space, self.at = space, list[Array]()
+
+        def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+            return np.asarray(np.mean((thetas - target) ** 2, axis=1))
+
+        def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
+            self.at.append(theta.copy())
+            return np.asarray(theta - target)
+
+        def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
+            return np.eye(4)
+
+    problem, rate = Distance(), 1e-9
+    record = minimize(GBO(rate, units=units, steps=2), problem, seed=1, rehearse=False)
+    assert record.outcome is Outcome.CONVERGED
+    assert record.evaluations == 2 * (1 + 4)
+    first, second = problem.at
+    expected = first - rate * np.square(sizes[units]) * 2 / 4 * (first - target)
+    np.testing.assert_allclose(second, expected, rtol=1e-14)  # a few roundings
+
+
+def test_gbo_starts_where_sampling_says() -> None:
+    problem = Watched()
+    optimizer = GBO(1e-3, sampling="uniform_plus_noise", steps=1)
+    minimize(optimizer, problem, seed=1, rehearse=False)
+    space = problem.space.seeded(problem.name, 1)
+    start = space.decode(space.initial(1, "uniform_plus_noise"))[0]
+    np.testing.assert_array_equal(problem.residuals_at[0], space.clip(start))
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"units": "imperial"}, "units is 'imperial'; expected one of SI, kN_deg, box"),
+        ({"sampling": "grid"}, "sampling is 'grid'"),
+        ({"steps": 0}, "steps is 0; expected a whole number of at least 1"),
+    ],
+)
+def test_bad_settings_of_gbo(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        GBO(1e-3, **settings)
 
 
 @pytest.mark.slow

@@ -128,7 +128,7 @@ def same(record: RunRecord, reference: RunRecord) -> None:
 
 
 @pytest.mark.parametrize("early_stopping", [False, True])
-@pytest.mark.parametrize("clip", ["box", "lower"])
+@pytest.mark.parametrize("clip", ["box", "lower", "none"])
 @pytest.mark.parametrize("annealing", ["linear", "exponential"])
 def test_the_trace_is_that_of_the_general_path(
     fit: FusedLoss, early_stopping: bool, clip: str, annealing: str

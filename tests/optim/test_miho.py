@@ -82,6 +82,10 @@ def test_clipping() -> None:
     lower = mutate(P, space.sigma[0], space, stream("t"), "lower")
     assert (lower > space.bounds[1]).any()
     assert (lower >= space.bounds[0]).all()
+    P = np.tile(space.bounds[0], (1000, 1))
+    free = mutate(P, space.sigma[0], space, stream("t"), "none")
+    np.testing.assert_array_equal(free, P + space.sigma[0] * stream("t").standard_normal(P.shape))
+    assert (free < space.bounds[0]).any()
 
 
 def test_it_finds_the_optimum_of_a_smooth_problem() -> None:
@@ -102,7 +106,7 @@ def test_it_finds_the_optimum_of_a_smooth_problem() -> None:
         ({"rounding": "up"}, "one of ceil, floor"),
         ({"sampling": "grid"}, "one of normal"),
         ({"annealing": "cosine"}, "one of linear"),
-        ({"clip": "none"}, "one of box"),
+        ({"clip": "upper"}, "one of box"),
     ],
 )
 def test_bad_settings(settings: dict[str, object], message: str) -> None:

@@ -1,0 +1,162 @@
+"""Under which reading of what the paper leaves open its comparison (Fig. 6) comes out.
+
+python -m experiments.check.readings [--repetitions 20] [--workers 2] [--output FOLDER]
+
+The paper gives neither the inertia of its swarms nor bounds, the initial distribution, the units of
+the rates of gradient descent, or how its code evaluates. Each reading names stored methods, of
+conf/optimizer and conf/optimizer/readings, that stand for the paper's five. Runs that are missing
+are made, at full size: R = 10^4, eta = 5, 3000 rows. Seconds are modelled: evaluations times what
+one costs each method, which `experiments.benchmarks.interpreted` measures and writes into the same
+folder, because a busy machine changes neither. Writes the table of readings by claims, all claims
+with their intervals, the curves, and provenance.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from experiments.app.build import ConfigError
+from experiments.app.compose import CONF, composed
+from experiments.app.console import OK, SOME_FAILED, run_and_exit
+from experiments.app.plan import Request, requests, sweep_settings
+from experiments.app.runs import run
+from experiments.app.schema import register
+from miho.analysis import save
+from miho.analysis.compare.comparison import Comparison, write_origin, write_tables
+from miho.analysis.compare.readings import (
+    Reading,
+    frames_of,
+    long_table,
+    reading_claims,
+    short_table,
+)
+from miho.analysis.figures.readings import readings_figure
+from miho.study import load_runs
+
+EXPERIMENT = "experiment=paper_readings"
+OUTPUT = Path("docs", "results", "paper_readings")
+COSTS = "interpreted.csv"
+
+
+def reading(words: str, *, miho: str = "miho", swarm: str = "", descent: str = "si") -> Reading:
+    """The reading whose swarms and descents have these ends of their names."""
+    methods = {"miho": miho}
+    methods |= {name: f"{name}_{descent}" for name in ("gbo_small", "gbo_large")}
+    methods |= {name: f"{name}_{swarm}".rstrip("_") for name in ("pso_100", "pso_500")}
+    return Reading(words, methods)
+
+
+READINGS = (
+    reading("as docs/results.md: inertia 0.9 to 0.4, velocity limit, box, normal start"),
+    reading("inertia 0.9 to 0.4, no velocity limit", swarm="no_limit"),
+    reading("constriction, velocity limit", swarm="constriction"),
+    reading("constriction, no velocity limit", swarm="constriction_no_limit"),
+    reading("w = 1, velocity limit", swarm="no_inertia"),
+    reading("w = 1, no velocity limit", swarm="no_inertia_no_limit"),
+    reading("no bounds", miho="miho_unbounded", swarm="unbounded"),
+    reading(
+        "no bounds, w = 1, no velocity limit", miho="miho_unbounded", swarm="no_inertia_unbounded"
+    ),
+    reading("uniform start", miho="miho_uniform", swarm="uniform", descent="uniform"),
+    reading(
+        "uniform start plus noise",
+        miho="miho_uniform_plus_noise",
+        swarm="uniform_plus_noise",
+        descent="uniform_plus_noise",
+    ),
+    reading(
+        "MIHO and start as in the authors' code",
+        miho="miho_reference",
+        swarm="uniform_plus_noise",
+        descent="uniform_plus_noise",
+    ),
+    reading("loss of descent in kN²", descent="kn2"),
+    reading("descent in kN and degrees", descent="kn_deg"),
+    reading("descent in ranges of the box", descent="box"),
+)
+
+
+def plan(repetitions: int, overrides: Sequence[str] = ()) -> Iterator[Request]:
+    """The runs that all readings need, method by method."""
+    names = dict.fromkeys(name for each in READINGS for name in each.methods.values())
+    for name in names:
+        folder = "readings/" * (CONF / "optimizer" / "readings" / f"{name}.yaml").exists()
+        words = [EXPERIMENT, f"optimizer={folder}{name}", *overrides]
+        yield from requests(composed(words), " ".join(words), range(repetitions))
+
+
+def costs_of(path: Path) -> dict[str, dict[str, float]]:
+    """For each kind of cost the seconds of an evaluation of each method."""
+    if not path.exists():
+        raise ConfigError(
+            f"{path}: is missing; run python -m experiments.benchmarks.interpreted "
+            f"--output {path.parent} first"
+        )
+    table = pd.read_csv(path).set_index("method") * 1e-6
+    return {str(kind): dict(table[kind]) for kind in table}
+
+
+def judge(comparison: Comparison, target: float, output: Path) -> None:
+    """Write tables, figure and provenance, and print the short table."""
+    costs = costs_of(output / COSTS)
+    frames = {
+        each.words: frames_of(each, comparison.runs, comparison.curves, target) for each in READINGS
+    }
+    claims = {words: reading_claims(*both, costs) for words, both in frames.items()}
+    tables = {"readings": short_table(claims), "claims": long_table(claims, list(claims))}
+    captions = {
+        "readings": "The paper's claims under each reading. Bold: reproduced; italics: undecided "
+        "within the budget or these repetitions.",
+        "claims": "The same with 95 % bootstrap intervals.",
+    }
+    texts, _ = write_tables(comparison, tables, captions, output)
+    print(texts[0])
+    note = f"lines: mean over repetitions, bands: 10 to 90 %; {comparison.note}"
+    save(readings_figure({words: both[1] for words, both in frames.items()}, note=note),
+         output / "readings")  # fmt: skip
+    write_origin(comparison, output)
+
+
+def main() -> None:
+    """Read the command line, make the missing runs, and judge."""
+    parser = argparse.ArgumentParser(prog="python -m experiments.check.readings")
+    parser.add_argument("--repetitions", type=int, default=20)
+    parser.add_argument("--workers", type=int, default=2, help="runs at a time")
+    parser.add_argument("--root", type=Path, help="folder of runs (default: runs/paper_readings)")
+    parser.add_argument("--output", type=Path, default=OUTPUT)
+    arguments = parser.parse_args()
+
+    def job() -> int:
+        register()
+        costs_of(arguments.output / COSTS)
+        overrides = [] if arguments.root is None else [f"root={arguments.root}"]
+        cfg = composed([EXPERIMENT, *overrides])
+        todo = list(plan(arguments.repetitions, overrides))
+        outcome = run(todo, sweep_settings(cfg), processes=arguments.workers)
+        outcome.raise_if_stopped()
+        if any(state.error is None and state.reason is not None for state in outcome.states):
+            print("runs are missing; nothing is judged, run again", file=sys.stderr)
+            return SOME_FAILED
+        ids = {request.identity.id for request in todo}
+        stored = load_runs(Path(cfg.root))
+        runs, curves = (frame[frame["id"].isin(ids)] for frame in (stored.runs, stored.curves))
+        note = (
+            f"R = 10,000, {arguments.repetitions} repetitions, at most "
+            f"{cfg.budget.evaluations:,} evaluations per run"
+        )
+        command = ("python", "-m", "experiments.check.readings")
+        comparison = Comparison(runs, curves, 0, command, note)
+        judge(comparison, math.sqrt(cfg.budget.target), arguments.output)
+        return OK
+
+    run_and_exit(job)
+
+
+if __name__ == "__main__":
+    main()

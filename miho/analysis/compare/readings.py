@@ -1,0 +1,144 @@
+"""The claims of the paper's comparison under readings of what it leaves open (Sec. V-A.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+
+from miho.analysis.compare.bootstrap import RESAMPLES, MeanCurve
+from miho.analysis.compare.claims import claims_table
+from miho.analysis.compare.verdict import NOT_REPRODUCED, REPRODUCED
+
+DESCENTS = ("gbo_small", "gbo_large")
+COLUMNS = (
+    ("to 1.0 kN, in evaluations", "13× to 1.0 kN, evaluations"),
+    ("to 1.0 kN, in interpreted seconds", "13× to 1.0 kN, interpreted"),
+    ("to 0.5 kN, in evaluations", "494× to 0.5 kN, evaluations"),
+    ("to 0.5 kN, in interpreted seconds", "494× to 0.5 kN, interpreted"),
+    ("terminal error of MIHO", "MIHO ends at 0.39 kN"),
+    ("below pso_500", "24 % below PSO-500"),
+    ("below gbo_large", "76 % below GBO-large"),
+    ("pso_100 stays", "PSO-100 stays at 0.75 kN"),
+    ("gbo_small improves", "GBO-small: < 10 %"),
+)
+"""Words of a claim, and the column of the short table that it is in."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One reading of what the paper leaves open.
+
+    Attributes
+    ----------
+    words : str
+        What is read how, for tables and figures.
+    methods : mapping of str to str
+        For each method of the paper, such as "pso_100", the stored method that stands for it.
+    """
+
+    words: str
+    methods: Mapping[str, str]
+
+
+def frames_of(
+    reading: Reading, runs: pd.DataFrame, curves: pd.DataFrame, target: float
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The runs and curves of one reading, under the paper's names of the methods.
+
+    A run that stopped at an error of `target` [N], or below, counts as ended by itself: it has
+    nothing to gain. Gradient descent that ended after its last step counts as cut if its mean error
+    fell by more than 1 % in the second half of its steps.
+
+    Raises
+    ------
+    ValueError
+        If `runs` lacks one of the stored methods.
+    """
+    missing = sorted(set(reading.methods.values()) - set(runs["optimizer"]))
+    if missing:
+        raise ValueError(f"there are no runs of {', '.join(missing)}; expected those of all seeds")
+    names = {stored: paper for paper, stored in reading.methods.items()}
+    of_reading = [
+        frame[frame["optimizer"].isin(names)].assign(
+            optimizer=lambda rows: rows["optimizer"].map(names)
+        )
+        for frame in (runs, curves)
+    ]
+    runs, curves = of_reading
+    runs.loc[runs["error"] <= target, "outcome"] = "converged"
+    for method in DESCENTS:
+        descents = runs["optimizer"] == method
+        cut = runs.assign(outcome="budget")
+        seeds = list(runs.loc[descents, "seed"])
+        if MeanCurve.of(cut, curves, method, "evaluations", seeds).still_falling():
+            runs.loc[descents, "outcome"] = "budget"
+    return runs, curves
+
+
+def in_seconds(frame: pd.DataFrame, costs: Mapping[str, float]) -> pd.DataFrame:
+    """`frame` of runs or curves with seconds of evaluations times `costs` [s] by method.
+
+    What is known of the clock that the runs were made by is left out.
+    """
+    seconds = frame["evaluations"] * frame["optimizer"].map(costs)
+    return frame.drop(columns="timing_valid", errors="ignore").assign(seconds=seconds)
+
+
+def reading_claims(
+    runs: pd.DataFrame,
+    curves: pd.DataFrame,
+    costs: Mapping[str, Mapping[str, float]],
+    resamples: int = RESAMPLES,
+) -> pd.DataFrame:
+    """`claims_table` of one reading, with rows for the seconds of each kind of cost.
+
+    Parameters
+    ----------
+    runs, curves : DataFrame
+        As `frames_of` gives them.
+    costs : mapping of str to mapping of str to float
+        For each kind, such as "interpreted", the seconds of an evaluation of each method.
+    resamples : int
+        Bootstrap resamples.
+    """
+    tables = []
+    for kind, seconds in costs.items():
+        timed = in_seconds(runs, seconds), in_seconds(curves, seconds)
+        table = claims_table(*timed, resamples=resamples)
+        renamed = table["claim"].str.replace("in seconds", f"in {kind} seconds")
+        tables.append(table.assign(claim=renamed))
+    return pd.concat(tables).drop_duplicates("claim", ignore_index=True)
+
+
+def short_table(claims: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
+    """A row per reading, from its words and its claims: measured estimates, and how many hold.
+
+    An estimate is bold where the claim is reproduced, and in italics where that depends on what was
+    not tested, such as a longer budget. The last column counts the seven claims, the speed-ups in
+    evaluations.
+    """
+    rows = []
+    for words, table in claims.items():
+        row, reproduced = {"reading": words}, 0
+        for claim, column in COLUMNS:
+            found = table[table["claim"].str.contains(claim, regex=False)].iloc[0]
+            row[column] = _marked(found["ours"].partition(" [")[0], found["verdict"])
+            counts = "interpreted" not in column
+            reproduced += counts and found["verdict"] == REPRODUCED
+        rows.append({**row, "reproduced of 7": str(reproduced)})
+    return pd.DataFrame(rows)
+
+
+def _marked(estimate: str, word: str) -> str:
+    if word == REPRODUCED:
+        return f"**{estimate}**"
+    return estimate if word == NOT_REPRODUCED else f"*{estimate}*"
+
+
+def long_table(claims: Mapping[str, pd.DataFrame], order: Sequence[str]) -> pd.DataFrame:
+    """All claims of all readings, a row each, in this order of the readings' words."""
+    return pd.concat([claims[words].assign(reading=words) for words in order], ignore_index=True)[
+        ["reading", "claim", "paper", "ours", "repetitions", "verdict", "reason"]
+    ]
