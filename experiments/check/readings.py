@@ -53,13 +53,16 @@ def reading(words: str, *, miho: str = "miho", swarm: str = "", descent: str = "
 
 
 READINGS = (
-    reading("as docs/results.md: inertia 0.9 to 0.4, velocity limit, box, normal start"),
+    reading("inertia 0.9 to 0.4, velocity limit, box, normal start, N² and SI units"),
     reading("inertia 0.9 to 0.4, no velocity limit", swarm="no_limit"),
     reading("constriction, velocity limit", swarm="constriction"),
     reading("constriction, no velocity limit", swarm="constriction_no_limit"),
     reading("w = 1, velocity limit", swarm="no_inertia"),
     reading("w = 1, no velocity limit", swarm="no_inertia_no_limit"),
-    reading("no bounds", miho="miho_unbounded", swarm="unbounded"),
+    reading("no bounds, inertia 0.9 to 0.4", miho="miho_unbounded", swarm="unbounded"),
+    reading(
+        "no bounds, w = 1, velocity limit", miho="miho_unbounded", swarm="no_inertia_no_bounds"
+    ),
     reading(
         "no bounds, w = 1, no velocity limit", miho="miho_unbounded", swarm="no_inertia_unbounded"
     ),
@@ -76,9 +79,9 @@ READINGS = (
         swarm="uniform_plus_noise",
         descent="uniform_plus_noise",
     ),
-    reading("loss of descent in kN²", descent="kn2"),
+    reading("descent on a loss in kN²", descent="kn2"),
     reading("descent in kN and degrees", descent="kn_deg"),
-    reading("descent in ranges of the box", descent="box"),
+    reading("descent in multiples of the ranges", descent="box"),
 )
 
 
