@@ -115,14 +115,13 @@ def judge(comparison: Comparison, target: float, output: Path) -> None:
     tables = {"readings": short_table(claims), "claims": long_table(claims, list(claims))}
     captions = {
         "readings": "The paper's claims under each reading. Bold: reproduced; italics: undecided "
-        "within the budget or these repetitions.",
+        "within this budget or these repetitions; ∞: no rival gets there.",
         "claims": "The same with 95 % bootstrap intervals.",
     }
     texts, _ = write_tables(comparison, tables, captions, output)
     print(texts[0])
-    note = f"lines: mean over repetitions, bands: 10 to 90 %; {comparison.note}"
-    save(readings_figure({words: both[1] for words, both in frames.items()}, note=note),
-         output / "readings")  # fmt: skip
+    curves = {words: both[1] for words, both in frames.items()}
+    save(readings_figure(curves, note=comparison.note), output / "readings")
     write_origin(comparison, output)
 
 

@@ -169,7 +169,7 @@ def fig6(
         wall = clock.axis == "seconds"
         above.set_title("as in the paper: over time" if wall else "over CPU time", loc="left")
         below.set_title("the same over evaluations", loc="left")
-        _plain_log_ticks(above)
+        plain_log_ticks(above)
         lines = "lines: mean over repetitions, bands: 10 to 90 %"
         disturbed = clock.note if wall else ""
         caption(figure, lines, band if irreducible else "", disturbed, note, width=NARROW)
@@ -232,7 +232,7 @@ def _final_labels(
     return labels
 
 
-def _plain_log_ticks(ax: Axes) -> None:
+def plain_log_ticks(ax: Axes) -> None:
     """Ticks at 1, 2, 5 times powers of ten, written as plain numbers."""
     ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))

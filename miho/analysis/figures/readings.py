@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 
 from miho.analysis.curves import log_grid
 from miho.analysis.figures.house import WIDTH, caption, house_style
-from miho.analysis.figures.paper import plot_error_over
+from miho.analysis.figures.paper import plain_log_ticks, plot_error_over
 from miho.analysis.styles import styles_of
 
 COLUMNS = 3
@@ -42,12 +42,16 @@ def readings_figure(readings: Mapping[str, pd.DataFrame], *, note: str = "") -> 
             for level in (0.5, 1.0):
                 ax.axhline(level, color="#888888", linewidth=0.6, linestyle=":")
             ax.set(xlabel="", ylabel="")
+            plain_log_ticks(ax)
+        for ax in axes[: len(readings)][-COLUMNS:]:
+            ax.tick_params(labelbottom=True)
+            ax.set_xlabel("evaluations of the full loss", fontsize=8)
         for ax in axes[len(readings) :]:
             ax.set_visible(False)
         figure.supylabel("mean error [kN]", fontsize=9)
         styles = styles_of(curves["optimizer"])
         handles = [Line2D([], [], label=style.name, **style.line) for style in styles.values()]
         figure.legend(handles=handles, loc="outside upper left", ncols=len(handles))
-        caption(figure, "horizontal axis: evaluations of the full loss", note)
+        caption(figure, "lines: mean over repetitions, bands: 10 to 90 %", note)
         figure.draw_without_rendering()
     return figure
