@@ -65,10 +65,10 @@ def test_runs_at_the_target_ended_and_falling_descent_is_cut() -> None:
 def test_descent_that_could_not_arrive_in_time_bounds_no_speed_up(
     late: float, outcome: str
 ) -> None:
-    """From 2000 N at half its end to 1625 N is 1250 N at twice its end; to 1200 N it is 400 N."""
+    """From 2000 N at 50 to 1625 N at 100 evaluations is 1250 N at 150; to 1200 N it is 400 N."""
     falling = [[(1.0, 9000.0), (40.0, 2000.0), (80.0, late)]] * 4
     ends = dict.fromkeys(("gbo_small_si", "gbo_large_si"), 100.0)
-    ends |= {"miho": 200.0, "pso_100_w1": 200.0, "pso_500_w1": 200.0}
+    ends |= dict.fromkeys(("miho", "pso_100_w1", "pso_500_w1"), 150.0)
     stored = STORED | {"gbo_large_si": falling}
     runs, curves = frames_of(READING, *frames(stored, ends=ends, outcomes=ENDED), target=0.0)
     settled = without_slow_descents(runs, curves).set_index("optimizer")["outcome"]
