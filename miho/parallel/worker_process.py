@@ -42,6 +42,8 @@ def serve(
         os.setsid()
         adopt_orphans()
     threading.Thread(target=_die_with_parent, daemon=True).start()
+    # Daemons may have no children, and a job may have workers of its own, which end with it.
+    multiprocessing.current_process().daemon = False
     interrupts = _Interrupts()
     while True:
         try:

@@ -3,9 +3,13 @@
 import math
 import multiprocessing
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+import pytest
+
+from miho.parallel.pool import open_pool
 from miho.parallel.processes import descendants
 from miho.parallel.worker_process import INTERRUPTED
 from miho.parallel.workers import JobOutcome, Workers
@@ -31,6 +35,20 @@ def wait_for(places: list[Path], workers: Workers[str, None]) -> None:
     while not all(place.exists() for place in places):
         assert not workers.wait(0.05)
         assert time.monotonic() < until
+
+
+def with_workers(job: str) -> int:
+    """A job whose function is called by worker processes of its own."""
+    with open_pool(2) as pool:
+        assert pool is not None
+        return sum(pool.map(len, [job, job]))
+
+
+@pytest.mark.parametrize("alone", [None, bool])
+def test_a_job_may_have_workers_of_its_own(alone: Callable[[str], bool] | None) -> None:
+    with Workers(with_workers, 1, alone=alone, modules=MODULES) as workers:
+        ended = all_of(["four"], workers)
+    assert ended["four"].result == 8, ended["four"].reason
 
 
 def test_a_job_that_goes_wrong_is_lost_alone() -> None:
