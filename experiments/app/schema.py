@@ -179,13 +179,16 @@ class DriveConfig:
     length `start` [m] of the line with `speed` [m/s] and drives a distance [m]. `top_speeds` [m/s]
     of the laps in turn, less in the `slow` zones; the desired speed goes from one to the next by
     `ramp` upwards and `brake_ramp` downwards [m/s^2]. Without them only the plan's `top_speed`
-    counts. Log, figure and table go to `output`, identified parts to `root`.
+    counts. equations: `corrected`, or Eq. 10-15 as they are `printed`; `printed_plan` and
+    `printed_steering` take one part of them. Log, figure and table go to `output`, identified parts
+    to `root`.
     """
 
     vehicle: dict[str, Any] = field(default_factory=dict)
     track: dict[str, Any] = field(default_factory=dict)
     controller: dict[str, Any] = field(default_factory=dict)
     known: str = "identified"
+    equations: str = "corrected"
     parameters: dict[str, str] = field(default_factory=dict)
     sensitivity: float | None = None
     noise: bool = True

@@ -20,14 +20,18 @@ from miho.driving.local_plan import LocalPlanner, Obstacle
 from miho.driving.ovals import ims, lvms
 from miho.driving.path_tracking import Weights
 from miho.driving.speed_control import SpeedSettings
+from miho.driving.steering_as_printed import PrintedSteering
 from miho.driving.track import Track
 from miho.driving.vehicle import Vehicle
+from miho.driving.velocity_as_printed import PrintedPlanner
 
 OVALS = {"ims": ims, "lvms": lvms}
 FACTORS = {
     "performance_factor": "the share of the tires' grip that the plan uses",
     "road_friction": "what the road gives, over the road on which the tires were measured",
 }
+EQUATIONS = ("corrected", "printed", "printed_plan", "printed_steering")
+"""Both as printed, Eq. 10-12 with the load transfer alone, or Eq. 13-15 alone."""
 LEAST_FACTOR, LARGEST_FACTOR = 0.05, 1.5
 """A car on wet ice, and one on tires half as good again as they are known."""
 
@@ -43,6 +47,10 @@ def track_and_vehicle(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
         raise ConfigError("drive: is incomplete; choose experiment=ims_obstacle or lvms_laps")
     if cfg.drive.figure not in ("fig7", "fig8"):
         raise ConfigError(f"drive.figure: is {cfg.drive.figure!r}; expected fig7 or fig8")
+    if cfg.drive.equations not in EQUATIONS:
+        raise ConfigError(
+            f"drive.equations: is {cfg.drive.equations!r}; expected one of {', '.join(EQUATIONS)}"
+        )
     for key, meaning in FACTORS.items():
         if not LEAST_FACTOR <= cfg.drive[key] <= LARGEST_FACTOR:
             raise ConfigError(
@@ -66,9 +74,17 @@ def track_and_vehicle(cfg: DictConfig) -> tuple[Track, Track, Vehicle]:
 def driver_of(cfg: DictConfig, car: KnownCar, line: Track) -> Driver:
     """The driver that `drive` describes, for a line and what is known of the car."""
     settings = _mapping(cfg.drive.controller)
-    planner = car.planner(cfg.drive.performance_factor, cfg.drive.top_speed)
-    planner = replace(planner, reserve=cfg.drive.reserve)
-    steering = car.steering_controller(Weights(**settings["weights"]), settings["period"])
+    weights, period = Weights(**settings["weights"]), settings["period"]
+    mu, top_speed = cfg.drive.performance_factor, cfg.drive.top_speed
+    live = None
+    if cfg.drive.equations in ("printed", "printed_plan"):
+        live = PrintedPlanner(car.vehicle, car.grip, mu, top_speed)
+    corrected = replace(car.planner(mu, top_speed), reserve=cfg.drive.reserve)
+    planner = corrected if live is None else live
+    if cfg.drive.equations in ("printed", "printed_steering"):
+        steering = PrintedSteering.of(car.vehicle, car.front, car.rear, weights, period)
+    else:
+        steering = car.steering_controller(weights, period)
     speed = car.speed_controller(SpeedSettings(**settings["speed"]))
     tops = tuple(cfg.drive.top_speeds) or (cfg.drive.top_speed,) * bool(cfg.drive.slow)
     slow = tuple(SlowZone(zone.start, zone.end, zone.top_speed) for zone in cfg.drive.slow)
@@ -79,7 +95,7 @@ def driver_of(cfg: DictConfig, car: KnownCar, line: Track) -> Driver:
         obstacle = Obstacle(s=box.s, e=box.e, length=box.length, width=box.width)
         local = LocalPlanner(out=box.out, back=box.back)
         sighting = Sighting((obstacle,), box.sight, local, planner)
-    return Driver(planner.plan(line), speed, steering, pace, sighting)
+    return Driver(planner.plan(line), speed, steering, pace, sighting, live)
 
 
 def factors_text(cfg: DictConfig) -> str:

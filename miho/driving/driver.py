@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 from miho.driving.local_plan import LocalPlanner, NoPathError, Obstacle
 from miho.driving.plant import Command, Motion
 from miho.driving.speed_control import SpeedController, SpeedState
+from miho.driving.steering_as_printed import PrintedSteering
 from miho.driving.steering_control import (
     SteeringController,
     SteeringState,
@@ -17,6 +18,7 @@ from miho.driving.steering_control import (
     tracking_error,
 )
 from miho.driving.track import Projection, Track
+from miho.driving.velocity_as_printed import PrintedPlanner
 from miho.driving.velocity_planner import VelocityPlan, VelocityPlanner
 from miho.validate import positive
 
@@ -85,7 +87,7 @@ class Sighting:
     obstacles: tuple[Obstacle, ...]
     distance: float
     local: LocalPlanner
-    velocity: VelocityPlanner
+    velocity: VelocityPlanner | PrintedPlanner
 
     def in_sight(self, line: Track, s: float) -> bool:
         """Whether the first obstacle is near enough ahead of an arc length [m]."""
@@ -143,18 +145,22 @@ class Driver:
 
     A measurement that is not finite, an offset of more than 10 m or an obstacle with no path
     around it make a safe stop: along the line, on the brakes; what is not measured is guessed.
+
+    `live` gives the desired speed from each measured motion, by the equations as they are printed;
+    without it the desired speed is the plan's.
     """
 
     plan: VelocityPlan
     speed: SpeedController
-    steering: SteeringController
+    steering: SteeringController | PrintedSteering
     pace: Pace | None = None
     sighting: Sighting | None = None
+    live: PrintedPlanner | None = None
 
     @property
     def period(self) -> float:
         """Time from one command to the next [s]."""
-        return self.steering.schedule.sampled.period
+        return self.steering.period
 
     def begin(self, motion: Motion) -> DriverState:
         """The state of a driver that takes over a car."""
@@ -178,7 +184,8 @@ class Driver:
     def step(self, state: DriverState, motion: Motion) -> tuple[Command, DriverState]:
         """The next command from a measured motion, and what the driver remembers after it."""
         # What is not measured is guessed and makes a safe stop, whatever comes later.
-        unknown = [name for name in NEEDED if not math.isfinite(getattr(motion, name))]
+        needed = NEEDED if self.live is None else (*NEEDED, "ay")
+        unknown = [name for name in needed if not math.isfinite(getattr(motion, name))]
         if unknown:
             motion = self._guessed(state, motion, unknown)
             reason = f"{unknown[0]} is not finite"
@@ -197,7 +204,7 @@ class Driver:
         state = state._replace(steering=remembered)
         if state.stopped:
             return self._brake(state, steering)
-        desired, ax, cap = self._desired(state)
+        desired, ax, cap = self._desired(state, motion)
         pedals, speed = self.speed.command(state.speed, desired, ax, motion.vx, self.period)
         command = Command(steering, pedals.throttle, pedals.brake, pedals.gear)
         return command, state._replace(cap=cap, desired=desired, speed=speed, command=command)
@@ -210,7 +217,7 @@ class Driver:
         guess: dict[str, Any] = {
             "x": float(point.x), "y": float(point.y), "yaw": float(point.heading) - turn.slip,
             "vx": vx, "vy": vx * turn.slip, "steering": turn.steering,
-            "yaw_rate": vx * float(point.curvature) * math.cos(float(point.bank)),
+            "yaw_rate": vx * float(point.curvature) * math.cos(float(point.bank)), "ay": 0.0,
         }  # fmt: skip
         return motion._replace(**{name: guess[name] for name in unknown})
 
@@ -228,10 +235,13 @@ class Driver:
             return state._replace(stopped=str(error))
         return state._replace(plan=plan, at=state.at * plan.line.length / self.plan.line.length)
 
-    def _desired(self, state: DriverState) -> tuple[float, float, float]:
+    def _desired(self, state: DriverState, motion: Motion) -> tuple[float, float, float]:
         """Desired speed [m/s], its rate [m/s^2], and the cap of the pace [m/s]."""
         v, _ = state.plan.at(state.at)
         _, ax = state.plan.at(state.at + state.vx * self.speed.lead)
+        if self.live is not None:
+            point = state.plan.line.at(state.at)
+            v, ax = self.live.speed(motion, float(point.curvature), float(point.bank)), 0.0
         if self.pace is None:
             return v, ax, state.cap
         driven = state.laps * state.plan.line.length + state.at

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from miho.driving.known_car import inclinations, static_loads
 from miho.driving.simulation import Drive
 from miho.driving.track import Track
 from miho.driving.velocity_as_printed import PrintedPlanner
-from miho.driving.velocity_planner import front_share
+from miho.driving.velocity_planner import VelocityPlanner, front_share
 
 CAR_LENGTH, CAR_WIDTH = 4.9, 1.93
 """Of the AV-21 [m]."""
@@ -240,7 +239,8 @@ def plans(driver: Driver, start: float) -> dict[str, float | str]:
     sighted = max(start, sighting.obstacles[0].s - sighting.distance)
     path = sighting.local.path(line, sighting.obstacles, sighted)
     near = (path.s > sighted) & (path.s < sighting.obstacles[0].s + sighting.distance)
-    planner = replace(sighting.velocity, top_speed=90.0, reserve=0.0)
+    known, speed = sighting.velocity, driver.speed
+    planner = VelocityPlanner(known.vehicle, known.grip, speed.engine, speed.brake, known.mu)
     slowest = {"corrected": planner.lateral_limits(path)[near].min()}
     for name, transfer, yaw in (
         ("as printed", False, True),

@@ -107,6 +107,11 @@ class SteeringController:
     estimator: ErrorEstimator | None = None
 
     @property
+    def period(self) -> float:
+        """Time from one command to the next [s]."""
+        return self.schedule.sampled.period
+
+    @property
     def initial(self) -> SteeringState:
         """The state of a controller that has done nothing yet."""
         return SteeringState((0.0,) * self.schedule.sampled.delayed)

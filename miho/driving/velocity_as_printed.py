@@ -1,32 +1,71 @@
-"""The velocity plan with Eq. 10-12 as they are printed, to be compared with `velocity_planner`."""
+"""The velocity plan by Eq. 10-12 as they are printed; `velocity_planner` has them corrected."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from miho.driving.grip import Grip
 from miho.driving.load_transfer import LoadTransfer
+from miho.driving.plant import Motion
 from miho.driving.track import Track
 from miho.driving.vehicle import Vehicle
-from miho.quantities import Array
+from miho.driving.velocity_planner import VelocityPlan
+from miho.quantities import Array, g
+from miho.validate import positive_settings
+
+STRAIGHT = 1e-9
+"""Curvature [1/m] below which Eq. 12 is evaluated as if the road had this one."""
 
 
 @dataclass(frozen=True)
 class PrintedPlanner:
-    """Speeds by the printed equations; each switch mends one of them.
+    """Speeds by the printed equations, for a whole line or from the measured motion of a car.
 
+        C_roll = m_s v_y' h_a                                                        (Sec. IV-A)
         F_y,i^max = mu (F_z,i / F_z,i^nominal) F_y,i^peak                               (Eq. 10)
         a_y,max = (F_y,r^max + F_y,f^max cos(delta) - m v_x psi') / m                   (Eq. 11)
         v_x,des = sqrt(a_y,max / kappa)                                                 (Eq. 12)
 
-    The loads are static: the printed load transfer has the rate of the lateral velocity, which is
-    zero in a steady turn. `transfer` computes them with the lateral acceleration that comes out;
-    since the force is in proportion to the load, that changes the sum of an axle only as far as
-    its two tires differ. On a steady turn psi' = v_x kappa, so that a_y,max is what the speed
-    itself makes of it: half of the limit, and the speed 0.707 of it. `yaw_term` False leaves that
-    term out. delta = L kappa. Where the road is straight, the top speed [m/s] stands.
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The car; of its suspension the printed load transfer takes the roll couple alone.
+    grip : Grip
+        Nominal loads [N] and peaks [N] of the tires. The load sensitivities are not read.
+    mu : float, optional
+        Performance factor of Eq. 10 [-].
+    top_speed : float, optional
+        Speed [m/s] that is never exceeded; Eq. 12 gives no limit on a straight.
+    transfer : bool, optional
+        True moves load by the lateral acceleration of the plan, and not by v_y'.
+    yaw_term : bool, optional
+        False leaves m v_x psi' out of Eq. 11.
+
+    Raises
+    ------
+    ValueError
+        If `mu` or `top_speed` is not a positive number.
+
+    Notes
+    -----
+    The paper leaves some of these quantities open. They are read as follows.
+
+    - F_z: the static load of each wheel, with the roll couple shared by the axles in proportion to
+      their roll stiffness and divided by the track. Downforce, banking and longitudinal transfer
+      do not occur in the equations.
+    - F_z^nominal: the static load. The text prints another symbol for it than the equation.
+    - F_y^peak: the largest force of the tire curve towards the inside of the bend, with its offsets.
+    - Signs: forces, psi' and kappa count as positive towards the inside of the bend.
+    - A negative a_y,max has no root; the desired speed is then 0.
+    - A kappa below 1e-9 1/m counts as 1e-9 1/m, so that the top speed stands on a straight.
+
+    `speeds` and `plan` know only a line. They take the motion of a car that follows it in a
+    steady turn: v_y' = 0, psi' = v_x kappa and delta = L kappa. Eq. 11 and 12 are then
+    2 v_x^2 kappa = F / m with the force F of both axles, so that the speed is sqrt(1/2) = 0.707 of
+    the limit of these forces. `speed` takes the motion as it is measured.
     """
 
     vehicle: Vehicle
@@ -36,22 +75,82 @@ class PrintedPlanner:
     transfer: bool = False
     yaw_term: bool = True
 
+    def __post_init__(self) -> None:
+        positive_settings(self, ("mu", "top_speed"))
+
+    def plan(self, line: Track) -> VelocityPlan:
+        """Plan the laps of a line.
+
+        Parameters
+        ----------
+        line : Track
+            Line that the car follows.
+
+        Returns
+        -------
+        VelocityPlan
+            Speeds by Eq. 12. `lateral` is v_x^2 kappa, `limit` is a_y,max of Eq. 11 at these
+            speeds [m/s^2], and `use` is the share of the limit. No pass limits the acceleration
+            between two points.
+        """
+        v = self.speeds(line)
+        lateral = v**2 * line.curvature
+        yaw = np.abs(lateral) if self.yaw_term else 0.0
+        limit = self._ay_max(line) - yaw
+        ax = (np.roll(v, -1) ** 2 - v**2) / (2 * line.step)
+        return VelocityPlan(line, v, ax, lateral, limit, np.abs(lateral) / limit)
+
     def speeds(self, line: Track) -> Array:
-        """Speeds [m/s] at the points of a line, (n,)."""
-        bend = np.maximum(np.abs(line.curvature), 1e-9)
-        force = self._force(np.zeros(bend.size), line.curvature)
-        for _ in range(20 if self.transfer else 0):
-            force = self._force(force / self.vehicle.mass, line.curvature)
-        ay_max = force / self.vehicle.mass
-        # With psi' = v kappa, Eq. 11 and 12 are v^2 kappa = ay_max - v^2 kappa.
-        v = np.sqrt(ay_max / (2 if self.yaw_term else 1) / bend)
+        """Desired speeds [m/s] at the points of a line in a steady turn, (n,)."""
+        bend = np.maximum(np.abs(line.curvature), STRAIGHT)
+        # With psi' = v kappa, Eq. 11 and 12 are v^2 kappa = F / m - v^2 kappa.
+        v = np.sqrt(self._ay_max(line) / (2 if self.yaw_term else 1) / bend)
         return np.asarray(np.minimum(v, self.top_speed))
 
-    def _force(self, ay: Array, curvature: Array) -> Array:
-        """F_y,r^max + F_y,f^max cos(delta) [N] at lateral accelerations (n,), towards the bend."""
-        toward = np.where(curvature < 0, -1.0, 1.0)
-        loads = np.stack(LoadTransfer(self.vehicle).wheel_loads(0.0, 0.0, toward * ay), axis=1)
+    def speed(self, motion: Motion, curvature: float, bank: float = 0.0) -> float:
+        """Desired speed of a car from its motion at this moment.
+
+        Parameters
+        ----------
+        motion : Motion
+            Measured motion: v_x [m/s], psi' [rad/s], delta [rad] and the accelerometer's a_y
+            [m/s^2], of which v_y' = a_y + g sin(bank) - v_x psi' remains. With `transfer` it is
+            a_y that moves the load.
+        curvature : float
+            Curvature of the path at the car [1/m]; the equations look no further.
+        bank : float, optional
+            Bank of the road at the car [rad]. Only v_y' is corrected for it.
+
+        Returns
+        -------
+        float
+            v_x,des [m/s], from 0 to the top speed.
+        """
+        turning = motion.vx * motion.yaw_rate
+        vy_rate = motion.ay + g * math.sin(bank) - turning
+        moving = motion.ay if self.transfer else vy_rate
+        rear, front = self._axles(np.array([moving]), np.array([curvature]))
+        ay_max = float(rear[0] + front[0] * math.cos(motion.steering)) / self.vehicle.mass
+        if self.yaw_term:
+            ay_max -= math.copysign(1.0, curvature) * turning
+        bend = max(abs(curvature), STRAIGHT)
+        return min(math.sqrt(max(ay_max, 0.0) / bend), self.top_speed)
+
+    def _ay_max(self, line: Track) -> Array:
+        """Eq. 11 without the yaw term, (n,) [m/s^2], where a car follows a line."""
+        toward = np.where(line.curvature < 0, -1.0, 1.0)
+        ay = np.zeros(line.curvature.size)
+        for _ in range(21 if self.transfer else 1):
+            rear, front = self._axles(toward * ay, line.curvature)
+            ay = (rear + front * np.cos(self.vehicle.wheelbase * line.curvature)) / (
+                self.vehicle.mass
+            )
+        return np.asarray(ay)
+
+    def _axles(self, moving: Array, curvature: Array) -> tuple[Array, Array]:
+        """F_y,r^max and F_y,f^max [N], (n,): Eq. 10, at accelerations that move the load, (n,)."""
+        transfer = LoadTransfer(self.vehicle, as_printed=not self.transfer)
+        loads = np.stack(transfer.wheel_loads(0.0, 0.0, moving, vy_rate=moving), axis=1)
         peaks = np.where(curvature[:, None] < 0, self.grip.right, self.grip.left)
         forces = self.mu * loads / self.grip.load * peaks
-        steered = np.cos(self.vehicle.wheelbase * curvature)
-        return np.asarray(forces[:, 2:].sum(axis=1) + steered * forces[:, :2].sum(axis=1))
+        return forces[:, 2:].sum(axis=1), forces[:, :2].sum(axis=1)
