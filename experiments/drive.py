@@ -11,6 +11,7 @@ A drive that leaves the road is written and drawn like any other, says so, and e
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 if not __package__:  # as python experiments/drive.py, like python -m experiments.drive
@@ -24,15 +25,18 @@ from experiments.app.console import LEFT_ROAD, EndedError, command
 from experiments.driving.car import known_car
 from experiments.driving.results import write_drive
 from experiments.driving.settings import as_config_error, driver_of, track_and_vehicle
+from miho.driving.driver import Driver
 from miho.driving.embedded import embedded_plant
 from miho.driving.road import road_of
 from miho.driving.sensors import Sensors
-from miho.driving.simulation import simulate
+from miho.driving.simulation import Drive, simulate
+from miho.driving.track import Track
 
 SETTINGS = {
     "experiment": "ims_obstacle or lvms_laps, the field tests of the paper",
     "track, vehicle, controller": "where is driven, with which car, controlled how",
     "drive.known": "what planner and controllers know of the car: identified or truth",
+    "drive.equations": "corrected, printed, or one part of them: printed_plan, printed_steering",
     "drive.performance_factor": "the share of the tires' grip that the plan uses (the paper's mu)",
     "drive.road_friction": "what the road gives the car, which the plan does not know",
     "drive.top_speed, .distance": "[m/s] and [m]; see --cfg job for all of drive",
@@ -47,23 +51,31 @@ def drive(cfg: DictConfig) -> None:
     car, parts = known_car(cfg, vehicle)
     with as_config_error():
         driver = driver_of(cfg, car, line)
-        plant = embedded_plant(vehicle, road_of(road, cfg.drive.road_friction))
-        gear = driver.speed.start(cfg.drive.speed).gear
-        at = road.project(*map(float, line.position(cfg.drive.start)))
-        start = plant.start(at.s, at.e, cfg.drive.speed, gear)
-        sensors = Sensors() if cfg.drive.noise else None
-        rng = np.random.default_rng(cfg.seed)
         distance = cfg.drive.distance
         with tqdm(total=distance, desc="drive", unit="m", leave=False, disable=None) as bar:
-            simulated = simulate(
-                plant, driver, start, distance, sensors=sensors, rng=rng,
-                watch=lambda driven: bar.update(driven - bar.n),
-            )  # fmt: skip
+            simulated = driven(cfg, driver, road, line, lambda done: bar.update(done - bar.n))
     off_road = write_drive(cfg, simulated, driver, road, parts)
     if off_road is not None:
         advice = "lower drive.performance_factor or drive.top_speed"
         print(f"the car left the road {off_road}; {advice}", file=sys.stderr)
         raise EndedError(LEFT_ROAD)
+
+
+def driven(
+    cfg: DictConfig,
+    driver: Driver,
+    road: Track,
+    line: Track,
+    watch: Callable[[float], object] | None = None,
+) -> Drive:
+    """The drive that `drive` describes, begun at its arc length and speed on a line."""
+    plant = embedded_plant(driver.speed.vehicle, road_of(road, cfg.drive.road_friction))
+    gear = driver.speed.start(cfg.drive.speed).gear
+    at = road.project(*map(float, line.position(cfg.drive.start)))
+    start = plant.start(at.s, at.e, cfg.drive.speed, gear)
+    sensors = Sensors() if cfg.drive.noise else None
+    rng = np.random.default_rng(cfg.seed)
+    return simulate(plant, driver, start, cfg.drive.distance, sensors=sensors, rng=rng, watch=watch)
 
 
 if __name__ == "__main__":

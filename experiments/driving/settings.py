@@ -99,12 +99,14 @@ def driver_of(cfg: DictConfig, car: KnownCar, line: Track) -> Driver:
 
 
 def factors_text(cfg: DictConfig) -> str:
-    """The two factors of `drive` and its reserve in words, for figures."""
+    """The two factors of `drive`, its reserve, and its equations unless corrected, for figures."""
     reserve = f" with a reserve of {cfg.drive.reserve:g}" if cfg.drive.reserve else ""
-    return (
+    text = (
         f"performance factor {cfg.drive.performance_factor:g}{reserve}, "
         f"road friction {cfg.drive.road_friction:g}"
     )
+    equations = cfg.drive.equations
+    return text if equations == "corrected" else f"{text}, equations: {equations}"
 
 
 def _mapping(node: DictConfig) -> dict[str, Any]:

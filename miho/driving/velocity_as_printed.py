@@ -57,7 +57,8 @@ class PrintedPlanner:
       their roll stiffness and divided by the track. Downforce, banking and longitudinal transfer
       do not occur in the equations.
     - F_z^nominal: the static load. The text prints another symbol for it than the equation.
-    - F_y^peak: the largest force of the tire curve towards the inside of the bend, with its offsets.
+    - F_y^peak: the largest force of the tire curve, with its offsets, towards the inside of the
+      bend.
     - Signs: forces, psi' and kappa count as positive towards the inside of the bend.
     - A negative a_y,max has no root; the desired speed is then 0.
     - A kappa below 1e-9 1/m counts as 1e-9 1/m, so that the top speed stands on a straight.

@@ -1,0 +1,152 @@
+"""Both field tests by the paper's equations as printed, and by the corrected ones.
+
+    python -m experiments.check.printed_equations [SETTING=VALUE ...]   # 20 minutes
+
+Settings are those of `experiments.drive`, such as drive.known=truth. The car is identified once,
+the noise of the sensors is that of the seed in each drive. Table and origin are written to
+ROOT/table.csv and ROOT/printed_equations.json.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from omegaconf import DictConfig
+
+from experiments.app.build import build_optimizer
+from experiments.app.compose import composed
+from experiments.app.origin import regenerates
+from experiments.app.schema import register
+from experiments.drive import driven
+from experiments.driving.car import known_car
+from experiments.driving.settings import driver_of, track_and_vehicle
+from miho.driving.driver import Driver
+from miho.driving.load_transfer import LoadTransfer
+from miho.driving.outcome import Clearance, departure, true_use
+from miho.driving.simulation import Drive
+from miho.driving.velocity_as_printed import PrintedPlanner
+from miho.quantities import g
+from miho.study import write_text
+
+TESTS = ("ims_obstacle", "lvms_laps")
+ROOT = "runs/printed_equations"
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Equations of a drive, the weight R of Eq. 15, and whether Eq. 11 has its yaw term."""
+
+    name: str
+    equations: str
+    weight: float = 100.0
+    yaw_term: bool = True
+
+
+VARIANTS = (
+    Variant("corrected", "corrected"),
+    Variant("printed", "printed"),
+    Variant("Eq. 10-12 printed", "printed_plan"),
+    Variant("the same, Eq. 11 without yaw term", "printed_plan", yaw_term=False),
+    Variant("Eq. 13-15 printed", "printed_steering"),
+    Variant("corrected, R = 1000", "corrected", 1000.0),
+    Variant("printed, R = 1000", "printed", 1000.0),
+)
+
+
+def rows_of(test: str, settings: list[str]) -> Iterator[dict[str, object]]:
+    """A row for each variant of a field test."""
+    cfg = composed([f"experiment={test}", f"root={ROOT}", *settings])
+    road, line, vehicle = track_and_vehicle(cfg)
+    car, _ = known_car(cfg, vehicle)
+    for variant in VARIANTS:
+        cfg.drive.equations = variant.equations
+        cfg.drive.controller.weights.steering = variant.weight
+        driver = driver_of(cfg, car, line)
+        if not variant.yaw_term and driver.live is not None:
+            driver = planned_by(driver, replace(driver.live, yaw_term=False))
+        drive = driven(cfg, driver, road, line)
+        clearance = Clearance.of(drive, road)
+        yield {"test": test, "equations": variant.name, **results(cfg, drive, driver, clearance)}
+
+
+def planned_by(driver: Driver, planner: PrintedPlanner) -> Driver:
+    """The driver with another printed planner in all its parts."""
+    sighting = driver.sighting
+    if sighting is not None:
+        sighting = replace(sighting, velocity=planner)
+    plan = planner.plan(driver.plan.line)
+    return replace(driver, plan=plan, live=planner, sighting=sighting)
+
+
+def results(
+    cfg: DictConfig, drive: Drive, driver: Driver, clearance: Clearance
+) -> dict[str, object]:
+    """Errors, uses and lap times until the car left the road, whole laps only if it did."""
+    length, left = driver.plan.line.length, departure(drive, clearance)
+    whole = math.inf if left is None else left.distance // length * length
+    kept = drive["distance"] < whole
+    laps = int(min(whole, drive["distance"][-1] + 1.0) // length)  # the last row is a step short
+    row: dict[str, object] = {
+        "left the road after [m]": math.nan if left is None else left.distance,
+        "stopped": drive.stopped,
+        "whole laps": laps,
+        "time [s]": drive["time"][-1] - drive["time"][0] if left is None else math.nan,
+    }
+    vy_rate = drive["ay"] + g * np.sin(drive["bank"]) - drive["vx"] * drive["yaw_rate"]
+    printed = LoadTransfer(driver.speed.vehicle, as_printed=True).coefficients.lateral_front
+    largest = {
+        "e_y [m]": np.abs(drive["e_y"]),
+        "e_psi [deg]": np.degrees(np.abs(drive["e_psi"])),
+        "v_x - v_des [m/s]": np.abs(drive["vx"] - drive["v_des"]),
+        "a_y [m/s^2]": np.abs(drive["ay"]),
+        "share of the plan's limit": np.abs(drive["ay"]) / drive["ay_limit"],
+        "use of the true friction": true_use(drive, driver, cfg.drive.road_friction),
+        "deceleration [m/s^2]": -drive["ax"],
+        "load moved on the front axle [N]": np.abs(drive["load_fr"] - drive["load_fl"]) / 2,
+        "the same by printed C_roll [N]": np.abs(printed * vy_rate),
+    }
+    row |= {
+        f"largest {name}": values[kept].max() if kept.any() else math.nan
+        for name, values in largest.items()
+    }
+    crossed = np.interp(length * np.arange(10), drive["distance"], drive["time"])
+    times = np.where(np.arange(1, 10) <= laps, np.diff(crossed), math.nan)
+    return row | {f"lap {lap} [s]": time for lap, time in enumerate(times, 1)}
+
+
+def main() -> None:
+    """Drive all variants of both tests, print the table and store it."""
+    register()
+    settings = sys.argv[1:]
+    cfg = composed([f"experiment={TESTS[0]}", f"root={ROOT}", *settings])
+    rows = []
+    for test in TESTS:
+        for row in rows_of(test, settings):
+            print(f"{row['test']}: {row['equations']}", file=sys.stderr)
+            rows.append(row)
+    table = pd.DataFrame(rows)
+    root = Path(cfg.root)
+    root.mkdir(parents=True, exist_ok=True)
+    write_text(root / "table.csv", table.to_csv(index=False, float_format="%.4g"))
+    about = regenerates("experiments.check.printed_equations", [build_optimizer(cfg)])
+    write_text(root / "printed_equations.json", json.dumps(about | {"seed": cfg.seed}) + "\n")
+    for test in TESTS:
+        shown = (
+            table[table["test"] == test]
+            .drop(columns="test")
+            .dropna(axis=1, how="all")
+            .set_index("equations")
+            .T
+        )
+        print(f"\n{test}\n\n{shown.to_string(float_format='{:.3g}'.format)}")
+
+
+if __name__ == "__main__":
+    main()
