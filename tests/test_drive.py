@@ -16,10 +16,13 @@ from experiments.app.build import ConfigError
 from experiments.app.compose import composed
 from experiments.app.console import command
 from experiments.app.schema import register
-from experiments.drive import drive
+from experiments.drive import drive, driven
 from experiments.driving.car import PARTS, identified_parts, known_car
-from experiments.driving.settings import track_and_vehicle
+from experiments.driving.settings import driver_of, track_and_vehicle
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
+from miho.driving.outcome import Clearance, departure
+from miho.driving.path_tracking import Weights
+from miho.driving.steering_as_printed import INTERVAL, PrintedSteering
 from miho.driving.vehicle import Vehicle
 from miho.models import BrakeTorque
 from miho.models.identified import Identified, Value, parameters_text
@@ -59,6 +62,67 @@ def test_a_short_drive_leaves_log_figure_and_results(
         assert about["results"]["least speed of the plan, corrected [km/h]"] > 45
 
 
+@pytest.mark.parametrize("equations", ["printed", "printed_plan", "printed_steering"])
+def test_the_printed_equations_drive(equations: str) -> None:
+    """Into the swerve of IMS and out to the obstacle; which controller commands what.
+
+    Only the printed plan asks for less than the 100 km/h that the corrected one gives, and only
+    the printed regulator is its gains times the error, which a drive without noise logs exactly.
+    """
+    short = ["drive.known=truth", "drive.start=395", "drive.distance=40", "drive.noise=false"]
+    cfg = composed([IMS, *short, f"drive.equations={equations}"])
+    road, line, vehicle = track_and_vehicle(cfg)
+    known, _ = known_car(cfg, vehicle)
+    driver = driver_of(cfg, known, line)
+    one = driven(cfg, driver, road, line)
+    assert one.stopped == ""
+    assert one["distance"][-1] > 39.0
+    slowest = one["v_des"].min()
+    plan, steering = equations != "printed_steering", equations != "printed_plan"
+    assert slowest < 24.0 if plan else slowest == pytest.approx(27.778)
+    weights = Weights(**cfg.drive.controller.weights)
+    printed = PrintedSteering.of(vehicle, known.front, known.rear, weights)
+    e = np.stack([one["e_y"], one["e_psi"]])
+    rate = one["vy"] * np.cos(e[1]) + one["vx"] * np.sin(e[1])
+    along = (one["vx"] * np.cos(e[1]) - one["vy"] * np.sin(e[1])) / (1 - one["curvature"] * e[0])
+    turning = one["yaw_rate"] - one["curvature"] * np.cos(one["bank"]) * along
+    xi = np.stack([e[0], rate, e[1], turning], axis=1)
+    gains = printed.K[(one["vx"] / INTERVAL).astype(int)]
+    same = np.abs(one["u_steering"] + (gains * xi).sum(axis=1)).max() < 1e-12
+    assert same == steering
+
+
+@pytest.mark.slow
+def test_the_printed_plan_takes_longer_over_nine_laps_and_stays_on_the_road() -> None:
+    """With true models and no noise; limits of half the measured differences (docs/driving.md)."""
+    results = {}
+    for equations in ("corrected", "printed_plan"):
+        short = ["drive.known=truth", "drive.noise=false", f"drive.equations={equations}"]
+        cfg = composed([LVMS, *short])
+        road, line, vehicle = track_and_vehicle(cfg)
+        driver = driver_of(cfg, known_car(cfg, vehicle)[0], line)
+        one = driven(cfg, driver, road, line)
+        results[equations] = one
+        assert one.stopped == ""
+        assert departure(one, Clearance.of(one, road)) is None
+    printed, corrected = results["printed_plan"], results["corrected"]
+    assert printed["time"][-1] > corrected["time"][-1] + 13.0
+    assert np.abs(printed["vx"] - printed["v_des"]).max() > 10.0
+    assert np.abs(corrected["vx"] - corrected["v_des"]).max() < 1.0
+
+
+@pytest.mark.slow
+def test_the_printed_regulator_loses_the_car_at_speed() -> None:
+    """R = 100: poles outside the unit circle from 55 m/s on (test_steering_as_printed)."""
+    cfg = composed([LVMS, "drive.known=truth", "drive.equations=printed_steering"])
+    road, line, vehicle = track_and_vehicle(cfg)
+    one = driven(cfg, driver_of(cfg, known_car(cfg, vehicle)[0], line), road, line)
+    left = departure(one, Clearance.of(one, road))
+    assert left is not None
+    assert left.distance > 3 * line.length, "the laps of up to 160 km/h are driven"
+    assert 45.0 < one["vx"].max() < 60.4
+
+
 def test_a_car_that_leaves_the_road_says_so_and_has_its_own_exit_code(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -90,6 +154,10 @@ def test_a_car_that_leaves_the_road_says_so_and_has_its_own_exit_code(
         ("drive.track.offset=-30", "drive: track ims has a negative width"),
         ("drive.vehicle.lf=0", "drive: vehicle.lf is 0; expected a positive number"),
         ("~drive.vehicle.mass", "drive: vehicle.mass is missing; give it in SI units"),
+        (
+            "drive.equations=fixed",
+            "drive.equations: is 'fixed'; expected one of corrected, printed,",
+        ),
         ("drive.figure=fig9", "drive.figure: is 'fig9'; expected fig7 or fig8"),
         ("+drive.mu=0.7", "drive.mu: is now two settings: drive.performance_factor, the share of"),
         ("+drive.boost=1", "drive.boost: is unknown; allowed are vehicle, track, controller"),

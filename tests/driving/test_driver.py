@@ -16,6 +16,7 @@ from miho.driving.ovals import lvms
 from miho.driving.path_tracking import Weights
 from miho.driving.plant import Motion
 from miho.driving.road import road_of
+from miho.driving.velocity_as_printed import PrintedPlanner
 from tests.driving.cars import car
 
 LINE = lvms(step=4.0)
@@ -48,6 +49,26 @@ def test_a_sensor_that_fails_makes_a_safe_stop_for_good(name: str) -> None:
     command, state = driver.step(state, here)
     assert state.stopped
     assert command.brake > 0, "it comes back, but is not trusted"
+
+
+def test_printed_speeds_are_planned_from_each_motion() -> None:
+    """A car that yaws faster has less left by Eq. 11; without its lateral acceleration it stops."""
+    s = LINE.length / 2 - 400.0  # in the steep turn
+    curvature, here = float(LINE.at(s).curvature), motion(s, 50.0)
+    live = PrintedPlanner(car().vehicle, car().grip, 0.7, 80.0)
+    driver = replace(planned(), plan=live.plan(LINE), live=live)
+    state, desired = driver.begin(here), []
+    for yaw_rate in (0.1, 0.15):
+        turning = here._replace(yaw_rate=yaw_rate, ay=50.0 * yaw_rate)
+        _, state = driver.step(state, turning)
+        bank = float(LINE.at(state.at).bank)
+        assert state.desired == live.speed(turning, curvature, bank)
+        desired.append(state.desired)
+    assert desired[0] ** 2 - desired[1] ** 2 == pytest.approx(50 * 0.05 / curvature, rel=1e-6)
+    _, state = driver.step(state, here._replace(ay=math.nan))
+    assert state.stopped == "ay is not finite"
+    _, state = planned().step(planned().begin(here), here._replace(ay=math.nan))
+    assert not state.stopped
 
 
 def test_a_car_far_from_its_line_stops() -> None:
