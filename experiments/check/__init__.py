@@ -13,6 +13,7 @@ next_measurement    that advised rows narrow intervals as much as the best of ra
 nist                digits of parameters and standard errors on NIST's problems, beside others'
 optima              the best known optimum of each problem, found anew
 published_problems  writes conf/problem of the published problems by their rule
+printed_equations   both field tests by the equations as printed and corrected
 replay              whether stored runs are repeated to the last bit
 row_order           what the first rows of an order determine
 same_by_workers     whether a run is the same, whoever makes its evaluations

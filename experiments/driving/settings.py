@@ -21,6 +21,7 @@ from miho.driving.ovals import ims, lvms
 from miho.driving.path_tracking import Weights
 from miho.driving.speed_control import SpeedSettings
 from miho.driving.steering_as_printed import PrintedSteering
+from miho.driving.steering_control import SteeringController
 from miho.driving.track import Track
 from miho.driving.vehicle import Vehicle
 from miho.driving.velocity_as_printed import PrintedPlanner
@@ -81,6 +82,7 @@ def driver_of(cfg: DictConfig, car: KnownCar, line: Track) -> Driver:
         live = PrintedPlanner(car.vehicle, car.grip, mu, top_speed)
     corrected = replace(car.planner(mu, top_speed), reserve=cfg.drive.reserve)
     planner = corrected if live is None else live
+    steering: SteeringController | PrintedSteering
     if cfg.drive.equations in ("printed", "printed_steering"):
         steering = PrintedSteering.of(car.vehicle, car.front, car.rear, weights, period)
     else:
