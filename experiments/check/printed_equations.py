@@ -2,9 +2,9 @@
 
     python -m experiments.check.printed_equations [SETTING=VALUE ...]   # 5 minutes
 
-Settings are those of `experiments.drive`, such as drive.known=truth. The car is identified once, by
-`miho_gn` without a limit of seconds, so that no other work on the machine changes it. Each drive
-has the noise of the sensors of the same seed. Table and origin are written to ROOT/table.csv and
+Settings are those of `experiments.drive`. Planner and controllers know the true models, so that only
+the equations differ; drive.known=identified identifies the car first. Each drive has the noise of
+the sensors of the same seed. Table and origin are written to ROOT/table.csv and
 ROOT/printed_equations.json.
 """
 
@@ -37,7 +37,7 @@ from miho.quantities import g
 from miho.study import write_text
 
 TESTS = ("ims_obstacle", "lvms_laps")
-SETTINGS = ("root=runs/printed_equations", "optimizer=miho_gn", "budget.seconds=null")
+SETTINGS = ("root=runs/printed_equations", "drive.known=truth")
 
 
 @dataclass(frozen=True)
