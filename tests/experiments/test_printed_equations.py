@@ -29,7 +29,7 @@ def test_each_variant_drives_by_its_own_equations() -> None:
     shares = {name: float(str(row["largest share of the plan's limit"]))
               for name, row in rows.items()}  # fmt: skip
     assert shares["Eq. 10-12 printed"] > 1.2, "Eq. 11 halves the limit"
-    assert shares["the same, Eq. 11 without yaw term"] < 1.2
+    assert shares["Eq. 10-12 printed, Eq. 11 without yaw term"] < 1.2
     assert shares["corrected"] < 1
     assert shares["corrected, R = 1000"] != shares["corrected"]
     assert shares["printed, R = 1000"] != shares["printed"]
