@@ -2,9 +2,9 @@
 
     python -m experiments.check.printed_equations [SETTING=VALUE ...]   # 4 minutes
 
-Settings are those of `experiments.drive`. Planner and controllers know the true models, so that only
-the equations differ; drive.known=identified identifies the car first. Each drive has the noise of
-the sensors of the same seed. Table and origin are written to ROOT/table.csv and
+Settings are those of `experiments.drive`. Planner and controllers know the true models, so that
+only the equations differ; drive.known=identified identifies the car first. Each drive has the noise
+of the sensors of the same seed. Table and origin are written to ROOT/table.csv and
 ROOT/printed_equations.json.
 """
 
