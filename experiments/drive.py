@@ -11,26 +11,18 @@ A drive that leaves the road is written and drawn like any other, says so, and e
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 if not __package__:  # as python experiments/drive.py, like python -m experiments.drive
     sys.path[0] = str(Path(__file__).parents[1])
 
-import numpy as np
 from omegaconf import DictConfig
 from tqdm import tqdm
 
 from experiments.app.console import LEFT_ROAD, EndedError, command
 from experiments.driving.car import known_car
 from experiments.driving.results import write_drive
-from experiments.driving.settings import as_config_error, driver_of, track_and_vehicle
-from miho.driving.driver import Driver
-from miho.driving.embedded import embedded_plant
-from miho.driving.road import road_of
-from miho.driving.sensors import Sensors
-from miho.driving.simulation import Drive, simulate
-from miho.driving.track import Track
+from experiments.driving.settings import as_config_error, driven, driver_of, track_and_vehicle
 
 SETTINGS = {
     "experiment": "ims_obstacle or lvms_laps, the field tests of the paper",
@@ -59,23 +51,6 @@ def drive(cfg: DictConfig) -> None:
         advice = "lower drive.performance_factor or drive.top_speed"
         print(f"the car left the road {off_road}; {advice}", file=sys.stderr)
         raise EndedError(LEFT_ROAD)
-
-
-def driven(
-    cfg: DictConfig,
-    driver: Driver,
-    road: Track,
-    line: Track,
-    watch: Callable[[float], object] | None = None,
-) -> Drive:
-    """The drive that `drive` describes, begun at its arc length and speed on a line."""
-    plant = embedded_plant(driver.speed.vehicle, road_of(road, cfg.drive.road_friction))
-    gear = driver.speed.start(cfg.drive.speed).gear
-    at = road.project(*map(float, line.position(cfg.drive.start)))
-    start = plant.start(at.s, at.e, cfg.drive.speed, gear)
-    sensors = Sensors() if cfg.drive.noise else None
-    rng = np.random.default_rng(cfg.seed)
-    return simulate(plant, driver, start, cfg.drive.distance, sensors=sensors, rng=rng, watch=watch)
 
 
 if __name__ == "__main__":

@@ -16,9 +16,9 @@ from experiments.app.build import ConfigError
 from experiments.app.compose import composed
 from experiments.app.console import command
 from experiments.app.schema import register
-from experiments.drive import drive, driven
+from experiments.drive import drive
 from experiments.driving.car import PARTS, identified_parts, known_car
-from experiments.driving.settings import driver_of, track_and_vehicle
+from experiments.driving.settings import driven, driver_of, track_and_vehicle
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.driving.driver import Driver
 from miho.driving.outcome import Clearance, Departure, departure, gap

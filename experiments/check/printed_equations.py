@@ -26,9 +26,8 @@ from experiments.app.build import build_optimizer
 from experiments.app.compose import composed
 from experiments.app.origin import regenerates
 from experiments.app.schema import register
-from experiments.drive import driven
 from experiments.driving.car import known_car
-from experiments.driving.settings import driver_of, track_and_vehicle
+from experiments.driving.settings import driven, driver_of, track_and_vehicle
 from miho.driving.driver import Driver
 from miho.driving.load_transfer import LoadTransfer
 from miho.driving.outcome import Clearance, departure, true_use

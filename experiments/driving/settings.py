@@ -1,12 +1,13 @@
-"""What the node `drive` of a configuration describes: road, line, vehicle and driver."""
+"""The node `drive` of a configuration: its road, line, vehicle and driver, and the drive itself."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, replace
 from typing import Any
 
+import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from experiments.app.build import ConfigError
@@ -14,11 +15,15 @@ from experiments.app.schema import RENAMED, DriveConfig
 from miho.data import CSVError
 from miho.driving.centre_line import track_from_csv
 from miho.driving.driver import Driver, Pace, Sighting, SlowZone
+from miho.driving.embedded import embedded_plant
 from miho.driving.known_car import KnownCar
 from miho.driving.lines import beside, constant
 from miho.driving.local_plan import LocalPlanner, Obstacle
 from miho.driving.ovals import ims, lvms
 from miho.driving.path_tracking import Weights
+from miho.driving.road import road_of
+from miho.driving.sensors import Sensors
+from miho.driving.simulation import Drive, simulate
 from miho.driving.speed_control import SpeedSettings
 from miho.driving.steering_as_printed import PrintedSteering
 from miho.driving.steering_control import SteeringController
@@ -98,6 +103,23 @@ def driver_of(cfg: DictConfig, car: KnownCar, line: Track) -> Driver:
         local = LocalPlanner(out=box.out, back=box.back)
         sighting = Sighting((obstacle,), box.sight, local, planner)
     return Driver(planner.plan(line), speed, steering, pace, sighting, live)
+
+
+def driven(
+    cfg: DictConfig,
+    driver: Driver,
+    road: Track,
+    line: Track,
+    watch: Callable[[float], object] | None = None,
+) -> Drive:
+    """The drive that `drive` describes, begun at its arc length and speed on a line."""
+    plant = embedded_plant(driver.speed.vehicle, road_of(road, cfg.drive.road_friction))
+    gear = driver.speed.start(cfg.drive.speed).gear
+    at = road.project(*map(float, line.position(cfg.drive.start)))
+    start = plant.start(at.s, at.e, cfg.drive.speed, gear)
+    sensors = Sensors() if cfg.drive.noise else None
+    rng = np.random.default_rng(cfg.seed)
+    return simulate(plant, driver, start, cfg.drive.distance, sensors=sensors, rng=rng, watch=watch)
 
 
 def factors_text(cfg: DictConfig) -> str:

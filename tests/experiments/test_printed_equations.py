@@ -8,9 +8,8 @@ import pytest
 from experiments.app.compose import composed
 from experiments.app.schema import register
 from experiments.check.printed_equations import VARIANTS, results, rows_of
-from experiments.drive import driven
 from experiments.driving.car import known_car
-from experiments.driving.settings import driver_of, track_and_vehicle
+from experiments.driving.settings import driven, driver_of, track_and_vehicle
 from miho.driving.outcome import Clearance
 
 register()
