@@ -12,7 +12,7 @@ from miho.driving.load_transfer import LoadTransfer
 from miho.driving.plant import Motion
 from miho.driving.track import Track
 from miho.driving.vehicle import Vehicle
-from miho.driving.velocity_planner import VelocityPlan
+from miho.driving.velocity_planner import VelocityPlan, VelocityPlanner
 from miho.quantities import Array, g
 from miho.validate import positive_settings
 
@@ -92,14 +92,15 @@ class PrintedPlanner:
         VelocityPlan
             Speeds by Eq. 12. `lateral` is v_x^2 kappa, `limit` is a_y,max of Eq. 11 at these
             speeds [m/s^2], and `use` is the share of the limit. No pass limits the acceleration
-            between two points.
+            between two points. `friction` is that of the corrected plan, which judges drives.
         """
         v = self.speeds(line)
         lateral = v**2 * line.curvature
         yaw = np.abs(lateral) if self.yaw_term else 0.0
         limit = self._ay_max(line) - yaw
         ax = (np.roll(v, -1) ** 2 - v**2) / (2 * line.step)
-        return VelocityPlan(line, v, ax, lateral, limit, np.abs(lateral) / limit)
+        friction = VelocityPlanner(self.vehicle, self.grip, mu=self.mu).friction
+        return VelocityPlan(line, v, ax, lateral, limit, np.abs(lateral) / limit, friction)
 
     def speeds(self, line: Track) -> Array:
         """Desired speeds [m/s] at the points of a line in a steady turn, (n,)."""
