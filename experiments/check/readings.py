@@ -140,7 +140,7 @@ def main() -> None:
         overrides = [] if arguments.root is None else [f"root={arguments.root}"]
         cfg = composed([EXPERIMENT, *overrides])
         todo = list(plan(arguments.repetitions, overrides))
-        outcome = run(todo, sweep_settings(cfg), processes=arguments.workers)
+        outcome = run(todo, sweep_settings(cfg.sweep), processes=arguments.workers)
         outcome.raise_if_stopped()
         if any(state.error is None and state.reason is not None for state in outcome.states):
             print("runs are missing; nothing is judged, run again", file=sys.stderr)

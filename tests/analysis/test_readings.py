@@ -98,7 +98,7 @@ def test_claims_of_each_kind_of_seconds() -> None:
     assert ours == {
         "evaluations": "13×", "interpreted seconds": "26×", "compiled seconds": "13×"
     }  # fmt: skip
-    assert table.loc["pso_100 stays at", "verdict"] == "reproduced"
+    assert table.loc["pso_100 stops at", "verdict"] == "reproduced"
 
 
 def test_the_short_table_counts_and_marks() -> None:
