@@ -1,6 +1,6 @@
 # make compare    the paper's comparison at reduced size: figure and claims table (3 minutes)
 # make arena      many methods on many problems: leaderboard, tests, profiles (some two hours)
-# make figures    Fig. 4, 5 and 6 from nothing (6 to 10 minutes)
+# make figures    Fig. 4 to 8 from nothing (about 10 minutes)
 # make test       the test suite
 # make lint       formatter, linter, type checker
 # make notebooks  run the notebooks, and keep what they show
@@ -76,6 +76,8 @@ figures: $(INSTALLED)
 	$(BIN)/python -m experiments.figures fig4
 	$(BIN)/python -m experiments.figures fig5
 	$(BIN)/python -m experiments.compare
+	$(BIN)/python -m experiments.drive experiment=ims_obstacle
+	$(BIN)/python -m experiments.drive experiment=lvms_laps
 
 test: $(DEVELOPED)
 	$(PYTEST)

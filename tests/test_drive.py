@@ -21,7 +21,7 @@ from experiments.driving.car import PARTS, identified_parts, known_car
 from experiments.driving.settings import driven, driver_of, track_and_vehicle
 from miho.data.synthetic_brake import EMBEDDED_BRAKE
 from miho.driving.driver import Driver
-from miho.driving.outcome import Clearance, Departure, departure, gap
+from miho.driving.outcome import Clearance, Departure, departure
 from miho.driving.path_tracking import Weights
 from miho.driving.simulation import Drive
 from miho.driving.steering_as_printed import INTERVAL, PrintedSteering
@@ -66,22 +66,23 @@ def test_a_short_drive_leaves_log_figure_and_results(
 
 @pytest.mark.parametrize("equations", ["printed", "printed_plan", "printed_steering"])
 def test_the_printed_equations_drive(equations: str) -> None:
-    """Into the swerve of IMS and out to the obstacle; which controller commands what.
+    """Up to the swerve of IMS; which controller commands what.
 
-    Only the printed plan asks for less than the 100 km/h that the corrected one gives, and only
-    the printed regulator is its gains times the error, which a drive without noise logs exactly.
+    Eq. 12 sees the curvature at the car alone, so only the corrected plan slows down for the
+    swerve. Only the printed regulator is its gains times the error, which a drive without noise
+    logs exactly.
     """
-    short = ["drive.known=truth", "drive.start=395", "drive.distance=40", "drive.noise=false"]
+    short = ["drive.known=truth", "drive.start=350", "drive.distance=60", "drive.noise=false"]
     cfg = composed([IMS, *short, f"drive.equations={equations}"])
     road, line, vehicle = track_and_vehicle(cfg)
     known, _ = known_car(cfg, vehicle)
     driver = driver_of(cfg, known, line)
     one = driven(cfg, driver, road, line)
     assert one.stopped == ""
-    assert one["distance"][-1] > 39.0
+    assert one["distance"][-1] > 59.0
     slowest = one["v_des"].min()
     plan, steering = equations != "printed_steering", equations != "printed_plan"
-    assert slowest < 24.0 if plan else slowest == pytest.approx(27.778)
+    assert slowest == pytest.approx(27.778) if plan else slowest < 24.0
     weights = Weights(**cfg.drive.controller.weights)
     printed = PrintedSteering.of(vehicle, known.front, known.rear, weights)
     e = np.stack([one["e_y"], one["e_psi"]])
@@ -104,14 +105,21 @@ def whole_drive(experiment: str, equations: str) -> tuple[Drive, Driver, Departu
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("equations", ["printed", "printed_plan", "printed_steering"])
-def test_the_printed_equations_pass_the_obstacle(equations: str) -> None:
-    """With some 0.7 m to spare, on the road, and with up to 0.5 m of position error."""
-    one, driver, left = whole_drive(IMS, equations)
+@pytest.mark.parametrize("equations", ["printed_plan", "printed_steering"])
+def test_either_half_of_the_printed_equations_passes_the_obstacle(equations: str) -> None:
+    """On the road, but further off the line than the corrected equations (0.09 m)."""
+    one, _, left = whole_drive(IMS, equations)
     assert (one.stopped, left) == ("", None)
     assert one["distance"][-1] > 349.0
-    assert gap(one, driver) > 0.5
-    assert np.abs(one["e_y"]).max() < 1.0
+    assert 0.5 < np.abs(one["e_y"]).max() < 4.0
+
+
+@pytest.mark.slow
+def test_all_printed_equations_lose_the_car_at_the_obstacle() -> None:
+    """The plan does not slow down ahead of the swerve, and the regulator has no feed-forward."""
+    _, _, left = whole_drive(IMS, "printed")
+    assert left is not None
+    assert left.distance > 100.0, "the swerve begins 60 m behind the start"
 
 
 @pytest.mark.slow
