@@ -30,7 +30,7 @@ TARGETS = [
     "runpy.run_path", "runpy.run_module", "pickle.load", "pickle.loads", "marshal.loads",
     "code.interact", "ctypes.CDLL", "socket.create_connection", "urllib.request.urlopen",
     "webbrowser.open", "numpy.load", "pandas.read_pickle", "scipy.io.loadmat",
-    "hydra.utils.instantiate", ".".join(("hydra", "_internal", "instantiate", "_instantiate2", "instantiate")),
+    "hydra.utils.instantiate", ".".join(("hydra", "_internal", "utils", "_get_cls_name")),
     "omegaconf.OmegaConf.save", CANARY, f"{CANARY}.Pacejka", f"{CANARY}.inner.Pacejka",
     "miho.study.files.os.system", "miho.models.function_model.Path.unlink",
     "miho.models.function_model.ast.literal_eval", "miho.models.Pacejka.__init__.__globals__",
