@@ -396,6 +396,7 @@ def test_a_folder_of_further_options(identify: Command, own: Path, tmp_path: Pat
     assert "Mine." in identify("--config-dir", str(own), "experiment", "--help")[1]
 
 
+@pytest.mark.slow
 def test_a_trajectory_as_the_manual_shows_it(
     identify: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -54,7 +54,13 @@ def test_optimizers(optimizer: str) -> None:
     assert experiment.identity.optimizer == optimizer
 
 
-@pytest.mark.parametrize("option", in_folders("optimizer"))
+@pytest.mark.parametrize(
+    "option",
+    [
+        pytest.param(option, marks=[pytest.mark.slow] * (option != "r500/miho"))
+        for option in in_folders("optimizer")
+    ],
+)
 def test_an_option_in_a_folder_is_its_method_with_other_settings(option: str) -> None:
     identity = build(composed([f"optimizer={option}"])).identity
     assert identity.optimizer == option.rpartition("/")[2]
@@ -87,7 +93,7 @@ def test_datasets(
 ) -> None:
     if dataset.startswith("seong"):
         monkeypatch.setenv("MIHO_DATA_DIR", str(request.getfixturevalue("reference_data")))
-    experiment = build(composed([f"dataset={dataset}"]))
+    experiment = build(composed([f"dataset={dataset}", "optimizer=random"]))
     assert experiment.problem.dataset.name == dataset
     if dataset.startswith(("seong", "tire")):
         assert len(experiment.problem.dataset) == (300 if dataset.startswith("seong") else 3000)

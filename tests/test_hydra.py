@@ -116,7 +116,7 @@ HABITS: dict[str, tuple[list[str], int, str]] = {
     "a deleted group": (["~loss"], 2, "loss"),
     "a key that is added": (["-m", "++budget.seconds=5"], 0, "1 runs: 1 ran"),
 }  # fmt: skip
-QUICK = ("choice()", "hydra.mode", "params in braces", "--cfg job")
+QUICK = ("several values without -m", "--cfg job")
 
 
 @pytest.mark.parametrize(
@@ -131,6 +131,7 @@ def test_what_hydra_users_type(typed: Typed, monkeypatch: pytest.MonkeyPatch, ha
     assert code == 0 or ended.err.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_glob_of_methods_is_swept_over(typed: Typed) -> None:
     ended = typed("-m", "optimizer=glob(pso*)", "sweep.dry_run=true", tiny=False)
     assert ended.code == 0, ended.err
@@ -162,12 +163,14 @@ def test_each_job_of_a_sweep_leaves_hydras_record(typed: Typed, tmp_path: Path) 
         assert hydra["runtime"]["output_dir"] == str(folder.parent)
 
 
+@pytest.mark.slow
 def test_the_same_sweep_again_runs_nothing_and_a_larger_one_what_is_missing(typed: Typed) -> None:
     assert "2 runs: 2 ran" in typed("-m", "seed=1,2").out
     assert "3 runs: 1 ran, 2 done before" in typed("-m", "seed=3,2,1").out
     assert len(load_runs(typed("-m", "seed=1,1").root).runs) == 3
 
 
+@pytest.mark.slow
 def test_jobs_are_done_in_the_order_of_the_sweeper(typed: Typed) -> None:
     """The first key changes slowest: repetition by repetition, methods meet the same load."""
     ended = typed("seed=1,2", "-m", "optimizer=random,pso_100", tiny=False)
@@ -183,6 +186,7 @@ def test_an_experiment_sweeps_by_itself(typed: Typed, tmp_path: Path) -> None:
     assert sorted(load_runs(ended.root).runs["seed"]) == [7, 8]
 
 
+@pytest.mark.slow
 def test_what_is_typed_replaces_the_sweep_of_an_experiment(typed: Typed) -> None:
     ended = typed("experiment=paper_fig6", "seed=0", "sweep.dry_run=true")
     assert ended.code == 0, ended.err
@@ -255,12 +259,13 @@ def test_a_launcher_that_is_not_installed_names_its_extra(typed: Typed) -> None:
     assert "hydra/launcher=joblib: is not installed; pip install 'miho[launchers]'" in ended.err
 
 
-def test_optuna_tunes_the_settings_of_a_method(typed: Typed, tmp_path: Path) -> None:
+@pytest.mark.parametrize("launcher", ["basic", pytest.param("pool", marks=pytest.mark.slow)])
+def test_optuna_tunes_the_settings_of_a_method(typed: Typed, tmp_path: Path, launcher: str) -> None:
     """A whole number between whole ends, a choice; trials are runs, and the study goes on."""
     storage = f"sqlite:///{tmp_path / 'tuning.db'}"
     tuning = [
         "-m", "hydra/sweeper=optuna", "hydra.sweeper.study_name=mine", "optimizer=miho",
-        "optimizer.R=interval(5,50)", "optimizer.eta=choice(3,4)",
+        "optimizer.R=interval(5,50)", "optimizer.eta=choice(3,4)", f"hydra/launcher={launcher}",
         f"hydra.sweeper.storage={storage}",
     ]  # fmt: skip
     ended = typed(*tuning, "hydra.sweeper.n_trials=2", tiny=False)
@@ -330,6 +335,7 @@ NEEDS_A_FILE = {"fmu", "function", "trajectory", "published"}
 LIBRARIES = {"ngopt": "nevergrad", "dehb": "dehb", "dfo_ls": "dfols"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("group", "kind", "needs"),
     [("optimizer", Optimizer, set()), ("model", Model, NEEDS_A_FILE),
