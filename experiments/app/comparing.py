@@ -37,9 +37,10 @@ def planned_arena(cfg: DictConfig, overrides: Sequence[str]) -> tuple[list[Reque
     size = [f"{problems} problems", f"{cfg.comparison.processes} runs at a time"]
     if arena.left_out:
         size.append(f"without {', '.join(arena.left_out)}, which were not to be had here")
+    note = note_on_size(cfg, size, cfg.comparison.repetitions)
     if cfg.comparison.target is not None:
-        size.append(f"runs end at {cfg.comparison.target:g} times the optimum")
-    return list(arena.plan), note_on_size(cfg, size, cfg.comparison.repetitions)
+        note += f", runs end at {cfg.comparison.target:g} times the optimum"
+    return list(arena.plan), note
 
 
 def _check(cfg: DictConfig, overrides: Sequence[str]) -> None:
@@ -167,9 +168,13 @@ def draw(
     from experiments.app.drawing import draw_arena, draw_comparison
     from miho.analysis.compare.comparison import write_comparison
 
-    root, command = Path(cfg.root), ["python", "-m", "experiments.compare", *overrides]
-    write_comparison(root, command, note, [request.identity.id for request in plan])
-    draw_it = draw_arena if cfg.comparison.problems else draw_comparison
-    for path in draw_it(root, Path(cfg.comparison.output)):
-        print(path)
+    root, output = Path(cfg.root), Path(cfg.comparison.output)
+    command = ["python", "-m", "experiments.compare", *overrides]
+    ids = [request.identity.id for request in plan]
+    write_comparison(root, command, note, ids)
+    if cfg.comparison.problems:
+        paths = draw_arena(root, output)
+    else:
+        paths = draw_comparison(root, output, ids=ids, command=command)
+    print("\n".join(map(str, paths)))
     return OK
