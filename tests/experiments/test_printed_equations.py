@@ -19,7 +19,7 @@ TRUTH = "drive.known=truth"
 @pytest.mark.slow
 def test_each_variant_drives_by_its_own_equations() -> None:
     """Through the swerve; with R = 1000 the regulator turns less at first than with R = 100."""
-    settings = [TRUTH, "drive.start=380", "drive.distance=90", "drive.noise=false"]
+    settings = [TRUTH, "drive.start=350", "drive.distance=110", "drive.noise=false"]
     rows = {str(row["equations"]): row for row in rows_of("ims_obstacle", settings)}
     assert list(rows) == [variant.name for variant in VARIANTS]
     error, times = "largest e_y [m]", [row["time [s]"] for row in rows.values()]
@@ -27,9 +27,9 @@ def test_each_variant_drives_by_its_own_equations() -> None:
     assert float(str(rows["printed"][error])) > float(str(rows["Eq. 10-12 printed"][error]))
     shares = {name: float(str(row["largest share of the plan's limit"]))
               for name, row in rows.items()}  # fmt: skip
-    assert shares["Eq. 10-12 printed"] > 1.2, "Eq. 11 halves the limit"
-    assert shares["Eq. 10-12 printed, Eq. 11 without yaw term"] < 1.2
-    assert shares["corrected"] < 1
+    without_yaw = shares["Eq. 10-12 printed, Eq. 11 without yaw term"]
+    assert shares["Eq. 10-12 printed"] > 1.3 * without_yaw, "Eq. 11 halves the limit"
+    assert without_yaw > shares["corrected"], "the corrected plan brakes ahead"
     assert shares["corrected, R = 1000"] != shares["corrected"]
     assert shares["printed, R = 1000"] != shares["printed"]
 

@@ -106,7 +106,7 @@ def _exact(folder: Path) -> bool:
 
 
 def _bad_seed(folder: Path) -> bool:
-    ended = identified(*TINY, "sweep.seeds=[1,2,-3]", f"root={folder / 'seeds'}")
+    ended = identified("-m", *TINY, "seed=1,2,-3", f"root={folder / 'seeds'}")
     return ended.code == 2 and "seed: is -3" in ended.complaint
 
 
