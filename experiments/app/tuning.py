@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,6 +27,7 @@ from optuna.distributions import (
     FloatDistribution,
     IntDistribution,
 )
+from optuna.storages import RDBStorage
 from optuna.study import StudyDirection
 from optuna.trial import Trial, TrialState
 
@@ -48,7 +50,18 @@ def tune(
     """Ask for trials, have them done and tell their errors until the study has `n_trials`."""
     _check(sweeper)
     space, fixed = search_space(sweeper.params, arguments, config)
-    study = _study(sweeper)
+    with _study(sweeper) as study:
+        _tune(study, sweeper, launcher, config, space, fixed)
+
+
+def _tune(
+    study: optuna.Study,
+    sweeper: OptunaSweeper,
+    launcher: Launcher,
+    config: DictConfig,
+    space: dict[str, BaseDistribution],
+    fixed: list[str],
+) -> None:
     folder = Path(config.hydra.sweep.dir)
     folder.mkdir(parents=True, exist_ok=True)
     OmegaConf.save(config, folder / "multirun.yaml")
@@ -158,21 +171,28 @@ def _check(sweeper: OptunaSweeper) -> None:
             )
 
 
-def _study(sweeper: OptunaSweeper) -> optuna.Study:
-    """The study, begun or gone on with."""
+@contextmanager
+def _study(sweeper: OptunaSweeper) -> Iterator[optuna.Study]:
+    """The study, begun or continued; its database is closed afterwards."""
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     if sweeper.storage is not None and sweeper.study_name is None:
         raise ConfigError("hydra.sweeper.study_name: is missing; the storage keeps studies by name")
+    storage = None if sweeper.storage is None else RDBStorage(sweeper.storage)
     study = optuna.create_study(
         study_name=sweeper.study_name,
-        storage=sweeper.storage,
+        storage=storage,
         sampler=sweeper.sampler,
         direction=StudyDirection[sweeper.direction.upper()],
         load_if_exists=True,
     )
     if study.get_trials(deepcopy=False):  # the same seed would make the first trials again
         sweeper.sampler.reseed_rng()
-    return study
+    try:
+        yield study
+    finally:
+        if storage is not None:
+            storage.remove_session()
+            storage.engine.dispose()
 
 
 def _finished(study: optuna.Study) -> int:
