@@ -43,7 +43,7 @@ SETTINGS = {
 def identify(cfg: DictConfig) -> float | None:
     """Run one composed configuration in this process; gives the error that it reached.
 
-    Prints what was identified, or one line as a job of a sweep.
+    A single run prints its parameters and its report; a job of a sweep prints one line.
     """
     settings = sweep_settings(cfg.sweep)
     if settings.dry_run:

@@ -1,4 +1,4 @@
-"""The jobs of a multirun as a plan of runs, and what becomes of them.
+"""The launcher `pool`: plans the runs of a multirun, does them, and returns their errors.
 
 Jobs that differ by their seed alone share one composition, because composing takes a tenth of a
 second, and are planned together.

@@ -220,8 +220,8 @@ def check_no_secret(value: Any, key: str) -> None:
 def check_typed(overrides: Sequence[str]) -> None:
     """Raise SecretError or ConfigError for overrides that Hydra must not write into its files.
 
-    Hydra stores what was typed in `.hydra/overrides.yaml` before it calls a task, in a folder below
-    `root`.
+    Hydra writes all overrides to `.hydra/overrides.yaml`, in a folder below `root`, before it calls
+    a task.
     """
     for text in overrides:
         key, _, value = text.partition("=")

@@ -29,7 +29,7 @@ class PoolLauncher(Launcher):
     def setup(
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
     ) -> None:
-        """Keep what Hydra knows of the multirun."""
+        """Keep the configuration and the task of the multirun."""
         self.hydra_context, self.task_function, self.config = hydra_context, task_function, config
 
     def launch(
