@@ -28,7 +28,7 @@ from miho.compiled.gauss_newton_candidates import (
     Minima,
     views,
 )
-from miho.compiled.triangular import compiled, fold, norm, solve_in_box
+from miho.compiled.triangular import by_numpy, compiled, fold, norm, solve_in_box
 from miho.compiled.workspace import CHUNK, Work, clear, copy
 from miho.quantities import Array
 
@@ -170,20 +170,35 @@ def judge_trial(
 def keep_residuals(c: GNCandidates, i: int, m: int, w: Work) -> None:
     """Store the residuals of a candidate beside its derivatives, if there is room for them."""
     if c.derivatives.shape[2]:
-        d = c.x.shape[1]
-        for row in range(m):
-            c.derivatives[i, d, row] = w.residuals[row]
+        copy(w.residuals[:m], c.derivatives[i, c.x.shape[1]])
 
 
 @compiled
 def broyden(c: GNCandidates, i: int, m: int, w: Work) -> None:
     """Broyden's update of the derivatives after a trial, in the metric of the scales D."""
-    d = c.x.shape[1]
-    columns, x, trial, D = c.derivatives[i], c.x[i], c.trial[i], c.D[i]
+    x, trial, D = c.x[i], c.trial[i], c.D[i]
     total = 0.0
-    for k in range(d):
+    for k in range(x.size):
         w.step[k] = trial[k] - x[k]
         total += (D[k] * w.step[k]) ** 2
+    update_columns(c.derivatives[i], D, total, m, w)
+
+
+def _update_columns(columns: Array, D: Array, total: float, m: int, w: Work) -> None:
+    d, step = D.size, w.step
+    missing = w.residuals[:m] - columns[d, :m]
+    for k in range(d):
+        missing -= columns[k, :m] * step[k]
+    missing /= total
+    for k in range(d):
+        columns[k, :m] += missing * D[k] * D[k] * step[k]
+    columns[d, :m] = w.residuals[:m]
+
+
+@by_numpy(_update_columns)
+def update_columns(columns: Array, D: Array, total: float, m: int, w: Work) -> None:
+    """Broyden's update of the columns (d + 1, m) after the step w.step, of squared length total."""
+    d = D.size
     for row in range(m):
         missing = w.residuals[row] - columns[d, row]
         for k in range(d):
@@ -202,8 +217,7 @@ def refold(columns: Array, count: int, last: int, m: int, w: Work) -> None:
         size = min(CHUNK, m - start)
         for k in range(count + 1):
             column = columns[k if k < count else last]
-            for row in range(size):
-                w.chunk[k, row] = column[start + row]
+            copy(column[start : start + size], w.chunk[k])
         fold(w.T, w.chunk, size, count + 1)
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from miho.compiled.gauss_newton import is_copy
 from miho.compiled.gauss_newton_candidates import (
     ACTIVE,
@@ -38,7 +40,7 @@ from miho.compiled.phases import (
     SOLVED,
     UNLIMITED,
 )
-from miho.compiled.triangular import compiled
+from miho.compiled.triangular import by_numpy, compiled
 from miho.compiled.workspace import copy
 from miho.quantities import Array, Integers
 
@@ -248,7 +250,14 @@ def prune(
     return begin_rung(c, place, box, level_rows, settings, entering)
 
 
-@compiled
+def _sort_usable(c: GNCandidates, place: Integers, order: Integers) -> None:
+    size = int(place[SIZE])
+    usable = np.flatnonzero((c.stage[:size] != UNUSABLE) & np.isfinite(c.loss[:size]))
+    order[: usable.size] = usable[np.argsort(c.loss[usable], kind="stable")]
+    keep(c, place, order, usable.size)
+
+
+@by_numpy(_sort_usable)
 def sort_usable(c: GNCandidates, place: Integers, order: Integers) -> None:
     """Keep those with finite losses, the best first."""
     count = 0
@@ -264,7 +273,13 @@ def sort_usable(c: GNCandidates, place: Integers, order: Integers) -> None:
     keep(c, place, order, count)
 
 
-@compiled
+def _keep(c: GNCandidates, place: Integers, order: Integers, count: int) -> None:
+    for array in c[:4]:
+        array[:count] = array[order[:count]]
+    place[SIZE] = count
+
+
+@by_numpy(_keep)
 def keep(c: GNCandidates, place: Integers, order: Integers, count: int) -> None:
     """Move the candidates at the first `count` positions of `order` to the front, so ordered."""
     for k in range(count):

@@ -1,11 +1,13 @@
-"""The compiled parts of Gauss-Newton steps, for problems whose residuals come from Python.
+"""The parts of Gauss-Newton steps, for problems whose residuals come from Python.
 
-What `gauss_newton_loop` does in one call is cut here at its evaluations: Python asks for the next
-one, has the problem compute it, and hands the result back. `numbers` to `derivatives` are the
-arrays of `GNCandidates`.
+The one call of `gauss_newton_loop` is cut here at its evaluations: Python asks for the next one,
+has the problem compute it, and hands the result back. Nothing is compiled: loops over rows are
+NumPy's. `numbers` to `derivatives` are the arrays of `GNCandidates`.
 """
 
 from __future__ import annotations
+
+import numpy as np
 
 from miho.compiled.gauss_newton import (
     after_evaluation,
@@ -25,12 +27,12 @@ from miho.compiled.gauss_newton_candidates import (
     Minima,
     views,
 )
-from miho.compiled.triangular import entry, square_sum
+from miho.compiled.triangular import square_sum
 from miho.compiled.workspace import Work, copy
 from miho.quantities import Array, Integers
 
 
-@entry
+@np.errstate(all="ignore")  # as compiled code has it
 def next_to_evaluate(
     numbers: Array, counts: Integers, R: Array, derivatives: Array, i: int, active: int, box: GNBox,
     m: int, minima: Minima, rules: GNRules, w: Work,
@@ -48,7 +50,7 @@ def next_to_evaluate(
     return i
 
 
-@entry
+@np.errstate(all="ignore")
 def entering(
     numbers: Array,
     counts: Integers,
@@ -73,7 +75,7 @@ def entering(
     return count
 
 
-@entry
+@np.errstate(all="ignore")
 def after_evaluations(
     numbers: Array, counts: Integers, R: Array, derivatives: Array, index: Integers, r: Array,
     in_order: Array, box: GNBox, level_rows: Integers, rules: GNRules, best: float, w: Work,
@@ -92,7 +94,7 @@ def after_evaluations(
         after_evaluation(c, index[k], loss, box, m, rules, best, w)
 
 
-@entry
+@np.errstate(all="ignore")
 def after_one_evaluation(
     numbers: Array, counts: Integers, R: Array, derivatives: Array, i: int, loss: float, box: GNBox,
     m: int, rules: GNRules, best: float, w: Work,
@@ -101,7 +103,7 @@ def after_one_evaluation(
     after_evaluation(views(numbers, counts, R, derivatives), i, loss, box, m, rules, best, w)
 
 
-@entry
+@np.errstate(all="ignore")
 def factor_columns(
     numbers: Array, counts: Integers, R: Array, derivatives: Array, i: int, box: GNBox,
     columns: Array, count: int, w: Work,
@@ -111,7 +113,7 @@ def factor_columns(
     take_factor(views(numbers, counts, R, derivatives), i, box, w)
 
 
-@entry
+@np.errstate(all="ignore")
 def solve_columns(
     numbers: Array,
     counts: Integers,
@@ -128,7 +130,7 @@ def solve_columns(
     return float(solve_linear(views(numbers, counts, R, derivatives), i, box, m, w))
 
 
-@entry
+@np.errstate(all="ignore")
 def after_steps(
     numbers: Array, counts: Integers, R: Array, stored: Array, place: Integers, order: Integers,
     box: GNBox, level_rows: Integers, minima: Minima, settings: GNSettings,

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import hashlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cache, wraps
+from functools import cache, cached_property, partial, update_wrapper
 from pathlib import Path
 from types import CodeType, FunctionType
-from typing import Any, TypeVar, cast
+from typing import Any, Generic, TypeVar, cast
 
 from miho.compiled.kernel import Formula
 
@@ -85,29 +85,68 @@ def signing(signature: str) -> Callable[[Function], Function]:
     return sign
 
 
-def compiled_when_called(**options: Any) -> Callable[[Function], Function]:
-    """A decorator as numba's njit, cached on disk: numba is imported at the function's first call.
+class Entry(Generic[Function]):
+    """A function that is compiled by numba and cached on disk; numba is imported at the first call.
 
-    The signature is made then too, when all that the function calls is defined.
+    The signature is made then too, when all that the function calls is defined. `options` are those
+    of numba's `njit`. `function` is the Python function.
     """
 
-    def decorate(function: Function) -> Function:
-        @cache
-        def compiled() -> Callable[..., object]:
-            import numba
+    def __init__(self, function: Function, options: Mapping[str, Any]) -> None:
+        update_wrapper(self, function)
+        self.function, self._options = function, options
 
-            import miho.compiled.polynomials  # noqa: F401 -- registers the elementary functions
+    def __call__(self, *arguments: Any) -> Any:
+        """Call numba's form."""
+        return self.compiled(*arguments)
 
-            sign = signing(signature_of(function))
-            return cast(Callable[..., object], numba.njit(cache=True, **options)(sign(function)))
+    @cached_property
+    def compiled(self) -> Any:
+        """Numba's form of the function."""
+        import numba
 
-        @wraps(function)
-        def call(*arguments: object) -> object:
-            return compiled()(*arguments)
+        import miho.compiled.polynomials  # noqa: F401 -- registers the elementary functions
 
-        return cast(Function, call)
+        _register_parts()
+        sign = signing(signature_of(self.function))
+        return numba.njit(cache=True, **self._options)(sign(self.function))
 
-    return decorate
+    @property
+    def in_cache(self) -> bool:
+        """Whether the function is compiled, or numba's cache on disk holds it."""
+        if self.compiled.signatures:
+            return True
+        name = self.compiled.py_func.__qualname__
+        return any(Path(self.compiled.stats.cache_path).glob(f"*.{name}-*.nbi"))
+
+
+def compiled_when_called(**options: Any) -> Callable[[Function], Entry[Function]]:
+    """A decorator as numba's njit, cached on disk; numba is imported at the first call."""
+    return lambda function: Entry(function, options)
+
+
+def part(function: Function, options: Mapping[str, Any], form: Function | None = None) -> Function:
+    """Have a function compiled with the entries that call it; Python calls `form`, or itself."""
+    shown = form or function
+    _parts.append((shown, function, options))
+    return shown
+
+
+_parts: list[tuple[Callable[..., object], Callable[..., object], Mapping[str, Any]]] = []
+"""Functions as Python calls them, as numba compiles them, and how; those that numba knows are out
+of the list."""
+
+
+def _register_parts() -> None:
+    from numba.extending import overload
+
+    while _parts:
+        shown, function, options = _parts.pop()
+        overload(shown, jit_options=dict(options), strict=False)(partial(_always, function))
+
+
+def _always(function: Function, *_: object, **__: object) -> Function:
+    return function
 
 
 def _names(code: CodeType) -> Iterator[str]:

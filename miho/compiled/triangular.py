@@ -4,55 +4,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar
 
-from numba import njit
-from numba.extending import register_jitable
-
-from miho.compiled.signature import signature_of, signing
+from miho.compiled.signature import Entry, part
 from miho.quantities import Array
 
 OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
 """No array is allocated here, so there is no reference counting (nrt): it costs more than a step of
 a few rows does."""
+SUMMING: dict[str, Any] = {"fastmath": {"reassoc", "contract", "nsz"}}
+"""Sums may be in any order, so that the processor adds several terms at once."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_signed = signing(signature_of())
 
-
-def entry(function: Function) -> Function:
-    """A decorator: compiled and cached, to be called from Python.
+def entry(function: Function) -> Entry[Function]:
+    """A decorator: compiled and cached at its first call from Python.
 
     Each takes seconds to compile, since it is compiled with all that it calls. So they are few, and
     take arrays of always the same type (a row as a view is of another type than an array of rows).
     """
-    return cast(Function, njit(cache=True, **OPTIONS)(_signed(function)))
+    return Entry(function, OPTIONS)
 
 
-def in_cache(function: Any) -> bool:
-    """Whether an entry is compiled, or numba's cache on disk holds it."""
-    if function.signatures:
-        return True
-    name = function.py_func.__qualname__
-    return any(Path(function.stats.cache_path).glob(f"*.{name}-*.nbi"))
+def compiled(function: Function) -> Function:
+    """A decorator: compiled as a part of the entries that call it. Python calls it as it is."""
+    return part(function, OPTIONS)
 
 
-def _part(**options: Any) -> Callable[[Function], Function]:
-    """A decorator: compiled as a part of the entries that call it, and cached with them.
+def by_numpy(form: Function, **options: Any) -> Callable[[Function], Function]:
+    """A decorator like `compiled`, of a loop over rows: Python calls its NumPy form instead."""
+    return lambda function: part(function, OPTIONS | options, form)
 
-    Called from Python it is the Python function, and slow.
-    """
-
-    def register(function: Function) -> Function:
-        return cast(Function, register_jitable(**OPTIONS, **options)(_signed(function)))
-
-    return register
-
-
-compiled = _part()
-summing = _part(fastmath={"reassoc", "contract", "nsz"})
-"""Parts; the second kind may sum in any order, so that the processor adds side by side."""
 
 SINGULAR = 1e-14
 """A pivot below this share of the largest one, or of its column, is taken for 0: its parameter
@@ -61,7 +43,11 @@ DEPENDENT = 0.5
 """Marks such a parameter, beside those that are free (1) and those at a bound (0)."""
 
 
-@summing
+def _square_sum(r: Array, count: int) -> float:
+    return float(r[:count] @ r[:count])
+
+
+@by_numpy(_square_sum, **SUMMING)
 def square_sum(r: Array, count: int) -> float:
     """The sum of the squares of the first residuals."""
     total = 0.0
@@ -70,7 +56,23 @@ def square_sum(r: Array, count: int) -> float:
     return total
 
 
-@summing
+def _fold(T: Array, columns: Array, count: int, n: int) -> None:
+    rows = columns[:n, :count]
+    for k in range(n):
+        v, diagonal = rows[k], T[k, k]
+        square = v @ v
+        if square == 0.0:
+            continue
+        norm = -math.copysign(math.sqrt(diagonal * diagonal + square), diagonal)
+        first = diagonal - norm
+        T[k, k] = norm
+        others = rows[k + 1 :]
+        products = (first * T[k, k + 1 : n] + others @ v) * (2.0 / (first * first + square))
+        T[k, k + 1 : n] -= products * first
+        others -= products[:, None] * v
+
+
+@by_numpy(_fold, **SUMMING)
 def fold(T: Array, columns: Array, count: int, n: int) -> None:
     """Update T, the triangular factor of all rows so far, by `count` more, given as n columns.
 

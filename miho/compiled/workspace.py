@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from miho.compiled.triangular import SolverScratch, compiled
+from miho.compiled.triangular import SolverScratch, by_numpy, compiled
 from miho.quantities import Array
 
 CHUNK = 512
@@ -76,7 +76,11 @@ def work(room: Array, d: int, m: int, levels: int) -> Work:
     )
 
 
-@compiled
+def _clear(T: Array) -> None:
+    T[:] = 0.0
+
+
+@by_numpy(_clear)
 def clear(T: Array) -> None:
     """Make all numbers 0."""
     for j in range(T.shape[0]):
@@ -84,7 +88,11 @@ def clear(T: Array) -> None:
             T[j, k] = 0.0
 
 
-@compiled
+def _copy(source: Array, target: Array) -> None:
+    target[: source.size] = source
+
+
+@by_numpy(_copy)
 def copy(source: Array, target: Array) -> None:
     """Copy all numbers of one array to another."""
     for k in range(source.size):

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import os
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -27,16 +28,19 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Loss, Square
 from miho.identification.refit import refit
 from miho.identification.uncertainty import linearised
+from miho.models.expression import Expression
 from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
 from miho.models.tied import Tied, whole_model
 from miho.models.tire_formula import TireFormula
-from miho.optim import MIHOGN, Budget, Optimizer, Outcome, Space, minimize
+from miho.optim import MIHOGN, Budget, Checkpoint, Optimizer, Outcome, RunRecord, Space, minimize
 from miho.parallel import Evaluations, Workers
 
-if TYPE_CHECKING:
-    pass
-
+NUMPY_SECONDS, PER_EVALUATION, PER_ROW = 2.0, 3e-4, 3e-6
+"""Seconds that searches of a formula may take in NumPy, and seconds that an evaluation takes there,
+and each of its rows in addition."""
+numpy_seconds: defaultdict[object, float] = defaultdict(float)
+"""The time that the searches of each formula have taken, estimated so."""
 SETTLED, ROUNDS = 1e-6, 100
 """The deviation of the errors is estimated until it changes by less than this share, in so many
 rounds at most."""
@@ -82,9 +86,9 @@ def fit(
     `method` searches within the bounds, `MIHOGN()` by default. With a `start` of every free
     parameter there is one descent from there, and bounds are not needed; with "journal" one from
     the best configuration that stands in the journal, whatever method evaluated it. `loss` is what
-    a residual costs: its square, or one that outliers cannot dominate. For a search an arithmetic
-    function is compiled at its first fit, unless `compiled` is false: that takes seconds, later
-    fits milliseconds.
+    a residual costs: its square, or one that outliers cannot dominate. An arithmetic function runs
+    in NumPy first. It is compiled once its searches have taken some two seconds, at once where
+    `compiled` is true, and never where it is false: that takes seconds, later fits milliseconds.
 
     A tire, `miho.load_tir` of a property file or its path, is a model too, of Fx, Fy or Mz as `y`
     names it; its coefficients that have bounds or a start are free, all others stay. Only named, as
@@ -111,8 +115,8 @@ def fit(
     named = space.names if isinstance(space, Space) else tuple(space or ())
     parameters = {*named, *(start or ()), *(fixed or ()), *(tied or ())}
     dataset, chosen, sigma = data_of(model, x, y, sigma, parameters)
-    if compiled is None:
-        compiled = start is None and not isinstance(model, TireFormula)
+    if compiled is None and (start is not None or isinstance(model, TireFormula)):
+        compiled = False
     bounds = constrained(space_of(chosen, space, start, fixed or {}, tied or {}), constraints)
 
     first: CurveFit | None = None  # whose model is known for what it is
@@ -206,16 +210,8 @@ def searched(
 
     `evaluations` make those of search and descent. Raises KeyboardInterrupt after a Ctrl-C.
     """
-    method = method or MIHOGN()
-    if problem.kernel is not None and method.uncompiled:
-        sys.stderr.write(
-            "miho: compiling the search, once on this machine, for about half a minute "
-            "(compiled=False does without)\n"
-        )
-    run = minimize(
-        method, problem, budget, seed, rehearse=False, workers=evaluations,
-        observer=pace_line(problem, budget),
-    )  # fmt: skip
+    method, budget = method or MIHOGN(), budget or Budget()
+    problem, run = _run(problem, method, budget, seed, evaluations)
     if run.outcome is Outcome.INTERRUPTED:
         raise interrupted(run)
     if run.theta is None:
@@ -225,3 +221,56 @@ def searched(
         sys.stderr.write(f"miho: {problem.name}: its best is taken, the search failed: {reason}\n")
     theta = refit(spread(problem, evaluations), run.theta).theta
     return Fit(problem, theta, run.theta, run.descents)
+
+
+def _run(
+    problem: CurveFit,
+    method: Optimizer,
+    budget: Budget,
+    seed: int,
+    evaluations: Evaluations | None,
+) -> tuple[CurveFit, RunRecord]:
+    """Search a problem, and compile a formula only where the search takes long enough to pay.
+
+    Such a search begins in NumPy. After some NUMPY_SECONDS the compiled problem goes on from the
+    same state. That time is counted in evaluations, so that the result does not depend on the
+    machine; all searches of one formula in this process share it.
+    """
+
+    def run(
+        problem: CurveFit, budget: Budget, checkpoint: Checkpoint | None = None
+    ) -> tuple[CurveFit, RunRecord]:
+        return problem, minimize(
+            method, problem, budget, seed, checkpoint=checkpoint, rehearse=False,
+            workers=evaluations, observer=pace_line(problem, budget),
+        )  # fmt: skip
+
+    checkpoint = None
+    model = problem.model
+    if problem.compiled is None and isinstance(model, Expression) and isinstance(method, MIHOGN):
+        formula = getattr(model.value, "__code__", type(model))
+        seconds = PER_EVALUATION + PER_ROW * problem.residual_count
+        most = int((NUMPY_SECONDS - numpy_seconds[formula]) / seconds)
+        limits = most if budget.evaluations is None else min(most, budget.evaluations)
+        if most > 0:
+            plain = replace(problem, compiled=False, dear=True)
+            plain, first = run(plain, replace(budget, evaluations=limits))
+            numpy_seconds[formula] += first.evaluations * seconds
+            if _ended(first, budget) or limits < most:
+                return plain, first
+            checkpoint = first.checkpoint
+        problem = replace(problem, compiled=True, dear=True)
+    if problem.kernel is not None and method.uncompiled:
+        sys.stderr.write(
+            "miho: compiling the search, once on this machine, for about half a minute "
+            "(compiled=False does without)\n"
+        )
+    return run(problem, budget, checkpoint)
+
+
+def _ended(run: RunRecord, budget: Budget) -> bool:
+    """Whether a run has ended otherwise than by the number of its evaluations."""
+    if run.outcome not in (Outcome.BUDGET, Outcome.NO_FINITE_VALUE) or run.checkpoint is None:
+        return True
+    late = budget.seconds is not None and run.seconds >= budget.seconds
+    return late or (budget.target is not None and run.loss <= budget.target)

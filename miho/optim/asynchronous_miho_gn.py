@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from miho.compiled.phases import CLOSED, POLISH
+from miho.optim.gauss_newton_steps import Round, rounds
 from miho.optim.miho_gn import MIHOGN
 from miho.optim.miho_gn_settings import MIHOGNSettings
 from miho.optim.miho_gn_state import MIHOGNState
@@ -17,9 +18,6 @@ from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.quantities import Array
-
-if TYPE_CHECKING:  # which needs numba
-    from miho.optim.gauss_newton_steps import Round
 
 
 @dataclass
@@ -41,8 +39,6 @@ class BracketUnderWay:
     def begun(self, oracle: Oracle) -> Round | None:
         """The next round, begun; None where the phases are at their end."""
         if self.rounds is None:
-            from miho.optim.gauss_newton_steps import rounds
-
             self.rounds = rounds(oracle, self.state)
             self.round = next(self.rounds, None)
         return self.round

@@ -5,10 +5,11 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
+from miho.compiled.gauss_newton_bracket import ENTERING, begin, look_again, make_room, rules_of
 from miho.compiled.gauss_newton_candidates import (
     AT_KNOWN,
     COPY_LOSS,
@@ -19,9 +20,11 @@ from miho.compiled.gauss_newton_candidates import (
     GNSettings,
     Minima,
 )
+from miho.compiled.gauss_newton_loop import run_bracket
 from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE, SOLVED
 from miho.optim.brackets import draw_starts, luby, rows_by_level
 from miho.optim.evidence import in_optimum
+from miho.optim.gauss_newton_steps import run_phases
 from miho.optim.meter import Budget, UnusableValueError
 from miho.optim.miho_gn_settings import MIHOGNSettings
 from miho.optim.miho_gn_state import ROOM, MIHOGNState, box_of, square_distances
@@ -99,8 +102,6 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if not state.level_rows[-1]:
             self._count_rows(state, oracle)
             return
-        from miho.optim.gauss_newton_steps import run_phases  # which needs numba
-
         if state.phase == CLOSED:
             self.begin_bracket(state, oracle)
         if state.phase < CLOSED:
@@ -122,33 +123,23 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     def rehearsals(
         self, problem: Problem, toy: LeastSquaresProblem, theta: Array
     ) -> Sequence[Callable[[], object]]:
-        """A first bracket of a compiled problem; else residuals, derivatives and the toy.
-
-        The toy is not compiled: with it, a compiled problem would have other steps compiled too.
-        """
+        """A first bracket of a compiled problem; of any other, as of every method."""
 
         def rehearse() -> None:
             oracle = Oracle(problem, Budget(evaluations=len(theta) + 2))
             if _has_rows(oracle):
                 self.run(oracle, stream())
                 return
-            # The toy is linear in all, and over before the second bracket, which would project.
-            toy.linear = oracle.linear
-            projects = replace(self, projecting=1)
-            for method in (self, projects) if oracle.linear else (self,):
-                for job in super(MIHOGN, method).rehearsals(problem, toy, theta):
-                    with contextlib.suppress(Exception):
-                        job()
+            for job in super(MIHOGN, self).rehearsals(problem, toy, theta):
+                with contextlib.suppress(Exception):
+                    job()
 
         return [lambda: problem.noise, rehearse]
 
     @property
     def uncompiled(self) -> bool:
         """Whether the steps are not in numba's cache."""
-        from miho.compiled.gauss_newton_loop import run_bracket
-        from miho.compiled.triangular import in_cache
-
-        return not in_cache(run_bracket)
+        return not run_bracket.in_cache
 
     def _count_rows(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Look once at all residuals of a problem that does not say how many there are."""
@@ -162,8 +153,6 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
 
     def begin_bracket(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Begin a bracket: say what it may cost, and draw its starts."""
-        from miho.compiled.gauss_newton_bracket import make_room
-
         state.bracket += 1
         projects = state.linear or self._projects(state)
         look_cost = int(state.level_rows[0]) / int(state.level_rows[-1])
@@ -189,8 +178,6 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
 
         It may spend as much as this bracket has.
         """
-        from miho.compiled.gauss_newton_bracket import begin, look_again
-
         earlier = state.stalled.copy()
         self._record_end(state, oracle)
         self._close(state, oracle)
@@ -236,8 +223,6 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         that is done is at a minimum that the data do not determine if it is near it, as far as
         these rows can tell; else it is not known where it would have ended on all rows.
         """
-        from miho.compiled.gauss_newton_bracket import rules_of
-
         c, known = state.candidates, state.minima
         rules = rules_of(state.place, state.level_rows, state.d, state.settings)
         loss = float(c.loss[0])
@@ -280,8 +265,6 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         state.finished = not math.isfinite(oracle.best)
         if state.finished:
             return
-        from miho.compiled.gauss_newton_bracket import ENTERING, begin, make_room
-
         best = state.space.encode(oracle.trace.theta[-1][None])
         x = np.clip((best - state.box.origin) / state.box.width, 0.0, 1.0)
         levels = state.level_rows.size
