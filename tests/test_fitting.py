@@ -5,6 +5,9 @@ from __future__ import annotations
 import inspect
 import math
 import pickle
+import subprocess
+import sys
+from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +20,7 @@ from scipy.optimize import curve_fit, least_squares
 
 import miho
 from miho.data import embedded_tire
+from miho.fitting import one_fit
 from miho.models import Pacejka, TireFormula
 from miho.models.tir_reader import read_tir
 
@@ -382,3 +386,51 @@ def test_the_curve_of_a_simulation_is_drawn_at_the_rows_of_data() -> None:
     (line,) = fit.plot().axes[0].lines
     assert np.array_equal(line.get_xdata(), t)
     assert np.array_equal(line.get_ydata(), fit.predict(t).value)
+
+
+WITHOUT_NUMBA = """
+import sys
+import numpy as np
+import miho
+
+class Growth:
+    def __call__(self, t, a, b):  # its branch cannot be traced
+        return a * np.exp(-b * t) if t[0] < 1 else t
+
+t = np.linspace(0, 2, 50)
+y = 2 * np.exp(-1.5 * t) + 0.05 * np.random.default_rng(1).standard_normal(50)
+box = {"a": (0, 5), "b": (0, 10)}
+for model in (lambda t, a, b: a * np.exp(-b * t), Growth().__call__):
+    fit = miho.fit(model, t, y, box)
+    print(fit, fit.report())
+    miho.fit(model, t, y, box, compiled=False)
+assert "numba" not in sys.modules
+"""
+
+
+def test_a_short_search_waits_for_no_compiler() -> None:
+    """The README's first fit, a function that is only called, and both not compiled."""
+    command = [sys.executable, "-c", WITHOUT_NUMBA]
+    process = subprocess.run(command, capture_output=True, text=True)
+    assert process.returncode == 0, process.stderr
+    assert process.stderr == ""
+
+
+def test_a_long_search_is_compiled_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the same evaluations as one that is never compiled, to the rounding of sums of 60."""
+    plain = miho.fit(decay, t, y, BOX, compiled=False)
+    monkeypatch.setattr(one_fit, "NUMPY_SECONDS", 0.01)
+    numpy_seconds = defaultdict(float)
+    monkeypatch.setattr(one_fit, "numpy_seconds", numpy_seconds)
+    fits = [miho.fit(decay, t, y, BOX) for _ in range(2)]
+    assert [fit.problem.compiled for fit in fits] == [True, True]
+    assert 0.005 < sum(numpy_seconds.values()) <= 0.01
+    for fit in fits:
+        assert fit.values == pytest.approx(plain.values, rel=1e-9)
+        assert fit.descents.screened == plain.descents.screened
+        assert fit.descents.ends == pytest.approx(plain.descents.ends, rel=1e-9)
+
+
+def test_a_limit_of_evaluations_or_a_target_ends_a_search_that_is_not_compiled_yet() -> None:
+    for budget in (miho.Budget(evaluations=40), miho.Budget(target=1.0)):
+        assert miho.fit(decay, t, y, BOX, budget=budget).problem.compiled is False
