@@ -3,12 +3,18 @@
 python -m experiments.benchmarks.fit [--quick] [--output FOLDER]
 
 `miho.fit` searches a wide box without a start; `miho.fit, start` and the others descend from 20 %
-beside the optimum. They take turns, compiled before.
+from the optimum. They take turns, compiled before. First fits run in a process of their own with an
+empty cache of compiled code; their seconds are CPU time after `import miho`.
 """
 
 from __future__ import annotations
 
 import importlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
@@ -25,6 +31,33 @@ ROWS, MANY, SHORT = 300, 10_000, 50
 TRUTH = {"a": 3.0, "b": 0.7, "c": 6.0, "d": 1.2, "e": 2.0}
 BOX = {"a": (-20, 20), "b": (0.01, 20), "c": (0, 10), "d": (0.05, 10), "e": (-20, 20)}
 NEAR = {name: 1.2 * value for name, value in TRUTH.items()}
+
+FIRST_FITS = """
+import json, time
+import numpy as np
+import miho
+from scipy.integrate import solve_ivp
+
+t = np.linspace(0, 2, 50)
+y = 2 * np.exp(-1.5 * t) + 0.05 * np.random.default_rng(1).standard_normal(50)
+box = {"a": (0, 5), "b": (0, 10)}
+
+def simulated(t, a, b):
+    return solve_ivp(lambda _, u: -b * u, (0, 2), [a], t_eval=t).y[0]
+
+def spent(model, **settings):
+    started = time.process_time()
+    miho.fit(model, t, y, box, **settings)
+    return time.process_time() - started
+
+print(json.dumps({
+    "the README's": spent(lambda t, a, b: a * np.exp(-b * t)),
+    "the same again": spent(lambda t, a, b: a * np.exp(-b * t)),
+    "a second formula": spent(lambda t, a, b: a / (1 + b * t) ** 2),
+    "compiled=False": spent(lambda t, a, b: a * np.exp(-b * t), compiled=False),
+    "by solve_ivp": spent(simulated),
+}))
+"""
 
 
 def bump(x: Array, a: float, b: float, c: float, d: float, e: float) -> Array:
@@ -70,8 +103,22 @@ def measure(quick: bool) -> Measured:
         taken = time.perf_counter() - started
         bars.append(Bar(f"fit_many of {count:,}, {model.__name__}", taken, AT_MOST, limit, "s"))
         notes.append(f"{model.__name__}: {int(table['converged'].sum()):,} of {count:,} converged")
+    first = first_fits()
+    bars.append(Bar("the README's fit, first", first["the README's"], AT_MOST, 1.0, "s of CPU"))
+    notes.append("first fits, CPU s: " + ", ".join(f"{k} {v:.2f}" for k, v in first.items()))
     frame["speedup"] = of["curve_fit"] / frame["seconds"]
     return Measured(frame.assign(ms=1e3 * frame["seconds"])[["form", "ms"]], frame, bars, notes)
+
+
+def first_fits() -> dict[str, float]:
+    """CPU seconds of the first fits of a process on a machine that has compiled nothing."""
+    with tempfile.TemporaryDirectory() as cache:
+        command = [sys.executable, "-c", FIRST_FITS]
+        environment = os.environ | {"NUMBA_CACHE_DIR": cache}
+        process = subprocess.run(
+            command, env=environment, capture_output=True, text=True, check=True
+        )
+    return dict(json.loads(process.stdout))
 
 
 def _jobs(x: Array, y: Array) -> dict[str, Callable[[], object]]:
@@ -79,7 +126,7 @@ def _jobs(x: Array, y: Array) -> dict[str, Callable[[], object]]:
     optimize = importlib.import_module("scipy.optimize")
     jobs: dict[str, Callable[[], object]] = {
         "curve_fit": partial(optimize.curve_fit, bump, x, y, list(NEAR.values())),
-        "miho.fit": partial(miho.fit, bump, x, y, BOX),
+        "miho.fit": partial(miho.fit, bump, x, y, BOX, compiled=True),
         "miho.fit, start": partial(miho.fit, bump, x, y, start=NEAR),
         "miho.fit, not compiled": partial(miho.fit, bump, x, y, BOX, compiled=False),
     }
