@@ -27,8 +27,10 @@ CLAIMS = {
     "terminal error": "terminal error of MIHO",
     "24 % below PSO-500": "MIHO ends below pso_500 by",
     "76 % below GBO-large": "MIHO ends below gbo_large by",
-    "PSO-100 stays": "pso_100 stays at",
-    "GBO-small is stable": "gbo_small improves by",
+    "PSO-100 stays": "pso_100 stops at",
+    "GBO-small is stable": "gbo_small hardly moves: its error falls by",
+    "GBO-large is unstable": "gbo_large is unstable: evaluations without improvement",
+    "PSO-500 needs more": "pso_500 needs more evaluations than pso_100 to 1.0 kN",
 }
 """Rows of the page about the claims of docs/results/paper_fig6/claims.csv."""
 
