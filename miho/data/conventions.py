@@ -33,6 +33,12 @@ FLIPPED: Mapping[str, frozenset[str]] = MappingProxyType(
 
 CLEAR = 0.5
 """Rank correlation from which on one column clearly rises with another."""
+SMALL_SLIP: Mapping[str, float] = MappingProxyType({"alpha": 0.07, "kappa": 0.02})
+"""Slip up to which the aligning moment has the sign of the slip angle: alpha [rad], kappa [1]."""
+_SLIPS = {"alpha": "rad", "kappa": "-"}
+_FORCES = {"Fx": "N", "Fy": "N", "Mz": "Nm"}
+FEWEST = 10
+"""Rows of small slip from which on the sign of the aligning moment is judged."""
 
 
 def to_iso_w(
@@ -48,16 +54,25 @@ def sign_problem(
 ) -> tuple[str, str] | None:
     """The column that cannot be in ISO-W signs and why, with a remedy; None if all can be.
 
-    A tire pushes against its slip: Fy falls as alpha grows. Fz is what the road carries. clear:
-    rank correlation from which on Fy rises with alpha.
+    Fz is what the road carries. A tire pushes against its slip angle and turns the wheel back: Fy
+    falls as alpha grows, and Mz rises as long as the slip is small; Fx rises with kappa. clear:
+    rank correlation from which on the opposite counts.
     """
-    names = f"choose the file's convention ({', '.join(FLIPPED)}) or flip the column"
+    names = f"set the data's convention ({', '.join(FLIPPED)}) or flip the column"
     if units.get("Fz") == "N" and np.median(columns["Fz"]) < 0:
         return "Fz", f"Fz is mostly negative, but it is positive in ISO-W; {names}"
-    if units.get("alpha") == "rad" and units.get("Fy") == "N":
-        alpha, Fy = columns["alpha"], columns["Fy"]
-        if _rank_correlation(alpha, Fy) > clear and alpha @ Fy > 0:
-            return "Fy", f"Fy rises with alpha, but it falls in ISO-W; {names}"
+    laws = (("alpha", "Fy", -1.0, {}), ("kappa", "Fx", 1.0, {}), ("alpha", "Mz", 1.0, SMALL_SLIP))
+    for slip, force, sign, largest in laws:
+        if (units.get(slip), units.get(force)) != (_SLIPS[slip], _FORCES[force]):
+            continue
+        rows = np.ones(columns[slip].size, dtype=bool)
+        for name in largest.keys() & columns.keys():
+            rows &= np.abs(columns[name]) <= largest[name]
+        x, y = columns[slip][rows], sign * columns[force][rows]
+        enough = not largest or x.size >= FEWEST
+        if enough and _rank_correlation(x, -y) > clear and x @ y < 0:
+            does, should = ("falls", "rises") if sign > 0 else ("rises", "falls")
+            return force, f"{force} {does} with {slip}, but it {should} in ISO-W; {names}"
     return None
 
 

@@ -31,6 +31,7 @@ PLAUSIBLE: Mapping[str, tuple[str, float, float]] = MappingProxyType(
         "Mz": ("Nm", 1.0, 2e3),
         "pressure": ("Pa", 2e4, 2e6),
         "vx": ("m/s", 0.5, 120.0),
+        "Vx": ("m/s", 0.5, 120.0),
         "ax": ("m/s^2", 0.3, 100.0),
         "ay": ("m/s^2", 0.3, 100.0),
         "yaw_rate": ("rad/s", 0.01, 10.0),
@@ -42,6 +43,10 @@ PLAUSIBLE: Mapping[str, tuple[str, float, float]] = MappingProxyType(
 The lower bounds are as large as they can be without refusing real tests, so that a column in
 rad that was declared in deg, or in kN declared in N, falls below them.
 """
+ZERO_IN_SOME_TESTS = frozenset({"alpha", "gamma", "kappa"})
+"""Inputs that a test may keep at zero: such a column is refused only if it fits another unit."""
+FRICTION = 5.0
+"""The largest force of any tire over its largest load, on the most abrasive belt, is below this."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +142,7 @@ class Layout:
         def fault(header: str, row: int | None, problem: str) -> ValueError:
             return file_fault(header, None if row is None else int(rows[row]), problem)
 
-        columns, units = self.si_columns(numbers, fault)
+        columns, units = self.si_columns(numbers, fault, all_numbers)
         # Something has to vary: the output, and one column besides.
         header = dict(zip(self.columns, self.names, strict=True))
         constant = [key for key, column in columns.items() if np.ptp(column) == 0]
@@ -155,12 +160,15 @@ class Layout:
         return dataset.hold_out(self.held_out) if self.held_out else dataset
 
     def si_columns(
-        self, numbers: Mapping[str, Array], fault: Fault
+        self,
+        numbers: Mapping[str, Array],
+        fault: Fault,
+        all_numbers: Mapping[str, Array] | None = None,
     ) -> tuple[dict[str, Array], dict[str, str]]:
         """The columns (n,) and their units, from the file's numbers by its own names.
 
         SI units, in which each column has a plausible size, and ISO-W signs; raises what `fault`
-        makes.
+        makes. all_numbers: the columns (N,) before rows were chosen, which show the unit better.
         """
         columns, units = {}, {}
         header = dict(zip(self.columns, self.names, strict=True))
@@ -168,10 +176,8 @@ class Layout:
             unit, raw = si(spelling), numbers[header[key]]
             with np.errstate(over="ignore"):
                 columns[key], units[key] = raw * unit.factor, unit.name
-            row = int(np.argmax(np.abs(columns[key])))
-            problem = self._implausible(key, unit, float(raw[row]))
-            if problem:
-                raise fault(header[key], row, problem)
+            self._check_size(key, unit, raw, (all_numbers or numbers)[header[key]], fault)
+        self._check_friction(columns, units, fault)
         columns = to_iso_w(columns, self.convention, self.flip)
         sign_fault = sign_problem(columns, units)
         if sign_fault:
@@ -195,25 +201,67 @@ class Layout:
             )
         return np.flatnonzero(inside)[:: self.every]
 
-    def _implausible(self, key: str, unit: Unit, raw: float) -> str | None:
-        """The problem of a column whose largest magnitude is |raw| in the file's unit, if any."""
-        largest = abs(raw) * unit.factor
+    def _check_size(self, key: str, unit: Unit, raw: Array, all_raw: Array, fault: Fault) -> None:
+        """Refuse a column (n,) in the file's unit whose size no measurement has.
+
+        One cell may be too large. All rows of the file (N,), chosen or not, tell the unit: the
+        largest of them may not be too small, nor most of them too large.
+        """
+        header = dict(zip(self.columns, self.names, strict=True))[key]
+        low, high = self._plausible(key, unit)
+        sizes, row = np.abs(all_raw), int(np.argmax(np.abs(raw)))
+        with np.errstate(over="ignore"):
+            largest, of_all, typical = (
+                float(size) * unit.factor for size in (abs(raw[row]), sizes.max(), np.median(sizes))
+            )
         if not np.isfinite(largest):
-            return f"{raw:g} is not finite in {unit.name}; correct the cell"
-        si_unit, *default = PLAUSIBLE.get(key, ("", 0.0, 0.0))
-        bounds: Sequence[float] | None = default if si_unit == unit.name else None
-        if self.ranges is not None and key in self.ranges:
-            bounds = self.ranges[key]
-        if bounds is None or largest == 0 or bounds[0] <= largest <= bounds[1]:
-            return None
-        low, high = bounds
+            raise fault(header, row, f"{raw[row]:g} is not finite in {unit.name}; correct the cell")
+        stated = key in (self.ranges or {})
+        if low <= largest <= high and (stated or typical <= high):
+            return
+        size, label = (of_all, "largest") if typical <= high else (typical, "median")
+        if largest > high:
+            size, label = largest, "largest"
+        if size == 0 or low <= size <= high:
+            return
         fitting = [
             spelling
             for spelling, other in UNITS.items()
-            if other.name == unit.name and low <= abs(raw) * other.factor <= high
+            if other.name == unit.name and low <= size / unit.factor * other.factor <= high
         ]
+        if size < low and key in ZERO_IN_SOME_TESTS and not (fitting or stated):
+            return
         doubt = f"is the column in {fitting[0]}?" if fitting else "is this cell right?"
-        return (
-            f"largest |{key}| is {largest:.4g} {unit.name}, expected {low:g} to {high:g}; {doubt} "
-            f"Correct it, or set ranges={{{key}: [from, to]}}"
-        )
+        raise fault(
+            header, row if size == largest else None,
+            f"{label} |{key}| is {size:.4g} {unit.name}, expected {low:g} to {high:g}; {doubt} "
+            f"Correct it, or set ranges={{{key}: [from, to]}}",
+        )  # fmt: skip
+
+    def _check_friction(
+        self, columns: Mapping[str, Array], units: Mapping[str, str], fault: Fault
+    ) -> None:
+        """Refuse forces that no load gives: one of the two columns is in another unit."""
+        header = dict(zip(self.columns, self.names, strict=True))
+        for key in ("Fx", "Fy"):
+            stated = {key, "Fz"} & (self.ranges or {}).keys()
+            if stated or not units.get(key) == units.get("Fz") == "N":
+                continue
+            force, load = (float(np.abs(columns[name]).max()) for name in (key, "Fz"))
+            if force > FRICTION * load > 0:
+                raise fault(
+                    header[key], None,
+                    f"largest |{key}| is {force / load:.3g} times the largest |Fz|, expected at "
+                    f"most {FRICTION:g} times; correct the unit of one of them, or set "
+                    f"ranges={{{key}: [from, to]}}",
+                )  # fmt: skip
+
+    def _plausible(self, key: str, unit: Unit) -> Sequence[float]:
+        """The bounds of the largest magnitude of a column, in SI units."""
+        bounds: Sequence[float] | None = None
+        si_unit, *default = PLAUSIBLE.get(key, ("", 0.0, 0.0))
+        if si_unit == unit.name:
+            bounds = default
+        if self.ranges is not None and key in self.ranges:
+            bounds = self.ranges[key]
+        return (0.0, np.inf) if bounds is None else bounds

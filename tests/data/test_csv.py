@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from miho import Budget, CurveFit, Dataset, Parameter, Space, minimize
-from miho.data import CSVError, load_csv, sample_tir
+from miho.data import CSVError, embedded_tire, load_csv, sample_tir
 from miho.data.csv import BLOCK, TextFormat, read_numbers
 from miho.data.measurements import PLAUSIBLE
 from miho.data.preview import preview
 from miho.methods.least_squares import LeastSquares
-from miho.models import Pacejka
+from miho.models import Pacejka, load_tir
 
 
 def file(tmp_path: Path, data: str | bytes) -> Path:
@@ -312,6 +312,36 @@ def test_wrong_units_are_caught(tmp_path: Path, case: str) -> None:
     assert len(load(tmp_path, file, units=units, ranges={column: None})) == 400
 
 
+def test_a_unit_is_judged_before_rows_are_chosen(tmp_path: Path) -> None:
+    """Rows at zero camber have almost none; a wrong unit is seen though the rows chosen fit it."""
+    degrees = np.degrees(gamma - gamma.mean())
+    settings: dict[str, Any] = {
+        "units": ["rad", "N", "N", "deg"],
+        "where": {"gamma": [-0.03, 0.03]},
+    }
+    read = load(tmp_path, tire_columns(gamma=degrees), **settings)
+    assert 0 < np.abs(read["gamma"]).max() < PLAUSIBLE["gamma"][1]
+    np.testing.assert_array_equal(read["Fy"], Fy[np.abs(degrees) <= 0.03])
+    with pytest.raises(CSVError, match=r"csv:\d+:\d+: largest \|gamma\| .*is the column in rad\?"):
+        load(tmp_path, tire_columns(gamma=degrees / 60), **settings)
+    wild = np.where(np.abs(alpha) > 0.2, 1e3, alpha)  # in rows that are left out
+    few = {"where": {"alpha": [-0.09, 0.09]}}
+    assert len(load(tmp_path, tire_columns(alpha=wild), **few)) == np.sum(np.abs(alpha) <= 0.09)
+    with pytest.raises(CSVError, match=r":1:1: median \|alpha\| .*is the column in deg\?"):
+        load(tmp_path, tire_columns(alpha=np.degrees(alpha)), **few)
+
+
+def test_inputs_kept_at_zero_are_no_wrong_unit(tmp_path: Path) -> None:
+    assert len(load(tmp_path, tire_columns(gamma=gamma / 200))) == 400
+    with pytest.raises(CSVError, match=r"expected 0\.002 to 1\.2; is this cell"):
+        load(tmp_path, tire_columns(gamma=gamma / 200), ranges={"gamma": [0.002, 1.2]})
+
+
+def test_a_force_that_no_load_gives(tmp_path: Path) -> None:
+    with pytest.raises(CSVError, match=r":1:7: largest \|Fy\| is \d+\.?\d* times the largest \|Fz"):
+        load(tmp_path, tire_columns(Fz=Fz / 9.81))
+
+
 def test_a_single_wild_cell_is_caught(tmp_path: Path) -> None:
     wild = Fy.copy()
     wild[6] = -99999e3
@@ -326,10 +356,24 @@ def test_ranges_that_are_given_bind(tmp_path: Path) -> None:
 
 
 def test_signs_that_no_tire_has(tmp_path: Path) -> None:
-    with pytest.raises(CSVError, match=r"mine.csv:1:7: Fy rises with alpha.*iso-w, sae, adapted"):
+    with pytest.raises(
+        CSVError, match=r"mine.csv:1:7: Fy rises with alpha, but.*iso-w, sae, adapted"
+    ):
         load(tmp_path, tire_columns(Fy=-Fy))
     with pytest.raises(CSVError, match=r"mine.csv:1:10: Fz is mostly negative"):
         load(tmp_path, tire_columns(Fz=-Fz))
+    tire, kappa = load_tir(embedded_tire("lf")), np.linspace(-0.2, 0.2, 400)
+    pure, driven = tire.forces(Fz, 0, alpha, gamma), tire.forces(Fz, kappa, 0.05, gamma)
+    moments: dict[str, Any] = {"columns": ["alpha", "Mz", "Fz"], "units": ["rad", "Nm", "N"]}
+    moments["output"] = "Mz"
+    driving: dict[str, Any] = {"columns": ["kappa", "Fx", "Fz"], "units": ["-", "N", "N"]}
+    driving["output"] = "Fx"
+    load(tmp_path, {"alpha": alpha, "Mz": pure.Mz, "Fz": Fz}, **moments)
+    load(tmp_path, {"kappa": kappa, "Fx": driven.Fx, "Fz": Fz}, **driving)
+    with pytest.raises(CSVError, match=":1:7: Mz falls with alpha, but it rises in ISO-W"):
+        load(tmp_path, {"alpha": alpha, "Mz": -pure.Mz, "Fz": Fz}, **moments)
+    with pytest.raises(CSVError, match=":1:7: Fx falls with kappa, but it rises in ISO-W"):
+        load(tmp_path, {"kappa": -kappa, "Fx": driven.Fx, "Fz": Fz}, **driving)
     sliding = tire_columns(alpha=np.linspace(0.3, 0.9, 400), Fy=-4000 + np.linspace(0, 500, 400))
     assert len(load(tmp_path, sliding)) == 400  # beyond its peak the force does fall off
 
