@@ -301,6 +301,76 @@ def test_a_tire_that_cannot_be_fitted(x: list[str], y: str, space: Any, message:
         )  # fmt: skip
 
 
+WRONG: dict[str, tuple[dict[str, float], str, str]] = {
+    "sign of the slip angle": ({"alpha": -1}, "Fy", "Fy: Fy rises with alpha, .* sae, adapted-sae"),
+    "its sign, seen by the moment": ({"alpha": -1}, "Mz", "Mz: Mz falls with alpha"),
+    "sign of the slip ratio": ({"kappa": -1}, "Fx", "Fx: Fx falls with kappa"),
+    "sign of the load": ({"Fz": -1}, "Fy", "Fz: Fz is mostly negative"),
+    "degrees": ({"alpha": 57.3}, "Fy", r"alpha, row \d+: largest .* is the column in deg\?"),
+    "camber in degrees": ({"gamma": 57.3}, "Mz", r"gamma, row \d+: .* is the column in deg\?"),
+    "kN": ({"Fy": 1e-3}, "Fy", r"Fy, row \d+: largest .* is the column in kN\?"),
+    "load in lbf": (
+        {"Fz": 1 / 4.448},
+        "Fx",
+        "Fx: largest .* times the largest .* correct the unit",
+    ),
+    "bar": ({"pressure": 1e-5}, "Fy", r"pressure, row 0: largest .* is 1.4 Pa"),
+}
+
+
+def _conditions_of_a_tire(n: int = 100) -> dict[str, Any]:
+    rng = np.random.default_rng(3)
+    box = {"alpha": 0.15, "kappa": 0.1, "gamma": 0.05}
+    x = {name: rng.uniform(-end, end, n) for name, end in box.items()}
+    return x | {"Fz": rng.uniform(1500, 5000, n), "pressure": np.full(n, 1.4e5)}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_tire_s_columns_in_another_unit_or_sign_are_refused(case: str) -> None:
+    """As the columns of a file are, and before anything is fitted."""
+    factors, y, message = WRONG[case]
+    tire, rows = miho.load_tir(embedded_tire("lf")), _conditions_of_a_tire(200)
+    if y == "Mz":
+        del rows["kappa"]
+    forces = tire.forces(**({"kappa": 0.0} | rows))
+    rows |= {name: column * factors.get(name, 1.0) for name, column in rows.items()}
+    rows[y] = getattr(forces, y) * factors.get(y, 1.0)
+    coefficient = {"Fx": "PDX1", "Fy": "PDY1", "Mz": "QDZ1"}[y]
+    for model in (tire, TireFormula(tire, (coefficient,), y, tuple(n for n in rows if n != y))):
+        with pytest.raises(ValueError, match=message) as caught:
+            miho.fit(model, rows, y, start={coefficient: 1.0})
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("convention", ["iso-w", "sae", "adapted-sae"])
+def test_a_tire_is_fitted_in_the_signs_of_its_data(convention: str) -> None:
+    tire, rows = miho.load_tir(embedded_tire("lf")), _conditions_of_a_tire()
+    rows["Fy"] = tire.forces(**rows).Fy
+    start = {"PDY1": 1.6, "PKY1": -50.0}
+    reversed_ = {"iso-w": (), "sae": ("alpha", "Fz", "Fy"), "adapted-sae": ("Fy",)}[convention]
+    data = pd.DataFrame(rows | {name: -rows[name] for name in reversed_})
+    fit = miho.fit(tire, data, "Fy", start=start, convention=convention)
+    own = {name: getattr(tire.parameters, name) for name in start}
+    assert fit.values == pytest.approx(own, rel=1e-6)
+    if convention == "sae":
+        with pytest.raises(ValueError, match="predict takes a tire's inputs in ISO-W"):
+            fit.predict(data)
+
+
+def test_sizes_and_signs_that_are_stated_are_taken() -> None:
+    tire, rows = miho.load_tir(embedded_tire("lf")), _conditions_of_a_tire()
+    rows["alpha"] = rows["alpha"] / 1e4
+    rows["Fy"] = tire.forces(**rows).Fy
+    ranges = {"alpha": (0.001, 0.1)}
+    with pytest.raises(ValueError, match=r"alpha, row \d+: .* expected 0.001 to 0.1"):
+        miho.fit(tire, rows, "Fy", start={"PHY1": 0.0}, ranges=ranges)
+    assert miho.fit(tire, rows, "Fy", start={"PHY1": 0.0}, ranges={"alpha": None})
+    with pytest.raises(ValueError, match="convention is 'iso'; choose from iso-w, sae"):
+        miho.fit(tire, rows, "Fy", start={"PHY1": 0.0}, convention="iso")
+    with pytest.raises(ValueError, match="convention and ranges are of the data of a tire"):
+        miho.fit(decay, t, y, BOX, convention="sae")
+
+
 def test_bounds_without_names_are_refused() -> None:
     with pytest.raises(ValueError, match="give them by name"):
         miho.fit(lambda t, a: a * t, np.arange(5.0), np.arange(5.0), [(0, 1)])  # type: ignore[arg-type]

@@ -120,8 +120,13 @@ class Fit(Remade):
         return self.report().notes
 
     def predict(self, x: Any) -> Prediction:
-        """The curve at inputs, given as to `fit`, with its interval at `level`."""
+        """The curve at inputs, given as to `fit`, with its interval at `level`.
+
+        Of a tire in ISO-W signs.
+        """
         inputs = inputs_of(self.problem.model, x)
+        if isinstance(whole_model(self.problem.model), TireFormula) and np.median(inputs["Fz"]) < 0:
+            raise ValueError("Fz is mostly negative; predict takes a tire's inputs in ISO-W signs")
         columns = np.broadcast_arrays(*(np.atleast_1d(c).astype(float) for c in inputs.values()))
         value, reach = self._band(*columns)
         return Prediction(value, value - reach, value + reach)

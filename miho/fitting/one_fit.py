@@ -66,6 +66,8 @@ def fit(
     workers: Workers = None,
     evaluation_limit: float | None = None,
     journal: JournalPath = None,
+    convention: str = "iso-w",
+    ranges: Mapping[str, Sequence[float] | None] | None = None,
 ) -> Fit:
     """Fit a model to data, within bounds and without a start, or from a start without a search.
 
@@ -114,7 +116,7 @@ def fit(
         raise ValueError(f"bounds are {space!r}; give them by name, as in {{'a': (0, 10)}}")
     named = space.names if isinstance(space, Space) else tuple(space or ())
     parameters = {*named, *(start or ()), *(fixed or ()), *(tied or ())}
-    dataset, chosen, sigma = data_of(model, x, y, sigma, parameters)
+    dataset, chosen, sigma = data_of(model, x, y, sigma, parameters, convention, ranges)
     if compiled is None and (start is not None or isinstance(model, TireFormula)):
         compiled = False
     bounds = constrained(space_of(chosen, space, start, fixed or {}, tied or {}), constraints)

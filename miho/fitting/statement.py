@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from miho.data.dataset import Dataset
+from miho.data.measurements import Layout
 from miho.models.function_model import FunctionModel
 from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
@@ -52,11 +53,18 @@ def of_tire(
 
 
 def data_of(
-    model: Any, x: Any, y: Any, sigma: Any, parameters: Collection[str] = ()
+    model: Any,
+    x: Any,
+    y: Any,
+    sigma: Any,
+    parameters: Collection[str] = (),
+    convention: str = "iso-w",
+    ranges: Mapping[str, Sequence[float] | None] | None = None,
 ) -> tuple[Dataset, Model, str | float | None]:
     """The dataset, the model with the units that its function declares, and sigma as it has it.
 
-    `parameters` are known to be no columns, even where `x` has some of their names.
+    `parameters` are known to be no columns, even where `x` has some of their names. `convention`
+    and `ranges` are those of `tire_columns`.
     """
     by_name = isinstance(x, Mapping) or hasattr(x, "columns")
     if isinstance(y, str):
@@ -74,6 +82,10 @@ def data_of(
         model = FunctionModel(model, columns=_column_names(model, x, parameters))
     inputs = inputs_of(model, x)
     _check_alignment(x, values, sigma)
+    if isinstance(model, TireFormula):
+        inputs, values = tire_columns(model, inputs, values, convention, ranges)
+    elif convention != "iso-w" or ranges:
+        raise ValueError("convention and ranges are of the data of a tire; leave them out")
     while output in inputs:
         output += "_"
     columns, units = (
@@ -92,6 +104,31 @@ def data_of(
             name += "_"
         columns[name], units[name], sigma = sigma, model.output, name
     return Dataset(model.name or "data", columns, units, output), model, sigma
+
+
+def tire_columns(
+    model: TireFormula,
+    inputs: Mapping[str, Any],
+    force: Any,
+    convention: str = "iso-w",
+    ranges: Mapping[str, Sequence[float] | None] | None = None,
+) -> tuple[dict[str, Any], Any]:
+    """The inputs and the force of a tire in ISO-W signs, in SI units as they are.
+
+    Columns are checked as those of a file are: see `miho.data.measurements.Layout` for `convention`
+    and `ranges`. Raises ValueError for one whose size or sign no tire has.
+    """
+    numbers = {**inputs, model.force: _numbers(model.force, force)}
+    units = [*model.inputs.values(), model.output.replace("*", "")]
+    layout = Layout([*numbers], units, model.force, convention=convention, ranges=ranges)
+
+    def fault(column: str, row: int | None, problem: str) -> ValueError:
+        return ValueError(f"{column}{'' if row is None else f', row {row}'}: {problem}")
+
+    if not all(column.size and np.isfinite(column).all() for column in numbers.values()):
+        return dict(inputs), force  # which the dataset refuses
+    columns = layout.si_columns(numbers, fault)[0]
+    return {name: columns[name] for name in inputs}, columns[model.force]
 
 
 def _check_alignment(x: Any, y: Any, sigma: Any) -> None:
