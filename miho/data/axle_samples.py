@@ -13,12 +13,14 @@ from miho.data.dataset import Dataset
 from miho.data.driving_log import DrivingLog, load_driving_log
 from miho.models.single_track import SingleTrack
 from miho.models.vehicle_settings import from_settings
-from miho.quantities import g
+from miho.quantities import Array, g
 
 LARGEST_SLIP_ANGLE = 1.0
 """Largest slip angle of an axle [rad]; beyond, a car spins or a unit is wrong."""
 RISING = 0.2
 """Rank correlation of force and slip angle above which their signs cannot both be right."""
+BOTH_WAYS = 0.1
+"""Share of the samples with a force to either side from which on a log turns both ways."""
 
 UNITS = {"alpha": "rad", "vx": "m/s", "ax": "m/s^2", "Fy": "N"}
 
@@ -80,13 +82,24 @@ def axle_samples(
             f"most {LARGEST_SLIP_ANGLE:g}; check the units of vy, yaw_rate and steering, or leave "
             "out where the car spins with start and end"
         )
-    if sign_problem(samples, UNITS, RISING):
+    if _rises(samples):
         raise ValueError(
             f"log {log.name}: the {axle} axle's force rises with its slip angle, but it falls in "
             "ISO signs; flip the column whose sign is not ISO's (vy and ay positive to the left, "
             "yaw_rate and steering in a left turn), or correct sensor_x, delays or steering_ratio"
         )
     return Dataset(f"{log.name}_{axle}_axle", samples, UNITS, "Fy")
+
+
+def _rises(samples: Mapping[str, Array]) -> bool:
+    """Whether the force rises with the slip angle, as it does in wrong signs.
+
+    In a log that turns both ways an offset of the slip angle, as of a sensor, does not count.
+    """
+    alpha, Fy = samples["alpha"], samples["Fy"]
+    if min(np.mean(Fy > 0), np.mean(Fy < 0)) >= BOTH_WAYS:
+        alpha, Fy = alpha - np.median(alpha), Fy - np.median(Fy)
+    return sign_problem({**samples, "alpha": alpha, "Fy": Fy}, UNITS, RISING) is not None
 
 
 def _check_bank(log: DrivingLog, cutoff: float) -> None:

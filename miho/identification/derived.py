@@ -21,6 +21,12 @@ GRID = 601
 SAME = 0.1
 """Loads within this fraction of each other are one load."""
 
+SIGNS = {
+    "cornering stiffness": 1, "peak friction": 1, "mean peak force": 1,
+    "peak force, alpha > 0": -1, "peak force, alpha < 0": 1,
+}  # fmt: skip
+"""The sign that quantities of these names have for every tire, in ISO-W."""
+
 
 @dataclass(frozen=True)
 class Derived:
@@ -87,6 +93,11 @@ def _of_parts(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
 def _chosen(quantity: Derived, places: list[int], thetas: Array) -> Array:
     """A quantity of some of the parameters."""
     return quantity.evaluate(thetas[:, places])
+
+
+def sign_of(quantity: str) -> int:
+    """The sign that a quantity of this name has for every tire; 0 if it may have either."""
+    return next((sign for name, sign in SIGNS.items() if name in quantity), 0)
 
 
 def delta_method(quantity: Derived, at: Linearised) -> tuple[float, float]:

@@ -11,6 +11,7 @@ import scipy  # which loads its packages where they are used: importing them tak
 from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
+from miho.identification.derived import sign_of
 from miho.identification.loss import Cauchy, Huber
 from miho.identification.profile_likelihood import Profile
 from miho.identification.uncertainty import (
@@ -133,6 +134,23 @@ def maybe_zero(parameters: pd.DataFrame, level: float) -> list[str]:
                 "contains it."
             )
     return sentences
+
+
+def wrong_signs(quantities: pd.DataFrame) -> list[str]:
+    """A sentence on derived quantities (rows of a report's `derived`) of a sign that no tire has."""
+    wrong = []
+    for row in quantities.to_dict("records"):
+        if sign_of(row["quantity"]) * row["value"] < 0:
+            error = row["standard error"]
+            spread = f" ± {error:.2g}" if np.isfinite(error) else ""
+            wrong.append(f"{row['quantity']} ({row['value']:.3g}{spread} {row['unit']})")
+    if not wrong:
+        return []
+    has = "has" if len(wrong) == 1 else "have"
+    return [
+        f"{_listed(wrong)} {has} a sign that no tire has: check signs, offsets and delays of the "
+        "columns, and whether the data reach zero slip."
+    ]
 
 
 def profile_shapes(

@@ -25,6 +25,7 @@ from miho.identification.flags import (
     sigma_disagrees,
     too_few,
     uneven_spread,
+    wrong_signs,
 )
 from miho.identification.irreducible import Irreducible, irreducible_interval
 from miho.identification.prior import prior_notes, prior_table
@@ -275,6 +276,7 @@ class Report:
             return [*sentences, "every row is reproduced to rounding: the data have no error."]
         sentences += maybe_zero(self.parameters, self.level)
         sentences += profile_shapes(at, space, self.profiles, self.level)
+        sentences += wrong_signs(self.derived)
         # The errors: whether standard errors may be computed from them as they are.
         sentences += uneven_spread(self.problem, at, space)
         sentences += sigma_disagrees(self.problem, self.at)

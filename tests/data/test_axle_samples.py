@@ -219,6 +219,24 @@ def test_a_force_that_rises_with_the_slip_angle_is_refused(
     axle_samples(changed(wrong, **{key: -wrong[key] for key in channels}), CAR, axle)
 
 
+@pytest.mark.parametrize("axle", ["front", "rear"])
+def test_an_offset_does_not_hide_a_wrong_sign(weave: DrivingLog, axle: str) -> None:
+    """Offsets of vy and ay make the products of slip angle and force negative in the mean."""
+    wrong = changed(weave, ay=-weave["ay"] - 5.0, vy=weave["vy"] + 6.0)
+    with pytest.raises(ValueError, match=rf"the {axle} axle's force rises"):
+        axle_samples(wrong, CAR, axle)
+    right = axle_samples(changed(weave, ay=weave["ay"] - 5.0, vy=weave["vy"] + 6.0), CAR, axle)
+    assert np.corrcoef(right["alpha"], right["Fy"])[0, 1] < -0.8
+
+
+def test_a_real_log_in_signs_that_are_not_declared_is_refused(reference_data: Path) -> None:
+    """Its vy as if measured at the centre of gravity: both axles, whatever the sensor's offset."""
+    path = str(reference_data / "av21_putnam" / "Putnam_park2023_run4_2.csv")
+    for axle in ("front", "rear"):
+        with pytest.raises(ValueError, match=rf"the {axle} axle's force rises"):
+            load_axle_samples(path, **PUTNAM, vehicle=SETTINGS, axle=axle, accelerometer=False)
+
+
 def test_a_slip_angle_that_no_car_keeps(weave: DrivingLog) -> None:
     with pytest.raises(ValueError, match=r"slip angle reaches .* rad, expected at most 1; check"):
         axle_samples(changed(weave, vy=30 * weave["vy"]), CAR)

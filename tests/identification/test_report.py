@@ -68,6 +68,22 @@ def test_it_says_what_is_wrong_in_words(tire: Report) -> None:
     assert "% of the errors' variance follows Fz, which is no input of the model" in notes
 
 
+def test_it_says_where_a_landmark_has_a_sign_that_no_tire_has(tire: Report) -> None:
+    """A force that rises with the slip angle: as printed by any model with a cornering stiffness."""
+    assert not any("a sign that no tire has" in note for note in tire.notes)
+    alpha = np.linspace(-0.1, 0.1, 60)
+    Fy = 3000 * np.sin(1.5 * np.arctan(12 * alpha)) + 20 * np.cos(1e4 * alpha)
+    data = Dataset("reversed", {"alpha": alpha, "Fy": Fy}, {"alpha": "rad", "Fy": "N"}, "Fy")
+    space = replace(SPACE, parameters=tuple(
+        replace(p, low=-9000, high=-1000) if p.name == "D" else p for p in SPACE.parameters
+    ))  # fmt: skip
+    problem = CurveFit(Pacejka(), data, space, compiled=False)
+    theta = refit(problem, np.array([12.0, 1.5, -3000.0, 0.0, 0.0])).theta
+    (note,) = (n for n in make_report(problem, theta).notes if "a sign that no tire has" in n)
+    assert "cornering stiffness at zero slip (-5.4" in note
+    assert "cornering stiffness B C D (Eq. 14) (-5.4" in note
+
+
 def test_the_band_holds_the_curve_of_the_truth() -> None:
     """A 95 % band per point: over 60 data sets the truth at three points is inside 92-98 %,
     give or take; at least 85 % here, which one nominal band in a thousand would miss."""
