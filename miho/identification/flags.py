@@ -137,7 +137,7 @@ def maybe_zero(parameters: pd.DataFrame, level: float) -> list[str]:
 
 
 def wrong_signs(quantities: pd.DataFrame) -> list[str]:
-    """A sentence on derived quantities (rows of a report's `derived`) of a sign that no tire has."""
+    """A sentence on quantities, as in a report's `derived`, of a sign that no tire has."""
     wrong = []
     for row in quantities.to_dict("records"):
         if sign_of(row["quantity"]) * row["value"] < 0:

@@ -17,8 +17,9 @@ from miho.models.magic_formula_parameters import (
     parameter_names,
     required_names,
 )
-from miho.models.tir_format import KEYS, SECTION_OF, SI_UNITS, TURNSLIP_NAMES, UNIT_FACTORS
+from miho.models.tir_format import KEYS, SECTION_OF, SI_UNITS, TURNSLIP_NAMES
 from miho.models.tir_reader import (
+    Fault,
     PropertyFile,
     Table,
     Value,
@@ -61,13 +62,14 @@ def load_tir(path: str | os.PathLike[str], strict: bool = True) -> MagicFormula:
     Every coefficient the version's force equations read must be there; scaling factors default
     to 1 (LMUV to 0) and absent ranges do not limit. `strict` refuses sections and keys that the
     version does not have, and lines that cannot be read; without it they are ignored if no force
-    needs them, unreadable ones with one warning that lists them. Raises `TirError`.
+    needs them, unreadable ones with one warning that lists them; a range that is left blank does
+    not limit then. Raises `TirError`.
     """
     file, faults = read_lines(os.fspath(path), strict=strict)
     version = _version(file)
 
     # Faults in lines that a force needs are errors in any case, others only if strict.
-    needed = [f for f in faults if f.key in parameter_names(version) | {*UNIT_FACTORS, "FITTYP"}]
+    needed = [fault for fault in faults if _is_needed(fault, version)]
     raise_first([fault.error for fault in needed], [fault.place for fault in needed])
     if strict:
         _check_vocabulary(file, version)
@@ -87,6 +89,17 @@ def load_tir(path: str | os.PathLike[str], strict: bool = True) -> MagicFormula:
         key = error.key
         raise file.error(SECTION_OF[key], key, str(error), "correct the value") from None
     return MagicFormula(parameters)
+
+
+def _is_needed(fault: Fault, version: Version) -> bool:
+    """Whether a force depends on a line: on a unit, the version, a coefficient or a range."""
+    if (fault.section, fault.key) == ("MODEL", "FITTYP"):
+        return True
+    if fault.section == "UNITS":
+        return fault.key in KEYS["UNITS"]
+    limits = fault.section.endswith("_RANGE")
+    read = fault.key in parameter_names(version) and SECTION_OF[fault.key] == fault.section
+    return read and not (limits and fault.blank)
 
 
 def _coefficients(file: PropertyFile, version: Version) -> dict[str, float]:

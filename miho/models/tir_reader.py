@@ -107,10 +107,15 @@ def raise_first(errors: Sequence[TirError], places: Sequence[str]) -> None:
 
 
 class Fault(NamedTuple):
-    """A line that cannot be read as KEY = value; the key is "" where there is none."""
+    """A line that cannot be read as KEY = value; the key is "" where there is none.
+
+    A line is `blank` where nothing stands behind its key.
+    """
 
     line: int
+    section: str
     key: str
+    blank: bool
     error: TirError
 
     @property
@@ -198,8 +203,8 @@ class _Reader:
     def error(self, column: int, problem: str, remedy: str) -> TirError:
         return TirError.at(self.path, self.number, column, problem, remedy)
 
-    def _add_fault(self, key: str, error: TirError) -> None:
-        self.faults.append(Fault(self.number, key, error))
+    def _add_fault(self, key: str, error: TirError, blank: bool = False) -> None:
+        self.faults.append(Fault(self.number, self.section, key, blank, error))
 
     def _without_comment(self, raw: str) -> str:
         match = _CONTENT.match(raw)
@@ -238,7 +243,7 @@ class _Reader:
         try:
             self.sections[self.section][key] = self._value(value_part.strip(), column, key)
         except TirError as error:
-            self._add_fault(key, error)
+            self._add_fault(key, error, blank=not value_part.strip())
         self.places[self.section, key] = (self.number, column)
 
     def _value(self, text: str, column: int, key: str) -> Value:

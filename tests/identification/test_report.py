@@ -69,7 +69,7 @@ def test_it_says_what_is_wrong_in_words(tire: Report) -> None:
 
 
 def test_it_says_where_a_landmark_has_a_sign_that_no_tire_has(tire: Report) -> None:
-    """A force that rises with the slip angle: as printed by any model with a cornering stiffness."""
+    """A force that rises with the slip angle, for any model with a cornering stiffness."""
     assert not any("a sign that no tire has" in note for note in tire.notes)
     alpha = np.linspace(-0.1, 0.1, 60)
     Fy = 3000 * np.sin(1.5 * np.arctan(12 * alpha)) + 20 * np.cos(1e4 * alpha)

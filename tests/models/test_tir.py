@@ -318,6 +318,35 @@ def test_without_strict_what_no_force_needs_may_be_malformed(tmp_path: Path) -> 
         load_tir(path)
 
 
+LIMITS = [end + side for end in ("PRES", "FZ", "KPU", "ALP", "CAM") for side in ("MIN", "MAX")]
+
+
+def test_blank_limits_do_not_limit_and_a_blank_mass_is_no_unit(tmp_path: Path) -> None:
+    """As files from public libraries have them; a unit or a limit that says something is read."""
+    text, without = LF.replace("[MODEL]", "[INERTIA]\nMASS =\n[MODEL]"), LF
+    for key in LIMITS:
+        text = re.sub(rf"(?m)^{key}\b.*$", f"{key} = $ not known", text)
+        without = re.sub(rf"(?m)^{key}\b.*\n", "", without)
+    path = saved(tmp_path, text)
+    with pytest.warns(UserWarning, match="11 lines that no force needs cannot be read .*: MASS in"):
+        blank = load_tir(path, strict=False)
+    other = tmp_path / "without.tir"
+    other.write_text(without)
+    assert blank == load_tir(other) != load_tir(embedded_tire("lf"))
+    with pytest.raises(TirError, match=r"MASS has no value; .*; likewise 10 more: "):
+        load_tir(path)
+    for line, problem in (
+        ("FZMAX = 10k", "'10k' is not a number"), ("MASS =", r"\[UNITS\] lacks MASS"),
+        ("PRESSURE =", "PRESSURE has no value"), ("LMUY =", "LMUY has no value"),
+    ):  # fmt: skip
+        key = line.split()[0]
+        bad = re.sub(rf"(?m)^{key}\b.*$", line, LF)
+        if key == "PRESSURE":
+            bad = LF.replace("[UNITS]", f"[UNITS]\n{line}")
+        with pytest.raises(TirError, match=problem):
+            load_tir(saved(tmp_path, bad), strict=False)
+
+
 def test_what_forces_need_must_be_well_formed_and_is_listed_at_once(tmp_path: Path) -> None:
     text = LF + VENDOR
     for key in ("PCY1", "PKY1", "LMUY"):
