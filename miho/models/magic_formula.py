@@ -4,15 +4,16 @@ Equation numbers (4.E1-4.E78) are those of Pacejka, Tire and Vehicle Dynamics, 3
 turn slip is left out (all zeta = 1). MF 5.2 is written as MF 6.1 with the terms it lacks removed
 and differs at the further places marked below. MF 6.2 has the forces of MF 6.1.
 
-Implementations agree on Fx and Fy. In Mz this one follows the book where the reference values of
-the tests (MFeval 4.0) do not; without these differences the two agree to 2e-8 of the largest
-moment (tests/models/test_magic_formula.py), with them up to 0.4 % of it:
+Implementations agree on Fx and Fy. In Mz this one follows the book where MFeval 4.0 and with it
+MF-Tyre do not; without these differences they agree to 1e-9 of the largest moment
+(tests/models/test_magic_formula.py):
 
     MF 5.2    the force at the trail is F_y - S_Vyk: the book's S_Vyk is that of F_y, whose
               friction falls with camber; the reference takes it with the friction at no camber
-    alpha*    B_t and D_t (4.E40, 4.E43), and in MF 5.2 the arm s (4.E76), have gamma* in the book
-              and the camber itself in the reference; cos' alpha of the residual moment (4.E47) is
-              V_x / V in the book, and taken of alpha* as if it were an angle in the reference
+    alpha*    B_t and D_t (4.E40, 4.E43) and the arm s (4.E76) have gamma* in the book and the
+              camber itself in the reference; cos' alpha of the residual moment (4.E47) is V_x / V
+              in the book, and taken of alpha* as if it were an angle in the reference
+    LFZO      not 1: the reference takes the trail LFZO times, and F_y / FNOMIN in s
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ class PureLateral(NamedTuple):
 
 class _Lateral(NamedTuple):
     Fy: Array
-    slip_part: Array  # G_yk Fy0, the part that acts at the pneumatic trail
+    G: Array  # the loss to longitudinal slip, G_yk
     pure: PureLateral
 
 
@@ -253,8 +254,7 @@ class MagicFormula:
         D_V = pure.D * (p.RVY1 + p.RVY2 * dfz + p.RVY3 * gamma)
         D_V = D_V * np.cos(np.arctan(p.RVY4 * c.alpha))  # 4.E67
         SV_kappa = D_V * np.sin(p.RVY5 * np.arctan(p.RVY6 * c.kappa)) * p.LVYKA  # 4.E66
-        slip_part = G * pure.Fy
-        return _Lateral(Fy=slip_part + SV_kappa, slip_part=slip_part, pure=pure)  # 4.E58
+        return _Lateral(Fy=G * pure.Fy + SV_kappa, G=G, pure=pure)  # 4.E58
 
     def _aligning_moment(self, c: Conditions, x: _Longitudinal, y: _Lateral) -> Array:
         p, dfz, dpi, gamma = self.parameters, c.dfz, c.dpi, c.gamma * self.parameters.LGAZ
@@ -284,10 +284,11 @@ class MagicFormula:
         alpha_r = np.arctan(np.hypot(np.tan(alpha_r), slip)) * np.sign(alpha_r)
         trail = D * np.cos(C * np.arctan(_argument(alpha_t, B, E))) * c.cosine  # 4.E73
         residual = D_r * np.cos(np.arctan(B_r * alpha_r))  # 4.E75
-        # MF 5.2 lets the cambered force act at the trail, MF 6 the force without camber (4.E74).
-        at_trail = y if p.version == "5.2" else self._lateral(c, 0.0 * gamma)
+        # MF 5.2 lets the cambered force act at the trail, MF 6 the one without camber (4.E74), less
+        # what it loses to slip at the camber that there is, as MF-Tyre does.
+        pure = y.pure if p.version == "5.2" else self.pure_lateral(c, 0.0 * gamma, p)
         arm = p.SSZ1 + p.SSZ2 * y.Fy / nominal + (p.SSZ3 + p.SSZ4 * dfz) * gamma
-        return -trail * at_trail.slip_part + residual + radius * arm * p.LS * x.Fx  # 4.E71-4.E76
+        return -trail * y.G * pure.Fy + residual + radius * arm * p.LS * x.Fx  # 4.E71-4.E76
 
     def _curvature(self, E: Array) -> Array:
         return np.minimum(E, 1.0) if self.clamp_curvature else E
