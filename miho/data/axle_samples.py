@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -21,6 +22,10 @@ RISING = 0.2
 """Rank correlation of force and slip angle above which their signs cannot both be right."""
 BOTH_WAYS = 0.1
 """Share of the samples with a force to either side from which on a log turns both ways."""
+LEVEL = 0.1
+"""A bank that moves the lateral acceleration by less [m/s^2], root mean square, is not checked."""
+INWARD = 0.5
+"""Cosine between the accelerations of bank and turning from which on a bank leans one way."""
 
 UNITS = {"alpha": "rad", "vx": "m/s", "ax": "m/s^2", "Fy": "N"}
 
@@ -103,20 +108,46 @@ def _rises(samples: Mapping[str, Array]) -> bool:
 
 
 def _check_bank(log: DrivingLog, cutoff: float) -> None:
-    """Refuse a bank whose opposite explains clearly better what the accelerometer shows."""
-    if not log.accelerometer or "ay" not in log or "bank" not in log:
+    """Refuse a bank of the other sign, and warn where nothing in the log tells the sign.
+
+    An accelerometer tells it: the opposite would explain clearly better what it shows. Without one
+    the turns do: roads lean inwards there.
+    """
+    if "bank" not in log:
         return
-    motion = log.rate("vy", cutoff) + log.filtered("vx", cutoff) * log.filtered("yaw_rate", cutoff)
+    turning = log.filtered("vx", cutoff) * log.filtered("yaw_rate", cutoff)
     weight = g * np.sin(log.angle("bank", cutoff))
-    residual = log.filtered("ay", cutoff) - motion
-    error_as_is, error_reversed = (
-        float(np.sqrt(np.mean((residual + sign * weight) ** 2))) for sign in (1.0, -1.0)
+    remedy = (
+        "it is positive where the left side is lower, which a roll angle of ISO 8855 is not: "
+        "set flip=[bank]"
     )
-    if error_reversed < 0.5 * error_as_is:
+    if log.accelerometer and "ay" in log:
+        residual = log.filtered("ay", cutoff) - log.rate("vy", cutoff) - turning
+        error_as_is, error_reversed = (
+            float(np.sqrt(np.mean((residual + sign * weight) ** 2))) for sign in (1.0, -1.0)
+        )
+        if error_reversed < 0.5 * error_as_is:
+            raise ValueError(
+                f"log {log.name}: ay, vy and yaw_rate fit the opposite bank ({error_reversed:.2g} "
+                f"against {error_as_is:.2g} m/s^2 left over); {remedy}"
+            )
+        return
+    size = float(np.linalg.norm(weight))
+    if size <= LEVEL * np.sqrt(len(log)):
+        return
+    inward = float(weight @ turning) / (size * float(np.linalg.norm(turning)) or 1.0)
+    if inward < -INWARD:
         raise ValueError(
-            f"log {log.name}: ay, vy and yaw_rate fit the opposite bank ({error_reversed:.2g} "
-            f"against {error_as_is:.2g} m/s^2 left over); it is positive where the left side is "
-            "lower, which a roll angle of ISO 8855 is not: set flip=[bank]"
+            f"log {log.name}: the bank leans outwards in the turns, where roads lean inwards; "
+            f"{remedy}, or give ay of an accelerometer, which tells the sign"
+        )
+    if inward < INWARD:
+        warnings.warn(
+            f"log {log.name}: nothing tells whether bank has the right sign, on which the forces "
+            "depend: it is positive where the left side is lower; with ay of an accelerometer it "
+            "is checked",
+            UserWarning,
+            stacklevel=3,
         )
 
 

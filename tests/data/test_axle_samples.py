@@ -117,8 +117,10 @@ def test_a_bank_is_known_or_felt(quiet: DrivingLog) -> None:
     felt = DrivingLog("a", {**quiet.channels, "bank": level + 0.3})
     moved = {**quiet.channels, "ay": quiet["ay"] + 9.80665 * np.sin(0.3), "bank": level + 0.3}
     motion = DrivingLog("b", moved, accelerometer=False)
-    for log in (felt, motion):
-        np.testing.assert_allclose(axle_samples(log, CAR)["Fy"], reference["Fy"], atol=1e-6)
+    np.testing.assert_allclose(axle_samples(felt, CAR)["Fy"], reference["Fy"], atol=1e-6)
+    with pytest.warns(UserWarning, match="nothing tells whether bank has the right sign"):
+        samples = axle_samples(motion, CAR)
+    np.testing.assert_allclose(samples["Fy"], reference["Fy"], atol=1e-6)
 
 
 def test_samples_are_chosen_by_their_conditions(weave: DrivingLog) -> None:
@@ -251,6 +253,27 @@ def test_a_bank_of_the_other_convention_is_refused(quiet: DrivingLog) -> None:
     np.testing.assert_allclose(right["Fy"], level["Fy"] - shift, rtol=0.01, atol=20.0)
     with pytest.raises(ValueError, match=r"fit the opposite bank .*: set flip=\[bank\]"):
         axle_samples(changed(tilted, bank=-bank), CAR)
+
+
+@pytest.mark.parametrize("logged", [(), ("ay",)])
+def test_without_an_accelerometer_the_turns_tell_the_sign_of_the_bank(
+    quiet: DrivingLog, logged: tuple[str, ...]
+) -> None:
+    """Not logged, or logged as the acceleration of the motion, ay knows nothing of the bank."""
+    bank = 0.15 * np.tanh(quiet["vx"] * quiet["yaw_rate"] / 4)
+    kept = {key: quiet[key] for key in quiet.channels if key != "ay" or key in logged}
+    inward, outward, crown = (
+        DrivingLog("a", kept | {"bank": angle}, accelerometer=False)
+        for angle in (bank, -bank, 0 * bank - 0.005)
+    )
+    right = axle_samples(inward, CAR)
+    with pytest.raises(ValueError, match=r"leans outwards in the turns.*: set flip=\[bank\], or"):
+        axle_samples(outward, CAR)
+    stiffness = [
+        np.polyfit(samples["alpha"], samples["Fy"], 1)[0]
+        for samples in (right, axle_samples(crown, CAR))
+    ]
+    assert 0 > stiffness[0] > 0.95 * stiffness[1], "the bank carries a part of the car"
 
 
 @pytest.mark.parametrize(
