@@ -112,6 +112,19 @@ def test_the_comparison_is_judged_as_on_the_results_page() -> None:
     assert (low, high) == pytest.approx((measured, measured), abs=0.005), "half a printed digit"
 
 
+def test_a_tire_is_fitted_first_and_to_its_optimum() -> None:
+    """B of the best known optimum (`conf/problem/tire_lf.yaml`), before any other method's."""
+    notebook = nbformat.read(FOLDER / "identify_a_tire.ipynb", as_version=4)
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    places = {
+        call: next(k for k, cell in enumerate(cells) if call in cell.source)
+        for call in ("miho.fit(", "miho.minimize(")
+    }
+    assert places["miho.fit("] < places["miho.minimize("]
+    rows = Tables(cells[places["miho.fit("]].outputs[0].data["text/html"]).rows
+    assert next(row for row in rows if row[0] == "B")[1] == "12.56"
+
+
 def test_names_of_a_machine_are_noticed() -> None:
     text = "in /home/me/miho/runs, see https://example.org/home/x and runs/tmp/y, /tmp/tmp1a/b'"
     output = nbformat.v4.new_output("stream", text=text)
