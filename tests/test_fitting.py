@@ -365,6 +365,11 @@ def test_sizes_and_signs_that_are_stated_are_taken() -> None:
     with pytest.raises(ValueError, match=r"alpha, row \d+: .* expected 0.001 to 0.1"):
         miho.fit(tire, rows, "Fy", start={"PHY1": 0.0}, ranges=ranges)
     assert miho.fit(tire, rows, "Fy", start={"PHY1": 0.0}, ranges={"alpha": None})
+    rows["Fy"] = np.where(np.arange(100) == 7, np.nan, rows["Fy"])
+    with pytest.raises(ValueError, match="'Fy' must be one finite number per row"):
+        miho.fit(tire, rows, "Fy", start={"PHY1": 0.0})
+    with pytest.raises(ValueError, match="columns differ in length"):
+        miho.fit(tire, rows | {"Fy": np.zeros(5)}, "Fy", start={"PHY1": 0.0})
     with pytest.raises(ValueError, match="convention is 'iso'; choose from iso-w, sae"):
         miho.fit(tire, rows, "Fy", start={"PHY1": 0.0}, convention="iso")
     with pytest.raises(ValueError, match="convention and ranges are of the data of a tire"):

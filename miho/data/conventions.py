@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,10 +36,27 @@ CLEAR = 0.5
 """Rank correlation from which on one column clearly rises with another."""
 SMALL_SLIP: Mapping[str, float] = MappingProxyType({"alpha": 0.07, "kappa": 0.02})
 """Slip up to which the aligning moment has the sign of the slip angle: alpha [rad], kappa [1]."""
-_SLIPS = {"alpha": "rad", "kappa": "-"}
-_FORCES = {"Fx": "N", "Fy": "N", "Mz": "Nm"}
 FEWEST = 10
 """Rows of small slip from which on the sign of the aligning moment is judged."""
+
+
+class Law(NamedTuple):
+    """A force grows with a slip (sign 1) or falls (-1), while columns are at most `largest`."""
+
+    slip: str
+    slip_unit: str
+    force: str
+    unit: str
+    sign: int
+    largest: Mapping[str, float]
+
+
+LAWS = (
+    Law("alpha", "rad", "Fy", "N", -1, {}),
+    Law("kappa", "-", "Fx", "N", 1, {}),
+    Law("alpha", "rad", "Mz", "Nm", 1, SMALL_SLIP),
+)
+"""How a tire answers to its slip, in ISO-W signs."""
 
 
 def to_iso_w(
@@ -61,18 +79,17 @@ def sign_problem(
     names = f"set the data's convention ({', '.join(FLIPPED)}) or flip the column"
     if units.get("Fz") == "N" and np.median(columns["Fz"]) < 0:
         return "Fz", f"Fz is mostly negative, but it is positive in ISO-W; {names}"
-    laws = (("alpha", "Fy", -1.0, {}), ("kappa", "Fx", 1.0, {}), ("alpha", "Mz", 1.0, SMALL_SLIP))
-    for slip, force, sign, largest in laws:
-        if (units.get(slip), units.get(force)) != (_SLIPS[slip], _FORCES[force]):
-            continue
-        rows = np.ones(columns[slip].size, dtype=bool)
-        for name in largest.keys() & columns.keys():
-            rows &= np.abs(columns[name]) <= largest[name]
-        x, y = columns[slip][rows], sign * columns[force][rows]
-        enough = not largest or x.size >= FEWEST
-        if enough and _rank_correlation(x, -y) > clear and x @ y < 0:
-            does, should = ("falls", "rises") if sign > 0 else ("rises", "falls")
-            return force, f"{force} {does} with {slip}, but it {should} in ISO-W; {names}"
+    for law in LAWS:
+        if (units.get(law.slip), units.get(law.force)) == (law.slip_unit, law.unit):
+            rows = np.ones(columns[law.slip].size, dtype=bool)
+            for name in law.largest.keys() & columns.keys():
+                rows &= np.abs(columns[name]) <= law.largest[name]
+            x, y = columns[law.slip][rows], -law.sign * columns[law.force][rows]
+            enough = not law.largest or x.size >= FEWEST
+            if enough and _rank_correlation(x, y) > clear and x @ y > 0:
+                does, should = ("falls", "rises") if law.sign > 0 else ("rises", "falls")
+                problem = f"{law.force} {does} with {law.slip}, but it {should} in ISO-W"
+                return law.force, f"{problem}; {names}"
     return None
 
 

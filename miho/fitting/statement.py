@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from miho.data.conventions import to_iso_w
 from miho.data.dataset import Dataset
 from miho.data.measurements import Layout
 from miho.models.function_model import FunctionModel
@@ -121,13 +122,16 @@ def tire_columns(
     numbers = {**inputs, model.force: _numbers(model.force, force)}
     units = [*model.inputs.values(), model.output.replace("*", "")]
     layout = Layout([*numbers], units, model.force, convention=convention, ranges=ranges)
+    # Rows that are not finite, and columns of other lengths, are for the dataset to refuse.
+    if len({column.shape for column in numbers.values()}) == 1 and np.ndim(numbers[model.force]):
+        finite = np.flatnonzero(np.isfinite([*numbers.values()]).all(axis=0))
 
-    def fault(column: str, row: int | None, problem: str) -> ValueError:
-        return ValueError(f"{column}{'' if row is None else f', row {row}'}: {problem}")
+        def fault(column: str, row: int | None, problem: str) -> ValueError:
+            return ValueError(f"{column}{'' if row is None else f', row {finite[row]}'}: {problem}")
 
-    if not all(column.size and np.isfinite(column).all() for column in numbers.values()):
-        return dict(inputs), force  # which the dataset refuses
-    columns = layout.si_columns(numbers, fault)[0]
+        if finite.size:
+            layout.si_columns({name: column[finite] for name, column in numbers.items()}, fault)
+    columns = to_iso_w(numbers, convention)
     return {name: columns[name] for name in inputs}, columns[model.force]
 
 
