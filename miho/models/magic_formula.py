@@ -4,9 +4,9 @@ Equation numbers (4.E1-4.E78) are those of Pacejka, Tire and Vehicle Dynamics, 3
 turn slip is left out (all zeta = 1). MF 5.2 is written as MF 6.1 with the terms it lacks removed
 and differs at the further places marked below. MF 6.2 has the forces of MF 6.1.
 
-Implementations agree on Fx and Fy. In Mz this one follows the book where MFeval 4.0 and with it
-MF-Tyre do not; without these differences they agree to 1e-9 of the largest moment
-(tests/models/test_magic_formula.py):
+Implementations agree on Fx and Fy. In Mz this one follows the book where the reference values of
+the tests (MFeval 4.0) do not; with these choices of the reference the published equations give its
+moments to 1e-9 of the largest (tests/models/test_magic_formula.py):
 
     MF 5.2    the force at the trail is F_y - S_Vyk: the book's S_Vyk is that of F_y, whose
               friction falls with camber; the reference takes it with the friction at no camber
@@ -285,7 +285,7 @@ class MagicFormula:
         trail = D * np.cos(C * np.arctan(_argument(alpha_t, B, E))) * c.cosine  # 4.E73
         residual = D_r * np.cos(np.arctan(B_r * alpha_r))  # 4.E75
         # MF 5.2 lets the cambered force act at the trail, MF 6 the one without camber (4.E74), less
-        # what it loses to slip at the camber that there is, as MF-Tyre does.
+        # what it loses to slip at the camber that there is, as the reference values do.
         pure = y.pure if p.version == "5.2" else self.pure_lateral(c, 0.0 * gamma, p)
         arm = p.SSZ1 + p.SSZ2 * y.Fy / nominal + (p.SSZ3 + p.SSZ4 * dfz) * gamma
         return -trail * y.G * pure.Fy + residual + radius * arm * p.LS * x.Fx  # 4.E71-4.E76
