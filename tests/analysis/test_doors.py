@@ -50,7 +50,7 @@ def test_a_script_has_the_report_as_page_tables_and_parameters(tmp_path: Path) -
         miho.Parameter("D", "N", 1e3, 9e3), miho.Parameter("Sx", "rad", -0.05, 0.05),
         miho.Parameter("Sy", "N", -500, 500),
     ))  # fmt: skip
-    problem = miho.CurveFit(Pacejka(), data, space)
+    problem = miho.CurveFit(Pacejka(), data, space, compiled=False)
     record = miho.minimize(LeastSquares(), problem, miho.Budget(evaluations=2000), 0)
     assert record.theta is not None
     page = save_report(make_report(problem, record.theta), tmp_path / "report")

@@ -21,6 +21,8 @@ from miho.models.expression import Expression
 
 Array = NDArray[np.float64]
 
+COMPILES = pytest.mark.slow
+"""Panels and their kernels take half a minute to compile."""
 LOW = np.array([0.0, 0.0, 500.0, -0.1, -1000.0])
 HIGH = np.array([200.0, 200.0, 10_000.0, 0.1, 1000.0])
 SPACE = Space(
@@ -60,6 +62,7 @@ def problem(N: int, compressed: bool, noise: float = 150.0) -> CurveFit:
     return CurveFit(Pacejka(), dataset, SPACE, compressed=compressed)
 
 
+@COMPILES
 @pytest.mark.parametrize(("N", "n"), [(1, 40), (50, 2000), (3000, 2000), (30_000, 200)])
 def test_within_the_tolerance_over_the_wide_box(N: int, n: int) -> None:
     x, y = sample(N)
@@ -71,6 +74,7 @@ def test_within_the_tolerance_over_the_wide_box(N: int, n: int) -> None:
     assert loss.losses(thetas) == pytest.approx(expected, rel=1e-9)
 
 
+@COMPILES
 @pytest.mark.parametrize("tolerance", [1e-1, 1e-3, 1e-6])
 def test_a_coarse_tolerance_holds_too_and_takes_fewer_values(tolerance: float) -> None:
     """Where truncation shows: the bound, not rounding, is what holds the error down."""
@@ -133,6 +137,7 @@ def test_a_cubic_takes_four_values_of_each_quarter() -> None:
     assert set(counts) == {2 * 16}  # first how large the loss is, then the loss
 
 
+@COMPILES
 def test_equal_models_share_one_compilation() -> None:
     x = np.linspace(50, 700, 100)
     first, second, other = (
@@ -142,6 +147,7 @@ def test_equal_models_share_one_compilation() -> None:
     assert first is not other
 
 
+@COMPILES
 def test_lower_fidelities_are_those_of_the_points() -> None:
     thetas = candidates(40)
     compressed, plain = (problem(3000, switch) for switch in (True, False))
@@ -149,6 +155,7 @@ def test_lower_fidelities_are_those_of_the_points() -> None:
     assert compressed.loss(thetas).tolist() != plain.loss(thetas).tolist()
 
 
+@COMPILES
 def test_data_without_scatter_use_every_point() -> None:
     x, y = sample(3000, noise=0.0)
     thetas = TRUE * (1 + np.geomspace(1e-9, 1e-3, 20)[:, None] * np.array([1, 1, 0, 0, 0]))
@@ -157,6 +164,7 @@ def test_data_without_scatter_use_every_point() -> None:
     assert losses == pytest.approx(problem(3000, False, noise=0.0).loss(thetas), rel=1e-12)
 
 
+@COMPILES
 def test_a_loss_below_the_expected_scatter_is_summed_point_by_point() -> None:
     """A steep curve in few wide panels looks like scatter until a candidate meets it."""
     x = np.sort(np.random.default_rng(0).uniform(-0.2, 0.2, 3000))
@@ -167,6 +175,7 @@ def test_a_loss_below_the_expected_scatter_is_summed_point_by_point() -> None:
     assert counts[0] >= 3000
 
 
+@COMPILES
 def test_repeated_inputs() -> None:
     x, y = sample(3000)
     x = np.round(x, 2)
@@ -176,6 +185,7 @@ def test_repeated_inputs() -> None:
     )
 
 
+@COMPILES
 def test_clustered_inputs() -> None:
     rng = np.random.default_rng(4)
     x = np.concatenate([0.1 + 1e-9 * rng.standard_normal(500), rng.standard_normal(500) ** 3 / 50])
@@ -207,6 +217,7 @@ def test_every_rule_keeps_the_sum_of_squares_of_polynomials() -> None:
                 assert square == pytest.approx(np.sum((100 * q(x[rows]) - y[rows]) ** 2), rel=1e-11)
 
 
+@COMPILES
 def test_a_batch_equals_its_rows_bit_for_bit() -> None:
     p = problem(3000, compressed=True)
     thetas = candidates(60)
@@ -214,6 +225,7 @@ def test_a_batch_equals_its_rows_bit_for_bit() -> None:
     assert [p.loss(theta[None])[0] for theta in thetas] == batch.tolist()
 
 
+@COMPILES
 def test_limits_change_no_decision() -> None:
     x, y = sample(3000)
     loss = CompressedLoss(Pacejka(), x, y)
@@ -227,6 +239,7 @@ def test_limits_change_no_decision() -> None:
         assert (limited[~better] >= limits[~better]).all()
 
 
+@COMPILES
 def test_compiled_steps_give_the_trace_of_single_batches(monkeypatch: pytest.MonkeyPatch) -> None:
     optimizer = MIHO(R=60, eta=3)
     compiled = minimize(optimizer, problem(3000, compressed=True), Budget(), seed=1)
@@ -239,6 +252,7 @@ def test_compiled_steps_give_the_trace_of_single_batches(monkeypatch: pytest.Mon
     assert points.loss(compiled.theta[None])[0] == pytest.approx(compiled.loss, rel=1e-9)
 
 
+@COMPILES
 def test_residuals_and_fidelities_are_of_the_points() -> None:
     compressed, all_points = problem(3000, compressed=True), problem(3000, compressed=False)
     assert compressed.residuals(TRUE).tolist() == all_points.residuals(TRUE).tolist()

@@ -28,11 +28,19 @@ RELATIVE = 1e-12
 
 B, C, D = ("B", 0, 200), ("C", 0, 200), ("D", 500, 10_000)
 SX, SY = ("Sx", -0.1, 0.1), ("Sy", -1000, 1000)
-WIDE: list[tuple[Expression, tuple[float, float], list[tuple[str, float, float]]]] = [
-    (Pacejka(), (-0.25, 0.25), [B, C, D, SX, SY]),
-    (PacejkaCurvature(), (-0.25, 0.25), [B, C, D, ("E", -10, 1), SX, SY]),
-    (TorqueCubic(), (50, 700), [(f"p{k}", -1000, 1000) for k in range(4)]),
-]
+TIRE = Pacejka(), (-0.25, 0.25), [B, C, D, SX, SY]
+WIDE = [
+    pytest.param(*TIRE, id="tire"),
+    pytest.param(
+        PacejkaCurvature(), (-0.25, 0.25), [B, C, D, ("E", -10, 1), SX, SY],
+        id="tire with curvature", marks=pytest.mark.slow,
+    ),
+    pytest.param(
+        TorqueCubic(), (50, 700), [(f"p{k}", -1000, 1000) for k in range(4)],
+        id="engine", marks=pytest.mark.slow,
+    ),
+]  # fmt: skip
+"""Each model takes seconds to compile."""
 ROWS = [1, 7, 63, 64, 65, 511, 1500]
 
 
@@ -90,7 +98,7 @@ def test_residuals_and_derivatives_are_numpys(
 def test_a_loss_is_the_same_bits_alone_in_a_batch_and_on_any_threads(
     rows: int, threads: int
 ) -> None:
-    model, between, box = WIDE[0]
+    model, between, box = TIRE
     thetas = space_of(model, box).initial(101)
     alone = [fused(model, between, rows).losses(theta[None])[0] for theta in thetas]
     several = fused(model, between, rows, threads)
@@ -101,9 +109,9 @@ def test_a_loss_is_the_same_bits_alone_in_a_batch_and_on_any_threads(
 
 
 def test_the_callers_arrays_are_left_alone() -> None:
-    loss = fused(*WIDE[0][:2])
+    loss = fused(*TIRE[:2])
     X, y = loss.X.copy(), loss.y.copy()
-    thetas = space_of(loss.model, WIDE[0][2]).initial(5)
+    thetas = space_of(loss.model, TIRE[2]).initial(5)
     thetas.flags.writeable = False
     loss.losses(thetas)
     loss.residuals(thetas[0])
@@ -113,7 +121,7 @@ def test_the_callers_arrays_are_left_alone() -> None:
 
 
 def test_what_is_not_finite_stays_so() -> None:
-    model, between, _ = WIDE[0]
+    model, between, _ = TIRE
     good = fused(model, between)
     theta = np.array([[12.0, 1.4, 3000.0, 0.01, 80.0]])
     for bad, expected in ((np.nan, np.nan), (np.inf, np.inf)):
@@ -228,10 +236,10 @@ class Plain(Model):
 
 
 def test_a_model_that_is_no_expression_goes_the_way_of_numpy() -> None:
-    loss = fused(*WIDE[0][:2])
+    loss = fused(*TIRE[:2])
     units = {"alpha": "rad", "Fy": "N"}
     data = Dataset("d", {"alpha": loss.X[0], "Fy": loss.y}, units, "Fy")
-    space = space_of(Pacejka(), WIDE[0][2])
+    space = space_of(Pacejka(), TIRE[2])
     plain, compiled = (
         CurveFit(model, data, space, label="one problem") for model in (Plain(), Pacejka())
     )
@@ -298,7 +306,7 @@ def _as_compiled(x: Any) -> Any:
 SHIFT = 1e-3
 
 
-@pytest.mark.parametrize("wrong", ["value", "derivatives"])
+@pytest.mark.parametrize("wrong", ["value", pytest.param("derivatives", marks=pytest.mark.slow)])
 def test_compiled_values_that_are_not_numpys_are_not_used(wrong: str) -> None:
     class Shifted(Expression):
         inputs = MappingProxyType({"x": "1"})
