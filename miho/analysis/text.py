@@ -89,10 +89,17 @@ def with_error(value: float, error: float) -> str:
 
 
 def ends(low: float, high: float, error: float) -> str:
-    """ "[low, high]" with the digits of the error; "-" if both ends are unknown."""
+    """ "[low, high]" with the digits of the error; "-" if both ends are unknown.
+
+    An infinite end beside a finite error is open: a profile came to the edge of the box first.
+    """
     if math.isnan(low) and math.isnan(high):
         return "-"
-    return f"[{to_error(low, error)}, {to_error(high, error)}]"
+    texts = [
+        "open" if math.isinf(end) and math.isfinite(error) else to_error(end, error)
+        for end in (low, high)
+    ]
+    return f"[{', '.join(texts)}]"
 
 
 def with_interval(interval: Interval, unit: str) -> str:

@@ -123,15 +123,21 @@ def too_few(problem: CurveFit) -> list[str]:
     ]
 
 
-def maybe_zero(parameters: pd.DataFrame, level: float) -> list[str]:
-    """Sentences on parameters whose interval, by profile where there is one, contains 0."""
+def maybe_zero(
+    at: Linearised, space: Space, profiles: Sequence[Profile | None], level: float
+) -> list[str]:
+    """Sentences on parameters whose interval contains 0, by profile where there is one.
+
+    Nothing is said of a 0 outside the box, or beyond what a profile with an open end has tried.
+    """
     sentences = []
-    for row in parameters.to_dict("records"):
-        kind = "linearised" if np.isnan(row.get("profile low", np.nan)) else "profile"
-        if row[f"{kind} low"] <= 0 <= row[f"{kind} high"] and np.isfinite(row["standard error"]):
+    for p, error, ends, curve in zip(
+        space.parameters, at.standard_errors, at.intervals(level), profiles, strict=True
+    ):
+        low, high = ends if curve is None else curve.tried
+        if np.isfinite(error) and max(low, p.low) <= 0 <= min(high, p.high):
             sentences.append(
-                f"{row['parameter']} cannot be told from 0: its {100 * level:g} % interval "
-                "contains it."
+                f"{p.name} cannot be told from 0: its {100 * level:g} % interval contains it."
             )
     return sentences
 
@@ -158,18 +164,22 @@ def profile_shapes(
 ) -> list[str]:
     """Sentences on parameters that the data do not bound, and on lopsided intervals."""
     sentences = []
-    for name, value, half, curve in zip(
-        space.names, at.theta, at.quantile(level) * at.standard_errors, profiles, strict=True
+    for p, value, half, curve in zip(
+        space.parameters, at.theta, at.quantile(level) * at.standard_errors, profiles, strict=True
     ):
         if curve is None:
             continue
-        open_ends = [
-            side for side, end in (("below", curve.low), ("above", curve.high)) if np.isinf(end)
-        ]
+        name, open_ends = p.name, []
+        for side, end, tried, edge in zip(
+            ("below", "above"), (curve.low, curve.high), curve.tried, (p.low, p.high), strict=True
+        ):
+            if np.isinf(end):
+                place = "the edge of the box" if tried == edge else "as far as the profile goes"
+                open_ends.append(f"{side} ({tried:.4g}, {place})")
         if open_ends:
             sentences.append(
-                f"{name} is not bounded {' or '.join(open_ends)}: the profile reaches the edge of "
-                "the space before the fit becomes significantly worse."
+                f"{name} is not bounded {' or '.join(open_ends)}: the fit is not significantly "
+                "worse up to there, and nothing is known of values beyond."
             )
             continue
         off = max(abs(value - half - curve.low), abs(curve.high - value - half)) / half

@@ -39,9 +39,10 @@ class Profile:
     """The profile of one parameter: (values, tau), ordered by value, and the interval's ends.
 
     tau is the signed root of the likelihood ratio, in the units of Student's t: a straight line
-    for a linear model, so its bend shows how far the linearised interval is off. An end is
-    infinite if the box was reached first: the data do not bound the parameter on that side. `best`
-    is the smallest sum of squares of all refits: below that of the centre it is another optimum.
+    for a linear model, so its bend shows how far the linearised interval is off. An end is open,
+    for which it is infinite, if the profile came to the edge of the box first: the data do not
+    bound the parameter on that side within the box, and nothing is known beyond it. `best` is the
+    smallest sum of squares of all refits: below that of the centre it is another optimum.
     """
 
     values: Array
@@ -49,6 +50,13 @@ class Profile:
     low: float
     high: float
     best: Refit
+
+    @property
+    def tried(self) -> tuple[float, float]:
+        """The interval's ends, for an open one the last value that was tried."""
+        low = self.low if np.isfinite(self.low) else float(self.values[0])
+        high = self.high if np.isfinite(self.high) else float(self.values[-1])
+        return low, high
 
 
 class _Target(NamedTuple):

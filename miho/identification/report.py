@@ -274,7 +274,7 @@ class Report:
         sentences = identifiability(at, space) + too_few(self.problem)
         if self.at.noise <= rounding_of(self.problem):
             return [*sentences, "every row is reproduced to rounding: the data have no error."]
-        sentences += maybe_zero(self.parameters, self.level)
+        sentences += maybe_zero(at, space, self.profiles, self.level)
         sentences += profile_shapes(at, space, self.profiles, self.level)
         sentences += wrong_signs(self.derived)
         # The errors: whether standard errors may be computed from them as they are.
@@ -335,7 +335,10 @@ class Report:
         kinds = ("profile", "bootstrap", "linearised")
         kind = next(kind for kind in kinds if f"{kind} low" in self.parameters)
         columns = ["parameter", "value", "unit", "standard error", f"{kind} low", f"{kind} high"]
-        table = self.parameters[columns].to_string(index=False, float_format="%.5g")
+        formatters = dict.fromkeys(columns[-2:], _end) if kind == "profile" else {}
+        table = self.parameters[columns].to_string(
+            index=False, float_format="%.5g", formatters=formatters
+        )
         error = f"error: {self.error:.5g} {self.problem.unit}".rstrip()
         return "\n\n".join([table, "\n".join([error, *(f"- {note}" for note in self.notes)])])
 
@@ -353,6 +356,11 @@ class Report:
             "descents": self.descents,
         }
         return {name: table for name, table in tables.items() if len(table)}
+
+
+def _end(value: float) -> str:
+    """An end of a profile interval, which is open where the profile came to the edge of the box."""
+    return "open" if math.isinf(value) else f"{value:.5g}"
 
 
 def rounding_of(problem: CurveFit) -> float:

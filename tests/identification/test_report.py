@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from miho.analysis.pages.run_tables import report_text
 from miho.data import Dataset, sample_tir
 from miho.identification import CurveFit, Huber, Report, make_report
 from miho.identification.bootstrap import bootstrap
@@ -169,6 +170,26 @@ def test_bounds_zero_and_blind_directions_are_told() -> None:
     assert any(note.startswith("b cannot be told from 0") for note in flat.notes)
     blind = make_report(line(1 + noise, np.full(50, 2.0)), np.array([1.0, 0.0]))
     assert any("a and b are not identifiable one by one" in note for note in blind.notes)
+
+
+def test_the_edge_of_the_box_is_an_open_end_and_not_minus_infinity() -> None:
+    """A slope between -0.6 and 3.8, in boxes from 1, from 0 and from -5."""
+    x = np.linspace(0, 1, 50)
+    y = 1 + 1.4 * x + 2 * np.random.default_rng(8).standard_normal(50)
+    theta = refit(line(y, x), np.zeros(2)).theta
+    for low, zero in ((1.0, False), (0.0, True), (-5.0, True)):
+        report = make_report(line(y, x, b=(low, 9)), theta)
+        curve = report.profiles[1]
+        assert curve is not None
+        assert any("b cannot be told from 0" in note for note in report.notes) == zero
+        bounded = low == -5.0
+        assert np.isfinite(curve.low) == bounded
+        assert curve.tried[0] == (curve.low if bounded else low)
+        edge = f"b is not bounded below ({low:g}, the edge of the box)"
+        assert any(note.startswith(edge) for note in report.notes) != bounded
+        for text in (str(report), report_text(report)):
+            assert ("open" in text) != bounded
+            assert "inf" not in text
 
 
 def test_a_wrong_shape_is_told() -> None:
