@@ -18,6 +18,11 @@ from miho.quantities import Array
 REACH = 1.5
 """Peaks are looked for up to this many times the largest input in the data."""
 GRID = 601
+STEP = 1e-6
+"""Least step of differences, as a fraction of a parameter."""
+UNCHANGED = 1e-9
+"""A quantity that a step changes by less, as a fraction of it, changes by rounding alone: one that
+is proportional to a parameter changes by STEP at least."""
 SAME = 0.1
 """Loads within this fraction of each other are one load."""
 
@@ -101,21 +106,32 @@ def sign_of(quantity: str) -> int:
 
 
 def delta_method(quantity: Derived, at: Linearised) -> tuple[float, float]:
-    """Value and standard error of a derived quantity, to first order in the parameters."""
+    """Value and standard error of a derived quantity, to first order in the parameters.
+
+    The error is NaN if the quantity depends only on parameters that are held at a bound.
+    """
     value = float(quantity.evaluate(at.theta[None])[0])
-    return value, float(at.spread(gradient(quantity, at)[None])[0])
+    return value, float(at.spread(_slopes(quantity, at)[None])[0])
+
+
+def is_held(quantity: Derived, at: Linearised) -> bool:
+    """Whether a derived quantity depends only on parameters that are held at a bound."""
+    slopes = _slopes(quantity, at)
+    return bool(slopes[at.at_bound].any() and not slopes[~at.at_bound].any())
 
 
 def gradient(quantity: Derived, at: Linearised) -> Array:
     """Derivatives (d,) of a derived quantity, 0 for parameters that are held at a bound."""
-    step = 1e-2 * np.sqrt(np.diag(at.covariance))
-    step[(step == 0) & ~at.at_bound] = 1e-6
-    moving = np.flatnonzero(step)
-    derivatives = np.zeros(at.theta.size)
-    if moving.size:
-        high, low = (quantity.evaluate(at.theta + sign * np.diag(step)[moving]) for sign in (1, -1))
-        derivatives[moving] = (high - low) / (2 * step[moving])
-    return derivatives
+    return np.where(at.at_bound, 0.0, _slopes(quantity, at))
+
+
+def _slopes(quantity: Derived, at: Linearised) -> Array:
+    """Derivatives (d,) of a derived quantity by differences, 0 where it changes by rounding."""
+    step = np.maximum(1e-2 * np.sqrt(np.diag(at.covariance)), STEP * np.abs(at.theta))
+    step[step == 0] = STEP
+    high, low = (quantity.evaluate(at.theta + sign * np.diag(step)) for sign in (1, -1))
+    rounding = UNCHANGED * np.maximum(np.abs(high), np.abs(low))
+    return np.asarray(np.where(np.abs(high - low) <= rounding, 0.0, (high - low) / (2 * step)))
 
 
 def _at(model: Model, dataset: Dataset, values: Array) -> tuple[Array, ...]:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import pandas as pd
 import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
 
@@ -58,6 +57,14 @@ def doubtful(doubt: str, remedy: str, at: Linearised, space: Space) -> list[str]
             "held there and has no standard error, and the others' are too small."
         )
     return sentences
+
+
+def held_quantities(names: Sequence[str]) -> list[str]:
+    """A sentence on derived quantities that depend only on parameters at a bound."""
+    return [
+        f"{name} depends only on parameters at a bound, so it has no standard error."
+        for name in names
+    ]
 
 
 def lost_effect(at: Linearised, space: Space, everywhere: NDArray[np.bool_]) -> str:

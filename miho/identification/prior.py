@@ -108,7 +108,6 @@ def prior_table(problem: CurveFit, at: Linearised) -> pd.DataFrame:
     alone = replace(
         at, covariance=at.noise**2 * root.half @ root.half.T, null_directions=root.null
     ).spread(gradients)
-    alone[alone == 0] = np.nan  # a parameter at its bound is held
     errors = np.where(np.isnan(alone), np.nan, at.spread(gradients))
     mean, std = np.array([p.prior for p in parameters], dtype=float).T
     return pd.DataFrame(

@@ -13,9 +13,10 @@ import pandas as pd
 
 from miho.identification.bootstrap import percentile_intervals, percentiles
 from miho.identification.curve_fit import CurveFit
-from miho.identification.derived import delta_method, derived, gradient
+from miho.identification.derived import delta_method, derived, gradient, is_held
 from miho.identification.flags import (
     doubtful,
+    held_quantities,
     identifiability,
     independence,
     maybe_zero,
@@ -256,7 +257,7 @@ class Report:
         )
         run = reported_values(self.problem, self.run[None])[0]
         gain = 1 - after / before if before else 0.0
-        sentences = run_differs(run, self.reported, self.space, gain)
+        sentences = run_differs(run, self.reported, self.space, gain) + self._held_quantities()
         if self.standing.doubt:
             doubt = doubtful(self.standing.doubt, self.remedy, self.reported, self.space)
             sentences = doubt + sentences
@@ -266,6 +267,11 @@ class Report:
                 remarks.append(HEDGE)
             sentences += remarks
         return [*sentences, *self.omitted]
+
+    def _held_quantities(self) -> list[str]:
+        """A sentence if derived quantities depend only on parameters at a bound."""
+        quantities = derived(self.problem.model, self.problem.dataset)
+        return held_quantities([q.name for q in quantities if is_held(q, self.at)])
 
     def _remarks_on_data_and_model(self) -> list[str]:
         at, space = self.reported, self.space

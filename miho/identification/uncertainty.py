@@ -183,13 +183,16 @@ class Linearised:
     def spread(self, gradients: Array) -> Array:
         """Standard errors (n,) of quantities with these gradients (n, d) in the parameters.
 
-        Infinite for a quantity that a null direction moves.
+        Infinite for a quantity that a null direction moves, NaN for one that depends only on
+        parameters at a bound.
         """
         variance = np.einsum("ij,jk,ik->i", gradients, self.covariance, gradients)
         errors = np.sqrt(np.maximum(variance, 0.0))
         for direction in self.null_directions:
             size = np.abs(gradients) @ np.abs(direction)
             errors[np.abs(gradients @ direction) > INVOLVED * size] = np.inf
+        moved = gradients != 0
+        errors[moved[:, self.at_bound].any(axis=1) & ~moved[:, ~self.at_bound].any(axis=1)] = np.nan
         return np.asarray(errors)
 
 

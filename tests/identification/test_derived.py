@@ -1,10 +1,13 @@
 """Derived quantities in closed form, and their errors by simulation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+import miho
 from miho.data import Dataset, sample_tir
-from miho.identification import CurveFit, linearised
+from miho.identification import CurveFit, linearised, make_report
 from miho.identification.derived import delta_method, derived
 from miho.identification.refit import refit
 from miho.models import Pacejka
@@ -68,6 +71,40 @@ def test_the_delta_method_agrees_with_repeated_experiments() -> None:
         estimates.append([value for value, _ in rows])
         errors.append([error for _, error in rows])
     np.testing.assert_allclose(np.std(estimates, axis=0), np.mean(errors, axis=0), rtol=0.16)
+
+
+def test_a_quantity_of_held_parameters_has_no_standard_error() -> None:
+    """B, C and Sx end at bounds beyond which the truth is: the peak lies where they say."""
+    rng = np.random.default_rng(0)
+    alpha = rng.uniform(-0.2, 0.2, 200)
+    force = Pacejka().predict(THETA[None], alpha)[0] + 150 * rng.standard_normal(200)
+    data = Dataset("d", {"alpha": alpha, "Fy": force}, {"alpha": "rad", "Fy": "N"}, "Fy")
+    ends = {"B": (2, 11), "C": (1, 1.6), "Sx": (0.001, 0.05)}
+    parameters = tuple(
+        replace(p, low=ends[p.name][0], high=ends[p.name][1]) if p.name in ends else p
+        for p in SPACE.parameters
+    )
+    problem = CurveFit(Pacejka(), data, Space(parameters), compiled=False)
+    theta = refit(problem, np.array([11, 1.6, 4000, 0.001, 0.0])).theta
+    report = make_report(problem, theta, profiles=False)
+    assert report.at.at_bound.tolist() == [True, True, False, True, False]
+    errors = report.derived.set_index("quantity")["standard error"]
+    assert np.isnan(errors["slip angle at peak, alpha > 0"])
+    assert errors["peak force, alpha > 0"] > 1  # of D and Sy, which are not held
+    sentence = "slip angle at peak, alpha > 0 depends only on parameters at a bound"
+    assert any(note.startswith(sentence) for note in report.notes)
+
+
+def test_a_tied_parameter_of_held_ones_has_no_standard_error() -> None:
+    t = np.linspace(0, 2, 40)
+    y = 2 * np.exp(-1.5 * t) + 0.05 * np.random.default_rng(0).standard_normal(40)
+    bounds = {"a": (0, 5), "b": (0, 1), "c": (0, 9)}
+    fit = miho.fit(
+        lambda t, a, b, c: a * np.exp(-b * t) + 0 * c,
+        t, y, bounds, tied={"c": "2 * b"}, start={"a": 1.0, "b": 0.5}, compiled=False,
+    )  # fmt: skip
+    assert fit.parameters.loc["c", "value"] == pytest.approx(2.0)
+    assert np.isnan(fit.parameters.loc["c", "standard_error"])
 
 
 def test_a_model_nobody_derives_anything_from() -> None:
