@@ -25,6 +25,10 @@ ROUNDING = 1e-14
 """Of sums of products of columns of length 1, as a fraction of the sum of their weights' sizes."""
 ALL = (slice(None),)
 """The series of rows of one record: within a series, rows follow each other."""
+NEWTON_STEPS = 8
+"""Enough for all digits of an inverse of the trigamma function."""
+SPANNED = 1e-8
+"""Columns of which others leave no larger part than this are spanned by these."""
 LEAST_INFORMATION = 1.0
 """Less is taken for as much: atanh of a partial autocorrelation is known to 1 before any data."""
 
@@ -122,23 +126,26 @@ class Autoregression:
 
 
 def autoregression(
-    errors: Array, basis: Array, series: Sequence[slice] = ALL
+    errors: Array, basis: Array, series: Sequence[slice] = ALL, most: int | None = None
 ) -> tuple[Autoregression, list[Autoregression]]:
     """The model of errors (N,) that a fit left, and those at one standard error to either side.
 
     It is one model of all series, which are independent of each other.
 
     The order, 1 at least and else less than the rows of any series, is that of the smallest
-    corrected information criterion (Hurvich and Tsai, Biometrika 76, 1989) over Burg's recursion.
-    Errors of a fit are less alike than those of the data, which it followed; so the model is that
-    of the largest restricted likelihood, which knows the `basis` (N, d) that was fitted (Cheang and
-    Reinsel, JASA 95, 2000). The others, first on one side and then on the other, are along p
-    independent directions of the coefficients.
+    corrected information criterion (Hurvich and Tsai, Biometrika 76, 1989) over Burg's recursion,
+    or, where it is `most` at most, of Schwarz's (Annals of Statistics 6, 1978). Errors of a fit are
+    less alike than those of the data, which it followed; so the model is that of the largest
+    restricted likelihood, which knows the `basis` (N, d) that was fitted (Cheang and Reinsel, JASA
+    95, 2000). The others, first on one side and then on the other, are along p independent
+    directions of the coefficients.
     """
     rows, d = basis.shape
-    highest = min(HIGHEST_ORDER, int(10 * np.log10(rows)), (rows - d) // ROWS_PER_COEFFICIENT)
+    highest = min(
+        most or HIGHEST_ORDER, int(10 * np.log10(rows)), (rows - d) // ROWS_PER_COEFFICIENT
+    )
     highest = min(highest, max(1, min(errors[own].size for own in series) - 1))
-    start = np.arctanh(_burg([errors[own] for own in series], highest))
+    start = np.arctanh(_burg([errors[own] for own in series], highest, most is not None))
     likelihood = _RestrictedLikelihood(errors, basis, start.size, series)
     end = scipy.optimize.minimize(
         likelihood.with_slope,
@@ -150,6 +157,52 @@ def autoregression(
     information, directions = np.linalg.eigh(likelihood.curvature(end) / 2)
     sides = directions / np.sqrt(np.maximum(information, LEAST_INFORMATION))
     return likelihood.model(end), [likelihood.model(end + s) for s in (*sides.T, *-sides.T)]
+
+
+def degrees_of_freedom(sides: Array, freedom: float) -> Array:
+    """Degrees of freedom (n,) of variances of sums of errors that depend on each other; at least 1.
+
+    `sides` (2 p, n) are the variances by the models of `autoregression` at one standard error to
+    either side, `freedom` the degrees of freedom of the errors. The result is that of a mean square
+    whose logarithm is as uncertain as that of the variance (Smyth, Statistical Applications in
+    Genetics and Molecular Biology 3, 2004), by the number of rows and, to first order, the model.
+    """
+    known = (sides > 0).all(axis=0)
+    high, low = np.split(np.log(sides, out=np.zeros_like(sides), where=known), 2)
+    rows = scipy.special.polygamma(1, freedom / 2)
+    uncertainty = rows + np.sum(((high - low) / 2) ** 2, axis=0)
+    half = 0.5 + 1 / uncertainty  # to where trigamma is that, by Newton's method on 1/trigamma
+    for _ in range(NEWTON_STEPS):
+        trigamma = scipy.special.polygamma(1, half)
+        half += trigamma * (1 - trigamma / uncertainty) / scipy.special.polygamma(2, half)
+    return np.asarray(np.maximum(2 * half, 1.0))
+
+
+def chance_of_trend(
+    errors: Array, basis: Array, columns: Array, order: int, series: Sequence[slice] = ALL
+) -> float:
+    """How often errors (N,) that an autoregression describes follow `columns` (N, k) as closely.
+
+    The columns count less what the `basis` (N, d) spans, which the errors are orthogonal to. The F
+    test is of the sums of errors times the rest, with the covariance by a model of the errors that
+    is fitted together with the columns: errors that follow them are not taken for errors that
+    resemble their neighbours. Its order is at most `order`, that of errors which follow nothing,
+    since a higher one takes the lack of what the columns remove for dependence. 1 where rows are
+    too few.
+    """
+    rest = columns - basis @ (basis.T @ columns)
+    left, sizes, _ = np.linalg.svd(rest, full_matrices=False)
+    trend = left[:, sizes > SPANNED * np.linalg.norm(columns)]
+    both = np.hstack([basis, trend])
+    freedom = errors.size - both.shape[1]
+    if not trend.shape[1] or freedom < ROWS_PER_COEFFICIENT:
+        return 1.0
+    model, sides = autoregression(errors - both @ (both.T @ errors), both, series, order)
+    sums = trend.T @ errors
+    direction = np.linalg.solve(model.variance_of_sums(trend, None, series), sums)
+    variances = [direction @ s.variance_of_sums(trend, None, series) @ direction for s in sides]
+    known = float(degrees_of_freedom(np.array(variances)[:, None], freedom)[0])
+    return float(scipy.special.fdtrc(sums.size, known, sums @ direction / sums.size))
 
 
 class _RestrictedLikelihood:
@@ -217,7 +270,7 @@ def _coefficients(partial: Array) -> Array:
     return phi
 
 
-def _burg(series: Sequence[Array], highest: int) -> Array:
+def _burg(series: Sequence[Array], highest: int, schwarz: bool = False) -> Array:
     """Partial autocorrelations (p,) by Burg's recursion, of the best order up to the highest."""
     pairs = [(errors[1:], errors[:-1]) for errors in series]
     rows = sum(errors.size for errors in series)
@@ -231,7 +284,8 @@ def _burg(series: Sequence[Array], highest: int) -> Array:
         spread.append(spread[-1] * (1 - k**2))
         pairs = [((f - k * b)[1:], (b - k * f)[:-1]) for f, b in pairs]
     order = np.arange(highest + 1)
-    criterion = rows * np.log(spread) + 2 * (order + 1) * rows / (rows - order - 2)
+    penalty = np.log(rows) if schwarz else 2 * rows / (rows - order - 2)
+    criterion = rows * np.log(spread) + (order + 1) * penalty
     return np.array(partial[: 1 + int(np.argmin(criterion[1:]))])
 
 

@@ -11,7 +11,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from miho.identification.flags import independence
-from miho.identification.report import CHANCE, UNMODELLED, Report
+from miho.identification.report import Report
+from miho.identification.validation import is_finding
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -210,7 +211,7 @@ def _not_noise(report: Report) -> list[str]:
     """A sentence if the errors follow a column, which more rows do not average out."""
     trends = report.trends.to_dict("records")
     strongest = max(trends, key=lambda row: row["explained"])
-    if not (strongest["explained"] > UNMODELLED and strongest["p"] < CHANCE):
+    if not is_finding(strongest["explained"], strongest["p"]):
         return []
     return [
         f"{100 * strongest['explained']:.0f} % of the errors' variance follows "

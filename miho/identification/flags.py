@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import pandas as pd
 import scipy  # which loads its packages where they are used: importing them takes a second
 from numpy.typing import NDArray
 
@@ -18,15 +19,17 @@ from miho.identification.uncertainty import (
     Dependence,
     Linearised,
     alike_beside_priors,
+    parameters_at_bounds,
 )
-from miho.optim.space import Parameter, Space
+from miho.identification.validation import is_finding
+from miho.optim.space import Space
 from miho.quantities import Array
 
 CORRELATED = 0.9
 """Parameters whose correlation reaches this are hard to tell apart."""
 LOPSIDED = 0.2
 """A profile's end this far from the linearised one, as a fraction of the half width, is noted."""
-UNEVEN = 0.25
+UNEVEN = 0.1
 """A sandwich standard error this far from the usual one, as a fraction of it, is noted."""
 FEWEST_FREE = 4
 """Degrees of freedom of rows that depend on each other below which intervals may be too narrow."""
@@ -44,19 +47,22 @@ ANOTHER = 10.0
 """A run that ended this many standard errors away was hardly at the same optimum."""
 
 
-def doubtful(doubt: str, remedy: str, at: Linearised, space: Space) -> list[str]:
-    """Sentences on an optimum in doubt: why, what to do, and which standard errors are missing."""
-    sentences = [
+def doubtful(doubt: str, remedy: str) -> list[str]:
+    """Sentences on an optimum in doubt: why, and what to do."""
+    return [
         f"the optimum is in doubt: {doubt}. Values, standard errors and intervals are those of "
         "this local optimum, and tell nothing of data or model.",
         remedy,
     ]
-    for p, end, bound in _at_bounds(at, space):
-        sentences.append(
-            f"the search ended at the {end} bound of {p.name}, {bound:g} {p.unit}: {p.name} is "
-            "held there and has no standard error, and the others' are too small."
-        )
-    return sentences
+
+
+def ended_at_bounds(at: Linearised, space: Space) -> list[str]:
+    """Sentences on parameters at a bound where the optimum is in doubt."""
+    return [
+        f"the search ended at the {end} bound of {name}, {bound}: {name} is held there and has no "
+        "standard error, and the others' are too small."
+        for name, end, bound in parameters_at_bounds(at, space)
+    ]
 
 
 def held_quantities(names: Sequence[str]) -> list[str]:
@@ -83,24 +89,39 @@ def lost_effect(at: Linearised, space: Space, everywhere: NDArray[np.bool_]) -> 
 
 def identifiability(at: Linearised, space: Space) -> list[str]:
     """Sentences on bounds, directions the data do not see, and entangled parameters."""
-    sentences = []
-    names = space.names
-    for p, end, bound in _at_bounds(at, space):
-        sentences.append(
-            f"{p.name} is at its {end} bound {bound:g} {p.unit}: widen the space, or the data do "
-            "not determine it. It is held there, so it has no standard error and the others' are "
-            "too small."
-        )
+    return held_at_bounds(at, space) + unseen(at, space) + entangled(at, space)
+
+
+def held_at_bounds(at: Linearised, space: Space) -> list[str]:
+    """Sentences on parameters at a bound."""
+    return [
+        f"{name} is at its {end} bound {bound}: widen the space, or the data do not determine it. "
+        "It is held there, so it has no standard error and the others' are too small."
+        for name, end, bound in parameters_at_bounds(at, space)
+    ]
+
+
+def unseen(at: Linearised, space: Space, everywhere: bool = True) -> list[str]:
+    """A sentence on parameters that can change while all predictions stay as they are.
+
+    `everywhere` if the same would be so at any other configuration.
+    """
+    sentences, names = [], space.names
     free = [names[i] for i in np.flatnonzero(at.unidentifiable)]
     if free and len(free) == len(at.null_directions):
-        sentences.append(
-            f"the data do not depend on {_listed(free)}: not identifiable, whatever the method."
-        )
+        place = "whatever the method" if everywhere else "at this optimum"
+        sentences.append(f"the data do not depend on {_listed(free)}: not identifiable, {place}.")
     elif free:
         sentences.append(
             f"{_listed(free)} are not identifiable one by one: they can change together and "
             f"leave every prediction as it is. Fix {len(at.null_directions)} of them."
         )
+    return sentences
+
+
+def entangled(at: Linearised, space: Space) -> list[str]:
+    """Sentences on parameters that are hard to tell apart."""
+    sentences, names = [], space.names
     for members in _entangled(at.correlation):
         block = at.correlation[np.ix_(members, members)]
         strongest = block[np.triu_indices(len(members), 1)]
@@ -198,20 +219,32 @@ def profile_shapes(
     return sentences
 
 
-def uneven_spread(problem: CurveFit, at: Linearised, space: Space) -> list[str]:
-    """A sentence if the errors' spread changes along the data, and standard errors with it."""
-    errors = at.standard_errors
-    usable = np.isfinite(errors) & (errors > 0)
-    ratio = np.full(errors.size, np.nan)
-    ratio[usable] = np.sqrt(np.diag(at.sandwich)[usable]) / errors[usable]
-    names = np.array(space.names)
-    uneven = [f"{names[i]} (times {ratio[i]:.2f})" for i in np.flatnonzero(abs(ratio - 1) > UNEVEN)]
-    if not uneven or _chance_of_spread(problem, at) > CHANCE:
-        return []
+def spread_is_uneven(problem: CurveFit, at: Linearised) -> bool:
+    """Whether the errors' spread changes along the data, and a standard error with it."""
+    ratios = _sandwich_ratios(at)
+    changed = bool((np.abs(ratios - 1) > UNEVEN).any())
+    return changed and _chance_of_spread(problem, at) <= CHANCE
+
+
+def uneven_spread(at: Linearised, space: Space) -> list[str]:
+    """A sentence on an uneven spread: for which parameters intervals are too wide or too narrow."""
+    ratios, sentences = _sandwich_ratios(at), []
+    for kind, off in (("wide", ratios < 1 - UNEVEN), ("narrow", ratios > 1 + UNEVEN)):
+        those = [f"{space.names[i]} (times {ratios[i]:.2f})" for i in np.flatnonzero(off)]
+        if those:
+            sentences.append(f"too {kind} for {_listed(those)}")
     return [
-        "the errors do not have the same spread everywhere: standard errors that allow for it "
-        f"differ for {_listed(uneven)}. Prefer the bootstrap."
+        "the errors do not have the same spread everywhere, as linearised and profile intervals "
+        f"take for granted: these are {' and '.join(sentences)}. Prefer the intervals of the "
+        "sandwich, which are consistent under uneven spread, or of the bootstrap."
     ]
+
+
+def _sandwich_ratios(at: Linearised) -> Array:
+    """Standard errors by the sandwich as a fraction of the usual ones, (d,); NaN without these."""
+    errors = at.standard_errors
+    usable = np.where(np.isfinite(errors) & (errors > 0), errors, np.nan)
+    return np.asarray(np.sqrt(np.diag(at.sandwich)) / usable)
 
 
 def _chance_of_spread(problem: CurveFit, at: Linearised) -> float:
@@ -270,6 +303,31 @@ def _alike(at: Linearised, dependence: Dependence, axes: Array) -> str:
     return sentence
 
 
+def followed(trends: pd.DataFrame) -> list[str]:
+    """Sentences on columns that the errors follow: a wrong shape, a missing input, or noise."""
+    sentences = []
+    for row in trends.to_dict("records"):
+        if not is_finding(row["explained"], row["p of independent rows"]):
+            continue
+        name = row["column"]
+        share = f"{100 * row['explained']:.0f} % of the errors' variance follows {name}"
+        if not is_finding(row["explained"], row["p"]):
+            sentences.append(
+                f"{share}, but errors that resemble their neighbours, as noise that drifts, would "
+                "do so too: these data cannot tell that from a wrong model. Repeat the "
+                f"measurement, or take {name} in another order: errors of the model follow {name} "
+                "again, and drift does not."
+            )
+        elif row["an input"] == "yes":
+            sentences.append(f"{share}: the model has the wrong shape.")
+        else:
+            sentences.append(
+                f"{share}, which is no input of the model: it is not noise, and only a model with "
+                "that input can remove it."
+            )
+    return sentences
+
+
 def outliers(problem: CurveFit, at: Linearised) -> list[str]:
     """A sentence if a robust loss takes most rows for outliers."""
     rho = problem.rho
@@ -302,16 +360,6 @@ def run_differs(run: Array, at: Linearised, space: Space, gain: float) -> list[s
         f"reported is the optimum that was found after the run, which itself ended {place}, at an "
         f"error that is {higher} % higher."
     ]
-
-
-def _at_bounds(at: Linearised, space: Space) -> list[tuple[Parameter, str, float]]:
-    """The parameters at a bound, with which of the two it is."""
-    parameters = []
-    for i in np.flatnonzero(at.at_bound):
-        p = space.parameters[i]
-        low = at.theta[i] - p.low < p.high - at.theta[i]
-        parameters.append((p, "lower", p.low) if low else (p, "upper", p.high))
-    return parameters
 
 
 def _entangled(correlation: Array) -> list[list[int]]:

@@ -16,6 +16,8 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.derived import delta_method, derived, gradient, is_held
 from miho.identification.flags import (
     doubtful,
+    ended_at_bounds,
+    followed,
     held_quantities,
     identifiability,
     independence,
@@ -24,6 +26,7 @@ from miho.identification.flags import (
     profile_shapes,
     run_differs,
     sigma_disagrees,
+    spread_is_uneven,
     too_few,
     uneven_spread,
     wrong_signs,
@@ -60,9 +63,6 @@ SUSPICIOUS = 2.0
 ROUNDING = 1e-12
 """Errors below this fraction of the output are rounding, which follows no law and no profile."""
 REMEDY = "search from more starts, or in a narrower or logarithmic box."
-UNMODELLED, CHANCE = 0.1, 1e-3
-"""A column that explains this fraction of the errors' variance is mentioned, if chance alone would
-explain as much with a smaller probability than this."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +121,8 @@ class Report:
             }
         )
         ends = {"linearised": at.intervals(self.level)}
+        reach = at.quantiles(np.eye(at.theta.size), self.level) * frame["sandwich"].to_numpy()
+        ends["sandwich"] = np.stack([at.theta - reach, at.theta + reach], axis=1)
         if any(self.profiles):
             no_interval = (math.nan, math.nan)
             ends["profile"] = np.array(
@@ -244,7 +246,7 @@ class Report:
     @cached_property
     def trends(self) -> pd.DataFrame:
         """How much of the errors' variance each input and condition explains, a row for each."""
-        return residual_trends(self.problem, self.at.theta)
+        return residual_trends(self.problem, self.at.theta, self.at)
 
     @cached_property
     def notes(self) -> list[str]:
@@ -259,14 +261,23 @@ class Report:
         gain = 1 - after / before if before else 0.0
         sentences = run_differs(run, self.reported, self.space, gain) + self._held_quantities()
         if self.standing.doubt:
-            doubt = doubtful(self.standing.doubt, self.remedy, self.reported, self.space)
-            sentences = doubt + sentences
+            doubt = doubtful(self.standing.doubt, self.remedy)
+            sentences = doubt + ended_at_bounds(self.reported, self.space) + sentences
         else:
             remarks = self._remarks_on_data_and_model()
             if remarks and not self.standing.certain:
                 remarks.append(HEDGE)
             sentences += remarks
         return [*sentences, *self.omitted]
+
+    @cached_property
+    def uneven(self) -> bool:
+        """Whether the errors' spread changes along the data, beyond chance, and intervals with it.
+
+        The sandwich's standard errors and intervals are those that allow for it.
+        """
+        known = self.at.noise > rounding_of(self.problem)
+        return known and spread_is_uneven(self.problem, self.reported)
 
     def _held_quantities(self) -> list[str]:
         """A sentence if derived quantities depend only on parameters at a bound."""
@@ -284,7 +295,7 @@ class Report:
         sentences += profile_shapes(at, space, self.profiles, self.level)
         sentences += wrong_signs(self.derived)
         # The errors: whether standard errors may be computed from them as they are.
-        sentences += uneven_spread(self.problem, at, space)
+        sentences += uneven_spread(at, space) if self.uneven else []
         sentences += sigma_disagrees(self.problem, self.at)
         sentences += prior_notes(self.priors)
         sentences += [f"{text}." for text in at_limits(self.problem, self.at.theta)]
@@ -298,20 +309,7 @@ class Report:
                 f"the error is {error / irreducible.value:.1f} times the irreducible error: check "
                 "units, signs, ranges and the model."
             )
-        for row in self.trends.to_dict("records"):
-            if row["explained"] > UNMODELLED and row["p"] < CHANCE:
-                share = f"{100 * row['explained']:.0f} % of the errors' variance follows"
-                if row["an input"] == "yes":
-                    drift = ", unless the noise drifts from row to row" * bool(self.at.dependence)
-                    sentences.append(
-                        f"{share} {row['column']}: the model has the wrong shape{drift}."
-                    )
-                else:
-                    sentences.append(
-                        f"{share} {row['column']}, which is no input of the model: it is not "
-                        "noise, and only a model with that input can remove it."
-                    )
-        return sentences
+        return sentences + followed(self.trends)
 
     def _percentiles(self, replicates: Array, gradients: Array) -> Array:
         """Ends (q, 2) for replicates (n, q) of quantities with gradients (q, d)."""
@@ -342,6 +340,8 @@ class Report:
         kind = next(kind for kind in kinds if f"{kind} low" in self.parameters)
         columns = ["parameter", "value", "unit", "standard error", f"{kind} low", f"{kind} high"]
         formatters = dict.fromkeys(columns[-2:], _end) if kind == "profile" else {}
+        if self.uneven and not self.standing.doubt:
+            columns += ["sandwich", "sandwich low", "sandwich high"]
         table = self.parameters[columns].to_string(
             index=False, float_format="%.5g", formatters=formatters
         )

@@ -17,6 +17,7 @@ from miho.identification.autocorrelation import (
     Autoregression,
     Likeness,
     autoregression,
+    degrees_of_freedom,
     likeness,
 )
 from miho.identification.curve_fit import CurveFit
@@ -35,8 +36,8 @@ RESEMBLING = 0.1
 """Correlation of neighbouring rows' errors from which on they are not independent ..."""
 SCORE = 2.33
 """... if it is this many standard deviations of independent ones, as chance makes it in 1 %."""
-NEWTON_STEPS = 8
-"""Enough for all digits of an inverse of the trigamma function."""
+ALONE = 1e-8
+"""A row that leaves so little of its error to the others is predicted by itself alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,23 +57,9 @@ class Dependence:
     independent: Linearised
 
     def freedom(self, gradients: Array) -> Array:
-        """Degrees of freedom (n,) of quantities with these gradients (n, d) in the parameters.
-
-        Those of a mean square whose logarithm is as uncertain as that of the quantity's variance
-        (Smyth, Statistical Applications in Genetics and Molecular Biology 3, 2004), by the number
-        of rows and, to first order, by the model of the dependence; at least 1.
-        """
+        """Degrees of freedom (n,) of quantities with these gradients (n, d) in the parameters."""
         variances = np.einsum("ij,sjk,ik->si", gradients, self.sides, gradients)
-        known = (variances > 0).all(axis=0)
-        logs = np.log(variances, out=np.zeros_like(variances), where=known)
-        high, low = np.split(logs, 2)
-        rows = scipy.special.polygamma(1, self.independent.freedom / 2)
-        uncertainty = rows + np.sum(((high - low) / 2) ** 2, axis=0)
-        half = 0.5 + 1 / uncertainty  # to where trigamma is that, by Newton's method on 1/trigamma
-        for _ in range(NEWTON_STEPS):
-            trigamma = scipy.special.polygamma(1, half)
-            half += trigamma * (1 - trigamma / uncertainty) / scipy.special.polygamma(2, half)
-        return np.asarray(np.maximum(2 * half, 1.0))
+        return degrees_of_freedom(variances, self.independent.freedom)
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,12 +67,12 @@ class Linearised:
     """The uncertainty of `theta` (d,) by the derivatives there; units are the parameters' own.
 
     `covariance` (d, d) assumes errors of equal spread, independent between rows; `sandwich` (d, d)
-    allows a spread that changes from row to row (White, Econometrica 48, 1980), with the factor
-    for few rows. If the data number `events`, both allow errors that belong together within an
-    event (Liang and Zeger, Biometrika 73, 1986), with the factors for few events; 0 if they do
-    not. Both are 0 along `null_directions` (k, d), in which theta can move while every row is
-    predicted the same (the null space of the Jacobian), and for parameters `at_bound` (d,), which
-    are held.
+    allows a spread that changes from row to row (White, Econometrica 48, 1980), in the form HC3 for
+    few rows (MacKinnon and White, Journal of Econometrics 29, 1985). If the data number `events`,
+    both allow errors that belong together within an event (Liang and Zeger, Biometrika 73, 1986),
+    with the factors for few events; 0 if they do not. Both are 0 along `null_directions` (k, d), in
+    which theta can move while every row is predicted the same (the null space of the Jacobian), and
+    for parameters `at_bound` (d,), which are held.
 
     `noise` is the standard deviation of the errors in the output's unit, `freedom` the degrees of
     freedom of Student's t, which is the normal distribution if the noise is known and no estimate
@@ -218,11 +205,10 @@ def linearised(problem: CurveFit, theta: Array, neighbours: bool = False) -> Lin
     root = inverse_root(J, np.flatnonzero(~at_bound))
     psi, stiffness = _influence(problem, errors)
     variance, freedom = _variance(problem, psi, stiffness, root.basis, count)
-    spread, events = _spread(problem, root.basis, psi / stiffness)
-    few_rows = errors.size / (errors.size - count)
+    spread, events = _spread(problem, root.basis, psi / stiffness, float(np.sqrt(variance)))
+    sandwich = root.half @ (spread.T @ spread) @ root.half.T
     if events:
-        few_rows *= (errors.size - 1) / errors.size * events / (events - 1)
-    sandwich = root.half @ (spread.T @ spread) @ root.half.T * few_rows
+        sandwich *= (errors.size - 1) / (errors.size - count) * events / (events - 1)
     at = Linearised(
         theta=theta,
         covariance=sandwich if events else variance * root.half @ root.half.T,
@@ -277,19 +263,22 @@ def _variance(
     return float(psi[:rows] @ psi[:rows]) / left, int(left)
 
 
-def _spread(problem: CurveFit, basis: Array, errors: Array) -> tuple[Array, int]:
+def _spread(problem: CurveFit, basis: Array, errors: Array, noise: float) -> tuple[Array, int]:
     """What rows, or events, add to the sandwich estimate, and the number of events, or 0."""
-    spread = basis * errors[:, None]
+    event = events_of(problem.dataset)
+    if event is not None and problem.prior is None:
+        # Rows of one event add up before the square.
+        spread = basis * errors[:, None]
+        spread = np.array([np.bincount(event, column) for column in spread.T]).T
+        return spread, len(spread)
+    # What a row would err without itself in the fit; one that alone determines something has none.
+    left = 1 - np.sum(basis**2, axis=1)
+    alone = left <= ALONE
+    spread = basis * np.where(alone, noise, errors / np.where(alone, 1.0, left))[:, None]
     if problem.prior is not None:  # one draw of each prior says nothing of its spread
         rows = len(problem.dataset)
         spread[rows:] = basis[rows:] * problem.prior.scale
-        return spread, 0
-    event = events_of(problem.dataset)
-    if event is None:
-        return spread, 0
-    # Rows of one event add up before the square.
-    spread = np.array([np.bincount(event, column) for column in spread.T]).T
-    return spread, len(spread)
+    return spread, 0
 
 
 def _dependent(
@@ -368,6 +357,17 @@ def events_of(dataset: Dataset) -> NDArray[np.intp] | None:
         return None
     events, index = np.unique(dataset[EVENT], return_inverse=True)
     return np.asarray(index) if events.size >= FEWEST_EVENTS else None
+
+
+def parameters_at_bounds(at: Linearised, space: Space) -> list[tuple[str, str, str]]:
+    """The names of parameters at a bound, which of the two it is, and its value with the unit."""
+    parameters = []
+    for i in np.flatnonzero(at.at_bound):
+        p = space.parameters[i]
+        low = at.theta[i] - p.low < p.high - at.theta[i]
+        value = f"{p.low if low else p.high:g} {p.unit}".rstrip()
+        parameters.append((p.name, "lower" if low else "upper", value))
+    return parameters
 
 
 def at_bounds(space: Space, theta: Array) -> NDArray[np.bool_]:

@@ -11,8 +11,11 @@ import scipy  # which loads its packages where they are used: importing them tak
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
+from miho.identification.autocorrelation import chance_of_trend
 from miho.identification.curve_fit import CurveFit
+from miho.identification.inverse_root import inverse_root
 from miho.identification.refit import Deadline, refit, seconds_of_refit
+from miho.identification.uncertainty import Dependence, Linearised, series_of
 from miho.parallel.blocks import in_blocks
 from miho.parallel.pool import Pool
 from miho.parallel.process_executor import WorkerLostError
@@ -25,6 +28,15 @@ FINE = 15
 """Groups of the first input, finer because the errors may wave along it."""
 ROWS = 10
 """A group has this many rows at least, where there is a choice."""
+UNMODELLED, CHANCE = 0.1, 1e-3
+"""A column that explains this fraction of the errors' variance is mentioned, if chance alone would
+explain as much with a smaller probability than this."""
+
+
+Groups = NDArray[np.intp]
+"""The group of each row (N,)."""
+_Grouping = tuple[str, Groups, Groups]
+"""A column, its groups of rows, and the coarser ones beyond which they explain errors."""
 
 
 def root_mean_square(values: Array) -> float:
@@ -138,29 +150,61 @@ class _Without:
         return refit(self.problem, self.theta, weights, self.held, deadline=self.deadline).theta
 
 
-def residual_trends(problem: CurveFit, theta: Array) -> pd.DataFrame:
+def residual_trends(problem: CurveFit, theta: Array, at: Linearised | None = None) -> pd.DataFrame:
     """How much of the errors' variance each column explains, by the means of groups of rows.
 
     The first input stands alone; another column together with it, because what a load does to
     the force has the sign of the slip. Columns: column, whether it is an input, explained (0 to
-    1, epsilon squared), and p, how often chance alone explains as much (F test of the groups).
+    1, epsilon squared), and p, how often chance alone explains as much: of errors that are
+    independent (F test of the groups), and of errors that depend on those of neighbouring rows as
+    much as the uncertainty `at` the optimum says, which is tested where the first is a finding.
     What a column that is not an input explains is error no fit of this model can remove.
     """
     errors, dataset = problem.errors(theta), problem.dataset
     first = next(iter(problem.model.inputs))
     slip = groups(dataset[first], min(FINE, errors.size // ROWS))
-    rows = [(first, "yes", *_explained(errors, slip))]
+    groupings: list[_Grouping] = [(first, slip, np.zeros_like(slip))]
     slip = groups(dataset[first], min(FINE, errors.size // (ROWS * BINS)))
-    for name in conditions(problem):
-        both = slip * (MOST_LEVELS + 1) + groups(dataset[name])
+    groupings += [
+        (name, slip * (MOST_LEVELS + 1) + groups(dataset[name]), slip)
+        for name in conditions(problem)
+    ]
+    rows = []
+    for name, fine, coarse in groupings:
+        explained, p = _explained(errors, fine, coarse)
+        dependent = p
+        if at is not None and at.dependence is not None and is_finding(explained, p):
+            dependent = _chance_beside_neighbours(problem, at, at.dependence, fine, coarse)
         is_input = "yes" if name in problem.model.inputs else "no"
-        rows.append((name, is_input, *_explained(errors, both, slip)))
-    return pd.DataFrame(rows, columns=["column", "an input", "explained", "p"])
+        rows.append((name, is_input, explained, p, max(p, dependent)))
+    columns = ["column", "an input", "explained", "p of independent rows", "p"]
+    return pd.DataFrame(rows, columns=columns)
 
 
-def _explained(
-    errors: Array, index: NDArray[np.intp], coarse: NDArray[np.intp] | None = None
-) -> tuple[float, float]:
+def is_finding(explained: float, p: float) -> bool:
+    """Whether errors follow a column so closely that it is mentioned."""
+    return explained > UNMODELLED and p < CHANCE
+
+
+def _chance_beside_neighbours(
+    problem: CurveFit, at: Linearised, dependence: Dependence, fine: Groups, coarse: Groups
+) -> float:
+    """How often errors that depend on those of neighbouring rows follow a grouping as closely."""
+    free = np.flatnonzero(~at.at_bound)
+    slopes = inverse_root(problem.error_slopes(at.theta), free).basis
+    known = np.hstack([slopes, _members(coarse)])
+    basis = inverse_root(known, np.arange(known.shape[1])).basis
+    errors = dependence.errors - basis @ (basis.T @ dependence.errors)
+    order = dependence.model.partial.size
+    return chance_of_trend(errors, basis, _members(fine), order, series_of(problem))
+
+
+def _members(index: Groups) -> Array:
+    """Which rows (N,) are of each group, as columns (N, k) of 0 and 1."""
+    return np.asarray(index[:, None] == np.unique(index), dtype=float)
+
+
+def _explained(errors: Array, index: Groups, coarse: Groups) -> tuple[float, float]:
     """Epsilon squared (Kelley 1935) of a grouping beyond a coarser one, and its p value."""
     n = errors.size
     (fine_sum, k), (coarse_sum, j) = _between_groups(errors, index), _between_groups(errors, coarse)
@@ -175,10 +219,8 @@ def _explained(
     return explained, float(scipy.special.fdtrc(k - j, n - k, max(F, 0.0)))
 
 
-def _between_groups(errors: Array, index: NDArray[np.intp] | None) -> tuple[float, int]:
-    """Sum of squares between the groups of an index (one group if None), and their number."""
-    if index is None:
-        return 0.0, 1
+def _between_groups(errors: Array, index: Groups) -> tuple[float, int]:
+    """Sum of squares between the groups of an index, and their number."""
     count = np.bincount(index)
     sums = np.bincount(index, errors)[count > 0]
     count = count[count > 0]

@@ -8,7 +8,12 @@ import scipy.signal
 import scipy.special
 
 from miho.identification import make_report
-from miho.identification.autocorrelation import Autoregression, autoregression, likeness
+from miho.identification.autocorrelation import (
+    Autoregression,
+    autoregression,
+    chance_of_trend,
+    likeness,
+)
 from miho.identification.bootstrap import block_length, bootstrap, stretched
 from miho.identification.refit import refit
 from miho.identification.uncertainty import Linearised, linearised
@@ -196,6 +201,37 @@ def test_blocks_are_stretched_to_the_sandwich() -> None:
     assert (drawn.std(axis=0) < expected).all()
     rows = bootstrap(problem, at.theta, 400, np.random.default_rng(0))
     assert (2 * rows.std(axis=0) < expected).all()
+
+
+def test_noise_that_drifts_is_no_wrong_shape() -> None:
+    """In one sweep noise follows x by itself; with a large parabola the model does.
+
+    As if rows were independent, each of the first three would be a wrong shape.
+    """
+    x = np.linspace(-1, 1, 300)
+    shuffled = np.random.default_rng(1).permutation(x)
+    verdicts = []
+    for along, bend, rho in ((x, 0, 0.8), (x, 3, 0.3), (shuffled, 3, 0.8), (shuffled, 0, 0.8)):
+        problem = line(1 + 2 * along + bend * along**2 + drive(rho, 300), along)
+        report = make_report(problem, refit(problem, np.zeros(2)).theta, profiles=False)
+        assert report.at.dependence is not None
+        notes = "\n".join(report.notes)
+        verdicts.append(("the model has the wrong shape" in notes, "cannot tell that" in notes))
+        assert report.trends.loc[0, "p"] >= report.trends.loc[0, "p of independent rows"]
+    assert verdicts == [(False, True), (True, False), (True, False), (False, False)]
+
+
+@pytest.mark.slow
+def test_the_chance_of_a_trend_is_its_share_of_data_sets() -> None:
+    """Of 400 sets with a correlation of 0.7 and no trend, 5 % are below 0.05, to 3 deviations."""
+    columns = np.repeat(np.eye(8), 25, axis=0)
+    chances = []
+    for seed in range(400):
+        errors = drive(0.7, 200, seed)
+        basis = np.full((200, 1), 200**-0.5)
+        chances.append(chance_of_trend(errors - errors.mean(), basis, columns, order=1))
+    assert np.mean(np.array(chances) < 0.05) == pytest.approx(0.05, abs=0.033)
+    assert np.mean(np.array(chances) < 0.5) == pytest.approx(0.5, abs=0.075)
 
 
 def test_a_held_parameter_is_no_obstacle() -> None:

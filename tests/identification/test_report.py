@@ -56,7 +56,8 @@ def test_it_prints_in_words(tire: Report) -> None:
     assert "pacejka-" in repr(tire)
     lines = str(tire).splitlines()
     assert lines[0].split() == [
-        "parameter", "value", "unit", "standard", "error", "profile", "low", "profile", "high"
+        "parameter", "value", "unit", "standard", "error", "profile", "low", "profile", "high",
+        "sandwich", "sandwich", "low", "sandwich", "high",
     ]  # fmt: skip
     assert [line.split()[0] for line in lines[1:6]] == ["B", "C", "D", "Sx", "Sy"]
     assert lines[7].startswith("error: ")
@@ -190,6 +191,23 @@ def test_the_edge_of_the_box_is_an_open_end_and_not_minus_infinity() -> None:
         for text in (str(report), report_text(report)):
             assert ("open" in text) != bounded
             assert "inf" not in text
+
+
+def test_an_uneven_spread_is_said_with_intervals_that_allow_for_it() -> None:
+    """Errors that are large where the slope is determined, or where it is not."""
+    x = np.linspace(-1, 1, 400)
+    noise = np.random.default_rng(0).standard_normal(400)
+    for spread, off in ((x**2, "narrow"), (1 - np.abs(x), "wide"), (np.ones(400), "")):
+        report = make_report(line(1 + x + spread * noise, x), np.ones(2), profiles=False)
+        table = report.parameters.set_index("parameter").loc["b"]
+        notes = [note for note in report.notes if "same spread everywhere" in note]
+        assert report.uneven == bool(notes) == bool(off)
+        half = (table["sandwich high"] - table["sandwich low"]) / 2
+        assert half == pytest.approx(report.at.quantile() * table["sandwich"], rel=1e-12)
+        for text in (str(report), report_text(report)):
+            assert ("sandwich" in text) == bool(off)
+        ratio = f"{table['sandwich'] / table['standard error']:.2f}"
+        assert all(f"too {off} for b (times {ratio})" in note for note in notes)
 
 
 def test_a_wrong_shape_is_told() -> None:

@@ -53,11 +53,23 @@ def test_linear_regression_in_closed_form() -> None:
     )
     X, e = np.stack([np.ones_like(x), x], axis=1), fit.errors(at.theta)
     bread = np.linalg.inv(X.T @ X)
-    white = bread @ (X.T * e**2) @ X @ bread * x.size / (x.size - 2)
+    left = e / (1 - np.sum(X @ bread * X, axis=1))  # HC3
+    white = bread @ (X.T * left**2) @ X @ bread
     np.testing.assert_allclose(at.sandwich, white, rtol=1e-8)
     for i in range(2):  # the profile of a linear model is the linearised interval
         curve = likelihood_profile(fit, at, i)
         np.testing.assert_allclose([curve.low, curve.high], at.intervals()[i], rtol=5e-3)
+
+
+def test_a_row_that_alone_determines_a_parameter_has_the_others_spread() -> None:
+    """y = a + b x with x = 0 but for one row, which says nothing of its own spread."""
+    y = np.append(np.random.default_rng(0).standard_normal(20), 3.0)
+    fit = line(y, np.append(np.zeros(20), 1.0))
+    at = linearised(fit, refit(fit, np.zeros(2)).theta)
+    others = np.var(y[:20], ddof=1)
+    left = (y[:20] - y[:20].mean()) * 20 / 19
+    expected = [np.sum(left**2) / 400, np.sum(left**2) / 400 + others]
+    np.testing.assert_allclose(np.diag(at.sandwich), expected, rtol=1e-8)
 
 
 def test_the_bootstrap_spreads_as_the_standard_error_does() -> None:

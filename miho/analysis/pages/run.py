@@ -156,6 +156,7 @@ def page_of(report: Report, stored: StoredRun | None, figures: Mapping[str, byte
     """The page's HTML, with the pictures that `figures_of` made."""
     problem = report.problem
     kinds = [k for k in ("linearised", "profile", "bootstrap") if f"{k} low" in report.parameters]
+    kinds += ["sandwich"] * report.uneven
     # First what was identified and whether it is the optimum, since all else hangs on that; then
     # how good it is, what the errors still follow, and at the end where it comes from.
     sections = [
@@ -194,7 +195,8 @@ def page_of(report: Report, stored: StoredRun | None, figures: Mapping[str, byte
             figure=figures["residuals"],
             caption="explained: share of the errors' variance that the means of groups of rows "
             "explain, those of a condition together with the first input; p: how often chance "
-            "alone explains as much. Errors are model minus data; lines are means over rows of "
+            "alone explains as much, where neighbouring rows are alike if that is allowed for. "
+            "Errors are model minus data; lines are means over rows of "
             "a part, or with the first input below and above its median.",
         ),
         Section("Correlation of the estimates", table=correlation_table(report)),

@@ -16,6 +16,7 @@ def parameter_table(report: Report) -> pd.DataFrame:
     """The parameters as text, with their digits cut to what their errors leave."""
     kinds = [interval_kind(report.parameters)]
     kinds += ["bootstrap"] * (report.replicates is not None and "bootstrap" not in kinds)
+    kinds += ["sandwich"] * (report.uneven and not report.standing.doubt)
     rows = []
     for row in report.parameters.to_dict("records"):
         error = row["standard error"]

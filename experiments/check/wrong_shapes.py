@@ -1,0 +1,85 @@
+"""How often a report says that a model has the wrong shape, where it has and where noise drifts.
+
+python -m experiments.check.wrong_shapes [--sets 200] [--rows 300]   # about ten minutes
+
+Rows are measured in one sweep of x from 0 to 1, or in an order at random. `right` is a line
+through a line; the other models lack something that is as large as `--size` standard deviations of
+the noise, root mean square, after the fit: a peak (of width 0.1), a curvature (a parabola), a
+saturation (from 0.7 on), or an offset (a step at the middle). The noise is autoregressive, of the
+first order. A row gives the share of data sets, in percent, for which the errors follow x by the
+test of independent rows (`before`), of which the report says that the model has the wrong shape
+(`wrong shape`) or that the data cannot tell that from noise that drifts (`cannot tell`).
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+
+import numpy as np
+import pandas as pd
+from tqdm import tqdm
+
+from experiments.check.coverage import autoregressive, linear_fit
+from miho.identification import linearised
+from miho.identification.validation import is_finding, residual_trends
+from miho.optim.seeds import stream
+from miho.quantities import Array
+
+LACKING: Mapping[str, Callable[[Array], Array]] = MappingProxyType(
+    {
+        "right": np.zeros_like,
+        "peak": lambda x: np.exp(-(((x - 0.6) / 0.1) ** 2)),
+        "curvature": np.square,
+        "saturation": lambda x: np.minimum(x, 0.7),
+        "offset": lambda x: np.where(x > 0.5, 1.0, 0.0),
+    }
+)
+CORRELATIONS = (0.0, 0.3, 0.5, 0.7, 0.9)
+ORDERS = ("sweep", "random")
+
+
+def verdicts(order: str, lacking: str, correlation: float, rows: int, size: float, n: int) -> Array:
+    """Whether errors follow x as if independent, also as dependent ones, and else, (3,)."""
+    rng = stream("wrong shapes", order, lacking, str(correlation), rows, n)
+    x = np.arange(rows) / (rows - 1) if order == "sweep" else rng.uniform(0, 1, rows)
+    X = np.stack([np.ones(rows), x], axis=1)
+    missing = LACKING[lacking](x)
+    missing = missing - X @ np.linalg.lstsq(X, missing, rcond=None)[0]
+    missing *= size / max(float(np.sqrt(np.mean(missing**2))), 1e-9)
+    noise = autoregressive(correlation, rows, rng)
+    # The line is fitted exactly; the columns of the linear model are 1 and x, the second its first.
+    problem, theta = linear_fit(X[:, ::-1], missing + noise)
+    at = linearised(problem, theta, neighbours=True)
+    (row, *_) = residual_trends(problem, theta, at).to_dict("records")
+    before = is_finding(row["explained"], row["p of independent rows"])
+    now = is_finding(row["explained"], row["p"])
+    return np.array([before, now, before and not now])
+
+
+def table(sets: int, rows: int, size: float) -> pd.DataFrame:
+    """A row for each order, model and correlation."""
+    cases = [(o, m, c) for o in ORDERS for m in LACKING for c in CORRELATIONS]
+    lines = []
+    for order, lacking, correlation in tqdm(cases, disable=None):
+        shares = np.mean(
+            [verdicts(order, lacking, correlation, rows, size, n) for n in range(sets)], axis=0
+        )
+        named = zip(("before", "wrong shape", "cannot tell"), 100 * shares, strict=True)
+        lines.append({"order": order, "lacks": lacking, "AR(1)": correlation, **dict(named)})
+    return pd.DataFrame(lines)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--sets", type=int, default=200)
+    parser.add_argument("--rows", type=int, default=300)
+    parser.add_argument("--size", type=float, default=1.0)
+    arguments = parser.parse_args()
+    print(table(**vars(arguments)).to_string(index=False, float_format="%.1f"))
+
+
+if __name__ == "__main__":
+    main()
