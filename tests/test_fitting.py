@@ -156,6 +156,32 @@ def test_errors_that_drift_widen_intervals_and_it_is_said() -> None:
     assert (fit.parameters["standard_error"].to_numpy() > 1.2 * plain).all()
 
 
+def test_what_takes_the_numbers_away_is_printed_below_the_table() -> None:
+    def both(t, a, b):  # type: ignore[no-untyped-def]
+        return (a + b) * t
+
+    cases = [
+        (both, {"a": (-5, 5), "b": (-5, 5)}, {}, ["not identifiable", "not identifiable"],
+         ["a and b are not identifiable one by one"]),
+        (decay, {"a": (0, 5), "b": (0, 1)}, {}, ["free", "at upper bound"],
+         ["b is at its upper bound 1: widen the space"]),
+        (decay, BOX, {"a": 1.0, "b": 1.0}, ["free", "free"],
+         ["the optimum is in doubt: one search", "search from more starts"]),
+        (decay, BOX, {}, ["free", "free"], []),
+    ]  # fmt: skip
+    for function, box, start, held, caveats in cases:
+        fit = miho.fit(function, t, y, box, start=start or None, compiled=False)
+        assert list(fit.parameters["held"]) == held
+        lines = [line for line in str(fit).splitlines() if line.startswith("- ")]
+        assert len(lines) == len(caveats)
+        assert all(line.startswith(f"- {c}") for line, c in zip(lines, caveats, strict=True))
+        table = str(fit).splitlines()[1:3]
+        assert all(mark in line for line, mark in zip(table, held, strict=True))
+        assert all(caveat in fit._repr_html_() for caveat in caveats)
+    few = miho.fit(decay, t[:2], y[:2], BOX, compiled=False)
+    assert "- there are no standard errors: " in str(few)
+
+
 def test_a_fit_is_pickled_printed_and_drawn() -> None:
     fit = miho.fit(decay, t, y, BOX, compiled=False)
     copy = pickle.loads(pickle.dumps(fit))

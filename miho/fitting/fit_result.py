@@ -14,8 +14,14 @@ import numpy as np
 from miho.fitting.statement import inputs_of
 from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
-from miho.identification.standing import standing
-from miho.identification.stated import at_limits, stated_parameters, whole_values
+from miho.identification.standing import Standing, standing
+from miho.identification.stated import (
+    at_limits,
+    reported_space,
+    reported_uncertainty,
+    stated_parameters,
+    whole_values,
+)
 from miho.identification.uncertainty import Linearised, alike_beside_priors, linearised
 from miho.models.joint import rows_of_parts
 from miho.models.tied import whole_model
@@ -92,17 +98,48 @@ class Fit(Remade):
         """Root-mean-square error, in the output's unit."""
         return float(np.sqrt(np.mean(self.problem.errors(self.theta) ** 2)))
 
-    @cached_property
+    @property
     def optimum(self) -> str:
         """What is known of the optimum: how many searches ended in it."""
-        loss = float(self.problem.loss(self.theta[None])[0])
+        return "; ".join([self._standing.evidence, *at_limits(self.problem, self.theta)])
+
+    @cached_property
+    def _standing(self) -> Standing:
+        """The evidence for the optimum, or the doubt about it, as in the report."""
+        from miho.identification.report import irreducible_of
+
+        problem = self.problem
+        loss = float(problem.loss(self.theta[None])[0])
         searches = () if self.descents is None else (self.descents,)
-        exact = linear_optimum(self.problem)
-        if exact is not None and loss <= exact[1] * (1 + LINEAR) + self.problem.resolution:
-            evidence = "linear in all parameters, so that no other optimum is better"
-        else:
-            evidence = standing(loss, self.problem.resolution, searches).evidence
-        return "; ".join([evidence, *at_limits(self.problem, self.theta)])
+        exact = linear_optimum(problem)
+        if exact is not None and loss <= exact[1] * (1 + LINEAR) + problem.resolution:
+            linear = "linear in all parameters, so that no other optimum is better"
+            return Standing(linear, certain=True)
+        stand = standing(loss, problem.resolution, searches)
+        if not stand.doubt:
+            return stand
+        least = irreducible_of(problem)
+        return standing(loss, problem.resolution, searches, irreducible=least, error=self.error)
+
+    @cached_property
+    def caveats(self) -> list[str]:
+        """Sentences on what takes the numbers away: `print` shows them below the table.
+
+        They are of parameters at a bound or not identifiable, and of an optimum in doubt. All else
+        is in `notes`, which takes longer.
+        """
+        from miho.identification.flags import doubtful, ended_at_bounds, held_at_bounds, unseen
+        from miho.identification.report import REMEDY
+
+        stand = self._standing
+        sentences = doubtful(stand.evidence, REMEDY) if stand.doubt else []
+        try:
+            at = reported_uncertainty(self.problem, self.uncertainty)
+        except ValueError as error:
+            return [*sentences, f"there are no standard errors: {error}."]
+        space = reported_space(self.problem.space)
+        sentences += (ended_at_bounds if stand.doubt else held_at_bounds)(at, space)
+        return sentences + unseen(at, space, everywhere=False)
 
     def report(self, **settings: Any) -> Report:
         """All that can be told, with profile intervals; `settings` are those of `make_report`.
@@ -170,7 +207,7 @@ class Fit(Remade):
         return fit_figure(measured, predicted, x, band, parts)
 
     def __str__(self) -> str:
-        """The parameters, the error, and what is known of the optimum."""
+        """The parameters, the error, what is known of the optimum, and what takes them away."""
         table = self.parameters.to_string(float_format=lambda number: f"{number:.5g}")
         rows = len(self.problem.dataset)
         error = f"error {self.error:.5g} {self.problem.unit}".rstrip()
@@ -180,10 +217,14 @@ class Fit(Remade):
             "; errors of neighbouring rows are alike, so intervals beside priors are too narrow"
         )
         priors = bool(alike_beside_priors(self.problem, self.theta))
-        return (
-            f"{table}\n{error} (root mean square of {rows:,} rows{weights}); {self.optimum}"
+        # An optimum in doubt is among the caveats, with what that means.
+        limits = at_limits(self.problem, self.theta)
+        known = "; ".join(limits) if self._standing.doubt else self.optimum
+        last = (
+            f"{error} (root mean square of {rows:,} rows{weights}){'; ' * bool(known)}{known}"
             f"{alike * self._dependent}{narrow * priors}"
         )
+        return "\n".join([table, last, *(f"- {sentence}" for sentence in self.caveats)])
 
     @property
     def _dependent(self) -> bool:
@@ -199,5 +240,5 @@ class Fit(Remade):
     def _repr_html_(self) -> str:
         """What a notebook shows."""
         table = self.parameters.to_html(float_format=lambda number: f"{number:.5g}")
-        last = escape(str(self).rpartition("\n")[2])
-        return f"{table}<p>{last}</p>"
+        lines = str(self).splitlines()[len(self.parameters) + 1 :]
+        return table + "".join(f"<p>{escape(line)}</p>" for line in lines)

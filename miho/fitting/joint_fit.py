@@ -109,7 +109,8 @@ class JointFit(Fit):
         )  # fmt: skip
         errors = np.array([stated[k].standard_error for k in places])
         vars(fit)["uncertainty"] = replace(
-            self.uncertainty.mapped(values, own, ~np.isfinite(errors), np.isinf(errors)),
+            self.uncertainty.mapped(values, own, np.isnan(errors), np.isinf(errors)),
             dependence=None,
         )
+        vars(fit).update(_standing=self._standing, caveats=self.caveats)
         return fit

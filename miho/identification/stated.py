@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from miho.identification.curve_fit import CurveFit
-from miho.identification.uncertainty import Linearised, at_bounds
+from miho.identification.uncertainty import Linearised, at_bounds, parameters_at_bounds
 from miho.models.tied import Tied
 from miho.optim.space import Space
 from miho.quantities import Array
@@ -20,8 +20,9 @@ NEAR = 1e-6
 
 
 class Stated(NamedTuple):
-    """One parameter: value, unit and standard error; `held` is FREE, "fixed" or an expression.
+    """One parameter: value, unit and standard error; `held` says by what, or that it is FREE.
 
+    It is "fixed", the expression that it is tied to, at its bound, or not identifiable.
     The error is 0 for a fixed one, NaN for one at its bound, infinite for one that the data do not
     determine.
     """
@@ -105,8 +106,10 @@ def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], 
     slopes = np.eye(len(units))
     errors = dict(zip(units, at.standard_errors, strict=True))
     values = dict(zip(units, at.theta, strict=True))
+    own_uncertainty = reported_uncertainty(problem, at)
+    free = _held(own_uncertainty, reported_space(problem.space))
     if not isinstance(model, Tied):
-        return [Stated(n, units[n], values[n], errors[n], FREE) for n in units], slopes
+        return [Stated(n, units[n], values[n], errors[n], free[n]) for n in units], slopes
     ties = model.ties
     own = {**model.model.parameters, **ties.quantities}
     rows = ties.value_slopes(at.theta[None])[0]
@@ -114,18 +117,24 @@ def stated_parameters(problem: CurveFit, at: Linearised) -> tuple[list[Stated], 
     spread = dict(zip(ties.names, at.spread(rows), strict=True))
     swapped = _swapped(problem.space)
     extra = [n for k, n in enumerate(units) if n not in own and k not in swapped]
-    reported = reported_uncertainty(problem, at).standard_errors
-    errors |= {name: reported[k] for k, name in swapped.items()}
+    errors |= {name: own_uncertainty.standard_errors[k] for k, name in swapped.items()}
     stated = []
     for name in (*own, *extra):
         tie = ties.ties.get(name)
         held = f"= {tie}" if isinstance(tie, str) else "fixed"
         if tie is None or name in errors:
-            held = FREE
+            held = free[name]
         error = errors[name] if name in errors else spread[name]
         stated.append(Stated(name, units.get(name) or own.get(name, ""), values[name], error, held))
     chosen = [list(units).index(name) for name in extra]
     return stated, np.vstack([rows, slopes[chosen]])
+
+
+def _held(at: Linearised, space: Space) -> dict[str, str]:
+    """What holds each parameter of a space: nothing, or it is FREE but in name."""
+    held = dict.fromkeys(space.names, FREE)
+    held |= {space.names[k]: "not identifiable" for k in np.flatnonzero(at.unidentifiable)}
+    return held | {name: f"at {end} bound" for name, end, _ in parameters_at_bounds(at, space)}
 
 
 def whole_values(problem: CurveFit, theta: Array) -> dict[str, float]:
