@@ -11,11 +11,11 @@ import scipy  # which loads its packages where they are used: importing them tak
 from numpy.typing import NDArray
 
 from miho.data.dataset import Dataset
-from miho.identification.autocorrelation import chance_of_trend
+from miho.identification.autocorrelation import autoregression, chance_of_trend
 from miho.identification.curve_fit import CurveFit
 from miho.identification.inverse_root import inverse_root
 from miho.identification.refit import Deadline, refit, seconds_of_refit
-from miho.identification.uncertainty import Dependence, Linearised, series_of
+from miho.identification.uncertainty import Linearised, alike_beside_priors, series_of
 from miho.parallel.blocks import in_blocks
 from miho.parallel.pool import Pool
 from miho.parallel.process_executor import WorkerLostError
@@ -173,8 +173,8 @@ def residual_trends(problem: CurveFit, theta: Array, at: Linearised | None = Non
     for name, fine, coarse in groupings:
         explained, p = _explained(errors, fine, coarse)
         dependent = p
-        if at is not None and at.dependence is not None and is_finding(explained, p):
-            dependent = _chance_beside_neighbours(problem, at, at.dependence, fine, coarse)
+        if at is not None and is_finding(explained, p):
+            dependent = _chance_beside_neighbours(problem, at, fine, coarse)
         is_input = "yes" if name in problem.model.inputs else "no"
         rows.append((name, is_input, explained, p, max(p, dependent)))
     columns = ["column", "an input", "explained", "p of independent rows", "p"]
@@ -187,16 +187,23 @@ def is_finding(explained: float, p: float) -> bool:
 
 
 def _chance_beside_neighbours(
-    problem: CurveFit, at: Linearised, dependence: Dependence, fine: Groups, coarse: Groups
+    problem: CurveFit, at: Linearised, fine: Groups, coarse: Groups
 ) -> float:
-    """How often errors that depend on those of neighbouring rows follow a grouping as closely."""
+    """How often errors that depend on those of neighbouring rows follow a grouping as closely.
+
+    0 where they do not: chance is then that of independent rows.
+    """
+    dependence, series = at.dependence, series_of(problem)
+    if dependence is None and not alike_beside_priors(problem, at.theta):
+        return 0.0
     free = np.flatnonzero(~at.at_bound)
     slopes = inverse_root(problem.error_slopes(at.theta), free).basis
     known = np.hstack([slopes, _members(coarse)])
     basis = inverse_root(known, np.arange(known.shape[1])).basis
-    errors = dependence.errors - basis @ (basis.T @ dependence.errors)
-    order = dependence.model.partial.size
-    return chance_of_trend(errors, basis, _members(fine), order, series_of(problem))
+    errors = problem.errors(at.theta) if dependence is None else dependence.errors
+    errors = errors - basis @ (basis.T @ errors)
+    model = autoregression(errors, basis, series)[0] if dependence is None else dependence.model
+    return chance_of_trend(errors, basis, _members(fine), model.partial.size, series)
 
 
 def _members(index: Groups) -> Array:

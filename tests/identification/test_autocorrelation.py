@@ -1,5 +1,7 @@
 """Errors that depend on their neighbours: against dense matrices, closed forms and simulation."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -17,6 +19,7 @@ from miho.identification.autocorrelation import (
 from miho.identification.bootstrap import block_length, bootstrap, stretched
 from miho.identification.refit import refit
 from miho.identification.uncertainty import Linearised, linearised
+from miho.optim import Space
 from tests.identification.published import line
 
 Array = np.ndarray
@@ -219,6 +222,14 @@ def test_noise_that_drifts_is_no_wrong_shape() -> None:
         verdicts.append(("the model has the wrong shape" in notes, "cannot tell that" in notes))
         assert report.trends.loc[0, "p"] >= report.trends.loc[0, "p of independent rows"]
     assert verdicts == [(False, True), (True, False), (True, False), (False, False)]
+    # A prior says nothing of the shape either.
+    problem = line(1 + 2 * x + drive(0.8, 300), x)
+    a, b = problem.space.parameters
+    known = Space((replace(a, prior=(1.0, 0.5)), b))
+    problem = replace(problem, space=known, prior_scale=1.0)
+    report = make_report(problem, refit(problem, np.zeros(2)).theta, profiles=False)
+    assert report.at.dependence is None
+    assert any("cannot tell that" in note for note in report.notes)
 
 
 @pytest.mark.slow
