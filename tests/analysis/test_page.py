@@ -110,4 +110,5 @@ def test_units_and_intervals() -> None:
     assert scaled(math.nan, "N") == (1.0, "N")
     assert ends(1.0, 2.0, 0.25) == "[1.00, 2.00]"
     assert ends(math.nan, math.nan, 1.0) == "-"
-    assert ends(-math.inf, 2.0, 0.25) == "[-inf, 2.00]"
+    assert ends(-math.inf, 2.0, 0.25) == "[open, 2.00]"
+    assert ends(-math.inf, math.inf, math.inf) == "[-inf, inf]"
