@@ -78,7 +78,9 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         NUMERICS | {"optuna", "cmaes", "nevergrad", "dehb", "dfols", "loguru"},
     ),
 }
-SHARED = {"miho.exports", "miho.quantities", "miho.regular_file", "miho.validate"}
+SHARED = {
+    "miho.exports", "miho.quantities", "miho.radial_map", "miho.regular_file", "miho.validate",
+}  # fmt: skip
 """Below all layers: anyone may import them, and they import nobody but NumPy."""
 CONCRETE = {"MIHO", "RandomSearch"}
 

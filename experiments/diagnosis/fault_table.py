@@ -12,7 +12,7 @@ import pandas as pd
 if TYPE_CHECKING:
     import pytest
 
-ROWS = [f"R{number}" for number in range(1, 32)]
+ROWS = [f"R{number}" for number in range(1, 33)]
 WIDTHS = {"row": 4, "fault": 30, "goal": 34, "measured": 50, "verdict": 10, "seconds": 7}
 MET, NOT_JUDGED, MISSED, BROKEN, MISSING = "met", "not judged", "MISSED", "BROKEN", "missing"
 
@@ -56,7 +56,7 @@ class FaultTable:
 
 
 def as_text(frame: pd.DataFrame) -> str:
-    """Aligned, each cell wrapped within its column; how many rows are fine below."""
+    """Aligned, each cell wrapped within its column; how many rows are met below."""
     lines = [_line(list(WIDTHS)), _line(["-" * width for width in WIDTHS.values()])]
     for cells in frame.itertuples(index=False):
         wrapped = [
@@ -64,8 +64,9 @@ def as_text(frame: pd.DataFrame) -> str:
             for cell, width in zip(cells, WIDTHS.values(), strict=True)
         ]
         lines += map(_line, zip_longest(*wrapped, fillvalue=""))
-    fine = int(frame["verdict"].isin([MET, NOT_JUDGED]).sum())
-    return "\n".join([*lines, f"{fine} of {len(frame)} rows fine"])
+    met, unjudged = (int((frame["verdict"] == verdict).sum()) for verdict in (MET, NOT_JUDGED))
+    rest = f", {unjudged} not judged" if unjudged else ""
+    return "\n".join([*lines, f"{met} of {len(frame)} rows met{rest}"])
 
 
 def _line(cells: Sequence[str]) -> str:

@@ -3,7 +3,9 @@
 Box and constraints are a convex polytope. Fourier-Motzkin elimination (Schrijver, Theory of Linear
 and Integer Programming, 1986, Ch. 12.2) gives for each parameter in turn the ends between which it
 can be when those before it have their values; a free share, from 0 to 1, says where between them it
-is. So the whole set is searched and nothing else, as a box.
+is. So the whole set is searched and nothing else, as a box. The elimination of many dense
+inequalities has no end: where one range depends on too many of them, shares stand for the points
+along rays from the centre instead (`miho.radial_map`).
 """
 
 from __future__ import annotations
@@ -18,9 +20,10 @@ import scipy  # which loads its packages where they are used: importing them tak
 
 from miho.models.formula_text import written
 from miho.models.symbolic import Symbol, argument, constant, gradient
-from miho.models.tied import Ties, parsed
+from miho.models.tied import LONGEST, Ties, parsed
 from miho.optim.space import Parameter, Space
 from miho.quantities import Array
+from miho.radial_map import RadialMap
 
 RELATION = re.compile(r"(<=|>=|==|<|>|=)")
 EXAMPLE = "give such as 'a < b < c', 'a + b = 1' or 'b - a < 5'"
@@ -29,6 +32,8 @@ THIN = 1e-9
 less than this off it is superfluous."""
 SMALL = 1e-12
 """A coefficient below this share of the largest is rounding."""
+MOST = 500
+"""Inequalities at most that are eliminated: the time grows with their cube."""
 
 
 class Form(NamedTuple):
@@ -75,17 +80,22 @@ def constrained(space: Space, constraints: str | Sequence[str]) -> Space:
         return space
     polytope = _Polytope(space, stated)
     centre = polytope.centre()
-    equations, ends = polytope.eliminated()
-    changed: list[Parameter] = []
-    for k, parameter in enumerate(space.parameters):
-        if k in equations:
-            changed.append(_tied(parameter, _text(equations[k], space.names)))
-        elif k in ends:
-            taken = {*space.names, *(p.name for p in changed)}
-            changed += _between(parameter, ends[k], space.names, centre, taken)
-        else:
-            changed.append(parameter)
-    return replace(space, parameters=tuple(changed))
+    equations, sides = polytope.solved()
+    changed = {k: [_tied(space.parameters[k], _text(e, space.names))] for k, e in equations.items()}
+    radial = None
+    try:
+        ends = polytope.eliminated(equations, sides)
+        taken = {*space.names}
+        for k in sorted(ends):
+            changed[k] = _between(space.parameters[k], ends[k], space.names, centre, taken)
+            taken.update(p.name for p in changed[k])
+    except _TooLongError:
+        shares = polytope.shares(equations)
+        radial = polytope.radial(shares, sides, centre)
+        for k, share in shares.items():
+            changed[k] = [_tied(space.parameters[k], share.name), share]
+    parameters = [p for k, own in enumerate(space.parameters) for p in changed.get(k, [own])]
+    return replace(space, parameters=tuple(parameters), radial=radial)
 
 
 def free_values(space: Space, ties: Ties, values: Mapping[str, float]) -> Array:
@@ -94,9 +104,13 @@ def free_values(space: Space, ties: Ties, values: Mapping[str, float]) -> Array:
     Raises ValueError for values that do not keep the constraints.
     """
     theta = np.array([0.0 if p.stands_for else float(values[p.name]) for p in space.parameters])
-    for k, share in enumerate(space.parameters):
-        if share.stands_for is None:
-            continue
+    shares = [k for k, p in enumerate(space.parameters) if p.stands_for]
+    if ties.radial is not None:
+        point = np.array([float(values[name]) for name in ties.radial.names])
+        theta[shares] = ties.radial.shares(point)
+        return theta
+    for k in shares:
+        share = space.parameters[k]
         name, log = share.stands_for.name, share.stands_for.scale == "log"
         both = np.stack([theta, theta])
         both[:, k] = 0.0, 1.0
@@ -147,6 +161,10 @@ def _form(space: Space, text: str) -> Form:
             )
     value = written("value", {"theta": places}, [graph], single=True)
     return Form(coefficients, float(value((0.0,) * len(space))))
+
+
+class _TooLongError(Exception):
+    """The elimination of dense inequalities leaves ranges that depend on too much."""
 
 
 class _Polytope:
@@ -207,8 +225,8 @@ class _Polytope:
         offset = form.offset + form.coefficients @ self._low
         return Form(coefficients / size, float(offset / size))
 
-    def eliminated(self) -> tuple[dict[int, Form], dict[int, Ends]]:
-        """By position, what parameters are by the equations, and between what others are."""
+    def solved(self) -> tuple[dict[int, Form], list[Form]]:
+        """By position, what parameters are by the equations; and what the others keep above 0."""
         sides = [c.form for c in self._constraints if not c.equal]
         for k, e in zip(self._members, np.eye(len(self._low))[self._members], strict=True):
             sides += [Form(e, -self._low[k]), Form(-e, self._low[k] + self._width[k])]
@@ -222,15 +240,52 @@ class _Polytope:
                 sides = [self._without(side, last, solved) for side in sides]
                 equations = {k: self._without(f, last, solved) for k, f in equations.items()}
                 equations[last] = solved
+        return equations, sides
+
+    def eliminated(self, equations: Mapping[int, Form], sides: list[Form]) -> dict[int, Ends]:
+        """By position, between what the others are; raises _TooLongError where that is too long."""
+        names = self._space.names
         ends: dict[int, Ends] = {}
         for k in reversed([k for k in self._members if k not in equations]):
+            if len(sides) > MOST:
+                raise _TooLongError
             sides = self._necessary(sides)
             lower = [side.solved_for(k) for side in sides if side.coefficients[k] > 0]
             upper = [side.solved_for(k) for side in sides if side.coefficients[k] < 0]
             ends[k] = lower, upper
+            if len(_expression(self._space.parameters[k], ends[k], names, "")) > LONGEST:
+                raise _TooLongError
             sides = [side for side in sides if side.coefficients[k] == 0]
             sides += [self._clean(high.minus(low)) for low in lower for high in upper]
-        return equations, ends
+        return ends
+
+    def shares(self, equations: Mapping[int, Form]) -> dict[int, Parameter]:
+        """By position, the shares of a radial map that stand for what no equation gives."""
+        shares: dict[int, Parameter] = {}
+        for k in (k for k in self._members if k not in equations):
+            parameter = self._space.parameters[k]
+            name = _share_name(parameter, {*self._space.names, *(p.name for p in shares.values())})
+            shares[k] = Parameter(name, "-", -1.0, 1.0, stands_for=parameter)
+        return shares
+
+    def radial(
+        self, shares: Mapping[int, Parameter], sides: Sequence[Form], centre: Array
+    ) -> RadialMap:
+        """The points along rays from the centre (d,) that keep the sides."""
+        places = list(shares)
+        rooms = np.array([side.offset + side.coefficients @ centre for side in sides])
+        slopes = np.stack([side.coefficients[places] * self._width[places] for side in sides])
+        named = [c.text for c in self._constraints if not c.equal]
+        return RadialMap(
+            tuple(self._space.names[k] for k in places),
+            tuple(share.name for share in shares.values()),
+            centre[places],
+            self._width[places],
+            -slopes / rooms[:, None],
+            (*named, *["the ranges"] * (len(sides) - len(named))),
+            self._space.low[places],
+            self._space.high[places],
+        )
 
     def _without(self, form: Form, k: int, value: Form) -> Form:
         """A form with the value of parameter k put in."""
@@ -287,21 +342,32 @@ def _between(
         mean = at if parameter.mean is None and not log else parameter.mean
         inside = mean is None or low <= mean <= high
         return [replace(parameter, low=float(low), high=float(high), mean=mean if inside else None)]
-    name = f"{parameter.name}_share"
-    while name in taken:
-        name += "_"
-    first, last = _extreme("max", lower, names), _extreme("min", upper, names)
-    width = f"{last} - {_grouped(first)}" if first != "0" else last
-    if len(lower) == len(upper) == 1:
-        width = _text(upper[0].minus(lower[0]), names)
-    expression = f"{_grouped(width)} * {name}"
-    if log:
-        expression = f"{_grouped(first)} * ({_grouped(last)} / {_grouped(first)}) ** {name}"
-    elif first != "0":
-        expression = f"{first} + {expression}"
+    name = _share_name(parameter, taken)
+    expression = _expression(parameter, ends, names, name)
     mean = None if log else float((at - low) / (high - low))
     share = Parameter(name, "-", 0.0, 1.0, mean=mean, stands_for=parameter)
     return [_tied(parameter, expression), share]
+
+
+def _share_name(parameter: Parameter, taken: set[str]) -> str:
+    """A name for the share that stands for a parameter."""
+    name = f"{parameter.name}_share"
+    while name in taken:
+        name += "_"
+    return name
+
+
+def _expression(parameter: Parameter, ends: Ends, names: Sequence[str], share: str) -> str:
+    """A parameter that is a share of the way between its ends."""
+    lower, upper = ends
+    first, last = _extreme("max", lower, names), _extreme("min", upper, names)
+    if parameter.scale == "log":
+        return f"{_grouped(first)} * ({_grouped(last)} / {_grouped(first)}) ** {share}"
+    width = f"{last} - {_grouped(first)}" if first != "0" else last
+    if len(lower) == len(upper) == 1:
+        width = _text(upper[0].minus(lower[0]), names)
+    expression = f"{_grouped(width)} * {share}"
+    return f"{first} + {expression}" if first != "0" else expression
 
 
 def _extreme(function: str, forms: Sequence[Form], names: Sequence[str]) -> str:

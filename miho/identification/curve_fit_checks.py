@@ -205,6 +205,7 @@ def ties_of(model: Model, space: Space) -> Ties:
         {key: value for key, value in held.items() if value is not None},
         {key: ends for key, ends in limits.items() if np.isfinite(ends).any()},
         {p.name: p.unit for p in space.parameters if p.tied and p.name not in model.parameters},
+        space.radial,
     )
     needed_symbols = arguments_of(ties.graphs[: len(ties.parameters)])
     for symbol, free in zip(ties.arguments, ties.free, strict=True):

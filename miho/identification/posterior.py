@@ -146,7 +146,7 @@ class _Density:
 def _log_volumes(problem: CurveFit, thetas: Array) -> Array:
     """Logarithms (n,) of the room that shares of constraints stand for, but for a constant.
 
-    What is uniform between ends that depend on other parameters has the density 1 / their distance,
+    What is uniform in the shares has the density 1 / |det| of the derivatives with respect to them,
     which makes up for it: so the set that the constraints leave is filled evenly.
     """
     logarithms, model = np.zeros(len(thetas)), problem.model
@@ -154,10 +154,11 @@ def _log_volumes(problem: CurveFit, thetas: Array) -> Array:
     if not isinstance(model, Tied) or not shares:
         return logarithms
     values, slopes = model.ties.values(thetas), model.ties.value_slopes(thetas)
-    for k, parameter in shares:
-        place = model.ties.names.index(parameter.name)
-        room = np.abs(slopes[:, place, k])
-        logarithms += np.log(room / values[:, place] if parameter.scale == "log" else room)
+    places = [model.ties.names.index(parameter.name) for _, parameter in shares]
+    logarithms += np.linalg.slogdet(slopes[:, places][:, :, [k for k, _ in shares]])[1]
+    for place, (_, parameter) in zip(places, shares, strict=True):
+        if parameter.scale == "log":
+            logarithms -= np.log(values[:, place])
     return logarithms
 
 

@@ -33,6 +33,7 @@ from miho.models.symbolic import (
 )
 from miho.models.traced import Remade, TracedExpression
 from miho.quantities import Array
+from miho.radial_map import RadialMap
 
 OPERATORS: Mapping[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
@@ -63,7 +64,8 @@ class Ties(Remade):
     order of theta: parameters of the model, and others that occur in expressions only. `ties` maps
     the model's other parameters to a number, or to an expression of free, tied and fixed ones, and
     so `quantities`, which are not the model's, with their units. No configuration has a value in
-    which one of either leaves its `limits`.
+    which one of either leaves its `limits`. The formulas are those of the free ones, in place of
+    shares of a `radial` map those of the points that they stand for.
 
     Raises ValueError for an expression that is no arithmetic, an unknown name, or a cycle.
     """
@@ -73,6 +75,7 @@ class Ties(Remade):
     ties: Mapping[str, float | str]
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     quantities: Mapping[str, str] = field(default_factory=dict)
+    radial: RadialMap | None = None
 
     def __post_init__(self) -> None:
         _ = self.graphs
@@ -144,10 +147,32 @@ class Ties(Remade):
         wall = self.wall
         return None if wall is None else written("wall", self._signature, [wall], single=True)
 
+    def walls(self, thetas: Array) -> Array | None:
+        """The wall (n,) at free parameters (n, f)."""
+        if self.wall_formula is None:
+            return None
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.wall_formula(tuple(self._points(thetas).T)))
+
+    @cached_property
+    def _shares(self) -> list[int]:
+        """The places of a radial map's shares among the free ones."""
+        return (
+            [] if self.radial is None else [[*self.free].index(n) for n in self.radial.share_names]
+        )
+
+    def _points(self, thetas: Array) -> Array:
+        """The arguments (n, f) of the formulas at free parameters (n, f)."""
+        if self.radial is None:
+            return thetas
+        points = thetas.copy()
+        points[:, self._shares] = self.radial.points(thetas[:, self._shares])
+        return points
+
     def values(self, thetas: Array) -> Array:
         """All `names` (n, k) at free parameters (n, f)."""
         with np.errstate(all="ignore"):
-            columns = self.formula(tuple(thetas.T))
+            columns = self.formula(tuple(self._points(thetas).T))
         return np.stack([np.broadcast_to(column, len(thetas)) for column in columns], axis=1)
 
     def whole(self, thetas: Array) -> Array:
@@ -162,9 +187,12 @@ class Ties(Remade):
     def value_slopes(self, thetas: Array) -> Array:
         """The derivatives (n, k, f) of all `names` at free parameters (n, f)."""
         with np.errstate(all="ignore"):
-            values = self._slope_formula(tuple(thetas.T))
+            values = self._slope_formula(tuple(self._points(thetas).T))
         columns = [np.broadcast_to(value, len(thetas)) for value in values]
-        return np.stack(columns, 1).reshape(len(thetas), len(self.names), len(self.free))
+        slopes = np.stack(columns, 1).reshape(len(thetas), len(self.names), len(self.free))
+        if self.radial is not None:
+            slopes[:, :, self._shares] @= self.radial.slopes(thetas[:, self._shares])
+        return slopes
 
     def whole_slopes(self, thetas: Array) -> Array:
         """The derivatives (n, d, f) of the model's parameters at free ones (n, f)."""
@@ -175,6 +203,8 @@ class Ties(Remade):
 
         The others must not depend on them, nor a limit.
         """
+        if self.radial is not None:
+            return ()
         dependence: dict[str, set[str]] = {}  # of each slope of a linear one, by free parameter
         barred: set[str] = set()
         places = [symbol.arguments[0] for symbol in self.arguments]
@@ -199,7 +229,7 @@ class Ties(Remade):
 
 def tie(model: Model, ties: Ties) -> Model:
     """The model of the free parameters."""
-    if isinstance(model, Expression):
+    if isinstance(model, Expression) and ties.radial is None:
         tied = TiedExpression(model, ties)
         with contextlib.suppress(NotAFormulaError):
             _ = tied.graph
@@ -277,9 +307,9 @@ class TiedModel(_Tied):
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of free parameters (n, f) at input columns (N,); NaN beyond a limit."""
         values = self.model.predict(self.ties.whole(thetas), *inputs)
-        if self.ties.wall_formula is not None:
-            with np.errstate(invalid="ignore"):
-                values += self.ties.wall_formula(tuple(thetas.T))[:, None]
+        walls = self.ties.walls(thetas)
+        if walls is not None:
+            values += walls[:, None]
         return values
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from miho.optim.seeds import Part, stream
 from miho.quantities import Array
+from miho.radial_map import RadialMap
 from miho.validate import one_of
 
 SCALES = ("linear", "log")
@@ -148,11 +149,13 @@ class Space:
     Searches move in *search coordinates*: the natural logarithm of a parameter on the log scale,
     the parameter itself otherwise (`encode`, `decode`). `seed` names the common initial
     configurations, which `minimize` sets from (problem, repetition): every method that asks
-    `initial(n)` starts from the same rows.
+    `initial(n)` starts from the same rows. Where `radial` is given, expressions of tied parameters
+    read of its shares the points that they stand for.
     """
 
     parameters: tuple[Parameter, ...]
     seed: tuple[Part, ...] = ()
+    radial: RadialMap | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", tuple(self.parameters))

@@ -61,6 +61,13 @@ def skip_if_busy(busy: float | None) -> None:
         pytest.skip(f"{busy:.2f} cores busy with other work")
 
 
+def at_most(allowed: float, figure: float, busy: float | None) -> None:
+    """Judge a figure that other work on the machine can only make larger."""
+    if figure > allowed:
+        skip_if_busy(busy)
+    assert figure <= allowed
+
+
 def pytest_itemcollected(item: pytest.Item) -> None:
     """Reports carry what the table shows of a row, from other processes as well."""
     for marker in item.iter_markers("fault"):

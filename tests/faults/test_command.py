@@ -11,7 +11,7 @@ import pytest
 
 from experiments.diagnosis.fault_table import ROWS, FaultTable, as_text
 from experiments.faults import faults
-from tests.faults.conftest import Figures, started
+from tests.faults.conftest import Figures, at_most, started
 
 FILES = [path.read_text() for path in sorted(Path(__file__).parent.glob("test_*.py"))]
 MARKS = [mark for text in FILES for mark in re.findall(r"(?s)@pytest.mark.fault\(.*?\ndef", text)]
@@ -31,6 +31,18 @@ def test_every_row_is_one_test() -> None:
 def test_rows_that_judge_seconds_are_alone() -> None:
     timed = [part for text in FILES for part in text.split("\n\n\n") if "pytest.mark.timed" in part]
     assert sorted(numbers(timed), key=ROWS.index) == ["R10", "R11", "R12"]
+
+
+def test_seconds_are_not_judged_while_other_work_keeps_cores_busy() -> None:
+    at_most(15.0, 14.0, busy=3.6)
+    for busy in (3.6, None):
+        with pytest.raises(pytest.skip.Exception, match="busy with other work|an unknown load"):
+            at_most(15.0, 19.0, busy)
+    with pytest.raises(AssertionError):
+        at_most(15.0, 19.0, busy=0.0)
+    timed = [part for text in FILES for part in text.split("\n\n\n") if "pytest.mark.timed" in part]
+    rows = [part for part in timed if numbers([part])]
+    assert all("at_most(" in part or "skip_if_busy(" in part for part in rows)
 
 
 def test_quick_rows() -> None:
@@ -138,7 +150,8 @@ def test_exit_codes_and_output(
     if verdict == "BROKEN":
         assert "OSError: gone" in lines[2]
     printed = capsys.readouterr().out.splitlines()
-    assert printed[-1].startswith(f"{0 if code else 2} of 2 rows fine in ")
+    counts = {"met": "2 of 2 rows met in", "not judged": "0 of 2 rows met, 2 not judged in"}
+    assert printed[-1].startswith(counts.get(verdict, "0 of 2 rows met in"))
 
 
 def test_the_table_is_aligned() -> None:
@@ -148,7 +161,7 @@ def test_the_table_is_aligned() -> None:
     lines = as_text(table.frame(["R1", "R2"])).splitlines()
     assert len({line.index("a goal") for line in lines if "a goal" in line}) == 1
     assert max(map(len, lines)) <= 150
-    assert lines[-1] == "2 of 2 rows fine"
+    assert lines[-1] == "2 of 2 rows met"
 
 
 def test_an_unknown_row() -> None:

@@ -12,14 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiments.diagnosis.machine import busy_cores
 from miho.study.compaction import compact
 from tests.faults.commands import CHECKOUT, descendants, started
-from tests.faults.conftest import Figures
+from tests.faults.conftest import Figures, at_most
 from tests.faults.stored_runs import POINTS, make_runs
 
 STORED, RUNS = 10_000, 1000
 READ, COLD, COMPACTED = 1.0, 4.0, 0.5
 MEMORY = 500
+ALLOWED = 15.0
+"""Milliseconds that a run which does nothing may cost."""
 REPEATS = 3
 TIMEOUT = 60
 
@@ -54,6 +57,7 @@ def test_loading(tmp_path: Path, measured: Figures) -> None:
     just written, so they come from memory, not from the disk. Imports count in the memory, not in
     the times.
     """
+    busy = busy_cores()
     make_runs(tmp_path, STORED, np.random.default_rng(0))
     read, cold, *first = _loaded(tmp_path)
     compact(tmp_path)
@@ -65,19 +69,20 @@ def test_loading(tmp_path: Path, measured: Figures) -> None:
         f"{memory:.0f} MB" + ("" if whole else "; not all runs were read")
     )
     assert whole
-    assert max(read, again) <= READ
-    assert cold <= COLD
-    assert fast <= COMPACTED
     assert memory <= MEMORY
+    for allowed, seconds in ((READ, max(read, again)), (COLD, cold), (COMPACTED, fast)):
+        at_most(allowed, seconds, busy)
 
 
 @pytest.mark.timed
 @pytest.mark.fault(
-    row="R11", fault=f"{RUNS} runs that do nothing", promise="at most 15 ms each, flat memory"
+    row="R11",
+    fault=f"{RUNS} runs that do nothing",
+    promise=f"at most {ALLOWED:g} ms each, flat memory",
 )
 def test_overhead(tmp_path: Path, measured: Figures) -> None:
     """A thousand runs of one evaluation in one process, and the memory it takes."""
-    root = tmp_path / "runs"
+    root, busy = tmp_path / "runs", busy_cores()
     os.sync()  # what others wrote is no business of these runs, which wait for the disk
     process = started(
         "-m", "optimizer=random", "optimizer.batch=1", "budget.evaluations=1",
@@ -94,10 +99,10 @@ def test_overhead(tmp_path: Path, measured: Figures) -> None:
     measured(
         f"{per_run:.1f} ms each, {len(times)} done, memory of a process grew by {grown:.0f} MB"
     )
-    assert per_run <= 15
     assert len(times) == RUNS
     assert process.returncode == 0
     assert grown < 20
+    at_most(ALLOWED, per_run, busy)
 
 
 def _loaded(folder: Path) -> list[float]:

@@ -35,7 +35,8 @@ def ties_of(space: Space) -> Ties:
     """The parameters but for shares, as they follow from the free ones."""
     held = {p.name: p.tied or p.fixed for p in space.parameters if not p.free}
     names = tuple(p.name for p in space.parameters if p.stands_for is None)
-    return Ties(names, dict.fromkeys(space.free.names, ""), {k: v for k, v in held.items() if v})
+    ties = {name: tie for name, tie in held.items() if tie}
+    return Ties(names, dict.fromkeys(space.free.names, ""), ties, radial=space.radial)
 
 
 CASES: list[tuple[dict[str, Any], list[str], Any]] = [
@@ -121,6 +122,60 @@ def test_what_leaves_nothing_or_says_nothing_is_refused(box, texts, message: str
     with pytest.raises(ValueError, match=message) as caught:
         constrained(space_of(box), texts)
     assert "\n" not in str(caught.value)
+
+
+def dense(size: int, rng: np.random.Generator) -> tuple[dict[str, Any], list[str], Any, Any]:
+    """A box of x0, x1, ..., and as many inequalities of all of them: texts and A @ x < b."""
+    A = rng.normal(size=(size, size)).round(6)
+    b = (A.sum(axis=1) / 2 + 0.3 * np.abs(A).sum(axis=1) * rng.random(size)).round(6)
+    rows = [" + ".join(f"{a!r} * x{k}" for k, a in enumerate(row)) for row in A.tolist()]
+    texts = [f"{row} < {end!r}" for row, end in zip(rows, b.tolist(), strict=True)]
+    return {f"x{k}": (0, 1) for k in range(size)}, texts, A, b
+
+
+def test_dense_inequalities_are_searched_along_rays() -> None:
+    """Their elimination has no end: 20 of 20 parameters took longer than anybody waits."""
+    rng = np.random.default_rng(0)
+    box, texts, A, b = dense(20, rng)
+    space = constrained(space_of(box), texts)
+    ties, free = ties_of(space), space.free
+    shares = free.sample(500, rng, "uniform")
+    drawn = ties.whole(shares)
+    assert (A @ drawn.T - b[:, None]).max() <= ROUNDING * 100  # rounding by the room of a side
+    assert drawn.min() >= 0 <= 1 - drawn.max()
+    for point, share in zip(drawn[:20], shares, strict=False):
+        values = dict(zip(ties.names, point, strict=True))
+        assert free_values(free, ties, values) == pytest.approx(share, abs=1e-9)
+    step = 1e-7  # differences are good to 1e-7 but for rounding, 1e-16 / 1e-7
+    for share, slopes in zip(shares[:5], ties.value_slopes(shares[:5]), strict=True):
+        for k, move in enumerate(step * np.eye(20)):
+            ahead, behind = ties.values(np.stack([share + move, share - move]))
+            assert slopes[:, k] == pytest.approx((ahead - behind) / (2 * step), abs=1e-5)
+    centre, corner = ties.values(np.zeros((1, 20)))[0], np.ones(20)
+    assert (A @ centre < b).all()
+    assert np.isfinite(ties.value_slopes(np.zeros((1, 20)))).all()
+    with pytest.raises(ValueError, match=r"start: x0 = 1, .*x19 = 1 do not keep .* < "):
+        free_values(free, ties, dict(zip(ties.names, corner, strict=True)))
+
+
+def test_a_fit_that_dense_inequalities_leave_alone_is_that_without() -> None:
+    """Its optimum is that of the linear least squares, which keeps them and the box."""
+    rng = np.random.default_rng(3)
+    box, texts, A, b = dense(6, rng)
+    X = rng.random((40, 6))
+    y = X @ np.full(6, 0.5) + 0.01 * rng.standard_normal(40)
+    best = np.linalg.lstsq(X, y)[0]
+    assert (A @ best < b).all()
+
+    def plane(c0, c1, c2, c3, c4, c5, x0, x1, x2, x3, x4, x5):
+        return c0 * x0 + c1 * x1 + c2 * x2 + c3 * x3 + c4 * x4 + c5 * x5
+
+    fit = miho.fit(plane, tuple(X.T), y, box, constraints=texts, compiled=False)
+    assert list(fit.values.values()) == pytest.approx(best, rel=1e-5)
+    assert list(fit.parameters["held"]) == ["free"] * 6
+    covariance = np.linalg.inv(X.T @ X) * np.sum((y - X @ best) ** 2) / 34
+    errors = fit.parameters["standard_error"].to_numpy()
+    assert errors == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-4)
 
 
 t = np.linspace(0, 2, 80)
