@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import functools
 import itertools
+import multiprocessing
 import os
 import sys
 import threading
@@ -48,13 +49,21 @@ EXPECTED = (
 )
 
 
+DAEMONIC = (
+    "this process is daemonic, as those of multiprocessing.Pool are, and may start no other; it "
+    "makes all evaluations itself, without a limit of time. Give a ThreadPoolExecutor or an "
+    "address instead"
+)
+
+
 @contextmanager
 def open_pool(workers: Workers, time_limit: float | None = None) -> Iterator[Pool | None]:
     """The pool of some workers, which ends with the context if it was begun here; None for one.
 
     A call that takes longer than `time_limit` seconds is killed, with its process where that is
-    ours; of others `Pool.limit` says what they do not end themselves. Raises ValueError for workers
-    that are none of the kinds.
+    ours; of others `Pool.limit` says what they do not end themselves. A daemonic process, such as a
+    worker of `multiprocessing.Pool`, may start no other: it has one worker, itself. Raises
+    ValueError for workers that are none of the kinds.
     """
     limit = time_limit
     with ExitStack() as stack:
@@ -68,7 +77,10 @@ def open_pool(workers: Workers, time_limit: float | None = None) -> Iterator[Poo
             executor, count = MapExecutor(workers), processes_of(workers)
         else:
             count = number_of(workers)
-            if count == 1 and time_limit is None:
+            daemonic = multiprocessing.current_process().daemon
+            if daemonic and (count > 1 or time_limit is not None):
+                sys.stderr.write(f"miho: workers={workers}: {DAEMONIC}\n")
+            if daemonic or (count == 1 and time_limit is None):
                 yield None
                 return
             executor, limit = ProcessExecutor(count, time_limit), None

@@ -56,6 +56,7 @@ class ProcessExecutor(Executor):
         self._futures: dict[int, Future[Any]] = {}  # of calls that are being done
         self._numbers = itertools.count()
         self._closed = self._waking = False
+        self._reason = ENDED
         self._lock = threading.Lock()
         self._woken, self._wake = multiprocessing.Pipe(duplex=False)
         self._thread: threading.Thread | None = None
@@ -78,7 +79,7 @@ class ProcessExecutor(Executor):
         future: Future[Any] = Future()
         with self._lock:
             if self._closed:
-                raise WorkersGoneError(ENDED, again=False)
+                raise WorkersGoneError(self._reason, again=False)
             self._waiting.append((future, job))
             if self._thread is None:  # where nothing is submitted, nothing is started
                 self._thread = threading.Thread(target=self._serve, daemon=True)
@@ -95,7 +96,7 @@ class ProcessExecutor(Executor):
             self._wake_up()
         if self._thread is not None:
             self._thread.join()
-        self._end_calls(ENDED)
+        self._end_calls(cancel=True)
         self._woken.close()
         self._wake.close()
 
@@ -107,13 +108,16 @@ class ProcessExecutor(Executor):
             self._waking = True
             self._wake.send_bytes(b"+")
 
-    def _end_calls(self, reason: str) -> None:
+    def _end_calls(self, cancel: bool) -> None:
+        """Cancel calls, or have them raise why there is no worker any more."""
         calls = [*self._futures.values(), *(future for future, _ in self._waiting)]
         self._futures.clear()
         self._waiting.clear()
         for future in calls:
-            if not future.cancel():
-                future.set_exception(WorkersGoneError(reason, again=False))
+            if cancel and future.cancel():
+                continue
+            if future.running() or future.set_running_or_notify_cancel():
+                future.set_exception(WorkersGoneError(self._reason, again=False))
 
     def _serve(self) -> None:
         """In a thread: have workers, until all are ended; nothing may wait if this fails."""
@@ -125,7 +129,8 @@ class ProcessExecutor(Executor):
         except BaseException as error:  # noqa: BLE001 -- it is told to those who wait
             with self._lock:
                 self._closed = True
-            self._end_calls(f"what gives work to processes has failed: {Raised.of(error).line}")
+                self._reason = f"what gives work to processes has failed: {Raised.of(error).line}"
+            self._end_calls(cancel=False)
 
     def _give_and_take(self, workers: Workers[Job, bytes]) -> None:
         """Give jobs to idle workers, and hand over what others answer."""

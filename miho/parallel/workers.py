@@ -260,14 +260,16 @@ def _context(modules: Sequence[str]) -> Any:
     """How workers are started: forked from a server that imported everything once, where possible.
 
     A process that another library started can have that library's own start method for its default;
-    a new process would inherit it and not know it.
+    a new process would inherit it and not know it. A process that was forked has the server of the
+    one that it was forked from, which serves nobody else.
     """
     methods = multiprocessing.get_all_start_methods()
     if multiprocessing.get_start_method(allow_none=True) not in (None, *methods):
         multiprocessing.set_start_method("spawn", force=True)
     if "forkserver" in methods:
-        start_server(modules)
-        return multiprocessing.get_context("forkserver")
+        with contextlib.suppress(ChildProcessError):
+            start_server(modules)
+            return multiprocessing.get_context("forkserver")
     return multiprocessing.get_context("spawn")
 
 

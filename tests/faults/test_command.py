@@ -36,7 +36,7 @@ def test_rows_that_judge_seconds_are_alone() -> None:
 def test_seconds_are_not_judged_while_other_work_keeps_cores_busy() -> None:
     at_most(15.0, 14.0, busy=3.6)
     for busy in (3.6, None):
-        with pytest.raises(pytest.skip.Exception, match="busy with other work|an unknown load"):
+        with pytest.raises(pytest.skip.Exception, match=r"busy with other work|an unknown load"):
             at_most(15.0, 19.0, busy)
     with pytest.raises(AssertionError):
         at_most(15.0, 19.0, busy=0.0)

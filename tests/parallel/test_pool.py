@@ -9,7 +9,8 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 import pytest
 
 from miho.parallel import Workers, open_pool
-from miho.parallel.pool import EXPECTED, TRIES
+from miho.parallel.pool import DAEMONIC, EXPECTED, TRIES
 from miho.parallel.process_executor import WorkerLostError, WorkersGoneError, processes_of
 from miho.parallel.processes import descendants
 from miho.parallel.remote import MOST_SHARED, shared, work
@@ -101,6 +102,47 @@ def test_one_worker_is_none() -> None:
     for workers in (None, 1, "1", 1.0):
         with open_pool(workers) as pool:
             assert pool is None
+
+
+def _own_pool(sender: Any) -> None:
+    """Send how many workers a pool of this process has, what they give, and what was said."""
+    with redirect_stderr(StringIO()) as said, open_pool(2) as pool:
+        given = None if pool is None else [*pool.map(abs, (-3, -4))]
+        sender.send((pool and pool.size, given, said.getvalue()))
+
+
+def _fork_own_pool(sender: Any) -> None:
+    """As above, and again in a process that is forked from one that has started workers."""
+    _own_pool(sender)
+    child = os.fork()
+    if not child:
+        try:
+            _own_pool(sender)
+        finally:
+            os._exit(0)
+    os.waitpid(child, 0)
+
+
+def _answers(target: Callable[[Any], None], daemon: bool, count: int) -> list[Any]:
+    """What a process sends that calls the target."""
+    receiver, sender = CONTEXT.Pipe(duplex=False)
+    process = CONTEXT.Process(target=target, args=(sender,), daemon=daemon)
+    process.start()
+    sender.close()
+    try:
+        return [receiver.recv() for _ in range(count)]
+    finally:
+        process.join()
+
+
+def test_a_daemonic_process_makes_evaluations_itself_and_says_so() -> None:
+    said = f"miho: workers=2: {DAEMONIC}\n"
+    assert _answers(_own_pool, daemon=True, count=1) == [(None, None, said)]
+
+
+def test_a_forked_process_starts_workers_of_its_own() -> None:
+    """The server of workers is its parent's, which serves nobody else."""
+    assert _answers(_fork_own_pool, daemon=False, count=2) == 2 * [(2, [3, 4], "")]
 
 
 def test_how_many_calls_at_a_time() -> None:

@@ -146,7 +146,7 @@ def test_nobody_waits_for_a_thread_that_has_failed(
     until = time.monotonic() + WAIT
     while executor._thread is not None and executor._thread.is_alive():
         assert time.monotonic() < until
-    with pytest.raises(WorkersGoneError, match="have ended"):
+    with pytest.raises(WorkersGoneError, match="has failed: MemoryError: none left"):
         executor.submit(abs, -3)
 
 
