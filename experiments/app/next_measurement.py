@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ import pandas as pd
 from experiments.app.build import ConfigError, stored_part
 from miho.analysis.figures.design import design_figure
 from miho.analysis.figures.house import png
+from miho.analysis.text import csv_text, without_formula
 from miho.data.csv import TextFormat, TextTable
 from miho.data.measurements import Layout
 from miho.data.units import UNITS
@@ -48,8 +51,8 @@ def advise(
     except ValueError as error:
         raise ConfigError(f"--next {path}: {error}") from None
     lines = [table.lines[0], *(table.lines[table.first + row] for row in design.chosen.index)]
-    write_text(folder / ROWS, "\n".join(lines) + "\n")
-    write_text(folder / TABLE, design.table.to_csv(index=False))
+    write_text(folder / ROWS, "".join(f"{_without_formulas(line, table)}\n" for line in lines))
+    write_text(folder / TABLE, csv_text(design.table))
     write_bytes(folder / FIGURE, png(design_figure(design.rows, design.table)))
     return f"what to measure next: {design}\n\nrows {folder / ROWS}\nfigure {folder / FIGURE}\n"
 
@@ -82,3 +85,22 @@ def read_candidates(
     numbers = table.numbers()
     frame = pd.DataFrame(layout.si_columns(numbers, table.fault)[0])
     return table, frame if groups is None else frame.assign(**{groups: numbers[groups]})
+
+
+def _without_formulas(line: str, table: TextTable) -> str:
+    """A line of a file with an apostrophe before each cell that a spreadsheet would calculate."""
+    cells = next(csv.reader([line], delimiter=table.delimiter))
+    plain = [cell if _is_number(cell, table.decimal) else without_formula(cell) for cell in cells]
+    if plain == cells:
+        return line
+    text = io.StringIO()
+    csv.writer(text, delimiter=table.delimiter, lineterminator="").writerow(plain)
+    return text.getvalue()
+
+
+def _is_number(cell: str, decimal: str) -> bool:
+    try:
+        float(cell.replace(decimal, "."))
+    except ValueError:
+        return False
+    return True

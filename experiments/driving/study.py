@@ -21,6 +21,7 @@ from experiments.driving.laps import VARIANTS, SeedJob, laps_of, methods_of, sto
 from experiments.driving.settings import factors_text, track_and_vehicle
 from miho.analysis import save
 from miho.analysis.figures.driving import lap_figure, lap_table, lap_text
+from miho.analysis.text import csv_text
 from miho.parallel.cluster import is_address
 from miho.parallel.workers import Workers
 from miho.study import write_text
@@ -36,8 +37,8 @@ def write_study(cfg: DictConfig, root: Path, rows: list[dict[str, Any]]) -> None
     laps["variant"] = pd.Categorical(laps["variant"], [variant.name for variant in VARIANTS])
     laps = laps.sort_values(["variant", "seed"]).reset_index(drop=True)
     table = lap_table(laps, np.random.default_rng(cfg.seed))
-    write_text(root / "laps.csv", laps.to_csv(index=False, float_format="%.6g"))
-    write_text(root / "table.csv", table.to_csv(index=False, float_format="%.6g"))
+    write_text(root / "laps.csv", csv_text(laps, float_format="%.6g"))
+    write_text(root / "table.csv", csv_text(table, float_format="%.6g"))
     write_text(root / "table.txt", lap_text(table) + "\n")
     note = f"one lap of {cfg.drive.track.name.upper()}, {factors_text(cfg)}, at most "
     note += f"{3.6 * cfg.drive.top_speed:.0f} km/h; {laps['seed'].nunique()} seeds"

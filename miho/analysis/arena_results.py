@@ -37,6 +37,7 @@ from miho.analysis.figures.ranking import (
     critical_difference_diagram,
     speed_up_figure,
 )
+from miho.analysis.text import csv_text
 from miho.analysis.timing import Clock, clock_of, undisturbed
 from miho.study import write_text
 
@@ -155,7 +156,7 @@ def write_arena(results: ArenaResults, output: Path) -> tuple[str, list[Path]]:
     whole = pd.concat([frame.assign(axis=axis) for axis, frame in results.ert.items()])
     frames = {"ert": whole, "speed_up": results.speed_ups, "aocc": results.areas}
     for name, frame in frames.items():
-        write_text(output / f"{name}.csv", frame.to_csv(index=False))
+        write_text(output / f"{name}.csv", csv_text(frame))
     for name, figure in arena_figures(results).items():
         paths += save(figure, output / name)
     csv = [output / f"{name}.csv" for name in frames]

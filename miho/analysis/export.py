@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from miho.analysis.text import csv_text
 from miho.analysis.tidy import comparison, dimensions
 from miho.study import read_run, write_text
 from miho.study.identity import sha256
@@ -21,8 +22,6 @@ from miho.study.settings import is_setting
 FORMAT = "0.3.22"
 """Version of IOHexperimenter (PyPI: ioh) whose output this layout was compared with."""
 COLUMNS = "columns.json"
-FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""What a formula begins with in a spreadsheet (OWASP, "CSV Injection")."""
 MEANING = {
     "id": ("", "hash of configuration, code, data and seed"),
     "problem": ("", "model and data"),
@@ -56,27 +55,12 @@ def write_csv(runs: pd.DataFrame, curves: pd.DataFrame, folder: Path) -> None:
     """
 
     def write_table(table: pd.DataFrame, path: Path) -> str:
-        text = _without_formulas(table).to_csv(index=False, lineterminator="\n")
+        text = csv_text(table)
         write_text(path, text)
         return sha256(text)
 
     reader = 'pandas.read_csv(path), before pandas 3.1 with float_precision="round_trip"'
     _write({"runs.csv": runs, "curves.csv": curves}, folder, reader, write_table)
-
-
-def _without_formulas(table: pd.DataFrame) -> pd.DataFrame:
-    """Names and text that begin as a formula does, behind an apostrophe; a lone "-" is a unit."""
-
-    def quoted(cell: object) -> object:
-        formula = isinstance(cell, str) and cell != "-" and cell.startswith(FORMULA)
-        return f"'{cell}" if formula else cell
-
-    plain = table.rename(columns=quoted)
-    for place, kind in enumerate(table.dtypes):
-        if not pd.api.types.is_numeric_dtype(kind):
-            name = plain.columns[place]
-            plain[name] = table.iloc[:, place].map(quoted)
-    return plain
 
 
 def write_parquet(runs: pd.DataFrame, curves: pd.DataFrame, folder: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from types import MappingProxyType
+from typing import Any
 
 import pandas as pd
 
@@ -138,6 +139,30 @@ def to_markdown(frame: pd.DataFrame) -> str:
     rule = ["--:" if pd.api.types.is_numeric_dtype(kind) else "---" for kind in frame.dtypes]
     rows = [[_escaped(cell(value)) for value in row] for row in frame.itertuples(index=False)]
     return "".join(f"| {' | '.join(cells)} |\n" for cells in [names, rule, *rows])
+
+
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""What a formula begins with in a spreadsheet (OWASP, "CSV Injection")."""
+
+
+def csv_text(table: pd.DataFrame, **keywords: Any) -> str:
+    """A table as CSV without its index; `keywords` are those of `pandas.DataFrame.to_csv`.
+
+    Names and text that a spreadsheet would run as a formula get an apostrophe before them, since
+    they can come from others.
+    """
+    plain = table.rename(columns=without_formula)
+    for place, kind in enumerate(table.dtypes):
+        if not pd.api.types.is_numeric_dtype(kind):
+            name = plain.columns[place]
+            plain[name] = table.iloc[:, place].map(without_formula)
+    return str(plain.to_csv(index=False, lineterminator="\n", **keywords))
+
+
+def without_formula(cell: object) -> object:
+    """Text that begins as a formula does, behind an apostrophe; a lone "-" is a unit."""
+    formula = isinstance(cell, str) and cell != "-" and cell.startswith(FORMULA)
+    return f"'{cell}" if formula else cell
 
 
 def _escaped(text: object) -> str:

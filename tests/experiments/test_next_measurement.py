@@ -11,9 +11,10 @@ from experiments import report
 from experiments.app.build import ConfigError, build
 from experiments.app.compose import composed
 from experiments.app.execution import execution_of
+from experiments.app.next_measurement import _without_formulas
 from experiments.app.schema import register
 from experiments.check import next_measurement
-from miho.data.csv import CSVError
+from miho.data.csv import CSVError, TextFormat, TextTable
 from miho.models import Pacejka
 
 register()
@@ -69,6 +70,41 @@ def test_the_rows_are_lines_of_the_file(
     called(monkeypatch, folder, "--rows", 2, "--groups", "run")
     assert "20 rows of run " in capsys.readouterr().out
     assert len(pd.read_csv(table.with_name("next_rows.csv"))) == 20
+
+
+def test_candidates_cannot_make_a_formula(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Columns that are not read travel with the rows that are chosen."""
+    lines = ["note,SA,@b,c", *(f"=HYPERLINK(1),{k},-x y,-1" for k in np.linspace(-14.5, 14.5, 100))]
+    path = folder / "hostile.csv"
+    path.write_text("\n".join(lines))
+    arguments = [str(folder), "--no-profile", "--next", str(path), "--rows", "10"]
+    monkeypatch.setattr(sys, "argv", ["report", *arguments])
+    report.main()
+    written = sorted(folder.parent.parent.parent.rglob("next*.csv"))
+    assert [file.name for file in written] == ["next.csv", "next_rows.csv"]
+    text = "\n".join(file.read_text() for file in written)
+    cells = [cell for line in text.splitlines() for cell in line.split(",")]
+    assert {"'=HYPERLINK(1)", "'@b", "'-x y", "-1"} <= {*cells}, "numbers stay as they are"
+    assert not [cell for cell in cells if cell.startswith(("=", "@", "-x"))]
+
+
+@pytest.mark.parametrize(
+    ("line", "delimiter", "decimal", "plain"),
+    [
+        ("-0,5;=1+1;a", ";", "comma", "-0,5;'=1+1;a"),
+        ('-5,"=SUM(1,2)"', ",", "point", '-5,"\'=SUM(1,2)"'),
+        ('1, -2 ,"b c"', ",", "point", '1, -2 ,"b c"'),
+    ],
+)
+def test_numbers_and_quotes_of_candidates_stay(
+    tmp_path: Path, line: str, delimiter: str, decimal: str, plain: str
+) -> None:
+    path = tmp_path / "c.csv"
+    path.write_text(f"{line}\n")
+    cells = line.count(delimiter) + 1 - (line.count("(1,2)"))
+    text = TextFormat(delimiter=delimiter, decimal=decimal)
+    table = TextTable(path, [str(k) for k in range(cells)], header=False, text=text)
+    assert _without_formulas(line, table) == plain
 
 
 def test_what_cannot_be_advised_is_said_in_one_line(

@@ -12,7 +12,7 @@ from typing import Self
 import pandas as pd
 
 from miho.analysis.compare.size import size_note
-from miho.analysis.text import to_markdown
+from miho.analysis.text import csv_text, to_markdown
 from miho.study import read_run, write_text
 from miho.study.provenance import write_provenance
 
@@ -69,7 +69,7 @@ def write_tables(
     for name, table in tables.items():
         text = f"{captions[name]} Runs: {comparison.note}.\n\n{to_markdown(table)}"
         texts.append(text)
-        write_text(output / f"{name}.csv", table.to_csv(index=False))
+        write_text(output / f"{name}.csv", csv_text(table))
         write_text(output / f"{name}.md", text)
         paths += [output / f"{name}.csv", output / f"{name}.md"]
     return texts, paths

@@ -28,7 +28,7 @@ from miho.analysis.pages.run_tables import (
     error_table,
     parameter_table,
 )
-from miho.analysis.text import ends, significant
+from miho.analysis.text import csv_text, ends, significant
 from miho.identification import Report, identified
 from miho.identification.standing import kind_of
 from miho.models.identified import parameters_text
@@ -71,7 +71,7 @@ def save_report(
     folder.mkdir(parents=True, exist_ok=True)
     progress("tables")
     for name, table in report.tables.items():
-        write_text(folder / f"{name}.csv", table.to_csv(index=False))
+        write_text(folder / f"{name}.csv", csv_text(table))
     settings = {} if stored is None else stored.config["model"]
     model = identified(report, _origin(report, stored))
     write_text(folder / PARAMETERS, parameters_text(model, settings))
