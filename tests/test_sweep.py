@@ -1,6 +1,7 @@
 """Sweeps: what is wanted is done once, and what was made of something else is not mixed in."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,19 @@ def statuses(runs: list[State]) -> list[Status]:
 def test_a_bad_setting_is_one_line(tmp_path: Path, setting: str) -> None:
     with pytest.raises(ConfigError, match=f"sweep.{setting.partition('=')[0]}: is 0"):
         sweep_settings(config(tmp_path, f"sweep.{setting}").sweep)
+
+
+def test_a_model_that_cannot_be_built_is_lost_alone_where_that_is_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "pair.py"
+    path.write_text("def pair(alpha, *, B, C, D, Sx, Sy):\n    return 1.0, 2.0\n")
+    words = ["model=function", f"model.path={path}", "dataset.n=40"]
+    reason = r"pair: gives shape \(2,\) for columns \(40,\)"
+    with pytest.raises(ConfigError, match=reason):
+        requests(config(tmp_path, *words), "", [0])
+    runs = requests(config(tmp_path, *words), "", range(2), lose=True)
+    (first, second) = run(runs, SweepConfig()).states
+    assert first.status is second.status is Status.LOST
+    assert re.search(reason, first.line)
 
 
 def test_what_is_wanted_twice_is_done_once_and_then_done_before(tmp_path: Path) -> None:

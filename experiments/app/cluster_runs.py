@@ -60,7 +60,7 @@ def cluster_runs(
     with cluster(address) as client:
         pages = dashboard(client)
         if pages is not None:
-            print(f"dashboard {pages}", file=sys.stderr)
+            print(f"dashboard {pages} (without a login)", file=sys.stderr)
         workers: ClusterWorkers[Errand, Delivery] = ClusterWorkers(
             client, deliver, settings.time_limit, MODULES, prepare=prepare_errand, alone=_alone
         )

@@ -116,15 +116,24 @@ def _planned(
     composed: Mapping[tuple[str, ...], DictConfig],
     time_limit: float | None,
 ) -> list[Request]:
-    """The runs in the order of the jobs, planned setting by setting."""
+    """The runs in the order of the jobs, planned setting by setting.
+
+    Of several settings, those are lost alone whose model cannot be built.
+    """
     planned: dict[int, Request] = {}
-    for setting, config in composed.items():
+
+    def plan(setting: tuple[str, ...], config: DictConfig, lose: bool) -> None:
         cfg = job_config(_copied(config), config.hydra.runtime.choices)
         here = [job for job in jobs if job.setting == setting]
         seeds = [cfg.seed if job.seed is None else job.seed for job in here]
         words = " ".join(text for text in setting if not _is_of(text, HOW_TO_RUN))
-        for job, request in zip(here, requests(cfg, words, seeds, time_limit), strict=True):
-            planned[job.number] = request
+        of_setting = requests(cfg, words, seeds, time_limit, lose=lose)
+        planned.update(zip((job.number for job in here), of_setting, strict=True))
+
+    for setting, config in composed.items():
+        plan(setting, config, lose=len(composed) > 1)
+    if len(composed) > 1 and all(request.lost for request in planned.values()):
+        plan(*next(iter(composed.items())), lose=False)  # which says what they have in common
     return [planned[job.number] for job in jobs]
 
 

@@ -63,12 +63,17 @@ def request_of(experiment: Experiment, cfg: Settings, words: str = "") -> Reques
 
 
 def requests(
-    cfg: Settings, words: str, seeds: Sequence[int], time_limit: float | None = None
+    cfg: Settings,
+    words: str,
+    seeds: Sequence[int],
+    time_limit: float | None = None,
+    *,
+    lose: bool = False,
 ) -> list[Request]:
     """The runs of one configuration with several seeds; raises ConfigError for a bad one.
 
     A model of the user's is tried in a process of its own, within the time limit of a run: what
-    ends that process loses these runs alone.
+    ends that process loses these runs alone. So does one that cannot be built, if `lose` is true.
     """
     for seed in seeds:
         if seed < 0:
@@ -77,7 +82,13 @@ def requests(
     text, root = _text(setting), str(setting["root"])
     own_code, lost = runs_own_code(setting), None
     if own_code:
-        identity, lost = _try_in_worker(text, _code_of(setting), time_limit)
+        code = _code_of(setting)
+        try:
+            identity, lost = _try_in_worker(text, code, time_limit)
+        except ConfigError as error:
+            if not lose:
+                raise
+            identity, lost = _named_only(setting, code), str(error)
     else:
         identity = experiment_of(text).identity
     return [

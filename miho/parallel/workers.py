@@ -7,6 +7,7 @@ import multiprocessing
 import os
 import signal
 import sys
+import tempfile
 import threading
 import time
 import types
@@ -284,6 +285,14 @@ def start_server(modules: Sequence[str]) -> None:
     os.environ.update(dict.fromkeys(THREADS, "1"))
     try:
         forkserver.ensure_running()
+    except OSError as error:
+        folder = tempfile.gettempdir()
+        if "AF_UNIX" not in str(error):  # the only sign of it: it has no number
+            raise
+        raise OSError(
+            f"TMPDIR: {folder} is too long for the sockets of workers, {len(folder)} characters; "
+            "set it to a shorter one, such as /tmp"
+        ) from None
     finally:
         for name, value in before.items():
             if value is None:

@@ -2,6 +2,9 @@
 
 import math
 import multiprocessing
+import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -124,3 +127,17 @@ def test_jobs_that_are_alone_leave_nothing_behind() -> None:
         "spoil": 0.5, "first": math.e, "second": math.e
     }  # fmt: skip
     assert len({value[0] for value in values.values()}) == 3
+
+
+def test_a_temporary_folder_too_long_for_sockets_is_said_in_one_line(tmp_path: Path) -> None:
+    folder = tmp_path / ("d" * 100)  # the address of a socket has 108 bytes
+    folder.mkdir()
+    program = "from miho.parallel.workers import start_server; start_server([])"
+    ended = subprocess.run(
+        [sys.executable, "-c", program], env=os.environ | {"TMPDIR": str(folder)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ended.stderr.splitlines()[-1] == (
+        f"OSError: TMPDIR: {folder} is too long for the sockets of workers, {len(str(folder))} "
+        "characters; set it to a shorter one, such as /tmp"
+    )
