@@ -63,6 +63,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         {
             "miho.fitting",
             "miho.identification",
+            "miho.methods",
             "miho.optim",
             "miho.models",
             "miho.data",

@@ -67,25 +67,30 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
             if bar.disable and not pace.line_due():
                 return
             bar.n = spent(budget, oracle.evaluations, oracle.meter.seconds)[0]
-            error = math.sqrt(max(0.0, oracle.best))
+            error = "no value yet"
+            if math.isfinite(oracle.best):
+                error = f"{math.sqrt(max(0.0, oracle.best)):.5g} {unit}"
             agreement = oracle.agreement
             n, kind = agreement.finished, "brackets" if oracle.meter.starts.brackets else "descents"
             agreeing = f", {agreement.agreeing} of {n} {kind} agree" if n else ""
             line = (
-                f"{title}: {error:.5g} {unit}{agreeing}, {oracle.evaluations:,.0f} evaluations, "
+                f"{title}: {error}{agreeing}, {oracle.evaluations:,.0f} evaluations, "
                 f"{oracle.meter.seconds:.1f} s{pace.words(oracle)}"
             )
             if bar.disable:
                 print(line, file=sys.stderr, flush=True)
             bar.set_description_str(line)
 
+        log = iter([f"{title}: compiling, once on this machine"])
+
         def compiling(seconds: float | None) -> None:
+            if bar.disable:
+                for line in log:  # the first time
+                    print(line, file=sys.stderr, flush=True)
+                return
             stage = "" if seconds is None else f": compiling, once on this machine, {seconds:.0f} s"
             bar.set_description_str(f"{title}{stage}")
 
-        if bar.disable:
-            yield observe
-            return
         with _watched(compiling):
             yield observe
 

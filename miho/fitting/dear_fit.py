@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 
 from miho.identification.curve_fit import CurveFit
-from miho.optim import Budget, Oracle, RunRecord
+from miho.optim import Budget, Optimizer, Oracle, RunRecord
 from miho.optim.pace import Pace
 from miho.optim.spread import open_evaluations
 from miho.parallel import Evaluations, Journal, NoWorkersLeft, Workers, calls_of
 from miho.parallel.usage import span
 from miho.parallel.worth import is_dear
 
+FIRST = 2.0
+"""Seconds until a search says that it is alive."""
+LIMIT = "budget=miho.Budget(seconds=60) after a minute"
 JournalPath = str | os.PathLike[str] | None
 
 
@@ -45,7 +49,7 @@ def dear_fit(
     with ExitStack() as stack:
         book = None if journal is None else stack.enter_context(closing(Journal(journal, problem)))
         if book is not None and book.standing:
-            _say(f"{problem.name}: {book.standing} ({journal})")
+            _say(f"{title(problem)}: {book.standing} ({journal})")
         evaluations = stack.enter_context(
             open_evaluations(problem, workers, evaluation_limit, book)
         )
@@ -68,17 +72,33 @@ def spread(problem: CurveFit, evaluations: Evaluations | None) -> CurveFit:
     return problem if evaluations is None else problem.spread(evaluations)
 
 
-def pace_line(problem: CurveFit, budget: Budget | None) -> Callable[[Oracle], None]:
-    """What has a search of a dear model seen to be alive: a line on stderr each ten seconds."""
-    pace = Pace(budget or Budget())
+def title(problem: CurveFit) -> str:
+    """What lines call a problem: the name of its model, of which a lambda has none."""
+    name = problem.model.name or "model"
+    return "model" if name == "<lambda>" else name
+
+
+def pace_line(
+    problem: CurveFit, method: Optimizer, budget: Budget | None
+) -> Callable[[Oracle], None]:
+    """What has a long search seen to be alive: a line on stderr after FIRST s and each ten s.
+
+    The first line says how to limit a search that nothing limits.
+    """
+    budget = budget or Budget()
+    pace = Pace(budget, FIRST)
+    endless = budget.evaluations is None and budget.seconds is None
+    hints = iter([f"; {type(method).__name__} ends it by itself, or {LIMIT}"] if endless else [])
 
     def observe(oracle: Oracle) -> None:
         pace.update(oracle)
-        spent = oracle.meter.seconds
-        if pace.line_due() and is_dear(spent, oracle.evaluations):
+        if pace.line_due():
+            error = "no value yet"
+            if math.isfinite(oracle.best):
+                error = f"error {max(0.0, oracle.best) ** 0.5:.5g} {problem.unit}".rstrip()
             _say(
-                f"{problem.name}: error {max(0.0, oracle.best) ** 0.5:.5g} {problem.unit} after "
-                f"{oracle.evaluations:,.0f} evaluations, {spent:,.0f} s{pace.words(oracle)}"
+                f"{title(problem)}: {error} after {oracle.evaluations:,.0f} evaluations, "
+                f"{oracle.meter.seconds:,.0f} s{pace.words(oracle)}{next(hints, '')}"
             )
 
     return observe

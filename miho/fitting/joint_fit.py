@@ -39,7 +39,7 @@ def fit_joint(
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
     constraints: str | Sequence[str] = (),
-    method: Optimizer | None = None,
+    method: Optimizer | str | None = None,
     budget: Budget | None = None,
     seed: int = 0,
     compiled: bool | None = None,

@@ -179,7 +179,7 @@ class Joint:
     def complete(
         self,
         space: Space,
-        method: Optimizer | None = None,
+        method: Optimizer | str | None = None,
         budget: Budget | None = None,
         seed: int = 0,
         evaluations: Evaluations | None = None,

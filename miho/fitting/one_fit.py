@@ -19,13 +19,15 @@ from miho.fitting.dear_fit import (
     interrupted,
     pace_line,
     spread,
+    title,
 )
 from miho.fitting.fit_result import Fit
 from miho.fitting.known_start import best_known, check_start
+from miho.fitting.named import check_budget, loss_of, method_of
 from miho.fitting.statement import Tire, data_of, of_tire, space_of
 from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
-from miho.identification.loss import Loss, Square
+from miho.identification.loss import Loss
 from miho.identification.refit import refit
 from miho.identification.uncertainty import linearised
 from miho.models.expression import Expression
@@ -58,8 +60,8 @@ def fit(
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
     constraints: str | Sequence[str] = (),
-    loss: Loss | None = None,
-    method: Optimizer | None = None,
+    loss: Loss | str | None = None,
+    method: Optimizer | str | None = None,
     budget: Budget | None = None,
     seed: int = 0,
     compiled: bool | None = None,
@@ -85,12 +87,15 @@ def fit(
     a column of `x`; with `sigma_known` false up to a factor, which the residuals then tell. What
     priors count beside errors that are not known is settled with the fit.
 
-    `method` searches within the bounds, `MIHOGN()` by default. With a `start` of every free
+    `method` searches within the bounds, `MIHOGN()` by default; it is one of `miho.methods`, or its
+    name on the command line, such as "least_squares". With a `start` of every free
     parameter there is one descent from there, and bounds are not needed; with "journal" one from
     the best configuration that stands in the journal, whatever method evaluated it. `loss` is what
-    a residual costs: its square, or one that outliers cannot dominate. An arithmetic function runs
-    in NumPy first. It is compiled once its searches have taken some two seconds, at once where
-    `compiled` is true, and never where it is false: that takes seconds, later fits milliseconds.
+    a residual costs: its square, or one that outliers cannot dominate, such as
+    `miho.identification.Huber(scale)`; where `sigma` is known, "huber" or "cauchy" will do. An
+    arithmetic function runs in NumPy first. It is compiled once its searches have taken some two
+    seconds, at once where `compiled` is true, and never where it is false: that takes seconds,
+    later fits milliseconds.
 
     A tire, `miho.load_tir` of a property file or its path, is a model too, of Fx, Fy or Mz as `y`
     names it; its coefficients that have bounds or a start are free, all others stay. Only named, as
@@ -105,6 +110,8 @@ def fit(
 
     Raises ValueError for what does not fit together, and where no finite value was found.
     """
+    method = None if method is None else method_of(method)
+    check_budget(budget)
     from_journal = isinstance(start, str)
     if isinstance(start, str):
         check_start(start, journal)
@@ -117,6 +124,8 @@ def fit(
     named = space.names if isinstance(space, Space) else tuple(space or ())
     parameters = {*named, *(start or ()), *(fixed or ()), *(tied or ())}
     dataset, chosen, sigma = data_of(model, x, y, sigma, parameters, convention, ranges)
+    known = None if sigma is None or not sigma_known else sigma
+    rho = loss_of(loss, dataset[known] if isinstance(known, str) else known)
     if compiled is None and (start is not None or isinstance(model, TireFormula)):
         compiled = False
     bounds = constrained(space_of(chosen, space, start, fixed or {}, tied or {}), constraints)
@@ -126,7 +135,7 @@ def fit(
     def problem_of(bounds: Space, prior_scale: float | None = None, dear: bool = True) -> CurveFit:
         known = chosen if first is None else whole_model(first.model)
         return CurveFit(
-            known, dataset, bounds, loss or Square(), sigma=sigma, sigma_known=sigma_known,
+            known, dataset, bounds, rho, sigma=sigma, sigma_known=sigma_known,
             compiled=compiled, prior_scale=prior_scale, dear=dear,
         )  # fmt: skip
 
@@ -197,13 +206,13 @@ def descended(
         theta = free_values(problem.space, model.ties, start)
     descent = refit(spread(problem, evaluations), theta)
     if not math.isfinite(descent.cost):
-        raise ValueError(f"{problem.name}: is not finite at the start; give another one")
+        raise ValueError(f"{title(problem)}: is not finite at the start; give another one")
     return Fit(problem, descent.theta, descent.theta)
 
 
 def searched(
     problem: CurveFit,
-    method: Optimizer | None = None,
+    method: Optimizer | str | None = None,
     budget: Budget | None = None,
     seed: int = 0,
     evaluations: Evaluations | None = None,
@@ -212,15 +221,17 @@ def searched(
 
     `evaluations` make those of search and descent. Raises KeyboardInterrupt after a Ctrl-C.
     """
-    method, budget = method or MIHOGN(), budget or Budget()
-    problem, run = _run(problem, method, budget, seed, evaluations)
+    method = MIHOGN() if method is None else method_of(method)
+    check_budget(budget)
+    problem, run = _run(problem, method, budget or Budget(), seed, evaluations)
     if run.outcome is Outcome.INTERRUPTED:
         raise interrupted(run)
+    name = title(problem)
     if run.theta is None:
-        raise ValueError(f"{problem.name}: no finite value was found: {run.error or run.rejected}")
+        raise ValueError(f"{name}: no finite value was found: {run.error or run.rejected}")
     if run.error is not None:
         reason = run.error.strip().splitlines()[-1]
-        sys.stderr.write(f"miho: {problem.name}: its best is taken, the search failed: {reason}\n")
+        sys.stderr.write(f"miho: {name}: its best is taken, the search failed: {reason}\n")
     theta = refit(spread(problem, evaluations), run.theta).theta
     return Fit(problem, theta, run.theta, run.descents)
 
@@ -244,7 +255,7 @@ def _run(
     ) -> tuple[CurveFit, RunRecord]:
         return problem, minimize(
             method, problem, budget, seed, checkpoint=checkpoint, rehearse=False,
-            workers=evaluations, observer=pace_line(problem, budget),
+            workers=evaluations, observer=pace_line(problem, method, budget),
         )  # fmt: skip
 
     checkpoint = None
@@ -258,7 +269,7 @@ def _run(
             plain = replace(problem, compiled=False, dear=True)
             plain, first = run(plain, replace(budget, evaluations=limits))
             numpy_seconds[formula] += first.evaluations * seconds
-            if _ended(first, budget) or limits < most:
+            if _ended(first, budget) or limits == budget.evaluations:
                 return plain, first
             checkpoint = first.checkpoint
         problem = replace(problem, compiled=True, dear=True)

@@ -14,13 +14,16 @@ LOGGED = 10.0
 
 
 class Pace:
-    """What a run does at present; to be updated about ten times a second."""
+    """What a run does at present; to be updated about ten times a second.
 
-    def __init__(self, budget: Budget) -> None:
+    The `first` line of a log is due after so many seconds.
+    """
+
+    def __init__(self, budget: Budget, first: float = LOGGED) -> None:
         self._budget = budget
         self._points = deque[tuple[float, float]]()
         self._known = 0
-        self._logged = time.monotonic()
+        self._logged = time.monotonic() + first - LOGGED
 
     def update(self, oracle: Oracle) -> None:
         """Take note of where the run is; what it knew from before is no pace."""
@@ -33,7 +36,7 @@ class Pace:
             self._points.popleft()
 
     def line_due(self) -> bool:
-        """Whether LOGGED seconds have passed since the start, or since it was last due."""
+        """Whether LOGGED seconds have passed since it was last due, or `first` since the start."""
         due = time.monotonic() - self._logged >= LOGGED
         if due:
             self._logged = time.monotonic()

@@ -71,6 +71,29 @@ def test_a_compilation_is_told_while_it_lasts(
     assert "run: compiling, once on this machine, 0 s" in printed
 
 
+def test_a_log_says_once_that_something_compiles(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("experiments.app.progress.REFRESH_SECONDS", 0.01)
+    monkeypatch.setattr("experiments.app.progress.WORTH_TELLING", 0.0)
+    printed, deadline = "", time.monotonic() + 60
+    with progress("run", Budget(evaluations=100), "V"):
+        for _ in range(2):
+            with event.trigger_event("numba:compile"):
+                while "compiling" not in printed and time.monotonic() < deadline:
+                    printed += capsys.readouterr().err
+    assert printed + capsys.readouterr().err == "run: compiling, once on this machine\n"
+
+
+def test_a_line_without_a_value_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("experiments.app.progress.Pace.line_due", lambda self: True)
+    with progress("run", Budget(evaluations=100), "V") as observer:
+        observer(Oracle(DecayFit(), Budget(evaluations=100)))
+    assert capsys.readouterr().err.startswith("run: no value yet, 0 evaluations, ")
+
+
 def test_a_short_compilation_is_not_worth_telling(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

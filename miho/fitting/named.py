@@ -1,0 +1,92 @@
+"""Methods and losses by the names that they have on the command line."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+import miho.methods
+from miho.identification.loss import Cauchy, Huber, Loss, Square
+from miho.optim import Budget, Optimizer
+
+METHODS = {
+    "cluster_gauss_newton": "ClusterGaussNewton",
+    "differential_evolution": "DifferentialEvolution",
+    "dual_annealing": "DualAnnealing",
+    "hickernell_yuan": "HickernellYuan",
+    "hyperband": "Hyperband",
+    "lbfgsb": "LBFGSB",
+    "least_squares": "LeastSquares",
+    "miho": "MIHO",
+    "miho_gn": "MIHOGN",
+    "miho_qn": "MIHOQN",
+    "nelder_mead": "NelderMead",
+    "pso_100": "PSO",
+    "random": "RandomSearch",
+    "scatter_search": "ScatterSearch",
+    "successive_halving": "SuccessiveHalving",
+    "tiktak": "TikTak",
+    "variable_projection": "VariableProjection",
+}
+"""The class in `miho.methods` of each method that needs no settings."""
+EFFICIENT: dict[str, tuple[type[Huber | Cauchy], float]] = {
+    "huber": (Huber, 1.345),
+    "cauchy": (Cauchy, 2.385),
+}
+"""The scale over the errors' standard deviation with 95 % of the efficiency of least squares."""
+
+
+def method_of(method: Optimizer | str) -> Optimizer:
+    """The method of a name, or one as it is; raises ValueError for anything else."""
+    if isinstance(method, Optimizer):
+        return method
+    if isinstance(method, type):
+        raise ValueError(f"method is the class {method.__name__}; write method={method.__name__}()")
+    if not isinstance(method, str) or method not in METHODS:
+        expected = f"a method such as miho.methods.LeastSquares(), or {_choices(method, METHODS)}"
+        raise ValueError(f"method is {method!r}; expected {expected}")
+    named: Optimizer = getattr(miho.methods, METHODS[method])()
+    return named
+
+
+def loss_of(loss: Loss | str | None, sigma: object = None) -> Loss:
+    """The loss of a name, or one as it is; raises ValueError for anything else.
+
+    The scale of a robust loss by name is that of errors whose standard deviations `sigma`, a number
+    or one for each row, are known.
+    """
+    if loss is None or loss == "square":
+        return Square()
+    if isinstance(loss, Loss):
+        return loss
+    if not isinstance(loss, str) or loss not in EFFICIENT:
+        names = ("square", *EFFICIENT)
+        expected = f"miho.identification.Huber(scale=...), or {_choices(loss, names)}"
+        raise ValueError(f"loss is {loss!r}; expected {expected}")
+    kind, factor = EFFICIENT[loss]
+    if sigma is None:
+        raise ValueError(
+            f"loss is {loss!r}, which needs a scale in the unit of the output; give the errors' "
+            f"standard deviation as sigma, or loss=miho.identification.{kind.__name__}(scale=...), "
+            f"{factor} times that"
+        )
+    return kind(factor / math.sqrt(float(np.mean(1 / np.asarray(sigma, dtype=float) ** 2))))
+
+
+def check_budget(budget: object) -> None:
+    """Raise ValueError for a budget that is none."""
+    if not isinstance(budget, Budget | None):
+        raise ValueError(
+            f"budget is {budget!r}; expected such as miho.Budget(evaluations=1000), or "
+            "miho.Budget(seconds=60)"
+        )
+
+
+def _choices(name: object, names: Iterable[str]) -> str:
+    """The closest name to what was given, else all of them."""
+    names = list(names)
+    close = difflib.get_close_matches(name.lower(), names, 1) if isinstance(name, str) else []
+    return f"{close[0]!r}: did you mean that?" if close else f"one of {', '.join(names)}"
