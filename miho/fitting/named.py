@@ -39,7 +39,7 @@ EFFICIENT: dict[str, tuple[type[Huber | Cauchy], float]] = {
 """The scale over the errors' standard deviation with 95 % of the efficiency of least squares."""
 
 
-def method_of(method: Optimizer | str) -> Optimizer:
+def method_of(method: object) -> Optimizer:
     """The method of a name, or one as it is; raises ValueError for anything else."""
     if isinstance(method, Optimizer):
         return method

@@ -104,14 +104,13 @@ def free_values(space: Space, ties: Ties, values: Mapping[str, float]) -> Array:
     Raises ValueError for values that do not keep the constraints.
     """
     theta = np.array([0.0 if p.stands_for else float(values[p.name]) for p in space.parameters])
-    shares = [k for k, p in enumerate(space.parameters) if p.stands_for]
+    shares = {k: p.stands_for for k, p in enumerate(space.parameters) if p.stands_for}
     if ties.radial is not None:
         point = np.array([float(values[name]) for name in ties.radial.names])
-        theta[shares] = ties.radial.shares(point)
+        theta[list(shares)] = ties.radial.shares(point)
         return theta
-    for k in shares:
-        share = space.parameters[k]
-        name, log = share.stands_for.name, share.stands_for.scale == "log"
+    for k, parameter in shares.items():
+        name, log = parameter.name, parameter.scale == "log"
         both = np.stack([theta, theta])
         both[:, k] = 0.0, 1.0
         low, high = ties.values(both)[:, ties.names.index(name)]
