@@ -15,6 +15,7 @@ import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
 
 from miho.models.tied import Tied, Ties, tie
+from miho.optim.space import Parameter
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -107,6 +108,52 @@ def along_limits(
     end[list(fixed)] = theta[list(fixed)]
     inside = sides.slack(end).min() >= 0
     return end if inside and cost.value(end) < (np.inf if slack < 0 else start) else theta
+
+
+def along_sides(problem: CurveFit, theta: Array) -> Array:
+    """A better configuration (d,) along the sides of a polytope whose points shares stand for.
+
+    Where another side is the nearest, what shares stand for has a bend, at which a descent ends;
+    the points themselves have none. `theta` if there is none better.
+    """
+    model = problem.model
+    if not isinstance(model, Tied) or model.ties.radial is None:
+        return theta
+    radial, places = model.ties.radial, model.ties.shares
+    # The problem of the points, its cost relative to the start, in shares of their ranges.
+    parameters = list(problem.space.parameters)
+    for k, low, high in zip(places, radial.low.tolist(), radial.high.tolist(), strict=True):
+        parameters[k] = Parameter(parameters[k].name, "", low, high)
+    space = replace(problem.space, parameters=tuple(parameters), radial=None)
+    plain = tie(model.model, replace(model.ties, radial=None))
+    cost = _Cost(replace(problem, model=plain, space=space, compiled=False), None)
+    first = theta.copy()
+    first[places] = radial.points(theta[None, places])[0]
+    start, low, width = cost.value(first), space.low, space.high - space.low
+    sides = np.zeros((len(radial.sides), theta.size))
+    sides[:, places] = radial.sides * width[places] / radial.width
+    beyond = 1 - MARGIN + radial.sides @ ((radial.centre - low[places]) / radial.width)
+
+    def scaled(u: Array) -> tuple[float, Array]:
+        at = low + u * width
+        return cost.value(at) / start, cost.gradient(at) * width / start
+
+    if not 0 < start < np.inf:
+        return theta
+    solution = scipy.optimize.minimize(  # type: ignore[call-overload]
+        scaled,
+        (first - low) / width,
+        jac=True,
+        method="SLSQP",
+        bounds=[(0.0, 1.0)] * theta.size,
+        constraints={"type": "ineq", "fun": lambda u: beyond - sides @ u, "jac": lambda u: -sides},
+        options={"maxiter": STEPS, "ftol": 1e-14},
+    )
+    end = space.clip(low + solution.x * width)
+    if not (sides @ solution.x <= beyond + MARGIN).all() or not cost.value(end) < start:
+        return theta
+    end[places] = radial.shares(end[places])
+    return end
 
 
 class _Cost:

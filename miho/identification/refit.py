@@ -12,7 +12,7 @@ import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
 
 from miho.identification.curve_fit import CurveFit
-from miho.identification.limits import Pin, along_limits
+from miho.identification.limits import Pin, along_limits, along_sides
 from miho.quantities import Array
 
 EVALUATIONS = 200
@@ -172,6 +172,7 @@ def _limited(
     end = Refit(objective.best, costs[-1], converged, len(costs) - 1)
     if weights is None:
         theta = along_limits(problem, end.theta, fixed, pin)
+        theta = theta if fixed or pin else along_sides(problem, theta)
         if theta is not end.theta:
             end = Refit(theta, objective.cost(theta), True, end.evaluations)
     return end

@@ -155,7 +155,7 @@ class Ties(Remade):
             return np.asarray(self.wall_formula(tuple(self._points(thetas).T)))
 
     @cached_property
-    def _shares(self) -> list[int]:
+    def shares(self) -> list[int]:
         """The places of a radial map's shares among the free ones."""
         return (
             [] if self.radial is None else [[*self.free].index(n) for n in self.radial.share_names]
@@ -166,7 +166,7 @@ class Ties(Remade):
         if self.radial is None:
             return thetas
         points = thetas.copy()
-        points[:, self._shares] = self.radial.points(thetas[:, self._shares])
+        points[:, self.shares] = self.radial.points(thetas[:, self.shares])
         return points
 
     def values(self, thetas: Array) -> Array:
@@ -191,7 +191,7 @@ class Ties(Remade):
         columns = [np.broadcast_to(value, len(thetas)) for value in values]
         slopes = np.stack(columns, 1).reshape(len(thetas), len(self.names), len(self.free))
         if self.radial is not None:
-            slopes[:, :, self._shares] @= self.radial.slopes(thetas[:, self._shares])
+            slopes[:, :, self.shares] @= self.radial.slopes(thetas[:, self.shares])
         return slopes
 
     def whole_slopes(self, thetas: Array) -> Array:

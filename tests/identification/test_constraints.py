@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import nnls
 from scipy.stats import t as student
 
 import miho
@@ -176,6 +177,33 @@ def test_a_fit_that_dense_inequalities_leave_alone_is_that_without() -> None:
     covariance = np.linalg.inv(X.T @ X) * np.sum((y - X @ best) ** 2) / 34
     errors = fit.parameters["standard_error"].to_numpy()
     assert errors == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-4)
+
+
+def test_a_descent_ends_where_several_dense_inequalities_meet() -> None:
+    """There the downhill direction is a sum of the normals of sides (Karush, Kuhn and Tucker)."""
+    rng = np.random.default_rng(5)
+    box, texts, A, b = dense(6, rng)
+    X = rng.standard_normal((60, 6))
+    y = X @ (0.5 + 2 * np.linalg.pinv(A) @ np.ones(6)) + 0.01 * rng.standard_normal(60)
+    names = [f"c{k}" for k in range(6)]
+    data = miho.Dataset(
+        "d", dict(zip(names, X.T, strict=True)) | {"y": y}, dict.fromkeys([*names, "y"], ""), "y"
+    )
+
+    def plane(c0, c1, c2, c3, c4, c5, *, x0, x1, x2, x3, x4, x5):
+        return c0 * x0 + c1 * x1 + c2 * x2 + c3 * x3 + c4 * x4 + c5 * x5
+
+    problem = miho.CurveFit(plane, data, constrained(space_of(box), texts), compiled=False)
+    end = refit(problem, np.full(6, 0.1))
+    point = np.array([whole_values(problem, end.theta)[f"x{k}"] for k in range(6)])
+    normals = np.vstack([A, np.eye(6), -np.eye(6)])
+    rooms = np.concatenate([b, np.ones(6), np.zeros(6)]) - normals @ point
+    assert rooms.min() >= -1e-9
+    active = normals[rooms < 1e-6]
+    assert len(active) >= 2
+    downhill = X.T @ (y - X @ point)
+    left = nnls(active.T, downhill)[1]
+    assert left < 1e-4 * np.linalg.norm(downhill)  # the solver ends by gains of 1e-14, its square
 
 
 t = np.linspace(0, 2, 80)
