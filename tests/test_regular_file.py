@@ -5,6 +5,7 @@ import socket
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -12,6 +13,7 @@ from miho.data import load_csv, load_mat
 from miho.models import FmuModel, Pacejka, load_function, load_trajectory
 from miho.models.identified import read_parameters
 from miho.models.tir import load_tir
+from miho.parallel import Journal, calls_of
 from miho.regular_file import NotAFileError, check_regular, read_regular
 
 READERS: dict[str, Callable[[str], object]] = {
@@ -22,6 +24,8 @@ READERS: dict[str, Callable[[str], object]] = {
     "trajectory": lambda path: load_trajectory(path, "rhs", {"x": 0.0}, ["x"]),
     "fmu": lambda path: FmuModel(path, ["k"], ["x"]),
     "parameters": lambda path: read_parameters(path, Pacejka()),
+    "journal": lambda path: Journal(path, SimpleNamespace(description="", called_as=())),
+    "calls of a journal": calls_of,
 }
 
 

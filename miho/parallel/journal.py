@@ -12,7 +12,7 @@ import threading
 import time
 import weakref
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,6 +21,7 @@ import orjson
 from numpy.typing import NDArray
 
 from miho.parallel.remote import Raised
+from miho.regular_file import NotAFileError, check_regular
 
 FORMAT = 1
 SYNCED = 1.0
@@ -75,7 +76,7 @@ class Journal:
         self._failed = False
         self._synced = time.monotonic()
         self._adding = threading.Lock()
-        if os.path.lexists(self.path):
+        if _is_there(self.path):
             self._open()
         self.loaded = len(self._values)
 
@@ -87,6 +88,10 @@ class Journal:
 
     def __len__(self) -> int:
         return len(self._values)
+
+    def __iter__(self) -> Iterator[Key]:
+        """The keys of all values, in the order in which they came."""
+        return iter(list(self._values))  # threads that bring values of workers add some
 
     def __contains__(self, key: Key) -> bool:
         return key in self._values
@@ -217,6 +222,8 @@ class Journal:
 
 def calls_of(path: str | os.PathLike[str]) -> Sequence[Any] | None:
     """How the functions of a journal's problem are called; None where there is no journal yet."""
+    if not _is_there(path):
+        return None
     try:
         with Path(path).open("rb") as file:
             first = file.readline()
@@ -226,6 +233,27 @@ def calls_of(path: str | os.PathLike[str]) -> Sequence[Any] | None:
         return None
     calls = (_entry(first.rstrip(b"\n")) or {}).get("calls")
     return calls if isinstance(calls, list) else ()
+
+
+def _is_there(path: str | os.PathLike[str]) -> bool:
+    """Whether there is a file of this name; raises JournalError for a name that no file can have.
+
+    A pipe or a device is not opened, which might wait for ever.
+    """
+    try:
+        check_regular(path)
+    except OSError:  # whoever writes to it says why it cannot be
+        return False
+    except NotAFileError as error:
+        raise JournalError(f"journal {error}") from None
+    except UnicodeEncodeError as error:
+        raise JournalError(
+            f"journal {str(path)!a}: the file system's encoding here, {error.encoding}, has no "
+            f"{error.object[error.start]!a}; set PYTHONUTF8=1, or name another file"
+        ) from None
+    except ValueError as error:  # such as a null character
+        raise JournalError(f"journal {str(path)!a}: {error}; name another file") from None
+    return True
 
 
 def _line(entry: dict[str, Any]) -> bytes:

@@ -184,6 +184,32 @@ def test_a_file_that_is_none_is_refused_and_kept(tmp_path: Path, content: bytes)
     assert path.read_bytes() == content
 
 
+@pytest.mark.parametrize("name", ["\ud800.journal", "x\0.journal"])
+def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path, name: str) -> None:
+    for use in (lambda path: Journal(path, Named()), calls_of):
+        with pytest.raises(JournalError, match="name another file") as error:
+            use(tmp_path / name)
+        assert str(error.value).isascii()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="names of files are Unicode there")
+def test_a_name_that_the_locale_lacks_is_refused(tmp_path: Path) -> None:
+    code = (
+        "from miho.parallel import Journal, JournalError\n"
+        "try: Journal('\\xf6.journal', None)\n"
+        "except JournalError as error: print(error)"
+    )
+    poor = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    ended = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, **poor}, capture_output=True, text=True,
+        check=True,
+    )  # fmt: skip
+    assert ended.stdout == (
+        "journal '\\xf6.journal': the file system's encoding here, ascii, has no '\\xf6'; set "
+        "PYTHONUTF8=1, or name another file\n"
+    )
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="files are not locked there")
 def test_two_processes_do_not_write_one_journal(tmp_path: Path) -> None:
     path = tmp_path / "journal"
