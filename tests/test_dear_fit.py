@@ -28,6 +28,8 @@ t = np.linspace(0, 2, 30)
 y = 2 * np.exp(-1.5 * t) + 0.05 * np.random.default_rng(1).standard_normal(30)
 BOX = {"a": (0, 5), "b": (0.01, 10)}
 BUDGET = miho.Budget(evaluations=60)
+CHECKED = 3
+"""Evaluations of a journal that are made again before the others are used."""
 
 
 class Counted:
@@ -66,7 +68,7 @@ def test_the_same_call_evaluates_nothing_again(
     one = miho.fit(first.model, t, y, BOX, budget=BUDGET, journal=tmp_path / "journal")
     two = miho.fit(again.model, t, y, BOX, budget=BUDGET, journal=tmp_path / "journal")
     assert len(first.calls) >= 60
-    assert not again.calls
+    assert len(again.calls) == CHECKED
     assert plain.theta.tobytes() == one.theta.tobytes() == two.theta.tobytes()
     assert "evaluations of an earlier call" in capsys.readouterr().err
 
@@ -94,7 +96,7 @@ def test_who_goes_on_calls_a_function_as_it_was_called_before(
     assert min(calls) < x.size // 2
     tried_from(lambda *_: True)
     again = fitted("journal")
-    assert not calls
+    assert len(calls) <= 6  # three for the smallest number of rows, and one for each other
     assert again == first
     fitted("another")
     assert set(calls[2:]) == {x.size}
@@ -148,7 +150,7 @@ def test_an_interrupt_tells_what_is_kept_and_the_same_call_goes_on(tmp_path: Pat
     plain = Counted()
     assert miho.fit(plain.model, t, y, BOX, budget=BUDGET).theta.tobytes() == fit.theta.tobytes()
     assert len(first.calls) == 30
-    assert len(again.calls) <= len(plain.calls) - 30 + 1
+    assert len(again.calls) <= len(plain.calls) - 30 + 1 + CHECKED
 
 
 @pytest.mark.usefixtures("dear")
@@ -168,8 +170,8 @@ def test_priors_are_settled_within_one_journal(tmp_path: Path) -> None:
     first, again = Counted(), Counted()
     one = miho.fit(first.model, t, y, space, budget=BUDGET, journal=tmp_path / "journal")
     two = miho.fit(again.model, t, y, space, budget=BUDGET, journal=tmp_path / "journal")
-    assert first.calls
-    assert not again.calls
+    assert len(first.calls) > 50
+    assert len(again.calls) == CHECKED
     assert one.theta.tobytes() == two.theta.tobytes()
 
 
@@ -184,8 +186,8 @@ def test_joint_fits_have_a_journal_too(tmp_path: Path) -> None:
         for counted in (first, again)
     ]  # fmt: skip
     assert results[0] == results[1]
-    assert first.calls
-    assert not again.calls
+    assert len(first.calls) > 50
+    assert len(again.calls) == CHECKED + 1  # of the second part
 
 
 def test_workers_that_are_not_used_are_told_of(capsys: pytest.CaptureFixture[str]) -> None:

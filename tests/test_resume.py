@@ -33,7 +33,11 @@ def decay(t: "s", *, a: "V", b: "1/s") -> "V":
         stop = calls.tell() == 20 and os.path.exists(os.path.join(FOLDER, "stop"))
     if stop:
         os.kill(os.getpid(), signal.SIGINT)
-    return a * np.exp(-b * t)
+    gain = 1.0
+    if os.path.exists(os.path.join(FOLDER, "gain")):
+        with open(os.path.join(FOLDER, "gain")) as file:
+            gain = float(file.read())
+    return gain * a * np.exp(-b * t)
 """
 
 
@@ -110,7 +114,7 @@ def test_an_interrupted_run_goes_on(
     runs = interrupted(tmp_path / "again")
     runs()
     assert "goes on from" in capsys.readouterr().err
-    assert runs.calls == plain.calls
+    assert runs.calls == plain.calls + 3  # which are compared with the journal
     assert runs.result == plain.result
     assert not runs.journals
 
@@ -125,6 +129,21 @@ def test_a_journal_that_cannot_be_used_is_set_aside(
     assert "set aside as journal.damaged" in capsys.readouterr().err
     assert runs.result == plain.result
     assert journal.with_name("journal.damaged").read_bytes() == b"nothing\nof ours\n"
+
+
+def test_a_journal_of_a_model_that_has_changed_is_set_aside(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    changed, runs = Runs(tmp_path / "changed"), interrupted(tmp_path / "again")
+    for folder in (changed.folder, runs.folder):
+        (folder / "gain").write_text("2")
+    changed()
+    capsys.readouterr()
+    runs()
+    said = capsys.readouterr().err
+    assert "its model has changed: at (" in said
+    assert "set aside as journal.damaged" in said
+    assert runs.result == changed.result
 
 
 def test_workers_are_no_part_of_a_run(plain: Runs, capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,7 +12,6 @@ from typing import Any
 
 from experiments.app.build import Experiment
 from experiments.app.progress import Observer, progress
-from miho.identification import CurveFit
 from miho.optim import RunRecord, minimize
 from miho.parallel import Journal, JournalError, calls_of
 from miho.parallel.usage import Usage
@@ -29,7 +28,19 @@ def execution_of(experiment: Experiment, *, quiet: bool = False) -> Execution:
     facts = replace(experiment, problem=problem).facts
 
     def job() -> RunRecord:
-        with closing(_journal(store.journal(identity), problem, title)) as journal:
+        path = store.journal(identity)
+        try:
+            return journaled(path)
+        except JournalError as error:
+            aside = path.with_name(f"{path.name}.damaged")
+            path.replace(aside)
+            print(f"{title}: {error}; set aside as {aside.name}", file=sys.stderr, flush=True)
+            return journaled(path)
+
+    def journaled(path: Path) -> RunRecord:
+        with closing(Journal(path, problem)) as journal:
+            if journal.standing:
+                print(f"{title}: {journal.standing}", file=sys.stderr, flush=True)
             if quiet:
                 return search(journal)
             if not sys.stderr.isatty():
@@ -50,20 +61,6 @@ def execution_of(experiment: Experiment, *, quiet: bool = False) -> Execution:
         )
 
     return execute(store, identity, job, problem.space, facts)
-
-
-def _journal(path: Path, problem: CurveFit, title: str) -> Journal:
-    """The journal of a run in its own folder; one that cannot be used is set aside."""
-    try:
-        journal = Journal(path, problem)
-    except JournalError as error:
-        aside = path.with_name(f"{path.name}.damaged")
-        path.replace(aside)
-        print(f"{title}: {error}; set aside as {aside.name}", file=sys.stderr, flush=True)
-        journal = Journal(path, problem)
-    if journal.standing:
-        print(f"{title}: {journal.standing}", file=sys.stderr, flush=True)
-    return journal
 
 
 def line_of(identity: Identity, execution: Execution) -> str:

@@ -308,7 +308,7 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     def spread(self, evaluations: Evaluations) -> CurveFit:
         """This problem with its model's outputs evaluated by these; itself if it is arithmetic."""
-        return self._with(spread(self.model, evaluations))
+        return self._with(spread(self.model, evaluations, self.losses_of))
 
     def _with(self, model: Model) -> CurveFit:
         """This problem with another form of its model, where that is more than arithmetic."""

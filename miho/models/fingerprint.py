@@ -14,9 +14,6 @@ from typing import Any
 
 import numpy as np
 
-CONTENTS = 64 << 20
-"""A file that a setting names is told by what it holds up to this size [bytes], else by its size.
-"""
 WRAPPED = 10
 """Decorators around one function, at most."""
 FOUNDATIONS = {"builtins", "abc", "typing", "collections.abc"}
@@ -28,8 +25,8 @@ def fingerprint(thing: Any) -> str:
 
     Of an object its class with its methods, and its fields. Of a function its code with constants,
     defaults, closures and what it uses of its module: a comment changes nothing, a number does.
-    What a function may change, its own lists, mappings and counters, does not count, and of what
-    it imports only the name. A file that a setting names counts by its content.
+    What a function may change, its own lists, mappings and counters and the files that it names,
+    does not count, and of what it imports only the name: a journal compares values as well.
     """
     digest = hashlib.sha256()
     for part in _parts(thing, set()):
@@ -45,7 +42,6 @@ def _parts(thing: Any, seen: set[int]) -> Iterator[str]:
         yield repr(thing)
     elif isinstance(thing, str | Path):
         yield repr(str(thing))
-        yield from _file(thing)
     elif isinstance(thing, np.ndarray | np.generic):
         array = np.asarray(thing)
         yield f"{array.dtype} {array.shape} {hashlib.sha256(array.tobytes()).hexdigest()}"
@@ -162,14 +158,3 @@ def _code(code: types.CodeType, seen: set[int]) -> Iterator[str]:
     yield repr((code.co_names, code.co_varnames, code.co_freevars, code.co_argcount))
     documented = code.co_consts[:1] and isinstance(code.co_consts[0], str)
     yield from _parts(code.co_consts[1:] if documented else code.co_consts, seen)
-
-
-def _file(name: str | Path) -> Iterator[str]:
-    """The content of a file of this name, or its size where it is large."""
-    try:
-        path = Path(name)
-        if path.is_file():
-            size = path.stat().st_size
-            yield str(size) if size > CONTENTS else hashlib.sha256(path.read_bytes()).hexdigest()
-    except (OSError, ValueError):  # no name of a file
-        return

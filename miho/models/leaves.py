@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -34,10 +34,17 @@ def dear_leaves(model: Model) -> list[Model]:
     return leaves
 
 
-def spread(model: Model, evaluations: Evaluations) -> Model:
-    """The model with outputs of its leaves that are evaluated by these."""
-    count = itertools.count()
-    return model.with_leaves(lambda leaf: SpreadModel(leaf, evaluations, f"model {next(count)}"))
+def spread(
+    model: Model, evaluations: Evaluations, losses: Callable[[Array], Array] | None = None
+) -> Model:
+    """The model with outputs of its leaves that are evaluated by these.
+
+    `losses` (n,) of its outputs (n, N) are those of its only leaf, if it has no other.
+    """
+    count, of_leaf = itertools.count(), losses if len(dear_leaves(model)) == 1 else None
+    return model.with_leaves(
+        lambda leaf: SpreadModel(leaf, evaluations, f"model {next(count)}", of_leaf)
+    )
 
 
 def tried_calls(model: Model) -> list[list[bool | None]]:

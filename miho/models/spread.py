@@ -17,14 +17,21 @@ class SpreadModel(Model):
     """Another model, evaluated by `evaluations`; differences are taken here, of what those give.
 
     Derivatives of a model's own are an evaluation as well. `place` tells the models of one problem
-    apart.
+    apart. `losses` (n,) of outputs (n, N) say which are best, where that is known.
     """
 
-    def __init__(self, model: Model, evaluations: Evaluations, place: str) -> None:
+    def __init__(
+        self,
+        model: Model,
+        evaluations: Evaluations,
+        place: str,
+        losses: Callable[[Array], Array] | None = None,
+    ) -> None:
         self.inputs, self.parameters, self.output = model.inputs, model.parameters, model.output
         self.linear, self.name, self.source = model.linear, model.name, model.source
         self.ordered, self.nominal, self.derived = model.ordered, model.nominal, model.derived
         self.model, self._evaluations, self._place = model, evaluations, place
+        self._losses = losses
         self._tasks: dict[tuple[str, bytes], Evaluated] = {}
         self._digests: dict[tuple[int, ...], tuple[tuple[Array, ...], bytes]] = {}
 
@@ -71,7 +78,8 @@ class SpreadModel(Model):
         if (kind, digest) not in self._tasks:
             columns = tuple(np.array(column) for column in inputs)
             rows, name = _AtInputs(function, columns), self._name(kind, digest)
-            self._tasks[kind, digest] = self._evaluations.function(name, rows, shape)
+            losses = self._losses if kind == "predict" else None
+            self._tasks[kind, digest] = self._evaluations.function(name, rows, shape, losses)
         return self._tasks[kind, digest]
 
     def _digest(self, inputs: tuple[Array, ...]) -> bytes:

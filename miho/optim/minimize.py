@@ -29,7 +29,7 @@ from miho.optim.seeds import stream
 from miho.optim.space import Space
 from miho.optim.spread import JournalFile, spread_problem
 from miho.optim.trace import Descents, Trace
-from miho.parallel import Evaluations, NoWorkersLeft, Workers
+from miho.parallel import Evaluations, NoWorkersLeft, StaleJournalError, Workers
 from miho.parallel.usage import Usage
 from miho.parallel.worker_process import SPURIOUS_INTERRUPT
 from miho.quantities import Array
@@ -193,6 +193,8 @@ def _search(
         outcome = Outcome.INTERRUPTED
     except KeyboardInterrupt:
         outcome, oracle.state = Outcome.INTERRUPTED, None
+    except StaleJournalError:  # nothing was found that anybody could use
+        raise
     except NoWorkersLeft as reason:  # at an evaluation, so the state is whole
         outcome, error = Outcome.FAILED, f"{reason}\n"
     except BaseException as raised:  # noqa: BLE001 -- a failed run is a result: its curve is kept

@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 
 from miho.optim.problem import LeastSquaresProblem, Problem
-from miho.parallel import Evaluated, Evaluations, Journal, Workers, open_pool
+from miho.parallel import (
+    Evaluated,
+    Evaluations,
+    Journal,
+    JournalError,
+    StaleJournalError,
+    Workers,
+    open_pool,
+)
 from miho.quantities import Array
 from miho.validate import positive
 
@@ -94,7 +102,8 @@ def open_evaluations(
 ) -> Iterator[Evaluations | None]:
     """What makes the evaluations of a problem, and of others with its models and data.
 
-    Evaluations that are open already are used as they are.
+    Evaluations that are open already are used as they are. Raises JournalError for a journal that
+    cannot be used, and for one of a model that has changed as soon as that shows.
     """
     if isinstance(workers, Evaluations):
         yield workers
@@ -110,7 +119,10 @@ def open_evaluations(
             return
         evaluations = Evaluations(pool, journal, limited=evaluation_limit is not None)
         with closing(evaluations):
-            yield evaluations
+            try:
+                yield evaluations
+            except StaleJournalError as reason:
+                raise JournalError(str(reason)) from None
 
 
 def spread(problem: Problem, evaluations: Evaluations) -> Problem:

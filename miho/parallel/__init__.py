@@ -1,7 +1,9 @@
 """Work in other processes and on other machines: workers, what they evaluate, and its journal."""
 
-from miho.parallel.evaluations import Ahead, Evaluated, Evaluations, NoWorkersLeft
+from miho.parallel.evaluations import Evaluated, Evaluations
 from miho.parallel.journal import Journal, JournalError, calls_of
+from miho.parallel.journal_check import StaleJournalError
+from miho.parallel.pending import Ahead, NoWorkersLeft
 from miho.parallel.pool import Pool, Workers, open_pool
 
 __all__ = [
@@ -12,6 +14,7 @@ __all__ = [
     "JournalError",
     "NoWorkersLeft",
     "Pool",
+    "StaleJournalError",
     "Workers",
     "calls_of",
     "open_pool",

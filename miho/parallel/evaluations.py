@@ -11,12 +11,15 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Future, InvalidStateError
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from miho.parallel.journal import Journal
+from miho.parallel.journal_check import JournalCheck
+from miho.parallel.pending import Ahead, Key, NoWorkersLeft, Pending
 from miho.parallel.pool import Pool, lost
 from miho.parallel.process_executor import OverdueError, WorkerLostError, WorkersGoneError
 from miho.parallel.remote import Answer, Raised
@@ -25,7 +28,7 @@ from miho.parallel.usage import Usage
 from miho.parallel.worth import Worth, is_dear
 
 Array = NDArray[np.float64]
-Key = tuple[str, bytes]
+Send = Callable[[Array], Future[Answer]]
 
 MOST_LOST = 50
 """After so many chunks in a row whose workers have ended, no more are tried."""
@@ -35,57 +38,19 @@ MOST_KEPT = 1000
 """Values of failed batches that are kept for those who ask again, row by row."""
 
 
-class NoWorkersLeft(BaseException):
-    """No value can be evaluated any more; one line says why. It is no error of a model, which is an
-    Exception that methods may take for a rejected value."""
-
-
-@dataclass
-class Ahead:
-    """Values that were asked for before they are needed: `again` asks for them.
-
-    Workers have `begun` them where it was known that it is worth while. Those `left` may not have
-    come yet; of the others the `latest` is known, by its place in the order of all.
-    """
-
-    keys: Sequence[Key]
-    again: Callable[[], object]
-    begun: bool = True
-    left: list[Key] = field(init=False)
-    latest: float = field(init=False, default=-1.0)
-
-    def __post_init__(self) -> None:
-        self.left = list(self.keys)
-
-    def __add__(self, other: Ahead) -> Ahead:
-        """Both together."""
-
-        def again() -> None:
-            self.again()
-            other.again()
-
-        return Ahead([*self.keys, *other.keys], again, self.begun and other.begun)
-
-
-@dataclass
-class _Pending:
-    """A chunk of rows that a worker evaluates; `ended` counts the ends of all, in their order."""
-
-    future: Future[Answer]
-    keys: Sequence[Key]
-    ended: float = math.inf
-    begun: float = field(default_factory=time.monotonic)
-
-
 @dataclass(frozen=True)
 class Evaluated:
-    """A function of parameter rows that workers may evaluate; the shape of one row's values."""
+    """A function of parameter rows that workers may evaluate; the shape of one row's values.
+
+    `losses` (n,) of values (n, ...) say which are best, where that is known.
+    """
 
     name: str
     function: Rows
     shape: tuple[int, ...]
     evaluations: Evaluations = field(repr=False)
-    send: Callable[[Array], Future[Answer]] | None = field(default=None, repr=False)
+    send: Send | None = field(default=None, repr=False)
+    losses: Callable[[Array], Array] | None = field(default=None, repr=False)
 
     def __call__(self, thetas: Array) -> Array:
         """The values (n, ...) of rows (n, d); raises what the function raises, as ValueError."""
@@ -100,7 +65,8 @@ class Evaluations:
     Workers make them only where one takes so long that it is worth while; the first is made here
     to see that, unless `limited`: then a value may take no longer than the pool allows. `check` is
     called while values are waited for, and may raise to end that. Where no worker can evaluate
-    anything any more, what asks for a value gets NoWorkersLeft.
+    anything any more, what asks for a value gets NoWorkersLeft, and where a journal is of functions
+    that have changed, StaleJournalError.
     """
 
     def __init__(
@@ -110,7 +76,8 @@ class Evaluations:
         self.worth = Worth(self.usage, limited=limited)
         self.check: Callable[[], None] = lambda: None
         self._pool, self._journal = pool, journal
-        self._pending: dict[Key, _Pending] = {}
+        self._checked = None if journal is None else JournalCheck(journal)
+        self._pending: dict[Key, Pending] = {}
         self._here: dict[Key, Array | Raised] = {}  # values that are known and not taken yet
         self._ends = itertools.count(0 if journal is None else len(journal))
         self._arrivals, self._news = threading.Lock(), threading.Event()
@@ -119,10 +86,16 @@ class Evaluations:
         self._latest = time.monotonic()  # when a value last came, or was given up
         self._broken = math.inf  # since when the connection is
 
-    def function(self, name: str, function: Rows, shape: tuple[int, ...] = ()) -> Evaluated:
+    def function(
+        self,
+        name: str,
+        function: Rows,
+        shape: tuple[int, ...] = (),
+        losses: Callable[[Array], Array] | None = None,
+    ) -> Evaluated:
         """The same function, evaluated by the workers; its `name` stands in the journal."""
         send = None if self._pool is None else self._pool.share(ByRows(function))
-        return Evaluated(name, function, shape, self, send)
+        return Evaluated(name, function, shape, self, send, losses)
 
     def known(self, name: str) -> list[tuple[Array, Array]]:
         """Rows of parameters and their values that the journal has of a function."""
@@ -188,6 +161,8 @@ class Evaluations:
             brief = self._evaluate_at_once(task, thetas)
             self.worth.rest()
             return brief
+        if self._checked is not None:
+            self._checked(task.name, partial(self._again, task), task.losses)
         keys: list[Key] = [(task.name, theta.tobytes()) for theta in thetas]
         todo = [k for k, key in enumerate(keys) if not self._is_known(key)]
         if self._submitted is not None:
@@ -257,17 +232,32 @@ class Evaluations:
         rows = self.worth.chunk(len(todo), at_once=self._submitted is None)
         if not rows:
             return False
-        self.usage.begin()
-        for start in range(0, len(todo), rows):
-            chunk = list(todo[start : start + rows])
-            members = [keys[k] for k in chunk]
-            pending = _Pending(task.send(thetas[chunk]), members)
-            self._pending |= dict.fromkeys(members, pending)
-            pending.future.add_done_callback(self._arrival(pending))
-        self._pool.flush()
+        self._send(task.send, self._pool, rows, [keys[k] for k in todo], thetas[list(todo)])
         return True
 
-    def _arrival(self, pending: _Pending) -> Callable[[Future[Answer]], None]:
+    def _send(self, send: Send, pool: Pool, rows: int, keys: Sequence[Key], thetas: Array) -> None:
+        """Have workers evaluate all rows, so many at a time."""
+        self.usage.begin()
+        for start in range(0, len(keys), rows):
+            members = keys[start : start + rows]
+            pending = Pending(send(thetas[start : start + rows]), members)
+            self._pending |= dict.fromkeys(members, pending)
+            pending.future.add_done_callback(self._arrival(pending))
+        pool.flush()
+
+    def _again(self, task: Evaluated, keys: Sequence[Key]) -> list[Array | Raised]:
+        """Values that are known, evaluated side by side once more; each was dear before."""
+        thetas = np.array([np.frombuffer(key[1], dtype=float) for key in keys])
+        if self._pool is not None and task.send is not None:
+            self._send(task.send, self._pool, 1, keys, thetas)
+        else:
+            self._evaluate_here(task, keys, thetas, range(len(keys)))
+        values = [self._value(key) for key in keys]
+        for key in keys:
+            self._here.pop(key, None)
+        return values
+
+    def _arrival(self, pending: Pending) -> Callable[[Future[Answer]], None]:
         """Note in which order answers come, and in the journal what was dear, before the search
         gets to it; called by the threads that bring them."""
 
@@ -307,7 +297,7 @@ class Evaluations:
         self._take(pending)
         return self._here[key]
 
-    def _take(self, pending: _Pending) -> None:
+    def _take(self, pending: Pending) -> None:
         """Take the values that a worker has answered."""
         rows = len(pending.keys)
         try:
@@ -330,7 +320,7 @@ class Evaluations:
             self._pending.pop(key, None)
             self._here[key] = as_array(value)
 
-    def _wait(self, waiting: Iterable[_Pending]) -> None:
+    def _wait(self, waiting: Iterable[Pending]) -> None:
         """Wait until any value has come, and look whether the run is to end, and what to give up.
 
         A worker of another library is not ours to end. Where none has given anything for as long as

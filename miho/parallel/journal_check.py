@@ -1,0 +1,163 @@
+"""Whether a journal of an earlier call is still right: some of its evaluations are made again."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Sequence
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.parallel.journal import Journal, Key
+from miho.parallel.remote import Raised
+
+Array = NDArray[np.float64]
+Value = Array | Raised
+
+FIRST, FURTHER = 3, 1
+"""Evaluations that are made again of the first function that a run asks for, and of each other one:
+another part of a joint problem, some of the rows, a Jacobian."""
+CLOSE = 1e-9
+"""Values agree within this share of the largest of them: threads that add in another order and the
+mathematical functions of another machine differ by 1e-16 to 1e-15, and a simulation adds to it."""
+
+
+class StaleJournalError(BaseException):
+    """A journal whose values are not those of its functions any more; one line says which.
+
+    It is no error of a model, which is an Exception that methods may take for a rejected value.
+    """
+
+
+class JournalCheck:
+    """Compares values of an earlier call with those of today, for each function before its use."""
+
+    def __init__(self, journal: Journal) -> None:
+        self._journal = journal
+        self._checked: set[str] = set()
+        self._most = FIRST
+        self._said: set[str] = set()
+
+    def __call__(
+        self,
+        task: str,
+        evaluate: Callable[[Sequence[Key]], Sequence[Value]],
+        losses: Callable[[Array], Array] | None = None,
+    ) -> None:
+        """Check a task by some of its configurations, which `evaluate` evaluates.
+
+        The best one by `losses` (n,) of values (n, ...) is among them. Raises StaleJournalError
+        where a value differs, unless two evaluations of today differ as well.
+        """
+        if task in self._checked:
+            return
+        keys = self._samples(task, losses or _size)[: self._most]
+        if keys:
+            self._compare(keys, evaluate)
+            self._most = FURTHER
+        self._checked.add(task)
+
+    def _samples(self, task: str, losses: Callable[[Array], Array]) -> list[Key]:
+        """Keys of an earlier call, the most telling first.
+
+        The best configuration, the latest without a value, the worst, and the first; without
+        losses the last and the first.
+        """
+        loaded = islice(self._journal, self._journal.loaded)
+        keys = [key for key in loaded if key[0] == task]
+        finite = [key for key in keys if _is_finite(self._journal[key])]
+        without = [key for key in keys if key not in set(finite)]
+        telling = without[-1:]
+        if finite:
+            try:
+                order = np.argsort(losses(np.array([self._journal[key] for key in finite])))
+            except ValueError:  # losses of other rows than these are not known
+                order = np.array([-1, 0])
+            middle = finite[len(finite) // 2]
+            telling = [finite[order[0]], *telling, finite[order[-1]], finite[0], middle]
+        return list(dict.fromkeys([*telling, *without]))
+
+    def _compare(
+        self, keys: Sequence[Key], evaluate: Callable[[Sequence[Key]], Sequence[Value]]
+    ) -> None:
+        gaps, failure = [], ""
+        for key, now in zip(keys, evaluate(keys), strict=True):
+            if isinstance(now, Raised) and now.of_machine:
+                failure = now.line
+                continue
+            gap = _gap(self._journal[key], now)
+            if gap > CLOSE and _gap(now, evaluate([key])[0]) > CLOSE:
+                self._say(
+                    "two evaluations of one configuration differ, so it is not known whether the "
+                    "model has changed; stored values are used as they are"
+                )
+                return
+            if gap > CLOSE:
+                self._refuse(key, now)
+            gaps.append(gap)
+        if not gaps:
+            raise StaleJournalError(
+                f"journal {self._journal.path}: cannot be checked, the model fails now: {failure}; "
+                "mend that and try again"
+            )
+        if max(gaps) > 0:
+            self._say(f"values differ by rounding, {max(gaps):.1g} of the largest")
+
+    def _refuse(self, key: Key, now: Value) -> None:
+        place = ", ".join(f"{x:.6g}" for x in np.frombuffer(key[1], dtype=float))
+        before, after = _words(self._journal[key], now)
+        raise StaleJournalError(
+            f"journal {self._journal.path}: its model has changed: at ({place}) it gave {before}, "
+            f"now {after}; name another file, delete this one, or restore the model"
+        )
+
+    def _say(self, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            sys.stderr.write(f"miho: journal {self._journal.path}: {text}\n")
+
+
+def _is_finite(value: Value) -> bool:
+    return not isinstance(value, Raised) and bool(np.isfinite(value).all())
+
+
+def _size(values: Array) -> Array:
+    """Losses as they are, the sum of squares of what has more than one number."""
+    if values.ndim == 1:
+        return values
+    return np.asarray(np.square(values.reshape(len(values), -1)).sum(axis=1))
+
+
+def _gap(one: Value, other: Value) -> float:
+    """The largest difference of two values, as a share of the largest; 0 for the same bits."""
+    if isinstance(one, Raised) or isinstance(other, Raised):
+        same = isinstance(one, Raised) and isinstance(other, Raised) and one.name == other.name
+        return 0.0 if same else math.inf
+    if one.shape != other.shape:
+        return math.inf
+    different = (one != other) & ~(np.isnan(one) & np.isnan(other))
+    if not different.any():
+        return 0.0
+    if not (np.isfinite(one) & np.isfinite(other))[different].all():
+        return math.inf
+    size = np.abs(np.concatenate([one[np.isfinite(one)], other[np.isfinite(other)]])).max()
+    return float((np.abs(one - other)[different] / size).max())
+
+
+def _words(before: Value, after: Value) -> tuple[str, str]:
+    """Two values that differ in words: of arrays the numbers that differ most."""
+    if isinstance(before, Raised) or isinstance(after, Raised) or before.shape != after.shape:
+        return _word(before), _word(after)
+    with np.errstate(invalid="ignore"):  # infinity less infinity
+        gap = np.abs(np.ravel(before) - np.ravel(after))
+    place = int(np.argmax(np.nan_to_num(gap, nan=math.inf, posinf=math.inf) * (gap != 0)))
+    which = f" in row {place + 1}" if gap.size > 1 else ""
+    return f"{np.ravel(before)[place]:.12g}{which}", f"{np.ravel(after)[place]:.12g}"
+
+
+def _word(value: Value) -> str:
+    if isinstance(value, Raised):
+        return value.line
+    return f"{value.item():.12g}" if value.size == 1 else f"values of shape {value.shape}"
