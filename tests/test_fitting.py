@@ -192,6 +192,53 @@ def test_a_fit_is_pickled_printed_and_drawn() -> None:
     assert fit.report().parameters["value"].tolist() == pytest.approx(list(fit.values.values()))
 
 
+class Line:
+    """A model by methods, whose gain may change between a fit and its use."""
+
+    gain = 1.0
+
+    @staticmethod
+    def traced(t: Any, a: Any, b: Any) -> Any:
+        return Line.gain * a * np.exp(-b * t)
+
+    @staticmethod
+    def called(t: Any, a: Any, b: Any) -> Any:
+        if Line.gain < 0:
+            raise RuntimeError("no gain")
+        return Line.gain * float(a) * np.exp(-float(b) * t)
+
+
+@pytest.mark.parametrize("model", [Line.traced, Line.called])
+def test_a_pickled_fit_says_that_its_model_has_changed(
+    model: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fit = miho.fit(model, t, y, BOX, start={"a": 1.0, "b": 1.0})
+    stored = pickle.dumps(fit)
+    assert pickle.loads(stored).error == fit.error
+    monkeypatch.setattr(Line, "gain", 1 + 1e-13)  # as another machine rounds
+    pickle.loads(stored)
+    assert not capsys.readouterr().err
+    monkeypatch.setattr(Line, "gain", 2.0)
+    changed = pickle.loads(stored)
+    assert capsys.readouterr().err == (
+        f"miho: {fit.problem.name}: the model has changed since this fit was stored: its error at "
+        f"the optimum is {changed.error:.9g}, not {fit.error:.9g}; fit again, or restore the "
+        "model\n"
+    )
+    assert changed.error > 2 * fit.error
+
+
+def test_a_pickled_fit_says_that_its_model_raises(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stored = pickle.dumps(miho.fit(Line.called, t, y, BOX, start={"a": 1.0, "b": 1.0}))
+    monkeypatch.setattr(Line, "gain", -1.0)
+    pickle.loads(stored)
+    said = capsys.readouterr().err
+    assert "it raises ValueError: tests.test_fitting: called raises RuntimeError: no gain" in said
+    assert said.count("\n") == 1
+
+
 BAD: dict[str, tuple[dict[str, Any], str]] = {
     "no bounds": ({"space": None}, "a has no bounds; give them, as in {'a': \\(0, 10\\)}"),
     "a bound short": ({"space": {"a": (0, 5)}}, "b has no bounds"),

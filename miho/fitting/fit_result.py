@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import sys
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -28,6 +29,7 @@ from miho.models.tied import whole_model
 from miho.models.tire_formula import TireFormula
 from miho.models.traced import Remade
 from miho.optim import Descents
+from miho.parallel.remote import Raised
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -36,6 +38,9 @@ if TYPE_CHECKING:
 
     from miho.identification.report import Report
 
+SAME = 1e-9
+"""An error is that of the same model within this share of the largest output: another machine
+rounds otherwise, by 1e-16 to 1e-15 in each operation."""
 LINEAR = 1e-9
 """The loss of a linear problem's optimum is known to this share."""
 
@@ -53,7 +58,8 @@ class Fit(Remade):
     """The optimum `theta` (f,) of the free parameters of a problem, and what it can tell.
 
     `run` (f,) is where the search ended, from which a descent led there, and `descents` what it
-    knows of other optima; None without a search.
+    knows of other optima; None without a search. A pickled fit keeps its error, which takes an
+    evaluation; where the model gives another one when it is loaded, a line on stderr says so.
     """
 
     problem: CurveFit
@@ -61,6 +67,29 @@ class Fit(Remade):
     run: Array
     descents: Descents | None = None
     level: float = 0.95
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The fields, and the error by which a changed model is known."""
+        return super().__getstate__() | {"error": self.error}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Evaluate the model, whose function may be another one than when the fit was stored."""
+        before = state.pop("error", None)
+        vars(self).update(state)
+        if before is None:  # of a version that stored none
+            return
+        dataset = self.problem.dataset
+        close = SAME * float(np.abs(dataset[dataset.output]).max())
+        try:
+            if np.isclose(self.error, before, rtol=SAME, atol=close, equal_nan=True):
+                return
+            now = f"its error at the optimum is {self.error:.9g}"
+        except Exception as error:  # noqa: BLE001 -- whatever the model raises
+            now = f"it raises {Raised.of(error).line}"
+        sys.stderr.write(
+            f"miho: {self.problem.name}: the model has changed since this fit was stored: {now}, "
+            f"not {before:.9g}; fit again, or restore the model\n"
+        )
 
     @cached_property
     def uncertainty(self) -> Linearised:
