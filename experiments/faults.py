@@ -2,7 +2,7 @@
 
 Those that judge seconds run alone and first, the others two at a time.
 
-python -m experiments.faults                   # R1 to R32, some seven minutes
+python -m experiments.faults                   # R1 to R35, some seven minutes
 python -m experiments.faults R7 R18            # some of them
 python -m experiments.faults --quick           # those that take a few seconds at most
 python -m experiments.faults --output FILE.md  # the table as Markdown as well

@@ -12,7 +12,7 @@ import pandas as pd
 if TYPE_CHECKING:
     import pytest
 
-ROWS = [f"R{number}" for number in range(1, 33)]
+ROWS = [f"R{number}" for number in range(1, 36)]
 WIDTHS = {"row": 4, "fault": 30, "goal": 34, "measured": 50, "verdict": 10, "seconds": 7}
 MET, NOT_JUDGED, MISSED, BROKEN, MISSING = "met", "not judged", "MISSED", "BROKEN", "missing"
 

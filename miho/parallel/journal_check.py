@@ -90,8 +90,8 @@ class JournalCheck:
             gap = _gap(self._journal[key], now)
             if gap > CLOSE and _gap(now, evaluate([key])[0]) > CLOSE:
                 self._say(
-                    "two evaluations of one configuration differ, so it is not known whether the "
-                    "model has changed; stored values are used as they are"
+                    "two evaluations of one configuration differ, so that it cannot be compared "
+                    "with its model; stored values are used as they are"
                 )
                 return
             if gap > CLOSE:

@@ -30,10 +30,28 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from miho.data import Dataset
+from miho.identification import CurveFit
+from miho.models import FunctionModel
+from miho.optim import Budget, Parameter, RandomSearch, Space, minimize
+
 Model = Callable[[Any, Any], Any]
 """An output (N,) of times (N,) and the parameter `a`, of which it takes the `float`, so that no
 formula is traced."""
 WAYS: dict[str, Callable[[float, Path], Model]] = {}
+RANDOM = {"noise_of_one_stream"}
+"""Ways whose values differ from call to call, so that they cannot be compared."""
+SPACE = Space((Parameter("a", "", 0.0, 4.0),))
+t = np.linspace(0.1, 1, 5)
+LINE = Dataset("line", {"t": t, "y": 2 * t}, {"t": "", "y": ""}, "y")
+
+
+def search(model: Model, journal: Path) -> float:
+    """The smallest loss of a few random configurations."""
+    function = FunctionModel(model, batched=False, rowwise=False, columns=("t",))
+    problem = CurveFit(function, LINE, SPACE)
+    budget = Budget(evaluations=6)
+    return minimize(RandomSearch(), problem, budget, rehearse=False, journal=journal).loss
 
 
 def way(make: Callable[[float, Path], Model]) -> Callable[[float, Path], Model]:

@@ -15,18 +15,11 @@ import numpy as np
 import pytest
 
 import miho
-from miho.data import Dataset
-from miho.identification import CurveFit
 from miho.models import FunctionModel
-from miho.optim import Budget, Parameter, RandomSearch, Space, minimize
 from miho.parallel import Evaluations, Journal, JournalError, StaleJournalError, open_pool, worth
-from tests.parallel.changed_models import WAYS
+from tests.parallel.changed_models import RANDOM, WAYS, search, t
 
 PROBLEM = SimpleNamespace(description="problem", called_as=())
-UNITS = {"t": "", "y": ""}
-t = np.linspace(0.1, 1, 5)
-RANDOM = {"noise_of_one_stream"}
-"""Models whose values cannot be compared."""
 
 
 @pytest.fixture(autouse=True)
@@ -34,17 +27,6 @@ def dear(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every evaluation counts as dear, however long it takes."""
     monkeypatch.setattr(worth, "DEAR", 0.0)
     monkeypatch.setattr(worth, "LEAST", 0.0)
-
-
-def search(model: Any, journal: Path, **settings: Any) -> float:
-    """The smallest loss of a few random configurations."""
-    function = FunctionModel(model, batched=False, rowwise=False, columns=("t",))
-    space = Space((Parameter("a", "", 0.0, 4.0),))
-    problem = CurveFit(function, Dataset("line", {"t": t, "y": 2 * t}, UNITS, "y"), space)
-    budget = Budget(evaluations=6)
-    return minimize(
-        RandomSearch(), problem, budget, rehearse=False, journal=journal, **settings
-    ).loss
 
 
 @pytest.mark.parametrize("name", WAYS)
