@@ -257,6 +257,30 @@ def test_a_fingerprint_tells_code_and_constants_apart() -> None:
     assert fingerprint(np.arange(3)) != fingerprint(np.arange(4))
 
 
+class Engine:
+    """A model with a state: what it was called with, and where it writes its output."""
+
+    def __init__(self) -> None:
+        self.calls, self.output = 0, np.zeros(3)
+
+    def __call__(self, a: float) -> float:
+        self.calls += 1
+        self.output[:] = a
+        return a
+
+
+def test_a_fingerprint_is_the_same_after_calls() -> None:
+    engine, buffer = Engine(), np.zeros(3)
+
+    def filled(a: float) -> float:
+        buffer[:] = engine(a)
+        return float(buffer.sum())
+
+    before = fingerprint(filled), fingerprint(engine.__call__)
+    filled(2.0)
+    assert (fingerprint(filled), fingerprint(engine.__call__)) == before
+
+
 class Simulator:
     """A model whose setting is one of an object."""
 

@@ -17,6 +17,7 @@ import numpy as np
 WRAPPED = 10
 """Decorators around one function, at most."""
 FOUNDATIONS = {"builtins", "abc", "typing", "collections.abc"}
+MAKERS = {"__init__", "__new__", "__post_init__"}
 WRITTEN = {"STORE_GLOBAL", "STORE_DEREF", "DELETE_GLOBAL", "DELETE_DEREF"}
 
 
@@ -25,8 +26,9 @@ def fingerprint(thing: Any) -> str:
 
     Of an object its class with its methods, and its fields. Of a function its code with constants,
     defaults, closures and what it uses of its module: a comment changes nothing, a number does.
-    What a function may change, its own lists, mappings and counters and the files that it names,
-    does not count, and of what it imports only the name: a journal compares values as well.
+    What a function may change does not count: lists, mappings and counters of its own, arrays that
+    it fills, attributes that methods write, files. Of what it imports only the name counts. For all
+    that, a journal compares values (`miho.parallel.journal_check`).
     """
     digest = hashlib.sha256()
     for part in _parts(thing, set()):
@@ -73,9 +75,23 @@ def _object(thing: Any, seen: set[int]) -> Iterator[str]:
     if is_dataclass(thing):
         yield from _parts({f.name: getattr(thing, f.name) for f in fields(thing)}, seen)
         return
+    # What its methods write is no setting.
+    methods = list(_methods(type(thing)))
+    written = set[str]().union(*(_names(m, "STORE_ATTR", "DELETE_ATTR") for m in methods))
+    fills = any(_names(method, "STORE_SUBSCR") for method in methods)
     for name, value in sorted(getattr(thing, "__dict__", {}).items()):
-        yield name
-        yield from _used(value, type(thing).__module__, seen)
+        if name not in written and not (fills and isinstance(value, np.ndarray)):
+            yield name
+            yield from _used(value, type(thing).__module__, seen)
+
+
+def _methods(kind: type) -> Iterator[types.CodeType]:
+    """The code of the methods of a class, but for those that make an object."""
+    for ancestor in kind.__mro__:
+        for name, member in vars(ancestor).items():
+            method = _unwrapped(member)
+            if isinstance(method, types.FunctionType) and name not in MAKERS:
+                yield method.__code__
 
 
 def _class(kind: type, seen: set[int]) -> Iterator[str]:
@@ -102,9 +118,11 @@ def _function(function: types.FunctionType, seen: set[int]) -> Iterator[str]:
     for name in _names(code, "LOAD_GLOBAL", "LOAD_NAME"):
         if name in function.__globals__:
             members.setdefault(name, function.__globals__[name])
+    fills = _names(code, "STORE_SUBSCR")
     for name in sorted(members.keys() - _names(code, *WRITTEN)):
-        yield name
-        yield from _used(members[name], function.__module__, seen)
+        if not (fills and isinstance(members[name], np.ndarray)):
+            yield name
+            yield from _used(members[name], function.__module__, seen)
 
 
 def _used(member: Any, module: str, seen: set[int]) -> Iterator[str]:

@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.parallel.journal import Journal
+from miho.parallel.journal import Journal, Key
 from miho.parallel.journal_check import JournalCheck
-from miho.parallel.pending import Ahead, Key, NoWorkersLeft, Pending
+from miho.parallel.pending import Ahead, NoWorkersLeft, Pending
 from miho.parallel.pool import Pool, lost
 from miho.parallel.process_executor import OverdueError, WorkerLostError, WorkersGoneError
 from miho.parallel.remote import Answer, Raised

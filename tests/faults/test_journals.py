@@ -25,7 +25,7 @@ from tests.faults.commands import forked
 from tests.faults.conftest import Figures
 from tests.parallel.changed_models import LINE, RANDOM, WAYS, search
 
-SECONDS, KEPT, PATIENCE = 0.015, 20, 60.0
+SECONDS, KEPT, PATIENCE = 0.012, 10, 60.0
 t, y = LINE["t"], LINE["y"]
 
 
