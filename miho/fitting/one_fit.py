@@ -104,7 +104,8 @@ def fit(
     Where an evaluation takes long, `workers` make them: a number of processes, -1 for one per core,
     an executor, or the address of a cluster; the result is the same. One that takes longer than
     `evaluation_limit` seconds has no value. In the file `journal` stands every evaluation that
-    takes longer than some 10 ms, as soon as it is made: the same call makes none of them again.
+    takes longer than some 10 ms, as soon as it is made: the same call makes only up to
+    three of them again, to see that the model is the same.
     One with other bounds, priors, sigma or another method knows them too, where it comes across the
     same configurations; one of another model or of other data is refused.
 
