@@ -104,10 +104,10 @@ def fit(
     Where an evaluation takes long, `workers` make them: a number of processes, -1 for one per core,
     an executor, or the address of a cluster; the result is the same. One that takes longer than
     `evaluation_limit` seconds has no value. In the file `journal` stands every evaluation that
-    takes longer than some 10 ms, as soon as it is made: the same call makes only up to
-    three of them again, to see that the model is the same.
-    One with other bounds, priors, sigma or another method knows them too, where it comes across the
-    same configurations; one of another model or of other data is refused.
+    takes longer than some 10 ms, as soon as it is made: the same call makes only a few of them
+    again, to see that the model is the same. One with other bounds, priors, sigma or another method
+    knows them too, where it comes across the same configurations; one of another model or of other
+    data is refused.
 
     Raises ValueError for what does not fit together, and where no finite value was found.
     """

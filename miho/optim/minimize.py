@@ -123,11 +123,11 @@ def minimize(
     a cluster (`miho.parallel.pool`). The result does not depend on them, but that of asynchronous
     methods. A value that takes longer than `evaluation_limit` seconds is given up, and so is one
     whose worker dies three times; a run whose workers are all gone has failed, and keeps what it
-    found. A `journal` is a file in which
-    every evaluation stands that takes longer than some 10 ms: the same run, called again after it
-    was cut off, makes only a few of them again, to compare the model; JournalError is raised for
-    another problem and for one whose values have changed. Where the decisions of a method depend on which
-    evaluation was there first, `replay`, the `arrivals` of another run of it, has it make the same
+    found. A `journal` is a file in which every evaluation stands that takes longer than some 10 ms:
+    the same run, called again after it was cut off, makes only a few of them again, to compare the
+    model; JournalError is raised for another problem and for one whose values have changed. Where
+    the decisions of a method depend on which evaluation was there first, `replay`, the `arrivals`
+    of another run of it, has it make the same
     ones, with any workers.
     """
     if problem.space.free is not problem.space:
