@@ -77,7 +77,10 @@ def read_candidates(
             "flip": [name for name in settings.get("flip") or () if name in columns],
             "ranges": {k: v for k, v in (settings.get("ranges") or {}).items() if k in columns},
         }
-        written = {field.name for field in fields(TextFormat)} & set(settings) - {"drop_rows"}
+        written = {field.name for field in fields(TextFormat)} & set(settings) - {
+            "drop_rows",
+            "missing",
+        }
         text = TextFormat(**{name: settings[name] for name in written})
     layout = Layout(columns, units, columns[0], headers, **reading)
     extra = [groups] if groups is not None and groups not in headers else []

@@ -25,6 +25,9 @@ BLOCK = 10_000
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t"}
 DECIMALS = {"point": ".", "comma": ","}
 """The characters themselves need quotes within quotes on a command line."""
+MISSING = ("raise", "drop")
+NO_NUMBER = {"", "nan", "na", "n/a", "#n/a", "null", "none"}
+"""What a cell says, in small letters, in which a number is missing."""
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 
 
@@ -44,7 +47,8 @@ class TextFormat:
     if only that one gives the columns that are asked for. decimal: likewise of `DECIMALS`.
     skip_rows: lines before the one that names the columns. drop_rows: numbers of further lines that
     are none of data, such as a line of units, counted from 1 as editors do. comment: lines that
-    begin with this are none of data.
+    begin with this are none of data. missing: "raise", or "drop" to leave out rows in which a cell
+    that is read is empty or one of `NO_NUMBER`.
     """
 
     delimiter: str | None = None
@@ -52,6 +56,7 @@ class TextFormat:
     skip_rows: int = 0
     drop_rows: Sequence[int] = ()
     comment: str | None = None
+    missing: str = "raise"
 
     def __post_init__(self) -> None:
         if self.delimiter is not None:
@@ -76,6 +81,8 @@ class TextFormat:
             )
         if self.comment is not None and not (isinstance(self.comment, str) and self.comment):
             raise ValueError(f"comment is {self.comment!r}; give what such lines begin with")
+        if self.missing not in MISSING:
+            raise ValueError(f"missing is {self.missing!r}; choose from {', '.join(MISSING)}")
 
 
 PLAIN = TextFormat()
@@ -111,6 +118,7 @@ def load_csv(
     skip_rows: int = 0,
     drop_rows: Sequence[int] = (),
     comment: str | None = None,
+    missing: str = "raise",
     name: str | None = None,
 ) -> Dataset:
     """A dataset from a file with a header line, in SI units, radians and ISO-W signs.
@@ -122,9 +130,10 @@ def load_csv(
     layout = Layout(
         columns, units, output, headers, convention, flip, ranges, held_out, where, every
     )
-    text = TextFormat(delimiter, decimal, skip_rows, drop_rows, comment)
+    text = TextFormat(delimiter, decimal, skip_rows, drop_rows, comment, missing)
     table = TextTable(Path(path), layout.all_names, header=True, text=text)
-    return layout.dataset(name or file_name(path), path, table.numbers(), table.fault, table.notes)
+    numbers = table.numbers()
+    return layout.dataset(name or file_name(path), path, numbers, table.fault, table.notes)
 
 
 class TextTable:
@@ -135,7 +144,7 @@ class TextTable:
     ) -> None:
         self.path = path
         self.columns = tuple(columns)
-        self.decimal = text.decimal
+        self.decimal, self.drops = text.decimal, text.missing == "drop"
         self.lines = _lines(path)
         self.line_numbers: Sequence[int] = range(1, len(self.lines) + 1)
         self._leave_out(text)
@@ -144,7 +153,7 @@ class TextTable:
         self.cell = re.compile(
             rf'{blank}*"((?:[^"]|"")*)"{blank}*(?={end}|$)|([^"{end}]*)(?={end}|$)'
         )
-        self.first = 0
+        self.first = self.incomplete = 0
         self.width = len(columns)
         self.positions = list(range(len(columns)))
         if header:
@@ -156,8 +165,11 @@ class TextTable:
         words = {value: key for key, value in DELIMITERS.items()}
         notes = [] if self.delimiter == "," else [f"separated by {words[self.delimiter]}s"]
         notes += ["decimal commas"] if self.decimal == "," else []
-        lines = f"{self.left_out} line{'s' * (self.left_out != 1)}"
-        return notes + ([f"{lines} left out"] if self.left_out else [])
+        counts = {
+            "line{} left out": self.left_out,
+            "row{} without a number left out": self.incomplete,
+        }
+        return notes + [f"{n:,} {s.format('s' * (n != 1))}" for s, n in counts.items() if n]
 
     def _leave_out(self, text: TextFormat) -> None:
         """Take out the lines before the header, those that are listed, and comments."""
@@ -222,7 +234,25 @@ class TextTable:
                 values[start:stop] = [self._row(row) for row in range(start, stop)]
             else:
                 values[start:stop] = block
+        values = self._complete(values) if np.isnan(values).any() else values
         return {name: values[:, column].copy() for column, name in enumerate(self.columns)}
+
+    def _complete(self, values: Array) -> Array:
+        """The rows (n, k) without a missing number, and of the lines the same ones."""
+        missing = np.isnan(values)
+        complete = ~missing.any(axis=1)
+        self.incomplete = int(np.count_nonzero(~complete))
+        if self.incomplete and not (self.drops and complete.any()):
+            row, k = np.argwhere(missing)[0]
+            text = self._cells(int(row) + self.first)[self.positions[k]][1].strip()
+            problem = f"{text!r} in column {self.columns[k]!r} is not a finite number"
+            count = f"a number is missing in {self.incomplete:,} of {len(values):,} rows"
+            remedy = "correct the cells, or leave such rows out with missing=drop"
+            raise self.fault(self.columns[k], int(row), f"{problem}; {count}; {remedy}")
+        rows = [*range(self.first), *(np.flatnonzero(complete) + self.first).tolist()]
+        self.lines = [self.lines[row] for row in rows]
+        self.line_numbers = [self.line_numbers[row] for row in rows]
+        return np.asarray(values[complete])
 
     def fault(self, name: str, row: int | None, problem: str) -> CSVError:
         """The error about a column's header, or about its cell in a row counted from 0."""
@@ -267,6 +297,8 @@ class TextTable:
         for name, position in zip(self.columns, self.positions, strict=True):
             column, text = cells[position]
             value = _number(text, self.decimal)
+            if text.strip().lower() in NO_NUMBER:
+                value = math.nan
             if value is None:
                 problem = f"{text.strip()[:40]!r} in column {name!r} is not a finite number"
                 remedy = "correct the cell, or remove the row or leave it out with drop_rows"

@@ -440,3 +440,23 @@ def test_an_unprintable_path_stays_on_one_line(tmp_path: Path) -> None:
     with pytest.raises(CSVError) as error:
         read_numbers(path, ["a"], header=True)
     assert str(error.value).isprintable()
+
+
+def test_rows_without_a_number_are_left_out_and_counted(tmp_path: Path) -> None:
+    """Places in messages stay those of the file."""
+    rows = ["SA,FY,note", "0.1,10,", "0.2,,x", "0.3,NaN,", "0.4,40,", "n/a,50,", "0.6,-60,"]
+    path = str(file(tmp_path, "\n".join(rows)))
+    arguments: tuple[Any, ...] = (path, ["a", "F"], ["own:u", "N"], "F", ["SA", "FY"])
+    missing = r":3:5: '' in column 'FY' .* missing in 3 of 6 rows; correct .* with missing=drop$"
+    with pytest.raises(CSVError, match=missing):
+        load_csv(*arguments)
+    dataset = load_csv(*arguments, missing="drop")
+    assert dataset["a"].tolist() == [0.1, 0.4, 0.6]
+    assert dataset.reading is not None
+    assert dataset.reading.notes == ("3 rows without a number left out",)
+    with pytest.raises(CSVError, match=r":7:5: largest \|F\| is 60 N"):
+        load_csv(*arguments, missing="drop", ranges={"F": [1, 50]})
+    with pytest.raises(ValueError, match="missing is 'omit'; choose from raise, drop"):
+        load_csv(*arguments, missing="omit")
+    with pytest.raises(CSVError, match=r":2:3: '' in .* in 2 of 2 rows"):
+        load_csv(str(file(tmp_path, "SA,FY\n1,\n,2")), *arguments[1:], missing="drop")
