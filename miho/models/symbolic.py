@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextvars import ContextVar
 from functools import cache
 from typing import Any, NoReturn
 
@@ -20,8 +21,16 @@ TINY, HUGE = 1e-100, 1e300
 """Beside a branch point derivatives are those at this distance, so that 0 times them is 0."""
 
 
-class NotAFormulaError(Exception):
-    """A function does something with its arguments that is not arithmetic on numbers."""
+class NotAFormulaError(BaseException):  # which an `except Exception` of the function lets through
+    """A function does what is not arithmetic on numbers; noted for the trace, if it hides that."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(reason)
+        REFUSALS.get().append(self)
+
+
+REFUSALS: ContextVar[list[NotAFormulaError]] = ContextVar("refusals", default=[])  # noqa: B039
+"""The refusals of the trace in progress."""
 
 
 def _operator(name: str, swapped: bool = False) -> Callable[..., Any]:
@@ -78,8 +87,16 @@ class Symbol:
     def _refuse(self, *_: object) -> NoReturn:
         raise NotAFormulaError("a symbol has no value")
 
-    __bool__ = __array__ = _refuse
-    __float__ = __int__ = __index__ = __iter__ = __len__ = __getitem__ = _refuse
+    def __getattr__(self, name: str) -> NoReturn:
+        if name.startswith("__"):  # NumPy and `copy` ask for protocols
+            raise AttributeError(name)
+        raise NotAFormulaError(f"a symbol has no {name}")
+
+    __bool__ = __array__ = __format__ = __float__ = __int__ = __index__ = __complex__ = _refuse
+    __round__ = __trunc__ = __floor__ = __ceil__ = _refuse
+    __iter__ = __len__ = __contains__ = __getitem__ = __setitem__ = __delitem__ = _refuse
+    __floordiv__ = __mod__ = __divmod__ = __matmul__ = __xor__ = _refuse
+    __rfloordiv__ = __rmod__ = __rdivmod__ = __rmatmul__ = __rxor__ = __rand__ = __ror__ = _refuse
     __hash__ = object.__hash__
 
 
@@ -90,6 +107,8 @@ CONDITION = (
 )  # fmt: skip
 BENDS = (*CONDITION, "sign", "minimum", "maximum", "absolute")
 """Operations whose derivatives jump where their arguments say."""
+FINITE = (ARGUMENT, CONSTANT, *CONDITION)
+"""Only these are surely 0 if multiplied by 0: data and parameters are finite."""
 
 
 @cache
@@ -149,14 +168,15 @@ def _simplified(
             return None if name == "subtract" and b == 1 else left
         if (name == "add" and a == 0) or (name == "multiply" and a == 1):
             return right
-        if name == "multiply" and 0 in (a, b):
+        other = right if a is not None else left
+        if name == "multiply" and 0 in (a, b) and other.operation in FINITE:
             return constant(0.0)
-        if name == "divide" and a == 0:
-            return constant(0.0)
+        if other.operation in CONDITION:  # whose negative and square NumPy takes otherwise
+            return None
         if name == "subtract" and a == 0:
             return operation("negative", right)
         if name == "multiply" and -1 in (a, b):
-            return operation("negative", right if a == -1 else left)
+            return operation("negative", other)
         if name == "power" and b == 2:
             return Symbol("multiply", left, left)
         if name == "power" and b == 0.5:
@@ -183,7 +203,7 @@ def _power_partials(z: Symbol, a: Symbol, b: Symbol) -> tuple[Any, ...]:
     """Of a^b. A negative base has a value for a whole exponent only, and then the sign of z."""
     above = operation("maximum", operation("absolute", a), TINY)
     if b.number is not None and b.number.is_integer():
-        return b * a ** (b - 1), constant(0.0)
+        return (b * a ** (b - 1) if b.number else 0.0), constant(0.0)
     sign = operation("sign", z) * operation("sign", a)
     slope = sign + 1 - operation("absolute", sign)  # 1 at a base of 0
     return b * above ** (b - 1) * slope, z * operation("log", above)
@@ -276,12 +296,18 @@ UFUNCS = {name: name for name in (*OPERATIONS, "square", "positive")} | {
 def trace(function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Symbol:
     """What a function gives for symbols.
 
-    Raises NotAFormulaError for one that is no formula, or too long a one to be compiled.
+    Raises NotAFormulaError for one that is no formula, also if it catches that, or too long a one.
     """
+    refusals: list[NotAFormulaError] = []
+    token = REFUSALS.set(refusals)
     try:
         result = _symbol(function(*arguments, **keywords))
     except Exception as error:
         raise NotAFormulaError(str(error)) from error
+    finally:
+        REFUSALS.reset(token)
+    if refusals:
+        raise refusals[0]
     if len(ordered([result])) > MOST:
         raise NotAFormulaError(f"it has more than {MOST} operations")
     return result
@@ -314,16 +340,21 @@ def _slopes(
         if symbol.operation == "where":
             condition, *both = symbol.arguments
             for k, pair in enumerate(zip(*(branches[branch] for branch in both), strict=True)):
-                slopes[k] += adjoint * operation("where", condition, *pair)
+                slopes[k] += _product(adjoint, operation("where", condition, *pair))
             continue
         partials = OPERATIONS[symbol.operation][1](symbol, *symbol.arguments)
         for child, partial in zip(symbol.arguments, partials, strict=True):
             if child.operation != CONSTANT:
-                adjoints[child] = adjoints.get(child, 0) + adjoint * partial
+                adjoints[child] = adjoints.get(child, 0) + _product(adjoint, partial)
     return [
         _symbol(slope + adjoints.get(variable, 0.0))
         for slope, variable in zip(slopes, variables, strict=True)
     ]
+
+
+def _product(adjoint: Any, partial: Any) -> Any:
+    """Of derivatives, where 0 times anything is 0."""
+    return 0.0 if 0 in (_symbol(adjoint).number, _symbol(partial).number) else adjoint * partial
 
 
 def jointly_linear(
