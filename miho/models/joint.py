@@ -94,6 +94,15 @@ class JointModel(Model):
         return "-".join(part.name for part in self.parts)
 
     @property
+    def defaults(self) -> Mapping[str, float]:  # type: ignore[override]
+        """Those of all parts; of a parameter of several parts that of the first."""
+        numbers: dict[str, float] = {}
+        for part in reversed(self.parts):
+            names = dict(zip(part.model.parameters, part.parameters, strict=True))
+            numbers |= {names[name]: value for name, value in part.model.defaults.items()}
+        return numbers
+
+    @property
     def ordered(self) -> bool:  # type: ignore[override]
         """Whether any part needs every row in order."""
         return any(part.model.ordered for part in self.parts)

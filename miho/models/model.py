@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -30,7 +31,8 @@ class Model(ABC):
     belong to this package, so that a change of it is noticed; an `ordered` model needs every row
     of the data in order, as one with a memory does. `nominal` gives of some inputs the value that
     the parameters refer to, as (what it is called, value): far outside of the data, their values
-    are extrapolations. `jacobian_cost` is how many rows of `predict` a Jacobian takes the time of:
+    are extrapolations. `defaults` gives numbers at which parameters are fixed that a space leaves
+    out. `jacobian_cost` is how many rows of `predict` a Jacobian takes the time of:
     None for the number of parameters, as which derivatives of a model's own count. `derived` gives
     quantities that are reported with their intervals, by name: the unit, and a function of
     parameter rows (n, d) with values (n,).
@@ -44,6 +46,7 @@ class Model(ABC):
     source: Path | None = None
     ordered: bool = False
     nominal: Mapping[str, tuple[str, float]] = MappingProxyType({})
+    defaults: Mapping[str, float] = MappingProxyType({})
     jacobian_cost: int | None = None
     derived: Mapping[str, tuple[str, Callable[[Array], Array]]] = MappingProxyType({})
 
@@ -114,7 +117,9 @@ class ExternalModel(Model):
         """The derivatives by what `predict` gives: the outputs, wherever they come from."""
         h = self.step * np.where(theta == 0, self.typical, np.abs(theta))
         moves = np.diag(h)
-        high, low = np.split(predict(np.vstack([theta + moves, theta - moves]), *inputs), 2)
+        high, low = np.split(
+            rows_of(predict, np.vstack([theta + moves, theta - moves]), *inputs), 2
+        )
         width = 2 * h
         beside = np.flatnonzero(~(np.isfinite(high) & np.isfinite(low)).all(axis=1))
         if beside.size:
@@ -144,7 +149,7 @@ def central_differences(predict: Predict, theta: Array, *inputs: Array) -> Array
         moves = np.zeros((todo.size, theta.size))
         moves[np.arange(todo.size), todo] = step[todo]
         rows = np.vstack([theta + moves, theta - moves])
-        high, low = np.split(predict(rows, *inputs), 2)
+        high, low = np.split(rows_of(predict, rows, *inputs), 2)
         width = (
             rows[: todo.size][np.arange(todo.size), todo]
             - rows[todo.size :][np.arange(todo.size), todo]
@@ -160,6 +165,18 @@ def central_differences(predict: Predict, theta: Array, *inputs: Array) -> Array
         todo = todo[lost]
         step[todo] *= 100
     return derivatives
+
+
+def rows_of(predict: Predict, thetas: Array, *inputs: Array) -> Array:
+    """Outputs (n, N) of parameter rows (n, d), NaN for a row at which the model raises."""
+    try:
+        return predict(thetas, *inputs)
+    except Exception:  # noqa: BLE001 -- whatever a model raises
+        values = np.full((len(thetas), inputs[0].size), np.nan)
+        for k, theta in enumerate(thetas):
+            with contextlib.suppress(Exception):
+                values[k] = predict(theta[None], *inputs)[0]
+        return values
 
 
 def _one_sided(

@@ -13,6 +13,8 @@ from miho.validate import positive, whole
 
 REASONS = 20
 """Reasons for rejected values that are counted one by one."""
+FIRST = "; first at "
+"""What stands between the reason for a rejected value and its first configuration."""
 
 
 class BudgetExhausted(Exception):  # noqa: N818 -- the signal that ends every run, not an error
@@ -83,10 +85,17 @@ class Meter:
     starts: Starts = field(default_factory=Starts)
     arrivals: Arrivals = field(default_factory=Arrivals)
 
-    def reject(self, reason: str, count: int = 1) -> None:
-        """Count values that cannot be used, by reason; beyond REASONS of them, together."""
-        counted = reason in self.rejected or len(self.rejected) < REASONS
-        self.rejected[reason if counted else "other reasons"] += count
+    def reject(self, reason: str, count: int = 1, at: str = "") -> None:
+        """Count values that cannot be used, by reason; beyond REASONS of them, together.
+
+        `at` is the configuration, which stands behind the reason where it is the first one.
+        """
+        first = f"{reason}{FIRST}"
+        known = [k for k in self.rejected if k == reason or k.startswith(first)]
+        if not known:
+            other = len(self.rejected) >= REASONS
+            known = ["other reasons" if other else f"{first}{at}" if at else reason]
+        self.rejected[known[0]] += count
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,7 @@ class UsableValues:
         except Exception as error:  # noqa: BLE001 -- whatever else a model raises is a rejected value
             reason = f"{type(error).__name__}: {error}"
         if len(rows) == 1:
-            self._reject(reason)
+            self._reject(reason, at=self._named(rows[0]))
             return np.array([math.inf])
         return np.concatenate([self.losses(row[None], fidelity) for row in rows])
 
@@ -52,7 +52,7 @@ class UsableValues:
             residuals = _real(problem.residuals(read_only(theta), *part))
             return residuals, self._finite(mean_square(residuals)[None])
         except Exception as error:
-            self._reject(f"{type(error).__name__}: {error}")
+            self._reject(f"{type(error).__name__}: {error}", at=self._named(theta))
             raise UnusableValueError(str(error)) from error
 
     def residual_rows(self, rows: Array, *part: float) -> tuple[Array, Array]:
@@ -77,7 +77,7 @@ class UsableValues:
             reason = "derivative is not finite"
         except Exception as error:  # noqa: BLE001 -- as for residuals
             reason = f"{type(error).__name__}: {error}"
-        self._reject(reason)
+        self._reject(reason, at=self._named(theta))
         raise UnusableValueError(reason)
 
     @property
@@ -105,6 +105,11 @@ class UsableValues:
         for k, values in computed.items():
             residuals[k] = values
         return residuals, losses
+
+    def _named(self, theta: Array) -> str:
+        """A configuration (d,) in words."""
+        values = zip(self._problem.space.names, theta.tolist(), strict=True)
+        return ", ".join(f"{name} = {value:.6g}" for name, value in values)
 
     def _finite(self, losses: Array) -> Array:
         """The losses with +inf in place of every value that is not a finite number."""
