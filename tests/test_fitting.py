@@ -253,7 +253,10 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "never": ({"space": {"a": (50, 60), "b": (0, 5)}, "tied": {"a": "2 * b"}}, "never 50 to 60"),
     "start short": ({"space": None, "start": {"a": 1}}, "b has no bounds|lacks b"),
     "lengths": ({"y": y[:3]}, "differ in length"),
-    "no number": ({"y": np.where(t > 1, np.nan, y)}, "30 not finite"),
+    "no number": (
+        {"y": np.where(t > 1, np.nan, y)},
+        "y: a number is missing.*in 30 of 60 rows, first in row 31",
+    ),
     "no column": ({"y": "W"}, "y is 'W', which is no column of x"),
     "sigma": ({"sigma": -1.0}, "sigma is -1.0; expected a number above 0"),
     "sigma 0": ({"sigma": np.zeros(60)}, "is 0 in row 1"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -36,6 +36,7 @@ def fit_joint(
     space: Space | Mapping[str, Any],
     *,
     local: Collection[str] = (),
+    missing: Literal["raise", "drop"] = "raise",
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
     constraints: str | Sequence[str] = (),
@@ -51,7 +52,7 @@ def fit_joint(
 
     `parts` are named. A parameter of one name is the same in all parts; one in `local` is one of
     each part's own, called NAME_PART, whose bounds are those of NAME unless it has its own.
-    `space`, `fixed`, `tied`, `constraints`, `method`, `budget`, `seed`, `workers`,
+    `space`, `missing`, `fixed`, `tied`, `constraints`, `method`, `budget`, `seed`, `workers`,
     `evaluation_limit` and `journal` are those of `miho.fit`. Where all parts are the same
     expression, it is compiled from 20,000 rows on, or where `compiled` is true.
 
@@ -60,7 +61,9 @@ def fit_joint(
     """
     measured = {}
     for name, (model, x, y, *sigma) in parts.items():
-        dataset, chosen, deviation = data_of(model, x, y, *sigma or [None])
+        dataset, chosen, deviation = data_of(
+            model, x, y, sigma[0] if sigma else None, missing=missing
+        )
         measured[name] = Measured(chosen, dataset, deviation)
     joint = Joint(measured, local)
     bounds = joint.space(space, fixed, tied, constraints)

@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from miho.fitting.confirmed import by_calls, check_repeats
 from miho.fitting.dear_fit import (
     JournalPath,
     as_begun,
@@ -36,6 +37,7 @@ from miho.models.model import Model
 from miho.models.tied import Tied, whole_model
 from miho.models.tire_formula import TireFormula
 from miho.optim import MIHOGN, Budget, Checkpoint, Optimizer, Outcome, RunRecord, Space, minimize
+from miho.optim.usable_values import NOT_FINITE
 from miho.parallel import Evaluations, Workers
 
 NUMPY_SECONDS, PER_EVALUATION, PER_ROW = 2.0, 3e-4, 3e-6
@@ -56,6 +58,7 @@ def fit(
     *,
     sigma: Any = None,
     sigma_known: bool = True,
+    missing: Literal["raise", "drop"] = "raise",
     start: Mapping[str, float] | Literal["journal"] | None = None,
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
@@ -79,13 +82,15 @@ def fit(
     function that are strings are units. `x` is a column (N,), a tuple of columns, or a mapping or
     data frame of columns by name, and `y` (N,) or the name of one of its columns. `space` gives
     each parameter its bounds: (low, high), a mapping of the settings of `miho.Parameter`, such as
-    {"low": 1, "high": 1e6, "scale": "log"}, or a `Parameter`. `fixed` holds parameters at numbers;
+    {"low": 1, "high": 1e6, "scale": "log"}, or a `Parameter`. One with a default in the function,
+    or bound by `functools.partial`, is fixed there without. `fixed` holds parameters at numbers;
     `tied` at expressions of others, which may be parameters of the space only. `constraints` are
     linear: "a < b < c", "a + b = 1", "b - a < 5", or several of them.
 
     `sigma` is the standard deviation of the errors: a number, one for each row (N,), or the name of
     a column of `x`; with `sigma_known` false up to a factor, which the residuals then tell. What
-    priors count beside errors that are not known is settled with the fit.
+    priors count beside errors that are not known is settled with the fit. Rows in which a number is
+    `missing` (NaN or masked) are refused, or left out with "drop", which a line on stderr counts.
 
     `method` searches within the bounds, `MIHOGN()` by default; it is one of `miho.methods`, or its
     name on the command line, such as "least_squares". With a `start` of every free
@@ -124,7 +129,9 @@ def fit(
         raise ValueError(f"bounds are {space!r}; give them by name, as in {{'a': (0, 10)}}")
     named = space.names if isinstance(space, Space) else tuple(space or ())
     parameters = {*named, *(start or ()), *(fixed or ()), *(tied or ())}
-    dataset, chosen, sigma = data_of(model, x, y, sigma, parameters, convention, ranges)
+    dataset, chosen, sigma = data_of(
+        model, x, y, sigma, parameters, missing, convention, ranges
+    )
     known = None if sigma is None or not sigma_known else sigma
     rho = loss_of(loss, dataset[known] if isinstance(known, str) else known)
     if compiled is None and (start is not None or isinstance(model, TireFormula)):
@@ -208,6 +215,10 @@ def descended(
     descent = refit(spread(problem, evaluations), theta)
     if not math.isfinite(descent.cost):
         raise ValueError(f"{title(problem)}: is not finite at the start; give another one")
+    called = by_calls(problem, descent.theta, evaluations)
+    if called is not None:
+        return descended(called, start)
+    check_repeats(problem, descent.theta, descent.cost, evaluations)
     return Fit(problem, descent.theta, descent.theta)
 
 
@@ -230,11 +241,19 @@ def searched(
     name = title(problem)
     if run.theta is None:
         raise ValueError(f"{name}: no finite value was found: {run.error or run.rejected}")
+    raised = {why: n for why, n in run.rejected.items() if not why.startswith(NOT_FINITE)}
+    if raised:
+        why = "; ".join(f"{n:,} x {reason}" for reason, n in raised.items())
+        sys.stderr.write(f"miho: {name}: evaluations without a value: {why}\n")
     if run.error is not None:
         reason = run.error.strip().splitlines()[-1]
         sys.stderr.write(f"miho: {name}: its best is taken, the search failed: {reason}\n")
-    theta = refit(spread(problem, evaluations), run.theta).theta
-    return Fit(problem, theta, run.theta, run.descents)
+    descent = refit(spread(problem, evaluations), run.theta)
+    called = by_calls(problem, descent.theta, evaluations)
+    if called is not None:
+        return searched(called, method, budget, seed)
+    check_repeats(problem, descent.theta, descent.cost, evaluations)
+    return Fit(problem, descent.theta, run.theta, run.descents)
 
 
 def _run(

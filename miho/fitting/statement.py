@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import os
+import sys
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from miho.data.conventions import to_iso_w
 from miho.data.dataset import Dataset
@@ -22,6 +25,14 @@ FAR = 1e6
 """A parameter without bounds is sought so many times its start on either side of it."""
 NEAR = 0.1
 """A model is tried out at parameters without bounds that differ by this share from their start."""
+
+MISSING = ("raise", "drop")
+"""What may become of rows in which a number is missing."""
+COMPLEX = (
+    "miho.fit_joint({{'real': (lambda ...: model(...).real, x, {0}.real), "
+    "'imag': (lambda ...: model(...).imag, x, {0}.imag)}}, bounds)"
+)
+"""How complex numbers are fitted."""
 
 Tire = MagicFormula | str | os.PathLike[str]
 
@@ -59,14 +70,18 @@ def data_of(
     y: Any,
     sigma: Any,
     parameters: Collection[str] = (),
+    missing: str = "raise",
     convention: str = "iso-w",
     ranges: Mapping[str, Sequence[float] | None] | None = None,
 ) -> tuple[Dataset, Model, str | float | None]:
     """The dataset, the model with the units that its function declares, and sigma as it has it.
 
-    `parameters` are known to be no columns, even where `x` has some of their names. `convention`
-    and `ranges` are those of `tire_columns`.
+    `parameters` are known to be no columns, even where `x` has some of their names. `missing` is
+    "raise" or "drop": what becomes of rows in which a number is missing. `convention` and `ranges`
+    are those of `tire_columns`.
     """
+    if missing not in MISSING:
+        raise ValueError(f"missing is {missing!r}; choose from {', '.join(MISSING)}")
     by_name = isinstance(x, Mapping) or hasattr(x, "columns")
     if isinstance(y, str):
         if not by_name or y not in x:
@@ -103,7 +118,8 @@ def data_of(
         name = "sigma"
         while name in columns:
             name += "_"
-        columns[name], units[name], sigma = sigma, model.output, name
+        columns[name], units[name], sigma = _numbers(name, sigma), model.output, name
+    columns = _complete(model.name or "data", columns, missing)
     return Dataset(model.name or "data", columns, units, output), model, sigma
 
 
@@ -135,6 +151,27 @@ def tire_columns(
     return {name: columns[name] for name in inputs}, columns[model.force]
 
 
+def _complete(
+    name: str, columns: dict[str, NDArray[np.float64]], missing: str
+) -> dict[str, NDArray[np.float64]]:
+    """The rows of columns in which no number is missing; all, unless these are to be dropped."""
+    lacking = {key: np.isnan(column) for key, column in columns.items()}
+    if not any(rows.any() for rows in lacking.values()):
+        return columns
+    if len({column.size for column in columns.values()}) > 1:
+        return columns  # which the dataset refuses
+    dropped = np.logical_or.reduce(list(lacking.values()))
+    affected = ", ".join(key for key, rows in lacking.items() if rows.any())
+    count = f"{np.count_nonzero(dropped):,} of {dropped.size:,} rows"
+    if missing == "raise" or dropped.all():
+        raise ValueError(
+            f"{affected}: a number is missing (NaN) in {count}, first in row "
+            f"{np.flatnonzero(dropped)[0] + 1}; leave them out, as missing='drop' of miho.fit does"
+        )
+    sys.stderr.write(f"miho: {name}: {count} are left out, without a number in {affected}\n")
+    return {key: column[~dropped] for key, column in columns.items()}
+
+
 def _check_alignment(x: Any, y: Any, sigma: Any) -> None:
     """Refuse pandas' columns of one length whose rows have other labels than each other."""
     by_name = isinstance(x, Mapping) and not hasattr(x, "iloc")
@@ -154,7 +191,10 @@ def _column_names(function: Any, x: Any, parameters: Collection[str]) -> tuple[s
         arguments = inspect.signature(function).parameters
     except (TypeError, ValueError):
         return ()  # which the function model refuses
-    if any(a.kind is a.KEYWORD_ONLY for a in arguments.values()):
+    plain = function
+    while isinstance(plain, functools.partial):  # behind a bound argument all are keyword-only
+        plain = plain.func
+    if any(a.kind is a.KEYWORD_ONLY for a in inspect.signature(plain).parameters.values()):
         return ()
     if isinstance(x, Mapping) or hasattr(x, "columns"):
         names = tuple(name for name in arguments if name in x and name not in parameters)
@@ -186,18 +226,23 @@ def inputs_of(model: Model, x: Any) -> dict[str, Any]:
     return {name: _numbers(name, column) for name, column in zip(names, columns, strict=True)}
 
 
-def _numbers(name: str, values: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """A column of real numbers; what would lose something on the way is refused."""
+def _numbers(name: str, values: Any) -> NDArray[np.float64]:
+    """A column of real numbers, NaN where one is missing; what would lose something is refused."""
     array = np.asarray(values)
-    if np.ma.is_masked(values) or array.dtype.kind in "cmM":
+    if array.dtype.kind == "c":
         raise ValueError(
-            f"{name} is {array.dtype}{' with masked values' * bool(np.ma.is_masked(values))}; give "
-            "real numbers, and leave out rows without one"
+            f"{name} is {array.dtype}; fit both of its parts, as in {COMPLEX.format(name)}"
         )
+    if array.dtype.kind in "mM":
+        raise ValueError(f"{name} is {array.dtype}; give real numbers, such as seconds")
     if array.ndim > 1:
         raise ValueError(
             f"{name} has the shape {array.shape}; give a column (N,), several as a tuple or by name"
         )
+    if np.ma.is_masked(values):
+        return np.where(np.ma.getmaskarray(values), np.nan, array.astype(float))
+    if array.dtype == object:  # in which None or pandas' NA stand for what is missing
+        array = np.array([np.nan if value is None else value for value in array], dtype=object)
     return array.astype(float)
 
 
@@ -242,6 +287,8 @@ def space_of(
             # A model is tried out where it will be used: far off, a simulation may take for ever.
             spread = NEAR if settings.get("scale") == "log" else NEAR * (abs(at) or 1.0)
             settings = {"low": ends[0], "high": ends[1], "mean": at, "std": spread, **settings}
+        elif not settings and name in model.defaults:
+            settings = {"fixed": model.defaults[name]}
         elif not settings:
             raise ValueError(
                 f"{name} has no bounds; give them, as in {{{name!r}: (0, 10)}}, or a start of "

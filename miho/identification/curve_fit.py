@@ -20,6 +20,7 @@ from miho.identification.curve_fit_checks import (
     check_sigma,
     examined,
     ties_of,
+    with_defaults,
 )
 from miho.identification.irreducible import irreducible_square
 from miho.identification.loss import Loss, Square, slope
@@ -106,6 +107,7 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     def __post_init__(self, dear: bool) -> None:
         model = _model(self.model)
+        object.__setattr__(self, "space", with_defaults(self.space, model))
         if isinstance(model, FunctionModel):
             model = examined(model, self.dataset, self.space, dear)
         if self.space.free is not self.space:

@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import math
 import time
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from miho.data.dataset import Dataset
 from miho.identification.loss import Square
+from miho.models.function_calls import UNTRIED
 from miho.models.function_model import FunctionModel
 from miho.models.leaves import dear_leaves
 from miho.models.model import DifferencedModel, ExternalModel, Model
 from miho.models.plain_arithmetic import is_arithmetic
 from miho.models.symbolic import arguments_of
 from miho.models.tied import Ties, whole_model
-from miho.optim.space import Space
+from miho.optim.space import Parameter, Space
 from miho.parallel.worth import is_dear
 from miho.quantities import Array
 
@@ -26,6 +29,8 @@ if TYPE_CHECKING:
 
 TRIALS = 5
 """Configurations at which a new problem is tried out."""
+RAISING = 1000
+"""Configurations at which a model may raise before it is refused."""
 DRAWN = 4096
 """Configurations that are drawn to see whether any keeps all limits."""
 LINEAR = 1e-9
@@ -62,35 +67,51 @@ def check_curve_fit(problem: CurveFit, dear: bool = False) -> None:
             raise ValueError(f"{place} has unit {unit!r}; model {model_name} needs {needed!r}")
 
     _check_output_size(problem)
-    if not dear and not _is_dear(problem, model_name):
-        _check_shapes(problem, model_name)
-        _check_values(problem, model_name)
+    if not dear and not any(
+        isinstance(leaf, FunctionModel) and leaf.tried.dear for leaf in dear_leaves(model)
+    ):
+        theta = _usable(problem, model_name)
+        if theta is not None:
+            _check_shapes(problem, model_name, theta)
+            _check_values(problem, model_name)
     _check_nominal(problem, model_name)
 
 
-def _is_dear(problem: CurveFit, model_name: str) -> bool:
-    """Whether an evaluation of somebody's own code takes long; refuses one of a wrong shape."""
-    model, leaves = problem.model, dear_leaves(problem.model)
-    if any(isinstance(leaf, FunctionModel) and leaf.tried.dear for leaf in leaves):
-        return True
-    if not any(isinstance(leaf, FunctionModel | ExternalModel) for leaf in leaves):
-        return False
-    started = time.perf_counter()
-    actual = model.predict(problem.space.decode(problem.space.initial(1)), *problem.inputs).shape
-    if actual != (1, len(problem.dataset)):
-        raise ValueError(
-            f"{model_name}.predict gives shape {actual}; expected {(1, len(problem.dataset))}"
-        )
-    return is_dear(time.perf_counter() - started)
+def _usable(problem: CurveFit, model_name: str) -> Array | None:
+    """The first trial configuration (d,) at which the model does not raise; None of a dear one.
+
+    A model may raise on a part of the box. One that does so at all of RAISING configurations is
+    refused with its first error, and so is one that gives another shape.
+    """
+    model, failures, fastest = problem.model, list[Exception](), math.inf
+    for theta in problem.space.decode(problem.space.initial(RAISING)):
+        started = time.perf_counter()
+        try:
+            actual = model.predict(theta[None], *problem.inputs).shape
+        except Exception as error:  # noqa: BLE001 -- whatever a model raises
+            failures.append(error)
+            fastest = min(fastest, time.perf_counter() - started)
+            if len(failures) >= TRIALS and is_dear(fastest):
+                return None
+            continue
+        seconds = time.perf_counter() - started
+        if actual != (1, len(problem.dataset)):
+            raise ValueError(
+                f"{model_name}.predict gives shape {actual}; expected {(1, len(problem.dataset))}"
+            )
+        own = any(isinstance(leaf, FunctionModel | ExternalModel) for leaf in dear_leaves(model))
+        return None if own and is_dear(seconds) else theta
+    raise failures[0]
 
 
-def _check_shapes(problem: CurveFit, model_name: str) -> None:
+def _check_shapes(problem: CurveFit, model_name: str, theta: Array) -> None:
     """Refuse a model whose methods do not give the shapes that the search relies on."""
-    model, dataset = problem.model, problem.dataset
-    thetas, rows = problem.space.decode(problem.space.initial(2)), len(dataset)
-    shapes = {"predict": (model.predict(thetas, *problem.inputs).shape, (2, rows))}
+    model, rows = problem.model, len(problem.dataset)
+    shapes = {
+        "predict": (model.predict(np.stack([theta, theta]), *problem.inputs).shape, (2, rows))
+    }
     if not isinstance(whole_model(model), DifferencedModel | ExternalModel):  # differences do
-        J = model.jacobian(thetas[0], *problem.inputs)
+        J = model.jacobian(theta, *problem.inputs)
         shapes["jacobian"] = J.shape, (rows, len(problem.space))
     for method, (actual, expected) in shapes.items():
         if actual != expected:
@@ -167,11 +188,25 @@ def examined(model: FunctionModel, dataset: Dataset, space: Space, dear: bool = 
         if known is not None and known.fixed is not None:
             thetas[:, k] = known.fixed
     columns = [dataset[name] for name in model.inputs]
+    if model.tried != UNTRIED:
+        return model
     if model.source is None or is_arithmetic(model.function):
         formula = model.formula_at(thetas, *columns)
         if formula is not model:
             return formula
     return model if dear else model.tried_at(thetas, *columns)
+
+
+def with_defaults(space: Space, model: Model) -> Space:
+    """The space with the parameters that it leaves out fixed at the model's defaults."""
+    known = {parameter.name: parameter for parameter in space.parameters}
+    if not any(name not in known for name in model.defaults):
+        return space
+    lacking = {n: Parameter(n, model.parameters[n], fixed=v) for n, v in model.defaults.items()}
+    whole = lacking | known
+    order = [n for n in model.parameters if n in whole]
+    extra = [n for n in known if n not in model.parameters]
+    return replace(space, parameters=tuple(whole[n] for n in (*order, *extra)))
 
 
 def ties_of(model: Model, space: Space) -> Ties:
@@ -270,7 +305,7 @@ def _check_values(problem: CurveFit, model_name: str) -> None:
     thetas = problem.space.decode(problem.space.initial(TRIALS))
     try:
         values = model.predict(thetas, *problem.inputs)
-    except ValueError:  # a model may fail on a part of the box; the run counts how often
+    except Exception:  # noqa: BLE001 -- it may fail on a part of the box; the run counts how often
         return
     never = np.flatnonzero(~np.isfinite(values).any(axis=0))
     if never.size and np.isfinite(values).any():
@@ -296,9 +331,11 @@ def _check_linear(problem: CurveFit, model_name: str, thetas: Array) -> None:
     moved = thetas[0].copy()
     for name in model.linear:
         moved[names.index(name)] = thetas[1, names.index(name)]
-    first, last, middle = model.predict(
-        np.stack([thetas[0], moved, (thetas[0] + moved) / 2]), *problem.inputs
-    )
+    rows = np.stack([thetas[0], moved, (thetas[0] + moved) / 2])
+    try:
+        first, last, middle = model.predict(rows, *problem.inputs)
+    except Exception:  # noqa: BLE001 -- as above
+        return
     finite = np.isfinite(first) & np.isfinite(last) & np.isfinite(middle)
     first, last, middle = first[finite], last[finite], middle[finite]
     with np.errstate(over="ignore", invalid="ignore"):

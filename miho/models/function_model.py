@@ -5,6 +5,7 @@ import __future__
 
 import ast
 import contextlib
+import functools
 import inspect
 import traceback
 import types
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from miho.models.function_calls import CONFIGURATIONS, UNTRIED, Calls, FunctionCalls, tried_rowwise
 from miho.models.model import DifferencedModel, Model
+from miho.models.plain_arithmetic import may_catch
 from miho.models.symbolic import (
     NotAFormulaError,
     Symbol,
@@ -30,6 +32,7 @@ from miho.quantities import Array
 
 COMPARED, CLOSE = 1000, 1e-9
 """Rows on which a formula is compared with its function, and how close they have to be."""
+COPY = "; the columns of data are shared: copy one before it is changed, as in x = x.copy()"
 COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
@@ -55,7 +58,9 @@ class FunctionModel(DifferencedModel):
     with None. What is None `CurveFit` finds out by `tried_at`, once for all processes.
 
     `columns` names the arguments that are input columns, and all others are parameters, for a
-    function without keyword-only ones. `linear` names the parameters in which the output is jointly
+    function without keyword-only ones. A parameter with a default, or bound by `functools.partial`,
+    is fixed at that number unless the space has it (`defaults`); one with a default that is no
+    number is left to the function. `linear` names the parameters in which the output is jointly
     linear; nobody checks it but `miho.testing.check_model`. Derivatives are central differences,
     which count two evaluations for each parameter; `formula` has exact ones.
 
@@ -80,23 +85,26 @@ class FunctionModel(DifferencedModel):
             signature = inspect.signature(self.function)
         except (TypeError, ValueError):
             raise ValueError(f"{self.function!r} is not a function with a signature") from None
-        name = getattr(self.function, "__name__", type(self.function).__name__)
-        code = getattr(self.function, "__code__", None)
+        plain = self._plain
+        own = inspect.signature(plain).parameters
+        name = getattr(plain, "__name__", type(plain).__name__)
+        code = getattr(plain, "__code__", None)
         source = bool(code and code.co_flags & __future__.annotations.compiler_flag)
         object.__setattr__(self, "name", name)
         columns: dict[str, str] = {}
         parameters: dict[str, str] = {}
+        defaults: dict[str, float] = {}
         for argument in signature.parameters.values():
             if argument.kind in (argument.VAR_POSITIONAL, argument.VAR_KEYWORD):
                 raise ValueError(f"{self._place}: {argument} stands for any argument; name each")
-            label = f"argument {argument.name!r}"
-            if argument.default is not argument.empty:
-                raise ValueError(
-                    f"{self._place}: {label} has a default, which no search would use; remove it"
-                )
-            column = argument.kind in COLUMN
+            default = argument.default
+            column = own[argument.name].kind in COLUMN and default is argument.empty
             if self.columns:
                 column = argument.name in self.columns
+            if not column and default is not argument.empty:
+                if not is_number(default):
+                    continue  # a setting that is none of numbers, which stays as it is
+                defaults[argument.name] = float(default)
             group = columns if column else parameters
             group[argument.name] = declared_unit(argument.annotation, source)
         output = declared_unit(signature.return_annotation, source)
@@ -114,6 +122,7 @@ class FunctionModel(DifferencedModel):
         object.__setattr__(self, "inputs", types.MappingProxyType(columns))
         object.__setattr__(self, "parameters", types.MappingProxyType(parameters))
         object.__setattr__(self, "output", output)
+        object.__setattr__(self, "defaults", types.MappingProxyType(defaults))
         object.__setattr__(self, "linear", tuple(self.linear))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -149,13 +158,11 @@ class FunctionModel(DifferencedModel):
         columns = [column[rows] for column in inputs]
         try:
             own, traced = self.predict(thetas, *columns), formula.predict(thetas, *columns)
-        except ValueError:
+            slopes = formula.jacobian(thetas, *columns)
+        except (Exception, NotAFormulaError):  # noqa: BLE001 -- it is called, whatever the reason
             return self
-        size = np.abs(own[np.isfinite(own)]).max(initial=0.0)
-        alike = np.allclose(own, traced, rtol=CLOSE, atol=CLOSE * size, equal_nan=True)
-        slopes = formula.jacobian(thetas, *columns)
         usable = np.isfinite(slopes).all(axis=2) | ~np.isfinite(own)
-        return formula if alike and usable.all() else self
+        return formula if alike(own, traced) and usable.all() else self
 
     def tried_at(self, thetas: Array, *inputs: Array) -> FunctionModel:
         """This model with what calls at parameter rows (n, d) and columns (N,) show of it.
@@ -183,7 +190,10 @@ class FunctionModel(DifferencedModel):
 
     @cached_property
     def _calls(self) -> FunctionCalls:
-        return FunctionCalls(self._call, self.batched, self.tried.batched, self._place)
+        tried = self.tried.batched
+        if tried is None and may_catch(self._called):
+            tried = False
+        return FunctionCalls(self._call, self.batched, tried, self._place)
 
     def _call(self, columns: Sequence[Array], parameters: Any) -> NDArray[Any]:
         """The function's result, which must be real numbers; ValueError if it is not, or raises."""
@@ -200,18 +210,44 @@ class FunctionModel(DifferencedModel):
         except Exception as error:
             raise ValueError(self._at_line(error)) from error
         if values.dtype.kind not in "fiu":
-            raise ValueError(f"{self._place}: gives {values.dtype}; expected real numbers")
+            parts = "; return one part; miho.fit_joint fits both" * (values.dtype.kind == "c")
+            raise ValueError(f"{self._place}: gives {values.dtype}; expected real numbers{parts}")
         return values
 
     @property
     def _place(self) -> str:
-        return f"{self.source or self.function.__module__}: {self.name}"
+        return f"{self.source or self._plain.__module__}: {self.name}"
+
+    @property
+    def _called(self) -> Any:
+        """What a call of it runs: of an object its method."""
+        kind = type(self._plain)
+        return self._plain if isinstance(self._plain, types.FunctionType) else kind.__call__
+
+    @property
+    def _plain(self) -> Callable[..., Any]:
+        """The function without the arguments that a `functools.partial` of it binds."""
+        function = self.function
+        while isinstance(function, functools.partial):
+            function = function.func
+        return function
 
     def _at_line(self, error: Exception) -> str:
         """A message on what the function raised, and in which line of its file."""
         line = line_in(error, str(self.source))
         place = f"{self.source}:{line}: {self.name}" if line else self._place
-        return f"{place} raises {type(error).__name__}: {error}"
+        return f"{place} raises {type(error).__name__}: {error}{COPY * ('read-only' in str(error))}"
+
+
+def is_number(value: object) -> bool:
+    """Whether it is one real number, and no truth value."""
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+
+
+def alike(first: Array, second: Array) -> bool:
+    """Whether outputs are the same to CLOSE, with NaN and infinity in the same places."""
+    size = np.abs(first[np.isfinite(first)]).max(initial=0.0)
+    return np.allclose(first, second, rtol=CLOSE, atol=CLOSE * size, equal_nan=True)
 
 
 def declared_unit(annotation: Any, source: bool) -> str:

@@ -102,6 +102,11 @@ class Evaluations:
         return [] if self._journal is None else self._journal.values_of(name)
 
     @property
+    def may_repeat(self) -> bool:
+        """Whether an evaluation may be made again: not one that a journal keeps, or may hang."""
+        return self._journal is None and not self.worth.limited
+
+    @property
     def workers(self) -> int:
         """How many evaluations may be under way at a time."""
         return self.usage.workers

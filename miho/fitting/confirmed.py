@@ -1,0 +1,113 @@
+"""Whether a fit is that of the user's function: it is called at the optimum before a fit is given.
+
+A formula that was traced, and parameters side by side, take the place of calls with numbers. That
+they give the same was seen at a few configurations before the search.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+import warnings
+from dataclasses import replace
+
+import numpy as np
+
+from miho.identification.curve_fit import CurveFit
+from miho.models.function_calls import Calls
+from miho.models.function_model import FunctionFormula, FunctionModel, alike
+from miho.models.joint import JointExpression, JointModel
+from miho.models.leaves import dear_leaves
+from miho.models.model import Model
+from miho.models.tied import Tied, TiedModel
+from miho.parallel import Evaluations
+from miho.quantities import Array
+
+CONFIGURATIONS, VALUES = 30, 1_000_000
+"""Configurations besides the optimum at which calls are compared, and values of them at most."""
+REPEATED = 1e-9
+"""Errors of two calls differ if by more than this share of the output's size."""
+
+
+def by_calls(
+    problem: CurveFit, theta: Array, evaluations: Evaluations | None = None
+) -> CurveFit | None:
+    """The problem whose functions are called with numbers, where that gives other values.
+
+    Compared are those at `theta` (d,) and at some configurations of the box. None where they are
+    the same, and for functions of whose `evaluations` none is to be made again.
+    """
+    called = _called(problem.model)
+    if called is problem.model or _is_final(problem, evaluations):
+        return None
+    count = min(CONFIGURATIONS, VALUES // max(1, len(problem.dataset)))
+    others = problem.space.decode(problem.space.initial(count)) if count else theta[None, :][:0]
+    for row in (theta, *others):
+        if not _same(problem.model, called, row[None], problem.inputs):
+            sys.stderr.write(
+                f"miho: {problem.name}: the function gives other values for numbers than for "
+                "arrays; it is called with numbers, one configuration at a time\n"
+            )
+            return replace(problem, model=called, dear=True)
+    return None
+
+
+def check_repeats(
+    problem: CurveFit, theta: Array, cost: float, evaluations: Evaluations | None = None
+) -> None:
+    """Warn of a function whose sum of squares at `theta` (d,) is another one in the next call."""
+    if not dear_leaves(problem.model) or _is_final(problem, evaluations):
+        return
+    try:
+        again = float(np.sum(problem.residuals(theta) ** 2))
+    except ValueError:
+        again = math.inf
+    size = float(np.linalg.norm(problem.dataset[problem.dataset.output]))
+    if abs(math.sqrt(again) - math.sqrt(cost)) > REPEATED * max(size, math.sqrt(cost)):
+        first, second = (math.sqrt(value / problem.residual_count) for value in (cost, again))
+        warnings.warn(
+            f"{problem.name}: two calls with the same parameters give the errors {first:.6g} and "
+            f"{second:.6g} {problem.unit}".rstrip()
+            + "; a model with random numbers or a state of its own has no optimum: reset them in "
+            "each call",
+            UserWarning,
+            stacklevel=5,
+        )
+
+
+def _is_final(problem: CurveFit, evaluations: Evaluations | None) -> bool:
+    """Whether evaluations are not to be made again, as a journal has them or they may hang."""
+    return (
+        evaluations is not None and not evaluations.may_repeat and bool(dear_leaves(problem.model))
+    )
+
+
+def _called(model: Model) -> Model:
+    """The model with its functions called with numbers; itself where they are, or it has none."""
+    if isinstance(model, FunctionFormula):
+        return replace(model.function, tried=Calls(False, False))
+    if isinstance(model, FunctionModel):
+        automatic = model.batched is None and model.tried.batched
+        return replace(model, tried=model.tried._replace(batched=False)) if automatic else model
+    if isinstance(model, Tied):
+        called = _called(model.model)
+        return model if called is model.model else TiedModel(called, model.ties)
+    joint = model.joint if isinstance(model, JointExpression) else model
+    if isinstance(joint, JointModel):
+        parts = tuple(part._replace(model=_called(part.model)) for part in joint.parts)
+        pairs = zip(parts, joint.parts, strict=True)
+        return model if all(new.model is old.model for new, old in pairs) else JointModel(parts)
+    return model
+
+
+def _same(model: Model, called: Model, thetas: Array, inputs: tuple[Array, ...]) -> bool:
+    """Whether two models give the same at parameter rows (n, d); no value, where one raises."""
+    outputs = []
+    for each in (model, called):
+        try:
+            outputs.append(each.predict(thetas, *inputs))
+        except ValueError:
+            outputs.append(np.full((len(thetas), inputs[0].size), np.nan))
+    with np.errstate(invalid="ignore"):
+        finite = [np.where(np.isfinite(values), values, np.nan) for values in outputs]
+    return alike(*finite)
