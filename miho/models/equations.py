@@ -14,7 +14,7 @@ import numpy as np
 from miho.compiled.course import LANES, FlatEquations
 from miho.models.formula_text import assignments, defined, written
 from miho.models.function_model import COLUMN, declared_unit
-from miho.models.symbolic import NotAFormulaError, Symbol, argument, gradient, trace
+from miho.models.symbolic import NotAFormulaError, Symbol, argument, gradient, of_symbols, trace
 from miho.quantities import Array
 
 NO_UNIT = "-"
@@ -190,8 +190,8 @@ class Equations:
         """Rates and outputs as formulas of t, u0, ..., x0, ..., p0, ...; None if they are none."""
         values = self._values(argument("t"), *self._symbols)
         try:
-            results = self.rhs(values), self._observed(values)
-        except Exception:  # noqa: BLE001 -- whatever a user's function raises: it is no formula
+            results = of_symbols(lambda: (self.rhs(values), self._observed(values)))
+        except NotAFormulaError:
             return None
         groups = self._one_each(results[0]), results[1]
         try:

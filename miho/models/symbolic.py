@@ -107,8 +107,7 @@ CONDITION = (
 )  # fmt: skip
 BENDS = (*CONDITION, "sign", "minimum", "maximum", "absolute")
 """Operations whose derivatives jump where their arguments say."""
-FINITE = (ARGUMENT, CONSTANT, *CONDITION)
-"""Only these are surely 0 if multiplied by 0: data and parameters are finite."""
+FINITE = (ARGUMENT, CONSTANT, *CONDITION)  # as data and parameters are: 0 times them is 0
 
 
 @cache
@@ -294,22 +293,25 @@ UFUNCS = {name: name for name in (*OPERATIONS, "square", "positive")} | {
 
 
 def trace(function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Symbol:
-    """What a function gives for symbols.
+    """What a function gives for symbols; raises NotAFormulaError for none or too long a formula."""
+    result = of_symbols(lambda: _symbol(function(*arguments, **keywords)))
+    if len(ordered([result])) > MOST:
+        raise NotAFormulaError(f"it has more than {MOST} operations")
+    return result
 
-    Raises NotAFormulaError for one that is no formula, also if it catches that, or too long a one.
-    """
+
+def of_symbols(call: Callable[[], Any]) -> Any:
+    """What a call gives; raises NotAFormulaError if it asks for a value, even if it hides that."""
     refusals: list[NotAFormulaError] = []
     token = REFUSALS.set(refusals)
     try:
-        result = _symbol(function(*arguments, **keywords))
+        result = call()
     except Exception as error:
         raise NotAFormulaError(str(error)) from error
     finally:
         REFUSALS.reset(token)
     if refusals:
         raise refusals[0]
-    if len(ordered([result])) > MOST:
-        raise NotAFormulaError(f"it has more than {MOST} operations")
     return result
 
 
