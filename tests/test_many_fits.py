@@ -104,7 +104,7 @@ def test_what_does_not_fit_together_is_refused_in_a_line() -> None:
         ((decay, t, y[0], BOX), {}, "y has shape \\(50,\\); give \\(datasets, rows\\)"),
         ((decay, frame, "V", BOX), {"by": "lap"}, "by is 'lap' and y is 'V'; give a data frame"),
         ((decay, t[:7], y, BOX), {}, "differ in length"),
-        ((decay, t, np.where(y > 1, np.nan, y), BOX), {}, "not finite"),
+        ((decay, t, np.where(y > 1, np.nan, y), BOX), {}, "a number is missing"),
         ((decay, t, y, {"a": (0, 1)}), {}, "b has no bounds"),
     ):
         with pytest.raises(ValueError, match=message) as caught:
