@@ -94,13 +94,13 @@ def _usable(problem: CurveFit, model_name: str) -> Array | None:
             if len(failures) >= TRIALS and is_dear(fastest):
                 return None
             continue
-        seconds = time.perf_counter() - started
-        if actual != (1, len(problem.dataset)):
+        long = is_dear(time.perf_counter() - started)
+        own = any(isinstance(leaf, FunctionModel | ExternalModel) for leaf in dear_leaves(model))
+        if own and long and actual != (1, len(problem.dataset)):
             raise ValueError(
                 f"{model_name}.predict gives shape {actual}; expected {(1, len(problem.dataset))}"
             )
-        own = any(isinstance(leaf, FunctionModel | ExternalModel) for leaf in dear_leaves(model))
-        return None if own and is_dear(seconds) else theta
+        return None if own and long else theta
     raise failures[0]
 
 

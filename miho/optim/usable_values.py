@@ -74,10 +74,10 @@ class UsableValues:
             jacobian = _real(problem.jacobian(read_only(theta), *part))
             if np.isfinite(jacobian).all():
                 return jacobian
-            reason = "derivative is not finite"
+            reason, at = "derivative is not finite", ""
         except Exception as error:  # noqa: BLE001 -- as for residuals
-            reason = f"{type(error).__name__}: {error}"
-        self._reject(reason, at=self._named(theta))
+            reason, at = f"{type(error).__name__}: {error}", self._named(theta)
+        self._reject(reason, at=at)
         raise UnusableValueError(reason)
 
     @property

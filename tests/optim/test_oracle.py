@@ -185,7 +185,7 @@ def test_one_bad_row_does_not_spoil_its_batch() -> None:
     oracle = Oracle(FunctionProblem(loss), Budget())
     assert oracle(column(3, 2, 1)).tolist() == [3, math.inf, 1]
     assert oracle.trace.evaluations == [1, 3]
-    assert oracle.meter.rejected == {"ArithmeticError: no two": 1}
+    assert oracle.meter.rejected == {"ArithmeticError: no two; first at x = 2": 1}
 
 
 @pytest.mark.filterwarnings("error")
@@ -257,7 +257,7 @@ def test_a_problem_cannot_edit_what_it_is_asked() -> None:
     oracle = Oracle(Edits(), Budget())
     assert oracle(batch).tolist() == [math.inf, math.inf]
     assert batch.tolist() == [[1], [2]]
-    assert oracle.meter.rejected == {"ValueError: output array is read-only": 2}
+    assert oracle.meter.rejected == {"ValueError: output array is read-only; first at x = 1": 2}
 
 
 def test_reasons_without_end_are_counted_together() -> None:

@@ -73,7 +73,7 @@ def test_unusable_residuals_and_derivatives_are_counted() -> None:
         oracle.jacobian(np.array([2.0]))
     assert oracle.evaluations == 4
     assert oracle.meter.rejected == {
-        "ArithmeticError: no residuals": 1,
+        "ArithmeticError: no residuals; first at x = 2": 1,
         "derivative is not finite": 1,
     }
 
@@ -130,7 +130,7 @@ def test_no_configuration_is_evaluated_twice_where_there_are_no_batches() -> Non
     while len(rows) < len(thetas):
         rows += list(oracle.residual_rows(thetas[len(rows) :]))
     assert problem.count == oracle.meter.evaluations == 3
-    assert oracle.meter.rejected == {"ZeroDivisionError: above 1": 1}
+    assert oracle.meter.rejected == {"ZeroDivisionError: above 1; first at x = 2": 1}
 
 
 class OfOtherShape(Line):
