@@ -294,7 +294,7 @@ UFUNCS = {name: name for name in (*OPERATIONS, "square", "positive")} | {
 
 def trace(function: Callable[..., Any], *arguments: Any, **keywords: Any) -> Symbol:
     """What a function gives for symbols; raises NotAFormulaError for none or too long a formula."""
-    result = of_symbols(lambda: _symbol(function(*arguments, **keywords)))
+    result: Symbol = of_symbols(lambda: _symbol(function(*arguments, **keywords)))
     if len(ordered([result])) > MOST:
         raise NotAFormulaError(f"it has more than {MOST} operations")
     return result
