@@ -129,9 +129,7 @@ def fit(
         raise ValueError(f"bounds are {space!r}; give them by name, as in {{'a': (0, 10)}}")
     named = space.names if isinstance(space, Space) else tuple(space or ())
     parameters = {*named, *(start or ()), *(fixed or ()), *(tied or ())}
-    dataset, chosen, sigma = data_of(
-        model, x, y, sigma, parameters, missing, convention, ranges
-    )
+    dataset, chosen, sigma = data_of(model, x, y, sigma, parameters, missing, convention, ranges)
     known = None if sigma is None or not sigma_known else sigma
     rho = loss_of(loss, dataset[known] if isinstance(known, str) else known)
     if compiled is None and (start is not None or isinstance(model, TireFormula)):
