@@ -20,7 +20,7 @@ from scipy.optimize import curve_fit, least_squares
 
 import miho
 from miho.data import embedded_tire
-from miho.fitting import one_fit
+from miho.fitting import search
 from miho.models import Pacejka, TireFormula
 from miho.models.tir_reader import read_tir
 
@@ -570,9 +570,9 @@ def test_a_short_search_waits_for_no_compiler() -> None:
 def test_a_long_search_is_compiled_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the same evaluations as one that is never compiled, to the rounding of sums of 60."""
     plain = miho.fit(decay, t, y, BOX, compiled=False)
-    monkeypatch.setattr(one_fit, "NUMPY_SECONDS", 0.01)
+    monkeypatch.setattr(search, "NUMPY_SECONDS", 0.01)
     numpy_seconds = defaultdict(float)
-    monkeypatch.setattr(one_fit, "numpy_seconds", numpy_seconds)
+    monkeypatch.setattr(search, "numpy_seconds", numpy_seconds)
     fits = [miho.fit(decay, t, y, BOX) for _ in range(2)]
     assert [fit.problem.compiled for fit in fits] == [True, True]
     assert 0.005 < sum(numpy_seconds.values()) <= 0.01

@@ -12,7 +12,8 @@ from miho.data.dataset import Dataset
 from miho.fitting.dear_fit import JournalPath, as_begun, dear_fit
 from miho.fitting.fit_result import Fit
 from miho.fitting.joint_problem import Joint, Measured
-from miho.fitting.one_fit import searched, without_priors
+from miho.fitting.one_fit import without_priors
+from miho.fitting.search import searched
 from miho.fitting.statement import FAR, data_of
 from miho.identification.curve_fit import CurveFit
 from miho.identification.stated import stated_parameters

@@ -13,7 +13,8 @@ from miho.data.dataset import Dataset
 from miho.data.stacking import stacked_columns
 from miho.fitting.dear_fit import spread
 from miho.fitting.fit_result import Fit
-from miho.fitting.one_fit import has_priors, searched, without_priors
+from miho.fitting.one_fit import has_priors, without_priors
+from miho.fitting.search import searched
 from miho.fitting.statement import space_of
 from miho.identification.constraints import constrained
 from miho.identification.curve_fit import CurveFit

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from miho.fitting.descents import Batch, Ends, descend
-from miho.fitting.one_fit import searched
+from miho.fitting.search import searched
 from miho.fitting.statement import data_of, inputs_of, space_of
 from miho.identification.constraints import constrained
 from miho.identification.curve_fit import CurveFit

@@ -1,0 +1,111 @@
+"""The search of a problem: in NumPy first, compiled where it takes long."""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from dataclasses import replace
+
+from miho.fitting.confirmed import by_calls, check_repeats
+from miho.fitting.dear_fit import interrupted, pace_line, spread, title
+from miho.fitting.fit_result import Fit
+from miho.fitting.named import check_budget, method_of
+from miho.identification.curve_fit import CurveFit
+from miho.identification.refit import refit
+from miho.models.expression import Expression
+from miho.optim import MIHOGN, Budget, Checkpoint, Optimizer, Outcome, RunRecord, minimize
+from miho.optim.usable_values import NOT_FINITE
+from miho.parallel import Evaluations
+
+NUMPY_SECONDS, PER_EVALUATION, PER_ROW = 2.0, 3e-4, 3e-6
+"""Seconds that searches of a formula may take in NumPy, and seconds that an evaluation takes there,
+and each of its rows in addition."""
+numpy_seconds: defaultdict[object, float] = defaultdict(float)
+"""The time that the searches of each formula have taken, estimated so."""
+
+
+def searched(
+    problem: CurveFit,
+    method: Optimizer | str | None = None,
+    budget: Budget | None = None,
+    seed: int = 0,
+    evaluations: Evaluations | None = None,
+) -> Fit:
+    """The optimum of a problem, by `MIHOGN()` unless another method is given.
+
+    `evaluations` make those of search and descent. Raises KeyboardInterrupt after a Ctrl-C.
+    """
+    method = MIHOGN() if method is None else method_of(method)
+    check_budget(budget)
+    problem, run = _run(problem, method, budget or Budget(), seed, evaluations)
+    if run.outcome is Outcome.INTERRUPTED:
+        raise interrupted(run)
+    name = title(problem)
+    if run.theta is None:
+        raise ValueError(f"{name}: no finite value was found: {run.error or run.rejected}")
+    raised = {why: n for why, n in run.rejected.items() if not why.startswith(NOT_FINITE)}
+    if raised:
+        why = "; ".join(f"{n:,} x {reason}" for reason, n in raised.items())
+        sys.stderr.write(f"miho: {name}: evaluations without a value: {why}\n")
+    if run.error is not None:
+        reason = run.error.strip().splitlines()[-1]
+        sys.stderr.write(f"miho: {name}: its best is taken, the search failed: {reason}\n")
+    descent = refit(spread(problem, evaluations), run.theta)
+    called = by_calls(problem, descent.theta, evaluations)
+    if called is not None:
+        return searched(called, method, budget, seed)
+    check_repeats(problem, descent.theta, descent.cost, evaluations)
+    return Fit(problem, descent.theta, run.theta, run.descents)
+
+
+def _run(
+    problem: CurveFit,
+    method: Optimizer,
+    budget: Budget,
+    seed: int,
+    evaluations: Evaluations | None,
+) -> tuple[CurveFit, RunRecord]:
+    """Search a problem, and compile a formula only where the search takes long enough to pay.
+
+    Such a search begins in NumPy. After some NUMPY_SECONDS the compiled problem goes on from the
+    same state. That time is counted in evaluations, so that the result does not depend on the
+    machine; all searches of one formula in this process share it.
+    """
+
+    def run(
+        problem: CurveFit, budget: Budget, checkpoint: Checkpoint | None = None
+    ) -> tuple[CurveFit, RunRecord]:
+        return problem, minimize(
+            method, problem, budget, seed, checkpoint=checkpoint, rehearse=False,
+            workers=evaluations, observer=pace_line(problem, method, budget),
+        )  # fmt: skip
+
+    checkpoint = None
+    model = problem.model
+    if problem.compiled is None and isinstance(model, Expression) and isinstance(method, MIHOGN):
+        formula = getattr(model.value, "__code__", type(model))
+        seconds = PER_EVALUATION + PER_ROW * problem.residual_count
+        most = int((NUMPY_SECONDS - numpy_seconds[formula]) / seconds)
+        limits = most if budget.evaluations is None else min(most, budget.evaluations)
+        if most > 0:
+            plain = replace(problem, compiled=False, dear=True)
+            plain, first = run(plain, replace(budget, evaluations=limits))
+            numpy_seconds[formula] += first.evaluations * seconds
+            if _ended(first, budget) or limits == budget.evaluations:
+                return plain, first
+            checkpoint = first.checkpoint
+        problem = replace(problem, compiled=True, dear=True)
+    if problem.kernel is not None and method.uncompiled:
+        sys.stderr.write(
+            "miho: compiling the search, once on this machine, for about half a minute "
+            "(compiled=False does without)\n"
+        )
+    return run(problem, budget, checkpoint)
+
+
+def _ended(run: RunRecord, budget: Budget) -> bool:
+    """Whether a run has ended otherwise than by the number of its evaluations."""
+    if run.outcome not in (Outcome.BUDGET, Outcome.NO_FINITE_VALUE) or run.checkpoint is None:
+        return True
+    late = budget.seconds is not None and run.seconds >= budget.seconds
+    return late or (budget.target is not None and run.loss <= budget.target)
