@@ -103,6 +103,7 @@ def test_a_budget_that_buys_no_value_says_what_to_do(identify: Command) -> None:
     assert "no finite value" not in out
 
 
+@pytest.mark.slow
 def test_a_method_that_leaves_the_box_is_remarked(identify: Command) -> None:
     """The authors' code clips at lower bounds only, and so does this choice."""
     small = ["optimizer.R=300", "dataset.n=200", "budget.evaluations=3000"]

@@ -3,6 +3,7 @@
 from collections import Counter
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ from miho.optim import Budget, minimize
 CONF = Path(__file__).parent.parent / "conf"
 NEEDS_A_SETTING = {"axle_log", "brake_log", "csv", "mat", "published", "tir", "torque_log"}
 NEEDS_A_LIBRARY = {"ngopt": "nevergrad", "dehb": "dehb", "dfo_ls": "dfols"}
+DRIVEN = {"front_axle", "front_axle_drive", "front_axle_tires", "lively_drive", "steering_test"}
+"""Their data are simulated by a car that takes seconds to compile."""
 SWEPT = "hydra.sweeper.params.optimizer"
 register()
 
@@ -32,6 +35,12 @@ def text(dataset: str) -> str:
 
 def options(group: str) -> list[str]:
     return sorted(path.stem for path in (CONF / group).glob("*.yaml"))
+
+
+def slow_drives(names: list[str]) -> list[Any]:
+    return [
+        pytest.param(name, marks=pytest.mark.slow) if name in DRIVEN else name for name in names
+    ]
 
 
 def in_folders(group: str) -> list[str]:
@@ -86,7 +95,7 @@ def test_a_run_records_the_version_of_its_library(optimizer: str, distribution: 
 
 
 @pytest.mark.parametrize(
-    "dataset", [name for name in options("dataset") if name not in NEEDS_A_SETTING]
+    "dataset", slow_drives([name for name in options("dataset") if name not in NEEDS_A_SETTING])
 )
 def test_datasets(
     dataset: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
@@ -241,7 +250,7 @@ def test_the_arena_is_everything_but_what_it_says() -> None:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", options("experiment"))
+@pytest.mark.parametrize("name", slow_drives(options("experiment")))
 def test_experiments(name: str) -> None:
     cfg = composed([f"experiment={name}"])
     assert cfg.root == f"runs/{name}"

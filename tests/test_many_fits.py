@@ -83,12 +83,14 @@ def test_tied_and_fixed_parameters_have_columns_too() -> None:
     assert table.loc[1, "a"] == pytest.approx(theta[0], rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_parameter_at_its_bound_has_no_error() -> None:
     table = miho.fit_many(decay, t, y[:2], {**BOX, "a": (0, 0.2)})
     assert (table["a"] == 0.2).all()
     assert table["a_error"].isna().all()
 
 
+@pytest.mark.slow
 def test_many_optima_are_told_of() -> None:
     """A sine's phase and period: descents from a few others' optima end in wrong periods."""
     phases = rng.uniform(0.5, 9.0, 40)

@@ -107,7 +107,10 @@ MODEL = 'def line(alpha: "rad", *, B: "1/rad", C: "-", D: "N", Sx: "rad", Sy: "N
 """The parameters are those of the configuration's own space."""
 
 
-@pytest.mark.parametrize("deed", ["raise KeyboardInterrupt", "raise BaseException('no')"])
+@pytest.mark.parametrize(
+    "deed",
+    ["raise KeyboardInterrupt", pytest.param("raise BaseException('no')", marks=pytest.mark.slow)],
+)
 def test_a_model_that_cannot_be_tried_is_lost_alone(tmp_path: Path, deed: str) -> None:
     model = tmp_path / "model.py"
     model.write_text(f"{MODEL}    {deed}\n")

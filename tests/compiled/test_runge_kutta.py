@@ -49,6 +49,7 @@ def test_models_of_two_processes_are_told_apart_by_a_third(tmp_path: Path) -> No
         assert slope == pytest.approx(-rate * np.exp(-rate / 2), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_a_batch_of_any_size_gives_each_row_as_alone() -> None:
     """One, some and all lanes, and a second block; NaN in one lane stays there."""
     model = Trajectory(

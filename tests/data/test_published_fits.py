@@ -195,6 +195,7 @@ def test_an_unknown_name_lists_those_that_exist() -> None:
         PublishedModel("misra1a")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [

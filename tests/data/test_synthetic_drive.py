@@ -12,6 +12,7 @@ from miho.models.single_track_motion import DRIVE_NOISE
 CAR = {"mass": 800.0, "lf": 1.7, "lr": 1.271, "Izz": 850.0}
 
 
+@pytest.mark.slow
 def test_the_motion_is_that_of_the_single_track_car() -> None:
     """Five seconds by SciPy at 1e-9, with the forces of `PacejkaCurvature`: Sx is -Sh there."""
     data, car = tire_drive(CAR, duration=5.0, noise=0.0), SingleTrack(**CAR)

@@ -13,6 +13,7 @@ CAR = {"mass": 800.0, "lf": 1.7, "lr": 1.271, "Izz": 850.0}
 TRUE = np.array([*TRUTH["front"].values(), *TRUTH["rear"].values(), CAR["Izz"]])
 
 
+@pytest.mark.slow
 def test_parameters_are_recovered() -> None:
     """Within four standard errors of linear theory, none above 5 %."""
     data, model = steering_test(CAR), single_track_response(CAR)

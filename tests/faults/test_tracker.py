@@ -83,6 +83,7 @@ class FolderTracker(Tracker):
         path.write_text(json.dumps(vars(entry)), encoding="utf-8")
 
 
+@pytest.mark.slow
 @pytest.mark.fault(
     row="R20",
     fault="tracker down, slow (2 s per call), full or of another version",

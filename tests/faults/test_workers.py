@@ -73,7 +73,7 @@ def test_workers_out_of_memory(tmp_path: Path, measured: Figures) -> None:
     )
     assert len(reasons) == 2
     assert "MemoryError: Unable to allocate" in " ".join(reasons)
-    assert "WorkerLostError: killed by SIGKILL, perhaps for want of memory" in reasons
+    assert reasons[1].startswith("WorkerLostError: killed by SIGKILL, perhaps for want of memory; ")
     assert "\n" not in "".join(reasons)
     assert lost == sum(alone.rejected.values())
     _equal_curves(alone, record)
@@ -96,7 +96,8 @@ def test_hung_workers(tmp_path: Path, measured: Figures) -> None:
         f"{lost} of {record.evaluations:g} lost in {time.monotonic() - began:.1f} s "
         f"({'; '.join(record.rejected)}); {len(left)} processes left"
     )
-    assert set(record.rejected) == {f"WorkerLostError: no end within {HUNG:g} s, so it was killed"}
+    (reason,) = record.rejected
+    assert reason.startswith(f"WorkerLostError: no end within {HUNG:g} s, so it was killed; first")
     assert lost == sum(alone.rejected.values()) >= 3
     assert not left
     _equal_curves(alone, record)

@@ -331,6 +331,7 @@ def test_books_are_of_the_values_that_a_model_gave(own: bool, rho: Loss) -> None
     assert values / 301 == oracle.evaluations
 
 
+@pytest.mark.slow
 def test_a_wrong_optimum_of_two_inputs_is_more_than_the_noise() -> None:
     """A wave in x as high as z says, in more rows than are looked at; the wrong one is 10 % off."""
     rng = np.random.default_rng(8)

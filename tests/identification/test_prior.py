@@ -59,6 +59,7 @@ def test_a_prior_on_the_log_scale_is_log_normal() -> None:
     assert fit.report().priors["of the priors [%]"].tolist() == pytest.approx([100.0])
 
 
+@pytest.mark.slow
 def test_intervals_hold_truths_that_are_drawn_from_the_prior() -> None:
     """Of 400 truths 95 % +- 1.1 % (one standard error): within four of those."""
     inside = 0

@@ -33,6 +33,7 @@ def problem(data: miho.Dataset, restart: int | None = None) -> miho.CurveFit:
     return miho.CurveFit(single_track_drive(CAR, restart=restart), data, SPACE)
 
 
+@pytest.mark.slow
 def test_one_step_ahead_of_a_disturbed_drive() -> None:
     """From the whole box. Linear theory has standard errors of B, C and D up to 0.2 %."""
     fit = problem(tire_drive(CAR, "lively", 40.0, noise=0.0, disturbance=1.0), restart=1)

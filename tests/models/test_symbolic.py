@@ -180,6 +180,7 @@ def test_linear_parameters_are_found_and_bends_are_not_taken_for_lines() -> None
         assert jointly_linear(graph, [a, b, c], gradient(graph, [a, b, c])) == expected, name
 
 
+@pytest.mark.slow
 def test_choices_compiled_are_those_of_numpy() -> None:
     """The two orders of the sum over rows differ by a few roundings."""
 

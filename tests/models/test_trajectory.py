@@ -63,6 +63,7 @@ MOTOR = Trajectory(motor, {"i": 0.0, "w": 0.0}, ["w"], substeps=60)
 MOTOR_TRUE = np.array([2.0, 0.5, 0.1, 0.02, 0.01])
 
 
+@pytest.mark.slow
 def test_a_rate_that_is_switched_is_its_closed_form() -> None:
     """RK4 at 20 ms leaves h^4 times a few 1e-2 of a decay at 1 to 3 per second."""
 
@@ -232,6 +233,7 @@ def lag(model: Trajectory, *columns: Array, k: float = 1.7) -> Array:
     return np.asarray(model.predict(np.array([[k]]), ROWS, FORCE, *columns)[0])
 
 
+@pytest.mark.slow
 def test_one_step_starts_at_the_measured_state_of_the_row_before() -> None:
     free = replace(DRIVEN, restart=None)
     steps = lag(replace(DRIVEN, restart=1), NOISY)
@@ -249,6 +251,7 @@ def test_segments_of_rows_start_at_measured_states_and_predict_the_next_start() 
     np.testing.assert_allclose(tens[11:21], alone[1:], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_segments_start_at_states_of_their_own() -> None:
     model = replace(DRIVEN, states={"x": "identified"}, segments=3)
     assert list(model.parameters) == ["k", "x_0", "x_1", "x_2"]
@@ -262,6 +265,7 @@ def test_segments_start_at_states_of_their_own() -> None:
     np.testing.assert_allclose(J[10:20, 2], np.exp(-1.7 * ROWS[:10]), atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("start", [{"restart": 4}, {"segments": 3, "states": {"x": "identified"}}])
 def test_all_solvers_go_the_same_way(start: dict[str, Any]) -> None:
     """Compiled, in NumPy with a right-hand side that branches, and SciPy's at 1e-8."""
@@ -289,6 +293,7 @@ def test_inputs_are_straight_between_rows_or_held() -> None:
             np.testing.assert_allclose(lag(model, start, k=0.0), expected, atol=tolerance)
 
 
+@pytest.mark.slow
 def test_several_outputs_stand_below_each_other_at_times_of_their_own() -> None:
     """The first at every row, the second at every third, a unit's worth each."""
     model = Trajectory(oscillator, {"x": 0.4, "v": 0.0}, ["x", "v"], scales=(0.1, 2.0), substeps=10)
@@ -306,6 +311,7 @@ def test_several_outputs_stand_below_each_other_at_times_of_their_own() -> None:
                                   y[shuffled])  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("solver", ["RK4", "Radau"])
 def test_what_fails_or_diverges_is_nan_without_a_word(
     solver: str, monkeypatch: pytest.MonkeyPatch
@@ -371,6 +377,7 @@ def time_constant(*, k: "1/s") -> "s":
 """
 
 
+@pytest.mark.slow
 def test_functions_of_a_file(tmp_path: Path) -> None:
     path = tmp_path / "lag.py"
     path.write_text(FILE)

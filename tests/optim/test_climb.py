@@ -243,6 +243,7 @@ def climb_by(fit: FusedLoss, P: Array, L: Array, noise: Array, early_stopping: b
     return fit.climb(steps, math.inf, -math.inf)
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 2**32 - 1), rows=st.sampled_from([1, 63, 64, 65, 200, 1500]),
        size=st.floats(1e-6, 100))  # fmt: skip
 @settings(max_examples=60, deadline=None)
