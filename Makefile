@@ -21,8 +21,8 @@ DOCUMENTED := $(VENV)/documented
 # Without build isolation nothing is downloaded twice. Libraries are compiled where they are imported;
 # our own modules are compiled first, since numba takes code from sources and from bytecode for two.
 PIP := $(BIN)/python -m pip install -qq --no-compile --no-build-isolation --constraint constraints.txt
-# A file's tests share what they set up and compile, so one process does them all.
-PYTEST := $(BIN)/python -m pytest -q -n auto --dist loadfile
+# A process that has no tests left takes some of the other one's.
+PYTEST := $(BIN)/python -m pytest -q -n auto --dist worksteal
 
 # With it every process is made from the sources again.
 unexport PYTHONDONTWRITEBYTECODE

@@ -442,7 +442,7 @@ def test_sizes_and_signs_that_are_stated_are_taken() -> None:
         miho.fit(tire, rows, "Fy", start={"PHY1": 0.0}, ranges=ranges)
     assert miho.fit(tire, rows, "Fy", start={"PHY1": 0.0}, ranges={"alpha": None})
     rows["Fy"] = np.where(np.arange(100) == 7, np.nan, rows["Fy"])
-    with pytest.raises(ValueError, match="Fy: a number is missing .* in row 8"):
+    with pytest.raises(ValueError, match=r"Fy: a number is missing .* in row 8"):
         miho.fit(tire, rows, "Fy", start={"PHY1": 0.0})
     with pytest.raises(ValueError, match="columns differ in length"):
         miho.fit(tire, rows | {"Fy": np.zeros(5)}, "Fy", start={"PHY1": 0.0})
