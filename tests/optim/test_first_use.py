@@ -37,7 +37,7 @@ for _, one in compiled.buffer:
         names.add(function.py_func.__qualname__.split(".")[0])
 from miho.compiled.gauss_newton_loop import run_bracket
 assert given.error is None, given.error
-print(*sorted(names), len(run_bracket.signatures))
+print(*sorted(names), len(run_bracket.compiled.signatures))
 """
 
 
