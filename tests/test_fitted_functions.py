@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import functools
+import gc
 import math
+import time
 import traceback
+import weakref
 from collections.abc import Callable
 from typing import Any
 
@@ -269,3 +272,91 @@ def test_complex_numbers_and_changed_columns_have_a_remedy() -> None:
     }
     joint = miho.fit_joint(parts, BOX, budget=FEW, compiled=False)
     assert joint.values == pytest.approx({"a": 2.0, "b": 0.7}, rel=1e-6)
+
+
+def clipped(t, a, b):
+    """It takes arrays alone: numbers have no method `clip`."""
+    return a.clip(0, 4) * np.exp(-b * t)
+
+
+def hill(x, top, k, n):
+    """With numbers k**n overflows in a corner of the box, with arrays it is infinite."""
+    return top * x**n / (k**n + x**n)
+
+
+def test_a_call_with_numbers_that_raises_is_no_other_value(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    t = np.linspace(0, 2, 30)
+    fit = miho.fit(clipped, t, 2 * np.exp(-1.5 * t), {"a": (0, 5), "b": (0, 10)}, compiled=False)
+    assert fit.values == pytest.approx({"a": 2.0, "b": 1.5}, rel=1e-6)
+    box = {"top": (0, 5), "k": (0.01, 3000), "n": (0.1, 100)}
+    x = np.linspace(0.1, 10, 40)
+    fit = miho.fit(hill, x, hill(x, 2.0, 3.0, 2.5), box, compiled=False)
+    assert fit.values == pytest.approx({"top": 2.0, "k": 3.0, "n": 2.5}, rel=1e-6)
+    assert "other values" not in capsys.readouterr().err
+
+
+def test_a_slow_formula_is_compared_at_the_optimum_alone() -> None:
+    calls = []
+
+    def slow(t, a, b):
+        calls.append((a, b))
+        if isinstance(a, float):
+            time.sleep(0.03)  # above the 10 ms from which an evaluation counts as expensive
+        return a * np.exp(-b * t)
+
+    t = np.linspace(0, 2, 30)
+    miho.fit(slow, t, 2 * np.exp(-1.5 * t), {"a": (0, 5), "b": (0, 10)}, compiled=False)
+    assert len(calls) <= 10
+
+
+def test_a_partial_may_bind_the_first_argument() -> None:
+    def scaled(k, t, a, b):
+        return k * a * np.exp(-b * t)
+
+    t = np.linspace(0, 2, 30)
+    bound = functools.partial(scaled, k=1.0)
+    fit = miho.fit(bound, t, 2 * np.exp(-1.5 * t), {"a": (0, 5), "b": (0, 10)}, compiled=False)
+    assert fit.values == pytest.approx({"k": 1.0, "a": 2.0, "b": 1.5}, rel=1e-6)
+
+
+def test_a_missing_number_of_pandas_is_left_out() -> None:
+    y = pd.Series([1.0, pd.NA, 3.0, 4.0, 5.2], dtype=object)
+    fit = miho.fit(lambda t, a: a * t, np.arange(1.0, 6.0), y, {"a": (0, 9)}, missing="drop",
+                   compiled=False)  # fmt: skip
+    assert len(fit.problem.dataset) == 4
+
+
+def test_a_default_of_one_part_fixes_no_parameter_of_another() -> None:
+    def line(t, a, b=0.5):
+        return a + b * t
+
+    t = np.linspace(0, 2, 20)
+    parts = {"f": (lambda t, a, b: a * np.exp(-b * t), t, np.exp(-t)), "g": (line, t, t)}
+    with pytest.raises(ValueError, match="b has no bounds"):
+        miho.fit_joint(parts, {"a": (0, 5)}, compiled=False)
+
+
+def test_a_budget_without_a_value_is_said() -> None:
+    t = np.linspace(0, 2, 30)
+    budget = miho.Budget(seconds=1e-9)
+    with pytest.raises(ValueError, match="the budget ended before the first value"):
+        miho.fit(lambda t, a, b: a * np.exp(-b * t), t, t, {"a": (0, 5), "b": (0, 10)},
+                 budget=budget, compiled=False)  # fmt: skip
+
+
+def test_a_refused_trace_keeps_nothing_of_its_caller() -> None:
+    class Table:
+        """Anything that the caller holds."""
+
+    def fitted() -> weakref.ref[Table]:
+        table = Table()
+        t = np.linspace(0, 2, 30)
+        miho.fit(lambda t, a, b: a + (t > 1) ** 2 * b, t, t, {"a": (0, 5), "b": (0, 10)},
+                 compiled=False)  # fmt: skip
+        return weakref.ref(table)
+
+    left = fitted()
+    gc.collect()
+    assert left() is None

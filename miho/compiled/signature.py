@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, cached_property, partial, update_wrapper
 from pathlib import Path
+from threading import Lock
 from types import CodeType, FunctionType
 from typing import Any, Generic, TypeVar, cast
 
@@ -107,9 +108,10 @@ class Entry(Generic[Function]):
 
         import miho.compiled.polynomials  # noqa: F401 -- registers the elementary functions
 
-        _register_parts()
-        sign = signing(signature_of(self.function))
-        return numba.njit(cache=True, **self._options)(sign(self.function))
+        with _registering:
+            _register_parts()
+            sign = signing(signature_of(self.function))
+            return numba.njit(cache=True, **self._options)(sign(self.function))
 
     @property
     def in_cache(self) -> bool:
@@ -135,6 +137,9 @@ def part(function: Function, options: Mapping[str, Any], form: Function | None =
 _parts: list[tuple[Callable[..., object], Callable[..., object], Mapping[str, Any]]] = []
 """Functions as Python calls them, as numba compiles them, and how; those that numba knows are out
 of the list."""
+
+
+_registering = Lock()
 
 
 def _register_parts() -> None:

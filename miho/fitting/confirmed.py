@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 import warnings
 from dataclasses import replace
 
@@ -21,6 +22,7 @@ from miho.models.leaves import dear_leaves
 from miho.models.model import Model
 from miho.models.tied import Tied, TiedModel
 from miho.parallel import Evaluations
+from miho.parallel.worth import is_dear
 from miho.quantities import Array
 
 CONFIGURATIONS, VALUES = 30, 1_000_000
@@ -42,8 +44,12 @@ def by_calls(
         return None
     count = min(CONFIGURATIONS, VALUES // max(1, len(problem.dataset)))
     others = problem.space.decode(problem.space.initial(count)) if count else theta[None, :][:0]
-    for row in (theta, *others):
-        if not _same(problem.model, called, row[None], problem.inputs):
+    for k, row in enumerate((theta, *others)):
+        started = time.perf_counter()
+        same = _same(problem.model, called, row[None], problem.inputs)
+        if same and not k and is_dear(time.perf_counter() - started):
+            break
+        if not same:
             sys.stderr.write(
                 f"miho: {problem.name}: the function gives other values for numbers than for "
                 "arrays; it is called with numbers, one configuration at a time\n"
@@ -107,6 +113,8 @@ def _same(model: Model, called: Model, thetas: Array, inputs: tuple[Array, ...])
         try:
             outputs.append(each.predict(thetas, *inputs))
         except ValueError:
+            if each is called:
+                return True
             outputs.append(np.full((len(thetas), inputs[0].size), np.nan))
     with np.errstate(invalid="ignore"):
         finite = [np.where(np.isfinite(values), values, np.nan) for values in outputs]

@@ -207,7 +207,7 @@ class Joint:
             joint = self._with(first, parts_of(plain.model))
         problem = joint.problem(space, prior_scale=joint._scale, **settings)
         fit = searched(problem, method, budget, seed, evaluations)
-        models = parts_of(problem.model)  # traced once
+        models = parts_of(fit.problem.model)  # traced once
         for _ in range(ROUNDS):
             whole = spread(fit.problem, evaluations)
             sigma = self._residual_deviations(replace(fit, problem=whole))

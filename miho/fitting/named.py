@@ -73,6 +73,8 @@ def loss_of(loss: Loss | str | None, sigma: object = None) -> Loss:
             f"standard deviation as sigma, or loss=miho.identification.{kind.__name__}(scale=...), "
             f"{factor} times that"
         )
+    if not np.all(np.asarray(sigma, dtype=float) > 0):
+        raise ValueError("sigma is 0 or below in some row; expected numbers above 0")
     return kind(factor / math.sqrt(float(np.mean(1 / np.asarray(sigma, dtype=float) ** 2))))
 
 

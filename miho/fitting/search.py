@@ -41,6 +41,8 @@ def searched(
     if run.outcome is Outcome.INTERRUPTED:
         raise interrupted(run)
     name = title(problem)
+    if run.theta is None and not run.rejected and run.error is None:
+        raise ValueError(f"{name}: the budget ended before the first value; give a larger one")
     if run.theta is None:
         raise ValueError(f"{name}: no finite value was found: {run.error or run.rejected}")
     raised = {why: n for why, n in run.rejected.items() if not why.startswith(NOT_FINITE)}

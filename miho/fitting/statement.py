@@ -143,7 +143,9 @@ def tire_columns(
         finite = np.flatnonzero(np.isfinite([*numbers.values()]).all(axis=0))
 
         def fault(column: str, row: int | None, problem: str) -> ValueError:
-            return ValueError(f"{column}{'' if row is None else f', row {finite[row]}'}: {problem}")
+            return ValueError(
+                f"{column}{'' if row is None else f', row {finite[row] + 1}'}: {problem}"
+            )
 
         if finite.size:
             layout.si_columns({name: column[finite] for name, column in numbers.items()}, fault)
@@ -204,7 +206,8 @@ def _column_names(function: Any, x: Any, parameters: Collection[str]) -> tuple[s
                 f"({', '.join(arguments)}) without bounds"
             )
         return names
-    return tuple(arguments)[: len(x) if isinstance(x, tuple) else 1]
+    free = [name for name, one in arguments.items() if one.default is one.empty]
+    return tuple(free)[: len(x) if isinstance(x, tuple) else 1]
 
 
 def inputs_of(model: Model, x: Any) -> dict[str, Any]:
@@ -242,7 +245,9 @@ def _numbers(name: str, values: Any) -> NDArray[np.float64]:
     if np.ma.is_masked(values):
         return np.where(np.ma.getmaskarray(values), np.nan, array.astype(float))
     if array.dtype == object:  # in which None or pandas' NA stand for what is missing
-        array = np.array([np.nan if value is None else value for value in array], dtype=object)
+        import pandas as pd
+
+        array = np.where(pd.isna(array), np.nan, array)
     return array.astype(float)
 
 

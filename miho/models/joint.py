@@ -95,12 +95,14 @@ class JointModel(Model):
 
     @property
     def defaults(self) -> Mapping[str, float]:  # type: ignore[override]
-        """Those of all parts; of a parameter of several parts that of the first."""
-        numbers: dict[str, float] = {}
-        for part in reversed(self.parts):
-            names = dict(zip(part.model.parameters, part.parameters, strict=True))
-            numbers |= {names[name]: value for name, value in part.model.defaults.items()}
-        return numbers
+        """Of the parameters that have the same default in each part that they belong to."""
+        values: dict[str, set[float | None]] = {}
+        for part in self.parts:
+            own = part.model.defaults
+            for name, joint in zip(part.model.parameters, part.parameters, strict=True):
+                values.setdefault(joint, set()).add(own.get(name))
+        known = {name: each.pop() for name, each in values.items() if len(each) == 1}
+        return {name: value for name, value in known.items() if value is not None}
 
     @property
     def ordered(self) -> bool:  # type: ignore[override]

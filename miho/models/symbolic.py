@@ -26,10 +26,12 @@ class NotAFormulaError(BaseException):  # which an `except Exception` of the fun
 
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
-        REFUSALS.get().append(self)
+        noted = REFUSALS.get()
+        if noted is not None:
+            noted.append(self)
 
 
-REFUSALS: ContextVar[list[NotAFormulaError]] = ContextVar("refusals", default=[])  # noqa: B039
+REFUSALS: ContextVar[list[NotAFormulaError] | None] = ContextVar("refusals", default=None)
 """The refusals of the trace in progress."""
 
 
