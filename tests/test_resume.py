@@ -61,9 +61,12 @@ class Runs:
             "optimizer=miho", "budget.evaluations=50", f"root={self.folder}/runs", *overrides,
         ])  # fmt: skip
 
-    def __call__(self, *overrides: str) -> None:
+    def __call__(self, *overrides: str) -> str:
+        """The line of the run."""
         cfg = self.configured(*overrides)
-        run([request_of(build(cfg), cfg)], SweepConfig(), processes=HERE).raise_if_stopped()
+        outcome = run([request_of(build(cfg), cfg)], SweepConfig(), processes=HERE)
+        outcome.raise_if_stopped()
+        return outcome.states[0].line
 
     @property
     def calls(self) -> int:
@@ -144,6 +147,19 @@ def test_a_journal_of_a_model_that_has_changed_is_set_aside(
     assert "its model has changed: at (" in said
     assert "set aside as journal.damaged" in said
     assert runs.result == changed.result
+
+
+def test_a_journal_whose_model_fails_for_now_stays(tmp_path: Path) -> None:
+    """The run ends with a line."""
+    runs = interrupted(tmp_path / "again")
+    (journal,) = runs.journals
+    content = journal.read_bytes()
+    (runs.folder / "gain").mkdir()  # which cannot be opened
+    line = runs()
+    assert "seed 0: failed: journal" in line
+    assert "cannot be checked, the model fails now: " in line
+    assert journal.read_bytes() == content
+    assert not journal.with_name("journal.damaged").exists()
 
 
 def test_workers_are_no_part_of_a_run(plain: Runs, capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 from experiments.app.build import Experiment
 from experiments.app.progress import Observer, progress
 from miho.optim import RunRecord, minimize
-from miho.parallel import Journal, JournalError, calls_of
+from miho.parallel import Journal, JournalError, UncheckedJournalError, calls_of
 from miho.parallel.usage import Usage
 from miho.study import Execution, Identity, Status, Store, execute
 
@@ -31,6 +31,8 @@ def execution_of(experiment: Experiment, *, quiet: bool = False) -> Execution:
         path = store.journal(identity)
         try:
             return journaled(path)
+        except UncheckedJournalError:  # the journal may be right
+            raise
         except JournalError as error:
             aside = path.with_name(f"{path.name}.damaged")
             path.replace(aside)
@@ -60,7 +62,10 @@ def execution_of(experiment: Experiment, *, quiet: bool = False) -> Execution:
             journal=journal,
         )
 
-    return execute(store, identity, job, problem.space, facts)
+    try:
+        return execute(store, identity, job, problem.space, facts)
+    except UncheckedJournalError as error:
+        return Execution(Status.FAILED, error=str(error))
 
 
 def line_of(identity: Identity, execution: Execution) -> str:

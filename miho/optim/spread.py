@@ -15,7 +15,6 @@ from miho.parallel import (
     Evaluated,
     Evaluations,
     Journal,
-    JournalError,
     StaleJournalError,
     Workers,
     open_pool,
@@ -103,7 +102,8 @@ def open_evaluations(
     """What makes the evaluations of a problem, and of others with its models and data.
 
     Evaluations that are open already are used as they are. Raises JournalError for a journal that
-    cannot be used, and for one of a model that has changed as soon as that shows.
+    cannot be used, and for one of a model that has changed as soon as that shows;
+    UncheckedJournalError where the model fails for a reason that may pass.
     """
     if isinstance(workers, Evaluations):
         yield workers
@@ -122,7 +122,7 @@ def open_evaluations(
             try:
                 yield evaluations
             except StaleJournalError as reason:
-                raise JournalError(str(reason)) from None
+                raise reason.error from None
 
 
 def spread(problem: Problem, evaluations: Evaluations) -> Problem:

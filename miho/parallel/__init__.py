@@ -1,7 +1,7 @@
 """Work in other processes and on other machines: workers, what they evaluate, and its journal."""
 
 from miho.parallel.evaluations import Evaluated, Evaluations
-from miho.parallel.journal import Journal, JournalError, calls_of
+from miho.parallel.journal import Journal, JournalError, UncheckedJournalError, calls_of
 from miho.parallel.journal_check import StaleJournalError
 from miho.parallel.pending import Ahead, NoWorkersLeft
 from miho.parallel.pool import Pool, Workers, open_pool
@@ -15,6 +15,7 @@ __all__ = [
     "NoWorkersLeft",
     "Pool",
     "StaleJournalError",
+    "UncheckedJournalError",
     "Workers",
     "calls_of",
     "open_pool",

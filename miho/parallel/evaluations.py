@@ -21,7 +21,7 @@ from miho.parallel.journal import Journal, Key
 from miho.parallel.journal_check import JournalCheck
 from miho.parallel.pending import Ahead, NoWorkersLeft, Pending
 from miho.parallel.pool import Pool, lost
-from miho.parallel.process_executor import OverdueError, WorkerLostError, WorkersGoneError
+from miho.parallel.process_executor import HungError, OverdueError, WorkersGoneError
 from miho.parallel.remote import Answer, Raised
 from miho.parallel.rows import ByRows, Rows, as_array
 from miho.parallel.usage import Usage
@@ -348,7 +348,7 @@ class Evaluations:
         for pending in {id(p): p for p in overdue}.values():
             with contextlib.suppress(InvalidStateError):  # its value has just come
                 pending.future.set_exception(
-                    WorkerLostError(f"no end within {limit:g} s, so it was given up", again=False)
+                    HungError(f"no end within {limit:g} s, so it was given up", again=False)
                 )
 
     def _keep(self, key: Key, value: Array | Raised, seconds: float) -> None:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from miho.parallel.remote import Raised
 from miho.regular_file import NotAFileError, check_regular
 
-FORMAT = 1
+FORMAT = 2
 SYNCED = 1.0
 """Seconds of evaluations that a loss of power may cost; the end of a process costs none."""
 Key = tuple[str, bytes]
@@ -31,6 +31,10 @@ Key = tuple[str, bytes]
 
 class JournalError(ValueError):
     """A journal that cannot be used: one line with the file and what to do."""
+
+
+class UncheckedJournalError(JournalError):
+    """A journal that may be right, but whose model fails for a reason that may pass."""
 
 
 class Described(Protocol):
@@ -180,8 +184,13 @@ class Journal:
         first = {"format": FORMAT, "problem": problem, "calls": calls}
         head = first if not lines and _is_cut_short(tail, first) else None
         head = entries[0] if entries else head
-        if head is None or head.get("format") != FORMAT:
-            raise JournalError(f"journal {self.path}: is none of this version; name another file")
+        if head is None:
+            raise JournalError(f"journal {self.path}: is no journal; name another file")
+        if head.get("format") != FORMAT:
+            raise JournalError(
+                f"journal {self.path}: is of another version of MIHO; name another file, or delete "
+                "it"
+            )
         if tail:  # cut short when its process ended
             self._file.truncate(sum(len(line) + 1 for line in lines))
         if not entries:

@@ -6,11 +6,12 @@ import math
 import sys
 from collections.abc import Callable, Sequence
 from itertools import islice
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.parallel.journal import Journal, Key
+from miho.parallel.journal import Journal, JournalError, Key, UncheckedJournalError
 from miho.parallel.remote import Raised
 
 Array = NDArray[np.float64]
@@ -25,10 +26,15 @@ mathematical functions of another machine differ by 1e-16 to 1e-15, and a simula
 
 
 class StaleJournalError(BaseException):
-    """A journal whose values are not those of its functions any more; one line says which.
+    """A journal whose values are not those of its functions any more, or cannot be compared.
 
-    It is no error of a model, which is an Exception that methods may take for a rejected value.
+    It is no error of a model, which is an Exception that methods may take for a rejected value. The
+    `error`, a line, is for those who called the method.
     """
+
+    def __init__(self, error: JournalError) -> None:
+        super().__init__(str(error))
+        self.error = error
 
 
 class JournalCheck:
@@ -82,41 +88,62 @@ class JournalCheck:
     def _compare(
         self, keys: Sequence[Key], evaluate: Callable[[Sequence[Key]], Sequence[Value]]
     ) -> None:
-        gaps, failure = [], ""
+        gaps, failures = list[float](), list[Raised]()
         for key, now in zip(keys, evaluate(keys), strict=True):
-            if isinstance(now, Raised) and now.of_machine:
-                failure = now.line
-                continue
-            gap = _gap(self._journal[key], now)
-            if gap > CLOSE and _gap(now, evaluate([key])[0]) > CLOSE:
+            gap = 0.0 if _passes(now) else _gap(self._journal[key], now)
+            again = evaluate([key])[0] if gap > CLOSE else now
+            if _passes(again):
+                failures.append(again)
+            elif gap > CLOSE and _gap(now, again) > CLOSE:
                 self._say(
                     "two evaluations of one configuration differ, so that it cannot be compared "
                     "with its model; stored values are used as they are"
                 )
                 return
-            if gap > CLOSE:
+            elif gap > CLOSE:
                 self._refuse(key, now)
-            gaps.append(gap)
-        if not gaps:
-            raise StaleJournalError(
-                f"journal {self._journal.path}: cannot be checked, the model fails now: {failure}; "
-                "mend that and try again"
-            )
-        if max(gaps) > 0:
+            else:
+                gaps.append(gap)
+        if gaps and max(gaps) > 0:
             self._say(f"values differ by rounding, {max(gaps):.1g} of the largest")
+        if not gaps:
+            self._fail(failures)
+
+    def _fail(self, failures: Sequence[Raised]) -> None:
+        """Say what it means that no value could be compared."""
+        failed = next((failure for failure in failures if not failure.overdue), None)
+        if failed is None:
+            self._say(
+                "evaluations take longer than evaluation_limit now, so that the model is not "
+                "checked; stored values are used as they are"
+            )
+            return
+        raise StaleJournalError(
+            UncheckedJournalError(
+                f"journal {self._journal.path}: cannot be checked, the model fails now: "
+                f"{failed.line}; mend that and try again"
+            )
+        )
 
     def _refuse(self, key: Key, now: Value) -> None:
         place = ", ".join(f"{x:.6g}" for x in np.frombuffer(key[1], dtype=float))
         before, after = _words(self._journal[key], now)
         raise StaleJournalError(
-            f"journal {self._journal.path}: its model has changed: at ({place}) it gave {before}, "
-            f"now {after}; name another file, delete this one, or restore the model"
+            JournalError(
+                f"journal {self._journal.path}: its model has changed: at ({place}) it gave "
+                f"{before}, now {after}; name another file, delete this one, or restore the model"
+            )
         )
 
     def _say(self, text: str) -> None:
         if text not in self._said:
             self._said.add(text)
             sys.stderr.write(f"miho: journal {self._journal.path}: {text}\n")
+
+
+def _passes(value: Value) -> TypeGuard[Raised]:
+    """Whether this is a failure that may pass, which says nothing about the model."""
+    return isinstance(value, Raised) and value.of_machine
 
 
 def _is_finite(value: Value) -> bool:

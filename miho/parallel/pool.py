@@ -299,4 +299,5 @@ def _fail(result: Future[Answer], error: WorkerLostError) -> None:
 
 def lost(error: BaseException) -> Raised:
     """What is told of a value whose worker is gone."""
-    return Raised(WorkerLostError.__name__, str(error), of_machine=True)
+    overdue = getattr(error, "overdue", False)
+    return Raised(WorkerLostError.__name__, str(error), of_machine=True, overdue=overdue)

@@ -24,7 +24,12 @@ Job = tuple[int, bytes]
 
 
 class WorkerLostError(RuntimeError):
-    """The process of a call has ended without an answer; it may be tried `again`."""
+    """The process of a call has ended without an answer; it may be tried `again`.
+
+    One `overdue` took too long.
+    """
+
+    overdue = False
 
     def __init__(self, reason: str, again: bool = True) -> None:
         super().__init__(reason)
@@ -33,6 +38,14 @@ class WorkerLostError(RuntimeError):
 
 class OverdueError(WorkerLostError):
     """The call took too long, and was killed."""
+
+    overdue = True
+
+
+class HungError(WorkerLostError):
+    """The call took too long, and was given up; its worker may still be busy with it."""
+
+    overdue = True
 
 
 class WorkersGoneError(WorkerLostError):

@@ -31,12 +31,14 @@ class Answer:
 class Raised:
     """An exception by the name of its class and its message: itself, it may not be picklable.
 
-    One `of_machine` is no property of a model: want of memory, or of a file, may be over later.
+    One `of_machine` is no property of a model: want of memory, or of a file, may be over later. One
+    `overdue` took longer than the limit.
     """
 
     name: str
     message: str
     of_machine: bool = False
+    overdue: bool = False
 
     @classmethod
     def of(cls, error: BaseException) -> Raised:

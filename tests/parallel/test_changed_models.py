@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +16,17 @@ import pytest
 
 import miho
 from miho.models import FunctionModel
-from miho.parallel import Evaluations, Journal, JournalError, StaleJournalError, open_pool, worth
+from miho.parallel import (
+    Evaluations,
+    Journal,
+    JournalError,
+    Pool,
+    StaleJournalError,
+    UncheckedJournalError,
+    open_pool,
+    worth,
+)
+from miho.parallel.process_executor import HungError
 from tests.parallel.changed_models import RANDOM, WAYS, search, t
 
 PROBLEM = SimpleNamespace(description="problem", called_as=())
@@ -157,9 +167,35 @@ def test_a_machine_that_fails_is_no_changed_model(tmp_path: Path) -> None:
     def missing(thetas: Any) -> Any:
         raise FileNotFoundError("no licence")
 
-    with pytest.raises(StaleJournalError, match=r"the model fails now: FileNotFoundError: no lic"):
+    with pytest.raises(StaleJournalError, match=r"fails now: FileNotFoundError: no lic") as raised:
         values(path, missing, ROWS)  # type: ignore[arg-type]
+    assert isinstance(raised.value.error, UncheckedJournalError)
     assert values(path, broken, ROWS)
+
+
+def test_a_failure_of_the_second_evaluation_is_no_chance(tmp_path: Path) -> None:
+    path, changed = tmp_path / "journal", Growing(2.0)
+    values(path, Growing(), ROWS)
+
+    def once(thetas: Any) -> Any:
+        if len(changed.asked) >= 3:
+            raise FileNotFoundError("no licence")
+        return changed(thetas)
+
+    with pytest.raises(StaleJournalError, match="cannot be checked"):
+        values(path, once, ROWS)  # type: ignore[arg-type]
+
+
+def test_a_lowered_limit_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Stored values are used where their evaluations take longer than the limit of today."""
+    path = tmp_path / "journal"
+    before = values(path, Growing(), ROWS)
+    with ThreadPoolExecutor(1) as threads, closing(Pool(threads, 1)) as pool:
+        done = Future[Any]()
+        done.set_exception(HungError("no end within 1 s", again=False))
+        pool.share = lambda function: lambda argument: done  # type: ignore[method-assign]
+        assert values(path, Growing(), ROWS, pool) == before
+    assert "longer than evaluation_limit now" in capsys.readouterr().err
 
 
 def test_a_fit_uses_no_value_of_a_changed_model(tmp_path: Path) -> None:

@@ -179,7 +179,7 @@ def test_a_journal_of_another_problem_is_refused(tmp_path: Path) -> None:
 def test_a_file_that_is_none_is_refused_and_kept(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "journal"
     path.write_bytes(content)
-    with pytest.raises(JournalError, match="is none of this version; name another file"):
+    with pytest.raises(JournalError, match="is no journal; name another file"):
         Journal(path, Named())
     assert path.read_bytes() == content
 
