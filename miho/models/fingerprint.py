@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import collections
 import dis
 import functools
 import hashlib
@@ -17,8 +18,22 @@ import numpy as np
 WRAPPED = 10
 """Decorators around one function, at most."""
 FOUNDATIONS = {"builtins", "abc", "typing", "collections.abc"}
+OURS = "miho."
+"""What modules begin with whose classes are not the user's."""
 MAKERS = {"__init__", "__new__", "__post_init__"}
 WRITTEN = {"STORE_GLOBAL", "STORE_DEREF", "DELETE_GLOBAL", "DELETE_DEREF"}
+
+
+Variable = tuple[int, str]
+"""A name by the `id` of its cell, or of the global names of its module."""
+
+
+class Seen(set[int]):
+    """The `id` of functions and objects that were met, and what variables functions write."""
+
+    def __init__(self, written: set[Variable]) -> None:
+        super().__init__()
+        self.written = written
 
 
 def fingerprint(thing: Any) -> str:
@@ -26,18 +41,21 @@ def fingerprint(thing: Any) -> str:
 
     Of an object its class with its methods, and its fields. Of a function its code with constants,
     defaults, closures and what it uses of its module: a comment changes nothing, a number does.
-    What a function may change does not count: lists, mappings and counters of its own, arrays that
-    it fills, attributes that methods write, files. Of what it imports only the name counts. For all
-    that, a journal compares values (`miho.parallel.journal_check`).
+    What a function may change does not count: lists, mappings and counters of its own and of those
+    that it calls, arrays that it fills, attributes that methods write, files. What may be made anew
+    in each process does not count either: paths and stamps of the module. Of what it imports, and
+    of MIHO's own classes, only the name counts. For all that, a journal compares values
+    (`miho.parallel.journal_check`).
     """
-    digest = hashlib.sha256()
-    for part in _parts(thing, set()):
+    digest, written = hashlib.sha256(), set[Variable]()
+    collections.deque(_parts(thing, Seen(written)), maxlen=0)  # to know what is written
+    for part in _parts(thing, Seen(written)):
         digest.update(part.encode())
         digest.update(b"\0")
     return digest.hexdigest()
 
 
-def _parts(thing: Any, seen: set[int]) -> Iterator[str]:
+def _parts(thing: Any, seen: Seen) -> Iterator[str]:
     """What a thing consists of, in words; functions and objects that were `seen` only once."""
     thing = _unwrapped(thing)
     if thing is None or isinstance(thing, bool | int | float | complex | bytes | Enum):
@@ -69,7 +87,7 @@ def _parts(thing: Any, seen: set[int]) -> Iterator[str]:
         yield from (_function if isinstance(thing, types.FunctionType) else _object)(thing, seen)
 
 
-def _object(thing: Any, seen: set[int]) -> Iterator[str]:
+def _object(thing: Any, seen: Seen) -> Iterator[str]:
     """The class of an object with its methods, and its fields; all it holds if it declares none."""
     yield from _class(type(thing), seen)
     if is_dataclass(thing):
@@ -94,12 +112,14 @@ def _methods(kind: type) -> Iterator[types.CodeType]:
                 yield method.__code__
 
 
-def _class(kind: type, seen: set[int]) -> Iterator[str]:
+def _class(kind: type, seen: Seen) -> Iterator[str]:
     """A class and those it stems from, by their names and methods."""
     for ancestor in kind.__mro__:
         if ancestor.__module__ in FOUNDATIONS:
             continue
         yield f"{ancestor.__module__}.{ancestor.__qualname__}"
+        if ancestor.__module__.startswith(OURS):
+            continue
         for name, member in sorted(vars(ancestor).items()):
             member = _unwrapped(member)
             if isinstance(member, types.FunctionType):
@@ -109,23 +129,30 @@ def _class(kind: type, seen: set[int]) -> Iterator[str]:
                 yield from _parts(member, seen)
 
 
-def _function(function: types.FunctionType, seen: set[int]) -> Iterator[str]:
+def _function(function: types.FunctionType, seen: Seen) -> Iterator[str]:
     code = function.__code__
     yield from _parts((code, function.__defaults__, function.__kwdefaults__), seen)
     # What it uses of where it stands: numbers and arrays by value, functions by their code.
-    used = dict(zip(code.co_freevars, function.__closure__ or (), strict=True))
-    members = {name: cell.cell_contents for name, cell in used.items() if cell != types.CellType()}
-    for name in _names(code, "LOAD_GLOBAL", "LOAD_NAME"):
-        if name in function.__globals__:
-            members.setdefault(name, function.__globals__[name])
+    cells = dict(zip(code.co_freevars, function.__closure__ or (), strict=True))
+    members = {name: cell.cell_contents for name, cell in cells.items() if cell != types.CellType()}
+    for name in _names(code, "LOAD_GLOBAL", "LOAD_NAME") - cells.keys():
+        member = function.__globals__.get(name)
+        if name in function.__globals__ and not _is_place_or_stamp(member):
+            members[name] = member
+
+    def variable(name: str) -> Variable:
+        return id(cells.get(name, function.__globals__)), name
+
+    seen.written.update(map(variable, _names(code, *WRITTEN)))
     fills = _names(code, "STORE_SUBSCR")
-    for name in sorted(members.keys() - _names(code, *WRITTEN)):
-        if not (fills and isinstance(members[name], np.ndarray)):
+    for name in sorted(members):
+        filled = fills and isinstance(members[name], np.ndarray)
+        if not filled and variable(name) not in seen.written:
             yield name
             yield from _used(members[name], function.__module__, seen)
 
 
-def _used(member: Any, module: str, seen: set[int]) -> Iterator[str]:
+def _used(member: Any, module: str, seen: Seen) -> Iterator[str]:
     """What a function uses: what it cannot change and what is of its own module by content."""
     member = _unwrapped(member)
     own = isinstance(member, types.FunctionType) and member.__module__ == module
@@ -163,6 +190,15 @@ def _is_constant(member: Any) -> bool:
     )
 
 
+def _is_place_or_stamp(member: Any) -> bool:
+    """Whether this is a path, or a text with a slash or a digit.
+
+    Such may be made when the module is loaded: a temporary folder, the time, a random name.
+    """
+    texts = isinstance(member, str) and any(c in "/\\" or c.isdigit() for c in member)
+    return texts or isinstance(member, Path)
+
+
 def _names(code: types.CodeType, *operations: str) -> set[str]:
     """The names that some operations of a function and of those inside of it refer to."""
     names = {str(i.argval) for i in dis.get_instructions(code) if i.opname in operations}
@@ -170,7 +206,7 @@ def _names(code: types.CodeType, *operations: str) -> set[str]:
     return names.union(*(_names(part, *operations) for part in inner))
 
 
-def _code(code: types.CodeType, seen: set[int]) -> Iterator[str]:
+def _code(code: types.CodeType, seen: Seen) -> Iterator[str]:
     """The instructions with names and constants, without lines, files and docstrings."""
     yield code.co_code.hex()
     yield repr((code.co_names, code.co_varnames, code.co_freevars, code.co_argcount))

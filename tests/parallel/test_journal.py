@@ -184,6 +184,16 @@ def test_a_file_that_is_none_is_refused_and_kept(tmp_path: Path, content: bytes)
     assert path.read_bytes() == content
 
 
+def test_a_journal_of_another_version_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "journal"
+    written(path)
+    monkeypatch.setattr("miho.parallel.journal.FORMAT", 0)
+    with pytest.raises(JournalError, match="is of another version of MIHO; name another file"):
+        Journal(path, Named())
+
+
 @pytest.mark.parametrize("name", ["\ud800.journal", "x\0.journal"])
 def test_a_name_that_no_file_can_have_is_refused(tmp_path: Path, name: str) -> None:
     for use in (lambda path: Journal(path, Named()), calls_of):
