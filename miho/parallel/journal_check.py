@@ -164,13 +164,18 @@ def _gap(one: Value, other: Value) -> float:
         return 0.0 if same else math.inf
     if one.shape != other.shape:
         return math.inf
-    different = (one != other) & ~(np.isnan(one) & np.isnan(other))
+    different = _differ(one, other)
     if not different.any():
         return 0.0
     if not (np.isfinite(one) & np.isfinite(other))[different].all():
         return math.inf
     size = np.abs(np.concatenate([one[np.isfinite(one)], other[np.isfinite(other)]])).max()
-    return float((np.abs(one - other)[different] / size).max())
+    return float((np.abs(one[different] - other[different]) / size).max())
+
+
+def _differ(one: Array, other: Array) -> NDArray[np.bool_]:
+    """Which numbers of two arrays differ: not those that are not a number in both."""
+    return np.asarray((one != other) & ~(np.isnan(one) & np.isnan(other)))
 
 
 def _words(before: Value, after: Value) -> tuple[str, str]:
@@ -178,10 +183,10 @@ def _words(before: Value, after: Value) -> tuple[str, str]:
     if isinstance(before, Raised) or isinstance(after, Raised) or before.shape != after.shape:
         return _word(before), _word(after)
     with np.errstate(invalid="ignore"):  # infinity less infinity
-        gap = np.abs(np.ravel(before) - np.ravel(after))
-    place = int(np.argmax(np.nan_to_num(gap, nan=math.inf, posinf=math.inf) * (gap != 0)))
-    which = f" in row {place + 1}" if gap.size > 1 else ""
-    return f"{np.ravel(before)[place]:.12g}{which}", f"{np.ravel(after)[place]:.12g}"
+        gap = np.nan_to_num(np.abs(before - after), nan=math.inf, posinf=math.inf)
+    place = np.unravel_index(np.argmax(np.where(_differ(before, after), gap, 0)), gap.shape)
+    which = f" in row {place[0] + 1}" if gap.size > 1 else ""
+    return f"{before[place]:.12g}{which}", f"{after[place]:.12g}"
 
 
 def _word(value: Value) -> str:

@@ -26,6 +26,7 @@ from miho.parallel import (
     open_pool,
     worth,
 )
+from miho.parallel.journal_check import _gap, _words
 from miho.parallel.process_executor import HungError
 from tests.parallel.changed_models import RANDOM, WAYS, search, t
 
@@ -132,6 +133,14 @@ def test_rounding_is_said_and_more_is_refused(
     assert "values differ by rounding, 1e-12 of the largest" in capsys.readouterr().err
     with pytest.raises(StaleJournalError, match=r"it gave 0.25, now 0.250000025; name"):
         values(path, Growing(1 + 1e-7), ROWS)
+
+
+def test_words_are_of_the_row_that_differs() -> None:
+    before = np.array([[np.nan, np.inf], [1.0, -np.inf], [2.0, 3.0]])
+    after = np.array([[np.nan, np.inf], [1.0, -np.inf], [2.0, 4.0]])
+    assert _gap(before, after) == 0.25
+    assert _words(before, after) == ("3 in row 3", "4")
+    assert _words(before[:, 0], np.array([np.nan, np.nan, 2.0])) == ("1 in row 2", "nan")
 
 
 def test_chance_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
