@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -181,7 +182,7 @@ def test_a_stored_run_is_repeated_with_the_decisions_that_it_made(
     for workers in (1, 2):
         assert replay.check([folder], workers, trusted=True) == 0
     assert "the same to the last bit\n" in capsys.readouterr().out
-    stored.result["loss"] *= 1 + 1e-15
+    stored = replace(stored, result={**stored.result, "loss": stored.result["loss"] * (1 + 1e-15)})
     assert replay.differences(stored, replay.repeated(stored, trusted=True)) == [
         f"loss is {runs.result[0]!r}, was {stored.result['loss']!r}"
     ]

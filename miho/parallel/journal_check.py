@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import islice
 from typing import TypeGuard
 
@@ -23,6 +24,9 @@ another part of a joint problem, some of the rows, a Jacobian."""
 CLOSE = 1e-9
 """Values agree within this share of the largest of them: threads that add in another order and the
 mathematical functions of another machine differ by 1e-16 to 1e-15, and a simulation adds to it."""
+EARLY = 10
+"""First values of a function, whose typical size counts as well: residuals of a perfect fit are
+rounding alone. The largest of all would not do: beside a single huge one, no change is large."""
 
 
 class StaleJournalError(BaseException):
@@ -89,12 +93,13 @@ class JournalCheck:
         self, keys: Sequence[Key], evaluate: Callable[[Sequence[Key]], Sequence[Value]]
     ) -> None:
         gaps, failures = list[float](), list[Raised]()
+        gap_of = partial(_gap, typical=self._typical(keys[0][0]))
         for key, now in zip(keys, evaluate(keys), strict=True):
-            gap = 0.0 if _passes(now) else _gap(self._journal[key], now)
+            gap = 0.0 if _passes(now) else gap_of(self._journal[key], now)
             again = evaluate([key])[0] if gap > CLOSE else now
             if _passes(again):
                 failures.append(again)
-            elif gap > CLOSE and _gap(now, again) > CLOSE:
+            elif gap > CLOSE and gap_of(now, again) > CLOSE:
                 self._say(
                     "two evaluations of one configuration differ, so that it cannot be compared "
                     "with its model; stored values are used as they are"
@@ -108,6 +113,14 @@ class JournalCheck:
             self._say(f"values differ by rounding, {max(gaps):.1g} of the largest")
         if not gaps:
             self._fail(failures)
+
+    def _typical(self, task: str) -> float:
+        """The median of the largest numbers of the first values of an earlier call."""
+        loaded = islice(self._journal, self._journal.loaded)
+        values = (self._journal[key] for key in loaded if key[0] == task)
+        first = islice((v for v in values if not isinstance(v, Raised) and _is_finite(v)), EARLY)
+        sizes = [float(np.abs(value).max(initial=0)) for value in first]
+        return float(np.median(sizes)) if sizes else 0.0
 
     def _fail(self, failures: Sequence[Raised]) -> None:
         """Say what it means that no value could be compared."""
@@ -157,8 +170,11 @@ def _size(values: Array) -> Array:
     return np.asarray(np.square(values.reshape(len(values), -1)).sum(axis=1))
 
 
-def _gap(one: Value, other: Value) -> float:
-    """The largest difference of two values, as a share of the largest; 0 for the same bits."""
+def _gap(one: Value, other: Value, typical: float = 0.0) -> float:
+    """The largest difference of two values; 0 for the same bits.
+
+    It is a share of the largest number of both, or of a `typical` one if that is larger.
+    """
     if isinstance(one, Raised) or isinstance(other, Raised):
         same = isinstance(one, Raised) and isinstance(other, Raised) and one.name == other.name
         return 0.0 if same else math.inf
@@ -169,7 +185,8 @@ def _gap(one: Value, other: Value) -> float:
         return 0.0
     if not (np.isfinite(one) & np.isfinite(other))[different].all():
         return math.inf
-    size = np.abs(np.concatenate([one[np.isfinite(one)], other[np.isfinite(other)]])).max()
+    finite = np.concatenate([one[np.isfinite(one)], other[np.isfinite(other)]])
+    size = np.abs(finite).max(initial=typical)
     return float((np.abs(one[different] - other[different]) / size).max())
 
 

@@ -135,6 +135,37 @@ def test_rounding_is_said_and_more_is_refused(
         values(path, Growing(1 + 1e-7), ROWS)
 
 
+def test_a_perfect_fit_is_rounding(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its value is compared with those of the beginning."""
+    path, rows = tmp_path / "journal", [1.0, 2.0, 2.5, 3 - 1e-14]
+    before = values(path, Growing(), rows)
+
+    class Rounded(Growing):
+        more = 1e-15
+
+        def __call__(self, thetas: Any) -> Any:
+            return super().__call__(thetas) + self.more * (thetas[:, 0] == rows[-1])
+
+    assert values(path, Rounded(), rows) == before
+    assert "values differ by rounding" in capsys.readouterr().err
+    changed = Rounded()
+    changed.more = 1e-6
+    with pytest.raises(StaleJournalError, match="has changed"):
+        values(path, changed, rows)
+
+
+def test_a_huge_value_hides_no_change(tmp_path: Path) -> None:
+    path, rows = tmp_path / "journal", [1.0, 2.0, 2.5, 1e9]
+    values(path, Growing(limit=1e10), rows)
+
+    class Moved(Growing):
+        def __call__(self, thetas: Any) -> Any:
+            return super().__call__(thetas) + 1e-3
+
+    with pytest.raises(StaleJournalError, match="has changed"):
+        values(path, Moved(limit=1e10), rows)
+
+
 def test_words_are_of_the_row_that_differs() -> None:
     before = np.array([[np.nan, np.inf], [1.0, -np.inf], [2.0, 3.0]])
     after = np.array([[np.nan, np.inf], [1.0, -np.inf], [2.0, 4.0]])
