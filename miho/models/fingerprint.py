@@ -21,9 +21,6 @@ FOUNDATIONS = {"builtins", "abc", "typing", "collections.abc"}
 OURS = "miho."
 """What modules begin with whose classes are not the user's."""
 MAKERS = {"__init__", "__new__", "__post_init__"}
-WRITTEN = {"STORE_GLOBAL", "STORE_DEREF", "DELETE_GLOBAL", "DELETE_DEREF"}
-
-
 Variable = tuple[int, str]
 """A name by the `id` of its cell, or of the global names of its module."""
 
@@ -143,7 +140,8 @@ def _function(function: types.FunctionType, seen: Seen) -> Iterator[str]:
     def variable(name: str) -> Variable:
         return id(cells.get(name, function.__globals__)), name
 
-    seen.written.update(map(variable, _names(code, *WRITTEN)))
+    seen.written.update(map(variable, _names(code, "STORE_DEREF", "DELETE_DEREF") & cells.keys()))
+    seen.written.update(map(variable, _names(code, "STORE_GLOBAL", "DELETE_GLOBAL") - cells.keys()))
     fills = _names(code, "STORE_SUBSCR")
     for name in sorted(members):
         filled = fills and isinstance(members[name], np.ndarray)

@@ -51,6 +51,20 @@ def test_a_number_that_no_function_of_the_model_writes_counts() -> None:
     assert fingerprint(names["model"]) != before
 
 
+def test_a_local_name_that_is_written_hides_no_number_of_the_module() -> None:
+    text = """
+def gain(): return c
+def model(t, a):
+    c = 0
+    def count():
+        nonlocal c
+        c += 1
+    count()
+    return gain() * a * t
+"""
+    assert fingerprint(module(text, c=1.0)["model"]) != fingerprint(module(text, c=2.0)["model"])
+
+
 def test_a_counter_of_a_closure_does_not_count() -> None:
     def made() -> Callable[[float], float]:
         calls = 0
