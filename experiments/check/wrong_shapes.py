@@ -8,7 +8,8 @@ the noise, root mean square, after the fit: a peak (of width 0.1), a curvature (
 saturation (from 0.7 on), or an offset (a step at the middle). The noise is autoregressive, of the
 first order. A row gives the share of data sets, in percent, for which the errors follow x by the
 test of independent rows (`before`), of which the report says that the model has the wrong shape
-(`wrong shape`) or that the data cannot tell that from noise that drifts (`cannot tell`).
+(`wrong shape`; in one sweep it adds "or the measurement drifts") or that the data cannot tell that
+from noise that drifts (`cannot tell`).
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from miho.identification.flags import independence
 from miho.identification.report import Report
-from miho.identification.validation import is_finding
+from miho.identification.validation import OR_DRIFT, in_a_sweep, is_finding
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -213,11 +213,12 @@ def _not_noise(report: Report) -> list[str]:
     strongest = max(trends, key=lambda row: row["explained"])
     if not is_finding(strongest["explained"], strongest["p"]):
         return []
-    return [
-        f"{100 * strongest['explained']:.0f} % of the errors' variance follows "
-        f"{strongest['column']}: that is no noise, and a model that allows for it comes before "
-        "more rows."
-    ]
+    name = strongest["column"]
+    share = f"{100 * strongest['explained']:.0f} % of the errors' variance follows {name}"
+    if in_a_sweep(report.problem, name):
+        drift = OR_DRIFT.format(name=name)
+        return [f"{share}: the model does not allow for it, {drift} before you take more rows."]
+    return [f"{share}: that is no noise, and a model that allows for it comes before more rows."]
 
 
 def _beyond(design: Design) -> list[str]:

@@ -21,7 +21,7 @@ from miho.identification.uncertainty import (
     alike_beside_priors,
     parameters_at_bounds,
 )
-from miho.identification.validation import is_finding
+from miho.identification.validation import OR_DRIFT, in_a_sweep, is_finding
 from miho.optim.space import Space
 from miho.quantities import Array
 
@@ -303,7 +303,7 @@ def _alike(at: Linearised, dependence: Dependence, axes: Array) -> str:
     return sentence
 
 
-def followed(trends: pd.DataFrame) -> list[str]:
+def followed(problem: CurveFit, trends: pd.DataFrame) -> list[str]:
     """Sentences on columns that the errors follow: a wrong shape, a missing input, or noise."""
     sentences = []
     for row in trends.to_dict("records"):
@@ -319,7 +319,8 @@ def followed(trends: pd.DataFrame) -> list[str]:
                 "again, and drift does not."
             )
         elif row["an input"] == "yes":
-            sentences.append(f"{share}: the model has the wrong shape.")
+            drift = f", {OR_DRIFT.format(name=name)}" if in_a_sweep(problem, name) else ""
+            sentences.append(f"{share}: the model has the wrong shape{drift}.")
         else:
             sentences.append(
                 f"{share}, which is no input of the model: it is not noise, and only a model with "

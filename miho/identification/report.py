@@ -309,7 +309,7 @@ class Report:
                 f"the error is {error / irreducible.value:.1f} times the irreducible error: check "
                 "units, signs, ranges and the model."
             )
-        return sentences + followed(self.trends)
+        return sentences + followed(self.problem, self.trends)
 
     def _percentiles(self, replicates: Array, gradients: Array) -> Array:
         """Ends (q, 2) for replicates (n, q) of quantities with gradients (q, d)."""

@@ -31,7 +31,11 @@ ROWS = 10
 UNMODELLED, CHANCE = 0.1, 1e-3
 """A column that explains this fraction of the errors' variance is mentioned, if chance alone would
 explain as much with a smaller probability than this."""
-
+SWEEP = 0.5
+"""Rank correlation of row number and column from which on drift shows along the column."""
+OR_DRIFT = (
+    "or the measurement drifts in addition to its noise; take {name} in another order to tell"
+)
 
 Groups = NDArray[np.intp]
 """The group of each row (N,)."""
@@ -184,6 +188,22 @@ def residual_trends(problem: CurveFit, theta: Array, at: Linearised | None = Non
 def is_finding(explained: float, p: float) -> bool:
     """Whether errors follow a column so closely that it is mentioned."""
     return explained > UNMODELLED and p < CHANCE
+
+
+def in_a_sweep(problem: CurveFit, name: str) -> bool:
+    """Whether the rows of a series are ordered along a column, so that drift follows it too."""
+    column, series = problem.dataset[name], series_of(problem)
+    order = [_rank_correlation_with_row(column[own]) for own in series]
+    return bool(np.average(np.abs(order), weights=[column[own].size for own in series]) > SWEEP)
+
+
+def _rank_correlation_with_row(values: Array) -> float:
+    """Spearman's, of a column (n,) and its row numbers; 0 if the column is flat."""
+    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
+    if count.size < 2:
+        return 0.0
+    ranks = (np.cumsum(count) - count / 2)[place]  # equal values have their mean rank
+    return float(np.corrcoef(np.arange(values.size), ranks)[0, 1])
 
 
 def _chance_beside_neighbours(

@@ -1,6 +1,7 @@
 """Errors that depend on their neighbours: against dense matrices, closed forms and simulation."""
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ import scipy.optimize
 import scipy.signal
 import scipy.special
 
+from miho.data import Dataset
 from miho.identification import make_report
 from miho.identification.autocorrelation import (
     Autoregression,
@@ -19,8 +21,10 @@ from miho.identification.autocorrelation import (
 from miho.identification.bootstrap import block_length, bootstrap, stretched
 from miho.identification.refit import refit
 from miho.identification.uncertainty import Linearised, linearised
+from miho.identification.validation import in_a_sweep
+from miho.models.joint import PART
 from miho.optim import Space
-from tests.identification.published import line
+from tests.identification.published import Line, line
 
 Array = np.ndarray
 
@@ -207,9 +211,10 @@ def test_blocks_are_stretched_to_the_sandwich() -> None:
 
 
 def test_noise_that_drifts_is_no_wrong_shape() -> None:
-    """In one sweep noise follows x by itself; with a large parabola the model does.
+    """In one sweep noise follows x by itself; with a large parabola the model may.
 
-    As if rows were independent, each of the first three would be a wrong shape.
+    As if rows were independent, each of the first three would be a wrong shape. The third verdict
+    is flat, since in random order drift does not follow x.
     """
     x = np.linspace(-1, 1, 300)
     shuffled = np.random.default_rng(1).permutation(x)
@@ -219,9 +224,11 @@ def test_noise_that_drifts_is_no_wrong_shape() -> None:
         report = make_report(problem, refit(problem, np.zeros(2)).theta, profiles=False)
         assert report.at.dependence is not None
         notes = "\n".join(report.notes)
-        verdicts.append(("the model has the wrong shape" in notes, "cannot tell that" in notes))
+        told = ("wrong shape, or the measurement drifts", "wrong shape.", "cannot tell that")
+        verdicts.append([words in notes for words in told])
         assert report.trends.loc[0, "p"] >= report.trends.loc[0, "p of independent rows"]
-    assert verdicts == [(False, True), (True, False), (True, False), (False, False)]
+    sweep, flat, cannot_tell = np.eye(3, dtype=bool).tolist()
+    assert verdicts == [cannot_tell, sweep, flat, [False] * 3]
     # A prior says nothing of the shape either.
     problem = line(1 + 2 * x + drive(0.8, 300), x)
     a, b = problem.space.parameters
@@ -230,6 +237,40 @@ def test_noise_that_drifts_is_no_wrong_shape() -> None:
     report = make_report(problem, refit(problem, np.zeros(2)).theta, profiles=False)
     assert report.at.dependence is None
     assert any("cannot tell that" in note for note in report.notes)
+
+
+def test_drift_under_the_noise_of_a_sensor_may_be_the_reason() -> None:
+    """A right model in one sweep: no autoregression has white noise added to it."""
+    x = np.linspace(-1, 1, 300)
+    noise = drive(0.98, 300, seed=7) + np.random.default_rng(107).standard_normal(300)
+    problem = line(1 + 2 * x + noise, x)
+    report = make_report(problem, refit(problem, np.zeros(2)).theta, profiles=False)
+    assert any(
+        "wrong shape, or the measurement drifts in addition to its noise; take x in another order"
+        in note
+        for note in report.notes
+    )
+
+
+class InParts(Line):
+    """A line whose rows are of several parts."""
+
+    inputs = MappingProxyType({"x": "-", PART: "-"})
+
+
+def test_a_sweep_is_told_from_random_order() -> None:
+    """Also downwards and in steps, but not where only the parts differ, or two levels alternate."""
+    x, part = np.linspace(0, 1, 60), np.repeat([0.0, 1.0], 30)
+    random = np.random.default_rng(0).permutation(x)
+    columns = {
+        "up": x, "down": -x, "steps": np.round(3 * x), "random": random, "flat": 0 * x,
+        "levels": np.tile([0.0, 1.0], 30), "of the part": part + np.tile([0.0, 0.1], 30),
+    }  # fmt: skip
+    tried = list(columns)
+    columns |= {"x": x, PART: part, "y": x}
+    data = Dataset("d", columns, dict.fromkeys(columns, "-"), "y")
+    problem = replace(line(x, x), model=InParts(), dataset=data)
+    assert [name for name in tried if in_a_sweep(problem, name)] == ["up", "down", "steps"]
 
 
 @pytest.mark.slow

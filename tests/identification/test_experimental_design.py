@@ -214,6 +214,10 @@ def test_errors_that_follow_a_column_are_no_noise() -> None:
     design = optimal_design(report, {"u": [0.5, 1.0], "v": [0.5, 2.5]}, 1)
     assert "of the errors' variance follows w: that is no noise" in str(design)
     assert "that is no noise" not in str(optimal_design(straight_line(), {"x": [1.0]}, 1))
+    x = np.linspace(0, 1, 300)  # one sweep, along which drift would show as well
+    noise = 0.02 * np.random.default_rng(0).standard_normal(300)
+    swept = optimal_design(quick(line(np.sin(6 * x) + noise, x), [0.0, 0.0]), {"x": [1.0]}, 1)
+    assert "or the measurement drifts in addition to its noise; take x in another" in str(swept)
 
 
 def test_a_model_with_a_memory_runs_each_group_by_itself() -> None:

@@ -215,7 +215,8 @@ def test_a_wrong_shape_is_told() -> None:
     noise = 0.02 * np.random.default_rng(0).standard_normal(300)
     problem = line(np.sin(6 * x) + noise, x)
     report = make_report(problem, refit(problem, np.zeros(2)).theta)
-    assert any("follows x: the model has the wrong shape" in note for note in report.notes)
+    (note,) = (note for note in report.notes if "the model has the wrong shape" in note)
+    assert note.endswith("drifts in addition to its noise; take x in another order to tell.")
     assert any("times the irreducible error" in note for note in report.notes)
 
 
