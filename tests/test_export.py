@@ -14,6 +14,7 @@ import pytest
 from experiments import export
 from miho import Budget, load_runs, minimize
 from miho.analysis.export import write_csv, write_parquet
+from miho.analysis.text import without_formula
 from miho.optim import RandomSearch
 from miho.study import Identity, Store, execute
 from miho.testing import DecayFit
@@ -139,6 +140,22 @@ def test_nothing_to_export(
     assert command(monkeypatch, tmp_path / "absent", "--to", "csv") == 2
     assert command(monkeypatch, tmp_path, tmp_path, "--output", tmp_path) == 2
     assert "no finished runs" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "cell", ["-0.5", "+1e-3", "-1,234", "-0.0266 % [-0.0476, -0.0121]", "-3.1 ± 0.2 kN", "-", "a=b"]
+)
+def test_numbers_in_text_stay(cell: str) -> None:
+    assert without_formula(cell) == cell
+
+
+@pytest.mark.parametrize(
+    "cell",
+    ["=1", "@SUM(1)", "+cmd", "-2+3", "-2 +3", "-2 -3", "-1 cmd|' /C calc'!A0", "-1 SUM(A1)", "-A1",
+     "-1, +cmd|' /C calc'!A0", "-1 [-A1*2]"],
+)  # fmt: skip
+def test_formulas_in_text_do_not_stay(cell: str) -> None:
+    assert without_formula(cell) == f"'{cell}"
 
 
 def test_text_cannot_become_a_formula(tmp_path: Path) -> None:

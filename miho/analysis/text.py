@@ -143,6 +143,8 @@ def to_markdown(frame: pd.DataFrame) -> str:
 
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """What a formula begins with in a spreadsheet (OWASP, "CSV Injection")."""
+MEASURED = re.compile(rf"{_NUMBER}(\s([\w\s.,%°±×∞\[\]]|(?<=\[)[-+]|(?<=, )[-+])*)?")
+"""A number, with a unit and an interval if any; a sign inside stands only where an end begins."""
 
 
 def csv_text(table: pd.DataFrame, **keywords: Any) -> str:
@@ -160,9 +162,13 @@ def csv_text(table: pd.DataFrame, **keywords: Any) -> str:
 
 
 def without_formula(cell: object) -> object:
-    """Text that begins as a formula does, behind an apostrophe; a lone "-" is a unit."""
-    formula = isinstance(cell, str) and cell != "-" and cell.startswith(FORMULA)
-    return f"'{cell}" if formula else cell
+    """Text that begins as a formula does, behind an apostrophe.
+
+    Numbers, also with a unit and an interval, stay as they are, and so does a lone "-", a unit.
+    """
+    if not isinstance(cell, str) or cell == "-" or MEASURED.fullmatch(cell):
+        return cell
+    return f"'{cell}" if cell.startswith(FORMULA) else cell
 
 
 def _escaped(text: object) -> str:
