@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
+from miho import models
 from miho.data.dataset import Dataset
 from miho.identification.uncertainty import Linearised
 from miho.models.joint import PART, parts_of
@@ -37,13 +38,15 @@ SIGNS = {
 class Derived:
     """A quantity computed from parameter rows (n, d): values (n,), NaN where there is none.
 
-    `tied` is the name of the tied parameter that it is, if it is one.
+    `tied` is the name of the tied parameter that it is, if it is one; `sign` the sign that it has
+    for every tire in ISO-W, 0 if it may have either or the model need be no tire.
     """
 
     name: str
     unit: str
     evaluate: Callable[[Array], Array]
     tied: str = ""
+    sign: int = 0
 
 
 def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
@@ -61,7 +64,8 @@ def derived(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
         return _tire(model, dataset)
     if first == "omega" and model.output == "Nm":
         return _torque(model, dataset)
-    return tuple(Derived(name, unit, values) for name, (unit, values) in model.derived.items())
+    declared = model.derived.items()
+    return _signed(Derived(name, unit, values) for name, (unit, values) in declared)
 
 
 def _tied(model: Tied, dataset: Dataset) -> tuple[Derived, ...]:
@@ -90,8 +94,8 @@ def _of_parts(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
     for k, part in enumerate(parts_of(model)):
         places = [names.index(name) for name in part.parameters]
         for quantity in derived(part.model, dataset.select(dataset[PART] == k)):
-            evaluate = partial(_chosen, quantity, places)
-            quantities.append(Derived(f"{quantity.name}, {part.name}", quantity.unit, evaluate))
+            name, evaluate = f"{quantity.name}, {part.name}", partial(_chosen, quantity, places)
+            quantities.append(replace(quantity, name=name, evaluate=evaluate))
     return tuple(quantities)
 
 
@@ -100,9 +104,20 @@ def _chosen(quantity: Derived, places: list[int], thetas: Array) -> Array:
     return quantity.evaluate(thetas[:, places])
 
 
-def sign_of(quantity: str) -> int:
-    """The sign that a quantity of this name has for every tire; 0 if it may have either."""
-    return next((sign for name, sign in SIGNS.items() if name in quantity), 0)
+def _signed(quantities: Iterable[Derived]) -> tuple[Derived, ...]:
+    """The quantities of a tire with the signs that their names say."""
+    return tuple(
+        replace(q, sign=next((sign for name, sign in SIGNS.items() if name in q.name), 0))
+        for q in quantities
+    )
+
+
+def _is_tire(model: Model) -> bool:
+    """Whether it is one of MIHO's tire models, weighted or not: those are in ISO-W."""
+    while isinstance(inner := getattr(model, "model", None), Model):
+        model = inner
+    kinds = (models.Pacejka, models.PacejkaCurvature, models.PacejkaLandmarks)
+    return isinstance(model, (*kinds, models.TireFormula, models.LateralMagicFormula))
 
 
 def delta_method(quantity: Derived, at: Linearised) -> tuple[float, float]:
@@ -187,7 +202,7 @@ def _tire(model: Model, dataset: Dataset) -> tuple[Derived, ...]:
                 lambda thetas: (positive(thetas)[1] + negative(thetas)[1]) / (2 * load),
             )
         )
-    return tuple(quantities)
+    return _signed(quantities) if _is_tire(model) else tuple(quantities)
 
 
 def _torque(model: Model, dataset: Dataset) -> tuple[Derived, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -11,7 +11,6 @@ import scipy  # which loads its packages where they are used: importing them tak
 from numpy.typing import NDArray
 
 from miho.identification.curve_fit import CurveFit
-from miho.identification.derived import sign_of
 from miho.identification.loss import Cauchy, Huber
 from miho.identification.profile_likelihood import Profile
 from miho.identification.uncertainty import (
@@ -170,11 +169,11 @@ def maybe_zero(
     return sentences
 
 
-def wrong_signs(quantities: pd.DataFrame) -> list[str]:
-    """A sentence on quantities, as in a report's `derived`, of a sign that no tire has."""
+def wrong_signs(quantities: pd.DataFrame, signs: Mapping[str, int]) -> list[str]:
+    """A sentence on quantities, as in a report's `derived`, that lack the sign of every tire."""
     wrong = []
     for row in quantities.to_dict("records"):
-        if sign_of(row["quantity"]) * row["value"] < 0:
+        if signs.get(row["quantity"], 0) * row["value"] < 0:
             error = row["standard error"]
             spread = f" ± {error:.2g}" if np.isfinite(error) else ""
             wrong.append(f"{row['quantity']} ({row['value']:.3g}{spread} {row['unit']})")
@@ -182,8 +181,8 @@ def wrong_signs(quantities: pd.DataFrame) -> list[str]:
         return []
     has = "has" if len(wrong) == 1 else "have"
     return [
-        f"{_listed(wrong)} {has} a sign that no tire has: check signs, offsets and delays of the "
-        "columns, and whether the data reach zero slip."
+        f"{_listed(wrong)} {has} a sign that no tire has in ISO-W signs: check signs, offsets and "
+        "delays of the columns, and whether the data reach zero slip."
     ]
 
 

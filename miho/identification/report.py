@@ -13,7 +13,7 @@ import pandas as pd
 
 from miho.identification.bootstrap import percentile_intervals, percentiles
 from miho.identification.curve_fit import CurveFit
-from miho.identification.derived import delta_method, derived, gradient, is_held
+from miho.identification.derived import Derived, delta_method, derived, gradient, is_held
 from miho.identification.flags import (
     doubtful,
     ended_at_bounds,
@@ -142,11 +142,15 @@ class Report:
         names = list(self.space.names)
         return pd.DataFrame(self.reported.correlation, index=names, columns=names)
 
+    @property
+    def _quantities(self) -> tuple[Derived, ...]:
+        return derived(self.problem.model, self.problem.dataset)
+
     @cached_property
     def derived(self) -> pd.DataFrame:
         """A row per derived quantity: value, unit, standard error and intervals."""
         rows = []
-        for quantity in derived(self.problem.model, self.problem.dataset):
+        for quantity in self._quantities:
             if quantity.tied in self.space.names:  # which is told of as a parameter
                 continue
             value, error = delta_method(quantity, self.at)
@@ -281,8 +285,7 @@ class Report:
 
     def _held_quantities(self) -> list[str]:
         """A sentence if derived quantities depend only on parameters at a bound."""
-        quantities = derived(self.problem.model, self.problem.dataset)
-        return held_quantities([q.name for q in quantities if is_held(q, self.at)])
+        return held_quantities([q.name for q in self._quantities if is_held(q, self.at)])
 
     def _remarks_on_data_and_model(self) -> list[str]:
         at, space = self.reported, self.space
@@ -293,7 +296,7 @@ class Report:
             return [*sentences, "every row is reproduced to rounding: the data have no error."]
         sentences += maybe_zero(at, space, self.profiles, self.level)
         sentences += profile_shapes(at, space, self.profiles, self.level)
-        sentences += wrong_signs(self.derived)
+        sentences += wrong_signs(self.derived, {q.name: q.sign for q in self._quantities})
         # The errors: whether standard errors may be computed from them as they are.
         sentences += uneven_spread(at, space) if self.uneven else []
         sentences += sigma_disagrees(self.problem, self.at)

@@ -1,6 +1,7 @@
 """The report tells what a known truth makes it tell."""
 
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -84,6 +85,28 @@ def test_it_says_where_a_landmark_has_a_sign_that_no_tire_has(tire: Report) -> N
     (note,) = (n for n in make_report(problem, theta).notes if "a sign that no tire has" in n)
     assert "cornering stiffness at zero slip (-5.4" in note
     assert "cornering stiffness B C D (Eq. 14) (-5.4" in note
+    assert "in ISO-W signs" in note
+
+
+def test_no_sign_is_wrong_for_functions_that_need_be_no_tire() -> None:
+    """One over alpha may be in other signs; what is named as a tire's landmark has its sign."""
+    x = np.linspace(-0.1, 0.1, 40)
+    force = 500 * x + np.random.default_rng(0).standard_normal(40)
+
+    class Spring(Line):
+        inputs = MappingProxyType({"alpha": "rad"})
+        output = "N"
+
+    class Named(Line):
+        derived = MappingProxyType({"cornering stiffness": ("N", lambda thetas: -thetas[:, 1])})
+
+    for model, unit, told in ((Spring(), "N", False), (Named(), "-", True)):
+        name = next(iter(model.inputs))
+        units = {name: model.inputs[name], "y": unit}
+        data = Dataset("d", {name: x, "y": force}, units, "y")
+        problem = replace(line(force, x, b=(0, 1000)), model=model, dataset=data)
+        notes = make_report(problem, np.array([0.0, 500.0]), profiles=False).notes
+        assert any("a sign that no tire has in ISO-W signs" in note for note in notes) == told
 
 
 def test_the_band_holds_the_curve_of_the_truth() -> None:
