@@ -26,6 +26,10 @@ LEVEL = 0.1
 """A bank that moves the lateral acceleration by less [m/s^2], root mean square, is not checked."""
 INWARD = 0.5
 """Cosine between the accelerations of bank and turning from which on a bank leans one way."""
+TURNING = 1.0
+"""A lateral acceleration [m/s^2] from which on the car turns."""
+CROSSFALL = 1.0
+"""What a bank for drainage accelerates at most [m/s^2]: one of six degrees."""
 
 UNITS = {"alpha": "rad", "vx": "m/s", "ax": "m/s^2", "Fy": "N"}
 
@@ -111,7 +115,7 @@ def _check_bank(log: DrivingLog, cutoff: float) -> None:
     """Refuse a bank of the other sign, and warn where nothing in the log tells the sign.
 
     An accelerometer tells it: the opposite would explain clearly better what it shows. Without one
-    the turns do: roads lean inwards there.
+    the turns do: roads lean inwards there, except for a small crossfall.
     """
     if "bank" not in log:
         return
@@ -136,7 +140,9 @@ def _check_bank(log: DrivingLog, cutoff: float) -> None:
     if size <= LEVEL * np.sqrt(len(log)):
         return
     inward = float(weight @ turning) / (size * float(np.linalg.norm(turning)) or 1.0)
-    if inward < -INWARD:
+    in_turns = weight[np.abs(turning) > TURNING]
+    steep = bool(in_turns.size) and float(np.sqrt(np.mean(in_turns**2))) > CROSSFALL
+    if inward < -INWARD and steep:
         raise ValueError(
             f"log {log.name}: the bank leans outwards in the turns, where roads lean inwards; "
             f"{remedy}, or give ay of an accelerometer, which tells the sign"

@@ -262,13 +262,15 @@ def test_without_an_accelerometer_the_turns_tell_the_sign_of_the_bank(
     """Not logged, or logged as the acceleration of the motion, ay knows nothing of the bank."""
     bank = 0.15 * np.tanh(quiet["vx"] * quiet["yaw_rate"] / 4)
     kept = {key: quiet[key] for key in quiet.channels if key != "ay" or key in logged}
-    inward, outward, crown = (
+    inward, outward, drained, crown = (
         DrivingLog("a", kept | {"bank": angle}, accelerometer=False)
-        for angle in (bank, -bank, 0 * bank - 0.005)
+        for angle in (bank, -bank, -bank / 6, 0 * bank - 0.005)
     )
     right = axle_samples(inward, CAR)
     with pytest.raises(ValueError, match=r"leans outwards in the turns.*: set flip=\[bank\], or"):
         axle_samples(outward, CAR)
+    with pytest.warns(UserWarning, match="nothing tells whether bank has the right sign"):
+        axle_samples(drained, CAR)  # a crossfall of 1.4 degrees at most
     stiffness = [
         np.polyfit(samples["alpha"], samples["Fy"], 1)[0]
         for samples in (right, axle_samples(crown, CAR))
