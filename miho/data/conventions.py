@@ -41,7 +41,10 @@ FEWEST = 10
 
 
 class Law(NamedTuple):
-    """A force grows with a slip (sign 1) or falls (-1), while columns are at most `largest`."""
+    """A force grows with a slip (sign 1) or falls (-1), while columns are at most `largest`.
+
+    The slip varies by more than `least_range`, or has both signs: else it may be an offset.
+    """
 
     slip: str
     slip_unit: str
@@ -49,11 +52,12 @@ class Law(NamedTuple):
     unit: str
     sign: int
     largest: Mapping[str, float]
+    least_range: float = 0.0
 
 
 LAWS = (
     Law("alpha", "rad", "Fy", "N", -1, {}),
-    Law("kappa", "-", "Fx", "N", 1, {}),
+    Law("kappa", "-", "Fx", "N", 1, {"alpha": SMALL_SLIP["alpha"]}, least_range=0.03),
     Law("alpha", "rad", "Mz", "Nm", 1, SMALL_SLIP),
 )
 """How a tire answers to its slip, in ISO-W signs."""
@@ -73,8 +77,8 @@ def sign_problem(
     """The column that cannot be in ISO-W signs and why, with a remedy; None if all can be.
 
     Fz is what the road carries. A tire pushes against its slip angle and turns the wheel back: Fy
-    falls as alpha grows, and Mz rises as long as the slip is small; Fx rises with kappa. clear:
-    rank correlation from which on the opposite counts.
+    falls as alpha grows, and Mz rises as long as the slip is small; Fx rises with kappa where alpha
+    is small. clear: rank correlation from which on the opposite counts.
     """
     names = f"set the data's convention ({', '.join(FLIPPED)}) or flip the column"
     if units.get("Fz") == "N" and np.median(columns["Fz"]) < 0:
@@ -85,8 +89,9 @@ def sign_problem(
             for name in law.largest.keys() & columns.keys():
                 rows &= np.abs(columns[name]) <= law.largest[name]
             x, y = columns[law.slip][rows], -law.sign * columns[law.force][rows]
-            enough = not law.largest or x.size >= FEWEST
-            if enough and _rank_correlation(x, y) > clear and x @ y > 0:
+            enough = x.size >= FEWEST if law.largest.keys() & columns.keys() else x.size > 0
+            driven = enough and (np.ptp(x) > law.least_range or x.min() < 0 < x.max())
+            if driven and _rank_correlation(x, y) > clear and x @ y > 0:
                 does, should = ("falls", "rises") if law.sign > 0 else ("rises", "falls")
                 problem = f"{law.force} {does} with {law.slip}, but it {should} in ISO-W"
                 return law.force, f"{problem}; {names}"
