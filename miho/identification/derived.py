@@ -141,12 +141,19 @@ def gradient(quantity: Derived, at: Linearised) -> Array:
 
 
 def _slopes(quantity: Derived, at: Linearised) -> Array:
-    """Derivatives (d,) of a derived quantity by differences, 0 where it changes by rounding."""
+    """Derivatives (d,) of a derived quantity by differences, 0 where it changes by rounding.
+
+    The difference is one-sided where the quantity has no value on the other side, beyond a bound.
+    """
     step = np.maximum(1e-2 * np.sqrt(np.diag(at.covariance)), STEP * np.abs(at.theta))
     step[step == 0] = STEP
+    value = quantity.evaluate(at.theta[None])
     high, low = (quantity.evaluate(at.theta + sign * np.diag(step)) for sign in (1, -1))
+    above, below = np.isfinite(high), np.isfinite(low)
+    high, low = np.where(below & ~above, value, high), np.where(above & ~below, value, low)
+    width = np.where(above == below, 2.0, 1.0) * step
     rounding = UNCHANGED * np.maximum(np.abs(high), np.abs(low))
-    return np.asarray(np.where(np.abs(high - low) <= rounding, 0.0, (high - low) / (2 * step)))
+    return np.asarray(np.where(np.abs(high - low) <= rounding, 0.0, (high - low) / width))
 
 
 def _at(model: Model, dataset: Dataset, values: Array) -> tuple[Array, ...]:

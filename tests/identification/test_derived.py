@@ -107,6 +107,20 @@ def test_a_tied_parameter_of_held_ones_has_no_standard_error() -> None:
     assert np.isnan(fit.parameters.loc["c", "standard_error"])
 
 
+def test_a_quantity_without_a_value_beyond_a_bound_has_its_error() -> None:
+    """The root has none below 0, where c is held; the rest of K is known as `print(fit)` says."""
+    t = np.linspace(0, 2, 40)
+    y = 2 - 0.5 * t + 0.05 * np.random.default_rng(0).standard_normal(40)
+    fit = miho.fit(
+        lambda t, a, c, K: a + c * t + 0 * K,
+        t, y, {"a": (0, 5), "c": (0, 1)}, tied={"K": "a + sqrt(c)"}, compiled=False,
+    )  # fmt: skip
+    assert fit.parameters.loc["c", "value"] == 0
+    (row,) = fit.report(profiles=False).derived.to_dict("records")
+    assert row["standard error"] == pytest.approx(fit.parameters.loc["K", "standard_error"])
+    assert np.isfinite(row["standard error"])
+
+
 def test_a_model_nobody_derives_anything_from() -> None:
     from tests.identification.published import puromycin
 
