@@ -383,8 +383,8 @@ WRONG: dict[str, tuple[dict[str, float], str, str]] = {
     "sign of the slip ratio": ({"kappa": -1}, "Fx", "Fx: Fx falls with kappa"),
     "sign of the load": ({"Fz": -1}, "Fy", "Fz: Fz is mostly negative"),
     "degrees": ({"alpha": 57.3}, "Fy", r"alpha, row \d+: largest .* is the column in deg\?"),
-    "camber in degrees": ({"gamma": 57.3}, "Mz", r"gamma, row \d+: .* is the column in deg\?"),
-    "kN": ({"Fy": 1e-3}, "Fy", r"Fy, row \d+: largest .* is the column in kN\?"),
+    "camber in degrees": ({"gamma": 57.3}, "Mz", r"gamma, row \d+: .* column in deg or mrad\?"),
+    "kN": ({"Fy": 1e-3}, "Fy", r"Fy, row \d+: largest .* in kN, daN, lbf or kgf\?"),
     "load in lbf": (
         {"Fz": 1 / 4.448},
         "Fx",

@@ -231,7 +231,8 @@ class Layout:
         ]
         if size < low and key in ZERO_IN_SOME_TESTS and not (fitting or stated):
             return
-        doubt = f"is the column in {fitting[0]}?" if fitting else "is this cell right?"
+        units = " or ".join(fitting).replace(" or ", ", ", max(len(fitting) - 2, 0))
+        doubt = f"is the column in {units}?" if fitting else "is this cell right?"
         raise fault(
             header, row if size == largest else None,
             f"{label} |{key}| is {size:.4g} {unit.name}, expected {low:g} to {high:g}; {doubt} "

@@ -287,13 +287,13 @@ def test_the_unit_of_the_file_does_not_change_the_tire(tmp_path: Path) -> None:
 
 
 WRONG_UNITS = {
-    "degrees as radians": ({"alpha": np.degrees(alpha)}, {}, "alpha", "deg"),
+    "degrees as radians": ({"alpha": np.degrees(alpha)}, {}, "alpha", "deg or mrad"),
     "radians as degrees": ({}, {"alpha": "deg"}, "alpha", "rad"),
-    "kN as N": ({"Fy": Fy / 1e3}, {}, "Fy", "kN"),
-    "N as kN": ({}, {"Fy": "kN"}, "Fy", "N"),
-    "camber in degrees as radians": ({"gamma": np.degrees(gamma)}, {}, "gamma", "deg"),
+    "kN as N": ({"Fy": Fy / 1e3}, {}, "Fy", "kN, daN, lbf or kgf"),
+    "N as kN": ({}, {"Fy": "kN"}, "Fy", "N, daN, lbf or kgf"),
+    "camber in degrees as radians": ({"gamma": np.degrees(gamma)}, {}, "gamma", "deg or mrad"),
     "camber in radians as degrees": ({}, {"gamma": "deg"}, "gamma", "rad"),
-    "load in kN as N": ({"Fz": Fz / 1e3}, {}, "Fz", "kN"),
+    "load in kN as N": ({"Fz": Fz / 1e3}, {}, "Fz", "kN, daN or kgf"),
 }
 
 
@@ -310,6 +310,12 @@ def test_wrong_units_are_caught(tmp_path: Path, case: str) -> None:
     limits = {column: [0.0, 1e9]}
     assert len(load(tmp_path, file, units=units, ranges=limits)) == 400
     assert len(load(tmp_path, file, units=units, ranges={column: None})) == 400
+
+
+def test_all_units_that_fit_are_named(tmp_path: Path) -> None:
+    file = tire_columns() | {"pressure": np.where(alpha > 0, 0.9, 1.6)}
+    with pytest.raises(CSVError, match=r"\|pressure\| is 1.6 Pa, .* in MPa or bar\? Correct it"):
+        load(tmp_path, file, columns=[*COLUMNS[:3], "pressure"], units=["rad", "N", "N", "Pa"])
 
 
 def test_a_unit_is_judged_before_rows_are_chosen(tmp_path: Path) -> None:

@@ -115,12 +115,20 @@ CSV: dict[str, tuple[str | bytes, str, str]] = {
     "an image": (b"\x89PNG\r\n\x1a\n", "1:1", "not UTF-8"),
     "a long line": (first("0.1,-3000,2600," + "x" * 10_000), "2:10000", "longer than 10000"),
     "a web page": ("<!DOCTYPE html>\n<html>", "1:1", "no column 'alpha' in the header '<!DOC"),
-    "degrees": (column("alpha", np.degrees), f"{worst('alpha')}:1: ", "is the column in deg?"),
-    "kilonewtons": (column("Fy", lambda F: F / 1e3), f"{worst('Fy')}:", "is the column in kN?"),
+    "degrees": (
+        column("alpha", np.degrees),
+        f"{worst('alpha')}:1: ",
+        "is the column in deg or mrad?",
+    ),
+    "kilonewtons": (
+        column("Fy", lambda F: F / 1e3),
+        f"{worst('Fy')}:",
+        "is the column in kN, daN, lbf or kgf?",
+    ),
     "a load in kilonewtons": (
         column("Fz", lambda F: F / 1e3),
         f"{worst('Fz')}:",
-        "is the column in kN?",
+        "is the column in kN, daN or kgf?",
     ),
     "a rising force": (column("Fy", lambda F: -F), "1:7", "Fy rises with alpha, but it falls"),
     "a negative load": (column("Fz", lambda F: -F), "1:10", "Fz is mostly negative"),

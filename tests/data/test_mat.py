@@ -83,7 +83,10 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "infinity": ({"P": np.r_[np.inf, np.full(299, 80.0)]}, r"P(1): is inf, not a finite"),
     "other signs": ({"FZ": TIRE["Fz"]}, "FZ: Fz is mostly negative, but it is positive in ISO-W"),
     "a rising force": ({"FY": -FY}, "FY: Fy rises with alpha"),
-    "another unit": ({"FY": FY / 1e3}, " N, expected 15 to 60000; is the column in kN?"),
+    "another unit": (
+        {"FY": FY / 1e3},
+        " N, expected 15 to 60000; is the column in kN, daN, lbf or kgf?",
+    ),
     "a constant": ({"FY": 0 * FY + 100}, "FY: column 'FY' has the same value in every row"),
 }
 
