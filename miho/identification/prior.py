@@ -127,11 +127,13 @@ def prior_notes(table: pd.DataFrame) -> list[str]:
     """In sentences, what of the parameters is the priors' and what the data's."""
     sentences = []
     for row in table.to_dict("records"):
-        sentences.append(
-            f"of what is known of {row['parameter']} the priors give "
-            f"{row['of the priors [%]']:.0f} %: its standard error is {row['standard error']:.3g}, "
-            f"and from the data alone {row['error from the data alone']:.3g}."
-        )
+        if np.isfinite(row["of the priors [%]"]):  # which of a parameter at its bound it is not
+            sentences.append(
+                f"of what is known of {row['parameter']} the priors give "
+                f"{row['of the priors [%]']:.0f} %: its standard error is "
+                f"{row['standard error']:.3g}, and from the data alone "
+                f"{row['error from the data alone']:.3g}."
+            )
         if abs(row["deviations from it"]) > FAR:
             sentences.append(
                 f"{row['parameter']} ends {abs(row['deviations from it']):.3g} deviations from the "

@@ -49,6 +49,15 @@ def test_a_line_with_priors_is_bayesian_linear_regression() -> None:
     assert any("of what is known of a the priors give" in note for note in report.notes)
 
 
+def test_nothing_is_said_of_a_prior_whose_parameter_is_at_its_bound() -> None:
+    """Its standard error is unknown, and so is the prior's share."""
+    y = 1 - 0.5 * t + SIGMA * rng.standard_normal(40)
+    space = {"a": (-5, 5), "b": {"low": 0, "high": 5, "prior": (0.2, 0.3)}}
+    report = miho.fit(line, t, y, space, sigma=SIGMA, compiled=False).report(profiles=False)
+    assert np.isnan(report.priors["of the priors [%]"]).all()
+    assert not any("nan" in note for note in report.notes)
+
+
 def test_a_prior_on_the_log_scale_is_log_normal() -> None:
     """Where the data say nothing of b, it stays at the median with the prior's spread."""
     y = np.full(40, 2.0) + SIGMA * rng.standard_normal(40)
