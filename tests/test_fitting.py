@@ -390,7 +390,7 @@ WRONG: dict[str, tuple[dict[str, float], str, str]] = {
         "Fx",
         "Fx: largest .* times the largest .* correct the unit",
     ),
-    "bar": ({"pressure": 1e-5}, "Fy", r"pressure, row 0: largest .* is 1.4 Pa"),
+    "bar": ({"pressure": 1e-5}, "Fy", r"pressure, row 1: largest .* is 1.4 Pa"),
 }
 
 

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from miho import models
+import miho.models as models
 from miho.data.dataset import Dataset
 from miho.identification.uncertainty import Linearised
 from miho.models.joint import PART, parts_of

@@ -93,7 +93,7 @@ def _object(thing: Any, seen: Seen) -> Iterator[str]:
     # What its methods write is no setting.
     methods = list(_methods(type(thing)))
     written = set[str]().union(*(_names(m, "STORE_ATTR", "DELETE_ATTR") for m in methods))
-    fills = any(_names(method, "STORE_SUBSCR") for method in methods)
+    fills = any(_names(method, "STORE_SUBSCR", "STORE_SLICE") for method in methods)
     for name, value in sorted(getattr(thing, "__dict__", {}).items()):
         if name not in written and not (fills and isinstance(value, np.ndarray)):
             yield name
@@ -142,7 +142,7 @@ def _function(function: types.FunctionType, seen: Seen) -> Iterator[str]:
 
     seen.written.update(map(variable, _names(code, "STORE_DEREF", "DELETE_DEREF") & cells.keys()))
     seen.written.update(map(variable, _names(code, "STORE_GLOBAL", "DELETE_GLOBAL") - cells.keys()))
-    fills = _names(code, "STORE_SUBSCR")
+    fills = _names(code, "STORE_SUBSCR", "STORE_SLICE")
     for name in sorted(members):
         filled = fills and isinstance(members[name], np.ndarray)
         if not filled and variable(name) not in seen.written:
