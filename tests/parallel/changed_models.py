@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import abc
 import collections
+import contextlib
 import contextvars
 import ctypes
 import dataclasses
@@ -387,10 +388,17 @@ def array_file(c: float, folder: Path) -> Model:
 
 @way
 def database(c: float, folder: Path) -> Model:
-    base = sqlite3.connect(":memory:")
-    base.execute("create table gains (value real)")
-    base.execute("insert into gains values (?)", (c,))
-    return of(lambda a: base.execute("select value from gains").fetchone()[0] * a)
+    path = folder / "gains.db"
+    path.unlink(missing_ok=True)
+    with contextlib.closing(sqlite3.connect(path)) as base, base:
+        base.execute("create table gains (value real)")
+        base.execute("insert into gains values (?)", (c,))
+
+    def gain(a: float) -> float:
+        with contextlib.closing(sqlite3.connect(path)) as base:
+            return float(base.execute("select value from gains").fetchone()[0]) * a
+
+    return of(gain)
 
 
 @way
