@@ -114,8 +114,8 @@ def _rises(samples: Mapping[str, Array]) -> bool:
 def _check_bank(log: DrivingLog, cutoff: float) -> None:
     """Refuse a bank of the other sign, and warn where nothing in the log tells the sign.
 
-    An accelerometer tells it: the opposite would explain clearly better what it shows. Without one
-    the turns do: roads lean inwards there, except for a small crossfall.
+    With an accelerometer, the sign is wrong if the opposite one explains its readings clearly
+    better. Without one, turns decide: roads lean inwards there, except for a small crossfall.
     """
     if "bank" not in log:
         return

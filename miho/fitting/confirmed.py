@@ -36,8 +36,8 @@ def by_calls(
 ) -> CurveFit | None:
     """The problem whose functions are called with numbers, where that gives other values.
 
-    Compared are those at `theta` (d,) and at some configurations of the box. None where they are
-    the same, and for functions of whose `evaluations` none is to be made again.
+    The values at `theta` (d,) and at some configurations of the box are compared; of a slow
+    function those at `theta` alone. None if they agree, or if `evaluations` may not be repeated.
     """
     called = _called(problem.model)
     if called is problem.model or _is_final(problem, evaluations):
@@ -46,15 +46,14 @@ def by_calls(
     others = problem.space.decode(problem.space.initial(count)) if count else theta[None, :][:0]
     for k, row in enumerate((theta, *others)):
         started = time.perf_counter()
-        same = _same(problem.model, called, row[None], problem.inputs)
-        if same and not k and is_dear(time.perf_counter() - started):
-            break
-        if not same:
+        if not _same(problem.model, called, row[None], problem.inputs):
             sys.stderr.write(
                 f"miho: {problem.name}: the function gives other values for numbers than for "
                 "arrays; it is called with numbers, one configuration at a time\n"
             )
             return replace(problem, model=called, dear=True)
+        if k == 0 and is_dear(time.perf_counter() - started):
+            break
     return None
 
 
@@ -107,7 +106,7 @@ def _called(model: Model) -> Model:
 
 
 def _same(model: Model, called: Model, thetas: Array, inputs: tuple[Array, ...]) -> bool:
-    """Whether two models give the same at parameter rows (n, d); no value, where one raises."""
+    """Whether two models agree at parameter rows (n, d), or the calls with numbers raise."""
     outputs = []
     for each in (model, called):
         try:

@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from miho.identification.report import Report
 
 SAME = 1e-9
-"""An error is that of the same model within this share of the largest output: another machine
-rounds otherwise, by 1e-16 to 1e-15 in each operation."""
+"""Two errors that differ by less than this share of the largest output belong to one model:
+rounding on another machine differs by 1e-16 to 1e-15 in each operation."""
 LINEAR = 1e-9
 """The loss of a linear problem's optimum is known to this share."""
 
@@ -246,7 +246,7 @@ class Fit(Remade):
             "; errors of neighbouring rows are alike, so intervals beside priors are too narrow"
         )
         priors = bool(alike_beside_priors(self.problem, self.theta))
-        # An optimum in doubt is among the caveats, with what that means.
+        # The caveats explain an optimum in doubt.
         limits = at_limits(self.problem, self.theta)
         known = "; ".join(limits) if self._standing.doubt else self.optimum
         last = (

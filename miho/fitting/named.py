@@ -88,7 +88,7 @@ def check_budget(budget: object) -> None:
 
 
 def _choices(name: object, names: Iterable[str]) -> str:
-    """The closest name to what was given, else all of them."""
+    """The name that is closest to a misspelt one, or all names if none is close."""
     names = list(names)
     close = difflib.get_close_matches(name.lower(), names, 1) if isinstance(name, str) else []
     return f"{close[0]!r}: did you mean that?" if close else f"one of {', '.join(names)}"

@@ -18,10 +18,10 @@ from miho.optim.usable_values import NOT_FINITE
 from miho.parallel import Evaluations
 
 NUMPY_SECONDS, PER_EVALUATION, PER_ROW = 2.0, 3e-4, 3e-6
-"""Seconds that searches of a formula may take in NumPy, and seconds that an evaluation takes there,
-and each of its rows in addition."""
+"""Seconds that searches of one formula may take in NumPy; seconds of an evaluation in NumPy; and
+seconds of each of its rows in addition."""
 numpy_seconds: defaultdict[object, float] = defaultdict(float)
-"""The time that the searches of each formula have taken, estimated so."""
+"""The estimated seconds that the searches of each formula have taken in this process."""
 
 
 def searched(
@@ -67,10 +67,10 @@ def _run(
     seed: int,
     evaluations: Evaluations | None,
 ) -> tuple[CurveFit, RunRecord]:
-    """Search a problem, and compile a formula only where the search takes long enough to pay.
+    """Search a problem, and compile its formula only if the search takes long.
 
-    Such a search begins in NumPy. After some NUMPY_SECONDS the compiled problem goes on from the
-    same state. That time is counted in evaluations, so that the result does not depend on the
+    The search starts in NumPy. After about NUMPY_SECONDS the compiled problem continues from the
+    same state. The time is counted in evaluations, so that the result does not depend on the
     machine; all searches of one formula in this process share it.
     """
 

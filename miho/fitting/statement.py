@@ -132,8 +132,8 @@ def tire_columns(
 ) -> tuple[dict[str, Any], Any]:
     """The inputs and the force of a tire in ISO-W signs, in SI units as they are.
 
-    Columns are checked as those of a file are: see `miho.data.measurements.Layout` for `convention`
-    and `ranges`. Raises ValueError for one whose size or sign no tire has.
+    The checks are the same as for a file: `miho.data.measurements.Layout` documents `convention`
+    and `ranges`. Raises ValueError if the size or the sign of a column is impossible for a tire.
     """
     numbers = {**inputs, model.force: _numbers(model.force, force)}
     units = [*model.inputs.values(), model.output.replace("*", "")]
@@ -206,7 +206,7 @@ def _column_names(function: Any, x: Any, parameters: Collection[str]) -> tuple[s
                 f"({', '.join(arguments)}) without bounds"
             )
         return names
-    free = [name for name, one in arguments.items() if one.default is one.empty]
+    free = [name for name, value in arguments.items() if value.default is value.empty]
     return tuple(free)[: len(x) if isinstance(x, tuple) else 1]
 
 

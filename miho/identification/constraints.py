@@ -225,7 +225,7 @@ class _Polytope:
         return Form(coefficients / size, float(offset / size))
 
     def solved(self) -> tuple[dict[int, Form], list[Form]]:
-        """By position, what parameters are by the equations; and what the others keep above 0."""
+        """Linear forms that equations give parameters, by position; and forms that stay above 0."""
         sides = [c.form for c in self._constraints if not c.equal]
         for k, e in zip(self._members, np.eye(len(self._low))[self._members], strict=True):
             sides += [Form(e, -self._low[k]), Form(-e, self._low[k] + self._width[k])]

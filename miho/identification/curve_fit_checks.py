@@ -78,7 +78,7 @@ def check_curve_fit(problem: CurveFit, dear: bool = False) -> None:
 
 
 def _usable(problem: CurveFit, model_name: str) -> Array | None:
-    """The first trial configuration (d,) at which the model does not raise; None of a dear one.
+    """The first trial configuration (d,) without an exception; None for an expensive model.
 
     A model may raise on a part of the box. One that does so at all of RAISING configurations is
     refused with its first error, and so is one that gives another shape.

@@ -164,7 +164,8 @@ def maybe_zero(
         low, high = ends if curve is None else curve.tried
         if np.isfinite(error) and max(low, p.low) <= 0 <= min(high, p.high):
             sentences.append(
-                f"{p.name} cannot be told from 0: its {100 * level:g} % interval contains it."
+                f"{p.name} does not differ significantly from 0: its {100 * level:g} % interval "
+                "contains it."
             )
     return sentences
 

@@ -20,7 +20,7 @@ NEAR = 1e-6
 
 
 class Stated(NamedTuple):
-    """One parameter: value, unit and standard error; `held` says by what, or that it is FREE.
+    """One parameter with its value, unit and standard error; `held` is FREE, or the reason why not.
 
     It is "fixed", the expression that it is tied to, at its bound, or not identifiable.
     The error is 0 for a fixed one, NaN for one at its bound, infinite for one that the data do not

@@ -284,8 +284,8 @@ class MagicFormula:
         alpha_r = np.arctan(np.hypot(np.tan(alpha_r), slip)) * np.sign(alpha_r)
         trail = D * np.cos(C * np.arctan(_argument(alpha_t, B, E))) * c.cosine  # 4.E73
         residual = D_r * np.cos(np.arctan(B_r * alpha_r))  # 4.E75
-        # MF 5.2 lets the cambered force act at the trail, MF 6 the one without camber (4.E74), less
-        # what it loses to slip at the camber that there is, as the reference values do.
+        # MF 5.2 lets the cambered force act at the trail, MF 6 the one without camber (4.E74).
+        # Longitudinal slip reduces that force at the actual camber, as in the reference values.
         pure = y.pure if p.version == "5.2" else self.pure_lateral(c, 0.0 * gamma, p)
         arm = p.SSZ1 + p.SSZ2 * y.Fy / nominal + (p.SSZ3 + p.SSZ4 * dfz) * gamma
         return -trail * y.G * pure.Fy + residual + radius * arm * p.LS * x.Fx  # 4.E71-4.E76

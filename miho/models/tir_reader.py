@@ -107,9 +107,9 @@ def raise_first(errors: Sequence[TirError], places: Sequence[str]) -> None:
 
 
 class Fault(NamedTuple):
-    """A line that cannot be read as KEY = value; the key is "" where there is none.
+    """A line that cannot be read as KEY = value; the key is "" if the line has none.
 
-    A line is `blank` where nothing stands behind its key.
+    A line is `blank` if no value follows its key.
     """
 
     line: int
