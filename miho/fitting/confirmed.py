@@ -43,18 +43,18 @@ def by_calls(
     if called is problem.model or _is_final(problem, evaluations):
         return None
     count = min(CONFIGURATIONS, VALUES // max(1, len(problem.dataset)))
-    others = problem.space.decode(problem.space.initial(count)) if count else theta[None, :][:0]
-    for k, row in enumerate((theta, *others)):
-        started = time.perf_counter()
-        if not _same(problem.model, called, row[None], problem.inputs):
-            sys.stderr.write(
-                f"miho: {problem.name}: the function gives other values for numbers than for "
-                "arrays; it is called with numbers, one configuration at a time\n"
-            )
-            return replace(problem, model=called, dear=True)
-        if k == 0 and is_dear(time.perf_counter() - started):
-            break
-    return None
+    started = time.perf_counter()
+    agree = _same(problem.model, called, theta[None], problem.inputs)
+    if agree and count and not is_dear(time.perf_counter() - started):
+        others = problem.space.decode(problem.space.initial(count))
+        agree = _same(problem.model, called, others, problem.inputs)
+    if agree:
+        return None
+    sys.stderr.write(
+        f"miho: {problem.name}: the function gives other values for numbers than for arrays; it is "
+        "called with numbers, one configuration at a time\n"
+    )
+    return replace(problem, model=called, dear=True)
 
 
 def check_repeats(
@@ -106,15 +106,23 @@ def _called(model: Model) -> Model:
 
 
 def _same(model: Model, called: Model, thetas: Array, inputs: tuple[Array, ...]) -> bool:
-    """Whether two models agree at parameter rows (n, d), or the calls with numbers raise."""
-    outputs = []
-    for each in (model, called):
-        try:
-            outputs.append(each.predict(thetas, *inputs))
-        except ValueError:
-            if each is called:
-                return True
-            outputs.append(np.full((len(thetas), inputs[0].size), np.nan))
-    with np.errstate(invalid="ignore"):
-        finite = [np.where(np.isfinite(values), values, np.nan) for values in outputs]
-    return alike(*finite)
+    """Whether two models agree at each of some rows (n, d), where the calls do not raise."""
+    try:
+        first, second = (each.predict(thetas, *inputs) for each in (model, called))
+    except ValueError:
+        if len(thetas) > 1:
+            return all(_same(model, called, row[None], inputs) for row in thetas)
+        return _raises(called, thetas, inputs)
+    # Each row is compared on its own scale; what is not finite has no value.
+    finite = [np.where(np.isfinite(values), values, np.nan) for values in (first, second)]
+    size = np.nan_to_num(np.abs(finite[0])).max(axis=1, keepdims=True, initial=0.0)
+    size[size == 0] = 1.0
+    return alike(finite[0] / size, finite[1] / size)
+
+
+def _raises(model: Model, thetas: Array, inputs: tuple[Array, ...]) -> bool:
+    try:
+        model.predict(thetas, *inputs)
+    except ValueError:
+        return True
+    return False
