@@ -28,7 +28,8 @@ class Block(NamedTuple):
 
     Improvement k came with evaluation `at[k]` of the block, at `thetas[k]` (d,) with `losses[k]`.
     `rejected` counts values that could not be used, by reason. `finished` unless it stopped before
-    an evaluation that it was not allowed.
+    an evaluation that it was not allowed. `provisional`, for a run that has looked at nothing on
+    all rows of data yet, are the arguments of `Meter.note`: the cost of a look, losses, thetas.
     """
 
     evaluations: float
@@ -37,6 +38,7 @@ class Block(NamedTuple):
     thetas: Array
     rejected: Mapping[str, int]
     finished: bool = True
+    provisional: tuple[float, Array, Array] | None = None
 
 
 class Steps(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections import defaultdict
 from dataclasses import replace
@@ -41,9 +42,11 @@ def searched(
     if run.outcome is Outcome.INTERRUPTED:
         raise interrupted(run)
     name = title(problem)
-    if run.theta is None and not run.rejected and run.error is None:
+    # A small budget may end before any look at all rows of the data.
+    theta = run.provisional if run.theta is None else run.theta
+    if theta is None and not run.rejected and run.error is None:
         raise ValueError(f"{name}: the budget ended before the first value; give a larger one")
-    if run.theta is None:
+    if theta is None:
         raise ValueError(f"{name}: no finite value was found: {run.error or run.rejected}")
     raised = {why: n for why, n in run.rejected.items() if not why.startswith(NOT_FINITE)}
     if raised:
@@ -52,12 +55,14 @@ def searched(
     if run.error is not None:
         reason = run.error.strip().splitlines()[-1]
         sys.stderr.write(f"miho: {name}: its best is taken, the search failed: {reason}\n")
-    descent = refit(spread(problem, evaluations), run.theta)
+    descent = refit(spread(problem, evaluations), theta)
+    if not math.isfinite(descent.cost):  # as it may be on rows that the search did not look at
+        raise ValueError(f"{name}: no finite value was found on all rows; give a larger budget")
     called = by_calls(problem, descent.theta, evaluations)
     if called is not None:
         return searched(called, method, budget, seed)
     check_repeats(problem, descent.theta, descent.cost, evaluations)
-    return Fit(problem, descent.theta, run.theta, run.descents)
+    return Fit(problem, descent.theta, theta, run.descents)
 
 
 def _run(

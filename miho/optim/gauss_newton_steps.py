@@ -79,6 +79,10 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
             INFINITE: infinities,
             "derivative is not finite": unusable,
         }
+        looked_at = None
+        if best == math.inf and not k:
+            thetas_here = state.space.decode(state.box.origin + state.box.width * c.x)
+            looked_at = state.rows / N, c.loss, thetas_here
         return Block(
             spent / N,
             at[:k] / N,
@@ -86,6 +90,7 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
             thetas[:k],
             counts,
             ended == FINISHED,
+            looked_at,
         )
 
     oracle.spend(block, least)

@@ -7,8 +7,12 @@ import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
 
 from miho.optim.trace import Starts, Trace
+from miho.quantities import Array
 from miho.validate import positive, whole
 
 REASONS = 20
@@ -50,6 +54,18 @@ class Budget:
             raise ValueError(f"budget.target is {self.target!r}; expected a finite loss")
 
 
+class Provisional(NamedTuple):
+    """The best configuration `theta` (d,) while none was looked at on all rows of data.
+
+    `cost` is the share of the rows that it was looked at on, in evaluations, and `loss` that over
+    these rows. More rows are better than fewer, whatever the loss over them.
+    """
+
+    cost: float
+    loss: float
+    theta: Array
+
+
 @dataclass
 class Arrivals:
     """In which order the evaluations of a run were there, as far as a method asked for it.
@@ -71,7 +87,8 @@ class Meter:
     on after them. `rejected` counts the values that could not be used, by reason. `outside` counts
     configurations outside of the space's box: their values are used, but a method is to stay in it.
     `starts` are those of a method that descends from several. `arrivals` are those by which a
-    method decided that works asynchronously.
+    method decided that works asynchronously. `provisional` is the best configuration on fewer rows
+    than all, noted until one is looked at on all of them.
     """
 
     evaluations: float = 0
@@ -84,6 +101,14 @@ class Meter:
     outside: int = 0
     starts: Starts = field(default_factory=Starts)
     arrivals: Arrivals = field(default_factory=Arrivals)
+    provisional: Provisional | None = None
+
+    def note(self, cost: float, losses: Array, thetas: Array) -> None:
+        """Note the best of some configurations (n, d) if none is known on as many rows or more."""
+        k = int(np.argmin(losses))
+        known, loss = self.provisional, float(losses[k])
+        if math.isfinite(loss) and (known is None or (cost, -loss) > (known.cost, -known.loss)):
+            self.provisional = Provisional(cost, loss, np.array(thetas[k], dtype=float))
 
     def reject(self, reason: str, count: int = 1, at: str = "") -> None:
         """Count values that cannot be used, by reason; beyond REASONS of them, together.

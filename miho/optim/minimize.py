@@ -74,7 +74,8 @@ class RunRecord:
     `checkpoint` resumes a method that can be resumed (Resumable), else it is None; so it is after
     an interrupt that struck in the middle of a step. `usage` says how workers were used, None
     without workers and journal; `arrivals` in which order a method took their evaluations that
-    works asynchronously, None with one worker.
+    works asynchronously, None with one worker. `provisional` (d,) is the best configuration on
+    fewer rows of data than all, None where one was looked at on all of them.
     """
 
     outcome: Outcome
@@ -92,6 +93,7 @@ class RunRecord:
     descents: Descents | None = None
     usage: Usage | None = None
     arrivals: Arrivals | None = None
+    provisional: Array | None = None
 
 
 def minimize(
@@ -150,7 +152,7 @@ def minimize(
         outcome, error = _search(optimizer, oracle, checkpoint, (problem.name, seed))
         oracle.stop()
 
-    meter = oracle.meter
+    meter, early = oracle.meter, oracle.meter.provisional
     resumable = None
     if oracle.state is not None:
         resumable = Checkpoint(optimizer, problem.name, seed, oracle.state, meter)
@@ -170,6 +172,7 @@ def minimize(
         descents=Descents.of(meter.starts, meter.best),
         usage=None if evaluations is None else evaluations.usage,
         arrivals=meter.arrivals if meter.arrivals.positions else None,
+        provisional=None if len(meter.trace) or early is None else early.theta,
     )
 
 

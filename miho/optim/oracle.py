@@ -442,15 +442,17 @@ class Oracle:
 
     def _record(self, rows: Array, losses: Array, cost: float, started: float) -> None:
         """Record a batch of losses (n,) with its improvements."""
-        least = np.minimum.reduce(losses)
+        meter, least = self.meter, np.minimum.reduce(losses)
         if self._descent is not None and cost == 1.0:
             self._descent.see(losses[0], least)
-        if cost == 1.0 and least < self.meter.best:
-            lower = losses < np.minimum.accumulate(np.append(self.meter.best, losses[:-1]))
+        if cost == 1.0 and least < meter.best:
+            lower = losses < np.minimum.accumulate(np.append(meter.best, losses[:-1]))
             improving = np.flatnonzero(lower)
             improved, thetas = losses[improving], rows[improving]
         else:
             improving, improved, thetas = NOWHERE, NO_LOSSES, rows[:0]
+            if meter.best == math.inf and losses.size:
+                meter.note(cost, losses, rows)
         at = (improving + 1).astype(float)
         self._recorder.record(at, improved, thetas, losses.size * cost, started)
 
@@ -459,6 +461,8 @@ class Oracle:
         for reason, count in block.rejected.items():
             if count:
                 self.meter.reject(reason, count)
+        if block.provisional is not None:
+            self.meter.note(*block.provisional)
         if block.losses.size:
             self._recorder.count_outside(block.thetas)  # of a block, only those that improve
         self._recorder.record(block.at, block.losses, block.thetas, block.evaluations, started)
