@@ -73,7 +73,7 @@ def test_identify_prints_parameters_errors_and_evidence(identify: Command, tmp_p
     assert code == 0
     for word in ("1/rad", "195 degrees of freedom", "irreducible", "evaluations", "(ran)"):
         assert word in out
-    assert re.search(r"optimum +1,500 starts screened for 30 descents; \d+ of them ended here", out)
+    assert re.search(r"optimum +in doubt: only \d+ of 30 descents ended here", out)
     assert "best known" not in out, "nothing was recorded, and nothing else is run to know it"
     assert len(load_runs(tmp_path / "runs").runs) == 1
     assert re.search(r"^workers +evaluations made here, [\d.]+ .s each$", out, re.MULTILINE)

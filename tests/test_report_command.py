@@ -257,7 +257,7 @@ def test_the_gap_is_of_what_is_reported_and_of_the_run(tmp_path: Path) -> None:
     ratio = 100 * (np.sqrt(stored.result["loss"]) / best - 1)
     assert ratio > 1
     assert f"(closed form), gap 0.0000 %; of the run itself {ratio:.4f} %" in text
-    assert re.search(r"optimum +the best known optimum is reached", text)
+    assert re.search(r"optimum +linear in all parameters, so that no other optimum is better", text)
     assert "in doubt" not in text
 
 

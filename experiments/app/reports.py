@@ -152,7 +152,7 @@ def report_on_run(stored: StoredRun, options: Options) -> tuple[Best, bool]:
     path = save_run(report, stored, folder)
     print(
         f"{result['problem']}: {stored.folder}\n\n{report_text(report)}\n\n{errors}\n"
-        f"optimum: {report.standing.evidence}\nreport {path}\n"
+        f"optimum: {report.standing.statement}\nreport {path}\n"
     )
     if options.candidates is not None and options.rows is not None:
         print(

@@ -86,7 +86,7 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
         return f"no finite value was found: {reasons}"
     unit = problem.unit
     rows: list[tuple[str, str]] = []
-    report = None
+    report, found_by = None, ""
     # The findings: parameters with intervals and notes, or bare where the report cannot be made.
     try:
         report = report_of(problem, stored)
@@ -100,7 +100,8 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
     else:
         theta, findings = report.at.theta, report_text(report)
         rows += error_rows(report)
-        rows.append(("optimum", report.standing.evidence))
+        found_by = report.found_by
+        rows.append(("optimum", report.standing.statement))
     # How good the reported optimum is: its loss, and its gap to the best one that is known.
     loss = float(problem.loss(theta[None])[0])
     if not isinstance(problem.rho, Square):
@@ -119,7 +120,7 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
     rows += [
         ("evaluations", f"{result['evaluations']:,.0f}"),
         ("seconds", f"{result['seconds']:.3f} (set-up {result['setup_seconds']:.3f})"),
-        ("ended by", _ending(result, descents_of(stored), problem.resolution, exact)),
+        ("ended by", _ending(result, descents_of(stored), problem.resolution, exact, found_by)),
     ]
     if result["rejected"]:
         rows.append(("rejected", ", ".join(f"{n} x {r}" for r, n in result["rejected"].items())))
@@ -139,11 +140,16 @@ def _gap(loss: float, best: float) -> str:
 
 
 def _ending(
-    result: Mapping[str, Any], descents: Descents | None, resolution: float, exact: float | None
+    result: Mapping[str, Any],
+    descents: Descents | None,
+    resolution: float,
+    exact: float | None,
+    found_by: str = "",
 ) -> str:
     """What ended a run, and how far its descents were; losses closer than `resolution` are one.
 
-    `exact` is the loss of the only optimum, where the problem is linear in all its parameters.
+    `exact` is the loss of the only optimum, where the problem is linear in all its parameters;
+    `found_by` the step after the run that has found a better one, if one has.
     """
     outcome, loss = str(result["outcome"]), float(result["loss"])
     ending = ENDINGS.get(outcome, outcome)
@@ -155,7 +161,10 @@ def _ending(
     agreed = agreement(
         descents.ends, resolution, best=loss, finished=finished, dropped=descents.dropped
     )
-    ending += f", {'after' if agreed.enough else 'before'} enough of its {kind} agreed"
+    enough = agreed.enough and descents.settled
+    ending += f", {'after' if enough else 'before'} enough of its {kind} agreed"
+    if found_by:
+        ending += f" on an optimum that is not the best: {found_by} found a better one"
     if descents.converged < finished:
         moving = finished - descents.converged
         ending += f"; {moving} of {finished} {kind} were still moving at their end"

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import sys
+import time
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -13,9 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from miho.fitting.statement import inputs_of
-from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
-from miho.identification.standing import Standing, standing
+from miho.identification.standing import Standing
 from miho.identification.stated import (
     at_limits,
     reported_space,
@@ -28,8 +29,9 @@ from miho.models.joint import rows_of_parts
 from miho.models.tied import whole_model
 from miho.models.tire_formula import TireFormula
 from miho.models.traced import Remade
-from miho.optim import Descents
+from miho.optim import Descents, in_optimum
 from miho.parallel.remote import Raised
+from miho.parallel.worth import is_dear
 from miho.quantities import Array
 
 if TYPE_CHECKING:
@@ -41,8 +43,6 @@ if TYPE_CHECKING:
 SAME = 1e-9
 """Two errors that differ by less than this share of the largest output belong to one model:
 rounding on another machine differs by 1e-16 to 1e-15 in each operation."""
-LINEAR = 1e-9
-"""The loss of a linear problem's optimum is known to this share."""
 
 
 class Prediction(NamedTuple):
@@ -58,7 +58,9 @@ class Fit(Remade):
     """The optimum `theta` (f,) of the free parameters of a problem, and what it can tell.
 
     `run` (f,) is where the search ended, from which a descent led there, and `descents` what it
-    knows of other optima; None without a search. A pickled fit keeps its error, which takes an
+    knows of other optima; None without a search. `moving` and `found_by` are those of
+    `miho.identification.optimum.standing_of`: whether that descent has come to its end, and which
+    later step has found the optimum. A pickled fit keeps its error, which takes an
     evaluation; where the model gives another one when it is loaded, a line on stderr says so.
     """
 
@@ -67,6 +69,8 @@ class Fit(Remade):
     run: Array
     descents: Descents | None = None
     level: float = 0.95
+    moving: int = 0
+    found_by: str = ""
 
     def __getstate__(self) -> dict[str, Any]:
         """The fields, and the error by which a changed model is known."""
@@ -129,26 +133,26 @@ class Fit(Remade):
 
     @property
     def optimum(self) -> str:
-        """What is known of the optimum: how many searches ended in it."""
-        return "; ".join([self._standing.evidence, *at_limits(self.problem, self.theta)])
+        """What is known of the optimum: how many searches ended in it, or why it is in doubt."""
+        return "; ".join([self._standing.statement, *at_limits(self.problem, self.theta)])
 
     @cached_property
     def _standing(self) -> Standing:
         """The evidence for the optimum, or the doubt about it, as in the report."""
-        from miho.identification.report import irreducible_of
+        from miho.identification.optimum import standing_of
 
-        problem = self.problem
-        loss = float(problem.loss(self.theta[None])[0])
         searches = () if self.descents is None else (self.descents,)
-        exact = linear_optimum(problem)
-        if exact is not None and loss <= exact[1] * (1 + LINEAR) + problem.resolution:
-            linear = "linear in all parameters, so that no other optimum is better"
-            return Standing(linear, certain=True)
-        stand = standing(loss, problem.resolution, searches)
-        if not stand.doubt:
-            return stand
-        least = irreducible_of(problem)
-        return standing(loss, problem.resolution, searches, irreducible=least, error=self.error)
+        started = time.perf_counter()
+        self.problem.loss(self.theta[None])
+        at = None
+        # To see whether a parameter has an effect elsewhere takes many evaluations.
+        if not is_dear(time.perf_counter() - started):
+            with contextlib.suppress(ValueError):  # too few rows
+                at = self.uncertainty
+        return standing_of(
+            self.problem, self.theta, self.run, searches, at=at, moving=self.moving,
+            found_by=self.found_by,
+        )  # fmt: skip
 
     @cached_property
     def caveats(self) -> list[str]:
@@ -161,7 +165,7 @@ class Fit(Remade):
         from miho.identification.report import REMEDY
 
         stand = self._standing
-        sentences = doubtful(stand.evidence, REMEDY) if stand.doubt else []
+        sentences = doubtful(stand.doubt, REMEDY) if stand.doubt else []
         try:
             at = reported_uncertainty(self.problem, self.uncertainty)
         except ValueError as error:
@@ -173,12 +177,28 @@ class Fit(Remade):
     def report(self, **settings: Any) -> Report:
         """All that can be told, with profile intervals; `settings` are those of `make_report`.
 
-        Takes up to some seconds.
+        Takes up to some seconds. Where it meets a better optimum, this becomes the fit's own, so
+        that the fit tells what its report does.
         """
         from miho.identification.report_steps import make_report
 
-        settings = {"descents": self.descents, "level": self.level, **settings}
-        return make_report(self.problem, self.run, **settings)
+        settings = {
+            "descents": self.descents, "level": self.level, "optimum": self.theta,
+            "found_by": self.found_by, **settings,
+        }  # fmt: skip
+        report = make_report(self.problem, self.run, **settings)
+        self._adopt(report)
+        return report
+
+    def _adopt(self, report: Report) -> None:
+        """Take the optimum of a report if it is better, and what the report says of it."""
+        loss, other = (float(self.problem.loss(p[None])[0]) for p in (self.theta, report.at.theta))
+        if not in_optimum(other, loss, self.problem.resolution):
+            for name in ("uncertainty", "parameters", "error", "notes"):
+                vars(self).pop(name, None)
+            vars(self).update(theta=report.at.theta, found_by=report.found_by)
+        vars(self).pop("caveats", None)
+        vars(self).update(moving=report.moving, _standing=report.standing)
 
     @cached_property
     def notes(self) -> list[str]:

@@ -78,7 +78,7 @@ def fit_joint(
             joint = joint.as_examined(problem)
             problem = joint.complete(bounds, method, budget, seed, evaluations, **settings)
         fit = searched(problem, method, budget, seed, evaluations)
-    return JointFit(fit.problem, fit.theta, fit.run, fit.descents)
+    return JointFit(fit.problem, fit.theta, fit.run, fit.descents, moving=fit.moving)
 
 
 @dataclass(frozen=True, eq=False)

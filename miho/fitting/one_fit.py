@@ -175,10 +175,10 @@ def settled(
         scale = noise(fit)
         before = fit.problem.prior_scale or scale
         if abs(scale - before) <= SETTLED * before:
-            return fit if fit.descents is None else solved(bounds, scale)
+            return replace(fit, run=fit.theta) if fit.descents is None else solved(bounds, scale)
         problem = replace(fit.problem, prior_scale=scale, dear=True)
-        theta = refit(spread(problem, evaluations), fit.theta).theta
-        fit = replace(fit, problem=problem, theta=theta)
+        descent = refit(spread(problem, evaluations), fit.theta)
+        fit = replace(fit, problem=problem, theta=descent.theta, moving=descent.moving)
     raise ValueError("the errors and what priors count beside them do not settle; give sigma")
 
 
@@ -207,4 +207,4 @@ def descended(
     if called is not None:
         return descended(called, start)
     check_repeats(problem, descent.theta, descent.cost, evaluations)
-    return Fit(problem, descent.theta, descent.theta)
+    return Fit(problem, descent.theta, descent.theta, moving=descent.moving)

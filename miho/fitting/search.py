@@ -62,7 +62,7 @@ def searched(
     if called is not None:
         return searched(called, method, budget, seed)
     check_repeats(problem, descent.theta, descent.cost, evaluations)
-    return Fit(problem, descent.theta, theta, run.descents)
+    return Fit(problem, descent.theta, theta, run.descents, moving=descent.moving)
 
 
 def _run(

@@ -38,7 +38,6 @@ def interval_kind(table: pd.DataFrame) -> str:
 def identified(report: Report, origin: Mapping[str, Any]) -> Identified:
     """The model that a report is of; `origin` says what regenerates the run."""
     kind = interval_kind(report.parameters)
-    doubt = report.standing.doubt
     values = {row["parameter"]: _value(row, kind) for row in report.parameters.to_dict("records")}
     model, values, correlation = _whole(report.problem, report.at, values, report.level)
     for name in values.keys() & report.tied_profiles.keys():
@@ -58,7 +57,7 @@ def identified(report: Report, origin: Mapping[str, Any]) -> Identified:
             "error": report.error,
             "residual_standard_deviation": report.residual_standard_deviation,
             "degrees_of_freedom": report.freedom,
-            "optimum": f"in doubt: {doubt}" if doubt else report.standing.evidence,
+            "optimum": report.standing.statement,
             **origin,
             "interval": kind,
         },

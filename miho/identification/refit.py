@@ -74,6 +74,11 @@ class Refit(NamedTuple):
     converged: bool = True
     evaluations: int = 1
 
+    @property
+    def moving(self) -> int:
+        """After how many evaluations the descent was still moving, 0 if it came to its end."""
+        return 0 if self.converged else self.evaluations
+
 
 class _NoDerivatives(Exception):  # noqa: N818 -- ends a descent, no error
     """The derivatives are not all finite numbers."""

@@ -75,7 +75,8 @@ class Report:
     of tied ones by name, `replicates` (n, d) the bootstrap's estimates, `left_out` the errors on
     groups of rows that a fit was made without. `omitted` says in sentences what there was no time
     for, `remedy` what to do where the optimum is in doubt. `searches` are the descents of the run,
-    and of a check; `best_known` is the loss of the optimum where it is known.
+    and of a check; `best_known` is the loss of the optimum where it is known. `moving` and
+    `found_by` are those of `standing_of`.
     """
 
     problem: CurveFit
@@ -91,6 +92,8 @@ class Report:
     searches: tuple[Descents, ...] = ()
     best_known: float | None = None
     tied_profiles: Mapping[str, Profile] = field(default_factory=dict)
+    moving: int = 0
+    found_by: str = ""
 
     @cached_property
     def space(self) -> Space:
@@ -348,8 +351,10 @@ class Report:
         table = self.parameters[columns].to_string(
             index=False, float_format="%.5g", formatters=formatters
         )
-        error = f"error: {self.error:.5g} {self.problem.unit}".rstrip()
-        return "\n\n".join([table, "\n".join([error, *(f"- {note}" for note in self.notes)])])
+        lines = [f"error: {self.error:.5g} {self.problem.unit}".rstrip()]
+        if not self.standing.doubt:  # else the notes begin with it
+            lines.append(f"optimum: {self.standing.statement}")
+        return "\n\n".join([table, "\n".join([*lines, *(f"- {note}" for note in self.notes)])])
 
     @property
     def tables(self) -> Mapping[str, pd.DataFrame]:

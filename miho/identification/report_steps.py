@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import contextlib
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from miho.identification.bootstrap import block_length, bootstrap, stretched
 from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
-from miho.identification.flags import lost_effect
+from miho.identification.optimum import BOOTSTRAP, CHECK, PROFILE, standing_of
 from miho.identification.profile_likelihood import (
     SIGNS,
     Profile,
@@ -29,8 +27,7 @@ from miho.identification.refit import (
     refit,
     seconds_of_refit,
 )
-from miho.identification.report import REMEDY, Report, irreducible_of, rounding_of
-from miho.identification.standing import Standing, standing
+from miho.identification.report import REMEDY, Report, rounding_of
 from miho.identification.stated import (
     reported_space,
     reported_uncertainty,
@@ -39,7 +36,7 @@ from miho.identification.stated import (
 )
 from miho.identification.uncertainty import Linearised, linearised
 from miho.identification.validation import conditions, leave_one_out, root_mean_square
-from miho.optim import Descents
+from miho.optim import Descents, in_optimum
 from miho.optim.seeds import stream
 from miho.parallel import Pool, Workers, open_pool
 from miho.parallel.blocks import in_blocks
@@ -52,10 +49,6 @@ EVALUATIONS = 5000
 """Evaluations at most of the descent to the optimum that the report is of."""
 REFITS = 4
 """Refits that a side of a profile takes at least."""
-TRIALS = 10
-"""Configurations at which a parameter without effect is tried again."""
-BETTER = 1e-4
-"""A sum of squares that is smaller by this fraction is another, better optimum."""
 SECONDS = 60.0
 """Time limit, by default, of all that a report computes without being asked for it."""
 
@@ -67,6 +60,8 @@ def make_report(
     descents: Descents | None = None,
     check: Descents | None = None,
     better: Array | None = None,
+    optimum: Array | None = None,
+    found_by: str = "",
     best_known: float | None = None,
     replicates: int = 0,
     profiles: bool | None = None,
@@ -80,12 +75,16 @@ def make_report(
     """The report on the optimum near `run` (d,), the parameters that a run of a problem ended with.
 
     `descents` says where those of the run ended, `check` those of a check, and the report is of the
-    optimum near its result `better` (d,) if that is better; `best_known` is the loss
-    of a recorded optimum. `replicates` bootstrap estimates (1000 for an interval, 0 for none),
-    drawn from `seed`, in blocks where rows depend on their neighbours; `profiles` by default for
-    models of up to MOST_PROFILES parameters, none for data in events. What is computed by default
-    ends after `seconds`; `Report.omitted` lists what is missing then. What is asked for
-    (replicates, profiles) takes the time it takes. `progress` is called before each of many steps
+    optimum near its result `better` (d,) if that is better. `optimum` (d,) is where a descent from
+    the run's result has led already, `found_by` the later step that led there, if one did;
+    `best_known` is the loss of a recorded optimum. Where profiles or replicates meet a better
+    optimum the report is of that one, and says so.
+
+    `replicates` bootstrap estimates (1000 for an interval, 0 for none), drawn from `seed`, in
+    blocks where rows depend on their neighbours; `profiles` by default for models of up to
+    MOST_PROFILES parameters, none for data in events. What is computed by default ends after
+    `seconds`; `Report.omitted` lists what is missing then. What is asked for (replicates,
+    profiles) takes the time it takes. `progress` is called before each of many steps
     with the name of the stage. `workers`, those of `miho.fit`, share profiles, replicates and
     refits without some rows where these take long; the report is the same. Raises ValueError where
     there is no uncertainty to be had: fewer rows than parameters, or derivatives not finite.
@@ -100,15 +99,19 @@ def make_report(
     # The optimum first: profiles may find a better one, and all else is said of it.
     deadline = Deadline(time.perf_counter() + seconds)
     progress("optimum")
-    optimum = _optimum(problem, run, deadline)
+    best = _Best(_optimum(problem, run if optimum is None else optimum, deadline), found_by)
     if better is not None:
-        optimum = min(optimum, _optimum(problem, better, deadline), key=lambda fit: fit.cost)
+        best = best.or_better(problem, _optimum(problem, better, deadline), CHECK)
     with open_pool(workers) as pool:
         work = _Work(deadline, progress, pool, _omission(seconds))
-        optimum, at, curves, omitted = _profiled(problem, optimum, level, profiles, work)
-        # What time was left for besides.
-        left_out, unfinished = _left_out(problem, at, work)
-        estimates = _bootstrapped(problem, at, replicates, seed, work) if replicates else None
+        while True:
+            best, at, curves, omitted = _profiled(problem, best, level, profiles, work)
+            # What time was left for besides.
+            left_out, unfinished = _left_out(problem, at, work)
+            estimates = _bootstrapped(problem, at, replicates, seed, work) if replicates else None
+            earlier, best = best, _best_of_replicates(problem, best, estimates, deadline)
+            if best is earlier:
+                break
     reported = reported_space(problem.space).names
     searches = tuple(search for search in (descents, check) if search is not None)
     exact = linear_optimum(problem)
@@ -117,7 +120,16 @@ def make_report(
         problem=problem,
         run=run,
         at=at,
-        standing=_standing(problem, at, optimum, searches, best_known, exact is not None),
+        standing=standing_of(
+            problem,
+            at.theta,
+            run,
+            searches,
+            at=at,
+            moving=best.descent.moving,
+            found_by=best.found_by,
+            best_known=best_known,
+        ),
         profiles=tuple(curves.get(name) for name in reported),
         tied_profiles={name: curve for name, curve in curves.items() if name not in reported},
         replicates=estimates,
@@ -127,7 +139,23 @@ def make_report(
         remedy=remedy,
         searches=searches,
         best_known=best_known,
+        moving=best.descent.moving,
+        found_by=best.found_by,
     )
+
+
+@dataclass(frozen=True)
+class _Best:
+    """The best optimum so far, and the step after the search that has found it, if one has."""
+
+    descent: Refit
+    found_by: str = ""
+
+    def or_better(self, problem: CurveFit, other: Refit, found_by: str) -> _Best:
+        """The other one if it is another, better optimum."""
+        rounding = problem.resolution * problem.residual_count
+        same = in_optimum(other.cost, self.descent.cost, rounding)
+        return self if same else _Best(other, found_by)
 
 
 @dataclass(frozen=True)
@@ -141,21 +169,37 @@ class _Work:
 
 
 def _profiled(
-    problem: CurveFit, optimum: Refit, level: float, requested: bool | None, work: _Work
-) -> tuple[Refit, Linearised, dict[str, Profile], list[str]]:
+    problem: CurveFit, best: _Best, level: float, requested: bool | None, work: _Work
+) -> tuple[_Best, Linearised, dict[str, Profile], list[str]]:
     """The optimum, its uncertainty, and what `_profiles` gives.
 
     Where a refit for a profile meets a better optimum, all is again from there.
     """
     while True:
-        at = _uncertainty(problem, optimum.theta)
+        at = _uncertainty(problem, best.descent.theta)
         curves, omitted = _profiles(problem, at, level, requested, work)
         refits = (curve.best for curve in curves.values())
-        lowest = min(refits, key=lambda fit: fit.cost, default=optimum)
-        if lowest.cost >= (1 - BETTER) * optimum.cost:
-            return optimum, at, curves, omitted
+        lowest = min(refits, key=lambda fit: fit.cost, default=best.descent)
+        if best.or_better(problem, lowest, PROFILE) is best:
+            return best, at, curves, omitted
         work.progress("better optimum")
-        optimum = _optimum(problem, lowest.theta, work.deadline)
+        best = _Best(_optimum(problem, lowest.theta, work.deadline), PROFILE)
+
+
+def _best_of_replicates(
+    problem: CurveFit, best: _Best, estimates: Array | None, deadline: Deadline
+) -> _Best:
+    """The best optimum so far, or the one near the best of the replicates (n, d) if it is better.
+
+    A replicate is the optimum of other data: it may lie in a basin of these that is lower.
+    """
+    if estimates is None:
+        return best
+    losses = np.nan_to_num(problem.loss(estimates), nan=np.inf)
+    if best.descent.cost <= losses.min() * problem.residual_count:
+        return best
+    lowest = _optimum(problem, estimates[np.argmin(losses)], deadline)
+    return best.or_better(problem, lowest, BOOTSTRAP)
 
 
 def _held(at: Linearised) -> list[int]:
@@ -300,52 +344,6 @@ def _optimum(problem: CurveFit, start: Array, deadline: Deadline) -> Refit:
     derivatives = problem.jacobian(problem.space.clip(start))
     ineffective = np.flatnonzero(~derivatives.any(axis=0)).tolist()
     return refit(problem, start, fixed=ineffective, evaluations=EVALUATIONS, deadline=deadline)
-
-
-def _standing(
-    problem: CurveFit,
-    at: Linearised,
-    optimum: Refit,
-    searches: Sequence[Descents],
-    best_known: float | None,
-    linear: bool,
-) -> Standing:
-    """The standing of the optimum that the report is of; `linear`: the best known is exact."""
-    stand = standing(
-        optimum.cost / problem.residual_count,
-        problem.resolution,
-        searches,
-        best_known=best_known,
-        irreducible=irreducible_of(problem),
-        error=root_mean_square(problem.errors(at.theta)),
-    )
-    if not optimum.converged and not linear:
-        moving = (
-            f"a descent from it was still moving after {optimum.evaluations:,} evaluations, so "
-            "standard errors and intervals are not those of an optimum"
-        )
-        return Standing(stand.evidence, _joined(stand.doubt, moving))
-    if at.unidentifiable.any():
-        lost = lost_effect(at, problem.space, _never_identifiable(problem))
-        return Standing(stand.evidence, _joined(stand.doubt, lost), certain=stand.certain)
-    return stand
-
-
-def _joined(*reasons: str) -> str:
-    return "; ".join(filter(None, reasons))
-
-
-def _never_identifiable(problem: CurveFit) -> NDArray[np.bool_]:
-    """Which parameters (d,) are unidentifiable at all of some configurations across the box.
-
-    The rank of the derivatives is the same almost everywhere for a smooth model, so such a
-    parameter cannot be identified from these inputs.
-    """
-    never = np.ones(len(problem.space), dtype=bool)
-    for theta in problem.space.decode(problem.space.initial(TRIALS)):
-        with contextlib.suppress(ValueError):
-            never &= linearised(problem, theta).unidentifiable
-    return never
 
 
 def _omission(seconds: float) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from miho.identification.irreducible import Irreducible
-from miho.optim import Descents, agreement
+from miho.optim import Agreement, Descents, agreement
 
 BEATEN = 0.1
 """Where no curve can have an error that is lower by this fraction, one search is enough evidence,
@@ -21,11 +21,18 @@ class Standing:
 
     `doubt` says why it may not be the best, and is empty where there is enough evidence that it is.
     `certain` if that does not rest on descents that agree, which may all have missed a better one.
+    Everything that is said of an optimum comes from here: the printed line, the report, its page
+    and `parameters.json`.
     """
 
     evidence: str
     doubt: str = ""
     certain: bool = False
+
+    @property
+    def statement(self) -> str:
+        """One sentence for all outputs: the evidence, or the doubt by name."""
+        return f"in doubt: {self.doubt}" if self.doubt else self.evidence
 
 
 def kind_of(searches: Sequence[Descents]) -> str:
@@ -47,7 +54,8 @@ def standing(
     Losses up to `rounding` are 0; `searches` are the descents of the run, and of a check;
     `best_known` is the loss of the optimum where linear algebra or a record knows it. `error` is
     the root-mean-square error, which no curve undercuts by more than the lower end of the
-    `irreducible` one says.
+    `irreducible` one says. Where a method did not end by the evidence of its descents, they are
+    none: only those of a check may be enough, without them.
     """
     # A known optimum decides alone.
     if best_known is not None:
@@ -61,8 +69,7 @@ def standing(
     screened = sum(search.screened for search in searches)
     dropped = sum(search.dropped for search in searches)
     kind = kind_of(searches)
-    ends = [end for search in searches for end in search.ends]
-    agreed = agreement(ends, rounding, best=loss, finished=finished, dropped=dropped)
+    agreed = _agreement(searches, loss, rounding)
     ended_here = agreed.agreeing
     verb = "was" if dropped == 1 else "were"
     drops = f", {dropped} {verb} dropped on fewer rows as no better" * bool(dropped)
@@ -78,9 +85,12 @@ def standing(
     )
 
     # Enough evidence: descents that agree, or an error that no curve undercuts by much.
-    if agreed.enough:
+    settled = [search for search in searches if search.settled]
+    all_settled = len(settled) == len(searches)
+    if agreed.enough and (all_settled or _agreement(settled, loss, rounding).enough):
         return Standing(f"{evidence}, and none found a better one; {chance}")
-    if ended_here == finished and irreducible is not None and error <= irreducible.high:
+    alike = all_settled and ended_here == finished
+    if alike and irreducible is not None and error <= irreducible.high:
         below = max(0.0, 1 - irreducible.low / error) if error > 0 else 0.0
         if below <= BEATEN:
             reached = (
@@ -100,5 +110,19 @@ def standing(
         elsewhere = f"; they ended at {errors} different errors" * (errors > 1)
         elsewhere += f", so that {chance}" * agreed.returned
         evidence, count = evidence + elsewhere, count + elsewhere
-    doubt = f"{count}, which are too few to rely on" if ended_here == finished else f"only {count}"
-    return Standing(evidence, doubt if ended_here else count)
+    doubt = f"only {count}" if 0 < ended_here < finished else count
+    if not all_settled:
+        unsettled = "; the search ended before that was evidence enough"
+        return Standing(evidence + unsettled, doubt + unsettled)
+    return Standing(evidence, doubt + ", which are too few to rely on" * (ended_here == finished))
+
+
+def _agreement(searches: Sequence[Descents], loss: float, rounding: float) -> Agreement:
+    """How the ends of all these searches agree on an optimum of this loss."""
+    return agreement(
+        [end for search in searches for end in search.ends],
+        rounding,
+        best=loss,
+        finished=sum(search.finished for search in searches),
+        dropped=sum(search.dropped for search in searches),
+    )

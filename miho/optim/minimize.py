@@ -169,7 +169,7 @@ def minimize(
         error=error,
         checkpoint=resumable,
         outside=meter.outside,
-        descents=Descents.of(meter.starts, meter.best),
+        descents=Descents.of(meter.starts, meter.best, outcome is Outcome.CONVERGED),
         usage=None if evaluations is None else evaluations.usage,
         arrivals=meter.arrivals if meter.arrivals.positions else None,
         provisional=None if len(meter.trace) or early is None else early.theta,

@@ -125,7 +125,9 @@ class Descents:
     so, `stayed` those that ended no better than they started. `screened` counts the configurations
     from which the starts were chosen, `agreeing` the descents that ended in the optimum of the
     run's best loss (None: not counted). With `brackets` a descent is the last candidate of a
-    bracket of successive halving. Runs of older versions lack the fields that have a default.
+    bracket of successive halving; a method of brackets judges their ends itself, and `settled` says
+    whether it has ended because they were evidence enough. Runs of older versions lack the fields
+    that have a default.
     """
 
     started: int
@@ -137,10 +139,14 @@ class Descents:
     agreeing: int | None = None
     dropped: int = 0
     brackets: bool = False
+    settled: bool = True
 
     @classmethod
-    def of(cls, starts: Starts, best: float) -> Descents | None:
-        """The summary, for a run's best loss; None if the method neither screens nor descends."""
+    def of(cls, starts: Starts, best: float, ended: bool = True) -> Descents | None:
+        """The summary, for a run's best loss; None if the method neither screens nor descends.
+
+        `ended` if the method has ended by itself.
+        """
         if not (starts.descents or starts.screened):
             return None
         finished, dropped = starts.finished, starts.dropped
@@ -154,4 +160,5 @@ class Descents:
             agreeing=starts.agreement(best).agreeing,
             dropped=dropped,
             brackets=starts.brackets,
+            settled=not starts.brackets or (ended and not starts.exhausted),
         )

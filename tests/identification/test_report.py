@@ -62,7 +62,8 @@ def test_it_prints_in_words(tire: Report) -> None:
     ]  # fmt: skip
     assert [line.split()[0] for line in lines[1:6]] == ["B", "C", "D", "Sx", "Sy"]
     assert lines[7].startswith("error: ")
-    assert [line.removeprefix("- ") for line in lines[8:]] == tire.notes
+    assert lines[8] == f"optimum: {tire.standing.statement}"
+    assert [line.removeprefix("- ") for line in lines[9:]] == tire.notes
 
 
 def test_it_says_what_is_wrong_in_words(tire: Report) -> None:

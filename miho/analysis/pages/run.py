@@ -165,7 +165,7 @@ def page_of(report: Report, stored: StoredRun | None, figures: Mapping[str, byte
             "What these numbers mean",
             report.notes
             if report.standing.doubt
-            else [f"optimum: {report.standing.evidence}.", *report.notes],
+            else [f"optimum: {report.standing.statement}.", *report.notes],
         ),
         Section(
             f"Where the {kind_of(report.searches)} ended",

@@ -1,0 +1,132 @@
+"""The one statement on an optimum of a problem, which all outputs make."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.identification.closed_form import linear_optimum
+from miho.identification.curve_fit import CurveFit
+from miho.identification.flags import lost_effect
+from miho.identification.report import irreducible_of
+from miho.identification.standing import Standing, kind_of, standing
+from miho.identification.uncertainty import Linearised, linearised
+from miho.identification.validation import root_mean_square
+from miho.optim import Descents, in_optimum
+from miho.quantities import Array
+
+LINEAR = 1e-9
+"""The loss of a linear problem's optimum is known to this share."""
+PROFILE, BOOTSTRAP, CHECK = "a profile", "the bootstrap", "a check"
+"""The steps after a search that may find a better optimum."""
+TRIALS = 10
+"""Configurations at which a parameter without effect is tried again."""
+
+
+def standing_of(
+    problem: CurveFit,
+    theta: Array,
+    run: Array,
+    searches: Sequence[Descents],
+    *,
+    at: Linearised | None = None,
+    moving: int = 0,
+    found_by: str = "",
+    best_known: float | None = None,
+) -> Standing:
+    """The standing of the optimum `theta` (d,), to which a descent from `run` (d,) led.
+
+    `searches` are the descents of the run, and of a check; `best_known` is the loss of a recorded
+    optimum. `at` is the uncertainty, where a lost effect of a parameter is to be noticed. `moving`
+    is after how many evaluations the descent was still moving, 0 if it came to its end. `found_by`
+    names the step after the search that met this optimum where the search had led to a worse one.
+    A profile and the bootstrap are no search: all descents have then missed this optimum, and may
+    have missed others.
+    """
+    loss, rounding = float(problem.loss(theta[None])[0]), problem.resolution
+    before = loss if np.array_equal(run, theta) else float(problem.loss(run[None])[0])
+    # What is known of a problem decides alone.
+    exact = linear_optimum(problem)
+    if exact is not None:
+        if loss <= exact[1] * (1 + LINEAR) + rounding:
+            linear = "linear in all parameters, so that no other optimum is better"
+            return Standing(linear, certain=True)
+        best_known = exact[1]
+    if best_known is not None:
+        stand = standing(loss, rounding, searches, best_known=best_known)
+    elif found_by in (PROFILE, BOOTSTRAP):
+        missed = f"found by {found_by}; {_missed(before, searches, problem.unit)}"
+        stand = Standing(missed, missed)
+    else:
+        stand = _by_descents(problem, theta, loss, searches)
+        if not in_optimum(loss, before, rounding):
+            step = found_by or "a descent from the run's result"
+            lowered = f"{step} lowered the error {_step(before, loss)} {problem.unit}".rstrip()
+            doubt = f"{stand.doubt}; {lowered}" if stand.doubt else ""
+            stand = Standing(f"{stand.evidence}; {lowered}", doubt, stand.certain)
+    objections = []
+    if moving and exact is None:
+        objections.append(
+            f"a descent from it was still moving after {moving:,} evaluations, so standard errors "
+            "and intervals are not those of an optimum"
+        )
+    elif at is not None and at.unidentifiable.any():
+        objections.append(lost_effect(at, problem.space, _never_identifiable(problem)))
+    return _with(stand, *filter(None, objections))
+
+
+def _with(stand: Standing, *objections: str) -> Standing:
+    """A standing with reasons to doubt the optimum, which then has no other evidence."""
+    if not objections:
+        return stand
+    doubt = "; ".join(filter(None, [stand.doubt, *objections]))
+    return Standing("; ".join([stand.evidence, *objections]) if stand.doubt else doubt, doubt)
+
+
+def _by_descents(
+    problem: CurveFit, theta: Array, loss: float, searches: Sequence[Descents]
+) -> Standing:
+    """What descents say of the optimum and, where they do not suffice, the scatter of the data."""
+    stand = standing(loss, problem.resolution, searches)
+    if not stand.doubt:
+        return stand
+    error = root_mean_square(problem.errors(theta))
+    least = irreducible_of(problem)
+    return standing(loss, problem.resolution, searches, irreducible=least, error=error)
+
+
+def _missed(before: float, searches: Sequence[Descents], unit: str) -> str:
+    """Where the search had ended, whose result has the loss `before`."""
+    ends = [end for search in searches for end in search.ends]
+    error = f"{math.sqrt(min(ends, default=before)):.5g} {unit}".rstrip()
+    if not ends:
+        return f"the search had ended at an error of {error}"
+    count = sum(search.finished for search in searches)
+    best = ", the best of them" if count > 1 else ""
+    return f"{count:,} {kind_of(searches)} had ended{best} at an error of {error}"
+
+
+def _step(before: float, after: float) -> str:
+    """From which error to which, in digits that tell them apart."""
+    first, last = math.sqrt(before), math.sqrt(after)
+    digits = 3
+    while digits < 12 and f"{first:.{digits}g}" == f"{last:.{digits}g}":
+        digits += 1
+    return f"from {first:.{digits}g} to {last:.{digits}g}"
+
+
+def _never_identifiable(problem: CurveFit) -> NDArray[np.bool_]:
+    """Which parameters (d,) are unidentifiable at all of some configurations across the box.
+
+    The rank of the derivatives is the same almost everywhere for a smooth model, so such a
+    parameter cannot be identified from these inputs.
+    """
+    never = np.ones(len(problem.space), dtype=bool)
+    for theta in problem.space.decode(problem.space.initial(TRIALS)):
+        with contextlib.suppress(ValueError):
+            never &= linearised(problem, theta).unidentifiable
+    return never

@@ -1,0 +1,154 @@
+"""All outputs say the same of an optimum, also where a step after the search finds a better one."""
+
+# mypy: disable-error-code="no-untyped-def"
+import html
+import json
+import pickle
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import miho
+from miho.analysis.pages.run import save_report
+from miho.identification import Huber, report_steps
+from miho.identification.standing import standing
+from miho.optim import Budget, Descents, Optimizer, Outcome
+
+BRACKETS = 30
+T = np.linspace(0, 3, 80)
+Y = 0.6 * np.sin(4.0 * T) + 0.5 * np.random.default_rng(4).standard_normal(80)
+BOUNDS = {"b1": (0.1, 3), "b2": (0.1, 12)}
+
+
+def wave(t, b1, b2):
+    """An optimum in b2 every few periods; the profile of b2 passes from one to the next."""
+    return b1 * np.sin(b2 * t)
+
+
+@dataclass(frozen=True)
+class Misled(Optimizer):
+    """All of its brackets end in the same optimum, which is not the best."""
+
+    at: tuple[float, float] = (0.3, 6.0)
+
+    def run(self, oracle, rng):
+        loss = float(oracle(np.array([self.at]))[0])
+        oracle.meter.starts.brackets = True
+        oracle.record_screened(100)
+        for _ in range(BRACKETS):
+            oracle.record_descent(np.inf, loss)
+
+
+@pytest.fixture
+def misled() -> miho.Fit:
+    """A fit whose search ended in a wrong optimum, of which it is sure."""
+    local = miho.fit(wave, T, Y, BOUNDS, start={"b1": 0.3, "b2": 6.0})
+    fit = miho.fit(wave, T, Y, BOUNDS, method=Misled(tuple(local.theta)))
+    assert fit.error == pytest.approx(local.error)
+    assert "none found a better one" in fit.optimum, "or this tests nothing"
+    return fit
+
+
+def test_a_better_optimum_of_a_profile_is_the_fits_own_everywhere(
+    misled: miho.Fit, tmp_path: Path
+) -> None:
+    missed = misled.error
+    best = miho.fit(wave, T, Y, BOUNDS, start={"b1": 0.6, "b2": 4.0})
+    assert best.error < 0.8 * missed, "or this tests nothing"
+    report = misled.report()
+    statement = (
+        f"in doubt: found by a profile; {BRACKETS} brackets had ended, the best of them at an "
+        f"error of {missed:.5g}"
+    )
+    save_report(report, tmp_path)
+    stored = json.loads((tmp_path / "parameters.json").read_text())
+    page = html.unescape((tmp_path / "report.html").read_text())
+    # Each says the same of the optimum.
+    assert report.standing.statement == misled.optimum == statement
+    assert stored["provenance"]["optimum"] == statement
+    for text in (str(misled), str(report), page, misled._repr_html_()):
+        assert f"the optimum is {statement}" in html.unescape(text)
+        assert "none found a better one" not in text
+    # And each is of the better one.
+    values = dict(zip(("b1", "b2"), best.theta, strict=True))
+    for found in (misled.values, misled.parameters["value"].to_dict(),
+                  report.parameters.set_index("parameter")["value"].to_dict(),
+                  {name: stored["parameters"][name]["value"] for name in values}):  # fmt: skip
+        assert found == pytest.approx(values, rel=1e-4)
+    for error in (misled.error, report.error, stored["provenance"]["error"]):
+        assert error == pytest.approx(best.error, rel=1e-6)
+    assert misled.predict(T).value == pytest.approx(best.predict(T).value, abs=1e-3)
+    assert f"error {best.error:.5g} " in str(misled)
+    # It stays so.
+    assert misled.notes[0] == report.notes[0]
+    for again in (pickle.loads(pickle.dumps(misled)), misled):
+        assert again.optimum == statement
+        assert again.report().standing.statement == statement
+    assert not best.report().found_by
+
+
+def test_before_its_report_a_fit_says_what_its_report_will() -> None:
+    fit = miho.fit(wave, T, Y, BOUNDS)
+    assert fit.optimum == fit.report().standing.statement
+    assert f"optimum: {fit.optimum}" in str(fit.report())
+
+
+def test_a_better_optimum_of_the_bootstrap_is_reported(
+    misled: miho.Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One replicate has left for the better basin; the others are those of the fit."""
+
+    def replicates(problem, theta, count, *_):
+        return np.vstack([np.tile(theta, (count - 1, 1)), [0.55, 3.9]])
+
+    monkeypatch.setattr(report_steps, "bootstrap", replicates)
+    report = misled.report(profiles=False, replicates=20)
+    assert report.standing.doubt.startswith("found by the bootstrap; 30 brackets had ended")
+    assert misled.theta == pytest.approx(report.at.theta)
+
+
+def test_a_descent_that_lowers_the_loss_of_the_run_is_said() -> None:
+    fit = miho.fit(wave, T, Y, BOUNDS, method="random", budget=Budget(evaluations=50))
+    before = np.sqrt(fit.problem.loss(fit.run[None])[0])
+    assert before > 1.001 * fit.error, "or this tests nothing"
+    lowered = "a descent from the run's result lowered the error from"
+    assert lowered in fit.optimum
+    assert lowered in str(fit)
+    assert lowered in fit.report().standing.statement
+    exact = miho.fit(wave, T, Y, BOUNDS)
+    assert "lowered" not in exact.optimum
+
+
+def test_a_robust_loss_is_judged_by_the_same_loss() -> None:
+    fit = miho.fit(wave, T, Y, BOUNDS, loss=Huber(scale=0.5))
+    assert fit.optimum == fit.report().standing.statement
+    assert "lowered" not in fit.optimum
+
+
+def test_a_search_that_ended_at_its_last_bracket_claims_nothing() -> None:
+    """Two brackets are not enough for any evidence."""
+    fit = miho.fit(wave, T, Y, BOUNDS, method=miho.MIHOGN(brackets=2))
+    assert fit.descents is not None
+    assert not fit.descents.settled
+    run = miho.minimize(miho.MIHOGN(brackets=2), fit.problem)
+    assert run.outcome is Outcome.BRACKETS
+    for text in (fit.optimum, str(fit), str(fit.report())):
+        assert "in doubt" in text
+        assert "found" not in text.replace("was found after the run", "")
+    assert miho.fit(wave, T, Y, BOUNDS).descents.settled
+
+
+@pytest.mark.parametrize("agreeing", [7, 100])
+def test_ends_that_agree_claim_nothing_where_the_method_was_not_satisfied(agreeing: int) -> None:
+    """As at a bound, where `MIHOGN` asks for more of them."""
+    ends = Descents(agreeing, agreeing, agreeing, 0, (1.0,) * agreeing, brackets=True)
+    assert "none found a better one" in standing(1.0, 0.0, [ends]).evidence
+    stand = standing(1.0, 0.0, [replace(ends, settled=False)])
+    assert stand.statement == (
+        f"in doubt: {agreeing} of {agreeing} brackets ended here; the search ended before that "
+        "was evidence enough"
+    )
+    check = Descents(20, 20, 20, 0, (1.0,) * 20)
+    assert not standing(1.0, 0.0, [replace(ends, settled=False), check]).doubt, "the check is"
