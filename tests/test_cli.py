@@ -68,6 +68,14 @@ def _command(
     return run
 
 
+def test_identify_marks_a_parameter_at_its_bound(identify: Command) -> None:
+    code, out, _ = identify(*QUICK, "space.D.high=2000")
+    assert code == 0
+    assert re.search(r"limits +D = 2000 N \(at its upper bound\)", out)
+    code, out, _ = identify(*QUICK)
+    assert "limits" not in out
+
+
 def test_identify_prints_parameters_errors_and_evidence(identify: Command, tmp_path: Path) -> None:
     code, out, _ = identify(*QUICK)
     assert code == 0

@@ -17,6 +17,7 @@ from experiments.app.parts import model_files
 from experiments.app.working import State
 from miho.identification import Square, linear_optimum
 from miho.identification.standing import kind_of
+from miho.identification.stated import marked
 from miho.identification.validation import root_mean_square
 from miho.optim import Descents, agreement, in_optimum
 from miho.parallel.usage import Usage
@@ -93,15 +94,19 @@ def result_text(experiment: Experiment, stored: StoredRun) -> str:
     except ValueError as reason:
         theta = np.array(result["theta"])
         values = zip(problem.space.parameters, result["theta"], strict=True)
+        marks = marked(problem, theta, None)
         lines = "\n".join(f"{p.name:<12} {value:.6g} {p.unit}" for p, value in values)
         findings = f"{lines}\n\n- no standard errors: {reason}"
         error = root_mean_square(problem.errors(theta))
         rows.append(("error", f"{error:.5g} {unit} (root mean square)"))
     else:
         theta, findings = report.at.theta, report_text(report)
+        marks = marked(problem, theta, report.at)
         rows += error_rows(report)
         found_by = report.found_by
         rows.append(("optimum", report.standing.statement))
+    if marks:
+        rows.append(("limits", ", ".join(marks)))
     # How good the reported optimum is: its loss, and its gap to the best one that is known.
     loss = float(problem.loss(theta[None])[0])
     if not isinstance(problem.rho, Square):

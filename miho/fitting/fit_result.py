@@ -19,6 +19,7 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.standing import Standing
 from miho.identification.stated import (
     at_limits,
+    marked,
     reported_space,
     reported_uncertainty,
     stated_parameters,
@@ -266,13 +267,17 @@ class Fit(Remade):
             "; errors of neighbouring rows are alike, so intervals beside priors are too narrow"
         )
         priors = bool(alike_beside_priors(self.problem, self.theta))
+        try:
+            marks = marked(self.problem, self.theta, self.uncertainty)
+        except ValueError:  # too few rows
+            marks = marked(self.problem, self.theta, None)
         # The caveats explain an optimum in doubt.
         limits = at_limits(self.problem, self.theta)
         known = "; ".join(limits) if self._standing.doubt else self.optimum
-        last = (
-            f"{error} (root mean square of {rows:,} rows{weights}){'; ' * bool(known)}{known}"
-            f"{alike * self._dependent}{narrow * priors}"
+        last = "; ".join(
+            filter(None, [f"{error} (root mean square of {rows:,} rows{weights})", *marks, known])
         )
+        last += f"{alike * self._dependent}{narrow * priors}"
         return "\n".join([table, last, *(f"- {sentence}" for sentence in self.caveats)])
 
     @property

@@ -137,6 +137,35 @@ def _held(at: Linearised, space: Space) -> dict[str, str]:
     return held | {name: f"at {end} bound" for name, end, _ in parameters_at_bounds(at, space)}
 
 
+def marked(problem: CurveFit, theta: Array, at: Linearised | None) -> list[str]:
+    """The parameters without a finite standard error, each with its value and the reason.
+
+    Such as "b = 1e+06 1/s (at its upper bound)" and "c = 3.2 (± not determined)". `at` is the
+    uncertainty of the optimum `theta` (d,), None where there is none.
+    """
+    space = reported_space(problem.space)
+    values = reported_values(problem, theta[None])[0]
+    nearer_low = values - space.low < space.high - values
+    bounds = {
+        p.name: f"at its {'lower' if low else 'upper'} bound"
+        for p, low, held in zip(space.parameters, nearer_low, at_bounds(space, values), strict=True)
+        if held
+    }
+    units = {p.name: p.unit for p in space.parameters}
+    errors = dict.fromkeys(space.names, np.nan)
+    if at is not None:
+        stated = stated_parameters(problem, at)[0]
+        units |= {parameter.name: parameter.unit for parameter in stated}
+        errors = {parameter.name: parameter.standard_error for parameter in stated}
+    whole = whole_values(problem, theta)
+    return [
+        f"{' '.join(filter(None, [f'{name} = {whole[name]:.5g}', units[name]]))} "
+        f"({bounds.get(name, '± not determined')})"
+        for name, error in errors.items()
+        if name in bounds or not np.isfinite(error)
+    ]
+
+
 def whole_values(problem: CurveFit, theta: Array) -> dict[str, float]:
     """Values of all parameters by name, those of the model first, at free ones (f,)."""
     model, free = problem.model, dict(zip(problem.space.names, theta.tolist(), strict=True))
