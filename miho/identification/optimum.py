@@ -17,6 +17,7 @@ from miho.identification.standing import Standing, kind_of, standing
 from miho.identification.uncertainty import Linearised, linearised
 from miho.identification.validation import root_mean_square
 from miho.optim import Descents, in_optimum
+from miho.optim.zero import is_zero
 from miho.quantities import Array
 
 LINEAR = 1e-9
@@ -56,6 +57,9 @@ def standing_of(
             linear = "linear in all parameters, so that no other optimum is better"
             return Standing(linear, certain=True)
         best_known = exact[1]
+    if _is_zero(problem, theta, loss):
+        zero = "the residuals are zero to rounding in this box, so that no other optimum is better"
+        return Standing(zero, certain=True)
     if best_known is not None:
         stand = standing(loss, rounding, searches, best_known=best_known)
     elif found_by in (PROFILE, BOOTSTRAP):
@@ -77,6 +81,19 @@ def standing_of(
     elif at is not None and at.unidentifiable.any():
         objections.append(lost_effect(at, problem.space, _never_identifiable(problem)))
     return _with(stand, *filter(None, objections))
+
+
+def _is_zero(problem: CurveFit, theta: Array, loss: float) -> bool:
+    """Whether the loss at `theta` (d,) is zero to rounding."""
+    slopes = np.zeros(theta.size)
+    if problem.rounding == 0:
+        try:
+            derivatives = problem.jacobian(theta)
+        except ValueError:
+            return loss == 0
+        logarithmic = np.array([p.scale == "log" for p in problem.space.parameters])
+        slopes = np.sqrt((derivatives**2).mean(axis=0)) * np.where(logarithmic, theta, 1.0)
+    return is_zero(loss, problem.rounding, slopes, problem.space)
 
 
 def _with(stand: Standing, *objections: str) -> Standing:

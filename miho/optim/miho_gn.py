@@ -27,7 +27,7 @@ from miho.optim.evidence import in_optimum
 from miho.optim.gauss_newton_steps import run_phases
 from miho.optim.meter import Budget, UnusableValueError
 from miho.optim.miho_gn_settings import MIHOGNSettings
-from miho.optim.miho_gn_state import ROOM, MIHOGNState, box_of, square_distances
+from miho.optim.miho_gn_state import ROOM, MIHOGNState, box_of, square_distances, vanishes
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
@@ -203,6 +203,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             self._record_return(state, oracle)
         elif c.stage[0] == DONE:
             oracle.record_descent(math.inf, loss)
+            state.zero |= vanishes(c, state.space, state.box, state.rows, oracle.rounding)
             best = float(state.minima.loss.min(initial=math.inf))
             if loss < best or not in_optimum(best, loss, oracle.resolution):
                 if not in_optimum(loss, best, oracle.resolution):
@@ -250,6 +251,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         long_enough = oracle.evaluations >= self.longer * state.best_found_after
         confirmed = long_enough and agreement.agreeing >= self.doubtful
         enough = agreement.enough and (confirmed or self._plausible(state, oracle))
+        enough |= state.zero
         if enough or state.bracket >= self.brackets:
             oracle.meter.starts.exhausted = not enough
             self._polish(state, oracle)

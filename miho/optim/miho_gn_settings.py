@@ -33,7 +33,8 @@ class MIHOGNSettings:
     The search ends when the ends of its brackets are evidence enough (`miho.optim.evidence`).
     Searches get stuck at bounds, where the data leave a parameter undetermined, and where the loss
     is more than noise explains: such an optimum needs the ends of `doubtful` brackets, and a search
-    `longer` times as long as it took to find it. After `brackets` brackets the search ends in any
+    `longer` times as long as it took to find it. Where the loss of a minimum is zero to rounding
+    (`miho.optim.zero`), one bracket is enough. After `brackets` brackets the search ends in any
     case, as `Outcome.BRACKETS`. At last it descends from the run's best to a tolerance of `digits`.
     A problem that is linear in all parameters is solved.
     """

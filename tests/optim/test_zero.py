@@ -1,0 +1,110 @@
+"""Systems of equations, whose data are 0: a loss of zero to rounding is certain to be the best."""
+
+# mypy: disable-error-code="no-untyped-def"
+import numpy as np
+import pytest
+
+import miho
+from miho.optim import MIHOGN, Outcome, Parameter, Space, miho_gn, minimize
+from miho.optim.zero import EPSILON, is_zero
+
+SEEDS = range(5)
+BY_AGREEMENT = 7
+"""So many brackets at least are evidence by their ends alone (`miho.optim.evidence`)."""
+
+
+def equations(i, *values):
+    """The value of equation i, for each of the numbers i."""
+    return sum(np.where(i == k, value, 0.0) for k, value in enumerate(values))
+
+
+def rosenbrock(i, a, b):
+    return equations(i, 10 * (b - a**2), 1 - a)
+
+
+def powell_singular(i, a, b, c, d):
+    """Both equations that are squares have no derivatives at the solution, which is 0."""
+    squares = (b - 2 * c) ** 2, 10**0.5 * (a - d) ** 2
+    return equations(i, a + 10 * b, 5**0.5 * (c - d), *squares)
+
+
+def freudenstein_roth(i, a, b):
+    """The other optimum has the sum of squares 48.98."""
+    return equations(i, -13 + a + ((5 - b) * b - 2) * b, -29 + a + ((b + 1) * b - 14) * b)
+
+
+SYSTEMS = {
+    "rosenbrock": (rosenbrock, 2, dict.fromkeys("ab", (-10, 10))),
+    "powell_singular": (powell_singular, 4, dict.fromkeys("abcd", (-10, 10))),
+    "freudenstein_roth": (freudenstein_roth, 2, dict.fromkeys("ab", (-20, 20))),
+}
+
+
+def solved(name: str, seed: int) -> miho.Fit:
+    function, rows, bounds = SYSTEMS[name]
+    return miho.fit(function, np.arange(rows), np.zeros(rows), bounds, seed=seed)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_a_system_that_is_solved_is_certain_and_the_search_stops(name: str, seed: int) -> None:
+    fit = solved(name, seed)
+    assert fit.error < 1e-12
+    assert fit._standing.certain
+    assert "zero to rounding" in fit.optimum
+    assert "in doubt" not in str(fit)
+    assert fit.descents.settled
+    assert fit.descents.finished < BY_AGREEMENT
+
+
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_without_the_rule_the_search_goes_on(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = solved(name, 0).problem
+    run = minimize(MIHOGN(brackets=20), problem, rehearse=False)
+    assert run.outcome is Outcome.CONVERGED
+    monkeypatch.setattr(miho_gn, "vanishes", lambda *_: False)
+    longer = minimize(MIHOGN(brackets=20), problem, rehearse=False)
+    assert longer.evaluations > 1.5 * run.evaluations
+
+
+@pytest.mark.parametrize("offset", [1e-3, 1e-6, 1e-9])
+def test_a_loss_that_is_small_but_not_zero_is_not_certain(offset: float) -> None:
+    """A third equation that no parameters solve."""
+
+    def unsolvable(i, a, b):
+        return rosenbrock(i, a, b) + np.where(i == 2, offset, 0.0) + 0 * a
+
+    fit = miho.fit(unsolvable, np.arange(3), np.zeros(3), dict.fromkeys("ab", (-10, 10)))
+    assert fit.error == pytest.approx(offset / 3**0.5, rel=1e-3)
+    assert not fit._standing.certain
+    assert "zero" not in fit.optimum
+    assert fit.descents.finished >= BY_AGREEMENT
+
+
+def test_exact_data_are_certain_and_noise_of_1e_9_is_not() -> None:
+    t = np.linspace(0, 3, 40)
+    bounds = {"a": (0, 5), "b": (0, 10)}
+
+    def decay(t, a, b):
+        return a * np.exp(-b * t)
+
+    exact = miho.fit(decay, t, decay(t, 2, 1.5), bounds)
+    assert exact._standing.certain
+    assert exact.descents.finished < BY_AGREEMENT
+    noise = 1e-9 * np.random.default_rng(0).standard_normal(t.size)
+    assert "zero to rounding" not in miho.fit(decay, t, decay(t, 2, 1.5) + noise, bounds).optimum
+
+
+def test_what_counts_as_zero_is_what_rounded_parameters_change() -> None:
+    """Per coordinate: 10 roundings of its larger bound, times the derivative."""
+    space = Space((Parameter("a", "-", -1.0, 4.0), Parameter("b", "-", 0.0, 3.0)))
+    slopes = np.array([1.0, 0.0])
+    limit = (10 * EPSILON * 4) ** 2
+    assert is_zero(0.99 * limit, 0.0, slopes, space)
+    assert not is_zero(1.01 * limit, 0.0, slopes, space)
+    assert is_zero(0.99 * limit * (1 + 9 / 16), 0.0, np.ones(2), space)
+    assert is_zero(0.0, 0.0, np.zeros(2), space)
+    assert not is_zero(1e-300, 0.0, np.zeros(2), space)
+    assert not is_zero(1e-300, 0.0, np.array([np.inf, np.nan]), space)
+    assert is_zero(1e-9, 1e-9, np.zeros(2), space), "data say what rounding is"
+    assert not is_zero(1e-9, 1e-10, np.full(2, 1e9), space)
