@@ -55,7 +55,7 @@ def test_descents_are_kept(tmp_path: Path) -> None:
     assert stored is not None
     assert stored.result["descents"] == {
         "started": 3, "finished": 2, "converged": 2, "stayed": 0, "ends": [1.0, 4.0],
-        "screened": 60, "agreeing": 1, "dropped": 0, "brackets": False,
+        "screened": 60, "agreeing": 1, "dropped": 0, "brackets": False, "settled": True,
     }  # fmt: skip
 
 
