@@ -85,15 +85,15 @@ def standing_of(
 
 def _is_zero(problem: CurveFit, theta: Array, loss: float) -> bool:
     """Whether the loss at `theta` (d,) is zero to rounding."""
-    slopes = np.zeros(theta.size)
-    if problem.rounding == 0:
-        try:
-            derivatives = problem.jacobian(theta)
-        except ValueError:
-            return loss == 0
-        logarithmic = np.array([p.scale == "log" for p in problem.space.parameters])
-        slopes = np.sqrt((derivatives**2).mean(axis=0)) * np.where(logarithmic, theta, 1.0)
-    return is_zero(loss, problem.rounding, slopes, problem.space)
+    if problem.rounding > 0 or loss == 0:
+        return loss <= problem.rounding
+    try:
+        residuals, derivatives = problem.residuals(theta), problem.jacobian(theta)
+    except ValueError:
+        return False
+    logarithmic = np.array([p.scale == "log" for p in problem.space.parameters])
+    derivatives = derivatives * np.where(logarithmic, theta, 1.0)
+    return is_zero(residuals, derivatives, problem.space.encode(theta), problem.space)
 
 
 def _with(stand: Standing, *objections: str) -> Standing:

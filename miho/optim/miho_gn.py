@@ -25,13 +25,14 @@ from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE
 from miho.optim.brackets import draw_starts, luby, rows_by_level
 from miho.optim.evidence import in_optimum
 from miho.optim.gauss_newton_steps import run_phases
-from miho.optim.meter import Budget, UnusableValueError
+from miho.optim.meter import Budget, BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_settings import MIHOGNSettings
-from miho.optim.miho_gn_state import ROOM, MIHOGNState, box_of, square_distances, vanishes
+from miho.optim.miho_gn_state import ROOM, MIHOGNState, box_of, square_distances
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.seeds import stream
+from miho.optim.zero import EPSILON, is_zero
 from miho.quantities import Array
 
 SOLVED_FIRST = 9
@@ -102,6 +103,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if not state.level_rows[-1]:
             self._count_rows(state, oracle)
             return
+        if state.phase == CLOSED and self._solves(state, oracle):
+            self._polish(state, oracle)
         if state.phase == CLOSED:
             self.begin_bracket(state, oracle)
         if state.phase < CLOSED:
@@ -203,7 +206,6 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             self._record_return(state, oracle)
         elif c.stage[0] == DONE:
             oracle.record_descent(math.inf, loss)
-            state.zero |= vanishes(c, state.space, state.box, state.rows, oracle.rounding)
             best = float(state.minima.loss.min(initial=math.inf))
             if loss < best or not in_optimum(best, loss, oracle.resolution):
                 if not in_optimum(loss, best, oracle.resolution):
@@ -251,7 +253,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         long_enough = oracle.evaluations >= self.longer * state.best_found_after
         confirmed = long_enough and agreement.agreeing >= self.doubtful
         enough = agreement.enough and (confirmed or self._plausible(state, oracle))
-        enough |= state.zero
+        enough |= oracle.best <= oracle.rounding
         if enough or state.bracket >= self.brackets:
             oracle.meter.starts.exhausted = not enough
             self._polish(state, oracle)
@@ -261,6 +263,26 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         known = state.minima
         best = int(np.argmin(known.loss))
         return bool(known.determined[best] and known.loss[best] <= oracle.noise)
+
+    def _solves(self, state: MIHOGNState, oracle: Oracle) -> bool:
+        """Whether the best of the new minima solves a system of equations, to rounding.
+
+        Costs one look at the residuals and their derivatives, where the loss is rounding next to
+        the first one of the run.
+        """
+        new = state.minima.loss[state.judged :]
+        if oracle.rounding > 0 or not new.size or new.min() > EPSILON * oracle.trace.loss[0]:
+            return False
+        x = state.box.origin + state.box.width * state.minima.x[state.judged + np.argmin(new)]
+        theta = state.space.decode(x)
+        if not oracle.affords(oracle.jacobian_cost + 1):
+            raise BudgetExhausted
+        zero = False
+        with contextlib.suppress(UnusableValueError):
+            J = oracle.jacobian(theta) * np.where(state.box.log, theta, 1.0)
+            zero = is_zero(oracle.residuals(theta, goes_on=True), J, x, state.space)
+        state.judged = state.minima.loss.size
+        return zero
 
     def _polish(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Descend from the run's best for more digits than it took to tell minima apart."""

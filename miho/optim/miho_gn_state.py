@@ -18,7 +18,6 @@ from miho.compiled.gauss_newton_candidates import (
 )
 from miho.compiled.phases import CLOSED, SCREEN
 from miho.optim.space import Space
-from miho.optim.zero import is_zero
 from miho.quantities import Array
 
 BOUND = 1e-9
@@ -38,8 +37,8 @@ class MIHOGNState:
     after so many `attempts` to find out). Where nothing is compiled candidates are evaluated in
     turn, now the one at position `turn`. The best of the `minima` was found after
     `best_found_after` evaluations. `stalled` are candidates that made too little progress, one
-    each; before the bracket, `spent_before` evaluations were spent. `zero` once the loss of a
-    minimum is zero to rounding, which none undercuts.
+    each; before the bracket, `spent_before` evaluations were spent. The first `judged` minima are
+    known not to be zero to rounding.
     """
 
     space: Space
@@ -58,7 +57,7 @@ class MIHOGNState:
     best_found_after: float = 0.0
     attempts: int = 0
     turn: int = 0
-    zero: bool = False
+    judged: int = 0
     finished: bool = False
 
     @property
@@ -143,19 +142,6 @@ def square_distances(c: GNCandidates, minima: Array, box: GNBox) -> Array:
     coordinates = box.nonlinear if c.projects[0] else np.arange(c.x.shape[1])
     R = c.R[0, : coordinates.size, : coordinates.size]
     return np.asarray((((c.x[0] - minima)[:, coordinates] @ R.T) ** 2).sum(axis=1))
-
-
-def vanishes(c: GNCandidates, space: Space, box: GNBox, m: int, rounding: float) -> bool:
-    """Whether the loss of the first candidate over all m rows is zero to rounding.
-
-    A candidate that projects knows the derivatives of the nonlinear parameters only, so that it is
-    taken for zero later, never too soon.
-    """
-    coordinates = box.nonlinear if c.projects[0] else np.arange(c.x.shape[1])
-    R = c.R[0, : coordinates.size, : coordinates.size]
-    slopes = np.zeros(c.x.shape[1])
-    slopes[coordinates] = np.sqrt((R**2).sum(axis=0) / m) / box.width[coordinates]
-    return is_zero(float(c.loss[0]), rounding, slopes, space)
 
 
 def determines(c: GNCandidates, box: GNBox, m: int) -> bool:

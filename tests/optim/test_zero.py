@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import miho
-from miho.optim import MIHOGN, Outcome, Parameter, Space, miho_gn, minimize
+from miho.optim import MIHOGN, Budget, Outcome, Parameter, Space, miho_gn, minimize
 from miho.optim.zero import EPSILON, is_zero
 
 SEEDS = range(5)
@@ -57,12 +57,11 @@ def test_a_system_that_is_solved_is_certain_and_the_search_stops(name: str, seed
     assert fit.descents.finished < BY_AGREEMENT
 
 
-@pytest.mark.parametrize("name", SYSTEMS)
-def test_without_the_rule_the_search_goes_on(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    problem = solved(name, 0).problem
+def test_without_the_rule_the_search_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = solved("powell_singular", 0).problem
     run = minimize(MIHOGN(brackets=20), problem, rehearse=False)
     assert run.outcome is Outcome.CONVERGED
-    monkeypatch.setattr(miho_gn, "vanishes", lambda *_: False)
+    monkeypatch.setattr(miho_gn, "is_zero", lambda *_: False)
     longer = minimize(MIHOGN(brackets=20), problem, rehearse=False)
     assert longer.evaluations > 1.5 * run.evaluations
 
@@ -96,15 +95,45 @@ def test_exact_data_are_certain_and_noise_of_1e_9_is_not() -> None:
 
 
 def test_what_counts_as_zero_is_what_rounded_parameters_change() -> None:
-    """Per coordinate: 10 roundings of its larger bound, times the derivative."""
+    """Ten roundings of the larger bound of each coordinate, times the derivatives."""
     space = Space((Parameter("a", "-", -1.0, 4.0), Parameter("b", "-", 0.0, 3.0)))
-    slopes = np.array([1.0, 0.0])
-    limit = (10 * EPSILON * 4) ** 2
-    assert is_zero(0.99 * limit, 0.0, slopes, space)
-    assert not is_zero(1.01 * limit, 0.0, slopes, space)
-    assert is_zero(0.99 * limit * (1 + 9 / 16), 0.0, np.ones(2), space)
-    assert is_zero(0.0, 0.0, np.zeros(2), space)
-    assert not is_zero(1e-300, 0.0, np.zeros(2), space)
-    assert not is_zero(1e-300, 0.0, np.array([np.inf, np.nan]), space)
-    assert is_zero(1e-9, 1e-9, np.zeros(2), space), "data say what rounding is"
-    assert not is_zero(1e-9, 1e-10, np.full(2, 1e9), space)
+    x, r = np.array([0.5, 0.5]), np.array([1.0, -1.0, 1.0])
+    limit = 10 * EPSILON * 4
+    only_a = np.tile([1.0, 0.0], (3, 1))
+    assert is_zero(0.99 * limit * r, only_a, x, space)
+    assert not is_zero(1.01 * limit * r, only_a, x, space)
+    assert is_zero(1.74 * limit * r, np.ones((3, 2)), x, space), "7 / 4 times as large"
+    assert is_zero(0 * r, 0 * only_a, x, space)
+    assert not is_zero(1e-100 * r, 0 * only_a, x, space)
+    assert not is_zero(1e-100 * r, np.full((3, 2), np.nan), x, space)
+    assert not is_zero(0.99 * limit * r, only_a, np.array([1e-11, 0.5]), space), "none cancel"
+    large_in_one_row = only_a * np.array([[1.0], [1e20], [1.0]])
+    assert not is_zero(1.01 * limit * r, large_in_one_row, x, space), "one of three"
+    logarithmic = Space((Parameter("a", "-", np.exp(-4), 1.0, scale="log"), space.parameters[1]))
+    assert is_zero(0.99 * limit * r, only_a, np.array([-2.0, 0.5]), logarithmic)
+    assert not is_zero(1.01 * limit * r, only_a, np.array([-2.0, 0.5]), logarithmic)
+
+
+def beale(i, a, b):
+    return equations(i, 1.5 - a * (1 - b), 2.25 - a * (1 - b**2), 2.625 - a * (1 - b**3))
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("width", [1e3, 1e5, 1e7])
+def test_large_derivatives_where_nothing_is_solved_are_no_excuse(width: float, seed: int) -> None:
+    """Beale's function has stationary points at a = 0 of any b, with b^3 as derivative."""
+    bounds = dict.fromkeys("ab", (-width, width))
+    fit = miho.fit(beale, np.arange(3), np.zeros(3), bounds, seed=seed)
+    assert ("zero to rounding" in fit.optimum) == (fit.error < 1e-6)
+
+
+def test_a_run_that_is_cut_off_anywhere_and_goes_on_is_the_same() -> None:
+    """Also where the budget ends before the look that shows a zero."""
+    problem = solved("powell_singular", 0).problem
+    whole = minimize(MIHOGN(), problem, rehearse=False)
+    # The look is among the last evaluations before the polish.
+    for evaluations in range(1, int(whole.evaluations) + 1, 3):
+        part = minimize(MIHOGN(), problem, Budget(evaluations=evaluations), rehearse=False)
+        rest = minimize(MIHOGN(), problem, checkpoint=part.checkpoint, rehearse=False)
+        assert (rest.evaluations, rest.loss) == (whole.evaluations, whole.loss)
+        assert rest.descents == whole.descents
