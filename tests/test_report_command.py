@@ -292,6 +292,8 @@ def test_another_method_is_not_the_one_of_the_run(root: Path) -> None:
         ("converged", Descents(7, 7, 7, 0, (1.0,) * 6, dropped=1), "itself, before enough of its"),
         ("brackets", Descents(3, 3, 3, 0, (1.0,), 9, 1, 2, True),
          "its largest number of brackets, before enough of its brackets agreed"),
+        ("budget", Descents(7, 7, 7, 0, (1.0,) * 7, brackets=True, settled=False),
+         "its budget, before enough of its brackets agreed"),
         ("converged", Descents(3, 3, 2, 0, (1.0, 2.0, 3.0)), "agreed; 1 of 3 descents were still"),
     ],
 )  # fmt: skip
@@ -301,6 +303,15 @@ def test_the_ending_says_whether_the_evidence_was_enough(
     loss = min(descents.ends, default=1.0) if descents else 1.0
     loss = 1.0 if loss > 1e-20 else loss
     assert ending in _ending({"outcome": outcome, "loss": loss}, descents, 1e-20, None)
+
+
+def test_the_ending_says_that_a_later_step_found_a_better_optimum() -> None:
+    descents = Descents(7, 7, 7, 0, (1.0,) * 7)
+    ending = _ending({"outcome": "converged", "loss": 1.0}, descents, 0.0, None, "a profile")
+    assert ending == (
+        "itself, after enough of its descents agreed on an optimum that is not the best: "
+        "a profile found a better one"
+    )
 
 
 def test_where_there_is_one_optimum_nothing_has_to_agree() -> None:

@@ -17,7 +17,7 @@ from miho.identification.standing import Standing, kind_of, standing
 from miho.identification.uncertainty import Linearised, linearised
 from miho.identification.validation import root_mean_square
 from miho.optim import Descents, in_optimum
-from miho.optim.zero import is_zero
+from miho.optim.zero import is_rounding, is_zero
 from miho.quantities import Array
 
 LINEAR = 1e-9
@@ -86,7 +86,7 @@ def standing_of(
 def _is_zero(problem: CurveFit, theta: Array, loss: float) -> bool:
     """Whether the loss at `theta` (d,) is zero to rounding."""
     if problem.rounding > 0 or loss == 0:
-        return loss <= problem.rounding
+        return is_rounding(loss, problem.rounding, problem.resolution)
     try:
         residuals, derivatives = problem.residuals(theta), problem.jacobian(theta)
     except ValueError:

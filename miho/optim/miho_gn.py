@@ -32,7 +32,7 @@ from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.seeds import stream
-from miho.optim.zero import EPSILON, is_zero
+from miho.optim.zero import EPSILON, is_rounding, is_zero
 from miho.quantities import Array
 
 SOLVED_FIRST = 9
@@ -253,7 +253,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         long_enough = oracle.evaluations >= self.longer * state.best_found_after
         confirmed = long_enough and agreement.agreeing >= self.doubtful
         enough = agreement.enough and (confirmed or self._plausible(state, oracle))
-        enough |= oracle.best <= oracle.rounding
+        enough |= is_rounding(oracle.best, oracle.rounding, oracle.resolution)
         if enough or state.bracket >= self.brackets:
             oracle.meter.starts.exhausted = not enough
             self._polish(state, oracle)

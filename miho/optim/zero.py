@@ -1,9 +1,11 @@
 """When a loss is zero to rounding: a sum of squares has no smaller one, so that this is the best.
 
-Where the data are other than 0, their size says what rounding is (`Problem.rounding`). For a system
-of equations, whose data are all 0, nothing but the model does, whose terms cancel at a solution.
-Their size over the box says nothing either: in a box a million times as wide as the solution a
-polynomial of degree four is 10^24 larger. What a search can resolve at all is the measure here.
+Where the data are other than 0, their size says what rounding is (`Problem.rounding`), unless they
+vary by less than a millionth of it, so that rounding is not far below all that they tell.
+
+For a system of equations, whose data are all 0, nothing but the model says it, whose terms cancel
+at a solution. Their size over the box is no measure: in a box a million times as wide as the
+solution a polynomial of degree four is 10^24 larger. What a search can resolve at all is one.
 Methods search in coordinates from one bound to the other, so that a parameter is rounded by EPSILON
 of its larger bound, and a residual with it by that times its derivatives where they are. No method
 finds a solution to more digits than that in this box.
@@ -31,6 +33,15 @@ CANCELLED = 1e-4
 """At a solution the residuals are at most this share of the terms that cancel. Where rounding is
 all that is left they are far less; a double root, such as that of Powell's singular function, is
 found to half of the digits, and its terms cancel to 1e-7, or 4e-6 in a box of 10^5."""
+
+
+def is_rounding(loss: float, rounding: float, resolution: float) -> bool:
+    """Whether a loss is zero by the `rounding` of a problem, which is below its `resolution`.
+
+    An error that counts as zero is then below 1.5e-8 of the data's standard deviation, the root of
+    EPSILON, which is what `resolution` is of their variance.
+    """
+    return loss == 0 or loss <= rounding < resolution
 
 
 def is_zero(r: Array, J: Array, x: Array, space: Space) -> bool:

@@ -6,7 +6,7 @@ import pytest
 
 import miho
 from miho.optim import MIHOGN, Budget, Outcome, Parameter, Space, miho_gn, minimize
-from miho.optim.zero import EPSILON, is_zero
+from miho.optim.zero import EPSILON, is_rounding, is_zero
 
 SEEDS = range(5)
 BY_AGREEMENT = 7
@@ -92,6 +92,24 @@ def test_exact_data_are_certain_and_noise_of_1e_9_is_not() -> None:
     assert exact.descents.finished < BY_AGREEMENT
     noise = 1e-9 * np.random.default_rng(0).standard_normal(t.size)
     assert "zero to rounding" not in miho.fit(decay, t, decay(t, 2, 1.5) + noise, bounds).optimum
+
+
+def test_an_offset_that_hides_the_data_is_no_measure_of_rounding() -> None:
+    """Doubles near 1e9 are 1e-7 apart; without the decay the error is 3e-6."""
+    t = np.linspace(0, 3, 40)
+
+    def decay(t, c, a, b):
+        return c + a * np.exp(-b * t)
+
+    y = decay(t, 1e9, 1e-5, 1.5)
+    problem = miho.fit(decay, t, y, start={"c": float(y.mean()), "a": 0.0, "b": 1.0}).problem
+    flat = float(np.var(y))
+    assert flat < problem.rounding, "or this tests nothing"
+    assert not is_rounding(flat, problem.rounding, problem.resolution)
+    assert is_rounding(0.0, problem.rounding, problem.resolution)
+    without = miho.fit(decay, t, y - 1e9, start={"c": 0.0, "a": 0.0, "b": 1.0}).problem
+    assert is_rounding(without.rounding, without.rounding, without.resolution)
+    assert not is_rounding(flat, without.rounding, without.resolution)
 
 
 def test_what_counts_as_zero_is_what_rounded_parameters_change() -> None:
