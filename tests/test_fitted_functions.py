@@ -339,11 +339,21 @@ def test_a_default_of_one_part_fixes_no_parameter_of_another() -> None:
 
 
 def test_a_budget_without_a_value_is_said() -> None:
+    """Any budget pays for one look at a few rows; a method that makes none is refused."""
+
+    class Idle(miho.Optimizer):
+        """A method whose budget ends before its first evaluation."""
+
+        def run(self, oracle: miho.Oracle, rng: np.random.Generator) -> None:
+            pass
+
     t = np.linspace(0, 2, 30)
-    budget = miho.Budget(seconds=1e-9)
+    settings: dict[str, Any] = {"budget": miho.Budget(seconds=1e-9), "compiled": False}
+    decay = lambda t, a, b: a * np.exp(-b * t)  # noqa: E731
+    fit = miho.fit(decay, t, t, {"a": (0, 5), "b": (0, 10)}, **settings)
+    assert "no bracket was finished within the budget" in fit.optimum
     with pytest.raises(ValueError, match="the budget ended before the first value"):
-        miho.fit(lambda t, a, b: a * np.exp(-b * t), t, t, {"a": (0, 5), "b": (0, 10)},
-                 budget=budget, compiled=False)  # fmt: skip
+        miho.fit(decay, t, t, {"a": (0, 5), "b": (0, 10)}, method=Idle(), **settings)
 
 
 def test_a_refused_trace_keeps_nothing_of_its_caller() -> None:
