@@ -30,7 +30,7 @@ from miho.models.joint import rows_of_parts
 from miho.models.tied import whole_model
 from miho.models.tire_formula import TireFormula
 from miho.models.traced import Remade
-from miho.optim import Descents, in_optimum
+from miho.optim import Descents
 from miho.parallel.remote import Raised
 from miho.parallel.worth import is_dear
 from miho.quantities import Array
@@ -192,9 +192,11 @@ class Fit(Remade):
         return report
 
     def _adopt(self, report: Report) -> None:
-        """Take the optimum of a report if it is better, and what the report says of it."""
-        loss, other = (float(self.problem.loss(p[None])[0]) for p in (self.theta, report.at.theta))
-        if not in_optimum(other, loss, self.problem.resolution):
+        """Take the optimum of a report, and what the report says of it.
+
+        It is the fit's own, another and better one, or the same to more digits.
+        """
+        if not np.array_equal(report.at.theta, self.theta):
             for name in ("uncertainty", "parameters", "error", "notes"):
                 vars(self).pop(name, None)
             vars(self).update(theta=report.at.theta, found_by=report.found_by)

@@ -152,3 +152,13 @@ def test_ends_that_agree_claim_nothing_where_the_method_was_not_satisfied(agreei
     )
     check = Descents(20, 20, 20, 0, (1.0,) * 20)
     assert not standing(1.0, 0.0, [replace(ends, settled=False), check]).doubt, "the check is"
+
+
+def test_a_report_to_more_digits_gives_the_fit_its_digits() -> None:
+    """A descent that stopped early goes on in the report."""
+    fit = miho.fit(wave, T, Y, BOUNDS, start={"b1": 0.6, "b2": 4.0})
+    off = replace(fit, theta=fit.theta * (1 + 1e-4))
+    report = off.report()
+    assert off.theta == pytest.approx(fit.theta, rel=1e-6)
+    assert np.array_equal(off.theta, report.at.theta)
+    assert off.parameters["value"].tolist() == report.parameters["value"].tolist()
