@@ -166,6 +166,14 @@ class CurveFit(Remade, LeastSquaresProblem):
             return math.inf  # neighbouring rows do not scatter alike, or are not all
         return irreducible_square(self.inputs, self._output)
 
+    @property
+    def row_inputs(self) -> tuple[Array, ...]:  # type: ignore[override]
+        """The inputs along which noise has no structure: none where errors of rows are not noise.
+
+        They are not where a model is a system with a past, or where losses count outliers less.
+        """
+        return self.inputs if self._square and not self.model.ordered else ()
+
     @cached_property
     def rounding(self) -> float:  # type: ignore[override]
         """Losses up to this, in the output's unit squared, are rounding and count as 0."""

@@ -25,6 +25,7 @@ from miho.optim.meter import (
 from miho.optim.problem import Problem
 from miho.optim.recorder import Recorder
 from miho.optim.space import Space
+from miho.optim.structure import has_structure
 from miho.optim.trace import Descent, Trace
 from miho.optim.usable_values import UsableValues, read_only
 from miho.parallel import Ahead, Evaluations
@@ -261,6 +262,21 @@ class Oracle:
     def noise(self) -> float:
         """A loss above this is more than the noise of the data explains, as far as is known."""
         return self._problem.noise
+
+    def structured(self, theta: Array) -> bool:
+        """Whether residuals have structure that noise has not, at a configuration (d,) seen before.
+
+        They were counted when they were first evaluated, and are not counted again. What cannot be
+        evaluated again is in doubt.
+        """
+        inputs = self._problem.row_inputs
+        if not inputs:
+            return False
+        try:
+            residuals, _ = self._values.residuals(theta)
+        except UnusableValueError:
+            return True
+        return has_structure(inputs, residuals[: inputs[0].size])
 
     def affords(self, evaluations: float) -> bool:
         """Whether the budget can pay for so many more evaluations, whatever their rounding."""

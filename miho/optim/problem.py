@@ -24,10 +24,12 @@ class Problem(ABC):
     with them. A loss up to `rounding` counts as 0: its digits are rounding. Losses that differ by
     less than `resolution` count as equal: a method that sees only losses may end so far above a
     minimum whose loss is 0. A loss above `noise` is more than the noise of the data explains, as
-    far as the problem can tell: the model is wrong, or a better optimum exists. `rows` is the
-    number of rows of data, where a fidelity of m / rows takes the first m of them in the problem's
-    own order; it is None for a problem that has no cheaper versions of itself. `called_as` says how
-    functions of the user's are called, for one that has to find it out.
+    far as the problem can tell: the model is wrong, or a better optimum exists. So it is where the
+    residuals of rows have structure along `row_inputs`, (N,) each, that noise has not; without any,
+    nobody looks. `rows` is the number of rows of data, where a fidelity of m / rows takes the first
+    m of them in the problem's own order; it is None for a problem that has no cheaper versions of
+    itself. `called_as` says how functions of the user's are called, for one that has to find it
+    out.
     """
 
     name: str
@@ -36,6 +38,7 @@ class Problem(ABC):
     rounding: float = 0.0
     resolution: float = 0.0
     noise: float = math.inf
+    row_inputs: Sequence[Array] = ()
     rows: int | None = None
     called_as: Sequence[Any] = ()
 

@@ -35,7 +35,7 @@ class SpreadProblem(Problem):
     def __init__(self, problem: Problem, evaluations: Evaluations) -> None:
         self.name, self.space, self.rows = problem.name, problem.space, problem.rows
         self.rounding, self.resolution = problem.rounding, problem.resolution
-        self.noise = problem.noise
+        self.noise, self.row_inputs = problem.noise, problem.row_inputs
         self.problem, self._evaluations = problem, evaluations
         self._tasks: dict[tuple[str, float], Evaluated] = {}
 

@@ -1,0 +1,127 @@
+"""Whether residuals have structure that noise has not: a peak, a period, or a curve left over.
+
+Where a search has missed a peak or a period, its residuals resemble their neighbours, or hold a
+spectral line. For each input, and on a grid of each two inputs, this is tested in two ways: by the
+sum of the residuals in a window, for windows of doubling sizes in all places; and by the largest
+ordinate of the periodogram (Fisher, Proceedings of the Royal Society A 125, 1929). Residuals count
+in units of their median size and up to CLIPPED of it, so that outliers make no structure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+import scipy  # which loads its packages where they are used: importing them takes a second
+from numpy.typing import NDArray
+
+from miho.quantities import Array
+
+LEVEL = 1e-2
+"""Noise shows as much structure with this probability at most: half of it is for the windows, half
+for the lines, and each test has its share of that (Bonferroni). Windows overlap, and are counted as
+four times as many as fit next to each other."""
+CLIPPED = 3.0
+"""Standard deviations of normal noise up to which a residual counts."""
+FEWEST, MOST = 8, 20_000
+"""Rows that can show a structure, and rows that are tested at most: every so many of longer data,
+which takes some 10 ms."""
+CELLS = 64
+"""Cells of the grid of two inputs along each: a window of one cell is 1/64 of a range."""
+SIDES = [2**k for k in range(6)]
+BOXES = [(h, w) for h in SIDES for w in SIDES if h * w > 1 and 1 / 2 <= h / w <= 2]
+"""Heights and widths of boxes of cells, of 2 to 1024 of the 4096."""
+FEWEST_IN_BOX = 4
+"""Rows whose clipped residuals add up to a number that is near enough to a normal one."""
+MEDIAN_TO_DEVIATION = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+def has_structure(inputs: Sequence[Array], residuals: Array) -> bool:
+    """Whether residuals (N,) have structure along their inputs, (N,) each, that noise has not."""
+    sample = slice(None, None, -(-residuals.size // MOST))
+    X, z = [x[sample] for x in inputs], _standardised(residuals[sample])
+    if z.size < FEWEST or not z.any():
+        return False
+    spans = [np.ptp(x) for x in X]
+    shares = [(x - x.min()) / span for x, span in zip(X, spans, strict=True) if span > 0]
+    tests = [_along(share, z) for share in shares]
+    tests += [_across(a, b, z) for a, b in combinations(shares, 2)]
+    windows = [window for found, _ in tests for window in found]
+    lines = [line for _, line in tests]
+    return any(
+        min(found) <= math.log(LEVEL / 2 / len(found)) for found in (windows, lines) if found
+    )
+
+
+def _standardised(residuals: Array) -> Array:
+    """Residuals (N,) in standard deviations of the bulk, clipped, with mean 0 and variance 1."""
+    z = residuals - np.median(residuals)
+    deviation = MEDIAN_TO_DEVIATION * float(np.median(np.abs(z)))
+    z = np.clip(z / deviation, -CLIPPED, CLIPPED) if deviation > 0 else np.sign(z)
+    z -= z.mean()
+    spread = float(z.std())
+    return z / spread if spread > 0 else z
+
+
+def _along(share: Array, z: Array) -> tuple[list[float], float]:
+    """The tests along one input, given as shares (N,) of its range: of windows, and of lines."""
+    N = z.size
+    sums = np.concatenate([[0.0], np.cumsum(z[np.argsort(share, kind="stable")])])
+    windows, size = [], 2
+    while size <= N // 4:
+        largest = float(np.abs(sums[size:] - sums[:-size]).max())
+        windows.append(_of_windows(largest / math.sqrt(size * (1 - size / N)), 4 * N / size))
+        size *= 2
+    # Up to N / 2 periods in the range, by steps of half a period, on a grid of cells that are half
+    # as wide as rows are apart.
+    cells = np.bincount(np.rint(share * (2 * N - 1)).astype(np.int64), z, 2 * N)
+    return windows, _of_lines(np.abs(np.fft.rfft(cells, 4 * N)[1 : N + 1]) ** 2 / N)
+
+
+def _across(a: Array, b: Array, z: Array) -> tuple[list[float], float]:
+    """The tests on the grid of two inputs, given as shares (N,) of their ranges."""
+    N = z.size
+    cell = [np.minimum((share * CELLS).astype(np.int64), CELLS - 1) for share in (a, b)]
+    flat = cell[0] * CELLS + cell[1]
+    total = np.bincount(flat, z, CELLS**2).reshape(CELLS, CELLS)
+    count = np.bincount(flat, minlength=CELLS**2).reshape(CELLS, CELLS).astype(float)
+    totals, counts = _integral(total), _integral(count)
+    windows = []
+    for height, width in BOXES:
+        held = _boxes(counts, height, width)
+        full = held >= FEWEST_IN_BOX
+        if full.any():
+            sums = np.abs(_boxes(totals, height, width)[full])
+            places = min(4 * CELLS**2 / (height * width), full.sum())
+            windows.append(_of_windows(float((sums / np.sqrt(held[full])).max()), places))
+    # Plane waves of up to as many periods as there are rows along each side of a square, by steps
+    # of half a period.
+    most = min(CELLS, int(2 * math.sqrt(N)))
+    power = np.abs(np.fft.rfft2(total, (2 * CELLS, 2 * CELLS))) ** 2 / N
+    power[0, 0] = 0.0
+    waves = np.concatenate([power[: most + 1, : most + 1], power[-most + 1 :, : most + 1]])
+    return windows, _of_lines(waves)
+
+
+def _integral(cells: Array) -> Array:
+    """The sums of all cells above and to the left, (n + 1, m + 1)."""
+    return np.pad(cells.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+
+
+def _boxes(sums: Array, height: int, width: int) -> Array:
+    """The sums of the boxes of this size in all places, by the integral of the cells."""
+    inner = sums[height:, width:] + sums[:-height, :-width]
+    return np.asarray(inner - sums[height:, :-width] - sums[:-height, width:])
+
+
+def _of_windows(largest: float, windows: float) -> float:
+    """The logarithm of the probability that the largest of so many normal numbers is larger."""
+    return float(math.log(2 * windows) + scipy.special.log_ndtr(-largest))
+
+
+def _of_lines(power: NDArray[np.float64]) -> float:
+    """The logarithm of the probability that the largest of exponential numbers is larger."""
+    return float(math.log(power.size) - power.max())
