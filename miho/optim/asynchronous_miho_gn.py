@@ -105,8 +105,8 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
         state.brackets.append(state.brackets.pop(state.arrived))
         state.arrived, bracket.evaluations = None, oracle.evaluations
         latest = bracket.state
-        search.minima, search.best_found_after = latest.minima, latest.best_found_after
-        search.finished = latest.finished
+        search.learn(latest)
+        search.challenged, search.finished = latest.challenged, latest.finished
         if latest.phase == CLOSED:
             state.brackets.pop()
         elif latest.phase == POLISH:
@@ -146,8 +146,7 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
         bracket = state.brackets[arrived]
         # What others spent meanwhile is not what this bracket did.
         bracket.state.spent_before += oracle.evaluations - bracket.evaluations
-        bracket.state.minima = search.minima
-        bracket.state.best_found_after = search.best_found_after
+        bracket.state.learn(search)
         return arrived
 
     def _end_phases(self, bracket: BracketUnderWay, oracle: Oracle) -> None:

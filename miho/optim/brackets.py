@@ -15,7 +15,10 @@ from miho.quantities import Array
 from miho.validate import positive_settings, whole, whole_settings
 
 KINDS = "own", "scale", "uniform"
-DRAWS = "thirds", *KINDS
+TURNS = "thirds", "scale", "uniform", "own"
+"""The distributions of one bracket after the other: brackets that draw from different ones miss
+different basins, so that their agreement says more. The first hedges, by a third of each kind."""
+DRAWS = "turns", "thirds", *KINDS
 DECADES = 3
 """A range that reaches to zero is drawn over so many decades below its end."""
 
@@ -64,15 +67,18 @@ def rows_by_level(
 
 
 def draw_starts(
-    space: Space, n: int, rng: np.random.Generator, first: bool, draws: str = "thirds"
+    space: Space, n: int, rng: np.random.Generator, bracket: int, draws: str = "turns"
 ) -> Array:
-    """Starts of a bracket in search coordinates, (n, d), led in the `first` by the common one.
+    """Starts of a bracket in search coordinates, (n, d), led in the first by the common one.
 
-    `draws` is the distribution: the space's `own`, which says where an answer is expected; `scale`
-    (see `by_scale`), for ranges that say no more than an order of magnitude; `uniform`; or `thirds`
-    for each of them in turn.
+    `bracket` counts from 1. `draws` is the distribution: the space's `own`, which says where an
+    answer is expected; `scale` (see `by_scale`), for ranges that say no more than an order of
+    magnitude; `uniform`; `thirds` for each of them in turn; or `turns` for that of TURNS whose turn
+    it is.
     """
     low, high = space.bounds
+    if draws == "turns":
+        draws = TURNS[(bracket - 1) % len(TURNS)]
     kinds = KINDS if draws == "thirds" else (draws,)
     starts, u = np.empty((n, len(space))), rng.random((n, len(space)))
     for k, kind in enumerate(kinds):
@@ -84,9 +90,21 @@ def draw_starts(
         if kind == "scale":
             shares = by_scale(shares, space)
         starts[every] = low + (high - low) * shares
-    if first:
+    if bracket == 1:
         starts[0] = space.initial(1)[0]
     return np.minimum(np.maximum(starts, low), high)
+
+
+def around(best: Array, starts: Array, rng: np.random.Generator) -> Array:
+    """Starts (n, d) that keep about half of the coordinates of the best minimum (d,), but not all.
+
+    Which ones is drawn for each start. A minimum that has missed a peak or a period has the others
+    right: from there, the one that is missed is not far.
+    """
+    redrawn = rng.random(starts.shape) < 0.5
+    one = rng.integers(starts.shape[1], size=len(starts))
+    redrawn[np.arange(len(starts)), one] = True
+    return np.where(redrawn, starts, best)
 
 
 def by_scale(u: Array, space: Space) -> Array:

@@ -22,7 +22,7 @@ from miho.compiled.gauss_newton_candidates import (
 )
 from miho.compiled.gauss_newton_loop import run_bracket
 from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE, SOLVED
-from miho.optim.brackets import draw_starts, luby, rows_by_level
+from miho.optim.brackets import around, draw_starts, luby, rows_by_level
 from miho.optim.evidence import in_optimum
 from miho.optim.gauss_newton_steps import run_phases
 from miho.optim.meter import Budget, BudgetExhausted, UnusableValueError
@@ -157,6 +157,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     def begin_bracket(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Begin a bracket: say what it may cost, and draw its starts."""
         state.bracket += 1
+        state.challenging = state.challenged
         projects = state.linear or self._projects(state)
         look_cost = int(state.level_rows[0]) / int(state.level_rows[-1])
         look_cost *= 1 + projects * state.box.linear.size
@@ -166,7 +167,10 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         # Its starts, to be looked at on the first level.
         n = min(max(round(budget / look_cost), self.least), self.most)
         n = 1 if state.linear else n
-        starts = draw_starts(state.space, n, state.rng, state.bracket == 1, self.draws)
+        starts = draw_starts(state.space, n, state.rng, state.bracket, self.draws)
+        if state.challenging:
+            best = state.minima.x[state.best_minimum]
+            starts = around(state.box.origin + state.box.width * best, starts, state.rng)
         oracle.record_screened(n * (not state.linear))
         x = (starts - state.box.origin) / state.box.width
         state.admit(GNCandidates.at(x, state.level_rows.size, self.damping, projects), 0)
@@ -205,11 +209,13 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if c.stage[0] == AT_KNOWN:
             self._record_return(state, oracle)
         elif c.stage[0] == DONE:
-            oracle.record_descent(math.inf, loss)
             best = float(state.minima.loss.min(initial=math.inf))
+            if not in_optimum(loss, best, oracle.resolution):  # a better one has to pass anew
+                state.best_found_after = oracle.evaluations
+                state.passed, state.challenging = 0, False
+            if not state.challenging:
+                oracle.record_descent(math.inf, loss)
             if loss < best or not in_optimum(best, loss, oracle.resolution):
-                if not in_optimum(loss, best, oracle.resolution):
-                    state.best_found_after = oracle.evaluations
                 state.add_minimum(c)
         elif c.stage[0] != UNUSABLE:
             state.stalled.append(c.first())
@@ -226,6 +232,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         that is done is at a minimum that the data do not determine if it is near it, as far as
         these rows can tell; else it is not known where it would have ended on all rows.
         """
+        if state.challenging:  # it started near the best one: to come back says nothing
+            return
         c, known = state.candidates, state.minima
         rules = rules_of(state.place, state.level_rows, state.d, state.settings)
         loss = float(c.loss[0])
@@ -246,23 +254,39 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             oracle.record_dropped()
 
     def _close(self, state: MIHOGNState, oracle: Oracle) -> None:
-        """End the bracket, and the search if the ends of its brackets are evidence enough."""
+        """End the bracket, and the search if the ends of its brackets are evidence enough.
+
+        Before that, the best minimum is challenged: by brackets that start at some of its
+        coordinates, and are no evidence unless they find a better one.
+        """
         state.close()
+        state.passed, state.challenging = state.passed + state.challenging, False
         agreement = oracle.agreement
         # A doubtful optimum asks for more ends, and for a longer search.
         long_enough = oracle.evaluations >= self.longer * state.best_found_after
-        confirmed = long_enough and agreement.agreeing >= self.doubtful
-        enough = agreement.enough and (confirmed or self._plausible(state, oracle))
+        often = agreement.agreeing >= max(self.doubtful, agreement.finished / 2)
+        confirmed = often and long_enough
+        agreed = agreement.enough and (confirmed or self._plausible(state, oracle))
+        enough = agreed and state.passed >= self.challenges
         enough |= is_rounding(oracle.best, oracle.rounding, oracle.resolution)
+        state.challenged = agreed and not enough
         if enough or state.bracket >= self.brackets:
             oracle.meter.starts.exhausted = not enough
             self._polish(state, oracle)
 
     def _plausible(self, state: MIHOGNState, oracle: Oracle) -> bool:
-        """Whether the data determine the best minimum so far, and noise explains its loss."""
-        known = state.minima
-        best = int(np.argmin(known.loss))
-        return bool(known.determined[best] and known.loss[best] <= oracle.noise)
+        """Whether the data determine the best minimum so far, and what it leaves looks like noise.
+
+        Its loss is not more than noise explains, and its residuals have no structure.
+        """
+        known, best = state.minima, state.best_minimum
+        loss = float(known.loss[best])
+        if not known.determined[best] or loss > oracle.noise:
+            return False
+        if loss > oracle.resolution and loss != state.tested:
+            x = state.box.origin + state.box.width * known.x[best]
+            state.tested, state.structured = loss, oracle.structured(state.space.decode(x[None])[0])
+        return loss <= oracle.resolution or not state.structured
 
     def _solves(self, state: MIHOGNState, oracle: Oracle) -> bool:
         """Whether the best of the new minima solves a system of equations, to rounding.

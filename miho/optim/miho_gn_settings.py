@@ -31,9 +31,11 @@ class MIHOGNSettings:
     may spend as much as the next bracket has. A descent that comes to a known minimum ends.
 
     The search ends when the ends of its brackets are evidence enough (`miho.optim.evidence`).
-    Searches get stuck at bounds, where the data leave a parameter undetermined, and where the loss
-    is more than noise explains: such an optimum needs the ends of `doubtful` brackets, and a search
-    `longer` times as long as it took to find it. Where the loss of a minimum is zero to rounding
+    Searches get stuck at bounds, where the data leave a parameter undetermined, where the loss is
+    more than noise explains, and where residuals have structure (`miho.optim.structure`): such an
+    optimum needs the ends of `doubtful` brackets, and half of all, and a search `longer` times as
+    long as it took to find it. Before the end so many `challenges` have to fail, brackets that
+    start at some of the best minimum's coordinates. Where the loss of a minimum is zero to rounding
     (`miho.optim.zero`), one bracket is enough. After `brackets` brackets the search ends in any
     case, as `Outcome.BRACKETS`. At last it descends from the run's best to a tolerance of `digits`.
     A problem that is linear in all parameters is solved.
@@ -53,7 +55,7 @@ class MIHOGNSettings:
     reach: float = 0.25
     secants: int = 4
     projecting: int = 2
-    draws: str = "thirds"
+    draws: str = "turns"
     tolerance: float = 1e-8
     level_tolerance: float = 0.1
     digits: float = 1e-16
@@ -61,11 +63,12 @@ class MIHOGNSettings:
     progress: float = 0.05
     doubtful: int = 20
     longer: float = 10.0
+    challenges: int = 3
     brackets: int = 200
 
     def __post_init__(self) -> None:
         check_brackets(self)
         whole("doubtful", self.doubtful, 1)
-        whole_settings(self, ("secants", "projecting"), 0)
+        whole_settings(self, ("secants", "projecting", "challenges"), 0)
         one_of("draws", self.draws, DRAWS)
         positive_settings(self, ("damping", "reach", "digits", "longer"))

@@ -38,7 +38,9 @@ class MIHOGNState:
     turn, now the one at position `turn`. The best of the `minima` was found after
     `best_found_after` evaluations. `stalled` are candidates that made too little progress, one
     each; before the bracket, `spent_before` evaluations were spent. The first `judged` minima are
-    known not to be zero to rounding.
+    known not to be zero to rounding. The best minimum has `passed` so many challenges; it is
+    `challenged` by the next bracket, or the one under way is `challenging`. Whether residuals are
+    `structured` is known of the minimum whose loss is `tested`.
     """
 
     space: Space
@@ -58,7 +60,17 @@ class MIHOGNState:
     attempts: int = 0
     turn: int = 0
     judged: int = 0
+    passed: int = 0
+    challenged: bool = False
+    challenging: bool = False
+    tested: float = math.nan
+    structured: bool = False
     finished: bool = False
+
+    @property
+    def best_minimum(self) -> int:
+        """The position of the best known minimum."""
+        return int(np.argmin(self.minima.loss))
 
     @property
     def d(self) -> int:
@@ -105,6 +117,11 @@ class MIHOGNState:
                 numbers = max(numbers, min(n * (d + 1) * rows, most))
             n = max(1, n // self.settings.eta)
         self.stored = np.zeros(numbers)
+
+    def learn(self, other: MIHOGNState) -> None:
+        """Know the minima that another bracket knows, and what is known of the best one."""
+        self.minima, self.best_found_after = other.minima, other.best_found_after
+        self.passed, self.tested, self.structured = other.passed, other.tested, other.structured
 
     def add_minimum(self, c: GNCandidates) -> None:
         """Remember where the first candidate has ended as a known minimum."""

@@ -230,7 +230,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         state.rung_budget = (state.d + 1) * min(self.base * luby(state.bracket), self.largest)
         state.level, state.spent_before, state.phase = 0, state.spent, SCREEN
         n = min(max(round(state.rung_budget / state.cost), self.least), self.most)
-        z = draw_starts(state.space, n, state.rng, state.bracket == 1)
+        z = draw_starts(state.space, n, state.rng, state.bracket)
         state.starts.screened += n
         state.candidates = QNCandidates.at(z, self.radius)
 

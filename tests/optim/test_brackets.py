@@ -42,11 +42,11 @@ def test_the_common_start_leads_and_all_are_in_the_box() -> None:
         ),
         seed=("some problem", 3),
     )
-    starts = draw_starts(space, 30, np.random.default_rng(0), first=True)
+    starts = draw_starts(space, 30, np.random.default_rng(0), 1)
     np.testing.assert_array_equal(starts[0], space.initial(1)[0])
     low, high = space.bounds
     assert ((starts >= low) & (starts <= high)).all()
-    later = draw_starts(space, 30, np.random.default_rng(0), first=False)
+    later = draw_starts(space, 30, np.random.default_rng(0), 2)
     assert not (starts[0] == later[0]).any()
 
 
