@@ -19,8 +19,10 @@ TURNS = "thirds", "scale", "uniform", "own"
 """The distributions of one bracket after the other: brackets that draw from different ones miss
 different basins, so that their agreement says more. The first hedges, by a third of each kind."""
 DRAWS = "turns", "thirds", *KINDS
-DECADES = 3
-"""A range that reaches to zero is drawn over so many decades below its end."""
+DECADES = 3, 6, 3, 12
+"""A range that reaches to zero is drawn by scale over so many decades below its end, in the rounds
+of TURNS in turn. Three are enough for bounds that somebody thought of; bounds that mean none, such
+as 1e6 for a rate of 1, need more."""
 
 
 def check_brackets(method: Any) -> None:
@@ -77,8 +79,9 @@ def draw_starts(
     it is.
     """
     low, high = space.bounds
+    turn, place = divmod(bracket - 1, len(TURNS))
     if draws == "turns":
-        draws = TURNS[(bracket - 1) % len(TURNS)]
+        draws = TURNS[place]
     kinds = KINDS if draws == "thirds" else (draws,)
     starts, u = np.empty((n, len(space))), rng.random((n, len(space)))
     for k, kind in enumerate(kinds):
@@ -88,7 +91,7 @@ def draw_starts(
             starts[every] = space.sample(len(shares), rng)
             continue
         if kind == "scale":
-            shares = by_scale(shares, space)
+            shares = by_scale(shares, space, DECADES[turn % len(DECADES)])
         starts[every] = low + (high - low) * shares
     if bracket == 1:
         starts[0] = space.initial(1)[0]
@@ -107,11 +110,11 @@ def around(best: Array, starts: Array, rng: np.random.Generator) -> Array:
     return np.where(redrawn, starts, best)
 
 
-def by_scale(u: Array, space: Space) -> Array:
+def by_scale(u: Array, space: Space, decades: int = 3) -> Array:
     """Uniform shares u (n, d) of the ranges as shares whose sizes are log-uniform.
 
     That is for parameters on the linear scale whose range spans zero, or more than a decade next to
-    it: sizes are then drawn from the last DECADES below each end, and both signs are equally
+    it: sizes are then drawn from the last `decades` below each end, and both signs are equally
     likely. Shares of any other range are given back as they are; so are those on the log scale,
     which are log-uniform already.
     """
@@ -123,7 +126,7 @@ def by_scale(u: Array, space: Space) -> Array:
     # Sizes reach from the end near zero to the far one.
     shares = np.where(spanning, np.abs(2 * u - 1), np.where(below, 1 - u, u))
     far = np.where(negative, -low, high)
-    near = np.maximum(np.where(negative, -high, low), far * 10.0**-DECADES)
+    near = np.maximum(np.where(negative, -high, low), far * 10.0**-decades)
     with np.errstate(all="ignore"):  # of ranges that are not scaled
         sizes = near * (far / near) ** np.clip(shares, 0.0, 1.0)
         scaled = (np.where(negative, -sizes, sizes) - low) / (high - low)

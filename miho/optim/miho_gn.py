@@ -23,11 +23,11 @@ from miho.compiled.gauss_newton_candidates import (
 from miho.compiled.gauss_newton_loop import run_bracket
 from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE, SOLVED
 from miho.optim.brackets import around, draw_starts, luby, rows_by_level
-from miho.optim.evidence import in_optimum
+from miho.optim.evidence import Agreement, in_optimum
 from miho.optim.gauss_newton_steps import run_phases
 from miho.optim.meter import Budget, BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_settings import MIHOGNSettings
-from miho.optim.miho_gn_state import ROOM, MIHOGNState, box_of, square_distances
+from miho.optim.miho_gn_state import ROOM, MIHOGNState, at_bound, box_of, square_distances
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
@@ -262,11 +262,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         state.close()
         state.passed, state.challenging = state.passed + state.challenging, False
         agreement = oracle.agreement
-        # A doubtful optimum asks for more ends, and for a longer search.
-        long_enough = oracle.evaluations >= self.longer * state.best_found_after
-        often = agreement.agreeing >= max(self.doubtful, agreement.finished / 2)
-        confirmed = often and long_enough
-        agreed = agreement.enough and (confirmed or self._plausible(state, oracle))
+        agreed = agreement.enough and self._credible(state, oracle, agreement)
         enough = agreed and state.passed >= self.challenges
         enough |= is_rounding(oracle.best, oracle.rounding, oracle.resolution)
         state.challenged = agreed and not enough
@@ -274,19 +270,30 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             oracle.meter.starts.exhausted = not enough
             self._polish(state, oracle)
 
-    def _plausible(self, state: MIHOGNState, oracle: Oracle) -> bool:
-        """Whether the data determine the best minimum so far, and what it leaves looks like noise.
+    def _credible(self, state: MIHOGNState, oracle: Oracle, agreement: Agreement) -> bool:
+        """Whether the ends that agree on the best minimum are to be believed.
 
-        Its loss is not more than noise explains, and its residuals have no structure.
+        They are if the data determine it, and it leaves nothing but noise. A doubtful one needs
+        more ends and a longer search. One that is neither, off the bounds, is a plateau.
         """
         known, best = state.minima, state.best_minimum
-        loss = float(known.loss[best])
-        if not known.determined[best] or loss > oracle.noise:
+        determined, noise = bool(known.determined[best]), self._leaves_noise(state, oracle)
+        if determined and noise:
+            return True
+        if not (determined or noise or at_bound(known.x[best])):
             return False
-        if loss > oracle.resolution and loss != state.tested:
-            x = state.box.origin + state.box.width * known.x[best]
+        often = agreement.agreeing >= max(self.doubtful, agreement.finished / 2)
+        return often and oracle.evaluations >= self.longer * state.best_found_after
+
+    def _leaves_noise(self, state: MIHOGNState, oracle: Oracle) -> bool:
+        """Whether the best minimum's loss is no more than noise, and its residuals look like it."""
+        loss = float(state.minima.loss[state.best_minimum])
+        if loss > oracle.noise or loss <= oracle.resolution:
+            return loss <= oracle.resolution
+        if loss != state.tested:
+            x = state.box.origin + state.box.width * state.minima.x[state.best_minimum]
             state.tested, state.structured = loss, oracle.structured(state.space.decode(x[None])[0])
-        return loss <= oracle.resolution or not state.structured
+        return not state.structured
 
     def _solves(self, state: MIHOGNState, oracle: Oracle) -> bool:
         """Whether the best of the new minima solves a system of equations, to rounding.
