@@ -44,7 +44,7 @@ class Box:
     def yaml(self) -> str:
         """The settings of a parameter of `conf/space`."""
         scale = "" if self.scale == "linear" else f", scale: {self.scale}"
-        return f'{{unit: "-", low: {_number(self.low)}, high: {_number(self.high)}{scale}}}'
+        return f'{{unit: "-", low: {number(self.low)}, high: {number(self.high)}{scale}}}'
 
 
 def around(fit: PublishedFit, k: int) -> Box:
@@ -135,10 +135,10 @@ def yaml_of(name: str, fit: PublishedFit, box: str, evidence: str) -> str:
     rule, meaning = BOXES[box]
     model = PublishedModel(fit.model)
     size = f"{len(fit.optimum)} parameters, {len(fit.dataset)} rows. Box: {meaning}."
-    about = [*_comment(f"{fit.title}."), *_comment(size)]
+    about = [*comment(f"{fit.title}."), *comment(size)]
     optimum = optimum_of(fit)
     exact = optimum < ROUNDING * float(np.sqrt(np.mean(fit.dataset["y"] ** 2)))
-    resolution = [f"  resolution: {_number(resolution_of(fit))}"] if exact else []
+    resolution = [f"  resolution: {number(resolution_of(fit))}"] if exact else []
     lines = [
         "# @package _global_",
         *about,
@@ -154,7 +154,7 @@ def yaml_of(name: str, fit: PublishedFit, box: str, evidence: str) -> str:
         "problem:",
         f"  name: {name}",
         f"  family: {fit.model}",
-        f"  optimum: {_number(optimum)}",
+        f"  optimum: {number(optimum)}",
         *resolution,
         "  evidence: >-",
         *(f"    {line}" for line in textwrap.wrap(evidence, WIDTH - 4)),
@@ -181,11 +181,12 @@ def files() -> dict[Path, str]:
     return texts
 
 
-def _comment(text: str) -> list[str]:
+def comment(text: str) -> list[str]:
+    """Lines of a YAML comment."""
     return textwrap.wrap(text, WIDTH, initial_indent="# ", subsequent_indent="# ")
 
 
-def _number(value: float) -> str:
+def number(value: float) -> str:
     """Fourteen digits, so that neither a box nor an error shows rounding; a float for YAML."""
     text = f"{value:.14g}"
     mantissa, e, exponent = text.partition("e")

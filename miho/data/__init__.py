@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         load_published,
         published_fit,
         published_names,
+        zero_residuals,
     )
     from miho.data.seong import DataUnavailableError, load_seong_sample
     from miho.data.stacking import stacked
@@ -49,8 +50,7 @@ __all__ = [
     "load_driving_log", "load_engine_drive", "load_mat", "load_published", "load_seong_sample",
     "load_torque_samples", "published_fit", "published_names", "sample_axle", "sample_lateral",
     "sample_tir", "simulated_axle_drive", "simulated_weave", "stacked", "steering_test",
-    "tire_drive", "tire_outlier_test",
-    "unmodelled_spread",
+    "tire_drive", "tire_outlier_test", "unmodelled_spread", "zero_residuals",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

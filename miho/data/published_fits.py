@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from miho.data.dataset import Dataset
+from miho.validate import whole
 
 FOLDER = Path(__file__).with_name("published")
 
@@ -71,3 +72,13 @@ def published_fit(name: str) -> PublishedFit:
 def load_published(name: str) -> Dataset:
     """The data of the published problem `name`: y over x, or over x1, x2, ..., without units."""
     return published_fit(name).dataset
+
+
+def zero_residuals(rows: int) -> Dataset:
+    """What a system of `rows` residuals is fitted to: y = 0 over `row`, from 1, without units.
+
+    `miho.models.ResidualSystem` is the model of it. Raises ValueError for less than one row.
+    """
+    whole("rows", rows, 1)
+    columns = {"y": np.zeros(rows), "row": np.arange(1.0, rows + 1)}
+    return Dataset(f"zeros_{rows}", columns, dict.fromkeys(columns, "-"), "y")

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from miho.models.longitudinal import Longitudinal
     from miho.models.model import Model
     from miho.models.published import PublishedModel
+    from miho.models.published.systems import ResidualSystem
     from miho.models.simplified_tire import SimplifiedTire, from_simplified, simplify
     from miho.models.single_track import FrontRear, SingleTrack
     from miho.models.single_track_motion import single_track_drive, single_track_response
@@ -36,10 +37,11 @@ __all__ = [
     "BrakeResponse", "BrakeTorque", "EngineMap", "FmuModel", "FrontRear", "FunctionModel",
     "Identified", "LateralMagicFormula", "LoadSensitivity", "Longitudinal", "Model",
     "OutsideDataWarning", "Pacejka", "PacejkaCurvature", "PacejkaLandmarks", "PublishedModel",
-    "SimplifiedTire", "SingleTrack", "TirError", "TireFormula", "TorqueCubic", "TorqueCurve",
-    "Trajectory", "at_load", "central_stiffness", "cornering_stiffness", "from_simplified",
-    "load_function", "load_sensitivity", "load_tir", "load_trajectory", "mf61_lateral", "play",
-    "read_parameters", "simplify", "single_track_drive", "single_track_response", "write_tir",
+    "ResidualSystem", "SimplifiedTire", "SingleTrack", "TirError", "TireFormula", "TorqueCubic",
+    "TorqueCurve", "Trajectory", "at_load", "central_stiffness", "cornering_stiffness",
+    "from_simplified", "load_function", "load_sensitivity", "load_tir", "load_trajectory",
+    "mf61_lateral", "play", "read_parameters", "simplify", "single_track_drive",
+    "single_track_response", "write_tir",
 ]  # fmt: skip
 
 __getattr__, __dir__ = at_first_use(__name__)

@@ -1,0 +1,239 @@
+"""Writes conf/problem of two sets of least-squares problems of the literature on optimization.
+
+python -m experiments.check.residual_problems
+
+`mw_...` are the 53 problems of Moré and Wild (SIAM J. Optim. 20, 2009), `cr_...` the systems of
+Cartis and Roberts (Math. Prog. Comp. 11, 2019) that exist for eight to twelve variables and whose
+formulas give the published sum of squares at the published start. A name ends in the number of
+variables, and in `far` where the start is ten times as far from zero.
+
+Both sets are unconstrained. Here each variable has a box around its start x, from x - 10 s to
+x + 10 s with s = max(1, |x|), cut where the publication keeps a variable positive.
+
+The optimum that stands in a file and its evidence stay; `experiments.check.optima` finds both.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from omegaconf import OmegaConf
+
+from experiments.check.published_problems import PROBLEMS, WIDTH, Box, comment, number, optimum_of
+from miho.data import PublishedFit, published_fit
+from miho.models import PublishedModel, ResidualSystem
+
+Array = NDArray[np.float64]
+
+AROUND = 10.0
+"""Half the width of a box in sizes of its start: with 10, all starts and all published optima of
+both sets lie inside."""
+FAR = 10.0
+"""The factor of Moré and Wild from a start to a second one."""
+ARRIVED = 1e-6
+"""A share of the error at the start which is no error: far below that of every optimum above zero,
+the least of which is 2.5e-6 of it (Watson's function of twelve variables), and above what rounding
+leaves of 1e-16."""
+MORE_WILD: Mapping[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
+    "linear_full_rank": ((9,), (9,)),
+    "linear_rank_1": ((7,), (7,)),
+    "linear_rank_1_zeros": ((7,), (7,)),
+    "rosenbrock": ((2,), (2,)),
+    "helical_valley": ((3,), (3,)),
+    "powell_singular": ((4,), (4,)),
+    "freudenstein_roth": ((2,), (2,)),
+    "bard": ((3,), (3,)),
+    "kowalik_osborne": ((4,), ()),
+    "meyer": ((3,), ()),
+    "watson": ((6, 9, 12), (6, 9, 12)),
+    "box_3d": ((3,), ()),
+    "jennrich_sampson": ((2,), ()),
+    "brown_dennis": ((4,), (4,)),
+    "chebyquad": ((6, 7, 8, 9, 10, 11), ()),
+    "brown_almost_linear": ((10,), ()),
+    "osborne_1": ((5,), ()),
+    "osborne_2": ((11,), (11,)),
+    "bdqrtic": ((8, 10, 11, 12), ()),
+    "cube": ((5, 6, 8), ()),
+    "mancino": ((5, 8, 10, 12), (5, 12)),
+    "heart_8": ((8,), (8,)),
+}
+"""By function the numbers of variables, and those of which there is a far start too."""
+FITS: Mapping[str, tuple[str, tuple[float, ...]]] = {
+    "bard": ("bard", (1.0, 1.0, 1.0)),
+    "kowalik_osborne": ("mgh09", (0.25, 0.39, 0.415, 0.39)),
+    "meyer": ("mgh10", (0.02, 4000.0, 250.0)),
+    "jennrich_sampson": ("jennrich", (0.3, 0.4)),
+    # The third is -1 in More, Garbow and Hillstrom.
+    "osborne_1": ("mgh17", (0.5, 1.5, 1.0, 0.01, 0.02)),
+    "osborne_2": ("osborne2", (1.3, 0.65, 0.65, 0.7, 0.6, 3.0, 5.0, 7.0, 2.0, 4.5, 5.5)),
+}
+"""Functions of Moré and Wild that are published fits of ours, and the starts of these authors."""
+CARTIS_ROBERTS: Mapping[str, int] = {
+    "argtrig": 10, "artif": 10, "arwhdne": 10, "bdvalues": 10, "bratu2d": 9, "bratu2dt": 9,
+    "bratu3d": 8, "brown_almost_linear": 12, "broydn3d": 10, "broydnbd": 10, "cbratu2d": 8,
+    "chandheq": 10, "chebyshev_rosenbrock": 10, "chemrcta": 10, "chemrctb": 10, "chnrsbne": 10,
+    "eigena": 12, "eigenb": 12, "freudenstein_roth": 10, "integreq": 10, "luksan11": 10,
+    "luksan12": 11, "luksan13": 11, "luksan14": 11, "luksan17": 10, "luksan21": 10, "morebvne": 10,
+    "msqrta": 9, "msqrtb": 9, "penlt1ne": 10, "penlt2ne": 10, "powell_singular": 12, "spmsqrt": 10,
+    "vardimne": 10, "yatp1ne": 8, "yatp2ne": 8,
+}  # fmt: skip
+"""The number of variables of each: ten, or what the structure of the system allows."""
+TITLES = {
+    "mw": "one of the 53 problems of More and Wild (2009)",
+    "cr": "a system of CUTEst in the table of Cartis and Roberts (2019)",
+}
+
+
+@dataclass(frozen=True)
+class Posed:
+    """A problem: the function by name, its number of variables, and the factor of its start."""
+
+    collection: str
+    function: str
+    length: int
+    factor: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """The name in conf/problem."""
+        far = "_far" if self.factor != 1 else ""
+        return f"{self.collection}_{self.function}_{self.length}{far}"
+
+    @property
+    def fit(self) -> PublishedFit | None:
+        """The published fit that the function is, if it is one."""
+        return published_fit(FITS[self.function][0]) if self.function in FITS else None
+
+    @property
+    def system(self) -> ResidualSystem:
+        """The system of residuals that the function is otherwise."""
+        return ResidualSystem(self.function, self.length)
+
+    @property
+    def start(self) -> Array:
+        """Where the publication starts (n,)."""
+        near = FITS[self.function][1] if self.function in FITS else self.system.start
+        return np.asarray(self.factor * np.array(near))
+
+    @property
+    def rows(self) -> int:
+        """The number of residuals."""
+        return len(self.fit.dataset) if self.fit else self.system.size
+
+    def residuals(self, theta: Array) -> Array:
+        """Residuals (m,) at one configuration (n,)."""
+        if self.fit is None:
+            return np.asarray(self.system.predict(theta[None], np.arange(1.0, self.rows + 1))[0])
+        model = PublishedModel(self.fit.model)
+        inputs = (self.fit.dataset[column] for column in model.inputs)
+        return np.asarray(model.predict(theta[None], *inputs)[0] - self.fit.dataset["y"])
+
+    @property
+    def box(self) -> dict[str, Box]:
+        """The range of each variable."""
+        start = self.start
+        half = AROUND * np.maximum(1.0, np.abs(start))
+        low = start - half
+        if self.fit is None and self.system.published.low is not None:
+            low = np.maximum(low, self.system.published.low(self.length))
+        names = PublishedModel(self.fit.model).parameters if self.fit else self.system.parameters
+        return {
+            name: Box(float(a), float(b))
+            for name, a, b in zip(names, low, start + half, strict=True)
+        }
+
+    @property
+    def resolution(self) -> float:
+        """An error that counts as zero, rounded down to one digit; that of the near start."""
+        error = ARRIVED * math.sqrt(np.mean(self.residuals(self.start / self.factor) ** 2))
+        unit = 10.0 ** math.floor(math.log10(error))
+        return float(f"{math.floor(error / unit) * unit:.0e}")
+
+
+def problems() -> Iterator[Posed]:
+    """Every problem of both sets, those of Moré and Wild in their order."""
+    for function, (near, far) in MORE_WILD.items():
+        for length in near:
+            yield Posed("mw", function, length)
+            if length in far:
+                yield Posed("mw", function, length, FAR)
+    for function, length in CARTIS_ROBERTS.items():
+        yield Posed("cr", function, length)
+
+
+def yaml_of(posed: Posed, optimum: float, evidence: str) -> str:
+    """The file of a problem in conf/problem."""
+    if posed.fit:
+        parts = "published", "published"
+        settings = f"dataset: {{name: {posed.fit.name}}}", f"model: {{name: {posed.fit.model}}}"
+    else:
+        parts = "zero_residuals", "residual_system"
+        settings = (
+            f"dataset: {{rows: {posed.rows}}}",
+            f"model: {{system: {posed.function}, length: {posed.length}}}",
+        )
+    start = "published start" if posed.factor == 1 else "published start times ten"
+    about = (
+        f"{posed.function}, {TITLES[posed.collection]}: {posed.length} variables, {posed.rows} "
+        f"residuals. Box: ten times max(1, |x|) around the {start} x of each variable, either way."
+    )
+    exact = optimum < posed.resolution
+    lines = [
+        "# @package _global_",
+        *comment(about),
+        "# Written by experiments.check.residual_problems: change the rule, not this file.",
+        "defaults:",
+        f"  - override /dataset: {parts[0]}",
+        f"  - override /model: {parts[1]}",
+        "  - override /space: null",
+        "",
+        *settings,
+        "",
+        "problem:",
+        f"  name: {posed.name}",
+        f"  family: {posed.function}",
+        f"  optimum: {number(optimum)}",
+        *([f"  resolution: {number(posed.resolution)}"] if exact else []),
+        "  evidence: >-",
+        *(f"    {line}" for line in textwrap.wrap(evidence, WIDTH - 4)),
+        "",
+        "space:",
+        *(f"  {name}: {box.yaml}" for name, box in posed.box.items()),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def recorded(posed: Posed, file: Path) -> tuple[float, str]:
+    """The optimum and its evidence that stand in a problem's file, else in the publication."""
+    if file.exists():
+        problem = OmegaConf.load(file).problem
+        return float(problem.optimum), str(problem.evidence)
+    return optimum_of(posed.fit) if posed.fit else 0.0, "not looked for"
+
+
+def files() -> dict[Path, str]:
+    """All files with what they hold by the rule."""
+    texts = {}
+    for posed in problems():
+        file = PROBLEMS / f"{posed.name}.yaml"
+        texts[file] = yaml_of(posed, *recorded(posed, file))
+    return texts
+
+
+def main() -> None:
+    """Write all files."""
+    texts = files()
+    for file, text in texts.items():
+        file.write_text(text, encoding="utf-8")
+    print(f"{len(texts)} files in {PROBLEMS}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,93 @@
+"""Models of published systems of residuals, by name and length."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from miho.models.model import Model
+from miho.models.published import cartis_roberts, discretized, more_wild
+from miho.models.published.system import System
+from miho.quantities import Array
+from miho.validate import whole
+
+SYSTEMS: Mapping[str, System] = {
+    **more_wild.SYSTEMS, **cartis_roberts.SYSTEMS, **discretized.SYSTEMS
+}  # fmt: skip
+STEP = 1e-30
+"""Of the complex step: its square is below the rounding of any number that is not tiny itself."""
+
+
+@dataclass(frozen=True)
+class ResidualSystem(Model):
+    """A published system of residuals of `length` variables, without units.
+
+    Parameters are x1, x2, ...; the input `row` numbers the residuals from 1, and the output is the
+    residual, so that the data to fit are zeros (`miho.data.zero_residuals`). A row is one equation,
+    and may depend on every variable. Derivatives are those of the complex step, exact but for
+    rounding (Squire and Trapp, SIAM Review 40, 1998).
+
+    Parameters
+    ----------
+    system : str
+        One of `SYSTEMS`.
+    length : int
+        Number of variables n. Some systems exist for some lengths only.
+
+    Raises
+    ------
+    ValueError
+        If there is no such system, or the length is below 1.
+    """
+
+    system: str
+    length: int
+
+    inputs = {"row": "-"}  # noqa: RUF012
+    output = "-"
+
+    def __post_init__(self) -> None:
+        if self.system not in SYSTEMS:
+            raise ValueError(f"system is {self.system!r}; choose from {', '.join(SYSTEMS)}")
+        whole("length", self.length, 1)
+
+    @property
+    def name(self) -> str:  # type: ignore[override]
+        """The system and its length."""
+        return f"{self.system}_{self.length}"
+
+    @property
+    def published(self) -> System:
+        """The formulas and where the publication starts."""
+        return SYSTEMS[self.system]
+
+    @property
+    def size(self) -> int:
+        """The number of residuals."""
+        return self.published.size(self.length)
+
+    @property
+    def start(self) -> Array:
+        """The published start (n,)."""
+        return np.array(self.published.start(self.length), dtype=float)
+
+    @property
+    def parameters(self) -> Mapping[str, str]:  # type: ignore[override]
+        """x1, x2, ..."""
+        return {f"x{number}": "-" for number in range(1, self.length + 1)}
+
+    def predict(self, thetas: Array, row: Array) -> Array:  # type: ignore[override]
+        """Residuals (n, N) of parameter rows (n, d) in the rows (N,)."""
+        return self._residuals(thetas)[:, row.astype(int) - 1]
+
+    def jacobian(self, theta: Array, row: Array) -> Array:  # type: ignore[override]
+        """Derivatives of the residuals in the rows (N,), (N, d), at one configuration (d,)."""
+        moved = theta + 1j * STEP * np.eye(theta.size)
+        return np.asarray(self._residuals(moved).imag.T[row.astype(int) - 1] / STEP)
+
+    def _residuals(self, thetas: Array) -> Array:
+        """All residuals (n, m) of parameter rows (n, d); NaN or infinite without a value."""
+        with np.errstate(all="ignore"):
+            return np.asarray(self.published.residuals(np.ascontiguousarray(thetas.T), self.size).T)
