@@ -14,6 +14,7 @@ from experiments.app.comparing import chosen_method
 from experiments.app.compose import composed
 from experiments.app.options import options_of
 from experiments.app.schema import register
+from experiments.check import residual_problems
 from experiments.check.published_problems import BOXES, files, problems
 from miho.data import published_names
 from miho.identification import linear_optimum
@@ -21,7 +22,9 @@ from miho.methods.least_squares import LeastSquares
 from miho.optim import Budget, minimize
 
 CONF = Path(__file__).parent.parent / "conf"
-NEEDS_A_SETTING = {"axle_log", "brake_log", "csv", "mat", "published", "tir", "torque_log"}
+NEEDS_A_SETTING = {
+    "axle_log", "brake_log", "csv", "mat", "published", "tir", "torque_log", "zero_residuals"
+}  # fmt: skip
 NEEDS_A_LIBRARY = {"ngopt": "nevergrad", "dehb": "dehb", "dfo_ls": "dfols"}
 DRIVEN = {"front_axle", "front_axle_drive", "front_axle_tires", "lively_drive", "steering_test"}
 """Their data are simulated by a car that takes seconds to compile."""
@@ -182,8 +185,9 @@ def test_spaces(space: str) -> None:
 
 
 PUBLISHED = problems()
-QUICK = {"nist_nelson_log"}
-"""Published problems that stand for all, whose models take seconds to compile."""
+SETS = {posed.name: posed for posed in residual_problems.problems()}
+QUICK = {"nist_nelson_log", "mw_bdqrtic_8"}
+"""Published problems that stand for all, of which many would take minutes."""
 
 
 def test_published_problems_are_as_their_rule_says() -> None:
@@ -204,7 +208,7 @@ def test_every_published_problem_is_posed_in_two_boxes() -> None:
 @pytest.mark.parametrize(
     "problem",
     [
-        pytest.param(name, marks=[pytest.mark.slow] * (name in PUBLISHED.keys() - QUICK))
+        pytest.param(name, marks=[pytest.mark.slow] * (name in (PUBLISHED | SETS).keys() - QUICK))
         for name in options("problem")
     ],
 )
@@ -244,7 +248,9 @@ def test_budgets(budget: str) -> None:
 
 def test_the_arena_is_everything_but_what_it_says() -> None:
     comparison = composed(["experiment=arena"]).comparison
-    assert sorted(comparison.problems) == options("problem")
+    sets = composed(["experiment=arena_sets"]).comparison
+    assert list(sets.problems) == list(SETS)
+    assert sorted([*comparison.problems, *sets.problems]) == options("problem")
     assert set(options("optimizer")) - set(comparison.methods) == {
         "gbo_small", "gbo_large", "miho_asynchronous", "miho_gn_asynchronous"
     }  # fmt: skip

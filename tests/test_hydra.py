@@ -340,8 +340,10 @@ def test_a_command_is_a_script_too(tmp_path: Path) -> None:
     assert "2 runs: 2 ran" in process.stdout, process.stderr
 
 
-NEEDS_A_SETTING = {"axle_log", "brake_log", "csv", "mat", "published", "tir", "torque_log"}
-NEEDS_A_FILE = {"fmu", "function", "trajectory", "published"}
+NEEDS_A_SETTING = {
+    "axle_log", "brake_log", "csv", "mat", "published", "tir", "torque_log", "zero_residuals"
+}  # fmt: skip
+NEEDS_A_FILE = {"fmu", "function", "published", "residual_system", "trajectory"}
 LIBRARIES = {"ngopt": "nevergrad", "dehb": "dehb", "dfo_ls": "dfols"}
 
 
