@@ -10,6 +10,7 @@ python -m experiments.compare experiment=paper_fig6  # full size, some 70 minute
 python -m experiments.compare experiment=torque_gap  # gaps to a known optimum, half a minute
 python -m experiments.compare experiment=arena       # many methods on many problems, 41 minutes
 python -m experiments.compare experiment=arena_small # the same, small, two minutes
+python -m experiments.compare experiment=arena_sets  # two sets of the literature on optimization
 """
 
 from __future__ import annotations
