@@ -1,12 +1,17 @@
 """The two sets of least-squares problems in conf/problem, and the rule that writes them."""
 
 from collections import Counter
+from itertools import pairwise
 
+import numpy as np
 import pytest
+import scipy.optimize
 
-from experiments.app.compose import CONF
+from experiments.app.compose import CONF, composed
+from experiments.app.schema import register
 from experiments.check.residual_problems import files, problems
 
+register()
 POSED = {posed.name: posed for posed in problems()}
 STARTS = (
     7.20000e+01, 1.12500e+03, 1.16542e+07, 1.16859e+09, 4.98920e+06, 5.00936e+08, 2.42000e+01,
@@ -46,3 +51,27 @@ def test_the_start_has_the_sum_of_squares_of_more_and_wild(name: str, squares: f
     """To the six digits that are printed: half a unit of the last is 5e-6 at most."""
     posed = POSED[name]
     assert float((posed.residuals(posed.start) ** 2).sum()) == pytest.approx(squares, rel=6e-6)
+
+
+def test_the_optimum_of_the_chain_is_that_of_dynamic_programming() -> None:
+    """Each pair of neighbours has two residuals, so a pass along the chain meets every basin.
+
+    Steps of the grid are 0.05 to 0.1, and basins are wider by far.
+    """
+    posed = POSED["cr_freudenstein_roth_10"]
+    grids = [np.linspace(box.low, box.high, 401) for box in posed.box.values()]
+    least, choices = np.zeros(401), []
+    for before, after in pairwise(grids):
+        a, b = before[:, None], after[None]
+        first, second = a + ((5 - b) * b - 2) * b - 13, a + ((b + 1) * b - 14) * b - 29
+        totals = least[:, None] + first**2 + second**2
+        choices.append(totals.argmin(axis=0))
+        least = totals.min(axis=0)
+    path = [int(least.argmin())]
+    for choice in reversed(choices):
+        path.append(int(choice[path[-1]]))
+    x = np.array([grid[k] for grid, k in zip(grids, reversed(path), strict=True)])
+    end = scipy.optimize.least_squares(posed.residuals, x, ftol=1e-15, xtol=1e-15, gtol=1e-15).x
+    error = np.sqrt(np.mean(posed.residuals(end) ** 2))
+    recorded = composed(["problem=cr_freudenstein_roth_10"]).problem.optimum
+    assert error == pytest.approx(recorded, rel=1e-8)

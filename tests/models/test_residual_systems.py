@@ -43,7 +43,7 @@ ZEROS = {
     "freudenstein_roth": (5, 4), "box_3d": (1, 10, 1), "brown_almost_linear": (1,) * 6,
     "cube": (1,) * 5, "chnrsbne": (1,) * 6, "luksan11": (1,) * 5, "broydnbd": (0,) * 7,
     "argtrig": (0,) * 5, "artif": (0,) * 5, "vardimne": (1,) * 5,
-    "chebyshev_rosenbrock": (1,) * 6, "eigena": (1, 2, 1, 0, 0, 1),
+    "chebyshev_rosenbrock": (1,) * 6, "eigena": (1, 2, 1, 0, 0, 1), "chemrctb": (5 / 14,) * 10,
 }  # fmt: skip
 """Variables where every residual is 0, by arithmetic."""
 SMALL = {
