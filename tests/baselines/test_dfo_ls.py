@@ -71,6 +71,23 @@ def test_it_says_nothing(
     assert capfd.readouterr() == ("", "")
 
 
+def test_what_the_library_asserts_ends_a_descent_and_nothing_else_does(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    message = "H must be symmetric"
+
+    def fail(*_: object, **__: object) -> None:
+        raise AssertionError(message)
+
+    monkeypatch.setattr("baselines.dfo_ls.dfols.solve", fail)
+    record = minimize(DFOLS(rounds=2), misra1a(), seed=1)
+    assert record.outcome is not Outcome.FAILED
+    assert record.descents is not None
+    assert record.descents.started == 2
+    message = "another"
+    assert minimize(DFOLS(rounds=2), misra1a(), seed=1).outcome is Outcome.FAILED
+
+
 def test_a_missing_library_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delitem(sys.modules, "baselines.dfo_ls")
     monkeypatch.setitem(sys.modules, "dfols", None)
