@@ -2,10 +2,11 @@
 
 python -m experiments.check.residual_problems
 
-`mw_...` are the 53 problems of Moré and Wild (SIAM J. Optim. 20, 2009), `cr_...` the systems of
-Cartis and Roberts (Math. Prog. Comp. 11, 2019) that exist for eight to twelve variables and whose
-formulas give the published sum of squares at the published start. A name ends in the number of
-variables, and in `far` where the start is ten times as far from zero.
+`mw_...` are the 53 problems of Moré and Wild (SIAM J. Optim. 20, 2009), `cr_...` systems of Cartis
+and Roberts (Math. Prog. Comp. 11, 2019) that exist for eight to twelve variables. A system is taken
+if its formula gives the sum of squares that they print at the start, or is in an older publication
+(`miho.models.published.cartis_roberts`). A name ends in the number of variables, and in `far` where
+the start is ten times as far from zero.
 
 Both sets are unconstrained. Here each variable has a box around its start x, from x - 10 s to
 x + 10 s with s = max(1, |x|), cut where the publication keeps a variable positive.

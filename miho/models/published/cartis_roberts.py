@@ -2,9 +2,10 @@
 
 The table is that of C. Cartis and L. Roberts, A derivative-free Gauss-Newton method, Math. Prog.
 Comp. 11 (2019) 631-674. Formulas are those of CUTEst, by their names there, and at the table's
-lengths give its sum of squares at the start, but for two: the weights of `penlt2ne` are those of
-Moré, Garbow and Hillstrom (1981, MGH), and `chebyshev_rosenbrock` has none. L is L. Lukšan, Hybrid
-methods in large sparse nonlinear least squares, J. Optim. Theory Appl. 89 (1996) 575-595.
+lengths give its sum of squares at the start. Four are those of Moré, Garbow and Hillstrom (1981,
+MGH) instead, or of Nesterov, and do not: `penlt2ne`, `morebvne`, Powell's singular function, whose
+weights differ from POWELLSE's, and `chebyshev_rosenbrock`. L is L. Lukšan, Hybrid methods in large
+sparse nonlinear least squares, J. Optim. Theory Appl. 89 (1996) 575-595.
 """
 
 from __future__ import annotations
