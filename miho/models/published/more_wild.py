@@ -1,8 +1,8 @@
 """Systems of Moré and Wild (2009) that are not fits to data, for any length the formula allows.
 
-Twenty-two functions of CUTEr, 14 of them from Moré, Garbow and Hillstrom (1981, MGH), are the
+Twenty-two functions of CUTEr, 18 of them from Moré, Garbow and Hillstrom (1981, MGH), are the
 smooth problems of J. J. Moré and S. M. Wild, Benchmarking derivative-free optimization algorithms,
-SIAM J. Optim. 20 (2009) 172-191. Five fit data and are in `mgh` and `nist`. No system declares
+SIAM J. Optim. 20 (2009) 172-191. Six fit data and are in `mgh` and `nist`. No system declares
 variables that it is linear in: the benchmark shows a method residuals only.
 """
 
@@ -127,11 +127,7 @@ def mancino_start(n: int) -> Values:
 
 
 def heart_8(x: Values, m: int) -> Values:
-    """Dipole model of the heart: sums and moments of two dipoles, as complex numbers' powers.
-
-    With z = t + iu and w = v + ix the residuals are real and imaginary parts, so the formula
-    stands in real arithmetic here: a, b, c, d are weights, t, u, v, w positions.
-    """
+    """Two dipoles of the heart: weights a, b and c, d, places t, u and v, w; moments up to 3."""
     a, b, c, d, t, u, v, w = x
     second_t, second_u = t**2 - v**2, u**2 - w**2
     third_t, third_u = t * (t**2 - 3 * v**2), u * (u**2 - 3 * w**2)
