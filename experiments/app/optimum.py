@@ -66,8 +66,8 @@ def descents_of(stored: StoredRun) -> Descents | None:
     if not record:
         return None
     try:
-        return Descents(**{**record, "ends": tuple(record["ends"])})
-    except (TypeError, LookupError):
+        return Descents.from_stored(record)
+    except (TypeError, ValueError, LookupError):
         return None
 
 

@@ -3,6 +3,7 @@
 python -m experiments.check.coverage [--bootstrapped 500]   # with it half an hour
 python -m experiments.check.coverage --correlation 0.8 [--bootstrapped 500]
 python -m experiments.check.coverage --noises [--sets 200]  # linear models, other dependence
+python -m experiments.check.coverage --curvature 1.4 0.0 [--bootstrapped 500] [--replicates 200]
 
 Each data set has 300 slip angles, uniform within 0.3 rad, the force of Eq. 4 and normal noise:
 size, parameters and noise of the authors' sample data, tire A. Intervals are linearised and by
@@ -17,11 +18,18 @@ neighbours are alike; before them those that take them for independent.
 the least and the most often that a parameter is held, as if rows were independent and as a report
 gives it, and how many times as wide its intervals are (medians). Columns of the models: a quadratic
 drift, the derivatives of the tire's force over that drive (swing), and at random slip angles.
+
+`--curvature C E` is of the Magic Formula with curvature E, which several optima fit within the
+noise: 161 slip angles, evenly within 0.8 rad, B = 5.385, D = 1, and noise of 2 % of D. `miho.fit`
+searches each set from no start, and prints linearised intervals; those of the report are about its
+optimum, which may be a better one. "alone" are the intervals of the best optimum without the
+others. The last line says how often the report names several optima.
 """
 
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,8 +39,9 @@ from scipy.signal import lfilter
 from scipy.stats import binomtest
 from tqdm import tqdm
 
+import miho
 from miho.data import Dataset
-from miho.identification import CurveFit, linearised, make_report
+from miho.identification import CurveFit, Report, linearised, make_report
 from miho.identification.refit import refit
 from miho.models import Model, Pacejka
 from miho.optim import Parameter, Space
@@ -56,6 +65,10 @@ NOISES: dict[str, tuple[tuple[float, ...], tuple[float, ...]]] = {
     "MA(5) equal": ((1.0,), (1.0,) * 6),
 }
 """Poles and zeros of each noise, as `scipy.signal.lfilter` takes them."""
+SLIP = np.linspace(-0.8, 0.8, 161)
+STIFFNESS, LITTLE = 5.385, 0.02
+CURVED = {"B": (1, 30), "C": (0.5, 3), "D": (0.1, 3), "E": (-10, 1)}
+"""The box in which the curve with curvature is searched; a tire has E up to 1."""
 DESIGNS = ("drift", "swing", "random")
 LENGTHS = (60, 300, 3000)
 SPACE = Space(
@@ -149,6 +162,42 @@ def linear_fit(X: Array, noise: Array) -> tuple[CurveFit, Array]:
     return CurveFit(model, data, space), np.asarray(np.linalg.lstsq(X, noise, rcond=None)[0], float)
 
 
+def curved(C: float, E: float, number: int, replicates: int) -> tuple[dict[str, Array], bool]:
+    """Intervals (4, 2) of each kind of a curve with curvature; whether it has several optima."""
+    rng = stream("coverage", "curvature", number)
+    force = magic_formula(SLIP, STIFFNESS, C, 1.0, E) + LITTLE * rng.standard_normal(SLIP.size)
+    fit = miho.fit(magic_formula, SLIP, force, CURVED, seed=number)
+    report = fit.report(replicates=replicates, profiles=True)
+    alone = fit.report(descents=None, profiles=True)
+    by_kind = {f"{kind}, alone": ends_of(alone, kind) for kind in ("linearised", "profile")}
+    by_kind["printed by fit"] = fit.parameters[["low", "high"]].to_numpy()
+    kinds = ["linearised", "profile"] + ["bootstrap"] * (replicates > 0)
+    return by_kind | {kind: ends_of(report, kind) for kind in kinds}, len(report.optima) > 0
+
+
+def ends_of(report: Report, kind: str) -> Array:
+    """The ends (d, 2) of a report's intervals of a kind."""
+    return report.parameters[[f"{kind} low", f"{kind} high"]].to_numpy()
+
+
+def magic_formula(x: Array, B: float, C: float, D: float, E: float) -> Array:
+    """The Magic Formula with curvature."""
+    return D * np.sin(C * np.arctan(B * x - E * (B * x - np.arctan(B * x))))
+
+
+def curvature(C: float, E: float, sets: int, bootstrapped: int, replicates: int) -> str:
+    """Coverage of the curve with curvature, and how often it has several optima."""
+    truth, several = np.array([STIFFNESS, C, 1.0, E]), 0
+    hits: dict[str, list[NDArray[np.bool_]]] = {}
+    for number in tqdm(range(sets), desc="data sets", disable=None):
+        by_kind, many = curved(C, E, number, replicates * (number < bootstrapped))
+        several += many
+        for kind, ends in by_kind.items():
+            hits.setdefault(kind, []).append((ends[:, 0] <= truth) & (truth <= ends[:, 1]))
+    table = shares(hits, list(CURVED), [sets]).to_string(index=False)
+    return f"{table}\n\nseveral optima in {several} of {sets} sets"
+
+
 def held(name: str, kind: str, rows: int, sets: int) -> dict[str, object]:
     """A row of the table of noises."""
     poles, zeros = NOISES[name]
@@ -187,12 +236,19 @@ def coverage(
         drawn = replicates * (number < bootstrapped)
         for kind, ends in intervals(problem, drawn, correlation > 0).items():
             hits.setdefault(kind, []).append((ends[:, 0] <= TRUTH) & (ends[:, 1] >= TRUTH))
+    return shares(hits, SPACE.names, [FEW, sets])
+
+
+def shares(
+    hits: Mapping[str, Sequence[NDArray[np.bool_]]], names: Sequence[str], sizes: Sequence[int]
+) -> pd.DataFrame:
+    """How often each parameter was held, for each kind in its first data sets."""
     rows = []
     for kind, held in hits.items():
-        for n in sorted({min(FEW, len(held)), len(held)}):
+        for n in sorted({min(size, len(held)) for size in sizes}):
             count = np.sum(held[:n], axis=0)
             row: dict[str, object] = {"interval": kind, "sets": n}
-            for name, k in zip(SPACE.names, count, strict=True):
+            for name, k in zip(names, count, strict=True):
                 share = binomtest(int(k), n).proportion_ci()
                 row[name] = f"{100 * k / n:.1f} % [{100 * share.low:.0f}, {100 * share.high:.0f}]"
             rows.append(row)
@@ -207,7 +263,12 @@ def main() -> None:
     parser.add_argument("--replicates", type=int, default=1000)
     parser.add_argument("--correlation", type=float, default=0.0)
     parser.add_argument("--noises", action="store_true")
+    parser.add_argument("--curvature", type=float, nargs=2, metavar=("C", "E"))
     arguments = parser.parse_args()
+    if arguments.curvature is not None:
+        C, E = arguments.curvature
+        print(curvature(C, E, arguments.sets, arguments.bootstrapped, arguments.replicates))
+        return
     if arguments.noises:
         print(noises(arguments.sets).to_string(index=False))
         return

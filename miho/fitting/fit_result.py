@@ -15,7 +15,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from miho.fitting.statement import inputs_of
+from miho.identification.alternatives import (
+    hull,
+    optima_table,
+    optima_within_noise,
+    several_values,
+)
 from miho.identification.curve_fit import CurveFit
+from miho.identification.refit import Refit
 from miho.identification.standing import Standing
 from miho.identification.stated import (
     at_limits,
@@ -105,21 +112,56 @@ class Fit(Remade):
         return linearised(self.problem, self.theta, neighbours=True)
 
     @cached_property
+    def _optima(self) -> tuple[Linearised, ...]:
+        """The uncertainties at all optima within the noise, that of this one first."""
+        here = self.uncertainty
+        if self.descents is None or not self.descents.minima:
+            return (here,)
+        best = Refit(self.theta, float(np.sum(self.problem.residuals(self.theta) ** 2)))
+        within = optima_within_noise(self.problem, best, self.descents.minima, self.level)
+        others = [fit.theta for fit in within if fit is not best]
+        return (here, *(linearised(self.problem, theta, neighbours=True) for theta in others))
+
+    @cached_property
+    def alternatives(self) -> pd.DataFrame:
+        """The optima that the data cannot tell apart, a row each; no row where there is only one.
+
+        The chi-squared of each exceeds the smallest by no more than an interval of `level` allows,
+        by a factor that the residuals tell where the noise is not known. Columns are `optimum`
+        (from 1, this fit), `excess` (of chi-squared above the first), the parameters, and the
+        derived quantities of the model. The intervals of `parameters` span all of them. Raises
+        ValueError with no more rows than parameters.
+        """
+        return optima_table(self.problem, self._optima)
+
+    @cached_property
     def parameters(self) -> pd.DataFrame:
-        """A row per parameter, free, fixed or tied: value, standard error, linearised interval."""
+        """A row per parameter, free, fixed or tied: value, standard error, linearised interval.
+
+        Where the data cannot tell several optima apart (`alternatives`), the interval spans all of
+        them; the standard error is that of this one.
+        """
         import pandas as pd
 
         try:
-            at = self.uncertainty
+            optima = self._optima
         except ValueError:  # as many parameters as rows: values without errors
             values = whole_values(self.problem, self.theta)
             frame = pd.DataFrame({"value": values})
             return frame.assign(standard_error=math.nan, low=math.nan, high=math.nan)
-        stated, slopes = stated_parameters(self.problem, at)
-        frame = pd.DataFrame(stated).set_index("name").rename_axis(None)
-        reach = at.quantiles(slopes, self.level) * frame["standard_error"]
-        frame.insert(3, "low", frame["value"] - reach)
-        frame.insert(4, "high", frame["value"] + reach)
+        tables, ends = [], []
+        for at in optima:
+            stated, slopes = stated_parameters(self.problem, at)
+            table = pd.DataFrame(stated).set_index("name").rename_axis(None)
+            value, reach = (
+                table["value"],
+                at.quantiles(slopes, self.level) * table["standard_error"],
+            )
+            tables.append(table)
+            ends.append(np.stack([value - reach, value + reach], axis=1))
+        frame = tables[0]
+        points = [table["value"].to_numpy() for table in tables]
+        frame["low"], frame["high"] = hull(points, ends).T
         return frame[["value", "standard_error", "low", "high", "unit", "held"]]
 
     @property
@@ -159,8 +201,8 @@ class Fit(Remade):
     def caveats(self) -> list[str]:
         """Sentences on what takes the numbers away: `print` shows them below the table.
 
-        They are of parameters at a bound or not identifiable, and of an optimum in doubt. All else
-        is in `notes`, which takes longer.
+        They are of parameters at a bound or not identifiable, of optima that the data cannot tell
+        apart, and of an optimum in doubt. All else is in `notes`, which takes longer.
         """
         from miho.identification.flags import doubtful, ended_at_bounds, held_at_bounds, unseen
         from miho.identification.report import REMEDY
@@ -171,6 +213,7 @@ class Fit(Remade):
             at = reported_uncertainty(self.problem, self.uncertainty)
         except ValueError as error:
             return [*sentences, f"there are no standard errors: {error}."]
+        sentences += several_values(self.problem, self._optima)
         space = reported_space(self.problem.space)
         sentences += (ended_at_bounds if stand.doubt else held_at_bounds)(at, space)
         return sentences + unseen(at, space, everywhere=False)
@@ -197,7 +240,9 @@ class Fit(Remade):
         It is the fit's own, another and better one, or the same to more digits.
         """
         if not np.array_equal(report.at.theta, self.theta):
-            for name in ("uncertainty", "parameters", "error", "notes"):
+            for name in (
+                "uncertainty", "_optima", "alternatives", "parameters", "error", "notes",
+            ):  # fmt: skip
                 vars(self).pop(name, None)
             vars(self).update(theta=report.at.theta, found_by=report.found_by)
         vars(self).pop("caveats", None)

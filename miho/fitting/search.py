@@ -11,10 +11,20 @@ from miho.fitting.confirmed import by_calls, check_repeats
 from miho.fitting.dear_fit import interrupted, pace_line, spread, title
 from miho.fitting.fit_result import Fit
 from miho.fitting.named import check_budget, method_of
+from miho.identification.alternatives import optima_within_noise
 from miho.identification.curve_fit import CurveFit
-from miho.identification.refit import refit
+from miho.identification.refit import Refit, refit
 from miho.models.expression import Expression
-from miho.optim import MIHOGN, Budget, Checkpoint, Optimizer, Outcome, RunRecord, minimize
+from miho.optim import (
+    MIHOGN,
+    Budget,
+    Checkpoint,
+    Minimum,
+    Optimizer,
+    Outcome,
+    RunRecord,
+    minimize,
+)
 from miho.optim.usable_values import NOT_FINITE
 from miho.parallel import Evaluations
 
@@ -62,7 +72,26 @@ def searched(
     if called is not None:
         return searched(called, method, budget, seed)
     check_repeats(problem, descent.theta, descent.cost, evaluations)
-    return Fit(problem, descent.theta, theta, run.descents, moving=descent.moving)
+    fit = Fit(problem, descent.theta, theta, run.descents, moving=descent.moving)
+    return _with_others(fit, descent, evaluations)
+
+
+def _with_others(fit: Fit, optimum: Refit, evaluations: Evaluations | None) -> Fit:
+    """The fit at the best of its optima; its descents keep those within the noise to all digits.
+
+    So nothing has to be descended to again, where an evaluation may take long.
+    """
+    if fit.descents is None:
+        return fit
+    minima = fit.descents.minima
+    problem = spread(fit.problem, evaluations)
+    optima = optima_within_noise(problem, optimum, minima, fit.level)
+    if len(optima) == 1:
+        return fit
+    count = problem.residual_count
+    exact = tuple(Minimum(each.cost / count, tuple(map(float, each.theta))) for each in optima)
+    descents = replace(fit.descents, minima=(*exact, *minima))
+    return replace(fit, theta=optima[0].theta, descents=descents, moving=optima[0].moving)
 
 
 def _run(

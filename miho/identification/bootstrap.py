@@ -31,16 +31,19 @@ def bootstrap(
     held: Sequence[int] = (),
     block: int = 1,
     pool: Pool | None = None,
+    others: Sequence[Array] = (),
 ) -> Array:
     """Estimates (replicates, d) from rows drawn with replacement, near the optimum `theta` (d,).
 
     Whole rows are drawn (Efron and Tibshirani 1993, Ch. 9.5), so that nothing is assumed of the
-    errors but that rows are independent; whole events, if the data have a column that numbers
-    them. Rows that depend on their neighbours are weighted by `block` rows at a time, exponentially
+    errors but that rows are independent; whole events, if the data have a column that numbers them.
+    Rows that depend on their neighbours are weighted by `block` rows at a time, exponentially
     (Rubin, Annals of Statistics 9, 1981): no weight is 0, so that what only a few rows of the data
-    determine stays determined. The parameters at the positions `held` stay where they are.
-    `progress` is called after every replicate. The workers of a `pool` make them where they take
-    long; they are the same without, to the last bit. Raises ValueError where one is lost.
+    determine stays determined. Where there are `others`, further optima (d,) within the noise, a
+    replicate is refitted from each of them, and the best end counts. The parameters at the
+    positions `held` stay where they are. `progress` is called after every replicate. The workers of
+    a `pool` make them where they take long; they are the same without, to the last bit. Raises
+    ValueError where one is lost.
     """
     event = events_of(problem.dataset)
     index = np.arange(len(problem.dataset)) if event is None else event
@@ -54,7 +57,8 @@ def bootstrap(
 
     drawn = (weights() for _ in range(replicates))  # here, in their order, whoever refits
     estimates = np.empty((replicates, theta.size))
-    for k, estimate in enumerate(in_blocks(pool, _Refitted(problem, theta, held), drawn)):
+    refitted = _Refitted(problem, (theta, *others), held)
+    for k, estimate in enumerate(in_blocks(pool, refitted, drawn)):
         if isinstance(estimate, WorkerLostError):
             raise ValueError(f"a bootstrap replicate was lost with its worker: {estimate}")
         estimates[k] = estimate
@@ -64,14 +68,17 @@ def bootstrap(
 
 @dataclass(frozen=True)
 class _Refitted:
-    """The optimum (d,) of rows with weights (N,), near that of all alike."""
+    """The best optimum (d,) of rows with weights (N,) near one of those of all alike."""
 
     problem: CurveFit
-    theta: Array
+    starts: Sequence[Array]
     held: Sequence[int]
 
     def __call__(self, weights: Array) -> Array:
-        return refit(self.problem, self.theta, weights, self.held, tolerance=1e-6).theta
+        ends = [
+            refit(self.problem, start, weights, self.held, tolerance=1e-6) for start in self.starts
+        ]
+        return min(ends, key=lambda end: end.cost).theta
 
 
 def block_length(errors: Array) -> int:

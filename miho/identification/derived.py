@@ -129,6 +129,13 @@ def delta_method(quantity: Derived, at: Linearised) -> tuple[float, float]:
     return value, float(at.spread(_slopes(quantity, at)[None])[0])
 
 
+def interval_of(quantity: Derived, at: Linearised, level: float) -> Array:
+    """The ends (1, 2) of its linearised interval."""
+    value, error = delta_method(quantity, at)
+    reach = float(at.quantiles(gradient(quantity, at)[None], level)[0]) * error
+    return np.array([[value - reach, value + reach]])
+
+
 def is_held(quantity: Derived, at: Linearised) -> bool:
     """Whether a derived quantity depends only on parameters that are held at a bound."""
     slopes = _slopes(quantity, at)

@@ -188,13 +188,11 @@ def wrong_signs(quantities: pd.DataFrame, signs: Mapping[str, int]) -> list[str]
 
 
 def profile_shapes(
-    at: Linearised, space: Space, profiles: Sequence[Profile | None], level: float
+    linearised: Array, space: Space, profiles: Sequence[Profile | None]
 ) -> list[str]:
-    """Sentences on parameters that the data do not bound, and on lopsided intervals."""
+    """Sentences on parameters that the data do not bound, and on lopsided intervals (d, 2)."""
     sentences = []
-    for p, value, half, curve in zip(
-        space.parameters, at.theta, at.quantile(level) * at.standard_errors, profiles, strict=True
-    ):
+    for p, (low, high), curve in zip(space.parameters, linearised, profiles, strict=True):
         if curve is None:
             continue
         name, open_ends = p.name, []
@@ -210,7 +208,8 @@ def profile_shapes(
                 "worse up to there, and nothing is known of values beyond."
             )
             continue
-        off = max(abs(value - half - curve.low), abs(curve.high - value - half)) / half
+        half = (high - low) / 2
+        off = max(abs(low - curve.low), abs(curve.high - high)) / half if half < np.inf else 0.0
         if off > LOPSIDED:
             sentences.append(
                 f"{name}: its linearised interval is off by {100 * off:.0f} % of its half width; "

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import scipy  # which loads its packages where they are used: importing them takes a second
 
+from miho.identification.alternatives import error_variance
 from miho.identification.curve_fit import CurveFit
 from miho.identification.limits import Pin
 from miho.identification.refit import Deadline, OutOfTimeError, Refit, refit
@@ -98,6 +100,7 @@ def likelihood_profile(
     of: int | str,
     level: float = 0.95,
     deadline: Deadline | None = None,
+    others: Sequence[Linearised] = (),
 ) -> Profile:
     """Profile of a free parameter by its position or a tied one by name (Bates and Watts 1988,
     Ch. 6.1.2).
@@ -107,11 +110,14 @@ def likelihood_profile(
     other, tau is divided by how many times wider that makes the parameter's linearised interval
     (Kent, Biometrika 69, 1982), so that the profile keeps its shape. Every refit starts where the
     linearised model expects its optimum; where the residuals are not finite there is a wall.
+
+    `others` are further optima within the noise. The profile is then the lower envelope of those
+    that start from each optimum, and the interval reaches from the lowest value within to the
+    highest: it is the hull of what may be several intervals.
     Raises OutOfTimeError after the deadline.
     """
-    target = _target(problem, at, of)
-    tau = _SignedRoot(problem, at, target, level, deadline)
-    lower, upper = (_side(tau, at, target, sign, level) for sign in SIGNS)
+    tau = _SignedRoot(problem, (at, *others), of, level, deadline)
+    lower, upper = (_side(tau, sign, level) for sign in SIGNS)
     return joined(lower, upper)
 
 
@@ -131,14 +137,14 @@ class ProfileSide:
     at: Linearised
     level: float
     deadline: Deadline | None
+    others: Sequence[Linearised] = ()
 
     def __call__(self, side: tuple[int | str, int]) -> Side | None:
         """That of a parameter with a sign of SIGNS; None after the deadline."""
         of, sign = side
-        target = _target(self.problem, self.at, of)
         try:
-            tau = _SignedRoot(self.problem, self.at, target, self.level, self.deadline)
-            return _side(tau, self.at, target, sign, self.level)
+            tau = _SignedRoot(self.problem, (self.at, *self.others), of, self.level, self.deadline)
+            return _side(tau, sign, self.level)
         except OutOfTimeError:
             return None
 
@@ -151,78 +157,108 @@ def joined(lower: Side, upper: Side) -> Profile:
     return Profile(values, np.array([tau[v] for v in values]), lower.end, upper.end, best)
 
 
-def _side(tau: _SignedRoot, at: Linearised, target: _Target, sign: int, level: float) -> Side:
-    """The side of a profile with a sign.
+def _side(tau: _SignedRoot, sign: int, level: float) -> Side:
+    """The side of a profile with a sign, from the optimum that is furthest on this side.
 
     First to the end of independent rows: where a poor optimum makes neighbours alike, a better one
     may lie between. From there to that of rows that depend on each other.
     """
+    at, target = tau.sized.at, tau.sized.target
     quantile, bound = at.quantile(level), target.low if sign < 0 else target.high
     first = at.independent.quantile(level) / _widening(at, target, level)
-    step = at.independent.quantile(level) * _error(at.independent, target)
-    end = _end(tau, sign, bound, first, step, tau.centre)
+    within = [branch for branch in tau.branches if abs(tau(branch.target.centre)) < first]
+    outermost = max(within, key=lambda branch: sign * branch.target.centre)
+    error = outermost.error if outermost.has_error else tau.sized.error
+    step = at.independent.quantile(level) * error
+    end = _end(tau, sign, bound, first, step, outermost.target.centre)
     if np.isfinite(end) and quantile > first + CLOSE:
         end = _end(tau, sign, bound, quantile, step * (quantile / first - 1), end)
     end = bound if np.isinf(end) and target.limited else end
-    return Side(end, {value: root for value, (root, _) in tau.points.items()}, tau.best)
+    return Side(end, tau.points.copy(), tau.best)
+
+
+class _Branch:
+    """An optimum from which refits start, with the parameters (d,) of its own refits by value.
+
+    `error` is the standard error there of what is profiled.
+    """
+
+    def __init__(self, problem: CurveFit, at: Linearised, of: int | str) -> None:
+        self.at, self.target = at, _target(problem, at, of)
+        self.error = _error(at.independent, self.target)
+        self.has_error = bool(np.isfinite(self.error) and self.error > 0)
+        self._direction = _conditional_direction(at, self.target.gradient)
+        space = problem.space
+        low, high = space.bounds
+        share = (space.encode(at.theta) - low) / (high - low)
+        self.inside = space.decode(low + (high - low) * np.clip(share, INSIDE, 1 - INSIDE))
+        self.thetas = {self.target.centre: at.theta}
+
+    def nearest(self, value: float) -> tuple[Array, Array]:
+        """The nearest refit's parameters (d,), moved as the linearised model says and unmoved."""
+        point = min(self.thetas, key=lambda known: abs(known - value))
+        theta = self.thetas[point]
+        return theta + self._direction * (value - point), theta.copy()
 
 
 class _SignedRoot:
-    """tau as a function of the parameter's value, by a refit with the parameter fixed there.
+    """tau as a function of the parameter's value, by refits with the parameter fixed there.
 
-    `points` maps the values so far to tau and the parameters (d,) of the refit. tau is at most
-    `largest` in size, and is that where no refit has finite residuals. `best` is the refit with the
-    smallest sum of squares.
+    One starts from each of the `branches`, the first that of the best optimum, and the best of them
+    counts. `sized` is the first that has a standard error. `points` maps the values so far to tau.
+    tau is at most `largest` in size, and is that where no refit has finite residuals. `best` is the
+    refit with the smallest sum of squares.
     """
 
     def __init__(
         self,
         problem: CurveFit,
-        at: Linearised,
-        target: _Target,
+        optima: Sequence[Linearised],
+        of: int | str,
         level: float,
         deadline: Deadline | None,
     ) -> None:
+        at = optima[0]
+        self.branches = [_Branch(problem, each, of) for each in optima]
+        target = self.branches[0].target
         self._problem, self._target, self._deadline = problem, target, deadline
         self._largest = WALL * at.quantile(level)
         self._cost = float(np.sum(problem.residuals(at.theta) ** 2))
-        psi, stiffness = problem.rho.influence(problem.errors(at.theta))
-        # The variance of the errors, cost / freedom for the square loss.
-        variance = float(psi @ psi / at.independent.freedom / stiffness.mean())
-        if at.noise_known or problem.prior is not None:
-            variance = at.noise**2
-        self._unit = variance * _widening(at, target, level) ** 2
-        self._direction = _conditional_direction(at, target.gradient)
-        self._weight = PINNED * float(np.sqrt(variance) / _error(at.independent, target))
+        variance = error_variance(problem, at)
+        self.sized = next(filter(lambda branch: branch.has_error, self.branches), self.branches[0])
+        self._unit = variance * _widening(self.sized.at, self.sized.target, level) ** 2
+        self._weight = PINNED * float(np.sqrt(variance) / self.sized.error)
         # Along directions that the data do not see a refit would take many steps, in vain.
         self._fixed = {*_superfluous(at), *([] if target.position is None else [target.position])}
-        space, self._at_bound = problem.space, at.at_bound
-        low, high = space.bounds
-        share = (space.encode(at.theta) - low) / (high - low)
-        self._inside = space.decode(low + (high - low) * np.clip(share, INSIDE, 1 - INSIDE))
         self.centre = target.centre
-        self.points = {self.centre: (0.0, at.theta)}
+        self.points = {self.centre: 0.0}
         self.best = Refit(at.theta, self._cost)
 
     def __call__(self, value: float) -> float:
         """tau at a value of the parameter; raises OutOfTimeError after the deadline."""
         if value not in self.points:
-            # From the nearest refit, moved as the linearised model says ...
-            nearest = min(self.points, key=lambda point: abs(point - value))
-            near = self.points[nearest][1]
-            fit = self._refit(near + self._direction * (value - nearest), value)
-            if not np.isfinite(fit.cost):  # ... or unmoved, if the guess is behind a wall
-                fit = self._refit(near.copy(), value)
-            if self._at_bound.any():  # which a descent hardly leaves that starts there
-                inside = self._refit(np.where(self._at_bound, self._inside, fit.theta), value)
-                fit = min(fit, inside, key=lambda refit: refit.cost)
+            fits = [self._on(branch, value) for branch in self.branches]
+            fit = min(fits, key=lambda refit: refit.cost)
             if self._deadline is not None:
                 self._deadline.check()
             self.best = min(self.best, fit, key=lambda refit: refit.cost)
             root = float(np.sqrt(max(fit.cost - self._cost, 0.0) / self._unit))
             root = min(root, self._largest)
-            self.points[value] = (root if value > self.centre else -root, fit.theta)
-        return self.points[value][0]
+            self.points[value] = root if value > self.centre else -root
+        return self.points[value]
+
+    def _on(self, branch: _Branch, value: float) -> Refit:
+        """The refit at a value that starts from the nearest one of a branch."""
+        moved, unmoved = branch.nearest(value)
+        fit = self._refit(moved, value)
+        if not np.isfinite(fit.cost):  # the guess is behind a wall
+            fit = self._refit(unmoved, value)
+        at_bound = branch.at.at_bound
+        if at_bound.any():  # which a descent hardly leaves that starts there
+            inside = self._refit(np.where(at_bound, branch.inside, fit.theta), value)
+            fit = min(fit, inside, key=lambda refit: refit.cost)
+        branch.thetas[value] = fit.theta
+        return fit
 
     def _refit(self, guess: Array, value: float) -> Refit:
         pin, model = None, self._problem.model

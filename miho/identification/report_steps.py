@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
+from miho.identification.alternatives import optima_within_noise
 from miho.identification.bootstrap import block_length, bootstrap, stretched
 from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
@@ -36,7 +37,7 @@ from miho.identification.stated import (
 )
 from miho.identification.uncertainty import Linearised, linearised
 from miho.identification.validation import conditions, leave_one_out, root_mean_square
-from miho.optim import Descents, in_optimum
+from miho.optim import Descents, Minimum, in_optimum
 from miho.optim.seeds import stream
 from miho.parallel import Pool, Workers, open_pool
 from miho.parallel.blocks import in_blocks
@@ -78,7 +79,8 @@ def make_report(
     optimum near its result `better` (d,) if that is better. `optimum` (d,) is where a descent from
     the run's result has led already, `found_by` the later step that led there, if one did;
     `best_known` is the loss of a recorded optimum. Where profiles or replicates meet a better
-    optimum the report is of that one, and says so.
+    optimum the report is of that one, and says so. Minima of the descents that the data cannot tell
+    apart from the best are reported with it: intervals span all of them.
 
     `replicates` bootstrap estimates (1000 for an interval, 0 for none), drawn from `seed`, in
     blocks where rows depend on their neighbours; `profiles` by default for models of up to
@@ -102,24 +104,29 @@ def make_report(
     best = _Best(_optimum(problem, run if optimum is None else optimum, deadline), found_by)
     if better is not None:
         best = best.or_better(problem, _optimum(problem, better, deadline), CHECK)
+    searches = tuple(search for search in (descents, check) if search is not None)
+    minima = [minimum for search in searches for minimum in search.minima]
     with open_pool(workers) as pool:
         work = _Work(deadline, progress, pool, _omission(seconds))
         while True:
-            best, at, curves, omitted = _profiled(problem, best, level, profiles, work)
+            best, optima, curves, omitted = _profiled(problem, best, minima, level, profiles, work)
+            at = optima[0]
             # What time was left for besides.
             left_out, unfinished = _left_out(problem, at, work)
-            estimates = _bootstrapped(problem, at, replicates, seed, work) if replicates else None
+            estimates = (
+                _bootstrapped(problem, optima, replicates, seed, work) if replicates else None
+            )
             earlier, best = best, _best_of_replicates(problem, best, estimates, deadline)
             if best is earlier:
                 break
     reported = reported_space(problem.space).names
-    searches = tuple(search for search in (descents, check) if search is not None)
     exact = linear_optimum(problem)
     best_known = best_known if exact is None else exact[1]
     return Report(
         problem=problem,
         run=run,
         at=at,
+        others=optima[1:],
         standing=standing_of(
             problem,
             at.theta,
@@ -169,20 +176,29 @@ class _Work:
 
 
 def _profiled(
-    problem: CurveFit, best: _Best, level: float, requested: bool | None, work: _Work
-) -> tuple[_Best, Linearised, dict[str, Profile], list[str]]:
-    """The optimum, its uncertainty, and what `_profiles` gives.
+    problem: CurveFit,
+    best: _Best,
+    minima: Sequence[Minimum],
+    level: float,
+    requested: bool | None,
+    work: _Work,
+) -> tuple[_Best, tuple[Linearised, ...], dict[str, Profile], list[str]]:
+    """The optimum, the uncertainty of all within the noise, and what `_profiles` gives.
 
     Where a refit for a profile meets a better optimum, all is again from there.
     """
     while True:
-        at = _uncertainty(problem, best.descent.theta)
-        curves, omitted = _profiles(problem, at, level, requested, work)
+        within = optima_within_noise(problem, best.descent, minima, level, work.deadline)
+        optima = tuple(_uncertainty(problem, fit.theta) for fit in within)
+        best = replace(best, descent=within[0])
+        curves, omitted = _profiles(problem, optima, level, requested, work)
         refits = (curve.best for curve in curves.values())
         lowest = min(refits, key=lambda fit: fit.cost, default=best.descent)
         if best.or_better(problem, lowest, PROFILE) is best:
-            return best, at, curves, omitted
+            return best, optima, curves, omitted
         work.progress("better optimum")
+        count = problem.residual_count
+        minima = [Minimum(fit.cost / count, tuple(fit.theta)) for fit in within] + list(minima)
         best = _Best(_optimum(problem, lowest.theta, work.deadline), PROFILE)
 
 
@@ -208,16 +224,22 @@ def _held(at: Linearised) -> list[int]:
 
 
 def _bootstrapped(
-    problem: CurveFit, at: Linearised, replicates: int, seed: int, work: _Work
+    problem: CurveFit, optima: Sequence[Linearised], replicates: int, seed: int, work: _Work
 ) -> Array:
-    """Estimates (replicates, d) from rows drawn anew, in blocks where they depend on each other."""
+    """Estimates (replicates, d) from rows drawn anew, in blocks where they depend on each other.
+
+    They are stretched about one optimum, but not where they scatter about several.
+    """
+    at = optima[0]
     rng = stream("bootstrap", problem.dataset.digest, seed)
     block = 1 if at.dependence is None else block_length(at.dependence.errors)
     estimates = bootstrap(
         problem, at.theta, replicates, rng, lambda: work.progress("bootstrap"), _held(at), block,
-        work.pool,
+        work.pool, [other.theta for other in optima[1:]],
     )  # fmt: skip
-    return estimates if at.dependence is None else stretched(estimates, at, problem.space)
+    if at.dependence is None or len(optima) > 1:
+        return estimates
+    return stretched(estimates, at, problem.space)
 
 
 def _left_out(problem: CurveFit, at: Linearised, work: _Work) -> tuple[pd.DataFrame, list[str]]:
@@ -252,31 +274,34 @@ def _uncertainty(problem: CurveFit, theta: Array) -> Linearised:
 
 def _profiles(
     problem: CurveFit,
-    at: Linearised,
+    optima: Sequence[Linearised],
     level: float,
     requested: bool | None,
     work: _Work,
 ) -> tuple[dict[str, Profile], list[str]]:
     """The profiles that there are by parameter, and a sentence on those that are missing.
 
-    Of a parameter at its bound, or not identifiable, there is none; nor where rows are not
-    independent, which a profile takes them for, or where the errors are rounding.
+    Of a parameter at its bound, or not identifiable, at all optima there is none; nor where rows
+    are not independent, which a profile takes them for, or where the errors are rounding.
     """
     curves: dict[str, Profile] = {}
+    at, *others = optima
     by_default = len(problem.space) <= MOST_PROFILES
     if at.events or at.noise <= rounding_of(problem):
         return curves, []
-    possible = _profiled_parameters(problem, at)
+    possible: dict[str, int | str] = {}
+    for one in optima:
+        possible |= _profiled_parameters(problem, one)
     names = list(possible) if (by_default if requested is None else requested) else []
     limit = None if requested else work.deadline
     if work.pool is not None:
         return _profiles_by_workers(
-            problem, at, level, {n: possible[n] for n in names}, limit, work
+            problem, optima, level, {n: possible[n] for n in names}, limit, work
         )
     for done, name in enumerate(names):
         work.progress(f"profile of {name}")
         try:
-            curves[name] = likelihood_profile(problem, at, possible[name], level, limit)
+            curves[name] = likelihood_profile(problem, at, possible[name], level, limit, others)
         except OutOfTimeError:
             late = ", ".join(names[done:])
             return curves, [f"profile intervals of {late} {work.too_late}"]
@@ -285,7 +310,7 @@ def _profiles(
 
 def _profiles_by_workers(
     problem: CurveFit,
-    at: Linearised,
+    optima: Sequence[Linearised],
     level: float,
     parameters: Mapping[str, int | str],
     limit: Deadline | None,
@@ -293,9 +318,10 @@ def _profiles_by_workers(
 ) -> tuple[dict[str, Profile], list[str]]:
     """The same, each side of each profile by itself."""
     check = (lambda: None) if limit is None else limit.check
+    at, *others = optima
     sides = in_blocks(
         work.pool,
-        ProfileSide(problem, at, level, limit),
+        ProfileSide(problem, at, level, limit, others),
         [(of, sign) for of in parameters.values() for sign in SIGNS],
         REFITS * seconds_of_refit(problem, at.theta),
         check,

@@ -156,6 +156,13 @@ class Linearised:
         reach = self.quantiles(np.eye(self.theta.size), level) * self.standard_errors
         return np.stack([self.theta - reach, self.theta + reach], axis=1)
 
+    def sandwich_intervals(self, level: float = 0.95) -> Array:
+        """The same by the sandwich, where there is a standard error."""
+        errors = np.sqrt(np.diag(self.sandwich))
+        errors = np.where(np.isfinite(self.standard_errors), errors, self.standard_errors)
+        reach = self.quantiles(np.eye(self.theta.size), level) * errors
+        return np.stack([self.theta - reach, self.theta + reach], axis=1)
+
     def quantiles(self, gradients: Array, level: float = 0.95) -> Array:
         """`quantile` (n,) for quantities with these gradients (n, d) in the parameters."""
         if self.dependence is None:

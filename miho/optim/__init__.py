@@ -22,7 +22,7 @@ from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.random_search import RandomSearch
 from miho.optim.schedule import Rung, hyperband_table
 from miho.optim.space import Parameter, Space
-from miho.optim.trace import Descent, Descents, Starts, Trace
+from miho.optim.trace import Descent, Descents, Minimum, Starts, Trace
 
 __all__ = [
     "MIHO",
@@ -41,6 +41,7 @@ __all__ = [
     "Descents",
     "LeastSquaresProblem",
     "Meter",
+    "Minimum",
     "Optimizer",
     "Oracle",
     "Outcome",

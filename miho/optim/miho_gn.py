@@ -214,7 +214,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
                 state.best_found_after = oracle.evaluations
                 state.passed, state.challenging = 0, False
             if not state.challenging:
-                oracle.record_descent(math.inf, loss)
+                oracle.record_descent(math.inf, loss, theta=state.theta(c.x[0]))
             if loss < best or not in_optimum(best, loss, oracle.resolution):
                 state.add_minimum(c)
         elif c.stage[0] != UNUSABLE:
@@ -238,7 +238,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         rules = rules_of(state.place, state.level_rows, state.d, state.settings)
         loss = float(c.loss[0])
         if state.last and c.stage[0] == DONE:
-            oracle.record_descent(math.inf, loss)
+            oracle.record_descent(math.inf, loss, theta=state.theta(c.x[0]))
             return
         distances = square_distances(c, known.x, state.box)
         matches = loss >= (1 - rules.better) * state.level_losses
@@ -249,7 +249,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             matches &= distances <= rules.near * loss * state.rows
         if matches.any():
             nearest = np.argmin(np.where(matches, distances, math.inf))
-            oracle.record_descent(math.inf, float(known.loss[nearest]))
+            end, place = float(known.loss[nearest]), state.theta(known.x[nearest])
+            oracle.record_descent(math.inf, end, theta=place)
         else:
             oracle.record_dropped()
 
@@ -291,8 +292,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if loss > oracle.noise or loss <= oracle.resolution:
             return loss <= oracle.resolution
         if loss != state.tested:
-            x = state.box.origin + state.box.width * state.minima.x[state.best_minimum]
-            state.tested, state.structured = loss, oracle.structured(state.space.decode(x[None])[0])
+            theta = state.theta(state.minima.x[state.best_minimum])
+            state.tested, state.structured = loss, oracle.structured(theta)
         return not state.structured
 
     def _solves(self, state: MIHOGNState, oracle: Oracle) -> bool:

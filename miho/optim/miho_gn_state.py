@@ -102,6 +102,10 @@ class MIHOGNState:
         """The losses of the known minima over the rows of this level, (k,)."""
         return np.asarray(self.minima.sums[:, self.place[LEVEL]] / self.rows)
 
+    def theta(self, x: Array) -> Array:
+        """The parameters in units (d,) at a place x (d,) of the box."""
+        return np.asarray(self.space.decode((self.box.origin + self.box.width * x)[None])[0])
+
     def close(self) -> None:
         """Have no bracket, until the next is drawn."""
         self.place[PHASE] = CLOSED

@@ -330,7 +330,7 @@ class MIHOQN(AskTell[MIHOQNState]):
         if stage in (DONE, STUCK):
             state.minima = np.vstack([state.minima, c.z])
             state.minima_losses = np.append(state.minima_losses, c.loss[0])
-            state.starts.add(math.inf, float(c.loss[0]))
+            state.starts.add(math.inf, float(c.loss[0]), theta=state.space.decode(c.z)[0])
         elif stage != UNUSABLE and at_known(state, c)[0]:
             self._record_return(state)
         elif stage != UNUSABLE:
@@ -355,7 +355,9 @@ class MIHOQN(AskTell[MIHOQNState]):
         """Record that the best candidate of a bracket has come to a known minimum, the nearest."""
         c = state.candidates
         rise = c.rise(slice(1), offsets_from(state, state.minima, c.z[:1]))
-        state.starts.add(math.inf, float(state.minima_losses[np.argmin(rise[0])]))
+        nearest = np.argmin(rise[0])
+        place = state.space.decode(state.minima[nearest : nearest + 1])[0]
+        state.starts.add(math.inf, float(state.minima_losses[nearest]), theta=place)
 
     def _close(self, state: MIHOQNState) -> None:
         """End the bracket, and the search if the ends of its brackets are evidence enough."""

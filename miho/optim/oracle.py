@@ -397,14 +397,21 @@ class Oracle:
             self._descent = None
 
     def record_descent(
-        self, start: float, end: float, *, converged: bool = True, finished: bool = True
+        self,
+        start: float,
+        end: float,
+        *,
+        converged: bool = True,
+        finished: bool = True,
+        theta: Array | None = None,
     ) -> None:
         """Record a descent that `descent` cannot enclose, since other descents' steps lie between.
 
         `start` and `end` are losses over all rows, `start` math.inf where it was not looked at on
-        all of them. A descent that came back to an optimum ended at the loss of that one.
+        all of them; `theta` (d,) is where it ended, in units. A descent that came back to an
+        optimum ended at the loss and the place of that one.
         """
-        self.meter.starts.add(start, end, converged=converged, finished=finished)
+        self.meter.starts.add(start, end, converged=converged, finished=finished, theta=theta)
 
     def record_dropped(self) -> None:
         """Record a descent that ended on fewer rows, where a known optimum is no worse."""
@@ -460,7 +467,7 @@ class Oracle:
         """Record a batch of losses (n,) with its improvements."""
         meter, least = self.meter, np.minimum.reduce(losses)
         if self._descent is not None and cost == 1.0:
-            self._descent.see(losses[0], least)
+            self._descent.see(rows, losses)
         if cost == 1.0 and least < meter.best:
             lower = losses < np.minimum.accumulate(np.append(meter.best, losses[:-1]))
             improving = np.flatnonzero(lower)

@@ -88,7 +88,7 @@ def _across(a: Array, b: Array, z: Array) -> tuple[list[float], float]:
     flat = cell[0] * CELLS + cell[1]
     total = np.bincount(flat, z, CELLS**2).reshape(CELLS, CELLS)
     count = np.bincount(flat, minlength=CELLS**2).reshape(CELLS, CELLS).astype(float)
-    totals, counts = _integral(total), _integral(count)
+    totals, counts = _integral(total.astype(float)), _integral(count)
     windows = []
     for height, width in BOXES:
         held = _boxes(counts, height, width)

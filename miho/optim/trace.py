@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,6 +13,11 @@ from miho.optim.evidence import Agreement, agreement
 from miho.quantities import Array
 
 MOST_ENDS = 1000
+MOST_MINIMA = 20
+"""Locations of minima that a run keeps: a report descends from each that may be within the noise,
+and a reader can compare no more."""
+SAME_PLACE = 1e-3
+"""Descents that ended within this share of each parameter's largest value ended in one place."""
 
 
 @dataclass
@@ -46,27 +53,30 @@ class Trace:
 class Descent:
     """One descent of a method that makes several: the losses where it started and where it ended.
 
-    `end` is its smallest loss. `finished` unless the budget, an interrupt or values that are no
-    numbers cut it off; `converged` if its solver says so. Losses are those over all rows; `start`
-    is math.inf where the start was evaluated on fewer only.
+    `end` is its smallest loss, `theta` (d,) where that is, None if it is not known. `finished`
+    unless the budget, an interrupt or values that are no numbers cut it off; `converged` if its
+    solver says so. Losses are those over all rows; `start` is math.inf where the start was
+    evaluated on fewer only.
     """
 
     start: float = math.inf
     end: float = math.inf
     finished: bool = False
     converged: bool = False
+    theta: Array | None = None
 
     @property
     def improved(self) -> bool:
         """Whether it ended better than it started."""
         return self.end < self.start
 
-    def see(self, first: float, least: float) -> None:
-        """Take in the first and the least loss of a batch; the first of all is the start's."""
+    def see(self, thetas: Array, losses: Array) -> None:
+        """Take in a batch of configurations (n, d) with losses (n,); the first is the start's."""
         if self.start == math.inf:
-            self.start = first
-        if least < self.end:
-            self.end = least
+            self.start = losses[0]
+        best = losses.argmin()
+        if losses[best] < self.end:
+            self.end, self.theta = losses[best], thetas[best].copy()
 
 
 @dataclass
@@ -89,10 +99,16 @@ class Starts:
     exhausted: bool = False
 
     def add(
-        self, start: float, end: float, *, converged: bool = True, finished: bool = True
+        self,
+        start: float,
+        end: float,
+        *,
+        converged: bool = True,
+        finished: bool = True,
+        theta: Array | None = None,
     ) -> None:
         """Add a descent from a loss to a loss, as `Descent` describes them."""
-        self.descents.append(Descent(start, end, finished, converged))
+        self.descents.append(Descent(start, end, finished, converged, theta))
 
     def agreement(self, best: float) -> Agreement:
         """How the ends of the finished descents agree on the run's `best` loss.
@@ -115,6 +131,26 @@ class Starts:
         return [float(descent.end) for descent in self.finished]
 
 
+class Minimum(NamedTuple):
+    """Where descents ended: the loss, and the parameters (d,) in units."""
+
+    loss: float
+    theta: tuple[float, ...]
+
+
+def best_minima(descents: Iterable[Descent]) -> tuple[Minimum, ...]:
+    """The different places where descents ended, the best first, MOST_MINIMA of them at most."""
+    minima: list[Minimum] = []
+    located = [(descent.end, descent.theta) for descent in descents if descent.theta is not None]
+    near = SAME_PLACE * np.abs([theta for _, theta in located]).max(axis=0, initial=0.0)
+    for end, theta in sorted(located, key=lambda each: each[0]):
+        if not any((np.abs(theta - known.theta) <= near).all() for known in minima):
+            minima.append(Minimum(float(end), tuple(map(float, theta))))
+        if len(minima) == MOST_MINIMA:
+            break
+    return tuple(minima)
+
+
 @dataclass(frozen=True)
 class Descents:
     """The summary of a run's descents, as it is stored: how many there were, where they ended.
@@ -126,8 +162,9 @@ class Descents:
     from which the starts were chosen, `agreeing` the descents that ended in the optimum of the
     run's best loss (None: not counted). With `brackets` a descent is the last candidate of a
     bracket of successive halving; a method of brackets judges their ends itself, and `settled` says
-    whether it has ended because they were evidence enough. Runs of older versions lack the fields
-    that have a default.
+    whether it has ended because they were evidence enough. `minima` are the different places where
+    the best of them ended, as far as their method says where. Runs of older versions lack the
+    fields that have a default.
     """
 
     started: int
@@ -140,6 +177,7 @@ class Descents:
     dropped: int = 0
     brackets: bool = False
     settled: bool = True
+    minima: tuple[Minimum, ...] = ()
 
     @classmethod
     def of(cls, starts: Starts, best: float, ended: bool = True) -> Descents | None:
@@ -161,4 +199,11 @@ class Descents:
             dropped=dropped,
             brackets=starts.brackets,
             settled=not starts.brackets or (ended and not starts.exhausted),
+            minima=best_minima(finished),
         )
+
+    @classmethod
+    def from_stored(cls, record: Mapping[str, Any]) -> Descents:
+        """The summary from what JSON keeps of it; raises for other things."""
+        minima = tuple(Minimum(loss, tuple(theta)) for loss, theta in record.get("minima", ()))
+        return cls(**{**record, "ends": tuple(record["ends"]), "minima": minima})

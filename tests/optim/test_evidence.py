@@ -1,18 +1,28 @@
 """When a search has evidence enough to stop, and what a run keeps of its descents."""
 
 import copy
+import json
 import math
 import pickle
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from math import comb
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from miho import AskTell, Budget, Optimizer, Oracle, Space, minimize
+from miho import MIHOGN, AskTell, Budget, Optimizer, Oracle, Parameter, Space, minimize
+from miho.methods.least_squares import LeastSquares
 from miho.methods.local_search import LBFGSB
-from miho.optim import Agreement, Descents, Outcome, Starts, agreement
+from miho.optim import (
+    MIHOQN,
+    Agreement,
+    Descents,
+    LeastSquaresProblem,
+    Outcome,
+    Starts,
+    agreement,
+)
 from miho.testing import DecayFit
 
 Array = NDArray[np.float64]
@@ -203,3 +213,55 @@ def test_a_resumed_run_keeps_the_descents_before() -> None:
     assert cut.descents.finished == 3
     checkpoint = pickle.loads(pickle.dumps(cut.checkpoint))
     assert minimize(method, problem, checkpoint=checkpoint).descents == whole
+
+
+def test_a_run_keeps_the_places_where_its_best_descents_ended() -> None:
+    starts = Starts()
+    for loss, place in ((3.0, [5.0, 0.0]), (1.0, [2.0, 1e-4]), (1.1, [2.001, 0.0]), (2.0, [4, 1])):
+        starts.add(math.inf, loss, theta=np.array(place))
+    starts.add(math.inf, 0.5)
+    starts.add(math.inf, 0.1, theta=np.zeros(2), finished=False)
+    descents = Descents.of(starts, 0.5)
+    assert descents is not None
+    assert descents.minima == ((1.0, (2.0, 1e-4)), (2.0, (4.0, 1.0)), (3.0, (5.0, 0.0)))
+    stored = json.loads(json.dumps(asdict(descents)))
+    assert Descents.from_stored(stored) == descents
+    del stored["minima"]  # as of older versions
+    assert Descents.from_stored(stored) == replace(descents, minima=())
+
+
+@dataclass(frozen=True)
+class Wave(LeastSquaresProblem):
+    """A wave of frequency b through 40 points, whose loss has several minima within the box."""
+
+    space = Space((Parameter("a", "-", 0.1, 3.0), Parameter("b", "-", 0.5, 12.0)))
+    name = "wave"
+    unit = "-"
+
+    def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
+        t = np.linspace(0, 3, 40)
+        return np.asarray(theta[0] * np.sin(theta[1] * t) - np.sin(5 * t))
+
+    def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
+        t = np.linspace(0, 3, 40)
+        return np.stack([np.sin(theta[1] * t), theta[0] * t * np.cos(theta[1] * t)], axis=1)
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        return np.array([np.mean(self.residuals(theta) ** 2) for theta in thetas])
+
+
+@pytest.mark.parametrize(
+    "method", [MIHOGN(), MIHOQN(), LBFGSB(screen=20, starts=8), LeastSquares(screen=20, starts=8)]
+)
+def test_methods_that_descend_say_where_they_ended(method: Optimizer) -> None:
+    """Every minimum has the loss of its place; to 1e-9, as sums of 40 squares are rounded."""
+    problem = Wave()
+    descents = minimize(method, problem, Budget(evaluations=4000)).descents
+    assert descents is not None
+    assert len(descents.minima) > 1, "this wave has several minima"
+    losses = problem.loss(np.array([minimum.theta for minimum in descents.minima]))
+    assert [minimum.loss for minimum in descents.minima] == pytest.approx(
+        losses, rel=1e-9, abs=1e-15
+    )
+    assert descents.minima[0].theta == pytest.approx([1, 5], abs=1e-3)
+    assert descents.minima[0].loss == pytest.approx(descents.ends[0], abs=1e-15)

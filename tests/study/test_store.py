@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from miho import Budget, load_runs, minimize
-from miho.optim import Descents, RandomSearch, RunRecord, Trace
+from miho.optim import Descents, Minimum, RandomSearch, RunRecord, Trace
 from miho.study import DamagedRun, Identity, RunInUse, Status, Store, execute, read_run
 from miho.testing import DecayFit
 
@@ -49,14 +49,17 @@ def test_round_trip(tmp_path: Path) -> None:
 
 
 def test_descents_are_kept(tmp_path: Path) -> None:
-    descents = Descents(3, 2, 2, 0, (1.0, 4.0), 60, 1)
+    minima = (Minimum(1.0, (0.5, 2.0)), Minimum(4.0, (3.0, 1.0)))
+    descents = Descents(3, 2, 2, 0, (1.0, 4.0), 60, 1, minima=minima)
     run = replace(record(), descents=descents)
     stored = execute(Store(tmp_path), identity(), lambda: run, DecayFit.space, FACTS).run
     assert stored is not None
     assert stored.result["descents"] == {
         "started": 3, "finished": 2, "converged": 2, "stayed": 0, "ends": [1.0, 4.0],
         "screened": 60, "agreeing": 1, "dropped": 0, "brackets": False, "settled": True,
+        "minima": [[1.0, [0.5, 2.0]], [4.0, [3.0, 1.0]]],
     }  # fmt: skip
+    assert Descents.from_stored(stored.result["descents"]) == descents
 
 
 def test_a_creeping_curve_is_stored_to_its_resolution(tmp_path: Path) -> None:

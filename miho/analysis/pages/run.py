@@ -168,6 +168,12 @@ def page_of(report: Report, stored: StoredRun | None, figures: Mapping[str, byte
             else [f"optimum: {report.standing.statement}.", *report.notes],
         ),
         Section(
+            "Optima that the data cannot tell apart",
+            table=_rounded(report.optima),
+            caption="excess: by how much chi-squared exceeds that of the first. Intervals reach "
+            "from the lowest optimum to the highest.",
+        ),
+        Section(
             f"Where the {kind_of(report.searches)} ended",
             figure=figures.get("descents"),
             caption=_searched(report),

@@ -1,0 +1,346 @@
+"""Families of curves from which problems are drawn by seed: smooth ones, peaks, and periods.
+
+Each draw has parameters, rows and noise of its own. Boxes are as wide as somebody would draw them
+who knows little of the answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from miho import CurveFit, Dataset, Parameter, Space
+from miho.models import FunctionModel
+
+Array = NDArray[np.float64]
+Draw = tuple[list[Array], list[float], float]
+LOUDER = 0.3, 2.0
+"""The noise of a draw is that of its family times a factor between these."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """Curves of one formula.
+
+    Parameters
+    ----------
+    kind : str
+        "smooth", "peaks" or "periods".
+    formula : callable
+        A function of columns and then parameters.
+    box : tuple of (low, high)
+        The bounds of each parameter.
+    draw : callable
+        From a generator to the columns, the true parameters, and the noise.
+    """
+
+    kind: str
+    formula: Callable[..., Array]
+    box: tuple[tuple[float, float], ...]
+    draw: Callable[[np.random.Generator], Draw]
+
+    def problem(self, rng: np.random.Generator) -> tuple[CurveFit, float]:
+        """Draw a problem.
+
+        Parameters
+        ----------
+        rng : numpy.random.Generator
+            The source of rows, true parameters and noise.
+
+        Returns
+        -------
+        problem : CurveFit
+            The problem.
+        loss : float
+            The loss where a descent from the true parameters ends.
+        """
+        columns, true, noise = self.draw(rng)
+        names = self.formula.__code__.co_varnames[: len(columns) + len(true)]
+        inputs, parameters = names[: len(columns)], names[len(columns) :]
+        noise *= _log(rng, *LOUDER)
+        y = self.formula(*columns, *true) + noise * rng.normal(size=columns[0].size)
+        dataset = Dataset(
+            "drawn", {**dict(zip(inputs, columns, strict=True)), "y": y},
+            dict.fromkeys((*inputs, "y"), ""), "y",
+        )  # fmt: skip
+        space = Space(
+            tuple(
+                Parameter(name, "", low, high)
+                for name, (low, high) in zip(parameters, self.box, strict=True)
+            )
+        )
+        fit = CurveFit(FunctionModel(self.formula, columns=inputs), dataset, space, compiled=True)
+        start = np.clip(np.array(true, dtype=float), space.low, space.high)
+        descent = least_squares(
+            fit.residuals, start, bounds=(space.low, space.high), x_scale=space.high - space.low
+        )
+        return fit, 2 * float(descent.cost) / y.size
+
+
+U = np.random.Generator.uniform
+
+
+def _even(rng: np.random.Generator, fewest: int, most: int, end: float) -> list[Array]:
+    """A column of evenly spaced rows from 0 to an end."""
+    return [np.linspace(0, end, int(rng.integers(fewest, most)))]
+
+
+def _scattered(rng: np.random.Generator, fewest: int, most: int, end: float) -> list[Array]:
+    """Two columns of rows at random places."""
+    return list(rng.uniform(0, end, (2, int(rng.integers(fewest, most)))))
+
+
+def _pixels(rng: np.random.Generator) -> list[Array]:
+    """Two columns of the places of an image's pixels."""
+    n = int(rng.integers(14, 30))
+    return [side.ravel() for side in np.meshgrid(np.arange(n) / n, np.arange(n) / n)]
+
+
+def _decades(rng: np.random.Generator, fewest: int, most: int, low: float) -> list[Array]:
+    """A column of rows that are even in logarithm from a number to a thousand times it."""
+    return [np.geomspace(low, 1000 * low, int(rng.integers(fewest, most)))]
+
+
+def _log(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _peak(x: Array, c: float, w: float) -> Array:
+    return np.exp(-(((x - c) / w) ** 2))
+
+
+def _hump(x: Array, c: float, w: float) -> Array:
+    return 1 / (1 + ((x - c) / w) ** 2)
+
+
+def _step(x: Array) -> Array:
+    return 1 / (1 + np.exp(-x))
+
+
+PERIOD = (2.0, 200.0)
+PEAK = ((0.0, 20.0), (0.0, 100.0), (0.5, 50.0))
+PHASE = (0.0, 6.3)
+FAMILIES = {
+    # Smooth curves, whose parameters act together.
+    "two decays": Family(
+        "smooth",
+        lambda x, a, k, b, h, m: m + a * np.exp(-k * x) + b * np.exp(-h * x),
+        ((-10, 10), (0, 10), (-10, 10), (0, 10), (-5, 5)),
+        lambda r: (_even(r, 30, 150, 10), [2, U(r, 0.1, 0.5), 1, U(r, 1, 5), 0.2], 0.05),
+    ),
+    "binding at two sites": Family(
+        "smooth",
+        lambda x, a, k, b, h: a * x / (k + x) + b * x / (h + x),
+        ((0, 20), (1e-3, 100), (0, 20), (1e-3, 100)),
+        lambda r: (_decades(r, 20, 80, 0.1), [3, _log(r, 0.3, 2), 4, _log(r, 8, 60)], 0.05),
+    ),
+    "activation and inhibition": Family(
+        "smooth",
+        lambda x, v, k, n, h: v * x**n / (k**n + x**n) / (1 + x / h),
+        ((0, 100), (0.01, 100), (0.5, 6), (0.01, 1000)),
+        lambda r: (
+            _decades(r, 20, 80, 0.1), [10, _log(r, 1, 8), U(r, 1, 3), _log(r, 20, 200)], 0.2
+        ),
+    ),
+    "two steps of growth": Family(
+        "smooth",
+        lambda x, a, r, t, b, q, s: a * _step(r * (x - t)) + b * _step(q * (x - s)),
+        ((0, 20), (0.02, 2), (0, 100)) * 2,
+        lambda r: (
+            _even(r, 40, 150, 100),
+            [4, U(r, 0.1, 0.4), U(r, 15, 35), 5, U(r, 0.1, 0.4), U(r, 60, 85)], 0.15,
+        ),
+    ),
+    "friction that falls and rises": Family(
+        "smooth",
+        lambda v, c, s, w, n, b: (c + (s - c) * np.exp(-((v / w) ** n))) + b * v,
+        ((0, 10), (0, 20), (0.01, 5), (0.5, 3), (0, 5)),
+        lambda r: (_even(r, 40, 200, 3), [2, 4, U(r, 0.1, 0.6), U(r, 0.8, 2), U(r, 0.2, 1)], 0.1),
+    ),
+    "a tire with curvature": Family(
+        "smooth",
+        lambda a, B, C, D, E: (
+            D * np.sin(C * np.arctan(B * a - E * (B * a - np.arctan(B * a))))
+        ),
+        ((1, 40), (0.8, 2.5), (0, 3), (-5, 1)),
+        lambda r: (
+            [np.linspace(-0.3, 0.3, int(r.integers(50, 300)))],
+            [U(r, 6, 18), U(r, 1.1, 1.8), 1, U(r, -1, 0.5)], 0.03,
+        ),
+    ),
+    "absorbed with a lag": Family(
+        "smooth",
+        lambda t, F, ka, k, lag: (
+            F * ka / (ka - k + 1e-9)
+            * (np.exp(-k * np.maximum(t - lag, 0)) - np.exp(-ka * np.maximum(t - lag, 0)))
+        ),
+        ((0, 100), (0.01, 10), (0.01, 10), (0, 5)),
+        lambda r: (
+            _even(r, 25, 80, 24), [10, U(r, 0.6, 2), U(r, 0.05, 0.3), U(r, 0.2, 1.5)], 0.25
+        ),
+    ),
+    # Peaks, steps and pulses, which have to be found where they are.
+    "two peaks on a line": Family(
+        "peaks",
+        lambda x, m, s, a, c, w, b, d, v: m + s * x + a * _peak(x, c, w) + b * _peak(x, d, v),
+        ((-5, 5), (-0.1, 0.1), *PEAK, *PEAK),
+        lambda r: (
+            _even(r, 60, 300, 100),
+            [1, 0.02, U(r, 2, 5), U(r, 10, 45), U(r, 2, 8), U(r, 0.5, 4), U(r, 55, 90), U(r, 2, 8)],
+            0.3,
+        ),
+    ),
+    "three peaks": Family(
+        "peaks",
+        lambda x, a, c, w, b, d, v, e, g, u: (
+            a * _peak(x, c, w) + b * _peak(x, d, v) + e * _peak(x, g, u)
+        ),
+        PEAK * 3,
+        lambda r: (
+            _even(r, 100, 300, 100),
+            [U(r, 2, 5), U(r, 10, 35), U(r, 2, 8), U(r, 0.5, 4), U(r, 40, 65), U(r, 2, 8),
+             U(r, 0.5, 4), U(r, 70, 95), U(r, 2, 8)],
+            0.1,
+        ),
+    ),
+    "three lines of a spectrum": Family(
+        "peaks",
+        lambda x, m, s, a, c, w, b, d, v, e, g, u: (
+            m + s * x + a * _hump(x, c, w) + b * _hump(x, d, v) + e * _hump(x, g, u)
+        ),
+        ((-5, 5), (-0.1, 0.1), *PEAK, *PEAK, *PEAK),
+        lambda r: (
+            _even(r, 120, 400, 100),
+            [0.5, 0.01, U(r, 2, 6), U(r, 10, 35), U(r, 1, 5), U(r, 1, 5), U(r, 40, 65), U(r, 1, 5),
+             U(r, 0.7, 3), U(r, 70, 95), U(r, 1, 5)],
+            0.15,
+        ),
+    ),
+    "a bump in a plane": Family(
+        "peaks",
+        lambda x, z, m, s, t, a, c, d, w: m + s * x + t * z + a * _peak(x, c, w) * _peak(z, d, w),
+        ((-5, 5), (-5, 5), (-5, 5), (0, 10), (0, 1), (0, 1), (0.01, 1)),
+        lambda r: (
+            _scattered(r, 200, 600, 1),
+            [1, 1, -1, U(r, 1, 4), U(r, 0.1, 0.9), U(r, 0.1, 0.9), U(r, 0.05, 0.2)],
+            0.3,
+        ),
+    ),
+    "a spot in an image": Family(
+        "peaks",
+        lambda x, z, m, a, c, d, v, w: m + a * _peak(x, c, v) * _peak(z, d, w),
+        ((0, 5), (0, 20), (0, 1), (0, 1), (0.01, 1), (0.01, 1)),
+        lambda r: (
+            _pixels(r), [1, U(r, 2, 6), U(r, 0.1, 0.9), U(r, 0.1, 0.9), U(r, 0.04, 0.15),
+                         U(r, 0.04, 0.15)], 0.4,
+        ),
+    ),
+    "two echoes of one width": Family(
+        "peaks",
+        lambda t, a, c, b, d, w: a * _peak(t, c, w) + b * _peak(t, d, w),
+        ((0, 20), (0, 100), (0, 20), (0, 100), (0.3, 30)),
+        lambda r: (
+            _even(r, 100, 400, 100),
+            [U(r, 2, 5), U(r, 10, 45), U(r, 0.5, 3), U(r, 50, 90), U(r, 1, 4)], 0.2,
+        ),
+    ),
+    "a dip between two steps": Family(
+        "peaks",
+        lambda x, m, h, c, k, a, d, w: (
+            m + h * np.tanh((x - c) / k) - a * _peak(x, d, w)
+        ),
+        ((-5, 5), (-10, 10), (0, 100), (0.3, 30), (0, 20), (0, 100), (0.3, 30)),
+        lambda r: (
+            _even(r, 80, 300, 100),
+            [1, U(r, 1, 3), U(r, 10, 40), U(r, 1, 6), U(r, 1, 3), U(r, 60, 90), U(r, 1, 5)], 0.2,
+        ),
+    ),
+    "a pulse that rises and decays": Family(
+        "peaks",
+        lambda t, m, a, s, u, v: (
+            m + a * _step((t - s) / 0.5) * (np.exp(-np.maximum(t - s, 0) / v)
+                                            - np.exp(-np.maximum(t - s, 0) / u))
+        ),
+        ((-5, 5), (0, 30), (0, 100), (0.3, 50), (0.3, 100)),
+        lambda r: (
+            _even(r, 100, 400, 100), [0.5, U(r, 3, 8), U(r, 10, 70), U(r, 0.5, 3), U(r, 5, 15)],
+            0.3,
+        ),
+    ),
+    # Periods, whose loss is flat wherever a curve runs out of step.
+    "sine in noise": Family(
+        "periods",
+        lambda x, c, a, b, T: c + a * np.sin(2 * np.pi * x / T) + b * np.cos(2 * np.pi * x / T),
+        ((-10, 10), (-5, 5), (-5, 5), PERIOD),
+        lambda r: (_even(r, 40, 200, 100), [3, U(r, 0.5, 1.5), 0.3, U(r, 3, 30)], 1.0),
+    ),
+    "two sines": Family(
+        "periods",
+        lambda x, a, T, p, b, S, q: (
+            a * np.sin(2 * np.pi * x / T + p) + b * np.sin(2 * np.pi * x / S + q)
+        ),
+        ((0, 5), (3, 60), PHASE) * 2,
+        lambda r: (
+            _even(r, 80, 300, 100), [1.5, U(r, 5, 30), 1, U(r, 0.4, 1), U(r, 3, 40), 2], 0.3
+        ),
+    ),
+    "a plane wave": Family(
+        "periods",
+        lambda x, z, m, a, k, h, p: m + a * np.sin(k * x + h * z + p),
+        ((-5, 5), (0, 5), (0, 6), (0, 6), PHASE),
+        lambda r: (_scattered(r, 100, 500, 10), [0, 1, U(r, 1, 5), U(r, 1, 5), 1], 0.5),
+    ),
+    "a damped oscillation": Family(
+        "periods",
+        lambda x, a, g, h, p, m: m + a * np.exp(-g * x) * np.sin(2 * np.pi * h * x + p),
+        ((0, 10), (0, 5), (0.1, 6), PHASE, (-2, 2)),
+        lambda r: (_even(r, 60, 300, 10), [2, U(r, 0.1, 0.8), U(r, 0.5, 4), 1, 0], 0.3),
+    ),
+    "two damped oscillations": Family(
+        "periods",
+        lambda x, a, g, h, p, b, k, f, q: (
+            a * np.exp(-g * x) * np.sin(2 * np.pi * h * x + p)
+            + b * np.exp(-k * x) * np.sin(2 * np.pi * f * x + q)
+        ),
+        ((0, 10), (0, 5), (0.1, 6), PHASE) * 2,
+        lambda r: (
+            _even(r, 100, 400, 10),
+            [2, U(r, 0.1, 0.6), U(r, 0.5, 2), 1, U(r, 0.7, 1.5), U(r, 0.1, 0.6), U(r, 2.3, 4.5), 2],
+            0.15,
+        ),
+    ),
+    "a rising tone": Family(
+        "periods",
+        lambda t, a, f, k, p, m: m + a * np.sin(2 * np.pi * (f * t + k * t**2 / 2) + p),
+        ((0, 5), (0.05, 5), (-0.5, 0.5), PHASE, (-2, 2)),
+        lambda r: (
+            _even(r, 120, 400, 10), [1, U(r, 0.3, 2), U(r, 0.05, 0.3), U(r, 0.5, 5), 0], 0.3
+        ),
+    ),
+    "a transit that returns": Family(
+        "periods",
+        lambda t, m, a, T, s, w: (
+            m - a * _step((np.cos(2 * np.pi * (t - s) / T) - np.cos(np.pi * w / T)) * 40)
+        ),
+        ((0, 2), (0, 1), (2, 40), (0, 40), (0.3, 10)),
+        lambda r: (
+            _even(r, 200, 500, 100), [1, U(r, 0.05, 0.2), U(r, 6, 20), U(r, 0, 6), U(r, 0.8, 3)],
+            0.02,
+        ),
+    ),
+    "day and week": Family(
+        "periods",
+        lambda t, m, s, a, T, p, b, S, q: (
+            m + s * t + a * np.sin(2 * np.pi * t / T + p) + b * np.sin(2 * np.pi * t / S + q)
+        ),
+        ((-10, 10), (-0.5, 0.5), (0, 5), (2, 12), PHASE, (0, 5), (12, 80), PHASE),
+        lambda r: (
+            _even(r, 100, 300, 100),
+            [1, 0.02, U(r, 0.5, 1.5), U(r, 3, 10), 1, U(r, 0.7, 2), U(r, 15, 50), 4], 0.4,
+        ),
+    ),
+}  # fmt: skip
