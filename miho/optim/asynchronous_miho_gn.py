@@ -96,6 +96,7 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
         if search.settings.compiled or search.linear or not search.level_rows[-1]:
             self.method.step(search, oracle)
             return
+        self.method.test(search, oracle)
         if state.arrived is None:
             state.arrived = self._next(state, oracle)
         bracket = state.brackets[state.arrived]

@@ -106,6 +106,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if state.phase == CLOSED and self._solves(state, oracle):
             self._polish(state, oracle)
         if state.phase == CLOSED:
+            self.test(state, oracle)
+        if state.phase == CLOSED:
             self.begin_bracket(state, oracle)
         if state.phase < CLOSED:
             run_phases(oracle, state)
@@ -264,7 +266,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         state.passed, state.challenging = state.passed + state.challenging, False
         agreement = oracle.agreement
         agreed = agreement.enough and self._credible(state, oracle, agreement)
-        enough = agreed and state.passed >= self.challenges
+        enough = agreed and state.passed >= self.challenges and self._tested(state, oracle)
         enough |= is_rounding(oracle.best, oracle.rounding, oracle.resolution)
         state.challenged = agreed and not enough
         if enough or state.bracket >= self.brackets:
@@ -287,14 +289,31 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         return often and oracle.evaluations >= self.longer * state.best_found_after
 
     def _leaves_noise(self, state: MIHOGNState, oracle: Oracle) -> bool:
-        """Whether the best minimum's loss is no more than noise, and its residuals look like it."""
+        """Whether the best minimum's loss is no more than noise, and its residuals look like it.
+
+        As long as they are not tested they are taken to.
+        """
         loss = float(state.minima.loss[state.best_minimum])
         if loss > oracle.noise or loss <= oracle.resolution:
             return loss <= oracle.resolution
-        if loss != state.tested:
-            theta = state.theta(state.minima.x[state.best_minimum])
-            state.tested, state.structured = loss, oracle.structured(theta)
-        return not state.structured
+        return not (self._tested(state, oracle) and state.structured)
+
+    def _tested(self, state: MIHOGNState, oracle: Oracle) -> bool:
+        """Whether it is known if residuals have structure at the best minimum, or does not matter.
+
+        It does not where its loss says enough.
+        """
+        loss = float(state.minima.loss[state.best_minimum])
+        known = in_optimum(loss, state.tested, oracle.resolution)
+        return known or loss > oracle.noise or loss <= oracle.resolution
+
+    def test(self, state: MIHOGNState, oracle: Oracle) -> None:
+        """Look for structure in the residuals of an optimum that is about to be challenged."""
+        if state.challenged and not self._tested(state, oracle):
+            best = state.best_minimum
+            state.structured = oracle.structured(state.theta(state.minima.x[best]))
+            state.tested = float(state.minima.loss[best])
+            state.challenged = not state.structured
 
     def _solves(self, state: MIHOGNState, oracle: Oracle) -> bool:
         """Whether the best of the new minima solves a system of equations, to rounding.

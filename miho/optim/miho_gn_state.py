@@ -63,7 +63,7 @@ class MIHOGNState:
     passed: int = 0
     challenged: bool = False
     challenging: bool = False
-    tested: float = math.nan
+    tested: float = math.inf
     structured: bool = False
     finished: bool = False
 

@@ -264,16 +264,16 @@ class Oracle:
         return self._problem.noise
 
     def structured(self, theta: Array) -> bool:
-        """Whether residuals have structure that noise has not, at a configuration (d,) seen before.
+        """Whether residuals at a configuration (d,) have structure that noise has not.
 
-        They were counted when they were first evaluated, and are not counted again. What cannot be
-        evaluated again is in doubt.
+        It takes an evaluation where the problem knows its rows' inputs. Residuals that cannot be
+        evaluated are in doubt.
         """
         inputs = self._problem.row_inputs
         if not inputs:
             return False
         try:
-            residuals, _ = self._values.residuals(theta)
+            residuals = self.residuals(theta)
         except UnusableValueError:
             return True
         return has_structure(inputs, residuals[: inputs[0].size])

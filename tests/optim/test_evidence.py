@@ -240,7 +240,7 @@ class Wave(LeastSquaresProblem):
 
     def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
         t = np.linspace(0, 3, 40)
-        return np.asarray(theta[0] * np.sin(theta[1] * t) - np.sin(5 * t))
+        return np.asarray(theta[0] * np.sin(theta[1] * t) - np.sin(5 * t) - 0.1 * np.cos(9 * t))
 
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         t = np.linspace(0, 3, 40)

@@ -255,7 +255,7 @@ def test_a_run_interrupted_in_an_evaluation_goes_on_behind_it(last: int) -> None
 def test_compiled_steps_end_in_time_and_when_interrupted() -> None:
     """Between two blocks of some 20 ms, whatever is left of the search."""
     problem = fit(200_000)
-    hurried = minimize(MIHOGN(doubtful=200, longer=1e6, tolerance=1e-300), problem,
+    hurried = minimize(MIHOGN(challenges=200, tolerance=1e-300), problem,
                        Budget(seconds=0.05))  # fmt: skip
     assert hurried.outcome is Outcome.BUDGET
     seen: list[float] = []
