@@ -232,7 +232,7 @@ def test_a_run_keeps_the_places_where_its_best_descents_ended() -> None:
 
 @dataclass(frozen=True)
 class Wave(LeastSquaresProblem):
-    """A wave of frequency b through 40 points, whose loss has several minima within the box."""
+    """A wave of frequency b through 40 points of two, whose loss has several minima in the box."""
 
     space = Space((Parameter("a", "-", 0.1, 3.0), Parameter("b", "-", 0.5, 12.0)))
     name = "wave"
@@ -263,5 +263,6 @@ def test_methods_that_descend_say_where_they_ended(method: Optimizer) -> None:
     assert [minimum.loss for minimum in descents.minima] == pytest.approx(
         losses, rel=1e-9, abs=1e-15
     )
-    assert descents.minima[0].theta == pytest.approx([1, 5], abs=1e-3)
+    # The second wave moves the optimum by 0.006.
+    assert descents.minima[0].theta == pytest.approx([1, 5], abs=1e-2)
     assert descents.minima[0].loss == pytest.approx(descents.ends[0], abs=1e-15)
