@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from miho.optim import Parameter, Space
-from miho.optim.brackets import by_scale, draw_starts, luby, rows_by_level
+from miho.optim.brackets import DECADES, TURNS, around, by_scale, draw_starts, luby, rows_by_level
 from miho.quantities import Array
 
 
@@ -84,3 +84,29 @@ def test_both_sides_of_zero_are_as_likely() -> None:
 def test_other_ranges_stay_uniform(parameter: Parameter) -> None:
     u = np.linspace(0, 1, 5)
     np.testing.assert_array_equal(scaled(u, parameter), u)
+
+
+def test_brackets_draw_in_turn_from_four_distributions() -> None:
+    """The median of uniform starts is 500; by scale it is half of the decades below 1000."""
+    space = Space((Parameter("a", "V", 0.0, 1000.0),))
+    medians = [
+        float(np.median(draw_starts(space, 3000, np.random.default_rng(k), k)))
+        for k in range(1, len(TURNS) * len(DECADES) + 1)
+    ]
+    by_kind = {kind: medians[k :: len(TURNS)] for k, kind in enumerate(TURNS)}
+    assert by_kind["uniform"] == pytest.approx([500] * 4, rel=0.1)  # 5 standard errors of a median
+    halves = [10 ** (3 - decades / 2) for decades in DECADES]
+    # The median of a logarithm that is even over 12 decades has a standard error of 0.11 of one.
+    np.testing.assert_allclose(np.log10(by_kind["scale"]), np.log10(halves), atol=0.5)
+
+
+def test_starts_around_a_minimum_keep_some_of_its_coordinates() -> None:
+    """About half, less the one that is always drawn anew: of six, 2.5 on average."""
+    rng = np.random.default_rng(0)
+    best, starts = np.zeros(6), rng.uniform(1, 2, (2000, 6))
+    kept = (around(best, starts, rng) == 0).sum(axis=1)
+    assert kept.max() == 5
+    assert kept.min() == 0
+    assert kept.mean() == pytest.approx(2.5, abs=0.15)  # five standard errors
+    alone = around(best[:1], starts[:, :1], rng)
+    np.testing.assert_array_equal(alone, starts[:, :1])

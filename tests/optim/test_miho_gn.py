@@ -17,7 +17,7 @@ from miho.compiled.kernel import Formula
 from miho.data import Dataset, load_published
 from miho.identification import CurveFit, linear_optimum
 from miho.identification.loss import Huber
-from miho.models import BrakePlay
+from miho.models import BrakePlay, FunctionModel
 from miho.models.expression import Expression
 from miho.models.published import PublishedModel
 from miho.optim import (
@@ -296,6 +296,47 @@ def test_a_loss_above_the_noise_is_doubted() -> None:
     assert record.outcome is Outcome.CONVERGED
     assert record.descents is not None
     assert (record.descents.agreeing or 0) >= 15
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_residuals_with_structure_are_doubted(known: bool) -> None:
+    """A decay through a wave needs more ends; without the inputs of the rows nobody sees it."""
+    t = np.linspace(0, 5, 200)
+    y = 2 * np.exp(-0.7 * t) + 0.3 + 0.1 * np.sin(9 * t)
+    wave = CurveFit(
+        fit().model, Dataset("d", {"t": t, "y": y}, {"t": "s", "y": "V"}, "y"), SPACE
+    )
+    problem = Outside(wave)
+    problem.noise, problem.row_inputs = math.inf, wave.inputs if known else ()
+    record = minimize(MIHOGN(doubtful=15), problem)
+    assert record.outcome is Outcome.CONVERGED
+    assert record.descents is not None
+    assert ((record.descents.agreeing or 0) >= 15) is known
+
+
+def test_challenges_are_no_evidence() -> None:
+    """They cost evaluations, and the ends that are counted stay those of independent starts."""
+    plain, challenged = (minimize(MIHOGN(challenges=n), fit()) for n in (1, 9))
+    assert plain.descents is not None
+    assert challenged.descents is not None
+    assert challenged.evaluations > plain.evaluations
+    assert challenged.descents.screened > plain.descents.screened
+    assert challenged.descents.finished == plain.descents.finished
+    assert challenged.loss == pytest.approx(plain.loss, rel=1e-12)
+
+
+@pytest.mark.parametrize("end", [1e3, 1e6])
+def test_bounds_that_mean_none_mislead_no_search(end: float) -> None:
+    """On the plateau far from the answer descents agree, and are not believed."""
+    t = np.linspace(0, 4, 50)
+    y = 2.5 * np.exp(-1.3 * t) + 0.05 * np.random.default_rng(0).normal(size=50)
+    data = Dataset("d", {"t": t, "y": y}, {"t": "s", "y": "V"}, "y")
+    space = Space((Parameter("a", "V", 0, end), Parameter("b", "1/s", 0, end)))
+    model = FunctionModel(lambda t, a, b: a * np.exp(-b * t), columns=("t",))
+    problem = CurveFit(model, data, space)
+    for seed in range(3):
+        record = minimize(MIHOGN(), problem, seed=seed)
+        assert record.theta == pytest.approx([2.5, 1.3], abs=0.2)  # four standard errors
 
 
 def test_what_knows_no_rows_is_asked_for_all_of_them() -> None:

@@ -1,0 +1,100 @@
+"""What bounds that mean "none" do: four models in boxes of 10 to 1e9 times the answer.
+
+python -m experiments.check.wide_boxes --seeds 20
+
+Each parameter is positive and has the bounds 0 and so many times its true value; the curvature of
+the tire may have either sign. A run is right at no more than 1e-4 of the true curve's loss; it
+claims if it ends by its evidence.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.benchmarks.bars import machine
+from miho import MIHOGN, Budget, CurveFit, Dataset, Parameter, Space, minimize
+from miho.models import FunctionModel
+from miho.study import single_thread
+
+Array = NDArray[np.float64]
+TIMES = 10.0, 1e3, 1e6, 1e9
+RIGHT = 1e-4
+
+
+class Curve(NamedTuple):
+    """A formula of x and then parameters, their true values, where it is measured, and the noise.
+
+    Parameters named in `signed` have bounds on both sides of zero.
+    """
+
+    formula: Callable[..., Array]
+    true: tuple[float, ...]
+    x: Array
+    noise: float
+    signed: str = ""
+
+    def fit(self, times: float) -> CurveFit:
+        """The problem in a box of so many times the true values."""
+        rng = np.random.default_rng(5)
+        y = self.formula(self.x, *self.true) + self.noise * rng.normal(size=self.x.size)
+        names = self.formula.__code__.co_varnames[1 : 1 + len(self.true)]
+        space = Space(
+            tuple(
+                Parameter(name, "", -times * abs(value) * (name in self.signed), times * abs(value))
+                for name, value in zip(names, self.true, strict=True)
+            )
+        )
+        data = Dataset("drawn", {"x": self.x, "y": y}, {"x": "", "y": ""}, "y")
+        return CurveFit(FunctionModel(self.formula, columns=("x",)), data, space, compiled=True)
+
+
+def _tire(x: Array, B: float, C: float, D: float, E: float) -> Array:
+    return D * np.sin(C * np.arctan(B * x - E * (B * x - np.arctan(B * x))))
+
+
+CURVES = {
+    "decay": Curve(lambda x, a, b: a * np.exp(-b * x), (2.5, 1.3), np.linspace(0, 4, 50), 0.05),
+    "tire": Curve(_tire, (10, 1.5, 1, -0.5), np.linspace(-0.3, 0.3, 100), 0.03, "E"),
+    "peak": Curve(
+        lambda x, a, c, w: a * np.exp(-(((x - c) / w) ** 2)), (3, 5, 1.2), np.linspace(0, 10, 80),
+        0.1,
+    ),
+    "logistic": Curve(
+        lambda x, a, r, t: a / (1 + np.exp(-r * (x - t))), (4, 0.9, 5), np.linspace(0, 10, 60), 0.1
+    ),
+}  # fmt: skip
+
+
+def main() -> None:
+    """Fit, print."""
+    parser = argparse.ArgumentParser(
+        prog="python -m experiments.check.wide_boxes",
+        description=(__doc__ or "").partition("\n\n")[0],
+    )
+    parser.add_argument("--seeds", type=int, default=20, help="runs in each box")
+    arguments = parser.parse_args()
+    print(machine())
+    for name, curve in CURVES.items():
+        for times in TIMES:
+            fit, budget = curve.fit(times), Budget(evaluations=30_000)
+            with single_thread():
+                runs = [minimize(MIHOGN(), fit, budget, seed) for seed in range(arguments.seeds)]
+            errors = curve.formula(curve.x, *curve.true) - fit.dataset["y"]
+            right = [run.loss <= (1 + RIGHT) * float(np.mean(errors**2)) for run in runs]
+            claims = [str(run.outcome) == "converged" for run in runs]
+            wrong = sum(c and not r for c, r in zip(claims, right, strict=True))
+            spent = np.median([run.evaluations for run in runs])
+            print(
+                f"{name:9s} {times:6.0e} times: {sum(right)} of {arguments.seeds} right, "
+                f"{sum(claims)} claims, {wrong} wrong, {spent:.0f} evaluations",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()

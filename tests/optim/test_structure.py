@@ -1,0 +1,85 @@
+"""Residuals with structure are told from noise, whatever the noise is distributed like."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from miho.optim.structure import LEVEL, MOST, has_structure
+
+Array = NDArray[np.float64]
+NOISE: dict[str, Callable[[np.random.Generator, int], Array]] = {
+    "normal": lambda rng, n: rng.standard_normal(n),
+    "heavy tails": lambda rng, n: rng.standard_cauchy(n),
+    "skewed": lambda rng, n: np.exp(rng.standard_normal(n)),
+    "two values": lambda rng, n: rng.choice([-1.0, 1.0], n),
+}
+
+
+def image(side: int) -> list[Array]:
+    """The two columns of an image's pixels."""
+    return [column.ravel() for column in np.meshgrid(*[np.arange(float(side))] * 2)]
+
+
+@pytest.mark.parametrize("noise", NOISE)
+@pytest.mark.parametrize("rows", [30, 300])
+def test_noise_has_no_structure(noise: str, rows: int) -> None:
+    """Of 200 samples 2 are expected by LEVEL: more than 8 come up once in 4,000 times (Poisson)."""
+    rng = np.random.default_rng(0)
+    found = sum(
+        has_structure(inputs, NOISE[noise](rng, inputs[0].size))
+        for _ in range(50)
+        for inputs in (
+            [np.linspace(0, 1, rows)], [np.geomspace(1, 1000, rows)], list(rng.random((2, rows))),
+            image(int(rows**0.5)),
+        )
+    )  # fmt: skip
+    assert found <= 4 * 200 * LEVEL
+
+
+def test_a_peak_that_was_missed_is_a_structure() -> None:
+    """Its rows are few, and far above the others: they must not count as outliers."""
+    rng, x = np.random.default_rng(1), np.linspace(0, 100, 300)
+    peak = 30 * np.exp(-(((x - 40) / 0.8) ** 2))
+    assert has_structure([x], peak + rng.standard_normal(300))
+    assert has_structure([x], -peak + rng.standard_normal(300))
+
+
+def test_a_single_outlier_is_none() -> None:
+    rng, x = np.random.default_rng(2), np.linspace(0, 100, 300)
+    residuals = rng.standard_normal(300)
+    residuals[100] = 1e6
+    assert not has_structure([x], residuals)
+
+
+@pytest.mark.parametrize("period", [2.3, 11.0, 90.0])
+def test_a_period_that_was_missed_is_a_structure(period: float) -> None:
+    """Of an amplitude of the noise's: neighbours that are a row apart say nothing of period 2.3."""
+    rng, x = np.random.default_rng(3), np.linspace(0, 100, 101)
+    assert has_structure([x], np.sin(2 * np.pi * x / period) + rng.standard_normal(101))
+
+
+def test_a_wave_and_a_spot_are_structures_of_two_inputs() -> None:
+    """Along each input alone neither is seen: the wave cancels, the spot is a few of 900 rows."""
+    rng = np.random.default_rng(4)
+    inputs, columns = list(rng.uniform(0, 10, (2, 400))), image(30)
+    wave = np.sin(3 * inputs[0] + 4 * inputs[1])
+    spot = 4 * np.exp(-(((columns[0] - 12) / 1.5) ** 2) - ((columns[1] - 20) / 1.5) ** 2)
+    assert has_structure(inputs, wave + rng.standard_normal(400))
+    assert has_structure(columns, spot + rng.standard_normal(900))
+
+
+def test_long_data_are_sampled_evenly() -> None:
+    rng, n = np.random.default_rng(5), 10 * MOST
+    x = np.linspace(0, 1, n)
+    assert has_structure([x], 0.2 * np.sin(20 * x) + rng.standard_normal(n))
+    assert not has_structure([x], rng.standard_normal(n))
+
+
+@pytest.mark.parametrize("residuals", [np.zeros(50), np.full(50, 3.0), np.arange(5.0)])
+def test_too_little_to_see_is_no_structure(residuals: Array) -> None:
+    assert not has_structure([np.linspace(0, 1, residuals.size)], residuals)
+    assert not has_structure([np.zeros(residuals.size)], residuals)
