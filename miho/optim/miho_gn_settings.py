@@ -31,14 +31,15 @@ class MIHOGNSettings:
     may spend as much as the next bracket has. A descent that comes to a known minimum ends.
 
     The search ends when the ends of its brackets are evidence enough (`miho.optim.evidence`).
-    Searches get stuck at bounds, where the data leave a parameter undetermined, where the loss is
-    more than noise explains, and where residuals have structure (`miho.optim.structure`): such an
-    optimum needs the ends of `doubtful` brackets, and half of all, and a search `longer` times as
-    long as it took to find it. Before the end so many `challenges` have to fail, brackets that
-    start at some of the best minimum's coordinates. Where the loss of a minimum is zero to rounding
-    (`miho.optim.zero`), one bracket is enough. After `brackets` brackets the search ends in any
-    case, as `Outcome.BRACKETS`. At last it descends from the run's best to a tolerance of `digits`.
-    A problem that is linear in all parameters is solved.
+    Searches get stuck at bounds, where the data leave a parameter undetermined, and where the loss
+    is more than noise explains: such an optimum needs the ends of `doubtful` brackets, three
+    quarters of those whose loss is known, and a search `longer` times as long as it took to find
+    it. Where only its residuals have structure (`miho.optim.structure`) it needs half as many ends.
+    Before the end so many `challenges` have to fail, brackets that start at some of the best
+    minimum's coordinates. Where the loss of a minimum is zero to rounding (`miho.optim.zero`), one
+    bracket is enough. After `brackets` brackets the search ends in any case, as
+    `Outcome.BRACKETS`. At last it descends from the run's best to a tolerance of `digits`. A
+    problem that is linear in all parameters is solved.
     """
 
     eta: int = 3
