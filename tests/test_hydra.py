@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import optuna
 import pytest
@@ -19,6 +20,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.utils import instantiate
 
 from experiments import identify
+from experiments.app import launch
 from experiments.app.compose import CONF
 from experiments.app.options import options_of
 from experiments.app.schema import register
@@ -372,3 +374,27 @@ def test_no_command_imports_what_hydra_keeps_to_itself() -> None:
     for path in [*(ROOT / "experiments").rglob("*.py"), *(ROOT / "tests").rglob("*.py")]:
         imports = re.findall(r"^\s*(?:from|import) (\S+)", path.read_text(encoding="utf-8"), re.M)
         assert not [name for name in imports if name.startswith("hydra._")], path
+
+
+def test_seeds_of_one_setting_share_a_composition(
+    typed: Typed, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Composing takes a tenth of a second, and Hydra's sweeper has composed each job before."""
+    settings: list[list[str]] = []
+    composed = launch._composed
+
+    def counted(jobs: Any, context: Any, config: Any) -> Any:
+        loader = context.config_loader
+        compose_one = loader.load_sweep_config
+
+        def compose(config: Any, overrides: list[str]) -> Any:
+            settings.append(overrides)
+            return compose_one(config, overrides)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(loader, "load_sweep_config", compose)
+            return composed(jobs, context, config)
+
+    monkeypatch.setattr(launch, "_composed", counted)
+    assert typed("-m", "optimizer=random,least_squares", "seed=0,1,2", tiny=False).code == 0
+    assert settings == [["optimizer=least_squares"], ["optimizer=random"]]

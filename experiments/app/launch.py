@@ -79,7 +79,7 @@ def launch(
         cfg = job_config(_copied(config), config.hydra.runtime.choices)
         task.sweep = Sweep(cfg, _typed(config))
     sweep, checked = task.sweep, sweep_settings(settings)
-    composed = {job.setting: _composed(job.setting, context, config) for job in reversed(jobs)}
+    composed = _composed(jobs, context, config)
     plan = _planned(jobs, composed, checked.time_limit)
     _announce(jobs, composed, context, task)
     if checked.timed and config.fresh:
@@ -106,9 +106,13 @@ def _job(number: int, texts: Sequence[str]) -> _Job:
     return _Job(number, tuple(texts), setting, int(seeds[-1]) if seeds else None)
 
 
-def _composed(setting: Sequence[str], context: HydraContext, config: DictConfig) -> DictConfig:
-    """The configuration of a job, with the node `hydra`."""
-    return context.config_loader.load_sweep_config(config, list(setting))
+def _composed(
+    jobs: Sequence[_Job], context: HydraContext, config: DictConfig
+) -> dict[tuple[str, ...], DictConfig]:
+    """The configuration of each setting, with the node `hydra`, the last job's first."""
+    settings = dict.fromkeys(job.setting for job in reversed(jobs))
+    compose = context.config_loader.load_sweep_config
+    return {setting: compose(config, list(setting)) for setting in settings}
 
 
 def _planned(
