@@ -165,18 +165,13 @@ def square_distances(c: GNCandidates, minima: Array, box: GNBox) -> Array:
     return np.asarray((((c.x[0] - minima)[:, coordinates] @ R.T) ** 2).sum(axis=1))
 
 
-def at_bound(x: Array) -> bool:
-    """Whether a configuration (d,) in shares of the widths is at a bound."""
-    return bool((x < BOUND).any() or (x > 1 - BOUND).any())
-
-
 def determines(c: GNCandidates, box: GNBox, m: int) -> bool:
     """Whether m rows of data determine each parameter where the first candidate is.
 
     They do if it is off the bounds, and its standard deviation, by the linear model there, is less
     than its range.
     """
-    if at_bound(c.x[0]):
+    if (c.x[0] < BOUND).any() or (c.x[0] > 1 - BOUND).any():
         return False
     n = box.nonlinear.size if c.projects[0] else box.low.size
     R = c.R[0, :n, :n]
