@@ -17,6 +17,7 @@ import numpy as np
 from miho.fitting.statement import inputs_of
 from miho.identification.alternatives import (
     hull,
+    minima_at,
     optima_table,
     optima_within_noise,
     several_values,
@@ -37,7 +38,7 @@ from miho.models.joint import rows_of_parts
 from miho.models.tied import whole_model
 from miho.models.tire_formula import TireFormula
 from miho.models.traced import Remade
-from miho.optim import Descents
+from miho.optim import Descents, Minimum
 from miho.parallel.remote import Raised
 from miho.parallel.worth import is_dear
 from miho.quantities import Array
@@ -68,8 +69,9 @@ class Fit(Remade):
     `run` (f,) is where the search ended, from which a descent led there, and `descents` what it
     knows of other optima; None without a search. `moving` and `found_by` are those of
     `miho.identification.optimum.standing_of`: whether that descent has come to its end, and which
-    later step has found the optimum. A pickled fit keeps its error, which takes an
-    evaluation; where the model gives another one when it is loaded, a line on stderr says so.
+    later step has found the optimum. `minima` are further optima within the noise that a report
+    met. A pickled fit keeps its error, which takes an evaluation; where the model gives another
+    one when it is loaded, a line on stderr says so.
     """
 
     problem: CurveFit
@@ -79,6 +81,7 @@ class Fit(Remade):
     level: float = 0.95
     moving: int = 0
     found_by: str = ""
+    minima: tuple[Minimum, ...] = ()
 
     def __getstate__(self) -> dict[str, Any]:
         """The fields, and the error by which a changed model is known."""
@@ -115,10 +118,11 @@ class Fit(Remade):
     def _optima(self) -> tuple[Linearised, ...]:
         """The uncertainties at all optima within the noise, that of this one first."""
         here = self.uncertainty
-        if self.descents is None or not self.descents.minima:
+        minima = self.minima + (() if self.descents is None else self.descents.minima)
+        if not minima:
             return (here,)
         best = Refit(self.theta, float(np.sum(self.problem.residuals(self.theta) ** 2)))
-        within = optima_within_noise(self.problem, best, self.descents.minima, self.level)
+        within = optima_within_noise(self.problem, best, minima, self.level)
         others = [fit.theta for fit in within if fit is not best]
         return (here, *(linearised(self.problem, theta, neighbours=True) for theta in others))
 
@@ -228,7 +232,7 @@ class Fit(Remade):
 
         settings = {
             "descents": self.descents, "level": self.level, "optimum": self.theta,
-            "found_by": self.found_by, **settings,
+            "found_by": self.found_by, "minima": self.minima, **settings,
         }  # fmt: skip
         report = make_report(self.problem, self.run, **settings)
         self._adopt(report)
@@ -244,7 +248,8 @@ class Fit(Remade):
                 "uncertainty", "_optima", "alternatives", "parameters", "error", "notes",
             ):  # fmt: skip
                 vars(self).pop(name, None)
-            vars(self).update(theta=report.at.theta, found_by=report.found_by)
+            minima = minima_at(self.problem, report.others)
+            vars(self).update(theta=report.at.theta, found_by=report.found_by, minima=minima)
         vars(self).pop("caveats", None)
         vars(self).update(moving=report.moving, _standing=report.standing)
 

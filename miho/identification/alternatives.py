@@ -96,6 +96,13 @@ def optima_within_noise(
     return tuple(fit for fit in fits if fit.cost <= fits[0].cost + allowed)
 
 
+def minima_at(problem: CurveFit, optima: Sequence[Linearised]) -> tuple[Minimum, ...]:
+    """Where these optima are, with their losses."""
+    losses = [float(problem.loss(at.theta[None])[0]) for at in optima]
+    thetas = [tuple(at.theta.tolist()) for at in optima]
+    return tuple(Minimum(*each) for each in zip(losses, thetas, strict=True))
+
+
 class _Known:
     """A known optimum, with its derivatives as soon as they are needed."""
 

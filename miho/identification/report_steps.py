@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from miho.identification.alternatives import optima_within_noise
+from miho.identification.alternatives import minima_at, optima_within_noise
 from miho.identification.bootstrap import block_length, bootstrap, stretched
 from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
@@ -63,6 +63,7 @@ def make_report(
     better: Array | None = None,
     optimum: Array | None = None,
     found_by: str = "",
+    minima: Sequence[Minimum] = (),
     best_known: float | None = None,
     replicates: int = 0,
     profiles: bool | None = None,
@@ -80,7 +81,7 @@ def make_report(
     the run's result has led already, `found_by` the later step that led there, if one did;
     `best_known` is the loss of a recorded optimum. Where profiles or replicates meet a better
     optimum the report is of that one, and says so. Minima of the descents that the data cannot tell
-    apart from the best are reported with it: intervals span all of them.
+    apart from the best are reported with it, and further `minima`: intervals span all of them.
 
     `replicates` bootstrap estimates (1000 for an interval, 0 for none), drawn from `seed`, in
     blocks where rows depend on their neighbours; `profiles` by default for models of up to
@@ -105,7 +106,7 @@ def make_report(
     if better is not None:
         best = best.or_better(problem, _optimum(problem, better, deadline), CHECK)
     searches = tuple(search for search in (descents, check) if search is not None)
-    minima = [minimum for search in searches for minimum in search.minima]
+    minima = [*minima, *(minimum for search in searches for minimum in search.minima)]
     with open_pool(workers) as pool:
         work = _Work(deadline, progress, pool, _omission(seconds))
         while True:
@@ -119,6 +120,7 @@ def make_report(
             earlier, best = best, _best_of_replicates(problem, best, estimates, deadline)
             if best is earlier:
                 break
+            minima += minima_at(problem, optima)
     reported = reported_space(problem.space).names
     exact = linear_optimum(problem)
     best_known = best_known if exact is None else exact[1]
@@ -197,8 +199,7 @@ def _profiled(
         if best.or_better(problem, lowest, PROFILE) is best:
             return best, optima, curves, omitted
         work.progress("better optimum")
-        count = problem.residual_count
-        minima = [Minimum(fit.cost / count, tuple(fit.theta)) for fit in within] + list(minima)
+        minima = [*minima_at(problem, optima), *minima]
         best = _Best(_optimum(problem, lowest.theta, work.deadline), PROFILE)
 
 

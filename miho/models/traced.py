@@ -24,8 +24,8 @@ class Remade:
     """A frozen dataclass whose cached properties are made again after unpickling."""
 
     def __getstate__(self) -> dict[str, Any]:
-        """The fields alone."""
-        return {field.name: vars(self)[field.name] for field in fields(self)}  # type: ignore[arg-type]
+        """The fields alone, with the default of one that a pickle of an older version lacks."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True)

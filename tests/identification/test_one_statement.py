@@ -162,3 +162,28 @@ def test_a_report_to_more_digits_gives_the_fit_its_digits() -> None:
     assert off.theta == pytest.approx(fit.theta, rel=1e-6)
     assert np.array_equal(off.theta, report.at.theta)
     assert off.parameters["value"].tolist() == report.parameters["value"].tolist()
+
+
+def test_optima_that_a_report_meets_stay_with_the_fit() -> None:
+    t = T[::7]
+    y = 0.45 * np.sin(4 * t) + 0.5 * np.random.default_rng(1).standard_normal(t.size)
+    fit = miho.fit(wave, t, y, BOUNDS, start={"b1": 0.3, "b2": 6.0}, compiled=False)
+    assert fit.alternatives.empty
+    report = fit.report()
+    assert report.found_by, "or this tests nothing"
+    assert len(report.optima) > 1, "or this tests nothing"
+    for one in (fit, pickle.loads(pickle.dumps(fit))):
+        assert one.alternatives["b2"].tolist() == pytest.approx(report.optima["b2"], rel=1e-3)
+        assert len(one.report().optima) == len(report.optima)
+    assert "optima differ by less than the noise" in str(fit)
+
+
+def test_a_fit_of_an_older_version_is_stored_again() -> None:
+    fit = miho.fit(wave, T, Y, BOUNDS, start={"b1": 0.6, "b2": 4.0}, compiled=False)
+    state = fit.__getstate__()
+    for name in ("moving", "found_by", "minima"):
+        state.pop(name, None)
+    older = object.__new__(miho.Fit)
+    older.__setstate__(state)
+    again = pickle.loads(pickle.dumps(older))
+    assert str(again) == str(older) == str(fit)
