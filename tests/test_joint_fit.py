@@ -303,3 +303,22 @@ def test_a_part_whose_output_is_constant_needs_no_sigma(level: float) -> None:
     fit = miho.fit_joint(parts, {"a": (-9, 9), "b": (-9, 9), "c": (-9, 9)}, compiled=False)
     assert fit.values["a"] == pytest.approx(level, abs=1e-9)
     assert fit.values["c"] == pytest.approx(3.0, abs=0.2)
+
+
+def magic(x, B, C, D, E):
+    return D * np.sin(C * np.arctan(B * x - E * (B * x - np.arctan(B * x))))
+
+
+def test_a_part_spans_the_optima_that_the_data_of_all_cannot_tell_apart() -> None:
+    x = np.linspace(-0.8, 0.8, 60)
+    noise = np.random.default_rng(3).standard_normal((2, x.size))
+    left, right = magic(x, 5.4, 1.5, 1.0, -0.5) + 0.02 * noise
+    bounds = {"B": (1, 30), "C": (0.5, 3), "D": (0.1, 3), "E": (-10, 1)}
+    fit = miho.fit_joint({"left": (magic, x, left), "right": (magic, x, right)}, bounds)
+    assert len(fit.alternatives) > 1, "or this tests nothing"
+    part = fit.part("right")
+    assert part.alternatives["B"].tolist() == fit.alternatives["B"].tolist()
+    assert part.alternatives["excess"].tolist() == fit.alternatives["excess"].tolist()
+    for end in ("low", "high"):
+        own = part.parameters[end].to_dict()
+        assert own == pytest.approx(fit.parameters[end].to_dict(), rel=1e-6)

@@ -15,8 +15,10 @@ from miho.fitting.joint_problem import Joint, Measured
 from miho.fitting.one_fit import without_priors
 from miho.fitting.search import searched
 from miho.fitting.statement import FAR, data_of
+from miho.identification.alternatives import optima_table
 from miho.identification.curve_fit import CurveFit
 from miho.identification.stated import stated_parameters
+from miho.identification.uncertainty import Linearised
 from miho.models.joint import PART, parts_of
 from miho.models.model import Model
 from miho.optim import Budget, Optimizer, Parameter, Space
@@ -97,10 +99,8 @@ class JointFit(Fit):
         columns = {key: rows[key][of_part] for key in part.model.inputs}
         columns[output] = rows[rows.output][of_part]
         units = {**part.model.inputs, output: part.model.output}
-        # Values and slopes of the part's parameters, some of which may be fixed or tied.
-        stated, slopes = stated_parameters(self.problem, self.uncertainty)
-        places = [[parameter.name for parameter in stated].index(p) for p in part.parameters]
-        values, own = np.array([stated[k].value for k in places]), slopes[places]
+        optima = tuple(_of_parameters(self.problem, at, part.parameters) for at in self._optima)
+        values = optima[0].theta
         # The space only says that these values are inside.
         parameters = zip(part.model.parameters.items(), values, strict=True)
         space = Space(
@@ -111,10 +111,21 @@ class JointFit(Fit):
             CurveFit(part.model, Dataset(name, columns, units, output), space, compiled=False),
             values, values,
         )  # fmt: skip
-        errors = np.array([stated[k].standard_error for k in places])
-        vars(fit)["uncertainty"] = replace(
-            self.uncertainty.mapped(values, own, np.isnan(errors), np.isinf(errors)),
-            dependence=None,
-        )
-        vars(fit).update(_standing=self._standing, caveats=self.caveats)
+        alternatives = optima_table(fit.problem, optima)
+        if len(alternatives):
+            alternatives["excess"] = self.alternatives["excess"]
+        vars(fit).update(
+            uncertainty=optima[0], _optima=optima, alternatives=alternatives,
+            _standing=self._standing, caveats=self.caveats,
+        )  # fmt: skip
         return fit
+
+
+def _of_parameters(problem: CurveFit, at: Linearised, names: Sequence[str]) -> Linearised:
+    """The uncertainty of the parameters of a part, some of which may be fixed or tied."""
+    stated, slopes = stated_parameters(problem, at)
+    places = [[parameter.name for parameter in stated].index(name) for name in names]
+    values = np.array([stated[k].value for k in places])
+    errors = np.array([stated[k].standard_error for k in places])
+    mapped = at.mapped(values, slopes[places], np.isnan(errors), np.isinf(errors))
+    return replace(mapped, dependence=None)
