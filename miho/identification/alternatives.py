@@ -14,7 +14,7 @@ from miho.identification.curve_fit import CurveFit
 from miho.identification.derived import delta_method, derived
 from miho.identification.refit import Deadline, Refit, refit
 from miho.identification.stated import reported_space, reported_uncertainty
-from miho.identification.uncertainty import Linearised, linearised
+from miho.identification.uncertainty import AT_BOUND, Linearised, linearised
 from miho.optim import Minimum
 from miho.optim.trace import SAME_PLACE
 from miho.quantities import Array
@@ -196,28 +196,34 @@ def optima_table(problem: CurveFit, optima: Sequence[Linearised]) -> pd.DataFram
 def several_values(problem: CurveFit, optima: Sequence[Linearised]) -> list[str]:
     """Sentences on the optima that the data cannot tell apart; none where there is only one.
 
-    They name the parameters whose values differ by more than a standard error, and what the optima
-    share: quantities that the model declares, else the shortest product of these parameters.
+    They name the parameters whose values differ by more than a standard error, none that the data
+    determine nowhere, and what the optima share: quantities that the model declares, else the
+    shortest product of these parameters.
     """
     if len(optima) < 2:
         return []
     values, errors = _compared(problem, optima)
-    parameters = reported_space(problem.space).names
-    several = {n: v for n, v in values.items() if np.ptp(v) > errors[n]}
+    space = reported_space(problem.space)
+    parameters = space.names
+    at_bound = {p.name: AT_BOUND * (p.high - p.low) for p in space.parameters}
+    several = {
+        name: v for name, v in values.items() if np.ptp(v) > (errors[name] or at_bound.get(name, 0))
+    }
     listed = "; ".join(
         f"{name} is {_listed(several[name])}" for name in parameters if name in several
     )
     excess = _excesses(problem, optima)[1:].max()
+    listed = listed or "what the data determine is alike in all"
     sentences = [
         f"{len(optima)} optima differ by less than the noise (chi-squared by {excess:.2g} at "
-        f"most), so the data cannot tell them apart: {listed or 'their values are alike'}. "
+        f"most), so the data cannot tell them apart: {listed}. "
         "Intervals reach from the lowest of them to the highest, also over values between that "
         "may not fit; standard errors are those of the first optimum alone."
     ]
     shared = [
-        f"{name} {_listed(values[name])} ± {errors[name]:.2g}"
+        f"{name} = {_listed(values[name])} ± {errors[name]:.2g}"
         for name in values
-        if name not in parameters and name not in several and errors[name] > 0
+        if name not in parameters and name not in several and 0 < errors[name] < np.inf
     ]
     shared = shared or _shared_product(problem, optima, several)
     if shared:
@@ -241,7 +247,7 @@ def _compared(
 ) -> tuple[dict[str, Array], dict[str, float]]:
     """The values (k,) of parameters and derived quantities at k optima, and their least error.
 
-    The error is 0 where no optimum has one.
+    The error is 0 where no optimum has one, as at a bound, and infinite where none determines it.
     """
     each = [reported_uncertainty(problem, at) for at in optima]
     names = reported_space(problem.space).names
@@ -251,8 +257,7 @@ def _compared(
         pairs = np.array([delta_method(quantity, at) for at in optima])
         if np.isfinite(pairs[:, 0]).all():
             values[quantity.name], spread[quantity.name] = pairs.T
-    errors = {name: float(np.min(e, initial=np.inf, where=e > 0)) for name, e in spread.items()}
-    return values, {name: e if np.isfinite(e) else 0.0 for name, e in errors.items()}
+    return values, {name: float(min(e[e > 0], default=0.0)) for name, e in spread.items()}
 
 
 def _shared_product(
@@ -277,7 +282,7 @@ def _shared_product(
         slopes[:, places] = powers / values[:, places]
         spreads = [at.spread(slope[None])[0] for at, slope in zip(each, slopes, strict=True)]
         error = float(min(spreads))
-        if difference <= error and (best is None or (factors, difference) < best[:2]):
+        if difference <= error < np.inf and (best is None or (factors, difference) < best[:2]):
             best = factors, difference, error, powers
     if best is None:
         return []
@@ -286,7 +291,7 @@ def _shared_product(
     below = [names[k] for k, e in zip(places, powers, strict=True) if e < 0]
     products = np.prod(values[:, places] ** powers, axis=1)
     label = " ".join(chosen) + "".join(f" / {name}" for name in below)
-    return [f"{label} {_listed(products)} ± {error * abs(products[0]):.2g}"]
+    return [f"{label} = {_listed(products)} ± {error * abs(products[0]):.2g}"]
 
 
 def _excesses(problem: CurveFit, optima: Sequence[Linearised]) -> Array:

@@ -78,7 +78,7 @@ def test_optima_within_the_noise_are_told_together() -> None:
     first, second = several_values(problem(), optima)
     assert "B is 3.799 or 5.329; C is 1.981 or 1.417; E is 0.9074 or 0.02639" in first
     assert "D is" not in first, "which has one value"
-    assert "B C 7.526 or 7.549 ± 0.0" in second
+    assert "B C = 7.526 or 7.549 ± 0.0" in second
     assert several_values(problem(), optima[:1]) == []
     assert optima_table(problem(), optima[:1]).empty
 
@@ -186,7 +186,24 @@ def test_a_declared_quantity_that_optima_share_is_named() -> None:
     at = linearised(fit, theta)
     other = replace(at, theta=theta * [0.5, 2, 1, 1, 1])  # as an optimum with the same B C D
     (_, shared) = several_values(fit, [at, other])
-    assert "cornering stiffness B C D (Eq. 14) -1.5" in shared
+    assert "cornering stiffness B C D (Eq. 14) = -1.5" in shared
+
+
+def test_a_parameter_that_the_data_determine_nowhere_has_no_several_values() -> None:
+    t = np.linspace(0, 10, 60)
+    y = 0.2 * np.random.default_rng(0).standard_normal(t.size)
+
+    def peak(t: Array, a: float, m: float, s: float, c: float) -> Array:
+        return c + a * np.exp(-(((t - m) / s) ** 2))
+
+    bounds = {"a": (0, 5), "m": (0, 10), "s": (0.001, 5), "c": (0, 5)}
+    start = {"a": 1.0, "m": 5.0, "s": 1.0, "c": 0.0}
+    fit = miho.fit(peak, t, y, bounds, start=start, compiled=False).problem
+    unseen = [(2.0, t[:2].mean(), 0.002, 0.0), (1.0, t[1:3].mean(), 0.003, 1e-12)]  # between rows
+    optima = [linearised(fit, np.array(theta)) for theta in unseen]
+    assert np.isinf(optima[0].standard_errors[:3]).all(), "or this tests nothing"
+    (sentence,) = several_values(fit, optima)  # nothing is shared to an infinite error
+    assert "what the data determine is alike in all" in sentence
 
 
 def test_hulls() -> None:
