@@ -63,7 +63,7 @@ def standing_of(
     if best_known is not None:
         stand = standing(loss, rounding, searches, best_known=best_known)
     elif found_by in (PROFILE, BOOTSTRAP):
-        missed = f"found by {found_by}; {_missed(before, searches, problem.unit)}"
+        missed = f"{found_by} found it after {_missed(before, searches, problem.unit)}"
         stand = Standing(missed, missed)
     else:
         stand = _by_descents(problem, theta, loss, searches)
@@ -123,8 +123,10 @@ def _missed(before: float, searches: Sequence[Descents], unit: str) -> str:
     if not ends:
         return f"the search had ended at an error of {error}"
     count = sum(search.finished for search in searches)
-    best = ", the best of them" if count > 1 else ""
-    return f"{count:,} {kind_of(searches)} had ended{best} at an error of {error}"
+    kind = kind_of(searches)
+    if count == 1:
+        return f"one {kind.removesuffix('s')} had ended at an error of {error}"
+    return f"{count:,} {kind} had ended, the best of them at an error of {error}"
 
 
 def _step(before: float, after: float) -> str:

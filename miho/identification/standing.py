@@ -74,12 +74,15 @@ def standing(
     verb = "was" if dropped == 1 else "were"
     drops = f", {dropped} {verb} dropped on fewer rows as no better" * bool(dropped)
     count = f"{ended_here or 'none'} of {finished} {kind} ended here{drops}"
-    evidence = count
-    if screened:
-        evidence = (
-            f"{screened:,} starts screened for {finished} {kind}; {ended_here or 'none'} of them "
-            f"ended here{drops}"
+    of_them = f"{ended_here or 'none'} of them ended here{drops}"
+    if finished == 1:
+        kind, place = kind.removesuffix("s"), "here" if ended_here else "elsewhere"
+        count, of_them = (
+            f"the only finished {kind} ended {place}{drops}",
+            f"it ended {place}{drops}",
         )
+    evidence = f"{screened:,} starts screened for {finished} {kind}; {of_them}"
+    evidence = evidence if screened else count
     chance = (
         f"one more would find a better one with a probability of about {100 * agreed.better:.2g} %"
     )
@@ -114,7 +117,8 @@ def standing(
     if not all_settled:
         unsettled = "; the search ended before that was evidence enough"
         return Standing(evidence + unsettled, doubt + unsettled)
-    return Standing(evidence, doubt + ", which are too few to rely on" * (ended_here == finished))
+    few = ", and one is" if finished == 1 else ", which are"
+    return Standing(evidence, doubt + f"{few} too few to rely on" * (ended_here == finished))
 
 
 def _agreement(searches: Sequence[Descents], loss: float, rounding: float) -> Agreement:

@@ -59,7 +59,7 @@ def test_a_better_optimum_of_a_profile_is_the_fits_own_everywhere(
     assert best.error < 0.8 * missed, "or this tests nothing"
     report = misled.report()
     statement = (
-        f"in doubt: found by a profile; {BRACKETS} brackets had ended, the best of them at an "
+        f"in doubt: a profile found it after {BRACKETS} brackets had ended, the best of them at an "
         f"error of {missed:.5g}"
     )
     save_report(report, tmp_path)
@@ -105,7 +105,7 @@ def test_a_better_optimum_of_the_bootstrap_is_reported(
 
     monkeypatch.setattr(report_steps, "bootstrap", replicates)
     report = misled.report(profiles=False, replicates=20)
-    assert report.standing.doubt.startswith("found by the bootstrap; 30 brackets had ended")
+    assert report.standing.doubt.startswith("the bootstrap found it after 30 brackets had ended")
     assert misled.theta == pytest.approx(report.at.theta)
 
 

@@ -39,6 +39,8 @@ def ended(*ends: float, started: int | None = None) -> Descents:
     [
         (None, "one search, and nothing in it tells"),
         (ended(started=1), "no descent was finished"),
+        (ended(1.0), "the only finished descent ended here, and one is too few to rely on"),
+        (ended(2.0), "the only finished descent ended elsewhere"),
         (ended(1.0, 1.0), "2 of 2 descents ended here, which are too few"),
         (ended(*[1.0] * 6), "6 of 6 descents ended here, which are too few"),
         (ended(*[1.0] * 7), ""),
