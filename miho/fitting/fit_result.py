@@ -38,7 +38,7 @@ from miho.models.joint import rows_of_parts
 from miho.models.tied import whole_model
 from miho.models.tire_formula import TireFormula
 from miho.models.traced import Remade
-from miho.optim import Descents, Minimum
+from miho.optim import Descents, Minimum, in_optimum
 from miho.parallel.remote import Raised
 from miho.parallel.worth import is_dear
 from miho.quantities import Array
@@ -241,15 +241,21 @@ class Fit(Remade):
     def _adopt(self, report: Report) -> None:
         """Take the optimum of a report, and what the report says of it.
 
-        It is the fit's own, another and better one, or the same to more digits.
+        It is the fit's own, another and better one, or the same to more digits. Then those within
+        the noise are the same, and no descent has to lead to them again.
         """
         if not np.array_equal(report.at.theta, self.theta):
+            before, after = self.problem.loss(np.stack([self.theta, report.at.theta]))
+            known = in_optimum(after, before, self.problem.resolution) and "_optima" in vars(self)
+            others = self._optima[1:] if known else ()
             for name in (
                 "uncertainty", "_optima", "alternatives", "parameters", "error", "notes",
             ):  # fmt: skip
                 vars(self).pop(name, None)
             minima = minima_at(self.problem, report.others)
             vars(self).update(theta=report.at.theta, found_by=report.found_by, minima=minima)
+            if known:
+                vars(self)["_optima"] = (self.uncertainty, *others)
         vars(self).pop("caveats", None)
         vars(self).update(moving=report.moving, _standing=report.standing)
 

@@ -173,6 +173,17 @@ def test_report_and_fit_tell_of_them() -> None:
     assert "optima differ" not in str(alone)
 
 
+def test_more_digits_of_an_optimum_need_no_new_descents(monkeypatch: pytest.MonkeyPatch) -> None:
+    near = best().theta * (1 + 1e-7)
+    fit = Fit(problem(), near, near, descents(problem(), LOWER, UPPER))
+    before = fit.alternatives
+    report = fit.report(profiles=False)
+    assert not np.array_equal(fit.theta, near), "or this tests nothing"
+    monkeypatch.setattr("miho.fitting.fit_result.optima_within_noise", None)
+    assert fit.alternatives["B"].tolist() == pytest.approx(before["B"], rel=1e-4)
+    assert fit.alternatives["B"].tolist() == pytest.approx(report.optima["B"], rel=1e-4)
+
+
 def test_a_declared_quantity_that_optima_share_is_named() -> None:
     alpha = np.linspace(-0.3, 0.3, 61)
     columns = {"alpha": alpha, "Fy": Pacejka().predict(np.array([[-10, 1.5, 1e3, 0, 0]]), alpha)[0]}
