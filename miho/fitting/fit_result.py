@@ -232,7 +232,7 @@ class Fit(Remade):
 
         settings = {
             "descents": self.descents, "level": self.level, "optimum": self.theta,
-            "found_by": self.found_by, "minima": self.minima, **settings,
+            "moving": self.moving, "found_by": self.found_by, "minima": self.minima, **settings,
         }  # fmt: skip
         report = make_report(self.problem, self.run, **settings)
         self._adopt(report)

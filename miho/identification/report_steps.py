@@ -62,6 +62,7 @@ def make_report(
     check: Descents | None = None,
     better: Array | None = None,
     optimum: Array | None = None,
+    moving: int = 0,
     found_by: str = "",
     minima: Sequence[Minimum] = (),
     best_known: float | None = None,
@@ -78,8 +79,9 @@ def make_report(
 
     `descents` says where those of the run ended, `check` those of a check, and the report is of the
     optimum near its result `better` (d,) if that is better. `optimum` (d,) is where a descent from
-    the run's result has led already, `found_by` the later step that led there, if one did;
-    `best_known` is the loss of a recorded optimum. Where profiles or replicates meet a better
+    the run's result has led already, `moving` after how many evaluations it was still moving, 0 if
+    it came to its end, `found_by` the later step that led there, if one did; `best_known` is the
+    loss of a recorded optimum. Where profiles or replicates meet a better
     optimum the report is of that one, and says so. Minima of the descents that the data cannot tell
     apart from the best are reported with it, and further `minima`: intervals span all of them.
 
@@ -102,7 +104,11 @@ def make_report(
     # The optimum first: profiles may find a better one, and all else is said of it.
     deadline = Deadline(time.perf_counter() + seconds)
     progress("optimum")
-    best = _Best(_optimum(problem, run if optimum is None else optimum, deadline), found_by)
+    descent = _optimum(problem, run if optimum is None else optimum, deadline)
+    if optimum is not None and deadline.over and not descent.converged:
+        # What the earlier descent came to counts.
+        descent = descent._replace(converged=not moving, evaluations=moving)
+    best = _Best(descent, found_by)
     if better is not None:
         best = best.or_better(problem, _optimum(problem, better, deadline), CHECK)
     searches = tuple(search for search in (descents, check) if search is not None)

@@ -187,3 +187,14 @@ def test_a_fit_of_an_older_version_is_stored_again() -> None:
     older.__setstate__(state)
     again = pickle.loads(pickle.dumps(older))
     assert str(again) == str(older) == str(fit)
+
+
+def test_a_report_without_time_casts_no_doubt_on_the_optimum() -> None:
+    fit = miho.fit(wave, T, Y, {"b1": (0.1, 3), "b2": (2, 6)}, compiled=False)
+    assert "none found a better one" in fit.optimum, "or this tests nothing"
+    known = fit.optimum
+    report = fit.report(seconds=0)
+    assert report.omitted, "or this tests nothing"
+    assert report.standing.statement == fit.optimum == known
+    cut = replace(fit, theta=1.01 * fit.theta, moving=7)
+    assert "still moving after 7 evaluations" in cut.report(seconds=0).standing.doubt
