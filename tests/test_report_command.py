@@ -308,9 +308,11 @@ def test_the_ending_says_whether_the_evidence_was_enough(
 def test_the_ending_says_that_a_later_step_found_a_better_optimum() -> None:
     descents = Descents(7, 7, 7, 0, (1.0,) * 7)
     ending = _ending({"outcome": "converged", "loss": 1.0}, descents, 0.0, None, "a profile")
+    assert ending == "itself, after enough of its descents agreed; a profile found a better optimum"
+    cut = replace(descents, brackets=True, settled=False)
+    ending = _ending({"outcome": "budget", "loss": 1.0}, cut, 0.0, None, "a profile")
     assert ending == (
-        "itself, after enough of its descents agreed on an optimum that is not the best: "
-        "a profile found a better one"
+        "its budget, before enough of its brackets agreed; a profile found a better optimum"
     )
 
 

@@ -169,7 +169,7 @@ def _ending(
     enough = agreed.enough and descents.settled
     ending += f", {'after' if enough else 'before'} enough of its {kind} agreed"
     if found_by:
-        ending += f" on an optimum that is not the best: {found_by} found a better one"
+        ending += f"; {found_by} found a better optimum"
     if descents.converged < finished:
         moving = finished - descents.converged
         ending += f"; {moving} of {finished} {kind} were still moving at their end"
