@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from miho.optim.evidence import Agreement, agreement
+from miho.optim.evidence import Agreement, agreement, in_optimum
 from miho.quantities import Array
 
 MOST_ENDS = 1000
@@ -17,7 +17,7 @@ MOST_MINIMA = 20
 """Locations of minima that a run keeps: a report descends from each that may be within the noise,
 and a reader can compare no more."""
 SAME_PLACE = 1e-3
-"""Descents that ended within this share of each parameter's largest value ended in one place."""
+"""Descents that ended within this share of each parameter's size ended in one place."""
 
 
 @dataclass
@@ -144,11 +144,21 @@ def best_minima(descents: Iterable[Descent]) -> tuple[Minimum, ...]:
     located = [(descent.end, descent.theta) for descent in descents if descent.theta is not None]
     near = SAME_PLACE * np.abs([theta for _, theta in located]).max(axis=0, initial=0.0)
     for end, theta in sorted(located, key=lambda each: each[0]):
-        if not any((np.abs(theta - known.theta) <= near).all() for known in minima):
+        if not any(_same_place(known, theta, end, near) for known in minima):
             minima.append(Minimum(float(end), tuple(map(float, theta))))
         if len(minima) == MOST_MINIMA:
             break
     return tuple(minima)
+
+
+def _same_place(known: Minimum, theta: Array, end: float, near: Array) -> bool:
+    """Whether a descent to parameters `theta` (d,) ended where another is known to have ended.
+
+    Within `near` (d,) only if their losses agree: where a third one ended far out, that is wide.
+    """
+    apart, sizes = np.abs(theta - known.theta), np.maximum(np.abs(theta), np.abs(known.theta))
+    agree = in_optimum(known.loss, end) and (apart <= near).all()
+    return bool(agree or (apart <= SAME_PLACE * sizes).all())
 
 
 @dataclass(frozen=True)

@@ -217,7 +217,12 @@ def test_a_resumed_run_keeps_the_descents_before() -> None:
 
 def test_a_run_keeps_the_places_where_its_best_descents_ended() -> None:
     starts = Starts()
-    for loss, place in ((3.0, [5.0, 0.0]), (1.0, [2.0, 1e-4]), (1.1, [2.001, 0.0]), (2.0, [4, 1])):
+    for loss, place in (
+        (3.0, [5.0, 0.0]),
+        (1.0, [2.0, 1e-4]),
+        (1.00001, [2.001, 0.0]),
+        (2.0, [4, 1]),
+    ):
         starts.add(math.inf, loss, theta=np.array(place))
     starts.add(math.inf, 0.5)
     starts.add(math.inf, 0.1, theta=np.zeros(2), finished=False)
