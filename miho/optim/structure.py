@@ -42,7 +42,8 @@ MEDIAN_TO_DEVIATION = 1.4826
 def has_structure(inputs: Sequence[Array], residuals: Array) -> bool:
     """Whether residuals (N,) have structure along their inputs, (N,) each, that noise has not."""
     sample = slice(None, None, -(-residuals.size // MOST))
-    X, z = [x[sample] for x in inputs], _standardised(residuals[sample])
+    z = _standardised(residuals[sample])
+    X = [x[sample] / 2 for x in inputs]  # the range of a half does not overflow
     if z.size < FEWEST or not z.any():
         return False
     spans = [np.ptp(x) for x in X]

@@ -83,3 +83,11 @@ def test_long_data_are_sampled_evenly() -> None:
 def test_too_little_to_see_is_no_structure(residuals: Array) -> None:
     assert not has_structure([np.linspace(0, 1, residuals.size)], residuals)
     assert not has_structure([np.zeros(residuals.size)], residuals)
+
+
+def test_inputs_as_wide_as_numbers_reach_are_tested() -> None:
+    """The range of this input overflows, and so would the positions of its rows."""
+    rng, x = np.random.default_rng(6), np.linspace(-1.0, 1.0, 100)
+    noise = rng.standard_normal(100)
+    assert not has_structure([1.7e308 * x], noise)
+    assert has_structure([1.7e308 * x], noise + 3 * np.sin(20 * x))
