@@ -107,7 +107,7 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
         state.arrived, bracket.evaluations = None, oracle.evaluations
         latest = bracket.state
         search.learn(latest)
-        search.challenged, search.finished = latest.challenged, latest.finished
+        search.finished = latest.finished
         if latest.phase == CLOSED:
             state.brackets.pop()
         elif latest.phase == POLISH:

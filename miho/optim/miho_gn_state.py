@@ -123,9 +123,14 @@ class MIHOGNState:
         self.stored = np.zeros(numbers)
 
     def learn(self, other: MIHOGNState) -> None:
-        """Know the minima that another bracket knows, and what is known of the best one."""
+        """Know the minima that another bracket knows, and what is known of the best one.
+
+        Where that is another one than this bracket has known, it is none that this one challenges.
+        """
+        self.challenging &= self.best_found_after == other.best_found_after
         self.minima, self.best_found_after = other.minima, other.best_found_after
-        self.passed, self.tested, self.structured = other.passed, other.tested, other.structured
+        self.passed, self.challenged = other.passed, other.challenged
+        self.tested, self.structured = other.tested, other.structured
 
     def add_minimum(self, c: GNCandidates) -> None:
         """Remember where the first candidate has ended as a known minimum."""

@@ -35,6 +35,8 @@ from miho.optim import (
     minimize,
 )
 from miho.optim.asynchronous_miho import AsynchronousRung
+from miho.optim.asynchronous_miho_gn import AsynchronousMIHOGNState
+from miho.optim.miho_gn_state import MIHOGNState
 from miho.optim.oracle import Kind
 from miho.optim.schedule import Rung
 from miho.parallel import Ahead, worth
@@ -351,6 +353,39 @@ def test_brackets_at_a_time_find_what_one_after_the_other_do() -> None:
         several = minimize(AsynchronousMIHOGN(), Outside(fit()), seed=seed, replay=Arrivals(8))
         assert several.outcome is alone.outcome is Outcome.CONVERGED, several.error
         assert several.loss == pytest.approx(alone.loss, rel=1e-9)
+
+
+def test_a_bracket_that_goes_on_leaves_open_whether_the_next_is_a_challenge(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Only its end says so: what it knew when it began is old by then."""
+    step, close = AsynchronousMIHOGN.step, MIHOGN._close
+    flags, closed = [], []
+
+    def noting(method: MIHOGN, state: MIHOGNState, oracle: Oracle) -> None:
+        close(method, state, oracle)
+        closed.append(state.challenged)
+
+    def stepping(method: AsynchronousMIHOGN, state: AsynchronousMIHOGNState, o: Oracle) -> None:
+        step(method, state, o)
+        flags.append((state.search.challenged, any(closed[-1:])))
+
+    monkeypatch.setattr(MIHOGN, "_close", noting)
+    monkeypatch.setattr(AsynchronousMIHOGN, "step", stepping)
+    minimize(AsynchronousMIHOGN(), Outside(fit()), seed=0, replay=Arrivals(8))
+    assert any(closed), "or this tests nothing"
+    assert [flag for flag, _ in flags] == [last for _, last in flags]
+
+
+def test_a_challenge_of_an_optimum_is_none_of_a_better_one() -> None:
+    oracle = Oracle(fit(), Budget())
+    search = MIHOGN().start(oracle, np.random.default_rng(0))
+    challenging = replace(search, challenging=True)
+    challenging.learn(search)
+    assert challenging.challenging
+    search.best_found_after = 20.0
+    challenging.learn(search)
+    assert not challenging.challenging
 
 
 def test_one_worker_has_one_bracket_at_a_time() -> None:
