@@ -27,7 +27,7 @@ from miho.optim.evidence import Agreement, in_optimum
 from miho.optim.gauss_newton_steps import run_phases
 from miho.optim.meter import Budget, BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_settings import MIHOGNSettings
-from miho.optim.miho_gn_state import ROOM, MIHOGNState, box_of, square_distances
+from miho.optim.miho_gn_state import ROOM, MIHOGNState, at_bound, box_of, square_distances
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.problem import LeastSquaresProblem, Problem
@@ -288,8 +288,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         determined, noise = bool(known.determined[best]), self._leaves_noise(state, oracle)
         if determined and noise:
             return True
-        at_bound = bool(((known.x[best] == 0) | (known.x[best] == 1)).any())
-        if not (determined or noise or at_bound):
+        if not (determined or noise or at_bound(known.x[best])):
             return False
         if agreement.agreeing < MOST * (agreement.finished - oracle.meter.starts.dropped):
             return False

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.compiled.gauss_newton import INSIDE
 from miho.compiled.gauss_newton_candidates import (
     LEVEL,
     PHASE,
@@ -20,8 +21,6 @@ from miho.compiled.phases import CLOSED, SCREEN
 from miho.optim.space import Space
 from miho.quantities import Array
 
-BOUND = 1e-9
-"""A parameter that is nearer to a bound than this share of its width is at it."""
 ROOM = 1 << 22
 """Numbers that the derivatives of a rung may hold; beyond, each step pays for its own, and where
 nothing is compiled for the residuals again."""
@@ -170,13 +169,21 @@ def square_distances(c: GNCandidates, minima: Array, box: GNBox) -> Array:
     return np.asarray((((c.x[0] - minima)[:, coordinates] @ R.T) ** 2).sum(axis=1))
 
 
+def at_bound(x: Array) -> bool:
+    """Whether a configuration (d,) in shares of the widths is at a bound, where steps hold it.
+
+    In a box of a billion times the answer, that is a billionth of the width from a bound.
+    """
+    return bool((x <= INSIDE).any() or (x >= 1 - INSIDE).any())
+
+
 def determines(c: GNCandidates, box: GNBox, m: int) -> bool:
     """Whether m rows of data determine each parameter where the first candidate is.
 
     They do if it is off the bounds, and its standard deviation, by the linear model there, is less
     than its range.
     """
-    if (c.x[0] < BOUND).any() or (c.x[0] > 1 - BOUND).any():
+    if at_bound(c.x[0]):
         return False
     n = box.nonlinear.size if c.projects[0] else box.low.size
     R = c.R[0, :n, :n]

@@ -337,6 +337,20 @@ def test_bounds_that_mean_none_mislead_no_search(end: float) -> None:
         assert record.theta == pytest.approx([2.5, 1.3], abs=0.2)  # four standard errors
 
 
+def test_an_answer_at_a_billionth_of_its_range_is_at_no_bound() -> None:
+    """Else a peak here is in doubt for good, and a constant in its place is believed (seed 2)."""
+    x = np.linspace(0, 10, 80)
+    y = 3 * np.exp(-(((x - 5) / 1.2) ** 2)) + 0.1 * np.random.default_rng(5).normal(size=80)
+    data = Dataset("drawn", {"x": x, "y": y}, {"x": "", "y": ""}, "y")
+    space = Space(tuple(Parameter(name, "", 0.0, 5e9) for name in "acw"))
+    model = FunctionModel(lambda x, a, c, w: a * np.exp(-(((x - c) / w) ** 2)), columns=("x",))
+    problem = CurveFit(model, data, space, compiled=True)
+    for seed in range(4):
+        record = minimize(MIHOGN(), problem, Budget(evaluations=3000), seed)
+        assert record.outcome is Outcome.CONVERGED
+        assert record.theta == pytest.approx([3, 5, 1.2], rel=0.1)
+
+
 def test_what_knows_no_rows_is_asked_for_all_of_them() -> None:
     problem = Outside(fit(), says_rows=False)
     record = minimize(MIHOGN(), problem)
