@@ -210,20 +210,20 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     def _record_end(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Record how the last candidate of a bracket has ended: known, new, stalled or unusable."""
         c = state.candidates
-        loss = float(c.loss[0])
+        loss, best = float(c.loss[0]), float(state.minima.loss.min(initial=math.inf))
+        better = not in_optimum(loss, best, oracle.resolution)
         if c.stage[0] == AT_KNOWN:
             self._record_return(state, oracle)
         elif c.stage[0] == DONE:
-            best = float(state.minima.loss.min(initial=math.inf))
-            if not in_optimum(loss, best, oracle.resolution):  # a better one has to pass anew
+            if better:  # it has to pass anew
                 state.best_found_after = oracle.evaluations
                 state.passed, state.challenging = 0, False
             if not state.challenging:
                 oracle.record_descent(math.inf, loss, theta=state.theta(c.x[0]))
             if loss < best or not in_optimum(best, loss, oracle.resolution):
                 state.add_minimum(c)
-        elif c.stage[0] != UNUSABLE:
-            state.stalled.append(c.first())
+        elif c.stage[0] != UNUSABLE and (better or not state.challenging):
+            state.stalled.append(c.first())  # that of a challenge is no evidence if it comes back
 
     def _after_return(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Record the bracket's end."""

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from miho.compiled.gauss_newton_candidates import GNCandidates
+from miho.compiled.gauss_newton_candidates import SLOPES, GNCandidates
 from miho.compiled.kernel import Formula
 from miho.data import Dataset, load_published
 from miho.identification import CurveFit, linear_optimum
@@ -24,6 +24,7 @@ from miho.optim import (
     MIHOGN,
     Budget,
     LeastSquaresProblem,
+    Oracle,
     Outcome,
     Parameter,
     Problem,
@@ -321,6 +322,24 @@ def test_challenges_are_no_evidence() -> None:
     assert challenged.descents.screened > plain.descents.screened
     assert challenged.descents.finished == plain.descents.finished
     assert challenged.loss == pytest.approx(plain.loss, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("loss", "challenging", "kept"), [(1.5, False, 1), (1.5, True, 0), (0.5, True, 1)]
+)
+def test_a_challenge_that_stalled_goes_on_only_if_it_is_better(
+    loss: float, challenging: bool, kept: int
+) -> None:
+    """Else it comes back to where it began, which would count as the end of a bracket."""
+    method, oracle = MIHOGN(), Oracle(fit(), Budget())
+    state = method.start(oracle, np.random.default_rng(0))
+    c = GNCandidates.at(np.full((1, 3), 0.5), state.level_rows.size, 0.1, False)
+    state.admit(c, state.level_rows.size - 1)
+    c.loss[0] = 1.0
+    state.add_minimum(c)
+    c.loss[0], c.stage[0], state.challenging = loss, SLOPES, challenging
+    method._record_end(state, oracle)
+    assert len(state.stalled) == kept
 
 
 @pytest.mark.parametrize("end", [1e3, 1e6])
