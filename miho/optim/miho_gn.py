@@ -282,20 +282,20 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         They are if the data determine it, and it leaves nothing but noise. A doubtful one needs
         more ends, most of those whose loss is known, and a longer search; half as many ends do
         where only its residuals have structure. One that is neither determined nor noise, off the
-        bounds, is a plateau.
+        bounds, may be a plateau: it needs twice as many, by which starts by scale have been drawn
+        from all of DECADES.
         """
         known, best = state.minima, state.best_minimum
         determined, noise = bool(known.determined[best]), self._leaves_noise(state, oracle)
         if determined and noise:
             return True
-        if not (determined or noise or at_bound(known.x[best])):
-            return False
         if agreement.agreeing < MOST * (agreement.finished - oracle.meter.starts.dropped):
             return False
         if determined and known.loss[best] <= oracle.noise:
             return 2 * agreement.agreeing >= self.doubtful
-        long_enough = oracle.evaluations >= self.longer * state.best_found_after
-        return agreement.agreeing >= self.doubtful and long_enough
+        plateau = not (determined or noise or at_bound(known.x[best]))
+        enough = agreement.agreeing >= self.doubtful * (1 + plateau)
+        return enough and oracle.evaluations >= self.longer * state.best_found_after
 
     def _leaves_noise(self, state: MIHOGNState, oracle: Oracle) -> bool:
         """Whether the best minimum's loss is no more than noise, and its residuals look like it.
