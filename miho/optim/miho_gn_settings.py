@@ -34,7 +34,8 @@ class MIHOGNSettings:
     Searches get stuck at bounds, where the data leave a parameter undetermined, and where the loss
     is more than noise explains: such an optimum needs the ends of `doubtful` brackets, three
     quarters of those whose loss is known, and a search `longer` times as long as it took to find
-    it. Where only its residuals have structure (`miho.optim.structure`) it needs half as many ends.
+    it. Where only its residuals have structure (`miho.optim.structure`) it needs half as many ends,
+    where it may be a plateau twice as many.
     Before the end so many `challenges` have to fail, brackets that start at some of the best
     minimum's coordinates. Where the loss of a minimum is zero to rounding (`miho.optim.zero`), one
     bracket is enough. After `brackets` brackets the search ends in any case, as
