@@ -25,7 +25,7 @@ from miho.optim.meter import (
 from miho.optim.problem import Problem
 from miho.optim.recorder import Recorder
 from miho.optim.space import Space
-from miho.optim.structure import has_structure
+from miho.optim.structure import MOST, has_structure
 from miho.optim.trace import Descent, Trace
 from miho.optim.usable_values import UsableValues, read_only
 from miho.parallel import Ahead, Evaluations
@@ -266,17 +266,22 @@ class Oracle:
     def structured(self, theta: Array) -> bool:
         """Whether residuals at a configuration (d,) have structure that noise has not.
 
-        It takes an evaluation where the problem knows its rows' inputs. Residuals that cannot be
-        evaluated are in doubt.
+        It takes an evaluation, of long data a part of one, where the inputs of rows are known.
+        Residuals that cannot be evaluated are in doubt.
         """
-        inputs = self._problem.row_inputs
+        inputs, rows = self._problem.row_inputs, self.rows
         if not inputs:
             return False
+        share = 1.0 if rows is None or rows <= MOST else MOST / rows
         try:
-            residuals = self.residuals(theta)
+            residuals = self.residuals(theta, share)
         except UnusableValueError:
             return True
-        return has_structure(inputs, residuals[: inputs[0].size])
+        places = np.arange(residuals.size)
+        if share < 1 and self.order is not None:
+            places = self.order[: residuals.size]
+        data = places < inputs[0].size  # not what a prior adds
+        return has_structure([x[places[data]] for x in inputs], residuals[data])
 
     def affords(self, evaluations: float) -> bool:
         """Whether the budget can pay for so many more evaluations, whatever their rounding."""

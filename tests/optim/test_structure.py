@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from miho.optim import Budget
+from miho.optim.oracle import Oracle
 from miho.optim.structure import LEVEL, MOST, has_structure
+from tests.optim.decays import fit
 
 Array = NDArray[np.float64]
 NOISE: dict[str, Callable[[np.random.Generator, int], Array]] = {
@@ -84,6 +87,14 @@ def test_long_data_are_sampled_evenly() -> None:
     x = np.linspace(0, 1, n)
     assert has_structure([x], 0.2 * np.sin(20 * x) + rng.standard_normal(n))
     assert not has_structure([x], rng.standard_normal(n))
+
+
+def test_of_long_data_a_share_is_looked_at() -> None:
+    """In the problem's own order of rows, in which residuals and inputs must agree."""
+    oracle = Oracle(fit(3 * MOST), Budget())
+    assert not oracle.structured(np.array([2.0, 0.7, 0.3]))
+    assert oracle.evaluations == pytest.approx(1 / 3)
+    assert oracle.structured(np.array([2.0, 0.75, 0.3]))
 
 
 @pytest.mark.parametrize("residuals", [np.zeros(50), np.full(50, 3.0), np.arange(5.0)])
