@@ -193,12 +193,16 @@ def number(value: float) -> str:
     return f"{mantissa if '.' in mantissa else mantissa + '.0'}{e}{exponent}"
 
 
-def main() -> None:
-    """Write all files."""
-    texts = files()
+def write(texts: Mapping[Path, str]) -> None:
+    """Write files, and say how many."""
     for file, text in texts.items():
         file.write_text(text, encoding="utf-8")
     print(f"{len(texts)} files in {PROBLEMS}")
+
+
+def main() -> None:
+    """Write all files."""
+    write(files())
 
 
 if __name__ == "__main__":

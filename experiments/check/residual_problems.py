@@ -27,7 +27,15 @@ import numpy as np
 from numpy.typing import NDArray
 from omegaconf import OmegaConf
 
-from experiments.check.published_problems import PROBLEMS, WIDTH, Box, comment, number, optimum_of
+from experiments.check.published_problems import (
+    PROBLEMS,
+    WIDTH,
+    Box,
+    comment,
+    number,
+    optimum_of,
+    write,
+)
 from miho.data import PublishedFit, published_fit
 from miho.models import PublishedModel, ResidualSystem
 
@@ -39,9 +47,9 @@ x9 of Watson's function of twelve variables ends at a bound, and inside where th
 FAR = 10.0
 """The factor of Moré and Wild from a start to a second one."""
 ARRIVED = 1e-6
-"""A share of the error at the start which is no error: far below that of every optimum above zero,
-the least of which is 2.5e-6 of it (Watson's function of twelve variables), and above what rounding
-leaves of 1e-16."""
+"""An error below this share of the error at the start counts as zero. The smallest error of an
+optimum that is not zero is 2.5e-6 of that at the start (Watson's function of twelve variables);
+rounding leaves 1e-16."""
 MORE_WILD: Mapping[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
     "linear_full_rank": ((9,), (9,)),
     "linear_rank_1": ((7,), (7,)),
@@ -153,7 +161,7 @@ class Posed:
 
     @property
     def resolution(self) -> float:
-        """An error that counts as zero, rounded down to one digit; that of the near start."""
+        """The error below which an optimum is zero, from the near start, to one digit."""
         error = ARRIVED * math.sqrt(np.mean(self.residuals(self.start / self.factor) ** 2))
         unit = 10.0 ** math.floor(math.log10(error))
         return float(f"{math.floor(error / unit) * unit:.0e}")
@@ -231,10 +239,7 @@ def files() -> dict[Path, str]:
 
 def main() -> None:
     """Write all files."""
-    texts = files()
-    for file, text in texts.items():
-        file.write_text(text, encoding="utf-8")
-    print(f"{len(texts)} files in {PROBLEMS}")
+    write(files())
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
 python -m experiments.check.wide_boxes --seeds 20
 
-Each parameter is positive and has the bounds 0 and so many times its true value; the curvature of
-the tire may have either sign. A run is right if its loss is at most 1e-4 above that of a descent
+The bounds of each parameter are 0 and a multiple of its true value; those of the tire's curvature
+are plus and minus that multiple. A run is right if its loss is at most 1e-4 above that of a descent
 from the true parameters; it claims if it ends by its evidence.
 """
 

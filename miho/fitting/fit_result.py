@@ -239,7 +239,7 @@ class Fit(Remade):
         return report
 
     def _adopt(self, report: Report) -> None:
-        """Take the optimum of a report, and what the report says of it.
+        """Take the optimum of a report, and the report's statement on it.
 
         It is the fit's own, another and better one, or the same to more digits. Then those within
         the noise are the same, and no descent has to lead to them again.

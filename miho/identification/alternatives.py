@@ -168,7 +168,7 @@ def _loosely(problem: CurveFit, optimum: Refit, level: float) -> float:
 
 
 def hull(values: Sequence[Array], intervals: Sequence[Array]) -> Array:
-    """The smallest intervals (q, 2) that hold those of several optima, (q, 2) each.
+    """The smallest intervals (q, 2) that contain the intervals of several optima, (q, 2) each.
 
     An optimum without an interval of a quantity, as at a bound, adds its own of the `values`, (q,)
     each; NaN where none has an interval.

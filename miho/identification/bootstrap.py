@@ -68,7 +68,7 @@ def bootstrap(
 
 @dataclass(frozen=True)
 class _Refitted:
-    """The best optimum (d,) of rows with weights (N,) near one of those of all alike."""
+    """The best optimum (d,) of weighted rows, by descents from the optima of equal weights."""
 
     problem: CurveFit
     starts: Sequence[Array]

@@ -34,13 +34,12 @@ class MIHOGNSettings:
     Searches get stuck at bounds, where the data leave a parameter undetermined, and where the loss
     is more than noise explains: such an optimum needs the ends of `doubtful` brackets, three
     quarters of those whose loss is known, and a search `longer` times as long as it took to find
-    it. Where only its residuals have structure (`miho.optim.structure`) it needs half as many ends,
-    where it may be a plateau twice as many.
-    Before the end so many `challenges` have to fail, brackets that start at some of the best
-    minimum's coordinates. Where the loss of a minimum is zero to rounding (`miho.optim.zero`), one
-    bracket is enough. After `brackets` brackets the search ends in any case, as
-    `Outcome.BRACKETS`. At last it descends from the run's best to a tolerance of `digits`. A
-    problem that is linear in all parameters is solved.
+    it. Half as many ends do where only its residuals have structure (`miho.optim.structure`), and
+    twice as many are needed where it may be a plateau. Before the search ends, `challenges`
+    brackets have to fail that start at some of the best minimum's coordinates. Where the loss of a
+    minimum is zero to rounding (`miho.optim.zero`), one bracket is enough. After `brackets`
+    brackets the search ends in any case, as `Outcome.BRACKETS`. At last it descends from the run's
+    best to a tolerance of `digits`. A problem that is linear in all parameters is solved.
     """
 
     eta: int = 3
@@ -71,6 +70,7 @@ class MIHOGNSettings:
     def __post_init__(self) -> None:
         check_brackets(self)
         whole("doubtful", self.doubtful, 1)
-        whole_settings(self, ("secants", "projecting", "challenges"), 0)
+        whole_settings(self, ("secants", "projecting"), 0)
+        whole("challenges", self.challenges, 1)
         one_of("draws", self.draws, DRAWS)
         positive_settings(self, ("damping", "reach", "digits", "longer"))

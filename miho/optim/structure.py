@@ -28,7 +28,7 @@ quarter of the times."""
 CLIPPED = 3.0
 """Standard deviations of normal noise up to which a residual counts."""
 FEWEST, MOST = 8, 20_000
-"""Rows that can show a structure, and rows that are tested at most: every so many of longer data,
+"""The fewest rows that can show a structure, and the most that are tested: of longer data a sample,
 which takes some 10 ms, and of many inputs 1 ms for each two."""
 CELLS = 64
 """Cells of the grid of two inputs along each: a window of one cell is 1/64 of a range."""

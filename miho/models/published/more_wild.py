@@ -121,7 +121,7 @@ def mancino(x: Values, m: int) -> Values:
 
 
 def mancino_start(n: int) -> Values:
-    """Published as -8.710996e-4 times what the residuals are at 0."""
+    """The published start: the residuals at 0, multiplied by -8.710996e-4."""
     zero = np.zeros((n, 1))
     return np.asarray(-8.710996e-4 * mancino(zero, n)[:, 0])
 
