@@ -39,8 +39,6 @@ LESS, MORE = 0.1, 2.0
 """Factors of the damping after a good and after a poor step; after failures Nielsen's (1999), which
 double each time."""
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
-FADING = 0.3
-"""A scale D_j falls by no more than this factor from one step to the next."""
 SECANT = 0.7
 """Where the gain is more than this share of the predicted one the next derivatives are Broyden's,
 a few times running: they cost nothing."""
@@ -94,7 +92,7 @@ def take_factor(c: GNCandidates, i: int, box: GNBox, w: Work) -> None:
             R[j, k] = w.T[first + j, first + k] if j <= k else 0.0
             square += R[j, k] * R[j, k]
         q[k] = w.T[first + k, first + n]
-        D[k] = max(math.sqrt(square), FADING * D[k])
+        D[k] = max(math.sqrt(square), c.fading[i] * D[k])
         largest = max(largest, D[k])
         finite = finite and math.isfinite(D[k]) and math.isfinite(q[k])
     for k in range(n):

@@ -39,9 +39,10 @@ class GNCandidates(NamedTuple):
     see above; stage_after_record (n,): the stage that follows RECORD. secants (n,): how many times
     running the derivatives were updated (Broyden) instead of evaluated. trials (n,): in this block.
     spent (n,): rows evaluated. loss_at_mark, spent_at_mark (n,): loss and rows at the last mark,
-    from which progress is measured. projects (n,): whether the linear parameters are solved for at
-    every look. derivatives (n, d + 1, m): where Broyden's update needs them, the derivatives by
-    parameter and last the residuals; else m = 0.
+    from which progress is measured. fading (n,): a scale falls by no more than this factor from one
+    step to the next; at 1 it never falls (Moré, 1978). projects (n,): whether the linear parameters
+    are solved for at every look. derivatives (n, d + 1, m): where Broyden's update needs them, the
+    derivatives by parameter and last the residuals; else m = 0.
 
     All but R and derivatives are views of `numbers` and `counts`, a row for each candidate, because
     a call of compiled code takes longer the more arrays it is given.
@@ -60,6 +61,7 @@ class GNCandidates(NamedTuple):
     growth: Array
     predicted_gain: Array
     loss_at_mark: Array
+    fading: Array
     sums: Array
     stage: Integers
     stage_after_record: Integers
@@ -70,14 +72,16 @@ class GNCandidates(NamedTuple):
     projects: Integers
 
     @classmethod
-    def at(cls, x: Array, levels: int, damping: float, projects: bool) -> GNCandidates:
+    def at(
+        cls, x: Array, levels: int, damping: float, fading: float, projects: bool
+    ) -> GNCandidates:
         """New candidates at unit coordinates (n, d)."""
         n, d = x.shape
-        numbers, counts = np.zeros((n, 4 * d + 5 + levels)), np.zeros((n, 7), np.int64)
+        numbers, counts = np.zeros((n, 4 * d + 6 + levels)), np.zeros((n, 7), np.int64)
         c = _from_arrays(numbers, counts, np.zeros((n, d, d)), np.zeros((n, d + 1, 0)))
         c.x[:] = c.trial[:] = x
         c.loss[:] = c.predicted_gain[:] = np.inf
-        c.damping[:], c.growth[:] = damping, 2.0
+        c.damping[:], c.growth[:], c.fading[:] = damping, 2.0, fading
         c.stage[:], c.projects[:] = ENTER, projects
         return c
 
@@ -105,7 +109,7 @@ def _from_arrays(numbers: Array, counts: Integers, R: Array, derivatives: Array)
 
 
 def views(numbers: Array, counts: Integers, R: Array, derivatives: Array) -> GNCandidates:
-    """The record whose fields are views of `numbers` (n, 4 d + 5 + levels) and `counts` (n, 7)."""
+    """The record whose fields are views of `numbers` (n, 4 d + 6 + levels) and `counts` (n, 7)."""
     d = R.shape[1]
     return GNCandidates(
         numbers,
@@ -121,7 +125,8 @@ def views(numbers: Array, counts: Integers, R: Array, derivatives: Array) -> GNC
         numbers[:, 4 * d + 2],
         numbers[:, 4 * d + 3],
         numbers[:, 4 * d + 4],
-        numbers[:, 4 * d + 5 :],
+        numbers[:, 4 * d + 5],
+        numbers[:, 4 * d + 6 :],
         counts[:, 0],
         counts[:, 1],
         counts[:, 2],

@@ -22,7 +22,7 @@ from miho.compiled.gauss_newton_candidates import (
 )
 from miho.compiled.gauss_newton_loop import run_bracket
 from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE, SOLVED
-from miho.optim.brackets import around, draw_starts, luby, rows_by_level
+from miho.optim.brackets import TURNS, around, draw_starts, luby, rows_by_level
 from miho.optim.evidence import Agreement, in_optimum
 from miho.optim.gauss_newton_steps import run_phases
 from miho.optim.meter import Budget, BudgetExhausted, UnusableValueError
@@ -62,7 +62,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             if oracle.cost(level_rows[0] / N) >= 1:  # fewer rows are not cheaper
                 level_rows = level_rows[-1:]
         oracle.meter.starts.brackets = True
-        nobody, nowhere = GNCandidates.at(np.empty((0, len(space))), 0, 0, False), np.empty(0)
+        nobody, nowhere = GNCandidates.at(np.empty((0, len(space))), 0, 0, 0, False), np.empty(0)
         sums = np.empty((0, len(level_rows)))
         place = np.full(5, CLOSED)
         return MIHOGNState(
@@ -178,11 +178,14 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             starts = around(state.box.origin + state.box.width * best, starts, state.rng)
         oracle.record_screened(n * (not state.linear))
         x = (starts - state.box.origin) / state.box.width
-        state.admit(GNCandidates.at(x, state.level_rows.size, self.damping, projects), 0)
+        fading = self.fading if state.bracket % 2 else 1.0
+        levels = state.level_rows.size
+        state.admit(GNCandidates.at(x, levels, self.damping, fading, projects), 0)
         make_room(state.candidates, state.place, state.level_rows, state.settings)
 
     def _projects(self, state: MIHOGNState) -> bool:
-        every = self.projecting and state.bracket % self.projecting == 0
+        turn = (state.bracket - 1) // len(TURNS)  # each distribution of starts has its turn of both
+        every = self.projecting and (state.bracket + turn) % self.projecting == 0
         return bool(every and state.box.linear.size)
 
     def _after_finish(self, state: MIHOGNState, oracle: Oracle) -> None:
@@ -352,7 +355,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         best = state.space.encode(oracle.trace.theta[-1][None])
         x = np.clip((best - state.box.origin) / state.box.width, 0.0, 1.0)
         levels = state.level_rows.size
-        state.admit(GNCandidates.at(x, levels, ENTERING, False), levels - 1)
+        state.admit(GNCandidates.at(x, levels, ENTERING, self.fading, False), levels - 1)
         make_room(state.candidates, state.place, state.level_rows, state.settings)
         begin(state.candidates, state.place, POLISH, 1)
 

@@ -21,7 +21,9 @@ class MIHOGNSettings:
     about `base` (d + 1) evaluations times Luby's sequence, at most `largest` (d + 1); a bracket
     begins with `least` to `most` configurations.
 
-    Steps are damped by `damping` at first, and no longer than `reach` of the widths. A descent is
+    Steps are damped by `damping` at first, relative to a scale of each parameter, and no longer
+    than `reach` of the widths. In every second bracket a scale never falls, which large residuals
+    need; in the others by no more than the factor `fading` from step to step. A descent is
     done where its linear model predicts a gain below the share `tolerance` of the loss; on m rows,
     fewer than all, below `level_tolerance` d / m, which so few do not tell from noise. Up to
     `secants` steps running update the derivatives (Broyden) instead of evaluating them. One bracket
@@ -53,6 +55,7 @@ class MIHOGNSettings:
     steps: int = 3
     lead: int = 20
     damping: float = 0.1
+    fading: float = 0.3
     reach: float = 0.25
     secants: int = 4
     projecting: int = 2
@@ -73,4 +76,6 @@ class MIHOGNSettings:
         whole_settings(self, ("secants", "projecting"), 0)
         whole("challenges", self.challenges, 1)
         one_of("draws", self.draws, DRAWS)
-        positive_settings(self, ("damping", "reach", "digits", "longer"))
+        positive_settings(self, ("damping", "fading", "reach", "digits", "longer"))
+        if self.fading > 1:
+            raise ValueError(f"fading is {self.fading:g}; expected at most 1")

@@ -265,19 +265,16 @@ class Space:
             draws = rng.random((n, 2 * d))
             noise = scipy.special.ndtri(np.maximum(draws[:, d:], np.finfo(float).tiny))
             return np.asarray(low + (high - low) * draws[:, :d] + self.sigma[0] * noise)
-        mean, std = self._normal
-        below, above = (
-            scipy.special.ndtr((low - mean) / std),
-            scipy.special.ndtr((high - mean) / std),
-        )
-        quantiles = below + (above - below) * rng.random((n, d))
+        mean, std, below, inside = self._normal
+        quantiles = below + inside * rng.random((n, d))
         return np.minimum(np.maximum(mean + std * scipy.special.ndtri(quantiles), low), high)
 
     @cached_property
-    def _normal(self) -> tuple[Array, Array]:
-        """Mean and standard deviation of the initial distribution in search coordinates, (d,) each.
+    def _normal(self) -> tuple[Array, Array, Array, Array]:
+        """The initial distribution in search coordinates, (d,) each.
 
-        By default the middle of the range and a quarter of it.
+        Mean and standard deviation, by default the middle of the range and a quarter of it, and
+        its probabilities below the range and inside.
         """
         low, high = self.bounds
         middle = self.decode((low + high) / 2)
@@ -286,7 +283,9 @@ class Space:
         ]
         quarter = (high - low) / 4
         std = [q if p.std is None else p.std for q, p in zip(quarter, self.parameters, strict=True)]
-        return self.encode(np.array(mean)), np.array(std)
+        center, deviation = self.encode(np.array(mean)), np.array(std)
+        below, above = (scipy.special.ndtr((end - center) / deviation) for end in (low, high))
+        return center, deviation, below, above - below
 
     def initial(self, n: int, sampling: str = "normal") -> Array:
         """The first n of the common initial configurations, in search coordinates, (n, d)."""

@@ -116,7 +116,7 @@ def test_without_room_for_derivatives_steps_pay_for_their_own(
 
 def test_a_return_is_to_the_minimum_that_is_near_in_the_metric_of_the_residuals() -> None:
     """Not to the nearest in the box: residuals hardly change along the second coordinate."""
-    c = GNCandidates.at(np.array([[0.5, 0.5]]), 1, 0.1, False)
+    c = GNCandidates.at(np.array([[0.5, 0.5]]), 1, 0.1, 0.3, False)
     c.R[0] = np.diag([10.0, 0.1])
     box = box_of(Space((Parameter("a", "-", 0, 1), Parameter("b", "-", 0, 1))), ())
     minima = np.array([[0.5, 0.9], [0.45, 0.5], [0.5, 0.4]])
@@ -276,7 +276,7 @@ def test_a_problem_that_is_linear_is_solved_and_not_searched() -> None:
 
 
 def test_brackets_that_come_back_to_a_bound_on_few_rows_have_come_back() -> None:
-    """Each of them is told to be there by the rows it saw, and none to be a worse optimum."""
+    """The rows that it saw tell nearly each of them to be there, and none to be a worse optimum."""
     problem = sampled(Rising(), [-0.05, 0.7], [(0, 10), (0.01, 100)], 500, 0.05)
     for seed in range(3):
         record = minimize(MIHOGN(), problem, seed=seed)
@@ -284,7 +284,9 @@ def test_brackets_that_come_back_to_a_bound_on_few_rows_have_come_back() -> None
         assert record.theta is not None
         assert record.theta[0] == 0
         assert record.descents is not None
-        assert record.descents.agreeing == record.descents.finished >= 20
+        known = record.descents.finished - record.descents.dropped
+        assert record.descents.agreeing == known >= 20
+        assert record.descents.dropped <= 1
 
 
 def test_a_loss_above_the_noise_is_doubted() -> None:
@@ -333,13 +335,44 @@ def test_a_challenge_that_stalled_goes_on_only_if_it_is_better(
     """Else it comes back to where it began, which would count as the end of a bracket."""
     method, oracle = MIHOGN(), Oracle(fit(), Budget())
     state = method.start(oracle, np.random.default_rng(0))
-    c = GNCandidates.at(np.full((1, 3), 0.5), state.level_rows.size, 0.1, False)
+    c = GNCandidates.at(np.full((1, 3), 0.5), state.level_rows.size, 0.1, 0.3, False)
     state.admit(c, state.level_rows.size - 1)
     c.loss[0] = 1.0
     state.add_minimum(c)
     c.loss[0], c.stage[0], state.challenging = loss, SLOPES, challenging
     method._record_end(state, oracle)
     assert len(state.stalled) == kept
+
+
+class Arrow(LeastSquaresProblem):
+    """Residuals x_i^2 + x_n^2 and 4 x_i - 3, whose last derivatives vanish at the optimum."""
+
+    name, rows = "arrow", 18
+    space = Space(tuple(Parameter(f"x{k}", "-", -9.0, 11.0) for k in range(10)))
+
+    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
+        return np.array([np.mean(self.residuals(theta) ** 2) for theta in thetas])
+
+    def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
+        return np.concatenate([theta[:-1] ** 2 + theta[-1] ** 2, 4 * theta[:-1] - 3])
+
+    def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
+        J = np.zeros((18, 10))
+        rows = np.arange(9)
+        J[rows, rows], J[rows, -1], J[9 + rows, rows] = 2 * theta[:-1], 2 * theta[-1], 4.0
+        return J
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_scales_that_never_fall_lead_where_derivatives_vanish(seed: int) -> None:
+    """With scales that fall in every bracket, none of these runs comes near in 9,000 evaluations.
+
+    The optimum is that of x_n = 0 and 2 x^3 + 16 x - 12 = 0.
+    """
+    x = float(np.roots([2, 0, 16, -12])[-1].real)
+    optimum = (x**4 + (4 * x - 3) ** 2) / 2
+    record = minimize(MIHOGN(), Arrow(), Budget(evaluations=1000), seed)
+    assert record.loss <= 1.0001 * optimum
 
 
 @pytest.mark.parametrize("end", [1e3, 1e6])
@@ -384,6 +417,7 @@ def test_what_knows_no_rows_is_asked_for_all_of_them() -> None:
         ({"steps": 0}, "steps is 0; expected a whole number of at least 1"),
         ({"secants": -1}, "secants is -1; expected a whole number of at least 0"),
         ({"reach": 0.0}, "reach"),
+        ({"fading": 2.0}, "fading is 2; expected at most 1"),
         ({"tolerance": math.nan}, "tolerance"),
         ({"draws": "halves"}, "draws"),
         ({"least": 9, "most": 3}, "most is 3; expected at least 9, which is least"),
