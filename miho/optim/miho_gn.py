@@ -184,9 +184,13 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         make_room(state.candidates, state.place, state.level_rows, state.settings)
 
     def _projects(self, state: MIHOGNState) -> bool:
-        turn = (state.bracket - 1) // len(TURNS)  # each distribution of starts has its turn of both
-        every = self.projecting and (state.bracket + turn) % self.projecting == 0
-        return bool(every and state.box.linear.size)
+        """Whether the next bracket projects: first where that halves the search, else later.
+
+        The order changes every round, so that each distribution of starts has its turn of both.
+        """
+        linear, turn = state.box.linear.size, (state.bracket - 1) // len(TURNS)
+        turn += 2 * linear >= state.d
+        return bool(linear and self.projecting and (state.bracket + turn) % self.projecting == 0)
 
     def _after_finish(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Revive the best candidate that stalled in an earlier bracket, if there is any.
