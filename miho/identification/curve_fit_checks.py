@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -77,6 +77,12 @@ def check_curve_fit(problem: CurveFit, dear: bool = False) -> None:
     _check_nominal(problem, model_name)
 
 
+def _trials(space: Space) -> Iterator[Array]:
+    """The first RAISING of the common initial configurations, (d,) each; most are rarely drawn."""
+    yield from space.decode(space.initial(TRIALS))
+    yield from space.decode(space.initial(RAISING)[TRIALS:])
+
+
 def _usable(problem: CurveFit, model_name: str) -> Array | None:
     """The first trial configuration (d,) without an exception; None for an expensive model.
 
@@ -84,7 +90,7 @@ def _usable(problem: CurveFit, model_name: str) -> Array | None:
     refused with its first error, and so is one that gives another shape.
     """
     model, failures, fastest = problem.model, list[Exception](), math.inf
-    for theta in problem.space.decode(problem.space.initial(RAISING)):
+    for theta in _trials(problem.space):
         started = time.perf_counter()
         try:
             actual = model.predict(theta[None], *problem.inputs).shape

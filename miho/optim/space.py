@@ -19,6 +19,8 @@ SCALES = ("linear", "log")
 SAMPLINGS = ("normal", "uniform_plus_noise", "uniform")
 FARTHEST = 3.0
 """A prior whose mean lies more of its deviations outside of the bounds contradicts them."""
+COMMON = 30
+"""Common initial configurations that are drawn once."""
 LARGEST_BATCH = 10_000_000
 """More configurations than this at once do not fit into a machine's memory."""
 
@@ -289,7 +291,14 @@ class Space:
 
     def initial(self, n: int, sampling: str = "normal") -> Array:
         """The first n of the common initial configurations, in search coordinates, (n, d)."""
+        if sampling == "normal" and n <= COMMON:
+            return self._common[:n].copy()
         return self.sample(n, stream("initial", *self.seed), sampling)
+
+    @cached_property
+    def _common(self) -> Array:
+        """The first of the common initial configurations, which several parts of a fit ask for."""
+        return self.sample(COMMON, stream("initial", *self.seed))
 
     def seeded(self, *seed: Part) -> Space:
         """This space with other common initial configurations."""
