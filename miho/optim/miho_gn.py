@@ -22,7 +22,7 @@ from miho.compiled.gauss_newton_candidates import (
 )
 from miho.compiled.gauss_newton_loop import run_bracket
 from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE, SOLVED
-from miho.optim.brackets import TURNS, around, draw_starts, luby, rows_by_level
+from miho.optim.brackets import around, draw_starts, luby, rows_by_level
 from miho.optim.evidence import Agreement, in_optimum
 from miho.optim.gauss_newton_steps import run_phases
 from miho.optim.meter import Budget, BudgetExhausted, UnusableValueError
@@ -184,13 +184,10 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         make_room(state.candidates, state.place, state.level_rows, state.settings)
 
     def _projects(self, state: MIHOGNState) -> bool:
-        """Whether the next bracket projects: first where that halves the search, else later.
-
-        The order changes every round, so that each distribution of starts has its turn of both.
-        """
-        linear, turn = state.box.linear.size, (state.bracket - 1) // len(TURNS)
-        turn += 2 * linear >= state.d
-        return bool(linear and self.projecting and (state.bracket + turn) % self.projecting == 0)
+        """Whether this bracket projects: one in `projecting`, and the first if that halves it."""
+        linear = state.box.linear.size
+        halves = state.bracket == 1 and 2 * linear >= state.d
+        return bool(linear and self.projecting) and (halves or state.bracket % self.projecting == 0)
 
     def _after_finish(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Revive the best candidate that stalled in an earlier bracket, if there is any.
