@@ -140,6 +140,37 @@ def test_a_formula_that_proves_false_after_the_search_is_not_believed(
     assert not isinstance(fit.problem.model, Expression)
 
 
+def _differs_in_half_of_the_box(t: Any, a: Any, b: Any) -> Any:
+    return a * np.exp(-b * t) + (0.3 * np.sin(t) if isinstance(b, float) and b < 1.5 else 0)
+
+
+def _differs_at_the_optimum(t: Any, a: Any, b: Any) -> Any:
+    return a * np.exp(-b * t) + (0.1 if isinstance(b, float) and abs(b - 0.7) < 0.02 else 0)
+
+
+@pytest.mark.parametrize("function", [_differs_in_half_of_the_box, _differs_at_the_optimum])
+def test_a_function_that_differs_for_numbers_spends_its_budget_once(
+    function: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    spent = list[float]()
+
+    def counted(*arguments: Any, **settings: Any) -> miho.RunRecord:
+        run = miho.minimize(*arguments, **settings)
+        spent.append(run.evaluations)
+        return run
+
+    monkeypatch.setattr("miho.fitting.search.minimize", counted)
+    y = 2 * np.exp(-0.7 * t) + noise
+    few = miho.Budget(evaluations=150)
+    fit = fitted(function, y, budget=few)
+    assert "other values for numbers than for arrays" in capsys.readouterr().err
+    assert sum(spent) <= 150
+    own = np.sqrt(np.mean((function(t, *fit.values.values()) - y) ** 2))
+    assert fit.error == pytest.approx(own, rel=1e-9)
+
+
 def test_zeros_are_those_of_numpy() -> None:
     """0 / t and 0 * log(t) have no value where t is 0, in a row that no trial call need take."""
     rows = np.linspace(-1, 1, 4001)

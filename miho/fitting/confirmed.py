@@ -1,7 +1,7 @@
-"""Whether a fit is that of the user's function: it is called at the optimum before a fit is given.
+"""Whether a fit is that of the user's function: it is called before the search and at its end.
 
 A formula that was traced, and parameters side by side, take the place of calls with numbers. That
-they give the same was seen at a few configurations before the search.
+they give the same is seen at some configurations before the search, and at the optimum.
 """
 
 from __future__ import annotations
@@ -26,28 +26,26 @@ from miho.parallel.worth import is_dear
 from miho.quantities import Array
 
 CONFIGURATIONS, VALUES = 30, 1_000_000
-"""Configurations besides the optimum at which calls are compared, and values of them at most."""
+"""Configurations at which calls are compared before a search, and values of them at most."""
 REPEATED = 1e-9
 """Errors of two calls differ if by more than this share of the output's size."""
 
 
 def by_calls(
-    problem: CurveFit, theta: Array, evaluations: Evaluations | None = None
+    problem: CurveFit, thetas: Array, evaluations: Evaluations | None = None
 ) -> CurveFit | None:
     """The problem whose functions are called with numbers, where that gives other values.
 
-    The values at `theta` (d,) and at some configurations of the box are compared; of a slow
-    function those at `theta` alone. None if they agree, or if `evaluations` may not be repeated.
+    The values at parameter rows (n, d) are compared; of a slow function those at the first. None if
+    they agree, or if `evaluations` may not be repeated.
     """
     called = _called(problem.model)
     if called is problem.model or _is_final(problem, evaluations):
         return None
-    count = min(CONFIGURATIONS, VALUES // max(1, len(problem.dataset)))
     started = time.perf_counter()
-    agree = _same(problem.model, called, theta[None], problem.inputs)
-    if agree and count and not is_dear(time.perf_counter() - started):
-        others = problem.space.decode(problem.space.initial(count))
-        agree = _same(problem.model, called, others, problem.inputs)
+    agree = _same(problem.model, called, thetas[:1], problem.inputs)
+    if agree and len(thetas) > 1 and not is_dear(time.perf_counter() - started):
+        agree = _same(problem.model, called, thetas[1:], problem.inputs)
     if agree:
         return None
     sys.stderr.write(
@@ -55,6 +53,12 @@ def by_calls(
         "called with numbers, one configuration at a time\n"
     )
     return replace(problem, model=called, dear=True)
+
+
+def compared_at(problem: CurveFit) -> Array:
+    """The configurations (n, d) of the box at which calls are compared before a search."""
+    count = min(CONFIGURATIONS, max(1, VALUES // max(1, len(problem.dataset))))
+    return problem.space.decode(problem.space.initial(count))
 
 
 def check_repeats(

@@ -203,7 +203,7 @@ def descended(
     descent = refit(spread(problem, evaluations), theta)
     if not math.isfinite(descent.cost):
         raise ValueError(f"{title(problem)}: is not finite at the start; give another one")
-    called = by_calls(problem, descent.theta, evaluations)
+    called = by_calls(problem, descent.theta[None], evaluations)
     if called is not None:
         return descended(called, start)
     check_repeats(problem, descent.theta, descent.cost, evaluations)

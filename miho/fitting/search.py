@@ -7,7 +7,7 @@ import sys
 from collections import defaultdict
 from dataclasses import replace
 
-from miho.fitting.confirmed import by_calls, check_repeats
+from miho.fitting.confirmed import by_calls, check_repeats, compared_at
 from miho.fitting.dear_fit import interrupted, pace_line, spread, title
 from miho.fitting.fit_result import Fit
 from miho.fitting.named import check_budget, method_of
@@ -48,7 +48,11 @@ def searched(
     """
     method = MIHOGN() if method is None else method_of(method)
     check_budget(budget)
-    problem, run = _run(problem, method, budget or Budget(), seed, evaluations)
+    budget = budget or Budget()
+    called = by_calls(problem, compared_at(problem), evaluations)
+    if called is not None:
+        problem, evaluations = called, None
+    problem, run = _run(problem, method, budget, seed, evaluations)
     if run.outcome is Outcome.INTERRUPTED:
         raise interrupted(run)
     name = title(problem)
@@ -68,9 +72,15 @@ def searched(
     descent = refit(spread(problem, evaluations), theta)
     if not math.isfinite(descent.cost):  # as it may be on rows that the search did not look at
         raise ValueError(f"{name}: no finite value was found on all rows; give a larger budget")
-    called = by_calls(problem, descent.theta, evaluations)
+    called = by_calls(problem, descent.theta[None], evaluations)
     if called is not None:
-        return searched(called, method, budget, seed)
+        left = _left(budget, run)
+        if left is not None:
+            return searched(called, method, left, seed)
+        problem, descent = called, refit(called, descent.theta)
+        if not math.isfinite(descent.cost):
+            raise ValueError(f"{name}: no finite value was found; give a larger budget")
+        return Fit(problem, descent.theta, descent.theta, moving=descent.moving)
     check_repeats(problem, descent.theta, descent.cost, evaluations)
     fit = Fit(problem, descent.theta, theta, run.descents, moving=descent.moving)
     return _with_others(fit, descent, evaluations)
@@ -137,6 +147,18 @@ def _run(
             "(compiled=False does without)\n"
         )
     return run(problem, budget, checkpoint)
+
+
+def _left(budget: Budget, run: RunRecord) -> Budget | None:
+    """What a run has left of its budget; None if that is less than it has spent."""
+    evaluations, seconds = budget.evaluations, budget.seconds
+    if evaluations is not None:
+        evaluations -= math.ceil(run.evaluations)
+    if seconds is not None:
+        seconds -= run.seconds
+    few = evaluations is not None and evaluations < run.evaluations
+    late = seconds is not None and seconds < run.seconds
+    return None if few or late else replace(budget, evaluations=evaluations, seconds=seconds)
 
 
 def _ended(run: RunRecord, budget: Budget) -> bool:
