@@ -322,3 +322,21 @@ def test_a_part_spans_the_optima_that_the_data_of_all_cannot_tell_apart() -> Non
     for end in ("low", "high"):
         own = part.parameters[end].to_dict()
         assert own == pytest.approx(fit.parameters[end].to_dict(), rel=1e-6)
+
+
+def test_a_pickled_part_keeps_what_all_parts_know() -> None:
+    """A report of the part's data alone would have other values, so that the joint fit is named."""
+    noise = 0.05 * np.random.default_rng(3).standard_normal((2, t.size))
+    left, right = line(t, 1, 2) + noise[0], line(t, 3, 2) + noise[1]
+    parts = {"left": (line, t, left), "right": (line, t, right)}
+    fit = miho.fit_joint(parts, {"a": (-9, 9), "b": (-9, 9)}, local=["a"], compiled=False)
+    part = fit.part("right")
+    copy = pickle.loads(pickle.dumps(part))
+    pd.testing.assert_frame_equal(copy.parameters, part.parameters)
+    assert copy.predict(0.5).high == part.predict(0.5).high
+    assert str(copy) == str(part)
+    for each in (part, copy):
+        for what in ("report", "posterior"):
+            with pytest.raises(ValueError, match=f"{what}: part 'right' needs the joint fit"):
+                getattr(each, what)()
+    pd.testing.assert_frame_equal(copy.parameters, part.parameters)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal, NamedTuple, NoReturn
 
 import numpy as np
 
@@ -87,7 +87,7 @@ def fit_joint(
 class JointFit(Fit):
     """A fit of several parts; errors are weighted by sigma, and `scale` is their common unit."""
 
-    def part(self, name: str) -> Fit:
+    def part(self, name: str) -> PartFit:
         """One part's fit, with the values and uncertainties of all parts together."""
         parts = parts_of(self.problem.model)
         names = [part.name for part in parts]
@@ -107,9 +107,9 @@ class JointFit(Fit):
             tuple(Parameter(n, u, v - FAR * (1 + abs(v)), v + FAR * (1 + abs(v)))
                   for (n, u), v in parameters)
         )  # fmt: skip
-        fit = Fit(
+        fit = PartFit(
             CurveFit(part.model, Dataset(name, columns, units, output), space, compiled=False),
-            values, values,
+            values, values, joint=self, name=name,
         )  # fmt: skip
         alternatives = optima_table(fit.problem, optima)
         if len(alternatives):
@@ -119,6 +119,29 @@ class JointFit(Fit):
             _standing=self._standing, caveats=self.caveats,
         )  # fmt: skip
         return fit
+
+
+@dataclass(frozen=True, eq=False)
+class PartFit(Fit):
+    """One part of a `joint` fit, whose uncertainties are those of all parts together."""
+
+    joint: JointFit = field(kw_only=True)
+    name: str = field(kw_only=True)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """The joint fit, of which it is made again."""
+        return JointFit.part, (self.joint, self.name)
+
+    def report(self, **settings: Any) -> NoReturn:
+        """Raises ValueError: a report of these data alone would have other values."""
+        self._refuse("report")
+
+    def posterior(self, **settings: Any) -> NoReturn:
+        """Raises ValueError: a posterior of these data alone would be another one."""
+        self._refuse("posterior")
+
+    def _refuse(self, what: str) -> NoReturn:
+        raise ValueError(f"{what}: part {self.name!r} needs the joint fit; call it there")
 
 
 def _of_parameters(problem: CurveFit, at: Linearised, names: Sequence[str]) -> Linearised:
