@@ -140,11 +140,7 @@ class Report:
                 "value": at.theta,
                 "unit": [p.unit for p in self.space.parameters],
                 "standard error": at.standard_errors,
-                "sandwich": np.where(
-                    np.isfinite(at.standard_errors),
-                    np.sqrt(np.diag(at.sandwich)),
-                    at.standard_errors,
-                ),
+                "sandwich": at.by_sandwich.standard_errors,
                 "of the run": reported_values(self.problem, self.run[None])[0],
             }
         )
@@ -152,7 +148,7 @@ class Report:
         values = [one.theta for one in each]
         ends = {
             "linearised": hull(values, [one.intervals(self.level) for one in each]),
-            "sandwich": hull(values, [one.sandwich_intervals(self.level) for one in each]),
+            "sandwich": hull(values, [one.by_sandwich.intervals(self.level) for one in each]),
         }
         if any(self.profiles):
             no_interval = (math.nan, math.nan)
@@ -186,25 +182,27 @@ class Report:
                 continue
             value, error = delta_method(quantity, self.at)
             slope = gradient(quantity, self.at)[None]
-            optima = (self.at, *self.others)
-            intervals = [interval_of(quantity, one, self.level) for one in optima]
-            low, high = hull([quantity.evaluate(one.theta[None]) for one in optima], intervals)[0]
             row: dict[str, Any] = {
                 "quantity": quantity.name,
                 "value": value,
                 "unit": quantity.unit,
                 "standard error": error,
-                "linearised low": low,
-                "linearised high": high,
+                "sandwich": delta_method(quantity, self.at.by_sandwich)[1],
             }
+            optima = (self.at, *self.others)
+            values = [quantity.evaluate(one.theta[None]) for one in optima]
+            by_kind = {"linearised": optima, "sandwich": [one.by_sandwich for one in optima]}
+            for kind, each in by_kind.items():
+                intervals = [interval_of(quantity, one, self.level) for one in each]
+                row[f"{kind} low"], row[f"{kind} high"] = hull(values, intervals)[0]
             if quantity.tied in self.tied_profiles:
                 profile = self.tied_profiles[quantity.tied]
                 row |= {"profile low": profile.low, "profile high": profile.high}
             if self.replicates is not None:
-                values = quantity.evaluate(self.replicates)
-                values = values[np.isfinite(values)]
-                if values.size:
-                    interval = self._percentiles(values[:, None], slope)[0]
+                replicates = quantity.evaluate(self.replicates)
+                replicates = replicates[np.isfinite(replicates)]
+                if replicates.size:
+                    interval = self._percentiles(replicates[:, None], slope)[0]
                     row["bootstrap low"], row["bootstrap high"] = interval
             rows.append(row)
         return pd.DataFrame(rows)

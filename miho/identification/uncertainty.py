@@ -101,6 +101,11 @@ class Linearised:
         """The same as if rows were independent."""
         return self if self.dependence is None else self.dependence.independent
 
+    @cached_property
+    def by_sandwich(self) -> Linearised:
+        """The same with the sandwich as its covariance."""
+        return replace(self, covariance=self.sandwich)
+
     def mapped(
         self,
         values: Array,
@@ -154,13 +159,6 @@ class Linearised:
     def intervals(self, level: float = 0.95) -> Array:
         """Lower and upper ends, (d, 2)."""
         reach = self.quantiles(np.eye(self.theta.size), level) * self.standard_errors
-        return np.stack([self.theta - reach, self.theta + reach], axis=1)
-
-    def sandwich_intervals(self, level: float = 0.95) -> Array:
-        """The same by the sandwich, where there is a standard error."""
-        errors = np.sqrt(np.diag(self.sandwich))
-        errors = np.where(np.isfinite(self.standard_errors), errors, self.standard_errors)
-        reach = self.quantiles(np.eye(self.theta.size), level) * errors
         return np.stack([self.theta - reach, self.theta + reach], axis=1)
 
     def quantiles(self, gradients: Array, level: float = 0.95) -> Array:

@@ -6,7 +6,8 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
-from miho.analysis.pages.run_tables import report_text
+import miho
+from miho.analysis.pages.run_tables import derived_table, report_text
 from miho.data import Dataset, sample_tir
 from miho.identification import CurveFit, Huber, Report, make_report
 from miho.identification.bootstrap import bootstrap
@@ -232,6 +233,24 @@ def test_an_uneven_spread_is_said_with_intervals_that_allow_for_it() -> None:
             assert ("sandwich" in text) == bool(off)
         ratio = f"{table['sandwich'] / table['standard error']:.2f}"
         assert all(f"too {off} for b (times {ratio})" in note for note in notes)
+
+
+def test_derived_quantities_have_sandwich_intervals_too() -> None:
+    """To first order, of 2 a + b: by hand from the sandwich of a and b."""
+    x = np.linspace(-1, 1, 400)
+    y = 1 + x + x**2 * np.random.default_rng(0).standard_normal(400)
+    bounds = {"a": (-9, 9), "b": (-9, 9), "q": {"unit": "-"}}
+    fit = miho.fit(lambda x, a, b: a + b * x, x, y, bounds, tied={"q": "2 * a + b"}, compiled=False)
+    report = fit.report(profiles=False)
+    assert report.uneven
+    (row,) = report.derived.to_dict("records")
+    slopes = np.array([2.0, 1.0])
+    expected = np.sqrt(slopes @ report.at.sandwich @ slopes)
+    assert row["sandwich"] == pytest.approx(expected, rel=1e-6)
+    half = (row["sandwich high"] - row["sandwich low"]) / 2
+    assert half == pytest.approx(report.at.quantile() * expected, rel=1e-6)
+    assert half > 1.1 * (row["linearised high"] - row["linearised low"]) / 2
+    assert "95 % interval (sandwich)" in derived_table(report)
 
 
 def test_a_wrong_shape_is_told() -> None:

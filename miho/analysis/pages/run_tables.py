@@ -16,7 +16,7 @@ def parameter_table(report: Report) -> pd.DataFrame:
     """The parameters as text, with their digits cut to what their errors leave."""
     kinds = [interval_kind(report.parameters)]
     kinds += ["bootstrap"] * (report.replicates is not None and "bootstrap" not in kinds)
-    kinds += ["sandwich"] * (report.uneven and not report.standing.doubt)
+    kinds += _sandwich(report)
     rows = []
     for row in report.parameters.to_dict("records"):
         error = row["standard error"]
@@ -31,6 +31,11 @@ def parameter_table(report: Report) -> pd.DataFrame:
             cells[_heading(report, kind)] = ends(low, high, error)
         rows.append(cells)
     return pd.DataFrame(rows)
+
+
+def _sandwich(report: Report) -> list[str]:
+    """The kind of intervals that allow for uneven spread, where it is uneven."""
+    return ["sandwich"] * (report.uneven and not report.standing.doubt)
 
 
 def _heading(report: Report, kind: str) -> str:
@@ -59,15 +64,16 @@ def derived_table(report: Report) -> pd.DataFrame:
         factor, unit = scaled(row["value"], row["unit"])
         value, error = row["value"] * factor, row["standard error"] * factor
         best = "profile" if not math.isnan(row.get("profile low", math.nan)) else kind
-        low, high = (row[f"{best} {end}"] * factor for end in ("low", "high"))
-        rows.append(
-            {
-                "derived": row["quantity"],
-                "value": with_error(value, error) if error > 0 else to_error(value, error),
-                "unit": unit,
-                heading: ends(low, high, error),
-            }
-        )
+        cells = {
+            "derived": row["quantity"],
+            "value": with_error(value, error) if error > 0 else to_error(value, error),
+            "unit": unit,
+        }
+        kinds = {heading: best} | {_heading(report, each): each for each in _sandwich(report)}
+        for above, each in kinds.items():
+            low, high = (row[f"{each} {end}"] * factor for end in ("low", "high"))
+            cells[above] = ends(low, high, error)
+        rows.append(cells)
     return pd.DataFrame(rows)
 
 
