@@ -22,7 +22,7 @@ from miho.fitting.fit_result import Fit
 from miho.fitting.known_start import best_known, check_start
 from miho.fitting.named import check_budget, loss_of, method_of
 from miho.fitting.search import searched
-from miho.fitting.statement import Tire, data_of, of_tire, space_of
+from miho.fitting.statement import DENSE, Tire, data_of, of_tire, space_of
 from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
 from miho.identification.loss import Loss
@@ -35,6 +35,8 @@ from miho.models.tire_formula import TireFormula
 from miho.optim import Budget, Optimizer, Space
 from miho.parallel import Evaluations, Workers
 
+EDGE = 1e-6
+"""A value this close to the end of a range, as a share of it, is at its edge."""
 SETTLED, ROUNDS = 1e-6, 100
 """The deviation of the errors is estimated until it changes by less than this share, in so many
 rounds at most."""
@@ -124,7 +126,13 @@ def fit(
     rho = loss_of(loss, dataset[known] if isinstance(known, str) else known)
     if compiled is None and (start is not None or isinstance(model, TireFormula)):
         compiled = False
-    bounds = constrained(space_of(chosen, space, start, fixed or {}, tied or {}), constraints)
+    stated = chosen, space, start, fixed or {}, tied or {}
+    sought = space_of(*stated)
+    bounds = constrained(sought, constraints)
+    own = sought
+    if bounds.radial is not None:
+        sought = space_of(*stated, reach=DENSE)
+        bounds = constrained(sought, constraints)
 
     first: CurveFit | None = None  # whose model is known for what it is
 
@@ -146,11 +154,28 @@ def fit(
                 return descended(problem, best_known(spread(problem, evaluations)), evaluations)
             if start is None:
                 return searched(problem, method, budget, seed, evaluations)
-            return descended(problem, start, evaluations)
+            fit = descended(problem, start, evaluations)
+            _check_within(sought, own, fit.values)
+            return fit
 
         if not settles:
             return solved(first)
         return settled(bounds, lambda *box: solved(problem_of(*box)), evaluations)
+
+
+def _check_within(sought: Space, own: Space, values: Mapping[str, float]) -> None:
+    """Refuse an end at the edge of a range that is `sought` though it is not the parameter's own.
+
+    It is no optimum: the edge is there because dense constraints need one.
+    """
+    for near, far in zip(sought.parameters, own.parameters, strict=True):
+        slack = EDGE * (near.high - near.low)
+        within = near.low + slack < values[near.name] < near.high - slack
+        if (near.low, near.high) != (far.low, far.high) and not within:
+            raise ValueError(
+                f"constraints: {near.name} ends at {values[near.name]:g}, the edge of the range "
+                f"from {near.low:g} to {near.high:g} about its start; give bounds"
+            )
 
 
 def settled(

@@ -23,6 +23,8 @@ from miho.optim import Parameter, Space
 
 FAR = 1e6
 """A parameter without bounds is sought so many times its start on either side of it."""
+DENSE = 10.0
+"""The same beside dense constraints, whose rays would be too long for what is near."""
 NEAR = 0.1
 """A model is tried out at parameters without bounds that differ by this share from their start."""
 
@@ -257,10 +259,11 @@ def space_of(
     start: Mapping[str, float] | None,
     fixed: Mapping[str, float],
     tied: Mapping[str, str],
+    reach: float = FAR,
 ) -> Space:
     """The space that bounds, start, and what is fixed or tied make, the model's parameters first.
 
-    Parameters without bounds reach FAR times their start to either side.
+    Parameters without bounds are sought `reach` times their start to either side.
     """
     ranges = bounds if isinstance(bounds, Mapping) else {}
     if isinstance(bounds, Space):
@@ -286,9 +289,9 @@ def space_of(
             settings |= {"tied": tied[name]}
         elif start is not None and name in start and "low" not in settings:
             at = float(start[name])
-            ends = at - FAR * max(abs(at), 1.0), at + FAR * max(abs(at), 1.0)
+            ends = at - reach * max(abs(at), 1.0), at + reach * max(abs(at), 1.0)
             if settings.get("scale") == "log" and at > 0:
-                ends = at / FAR, at * FAR
+                ends = at / reach, at * reach
             # A model is tried out where it will be used: far off, a simulation may take for ever.
             spread = NEAR if settings.get("scale") == "log" else NEAR * (abs(at) or 1.0)
             settings = {"low": ends[0], "high": ends[1], "mean": at, "std": spread, **settings}
