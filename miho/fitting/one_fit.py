@@ -25,6 +25,7 @@ from miho.fitting.search import searched
 from miho.fitting.statement import DENSE, Tire, data_of, of_tire, space_of
 from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
+from miho.identification.curve_fit_checks import ties_of
 from miho.identification.loss import Loss
 from miho.identification.refit import refit
 from miho.identification.uncertainty import linearised
@@ -133,6 +134,8 @@ def fit(
     if bounds.radial is not None:
         sought = space_of(*stated, reach=DENSE)
         bounds = constrained(sought, constraints)
+    if constraints and start is not None:  # which is to blame before what it makes of the data
+        free_values(bounds.free, ties_of(chosen, bounds), start)
 
     first: CurveFit | None = None  # whose model is known for what it is
 

@@ -80,6 +80,7 @@ def constrained(space: Space, constraints: str | Sequence[str]) -> Space:
         return space
     polytope = _Polytope(space, stated)
     centre = polytope.centre()
+    begin = polytope.means(centre)
     equations, sides = polytope.solved()
     changed = {k: [_tied(space.parameters[k], _text(e, space.names))] for k, e in equations.items()}
     radial = None
@@ -87,7 +88,7 @@ def constrained(space: Space, constraints: str | Sequence[str]) -> Space:
         ends = polytope.eliminated(equations, sides)
         taken = {*space.names}
         for k in sorted(ends):
-            changed[k] = _between(space.parameters[k], ends[k], space.names, centre, taken)
+            changed[k] = _between(space.parameters[k], ends[k], space.names, begin, taken)
             taken.update(p.name for p in changed[k])
     except _TooLongError:
         shares = polytope.shares(equations)
@@ -196,6 +197,18 @@ class _Polytope:
             if is_involved
         )
         raise ValueError(f"constraints: {listed} leaves nothing of {ranges}; widen a range")
+
+    def means(self, centre: Array) -> Array:
+        """Where searches start in the mean (d,); the centre (d,) if that does not keep all."""
+        own = [p.mean for p in self._space.parameters]
+        means = np.array([c if m is None else m for c, m in zip(centre, own, strict=True)])
+        at = (means - self._low) / self._width
+        for constraint in self._constraints:
+            form = self._scaled(constraint.form)
+            room = form.offset + form.coefficients @ at
+            if (-abs(room) if constraint.equal else room) < -THIN:
+                return centre
+        return means
 
     def _room(self, constraints: list[Constraint], boxed: bool = True) -> tuple[float, Array]:
         """The largest distance to all sides, in shares of the ranges, and the point (d,)."""
@@ -328,13 +341,16 @@ def _tied(parameter: Parameter, expression: str) -> Parameter:
 
 
 def _between(
-    parameter: Parameter, ends: Ends, names: Sequence[str], centre: Array, taken: set[str]
+    parameter: Parameter, ends: Ends, names: Sequence[str], begin: Array, taken: set[str]
 ) -> list[Parameter]:
-    """A parameter between ends, tied to a share of what lies between them where those vary."""
+    """A parameter between ends, tied to a share of what lies between them where those vary.
+
+    Searches start about `begin` (d,), where the parameter has its `mean`, if it has one.
+    """
     lower, upper = ends
-    log, at = parameter.scale == "log", float(centre[names.index(parameter.name)])
+    log, at = parameter.scale == "log", float(begin[names.index(parameter.name)])
     low, high = (
-        choose(form.offset + form.coefficients @ centre for form in side)
+        choose(form.offset + form.coefficients @ begin for form in side)
         for choose, side in ((max, lower), (min, upper))
     )
     if not any(form.coefficients.any() for form in lower + upper):
@@ -343,8 +359,12 @@ def _between(
         return [replace(parameter, low=float(low), high=float(high), mean=mean if inside else None)]
     name = _share_name(parameter, taken)
     expression = _expression(parameter, ends, names, name)
-    mean = None if log else float((at - low) / (high - low))
-    share = Parameter(name, "-", 0.0, 1.0, mean=mean, stands_for=parameter)
+    mean = std = None
+    width = np.log(high / low) if log else high - low
+    if width > 0 and not (log and parameter.mean is None):
+        mean = float(np.clip((np.log(at / low) if log else at - low) / width, 0.0, 1.0))
+        std = None if parameter.std is None else float(parameter.std / width)
+    share = Parameter(name, "-", 0.0, 1.0, mean=mean, std=std, stands_for=parameter)
     return [_tied(parameter, expression), share]
 
 

@@ -360,3 +360,23 @@ def test_dense_inequalities_need_no_bounds_beside_a_start() -> None:
     far = X @ (0.5 - 100 * np.linalg.pinv(A) @ np.ones(6))
     with pytest.raises(ValueError, match=r"constraints: x\d ends at .* its start; give bounds"):
         miho.fit(plane, columns, far, **settings)
+
+
+def test_a_model_that_fails_far_from_a_start_is_tried_out_near_it() -> None:
+    """Shares of ranges of a million times the start were tried out all over: a row was blamed."""
+    t = np.linspace(0.0, 5.0, 40)
+    y = 0.5 * np.exp(0.6 * t) + 0.05 * np.random.default_rng(0).standard_normal(40)
+
+    def growth(t, a, b):
+        return a * np.exp(b * t)
+
+    start = {"a": 0.4, "b": 0.7}
+    for scale in ("linear", "log"):
+        settings = {"start": start, "compiled": False}
+        box = {name: {"scale": scale} for name in start}
+        plain = miho.fit(growth, t, y, box, **settings)
+        fit = miho.fit(growth, t, y, box, constraints="a < b", **settings)
+        assert fit.values == pytest.approx(plain.values, rel=1e-5)
+    settings["start"] = {"a": 0.7, "b": 0.4}
+    with pytest.raises(ValueError, match=r"start: b is 0\.4, and the constraints leave 0\.7 to"):
+        miho.fit(growth, t, y, constraints="a < b", **settings)
