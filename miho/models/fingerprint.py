@@ -17,6 +17,8 @@ import numpy as np
 
 WRAPPED = 10
 """Decorators around one function, at most."""
+CLOCK = 1e9, 4e9
+"""What `time.time()` gives lies between these, from the year 2001 to 2096."""
 FOUNDATIONS = {"builtins", "abc", "typing", "collections.abc"}
 OURS = "miho."
 """What modules begin with whose classes are not the user's."""
@@ -189,10 +191,15 @@ def _is_constant(member: Any) -> bool:
 
 
 def _is_place_or_stamp(member: Any) -> bool:
-    """Whether this is a path, or a text with a slash or a digit.
+    """Whether this is a path, a text with a slash or a digit, or what a clock gives.
 
-    Such may be made when the module is loaded: a temporary folder, the time, a random name.
+    Such may be made when the module is loaded: a temporary folder, the time, a random name. A clock
+    gives a fraction of a second, or whole nanoseconds.
     """
+    if isinstance(member, int):
+        return 1e9 * CLOCK[0] < member < 1e9 * CLOCK[1]
+    if isinstance(member, float):
+        return CLOCK[0] < member < CLOCK[1] and not member.is_integer()
     texts = isinstance(member, str) and any(c in "/\\" or c.isdigit() for c in member)
     return texts or isinstance(member, Path)
 

@@ -91,6 +91,10 @@ def test_a_counter_of_a_closure_does_not_count() -> None:
         ("/tmp/tmpabc", "/tmp/tmpxyz", True),
         (Path("first"), Path("second"), True),
         ("12:01:15", "12:01:16", True),
+        (1795000000.25, 1795000060.5, True),  # time.time()
+        (1795000000123456789, 1795000060123456789, True),  # time.time_ns()
+        (1795000000.0, 1795000060.0, False),
+        (1000000007, 2147483647, False),
         ("linear", "cubic", False),
         (1.0, 2.0, False),
     ],
