@@ -239,10 +239,13 @@ def test_noise_that_drifts_is_no_wrong_shape() -> None:
     assert any("cannot tell that" in note for note in report.notes)
 
 
-def test_drift_under_the_noise_of_a_sensor_may_be_the_reason() -> None:
-    """A right model in one sweep: no autoregression has white noise added to it."""
+@pytest.mark.parametrize(("triangular", "seed"), [(False, 7), (True, 16)])
+def test_drift_under_the_noise_of_a_sensor_may_be_the_reason(triangular: bool, seed: int) -> None:
+    """A right model in one sweep, also up and down: no autoregression has white noise added."""
     x = np.linspace(-1, 1, 300)
-    noise = drive(0.98, 300, seed=7) + np.random.default_rng(107).standard_normal(300)
+    if triangular:
+        x = 1 - 2 * np.abs(x)
+    noise = drive(0.98, 300, seed=seed) + np.random.default_rng(100 + seed).standard_normal(300)
     problem = line(1 + 2 * x + noise, x)
     report = make_report(problem, refit(problem, np.zeros(2)).theta, profiles=False)
     assert any(
@@ -259,18 +262,24 @@ class InParts(Line):
 
 
 def test_a_sweep_is_told_from_random_order() -> None:
-    """Also downwards and in steps, but not where only the parts differ, or two levels alternate."""
+    """Also downwards, in steps, and down and up, but not in many turns.
+
+    Nor where only the parts differ, or two levels alternate.
+    """
     x, part = np.linspace(0, 1, 60), np.repeat([0.0, 1.0], 30)
     random = np.random.default_rng(0).permutation(x)
     columns = {
         "up": x, "down": -x, "steps": np.round(3 * x), "random": random, "flat": 0 * x,
+        "down and up": np.abs(4 * x % 2 - 1), "turns": np.abs(20 * x % 2 - 1),
         "levels": np.tile([0.0, 1.0], 30), "of the part": part + np.tile([0.0, 0.1], 30),
     }  # fmt: skip
     tried = list(columns)
     columns |= {"x": x, PART: part, "y": x}
     data = Dataset("d", columns, dict.fromkeys(columns, "-"), "y")
     problem = replace(line(x, x), model=InParts(), dataset=data)
-    assert [name for name in tried if in_a_sweep(problem, name)] == ["up", "down", "steps"]
+    assert [name for name in tried if in_a_sweep(problem, name)] == [
+        "up", "down", "steps", "down and up"
+    ]  # fmt: skip
 
 
 @pytest.mark.slow
