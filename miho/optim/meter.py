@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -19,6 +20,10 @@ REASONS = 20
 """Reasons for rejected values that are counted one by one."""
 FIRST = "; first at "
 """What stands between the reason for a rejected value and its first configuration."""
+NUMBER = re.compile(
+    r"(?<!\.py:)(?<!\w)(?:0x[0-9a-f]+|[-+]?(?:\d[\d_]*(?:\.\d*)*|\.\d+)(?:[eE][-+]?\d+)?)"
+)
+"""A number in a reason, which may vary: not one in a name, such as x1, and not that of a line."""
 
 
 class BudgetExhausted(Exception):  # noqa: N818 -- the signal that ends every run, not an error
@@ -113,13 +118,14 @@ class Meter:
     def reject(self, reason: str, count: int = 1, at: str = "") -> None:
         """Count values that cannot be used, by reason; beyond REASONS of them, together.
 
-        `at` is the configuration, which stands behind the reason where it is the first one.
+        Reasons that differ in numbers only are one. `at` is the configuration, which stands behind
+        the reason where it is the first one.
         """
-        first = f"{reason}{FIRST}"
-        known = [k for k in self.rejected if k == reason or k.startswith(first)]
+        kind = NUMBER.sub("#", reason)
+        known = [k for k in self.rejected if NUMBER.sub("#", k.split(FIRST)[0]) == kind]
         if not known:
             other = len(self.rejected) >= REASONS
-            known = ["other reasons" if other else f"{first}{at}" if at else reason]
+            known = ["other reasons" if other else f"{reason}{FIRST}{at}" if at else reason]
         self.rejected[known[0]] += count
 
 

@@ -262,12 +262,29 @@ def test_a_problem_cannot_edit_what_it_is_asked() -> None:
 
 def test_reasons_without_end_are_counted_together() -> None:
     def loss(x: float) -> float:
-        raise ValueError(f"bad {x}")
+        raise ValueError(f"bad {chr(int(x) + 200)}")
 
     oracle = Oracle(FunctionProblem(loss), Budget())
     oracle(column(*range(100)))
     assert len(oracle.meter.rejected) == 21
     assert oracle.meter.rejected["other reasons"] == 80
+
+
+def test_reasons_that_differ_in_numbers_are_one() -> None:
+    """With the first as the example; a line of a file and a digit in a name tell reasons apart."""
+    texts = ["at x1=1.25, step 3", "at x1=-1e-09, step 0x7f", "at x2=1.0, step 3", "f.py:12: no"]
+
+    def loss(x: float) -> float:
+        raise ArithmeticError([*texts, "f.py:13: no"][int(x) % 5])
+
+    oracle = Oracle(FunctionProblem(loss), Budget())
+    oracle(column(*range(10)))
+    assert oracle.meter.rejected == {
+        "ArithmeticError: at x1=1.25, step 3; first at x = 0": 4,
+        "ArithmeticError: at x2=1.0, step 3; first at x = 2": 2,
+        "ArithmeticError: f.py:12: no; first at x = 3": 2,
+        "ArithmeticError: f.py:13: no; first at x = 4": 2,
+    }
 
 
 def test_after_ctrl_c_the_run_ends_between_two_evaluations() -> None:
