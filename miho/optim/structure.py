@@ -4,7 +4,8 @@ Where a search has missed a peak or a period, its residuals resemble their neigh
 spectral line. For each input, and on a grid of each two inputs, this is tested in two ways: by the
 sum of the residuals in a window, for windows of doubling sizes in all places; and by the largest
 ordinate of the periodogram (Fisher, Proceedings of the Royal Society A 125, 1929). Residuals count
-in units of their median size and up to CLIPPED of it, so that outliers make no structure.
+in units of their median size and up to CLIPPED of it, so that outliers make no structure. Where
+they are larger than elsewhere along an input, the unit is their median size there.
 """
 
 from __future__ import annotations
@@ -22,14 +23,21 @@ from miho.quantities import Array
 LEVEL = 1e-2
 """Noise that is alike in all rows shows as much structure with this probability at most: half of it
 is for the windows, half for the lines, and each test has its share of that (Bonferroni). Windows
-overlap, and are counted as four times as many as fit next to each other. Noise that is larger in
-some places passes for structure more often: in 400 rows along which it falls by a factor of 50, a
-quarter of the times."""
+overlap, and are counted as four times as many as fit next to each other. Noise that grows or falls
+by a factor of 50 along 300 rows passes for structure in 0 to 5 % of data sets: where it is small,
+parameters that the large noise has moved leave residuals."""
 CLIPPED = 3.0
 """Standard deviations of normal noise up to which a residual counts."""
 FEWEST, MOST = 8, 20_000
 """The fewest rows that can show a structure, and the most that are tested: of longer data a sample,
 which takes some 10 ms, and of many inputs 1 ms for each two."""
+BLOCKS, FEWEST_IN_BLOCK = 4, 30
+"""Blocks of rows, along an input, that fit next to each other, and rows of each at least: a peak is
+narrower than a block, and counts little in its median."""
+CHANCE = 6.0
+"""The largest median of a block over the smallest is by chance up to exp(CHANCE / sqrt(rows))."""
+FARTHEST = 300.0
+"""Logarithms of spreads beyond, which numbers hardly have, are taken for this one."""
 CELLS = 64
 """Cells of the grid of two inputs along each: a window of one cell is 1/64 of a range."""
 SIDES = [2**k for k in range(6)]
@@ -40,17 +48,21 @@ FEWEST_IN_BOX = 4
 MEDIAN_TO_DEVIATION = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 
+Order = NDArray[np.intp]
+"""The rows (N,) in the order of an input."""
+
 
 def has_structure(inputs: Sequence[Array], residuals: Array) -> bool:
     """Whether residuals (N,) have structure along their inputs, (N,) each, that noise has not."""
     sample = slice(None, None, -(-residuals.size // MOST))
-    z = _standardised(residuals[sample])
     X = [x[sample] / 2 for x in inputs]  # the range of a half does not overflow
-    if z.size < FEWEST or not z.any():
-        return False
     spans = [np.ptp(x) for x in X]
     shares = [(x - x.min()) / span for x, span in zip(X, spans, strict=True) if span > 0]
-    tests = [_along(share, z) for share in shares]
+    orders = [np.argsort(share, kind="stable") for share in shares]
+    z = _standardised(residuals[sample], orders)
+    if z.size < FEWEST or not z.any():
+        return False
+    tests = [_along(share, order, z) for share, order in zip(shares, orders, strict=True)]
     tests += [_across(a, b, z) for a, b in combinations(shares, 2)]
     windows = [window for found, _ in tests for window in found]
     lines = [line for _, line in tests]
@@ -59,20 +71,55 @@ def has_structure(inputs: Sequence[Array], residuals: Array) -> bool:
     )
 
 
-def _standardised(residuals: Array) -> Array:
-    """Residuals (N,) in standard deviations of the bulk, clipped, with mean 0 and variance 1."""
+def _standardised(residuals: Array, orders: Sequence[Order]) -> Array:
+    """Residuals (N,) in standard deviations of the bulk, clipped, with mean 0 and variance 1.
+
+    Where their spread is larger along an input, whose order (N,) of rows is given, they count less.
+    Where it is smaller, they do not count more: parameters that noise elsewhere has moved leave
+    residuals there, which are no structure. So the variance is smaller there.
+    """
     z = residuals - np.median(residuals)
     deviation = MEDIAN_TO_DEVIATION * float(np.median(np.abs(z)))
-    z = np.clip(z / deviation, -CLIPPED, CLIPPED) if deviation > 0 else np.sign(z)
+    if not deviation > 0:
+        z, orders = np.sign(z), ()
+    else:
+        z /= deviation
+    expected = np.ones(z.size)
+    for order in orders:
+        spread = _spread(order, np.abs(z))
+        z /= np.maximum(spread, 1.0)
+        expected *= np.minimum(spread, 1.0) ** 2
+    z = np.clip(z, -CLIPPED, CLIPPED)
     z -= z.mean()
-    spread = float(z.std())
-    return z / spread if spread > 0 else z
+    variance = float(z**2 @ expected / (expected @ expected))
+    return z / math.sqrt(variance) if variance > 0 else z
 
 
-def _along(share: Array, z: Array) -> tuple[list[float], float]:
+def _spread(order: Order, sizes: Array) -> Array:
+    """The standard deviation (N,) of residuals of these `sizes` (N,) along an input.
+
+    Its logarithm is linear between the middles of overlapping blocks of rows, and beyond the first
+    and the last. It is 1 everywhere if blocks differ no more than by chance.
+    """
+    N = sizes.size
+    rows = max(N // BLOCKS, FEWEST_IN_BLOCK)
+    if 3 * rows > 2 * N:
+        return np.ones(N)
+    first = np.linspace(0, N - rows, round(2 * N / rows) - 1).astype(int)
+    medians = np.array([np.median(sizes[order[k : k + rows]]) for k in first])
+    if medians.max() <= math.exp(CHANCE / math.sqrt(rows)) * medians.min() or not medians.all():
+        return np.ones(N)
+    logs = np.log(MEDIAN_TO_DEVIATION * medians)
+    logs = np.clip([2 * logs[0] - logs[1], *logs, 2 * logs[-1] - logs[-2]], -FARTHEST, FARTHEST)
+    spread = np.empty(N)
+    spread[order] = np.exp(np.interp(np.arange(N), [0.0, *(first + rows / 2), N], logs))
+    return spread
+
+
+def _along(share: Array, order: Order, z: Array) -> tuple[list[float], float]:
     """The tests along one input, given as shares (N,) of its range: of windows, and of lines."""
     N = z.size
-    sums = np.concatenate([[0.0], np.cumsum(z[np.argsort(share, kind="stable")])])
+    sums = np.concatenate([[0.0], np.cumsum(z[order])])
     windows, size = [], 2
     while size <= N // 4:
         largest = float(np.abs(sums[size:] - sums[:-size]).max())
