@@ -18,7 +18,7 @@ import numpy as np
 WRAPPED = 10
 """Decorators around one function, at most."""
 CLOCK = 1e9, 4e9
-"""What `time.time()` gives lies between these, from the year 2001 to 2096."""
+"""Seconds since 1970 between these are a time of day, from the year 2001 to 2096."""
 FOUNDATIONS = {"builtins", "abc", "typing", "collections.abc"}
 OURS = "miho."
 """What modules begin with whose classes are not the user's."""
