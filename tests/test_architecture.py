@@ -12,13 +12,17 @@ TABLES = {"pandas", "seaborn", "matplotlib"}
 
 # package: (ours it may import, third-party packages it may import); a part before its whole
 LAYERS: dict[str, tuple[set[str], set[str]]] = {
-    "miho.compiled": ({"miho.compiled"}, NUMERICS),
+    "miho.core": ({"miho.core"}, {"numpy"}),
+    "miho.compiled": ({"miho.compiled", "miho.core"}, NUMERICS),
     "miho.optim": ({"miho.compiled", "miho.optim", "miho.parallel"}, NUMERICS),
     "miho.parallel": (
         {"miho.parallel"},
         {"numpy", "orjson", "cloudpickle", "dask", "dask_jobqueue", "distributed"},
     ),
-    "miho.models": ({"miho.compiled", "miho.models", "miho.parallel"}, NUMERICS | {"fmpy"}),
+    "miho.models": (
+        {"miho.core", "miho.compiled", "miho.models", "miho.parallel"},
+        NUMERICS | {"fmpy"},
+    ),
     "miho.data": ({"miho.data", "miho.models"}, NUMERICS | {"pooch"}),
     "miho.identification": (
         {

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import typeof, types
+from numba import types
 from numba.core.errors import NumbaError
 from numba.extending import overload, register_jitable
 from numba.np.unsafe.ndarray import to_fixed_tuple
@@ -20,20 +20,6 @@ CAUSES = (
     "Cannot unify",
     "No impl",
 )
-
-
-class Callee:
-    """A compiled function to be passed to compiled code, with its numba type worked out once.
-
-    numba works it out at each call, in 15 us: as long as a step on a hundred rows takes.
-    """
-
-    def __init__(self, function: Any) -> None:
-        self._function = function  # whose code lives as long as it does
-        self._numba_type_ = typeof(function)
-
-    def __wrapper_address__(self) -> int:
-        return int(self._function.address)
 
 
 def cause(error: NumbaError) -> str:

@@ -11,13 +11,12 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numba.core.errors import NumbaError
 from numpy.typing import NDArray
 
+from miho.compiled.addresses import write_residuals, write_slopes
 from miho.compiled.arrays import cause
 from miho.compiled.compressed import CompressedLoss
 from miho.compiled.fused import FusedLoss
@@ -197,7 +196,9 @@ def _rows(loss: FusedLoss) -> tuple[Values, Values]:
 
     def compiled(theta: Array) -> Array:
         values = np.empty((len(theta) + 1, y.size))
-        _all_rows(*loss.rows, theta.copy(), values[0], values[1:])
+        rows = loss.rows
+        write_residuals(rows.calls, theta, rows.X, rows.y, 0, y.size, values[0])
+        write_slopes(rows.calls, theta, rows.X, 0, y.size, values[1:])
         return values
 
     def by_numpy(theta: Array) -> Array:
@@ -212,11 +213,3 @@ KINDS: dict[str, Callable[[FusedLoss], tuple[Values, Values]]] = {
     "jacobian": _jacobian,
     "rows": _rows,
 }
-
-
-@njit(cache=True, nogil=True)
-def _all_rows(
-    residuals: Any, slopes: Any, X: Array, y: Array, theta: Array, errors: Array, J: Array
-) -> None:
-    residuals(theta, X, y, 0, y.size, errors)
-    slopes(theta, X, 0, y.size, J)

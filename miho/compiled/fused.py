@@ -1,10 +1,13 @@
-"""The mean square of a model written as an expression, compiled: one pass over the data.
+"""The mean square of a model written as an expression, fast: one pass over the data.
 
-The rows of the data go through the expression in blocks of 512, whose temporaries stay in the
-first-level cache. The mean square is summed in a fixed order, so that a loss is the same bits
-alone or in a batch, early stopping on or off, on every machine of one kind of CPU. Compilation is
-cached by numba on disk, in `__pycache__` or NUMBA_CACHE_DIR; the first use of a new model takes
-some seconds, off the clock.
+The rows of the data go through the expression in blocks, whose temporaries stay in the first-level
+cache: those of a formula that can be traced through the machine of `miho.core`, which needs no
+compiling. Any other expression, or where the library was built without the machine, is compiled by
+numba, which takes seconds for each, off the clock, and is cached on disk, in `__pycache__` or
+NUMBA_CACHE_DIR. So is the bound of an expression, of which sums over panels are made.
+
+The mean square is summed in a fixed order, so that a loss is the same bits alone or in a batch,
+early stopping on or off, and by the machine on every processor.
 """
 
 from __future__ import annotations
@@ -16,14 +19,14 @@ from functools import cache, cached_property, partial
 from typing import Any, cast
 
 import numpy as np
-from numba import cfunc, njit, types
+from numba import carray, cfunc, njit, types
 from numba.core.errors import NumbaError
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 import miho.compiled.polynomials  # noqa: F401 -- registers the elementary functions
+from miho.compiled.addresses import COLUMNS, RESIDUALS
 from miho.compiled.arrays import (
-    Callee,
     as_tuple,
     assign,
     cause,
@@ -34,11 +37,13 @@ from miho.compiled.arrays import (
     store_row,
     sum_of_squares,
 )
+from miho.compiled.calls import mean_square, pointer
 from miho.compiled.climb import climb_on, compiled_climb, equal_parts
 from miho.compiled.kernel import Climb, Formula, Formulas, Rows
 from miho.compiled.panel_sums import Sign, panel_sums, panel_terms, scratch_for
 from miho.compiled.panels import panels
-from miho.compiled.signature import Signed, signed_formulas, signing
+from miho.compiled.signature import Signed, signature_of, signed_formulas, signing
+from miho.core import Tape, machine
 from miho.quantities import Array
 
 BLOCK = 512
@@ -69,16 +74,24 @@ class FusedLoss:
     threads: int = 1
 
     @cached_property
+    def tapes(self) -> tuple[Tape, Tape] | None:
+        """The output and its derivatives for the machine; None where numba compiles them."""
+        return None if machine() is None else self.model.tapes
+
+    @cached_property
     def _compiled(self) -> _Compiled:
         shape, formulas = self._shape, (self.model.value, self.model.derivatives)
         return _compile(signed_formulas(formulas, shape), *shape)
 
     @cached_property
     def _steps(self) -> Callable[..., tuple[int, int, int, int]]:
+        if self.tapes is not None and not self._in_panels:
+            return _steps_by_machine()
         shape, formulas = self._shape, [self.model.value]
         if self._in_panels and self.model.bound is not None:
             formulas.append(self.model.bound)
-        return _compile_steps(signed_formulas(tuple(formulas), shape), *shape)
+        signed = signed_formulas(tuple(formulas), shape)
+        return _compile_steps(signed, *shape, by_machine=self.tapes is not None)
 
     @property
     def _shape(self) -> tuple[int, int]:
@@ -88,18 +101,37 @@ class FusedLoss:
     def _in_panels(self) -> bool:
         return len(self.X) == 1 and self.y.size >= WORTH_PANELS and self.model.bound is not None
 
+    @property
+    def _first_block(self) -> int:
+        return BLOCK if self._in_panels else FIRST_BLOCK
+
     @cached_property
-    def _data(self) -> _Data:
-        first_block = BLOCK if self._in_panels else FIRST_BLOCK
-        return np.ascontiguousarray(self.X[:, self.order]), self.y[self.order], first_block
+    def _ordered(self) -> tuple[Array, Array]:
+        return np.ascontiguousarray(self.X[:, self.order]), self.y[self.order]
+
+    @property
+    def _data(self) -> tuple[Any, ...]:
+        """What `_mean_square` and `_by_machine` take."""
+        by_machine: tuple[int, ...] = ()
+        if self.tapes is not None:
+            value = self.tapes[0].in_machine
+            by_machine = machine().functions()[2], machine().address(value)
+        return *self._ordered, self._first_block, *by_machine
 
     @cached_property
     def rows(self) -> Rows:
         """Residuals and derivatives of some rows, in the order of the loss."""
+        X, y = map(read_only, self._ordered)
+        if self.tapes is not None:
+            kept = [tape.in_machine for tape in self.tapes]
+            functions = machine().functions()[:2]
+            calls = np.array([*functions, *map(machine().address, kept)], dtype=np.int64)
+            return Rows(calls, X, y, kept)
         shape, formulas = self._shape, (self.model.value, self.model.derivatives)
-        compiled = _compile_rows(signed_formulas(formulas, shape), *shape)
-        X, y, _ = self._data
-        return Rows(*compiled, read_only(X), read_only(y))
+        residuals, slopes = _compile_rows(signed_formulas(formulas, shape), *shape)
+        calls = np.zeros(4, dtype=np.int64)
+        calls[RESIDUALS], calls[COLUMNS] = residuals.address, slopes.address
+        return Rows(calls, X, y, (residuals, slopes))
 
     @cached_property
     def _columns(self) -> tuple[Array, Array]:
@@ -113,7 +145,7 @@ class FusedLoss:
     def climb(self) -> Climb:
         """Compiled mutation steps on this loss."""
         if not self._in_panels:
-            return climb_on(self._steps, (self._data, ()), tuple, self.threads)
+            return climb_on(self._steps, self._data, tuple, self.threads)
         size = float(np.sqrt(np.mean(self.y**2)))
         terms = panel_terms(panels(self.X[0], self.y), self.y.size, size)
         room = partial(scratch_for, terms)
@@ -123,20 +155,24 @@ class FusedLoss:
         """Losses (n,) of parameter rows (n, d), over the first rows of the order if not all."""
         thetas = read_only(thetas)
         losses = np.empty(len(thetas))
-        X, y, first_block = self._data
-        data = X, y[:rows], first_block
-        parts = min(self.threads, len(thetas), len(thetas) * data[1].size // SHARE)
-        if parts <= 1:
-            try:
-                self._compiled.losses(thetas, data, losses)
-            except NumbaError as error:
-                raise ValueError(self._explained(error)) from None
-            return losses
+        X, y = self._ordered
+        y = y[:rows]
+        parts = min(self.threads, len(thetas), len(thetas) * y.size // SHARE)
 
         def part(rows: slice) -> None:
-            self._compiled.losses(thetas[rows], data, losses[rows])
+            if self.tapes is not None:
+                value = self.tapes[0]
+                losses[rows] = value.mean_squares(thetas[rows], X, y, self._first_block)
+                return
+            try:
+                self._compiled.losses(thetas[rows], (X, y, self._first_block), losses[rows])
+            except NumbaError as error:
+                raise ValueError(self._explained(error)) from None
 
-        list(self._pool.map(part, equal_parts(len(thetas), parts)))
+        if parts <= 1:
+            part(slice(None))
+        else:
+            list(self._pool.map(part, equal_parts(len(thetas), parts)))
         return losses
 
     def _explained(self, error: NumbaError) -> str:
@@ -147,28 +183,31 @@ class FusedLoss:
 
     def residuals(self, theta: Array) -> Array:
         """Model minus data, (N,)."""
+        if self.tapes is not None:
+            values = self.tapes[0].evaluate(theta[None], self._columns[0])[0, 0]
+            values -= self.y
+            return np.asarray(values)
         residuals = np.empty_like(self.y)
         self._compiled.residuals(read_only(theta), *self._columns, residuals)
         return residuals
 
     def jacobian(self, theta: Array) -> Array:
         """Derivatives of the residuals, (N, d)."""
+        if self.tapes is not None:
+            return np.asarray(self.tapes[1].evaluate(theta[None], self._columns[0])[0].T)
         columns = np.empty((len(self.model.parameters), self.y.size))
         self._compiled.jacobian(read_only(theta), self._columns[0], columns)
         return columns.T
 
 
-VECTOR = types.Array(types.float64, 1, "C")
-COLUMNS_OUT = types.Array(types.float64, 2, "C")
-DATA = types.Array(types.float64, 2, "C", readonly=True)
-OUTPUT = types.Array(types.float64, 1, "C", readonly=True)
+CALL = types.void(*[types.int64] * 8)
 CALLED: dict[str, Any] = {
     "cache": True,
     "error_model": "numpy",
     "fastmath": {"contract", "nsz"},
     "_nrt": False,
 }
-"""How compiled code calls a model: the types of its arguments, and how it is compiled."""
+"""How compiled code calls a model: by eight whole numbers, and how that is compiled."""
 
 _Data = tuple[Array, Array, int]
 """X in the order of the loss, the outputs of its first rows or of all, and the first block."""
@@ -215,7 +254,7 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
 
 @cache
 def _compile_rows(formulas: Signed, p: int, d: int) -> tuple[Any, Any]:
-    """Residuals and derivatives of rows i to j, to be called from compiled code (see `Rows`).
+    """Residuals and derivatives of rows i to j, called as those of the machine are (`tape.h`).
 
     Row by row, from which the compiler makes several at once: for a few rows, the temporaries of a
     block would cost more than the rows do.
@@ -224,38 +263,52 @@ def _compile_rows(formulas: Signed, p: int, d: int) -> tuple[Any, Any]:
     sign = signing(formulas.signature)
     value, derivatives = map(register_jitable, formulas.copies())
 
-    @cfunc(types.void(VECTOR, DATA, OUTPUT, types.int64, types.int64, VECTOR), **CALLED)
+    @cfunc(CALL, **CALLED)
     @sign
-    def residuals(theta: Array, X: Array, y: Array, i: int, j: int, out: Array) -> None:
-        parameters, parts, output = as_tuple(theta, d), columns(X, i, j), y[i:j]
-        for row in range(out.size):
-            out[row] = value(inputs(parts, row), parameters) - output[row]
+    def residuals(tape: int, theta: int, X: int, N: int, y: int, i: int, j: int, out: int) -> None:
+        parameters = as_tuple(carray(pointer(theta), (d,)), d)
+        parts = columns(carray(pointer(X), (p, N)), i, j)
+        output, r = carray(pointer(y), (N,))[i:j], carray(pointer(out), (j - i,))
+        for row in range(r.size):
+            r[row] = value(inputs(parts, row), parameters) - output[row]
 
-    @cfunc(types.void(VECTOR, DATA, types.int64, types.int64, COLUMNS_OUT), **CALLED)
+    @cfunc(CALL, **CALLED)
     @sign
-    def slopes(theta: Array, X: Array, i: int, j: int, out: Array) -> None:
-        parameters, parts = as_tuple(theta, d), columns(X, i, j)
+    def slopes(
+        tape: int, theta: int, X: int, N: int, i: int, j: int, out: int, stride: int
+    ) -> None:
+        parameters = as_tuple(carray(pointer(theta), (d,)), d)
+        parts, J = columns(carray(pointer(X), (p, N)), i, j), carray(pointer(out), (d, stride))
         for row in range(parts[0].size):
-            store_row(derivatives(inputs(parts, row), parameters), out, row)
+            store_row(derivatives(inputs(parts, row), parameters), J, row)
 
-    return Callee(residuals), Callee(slopes)
+    return residuals, slopes
+
+
+@register_jitable(error_model="numpy")
+def _by_machine(theta: Array, limit: float, data: Any, scratch: Any) -> float:
+    """The mean square by the machine, as `_mean_square` gives it."""
+    X, y, first, function, tape = data
+    total: float = mean_square(theta, limit, function, tape, X, y, first)
+    return total
 
 
 @cache
-def _compile_steps(formulas: Signed, p: int, d: int) -> Callable[..., tuple[int, int, int, int]]:
+def _steps_by_machine() -> Callable[..., tuple[int, int, int, int]]:
+    """Mutation steps on the value of any formula."""
+    return compiled_climb(_by_machine, signature_of(_by_machine), allocates=False)
+
+
+@cache
+def _compile_steps(
+    formulas: Signed, p: int, d: int, *, by_machine: bool = False
+) -> Callable[..., tuple[int, int, int, int]]:
     """Mutation steps on the value of a model, and with its bound on sums over panels first."""
     sign = signing(formulas.signature)
     value, *bound = map(register_jitable, formulas.copies())
-    loss = _mean_square(value, sign, p, d)
-
-    @register_jitable(error_model="numpy")
-    @sign
-    def of_rows(theta: Array, limit: float, data: Any, scratch: Any) -> float:
-        total: float = loss(theta, limit, data[0])
-        return total
-
+    loss = _by_machine if by_machine else _on_rows(_mean_square(value, sign, p, d), sign)
     if not bound:
-        return compiled_climb(of_rows, formulas.signature)
+        return compiled_climb(loss, formulas.signature)
     _, beaten = panel_sums(value, bound[0], sign)
 
     @register_jitable(error_model="numpy")
@@ -263,10 +316,22 @@ def _compile_steps(formulas: Signed, p: int, d: int) -> Callable[..., tuple[int,
     def panels_first(theta: Array, limit: float, data: Any, scratch: Any) -> float:
         if limit < np.inf and beaten(as_tuple(theta, d), limit, scratch, data[1])[0]:
             return limit
-        total: float = of_rows(theta, limit, data, scratch)
+        total: float = loss(theta, limit, data[0], scratch)
         return total
 
     return compiled_climb(panels_first, formulas.signature)
+
+
+def _on_rows(loss: Callable[..., float], sign: Sign) -> Callable[..., float]:
+    """A loss that needs no room, called as one that does."""
+
+    @register_jitable(error_model="numpy")
+    @sign
+    def of_rows(theta: Array, limit: float, data: Any, scratch: Any) -> float:
+        total: float = loss(theta, limit, data)
+        return total
+
+    return cast(Callable[..., float], of_rows)
 
 
 def _mean_square(

@@ -7,8 +7,8 @@ factors chunk by chunk, so that memory does not grow with the number of rows.
 from __future__ import annotations
 
 import math
-from typing import Any
 
+from miho.compiled.addresses import write_residuals, write_slopes
 from miho.compiled.gauss_newton import (
     after_evaluation,
     is_free,
@@ -43,8 +43,7 @@ SPENT, IMPROVEMENTS, NANS, INFINITIES, UNUSABLES = range(5)
 
 @entry
 def run_bracket(
-    residuals: Any,
-    slopes: Any,
+    calls: Integers,
     X: Array,
     y: Array,
     numbers: Array,
@@ -69,7 +68,7 @@ def run_bracket(
     """Take a bracket to its end; how it ended. Goes on where it was cut off.
 
     `numbers` to `R` are the arrays of `GNCandidates`, `stored` (.,) holds their derivatives;
-    `residuals` and `slopes` are those of `Rows`. At most `most` rows are spent. Each improvement of
+    `calls`, X and y are those of `Rows`. At most `most` rows are spent. Each improvement of
     `best` is listed: the rows spent up to and with it (`at`), its loss and its theta; one that
     reaches `target` ends the block. What was done is added to `tally` (5,); `room` is for `work`.
     """
@@ -81,8 +80,8 @@ def run_bracket(
         # All starts that are left descend to the phase's end; then the best go on.
         for i in range(place[ACTIVE]):
             state = descend(
-                residuals, slopes, X, y, c, i, box, level_rows, minima, rules, settings.slope_cost,
-                most, best, target, at, losses, thetas, tally, w,
+                calls, X, y, c, i, box, level_rows, minima, rules, settings.slope_cost, most,
+                best, target, at, losses, thetas, tally, w,
             )  # fmt: skip
             if state != FINISHED:
                 return state
@@ -94,8 +93,7 @@ def run_bracket(
 
 @compiled
 def descend(
-    residuals: Any,
-    slopes: Any,
+    calls: Integers,
     X: Array,
     y: Array,
     c: GNCandidates,
@@ -129,14 +127,14 @@ def descend(
         # Derivatives, where it is.
         if stage == SLOPES:
             to_units(c.x[i], box, w.theta)
-            fill(residuals, slopes, X, y, c, i, box, m, False, w)
+            fill(calls, X, y, c, i, box, m, False, w)
             take_factor(c, i, box, w)
             tally[UNUSABLES] += c.stage[i] == UNUSABLE
             continue
         # Or a look at its trial, recorded if it is an improvement over all rows.
         to_units(c.x[i] if stage == RECORD else c.trial[i], box, w.theta)
         keep = c.derivatives.shape[2] > 0 and not project
-        loss = look(residuals, X, y, level_rows, m, keep, w) / m
+        loss = look(calls, X, y, level_rows, m, keep, w) / m
         tally[NANS] += math.isnan(loss)
         tally[INFINITIES] += math.isinf(loss)
         if m == y.size and loss < best:
@@ -146,7 +144,7 @@ def descend(
             tally[IMPROVEMENTS] += 1
         # The linear parameters are solved for from there.
         if project and math.isfinite(loss):
-            fill(residuals, slopes, X, y, c, i, box, m, True, w)
+            fill(calls, X, y, c, i, box, m, True, w)
             loss = solve_linear(c, i, box, m, w)
         after_evaluation(c, i, loss, box, m, rules, best, w)
         if best <= target:
@@ -156,7 +154,7 @@ def descend(
 
 @compiled
 def look(
-    residuals: Any, X: Array, y: Array, level_rows: Integers, m: int, keep: bool, w: Work
+    calls: Integers, X: Array, y: Array, level_rows: Integers, m: int, keep: bool, w: Work
 ) -> float:
     """The sum of squares at w.theta over m rows, and in w.sums those over each level's rows.
 
@@ -168,7 +166,7 @@ def look(
         while start < end:
             count = min(CHUNK, end - start)
             r = w.residuals[start : start + count] if keep else w.residuals[:count]
-            residuals(w.theta, X, y, start, start + count, r)
+            write_residuals(calls, w.theta, X, y, start, start + count, r)
             total += square_sum(r, count)
             start += count
         w.sums[level] = total
@@ -177,8 +175,7 @@ def look(
 
 @compiled
 def fill(
-    residuals: Any,
-    slopes: Any,
+    calls: Integers,
     X: Array,
     y: Array,
     c: GNCandidates,
@@ -199,7 +196,7 @@ def fill(
     clear(w.T)
     for start in range(0, m, CHUNK):
         count = min(CHUNK, m - start)
-        slopes(w.theta, X, start, start + count, J)
+        write_slopes(calls, w.theta, X, start, start + count, J)
         n = 0
         if only_linear or c.projects[i]:
             for k in box.linear:
@@ -220,7 +217,7 @@ def fill(
             for row in range(count):
                 chunk[n, row] = c.derivatives[i, d, start + row]
         else:
-            residuals(w.theta, X, y, start, start + count, chunk[n, :count])
+            write_residuals(calls, w.theta, X, y, start, start + count, chunk[n, :count])
         fold(w.T, chunk, count, n + 1)
 
 

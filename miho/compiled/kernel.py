@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.quantities import Array
+from miho.core import Tape
+from miho.quantities import Array, Integers
 
 if TYPE_CHECKING:
     from miho.compiled.fit import FitKernel
@@ -65,16 +66,16 @@ that reaches `target`. Each step counts one evaluation for each row, stopped ear
 
 
 class Rows(NamedTuple):
-    """Residuals and derivatives of rows i to j of the data, which compiled code can call.
+    """Residuals and derivatives of the rows of the data, which compiled code can call.
 
-    `residuals(theta, X, y, i, j, r)` fills r (j - i,), `slopes(theta, X, i, j, J)` the first
-    columns of J (d, j - i or more). X (p, N) and y (N,) hold the data in the order of a fidelity.
+    `calls` (4,) are what `miho.compiled.addresses` takes: addresses in `kept`, which has to live as
+    long. X (p, N) and y (N,) hold the data in the order of a fidelity.
     """
 
-    residuals: Any
-    slopes: Any
+    calls: Integers
     X: Array
     y: Array
+    kept: Any
 
 
 class Kernel(Protocol):
@@ -107,6 +108,10 @@ class Formulas(Protocol):
     @property
     def bound(self) -> Formula | None:
         """The formula of a bound of the output in the complex plane, None without one."""
+
+    @property
+    def tapes(self) -> tuple[Tape, Tape] | None:
+        """The formulas of the output and of its derivatives as tapes, None without."""
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) by NumPy."""

@@ -106,7 +106,8 @@ class Entry(Generic[Function]):
         """Numba's form of the function."""
         import numba
 
-        import miho.compiled.polynomials  # noqa: F401 -- registers the elementary functions
+        import miho.compiled.calls
+        import miho.compiled.polynomials  # noqa: F401 -- both register compiled forms
 
         with _registering:
             _register_parts()

@@ -5,12 +5,18 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from miho.compiled.kernel import Formula
+from miho.core import Tape
+from miho.models.formula_tape import traced_tapes
 from miho.models.model import Model
 from miho.quantities import Array
+
+TAPES: WeakKeyDictionary[Formula, tuple[Tape, Tape] | None] = WeakKeyDictionary()
+"""The tapes of formulas of this process: thousands of fits of one function need them once."""
 
 
 class Expression(Model):
@@ -44,6 +50,19 @@ class Expression(Model):
     @abstractmethod
     def derivatives(self) -> Formula:
         """A tuple of derivatives of the output, one for each parameter, as wide as the inputs."""
+
+    @final
+    @property
+    def tapes(self) -> tuple[Tape, Tape] | None:
+        """The output and its derivatives for the machine of `miho.core`.
+
+        None where the formulas cannot be traced, or are too long for it.
+        """
+        value = self.value
+        if value not in TAPES:
+            sizes = len(self.inputs), len(self.parameters)
+            TAPES[value] = traced_tapes(value, self.derivatives, *sizes)
+        return TAPES[value]
 
     @final
     def predict(self, thetas: Array, *inputs: Array) -> Array:

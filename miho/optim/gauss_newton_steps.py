@@ -69,9 +69,9 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
         limit = round(min(most, EVENTS) * N)  # most is of whole rows but for its rounding
         tally = np.zeros(5, np.int64)
         ended = run_bracket(
-            rows.residuals, rows.slopes, rows.X, rows.y, *c[:3], state.stored, state.place,
-            state.order, state.box, level_rows, state.minima, state.settings, limit, best, target,
-            at, losses, thetas, tally, room,
+            rows.calls, rows.X, rows.y, *c[:3], state.stored, state.place, state.order, state.box,
+            level_rows, state.minima, state.settings, limit, best, target, at, losses, thetas,
+            tally, room,
         )  # fmt: skip
         spent, k, nans, infinities, unusable = tally.tolist()
         counts = {

@@ -6,9 +6,9 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from numba import njit
 
 from miho import Budget, CurveFit, Dataset, Oracle, Parameter, Space
+from miho.compiled.addresses import write_residuals, write_slopes
 from miho.identification.loss import Cauchy, Huber, Loss, Square
 from miho.models import Pacejka, PacejkaCurvature, TorqueCubic
 from miho.models.expression import Expression
@@ -118,12 +118,6 @@ def test_residuals_at_a_fidelity_are_those_of_its_rows(fidelity: float, rho: Los
     assert len(oracle.trace) == (fidelity == 1.0), "only all rows tell the loss"
 
 
-@njit
-def compiled_rows_of(residuals, slopes, theta, X, y, i, j, r, J):  # type: ignore[no-untyped-def]
-    residuals(theta, X, y, i, j, r)
-    slopes(theta, X, i, j, J)
-
-
 @pytest.mark.parametrize(
     "model",
     [
@@ -151,7 +145,8 @@ def test_compiled_rows_are_numpys(model: Expression) -> None:
     for theta in space.sample(20, rng, "uniform"):
         for i, j in ((0, N), (0, 1), (40, 57), (100, 101)):
             r, J = np.full(j - i, np.nan), np.full((d, j - i + 2), np.nan)
-            compiled_rows_of(rows.residuals, rows.slopes, theta, rows.X, rows.y, i, j, r, J)
+            write_residuals(rows.calls, theta, rows.X, rows.y, i, j, r)
+            write_slopes(rows.calls, theta, rows.X, i, j, J)
             some = p._order[i:j]
             for compiled, numpys in (
                 (r, model.predict(theta[None], *p.inputs)[0] - y),

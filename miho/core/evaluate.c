@@ -1,0 +1,131 @@
+/* Tapes on rows of data, block by block. What a call works in is allocated once for it. */
+#include <stdlib.h>
+#include <string.h>
+#include "tape.h"
+
+typedef struct {
+    double **registers;     /* to the rows of each */
+    double **each_scalar;
+    double *scalars;
+    double *work;           /* registers of work, and room for one more */
+    int rows;               /* of a block */
+} workspace;
+
+static int rows_of_block(const tape *t) {
+    return t->registers - t->inputs > MANY_REGISTERS ? MOST_ROWS / 2 : MOST_ROWS;
+}
+
+/* False without memory. `workspace.registers` is all there is to free. */
+static int allocate(const tape *t, workspace *w) {
+    size_t pointers = (size_t)t->registers + t->scalars;
+    size_t of_work = t->registers - t->inputs - t->results + 1;
+    w->rows = rows_of_block(t);
+    size_t before = pointers * sizeof(double *) + t->scalars * sizeof(double) + 64;
+    w->registers = malloc(before + of_work * w->rows * sizeof(double));
+    if (!w->registers) return 0;
+    w->each_scalar = w->registers + t->registers;
+    w->scalars = (double *)(w->each_scalar + t->scalars);
+    w->work = (double *)(((uintptr_t)(w->scalars + t->scalars) + 63) / 64 * 64);
+    for (int k = 0; k < t->scalars; k++) w->each_scalar[k] = w->scalars + k;
+    for (int k = t->inputs + t->results; k < t->registers; k++)
+        w->registers[k] = w->work + (size_t)(k - t->inputs - t->results + 1) * w->rows;
+    memcpy(w->scalars, t->constant, t->constants * sizeof(double));
+    return 1;
+}
+
+/* What depends on the parameters alone. */
+static void start(const tape *t, const double *theta, workspace *w) {
+    memcpy(w->scalars + t->constants, theta, t->parameters * sizeof(double));
+    t->level->run(t->code, t->code + t->once, w->each_scalar, w->scalars, 1);
+    for (int k = 0; k < t->fills; k++) {
+        double *o = w->registers[t->fill[2 * k]], value = w->scalars[t->fill[2 * k + 1]];
+        for (int i = 0; i < w->rows; i++) o[i] = value;
+    }
+}
+
+/* All results of rows i to i + rows, no more than a block, `stride` numbers behind each other. */
+static void block(const tape *t, const double *X, int64_t N, int64_t i, int rows, double *out,
+                  int64_t stride, workspace *w) {
+    const instruction *code = t->code + t->once;
+    for (int k = 0; k < t->inputs; k++) w->registers[k] = (double *)X + k * N + i;
+    for (int k = 0; k < t->results; k++) w->registers[t->inputs + k] = out + k * stride;
+    t->level->run(code, code + t->length, w->registers, w->scalars, rows);
+}
+
+static int fewer(int64_t left, int most) { return left < most ? (int)left : most; }
+
+static void columns(const tape *t, const double *X, int64_t N, int64_t i, int64_t j, double *out,
+                    int64_t stride, workspace *w) {
+    for (int64_t k = i; k < j; k += w->rows)
+        block(t, X, N, k, fewer(j - k, w->rows), out + (k - i), stride, w);
+}
+
+static void not_a_number(double *out, int64_t n) {
+    for (int64_t k = 0; k < n; k++) out[k] = __builtin_nan("");
+}
+
+int tape_evaluate(const tape *t, const double *thetas, int64_t n, const double *X, int64_t N,
+                  double *out) {
+    workspace w;
+    if (!allocate(t, &w)) return 0;
+    for (int64_t k = 0; k < n; k++) {
+        start(t, thetas + k * t->parameters, &w);
+        columns(t, X, N, 0, N, out + k * t->results * N, N, &w);
+    }
+    free(w.registers);
+    return 1;
+}
+
+/* The mean square of the one result minus y at theta, see tape.h. */
+static double mean_square(const tape *t, const double *theta, const measurements *d, double limit,
+                          workspace *w) {
+    double total = 0.0;
+    int size = fewer(d->first, w->rows), m;
+    start(t, theta, w);
+    for (int64_t i = 0; i < d->rows; i += m) {
+        m = fewer(d->rows - i, size);
+        block(t, d->X, d->N, i, m, w->work, 0, w);
+        total += t->level->square_sum(w->work, d->y + i, m);
+        if (total / (double)d->rows >= limit) break;
+        size = fewer(2 * size, w->rows);
+    }
+    return total / (double)d->rows;
+}
+
+int tape_mean_squares(const tape *t, const double *thetas, int64_t n, const measurements *d,
+                      double *out) {
+    workspace w;
+    if (!allocate(t, &w)) return 0;
+    for (int64_t k = 0; k < n; k++)
+        out[k] = mean_square(t, thetas + k * t->parameters, d, __builtin_inf(), &w);
+    free(w.registers);
+    return 1;
+}
+
+double tape_mean_square(const tape *t, const double *theta, const double *X, int64_t N,
+                        const double *y, int64_t rows, int64_t first, double limit) {
+    measurements d = {X, N, y, rows, first};
+    workspace w;
+    if (!allocate(t, &w)) return __builtin_nan("");
+    double value = mean_square(t, theta, &d, limit, &w);
+    free(w.registers);
+    return value;
+}
+
+void tape_residuals(const tape *t, const double *theta, const double *X, int64_t N,
+                    const double *y, int64_t i, int64_t j, double *out) {
+    tape_columns(t, theta, X, N, i, j, out, 0);
+    for (int64_t k = i; k < j; k++) out[k - i] -= y[k];
+}
+
+void tape_columns(const tape *t, const double *theta, const double *X, int64_t N, int64_t i,
+                  int64_t j, double *out, int64_t stride) {
+    workspace w;
+    if (!allocate(t, &w)) { /* residuals that are not finite end a descent */
+        for (int k = 0; k < t->results; k++) not_a_number(out + k * stride, j - i);
+        return;
+    }
+    start(t, theta, &w);
+    columns(t, X, N, i, j, out, stride, &w);
+    free(w.registers);
+}

@@ -1,0 +1,13 @@
+/* The operations with AVX2. The target is a pragma, so that any builder can compile the file. */
+#include <stdint.h>
+#include <string.h>
+#define LEVEL avx2
+#if defined(__x86_64__) && defined(__clang__)
+#pragma clang attribute push(__attribute__((target("avx2"))), apply_to = function)
+#elif defined(__x86_64__) && defined(__GNUC__)
+#pragma GCC target("avx2")
+#endif
+#include "operations.h"
+#if defined(__x86_64__) && defined(__clang__)
+#pragma clang attribute pop
+#endif

@@ -1,0 +1,14 @@
+/* The operations with AVX-512, in full width. As level_avx2.c. */
+#include <stdint.h>
+#include <string.h>
+#define LEVEL avx512
+#define TARGET "avx2,avx512f,avx512dq,avx512vl,avx512bw"
+#if defined(__x86_64__) && defined(__clang__)
+#pragma clang attribute push(__attribute__((target(TARGET))), apply_to = function)
+#elif defined(__x86_64__) && defined(__GNUC__)
+#pragma GCC target("avx2,avx512f,avx512dq,avx512vl,avx512bw,prefer-vector-width=512")
+#endif
+#include "operations.h"
+#if defined(__x86_64__) && defined(__clang__)
+#pragma clang attribute pop
+#endif

@@ -1,0 +1,3 @@
+/* The operations with what every processor of its kind has. */
+#define LEVEL baseline
+#include "operations.h"

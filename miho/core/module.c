@@ -1,0 +1,225 @@
+/* miho.core._machine: the door from Python. What a tape may do is checked here, once. */
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+#include <string.h>
+#include "tape.h"
+
+#define LONG_CALL 2000 /* model values from which on other threads may run meanwhile */
+
+static const level *const every_level[] = {&level_baseline, &level_avx2, &level_avx512};
+
+static int count_of_levels(void) {
+#if defined(__x86_64__)
+    __builtin_cpu_init();
+    if (!__builtin_cpu_supports("avx2")) return 1;
+    return __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
+        __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("avx512bw") ? 3 : 2;
+#else
+    return 1;
+#endif
+}
+
+static const struct { const char *name; int operands, results; } known[] = {
+#define AS_ROW(name, operands, results) {#name, operands, results},
+    OPERATIONS(AS_ROW)
+};
+
+/* Whether an instruction reads what is there and writes where it may. */
+static int fits(const instruction *q, int once, const tape *t) {
+    int places = once ? t->scalars : t->registers;
+    int first = once ? t->constants + t->parameters : t->inputs;
+    if (q->op < 0 || q->op >= COUNT_OF_OPERATIONS) return 0;
+    int scalar = q->op >= OP_ADD_S && q->op <= OP_S_DIV;
+    if (scalar && once) return 0;
+    for (int k = 0; k < 4; k++) {
+        int most = scalar && k == 1 ? t->scalars : places;
+        if (q->operand[k] < 0 || q->operand[k] >= most) return 0;
+    }
+    for (int k = 0; k < 2; k++) {
+        int written = k < known[q->op].results;
+        if (q->result[k] < (written ? first : 0) || q->result[k] >= places) return 0;
+    }
+    if (known[q->op].results < 2) return 1;
+    for (int k = 0; k < known[q->op].operands; k++) /* the first result is written before all is read */
+        if (q->operand[k] == q->result[0] || q->operand[k] == q->result[1]) return 0;
+    return q->result[0] != q->result[1];
+}
+
+/* What is wrong with a tape, NULL if nothing. */
+static const char *fault(const tape *t) {
+    const int32_t *counts = &t->inputs;
+    for (int k = 0; k < 9; k++)
+        if (counts[k] < 0) return "a count is negative";
+    if (t->registers > MOST_REGISTERS || t->scalars > MOST_REGISTERS) return "too many registers";
+    if (t->results < 1 || t->inputs > t->registers || t->results > t->registers - t->inputs)
+        return "too few registers";
+    if (t->constants > t->scalars || t->parameters > t->scalars - t->constants)
+        return "too few scalars";
+    for (int k = 0; k < t->once + t->length; k++)
+        if (!fits(t->code + k, k < t->once, t)) return "an instruction is out of bounds";
+    for (int k = 0; k < t->fills; k++) {
+        int to = t->fill[2 * k], from = t->fill[2 * k + 1];
+        if (to < t->inputs + t->results || to >= t->registers || from < 0 || from >= t->scalars)
+            return "a fill is out of bounds";
+    }
+    return NULL;
+}
+
+static void drop(PyObject *capsule) { PyMem_Free(PyCapsule_GetPointer(capsule, "tape")); }
+
+PyDoc_STRVAR(tape_doc, "tape(counts, code, constants, fills, level=-1): a tape, of arrays of int32 "
+    "and doubles, for a level of instructions, the highest if -1. Raises ValueError for a bad one.");
+static PyObject *py_tape(PyObject *module, PyObject *args) {
+    Py_buffer counts = {0}, code = {0}, constants = {0}, fills = {0};
+    int chosen = -1, levels = count_of_levels();
+    if (!PyArg_ParseTuple(args, "y*y*y*y*|i", &counts, &code, &constants, &fills, &chosen))
+        return NULL;
+    const char *why = NULL;
+    tape *t = NULL;
+    int32_t c[9];
+    if (chosen < -1 || chosen >= levels) why = "this processor has no such level";
+    else if (counts.len != sizeof c) why = "nine counts are expected";
+    else {
+        memcpy(c, counts.buf, sizeof c);
+        if (c[6] < 0 || c[7] < 0 || c[6] > MOST_LENGTH || c[7] > MOST_LENGTH) why = "too long";
+        else if (c[3] < 0 || c[8] < 0 || c[8] > MOST_LENGTH) why = "too long";
+        else if (code.len != (Py_ssize_t)sizeof(instruction) * (c[6] + c[7]) ||
+                 constants.len != (Py_ssize_t)sizeof(double) * c[3] ||
+                 fills.len != (Py_ssize_t)sizeof(int32_t) * 2 * c[8]) why = "a length differs";
+    }
+    if (!why && !(t = PyMem_Malloc(sizeof *t + constants.len + code.len + fills.len))) PyErr_NoMemory();
+    if (t) {
+        char *room = (char *)(t + 1);
+        memcpy(&t->inputs, c, sizeof c);
+        t->constant = memcpy(room, constants.buf, constants.len);
+        t->code = memcpy(room + constants.len, code.buf, code.len);
+        t->fill = memcpy(room + constants.len + code.len, fills.buf, fills.len);
+        t->level = every_level[chosen < 0 ? levels - 1 : chosen];
+        why = fault(t);
+    }
+    PyBuffer_Release(&counts); PyBuffer_Release(&code);
+    PyBuffer_Release(&constants); PyBuffer_Release(&fills);
+    if (why) PyErr_Format(PyExc_ValueError, "no tape: %s", why);
+    if (why || !t) { PyMem_Free(t); return NULL; }
+    return PyCapsule_New(t, "tape", drop);
+}
+
+/* Doubles of an object in one piece, `least` of them or more; released by the caller. */
+static double *doubles(PyObject *o, Py_buffer *view, int writable, int64_t least) {
+    int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
+    if (PyObject_GetBuffer(o, view, flags)) { view->obj = NULL; return NULL; }
+    if (view->itemsize == 8 && view->format && !strcmp(view->format, "d") &&
+        view->len / 8 >= least) return view->buf;
+    PyErr_SetString(PyExc_ValueError, "expected an array of enough doubles");
+    return NULL;
+}
+
+static int64_t rows_in(const Py_buffer *X, const tape *t) {
+    return t->inputs ? X->len / 8 / t->inputs : 0;
+}
+
+/* Parameter rows of a buffer. */
+static int64_t configurations(const Py_buffer *thetas, const tape *t) {
+    return t->parameters ? thetas->len / 8 / t->parameters : 1;
+}
+
+PyDoc_STRVAR(evaluate_doc,
+    "evaluate(tape, thetas (n, d), X (p, N), out (n, results, N)): fill out.");
+static PyObject *py_evaluate(PyObject *module, PyObject *const *a, Py_ssize_t count) {
+    tape *t = count == 4 ? PyCapsule_GetPointer(a[0], "tape") : NULL;
+    if (!t) return PyErr_Occurred() ? NULL
+        : PyErr_Format(PyExc_TypeError, "expected evaluate(tape, thetas, X, out)");
+    Py_buffer V[3] = {{0}};
+    int done = 0;
+    double *thetas = doubles(a[1], &V[0], 0, t->parameters);
+    double *X = thetas ? doubles(a[2], &V[1], 0, t->inputs) : NULL;
+    int64_t n = configurations(&V[0], t), N = X ? rows_in(&V[1], t) : 0;
+    double *out = X ? doubles(a[3], &V[2], 1, 0) : NULL;
+    if (out && V[2].len / 8 / t->results / (N ? N : 1) < n)
+        PyErr_SetString(PyExc_ValueError, "expected an array of enough doubles");
+    else if (out && n * N < LONG_CALL) done = tape_evaluate(t, thetas, n, X, N, out);
+    else if (out) {
+        Py_BEGIN_ALLOW_THREADS
+        done = tape_evaluate(t, thetas, n, X, N, out);
+        Py_END_ALLOW_THREADS
+    }
+    for (int k = 0; k < 3; k++) PyBuffer_Release(&V[k]);
+    if (done) Py_RETURN_NONE;
+    return PyErr_Occurred() ? NULL : PyErr_NoMemory();
+}
+
+PyDoc_STRVAR(mean_squares_doc,
+    "mean_squares(tape, thetas (n, d), X (p, N), y (rows,), first, out (n,)): fill out with those of "
+    "the one result minus y, over the first rows of X, of which the first block has `first`.");
+static PyObject *py_mean_squares(PyObject *module, PyObject *const *a, Py_ssize_t count) {
+    tape *t = count == 6 ? PyCapsule_GetPointer(a[0], "tape") : NULL;
+    if (!t) return PyErr_Occurred() ? NULL
+        : PyErr_Format(PyExc_TypeError, "expected mean_squares(tape, thetas, X, y, first, out)");
+    measurements d = {.first = PyLong_AsLongLong(a[4])};
+    if (d.first == -1 && PyErr_Occurred()) return NULL;
+    Py_buffer V[4] = {{0}};
+    int done = 0;
+    double *thetas = doubles(a[1], &V[0], 0, 0), *out = NULL;
+    if (thetas && (d.X = doubles(a[2], &V[1], 0, t->inputs)) && (d.y = doubles(a[3], &V[2], 0, 1)))
+        out = doubles(a[5], &V[3], 1, configurations(&V[0], t));
+    d.N = rows_in(&V[1], t);
+    d.rows = V[2].len / 8;
+    if (out && (d.rows > d.N || d.first < 1 || t->results != 1))
+        PyErr_SetString(PyExc_ValueError, "expected a tape of one result, no more data than rows of "
+                        "X, and a first block");
+    else if (out) {
+        int64_t n = configurations(&V[0], t);
+        Py_BEGIN_ALLOW_THREADS
+        done = tape_mean_squares(t, thetas, n, &d, out);
+        Py_END_ALLOW_THREADS
+    }
+    for (int k = 0; k < 4; k++) PyBuffer_Release(&V[k]);
+    if (done) Py_RETURN_NONE;
+    return PyErr_Occurred() ? NULL : PyErr_NoMemory();
+}
+
+PyDoc_STRVAR(address_doc, "address(tape): where it is, for compiled code, as long as it lives.");
+static PyObject *py_address(PyObject *module, PyObject *capsule) {
+    void *t = PyCapsule_GetPointer(capsule, "tape");
+    return t ? PyLong_FromVoidPtr(t) : NULL;
+}
+
+PyDoc_STRVAR(functions_doc, "functions(): addresses of tape_residuals, tape_columns and tape_mean_square (tape.h).");
+static PyObject *py_functions(PyObject *module, PyObject *none) {
+    return Py_BuildValue("NNN", PyLong_FromVoidPtr((void *)(uintptr_t)tape_residuals),
+                         PyLong_FromVoidPtr((void *)(uintptr_t)tape_columns),
+                         PyLong_FromVoidPtr((void *)(uintptr_t)tape_mean_square));
+}
+
+PyDoc_STRVAR(levels_doc, "levels(): names of the levels of instructions that this processor has.");
+static PyObject *py_levels(PyObject *module, PyObject *none) {
+    int levels = count_of_levels();
+    PyObject *names = PyTuple_New(levels);
+    for (int k = 0; names && k < levels; k++)
+        PyTuple_SetItem(names, k, PyUnicode_FromString(every_level[k]->name));
+    return names;
+}
+
+PyDoc_STRVAR(operations_doc, "operations(): their names, in the order of their numbers.");
+static PyObject *py_operations(PyObject *module, PyObject *none) {
+    PyObject *names = PyTuple_New(COUNT_OF_OPERATIONS);
+    for (int k = 0; names && k < COUNT_OF_OPERATIONS; k++)
+        PyTuple_SetItem(names, k, PyUnicode_FromString(known[k].name));
+    return names;
+}
+
+#define FAST(function) (PyCFunction)(void (*)(void))(function), METH_FASTCALL
+static PyMethodDef methods[] = {
+    {"tape", py_tape, METH_VARARGS, tape_doc},
+    {"evaluate", FAST(py_evaluate), evaluate_doc},
+    {"mean_squares", FAST(py_mean_squares), mean_squares_doc},
+    {"address", py_address, METH_O, address_doc},
+    {"functions", py_functions, METH_NOARGS, functions_doc},
+    {"levels", py_levels, METH_NOARGS, levels_doc},
+    {"operations", py_operations, METH_NOARGS, operations_doc},
+    {NULL, NULL, 0, NULL},
+};
+static struct PyModuleDef definition = {
+    PyModuleDef_HEAD_INIT, "_machine", "Tapes of formulas.", 0, methods, NULL, NULL, NULL, NULL,
+};
+PyMODINIT_FUNC PyInit__machine(void) { return PyModule_Create(&definition); }

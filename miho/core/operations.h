@@ -1,0 +1,172 @@
+/* The operations of a tape on blocks of rows. Compiled once for each level, whose name is LEVEL. */
+#include "large_angles.h"
+#include "tape.h"
+
+/* Operands and results of a block overlap nowhere or are the same rows, so that rows may be worked
+   on side by side. */
+#define EACH(value) \
+    _Pragma("GCC ivdep") for (int i = 0; i < rows; i++) o[i] = (value); \
+    break
+#define CASE(name, value) case OP_##name: EACH(value)
+
+static int any_large(const double *a, int rows) {
+    int any = 0;
+    for (int i = 0; i < rows; i++) any |= !(size_of(a[i]) < SMALL_ANGLE);
+    return any;
+}
+
+/* The three operations of an angle, for blocks that hold a large one. */
+static void large_angles(int op, const double *a, double *o, double *o2, int rows) {
+    for (int i = 0; i < rows; i++) {
+        double cosine, sine = any_sine_cosine(a[i], &cosine);
+        o[i] = op == OP_COS ? cosine : op == OP_TAN ? sine / cosine : sine;
+        if (op == OP_SINCOS) o2[i] = cosine;
+    }
+}
+
+static void angles(int op, const double *a, double *o, double *o2, int rows) {
+    double c;
+    if (any_large(a, rows)) {
+        large_angles(op, a, o, o2, rows);
+        return;
+    }
+    switch (op) {
+    CASE(SIN, small_sine_cosine(a[i], &c));
+    CASE(COS, (small_sine_cosine(a[i], &c), c));
+    case OP_TAN:
+        _Pragma("GCC ivdep") for (int i = 0; i < rows; i++) {
+            double cosine, sine = small_sine_cosine(a[i], &cosine);
+            o[i] = sine / cosine;
+        }
+        break;
+    case OP_SINCOS:
+        _Pragma("GCC ivdep") for (int i = 0; i < rows; i++) {
+            double cosine, sine = small_sine_cosine(a[i], &cosine);
+            o[i] = sine;
+            o2[i] = cosine;
+        }
+    }
+}
+
+static void log_parts_of(const double *a, double *o, double *o2, int rows) {
+    _Pragma("GCC ivdep") for (int i = 0; i < rows; i++) {
+        double rest, L = log_parts(a[i], &rest);
+        o[i] = L;
+        o2[i] = rest;
+    }
+}
+
+static void floor_parts_of(const double *a, const double *b, double *o, double *o2, int rows) {
+    _Pragma("GCC ivdep") for (int i = 0; i < rows; i++) {
+        double rest, L = floor_parts(a[i], b[i], &rest);
+        o[i] = L;
+        o2[i] = rest;
+    }
+}
+
+static void functions(int op, const double *a, const double *b, double *o, int rows) {
+    switch (op) {
+    CASE(EXP, exp_of(a[i]));
+    CASE(EXPM1, expm1_of(a[i]));
+    CASE(LOG, log_of(a[i]));
+    CASE(LOG1P, log1p_of(a[i]));
+    CASE(LOG10, log10_of(a[i]));
+    CASE(LOG2, log2_of(a[i]));
+    CASE(ASIN, asin_of(a[i]));
+    CASE(ACOS, acos_of(a[i]));
+    CASE(ATAN, atan_of(a[i]));
+    CASE(ATAN2, atan2_of(a[i], b[i]));
+    CASE(HYPOT, hypot_of(a[i], b[i]));
+    CASE(SINH, sinh_of(a[i]));
+    CASE(COSH, cosh_of(a[i]));
+    CASE(TANH, tanh_of(a[i]));
+    CASE(ASINH, asinh_of(a[i]));
+    CASE(ACOSH, acosh_of(a[i]));
+    CASE(ATANH, atanh_of(a[i]));
+    }
+}
+
+static void conditions(int op, const double *a, const double *b, double *o, int rows) {
+    switch (op) {
+    CASE(GT, a[i] > b[i] ? 1.0 : 0.0);
+    CASE(GE, a[i] >= b[i] ? 1.0 : 0.0);
+    CASE(LT, a[i] < b[i] ? 1.0 : 0.0);
+    CASE(LE, a[i] <= b[i] ? 1.0 : 0.0);
+    CASE(EQ, a[i] == b[i] ? 1.0 : 0.0);
+    CASE(NE, a[i] != b[i] ? 1.0 : 0.0);
+    CASE(AND, a[i] * b[i]);
+    CASE(OR, a[i] + b[i] - a[i] * b[i]);
+    CASE(NOT, 1.0 - a[i]);
+    }
+}
+
+/* One instruction; the second operand of some is a scalar. */
+static void operate(const instruction *q, double *const *r, const double *scalars, int rows) {
+    int scalar = q->op >= OP_ADD_S && q->op <= OP_S_DIV;
+    double s = scalar ? scalars[q->operand[1]] : 0.0;
+    const double *a = r[q->operand[0]], *b = r[scalar ? 0 : q->operand[1]];
+    const double *c = r[q->operand[2]], *d = r[q->operand[3]];
+    double *o = r[q->result[0]], *o2 = r[q->result[1]];
+    switch (q->op) {
+    CASE(ADD, a[i] + b[i]);
+    CASE(SUB, a[i] - b[i]);
+    CASE(MUL, a[i] * b[i]);
+    CASE(DIV, a[i] / b[i]);
+    CASE(ADD_S, a[i] + s);
+    CASE(MUL_S, a[i] * s);
+    CASE(SUB_S, a[i] - s);
+    CASE(DIV_S, a[i] / s);
+    CASE(S_SUB, s - a[i]);
+    CASE(S_DIV, s / a[i]);
+    CASE(NEG, -a[i]);
+    CASE(SQUARE, a[i] * a[i]);
+    CASE(SQRT, __builtin_sqrt(a[i]));
+    CASE(ABS, size_of(a[i]));
+    CASE(SIGN, sign_of(a[i]));
+    CASE(COPY, a[i]);
+    CASE(MIN, least(a[i], b[i]));
+    CASE(MAX, largest(a[i], b[i]));
+    CASE(BOUND, a[i] < -1e300 ? -1e300 : a[i] > 1e300 ? 1e300 : a[i]);
+    CASE(WHERE, a[i] != 0.0 ? b[i] : c[i]);
+    CASE(POWER, power_of(a[i], b[i], c[i], d[i]));
+    case OP_SIN: case OP_COS: case OP_SINCOS: case OP_TAN:
+        angles(q->op, a, o, o2, rows);
+        break;
+    case OP_LOG_PARTS:
+        log_parts_of(a, o, o2, rows);
+        break;
+    case OP_FLOOR_PARTS:
+        floor_parts_of(a, b, o, o2, rows);
+        break;
+    default:
+        if (q->op >= OP_GT) conditions(q->op, a, b, o, rows);
+        else functions(q->op, a, b, o, rows);
+    }
+}
+
+static void run(const instruction *from, const instruction *to, double *const *registers,
+                const double *scalars, int rows) {
+    for (const instruction *q = from; q < to; q++) operate(q, registers, scalars, rows);
+}
+
+/* The sum of (values - data)^2 in eight sums and then these in pairs, whatever the processor. */
+static double square_sum(const double *values, const double *data, int rows) {
+    double sums[8] = {0};
+    int i = 0;
+    for (; i + 8 <= rows; i += 8)
+        for (int k = 0; k < 8; k++) {
+            double r = values[i + k] - data[i + k];
+            sums[k] += r * r;
+        }
+    for (int k = 0; i + k < rows; k++) {
+        double r = values[i + k] - data[i + k];
+        sums[k] += r * r;
+    }
+    return ((sums[0] + sums[4]) + (sums[2] + sums[6])) + ((sums[1] + sums[5]) + (sums[3] + sums[7]));
+}
+
+#define JOINED(a, b) a##b
+#define NAMED(a, b) JOINED(a, b)
+#define QUOTED(a) #a
+#define TEXT(a) QUOTED(a)
+const level NAMED(level_, LEVEL) = {TEXT(LEVEL), run, square_sum};

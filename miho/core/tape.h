@@ -1,0 +1,74 @@
+/* A formula as a tape: a list of operations on registers, each of which holds a block of rows. */
+#ifndef MIHO_TAPE_H
+#define MIHO_TAPE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#define MOST_ROWS 256       /* of a block */
+#define MANY_REGISTERS 24   /* with more than these, half as many rows stay in the cache */
+#define MOST_REGISTERS 8192
+#define MOST_LENGTH 65536
+
+/* Name, and how many operands and results it has. miho/core/tape.py says what each does. */
+#define OPERATIONS(X) \
+    X(ADD, 2, 1) X(SUB, 2, 1) X(MUL, 2, 1) X(DIV, 2, 1) \
+    X(ADD_S, 2, 1) X(MUL_S, 2, 1) X(SUB_S, 2, 1) X(DIV_S, 2, 1) X(S_SUB, 2, 1) X(S_DIV, 2, 1) \
+    X(NEG, 1, 1) X(SQUARE, 1, 1) X(SQRT, 1, 1) X(ABS, 1, 1) X(SIGN, 1, 1) X(COPY, 1, 1) \
+    X(MIN, 2, 1) X(MAX, 2, 1) X(BOUND, 1, 1) \
+    X(EXP, 1, 1) X(EXPM1, 1, 1) X(LOG, 1, 1) X(LOG1P, 1, 1) X(LOG10, 1, 1) X(LOG2, 1, 1) \
+    X(SIN, 1, 1) X(COS, 1, 1) X(SINCOS, 1, 2) X(TAN, 1, 1) \
+    X(ASIN, 1, 1) X(ACOS, 1, 1) X(ATAN, 1, 1) X(ATAN2, 2, 1) X(HYPOT, 2, 1) \
+    X(SINH, 1, 1) X(COSH, 1, 1) X(TANH, 1, 1) X(ASINH, 1, 1) X(ACOSH, 1, 1) X(ATANH, 1, 1) \
+    X(LOG_PARTS, 1, 2) X(FLOOR_PARTS, 2, 2) X(POWER, 4, 1) \
+    X(GT, 2, 1) X(GE, 2, 1) X(LT, 2, 1) X(LE, 2, 1) X(EQ, 2, 1) X(NE, 2, 1) \
+    X(AND, 2, 1) X(OR, 2, 1) X(NOT, 1, 1) X(WHERE, 3, 1)
+
+#define AS_NAME(name, operands, results) OP_##name,
+enum { OPERATIONS(AS_NAME) COUNT_OF_OPERATIONS };
+#undef AS_NAME
+
+/* operand[1] of an operation between ADD_S and S_DIV is a scalar; all others are registers. */
+typedef struct { int32_t op, operand[4], result[2]; } instruction;
+
+struct level;
+
+/* Registers are the inputs, the results, then those of work. Scalars are constants, parameters, then
+   what the first instructions, as many as `once`, compute of these once a call. `fill` holds pairs
+   of a register of work, which holds a scalar throughout, and that scalar. */
+typedef struct {
+    int32_t inputs, results, registers, constants, parameters, scalars, once, length, fills;
+    const instruction *code; /* once + length */
+    const double *constant;
+    const int32_t *fill;
+    const struct level *level;
+} tape;
+
+/* The operations, compiled for one kind of processor. */
+typedef struct level {
+    const char *name;
+    void (*run)(const instruction *from, const instruction *to, double *const *registers,
+                const double *scalars, int rows);
+    double (*square_sum)(const double *values, const double *data, int rows);
+} level;
+extern const level level_baseline, level_avx2, level_avx512;
+
+/* Results of parameter rows thetas (n, d) at X (p, N): out (n, results, N). */
+int tape_evaluate(const tape *t, const double *thetas, int64_t n, const double *X, int64_t N,
+                  double *out);
+/* Columns X (p, N), and y (rows,) for the first of their rows. The first block has `first` rows. */
+typedef struct { const double *X; int64_t N; const double *y; int64_t rows, first; } measurements;
+
+/* Mean squares (n,) of the one result minus y. */
+int tape_mean_squares(const tape *t, const double *thetas, int64_t n, const measurements *d,
+                      double *out);
+/* One of them, or any number from `limit` on as soon as it is known to be there. */
+double tape_mean_square(const tape *t, const double *theta, const double *X, int64_t N,
+                        const double *y, int64_t rows, int64_t first, double limit);
+/* The one result minus y at rows i to j of X (p, N), out (j - i,). */
+void tape_residuals(const tape *t, const double *theta, const double *X, int64_t N,
+                    const double *y, int64_t i, int64_t j, double *out);
+/* All results there, each `stride` numbers behind the last. */
+void tape_columns(const tape *t, const double *theta, const double *X, int64_t N, int64_t i,
+                  int64_t j, double *out, int64_t stride);
+#endif

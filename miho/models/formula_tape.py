@@ -1,0 +1,304 @@
+"""Graphs of formulas as tapes for the machine of `miho.core`.
+
+Equal operations are done once. What depends on parameters alone is computed once for all rows; a
+register is used again as soon as its content has been read for the last time (linear scan; Poletto
+and Sarkar 1999).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
+
+from miho.core import Instruction, Tape, TapeError
+from miho.core.tape import HUGE, TINY
+from miho.models.symbolic import (
+    CONSTANT,
+    NotAFormulaError,
+    Symbol,
+    argument,
+    of_symbols,
+    ordered,
+    trace,
+)
+
+PLAIN = {
+    "add": "ADD", "subtract": "SUB", "divide": "DIV", "multiply": "MUL", "negative": "NEG",
+    "absolute": "ABS", "sign": "SIGN", "sqrt": "SQRT", "minimum": "MIN", "maximum": "MAX",
+    "exp": "EXP", "expm1": "EXPM1", "log": "LOG", "log1p": "LOG1P", "log10": "LOG10",
+    "log2": "LOG2", "tan": "TAN", "arcsin": "ASIN", "arccos": "ACOS", "arctan": "ATAN",
+    "arctan2": "ATAN2", "hypot": "HYPOT", "sinh": "SINH", "cosh": "COSH", "tanh": "TANH",
+    "arcsinh": "ASINH", "arccosh": "ACOSH", "arctanh": "ATANH", "greater": "GT",
+    "greater_equal": "GE", "less": "LT", "less_equal": "LE", "equal": "EQ", "not_equal": "NE",
+    "logical_and": "AND", "logical_or": "OR", "logical_not": "NOT", "where": "WHERE",
+}  # fmt: skip
+"""Operations of graphs that are one of the machine. Sine, cosine and powers are not."""
+EITHER_WAY = {"ADD", "MUL", "EQ", "NE", "AND", "OR"}
+WITH_SCALAR = {"ADD", "SUB", "MUL", "DIV"}
+TWO_RESULTS = {"LOG_PARTS", "FLOOR_PARTS"}
+CONSTANTS, PARAMETERS, INPUTS, SECOND = "constant", "parameter", "input", "second result"
+LEAVES = (CONSTANTS, PARAMETERS, INPUTS)
+LARGEST_POWER = 64
+"""Whole powers up to it are multiplied out."""
+
+
+def tape_of(
+    results: Sequence[Symbol], columns: Sequence[Symbol], parameters: Sequence[Symbol]
+) -> Tape:
+    """The tape that computes results of input columns and parameters."""
+    nodes = _Nodes()
+    at = {symbol: nodes.add(INPUTS, k) for k, symbol in enumerate(columns)}
+    at |= {symbol: nodes.add(PARAMETERS, k) for k, symbol in enumerate(parameters)}
+    for symbol in ordered(results):
+        if symbol not in at:
+            at[symbol] = nodes.of_symbol(symbol, at)
+    return _Registers(nodes, [at[r] for r in results], len(columns), len(parameters)).tape()
+
+
+def traced_tapes(
+    value: Callable[..., Any], derivatives: Callable[..., Any], p: int, d: int
+) -> tuple[Tape, Tape] | None:
+    """The tapes of a formula of p inputs and d parameters, and of its d derivatives.
+
+    None where they cannot be traced, or are too long for the machine.
+    """
+    columns, parameters = tuple(map(_input, range(p))), tuple(map(_parameter, range(d)))
+    try:
+        graph = trace(value, columns, parameters)
+        slopes = of_symbols(lambda: derivatives(columns, parameters))
+        slopes = [trace(lambda slope=slope: slope) for slope in slopes]
+        tapes = (
+            tape_of([graph], columns, parameters),
+            tape_of(slopes, columns, parameters),
+        )
+        _ = [tape.in_machine for tape in tapes]
+    except (NotAFormulaError, TapeError):
+        return None
+    return tapes if len(slopes) == d else None
+
+
+def _input(k: int) -> Symbol:
+    return argument(f"x{k}")
+
+
+def _parameter(k: int) -> Symbol:
+    return argument(f"p{k}")
+
+
+class _Nodes:
+    """The operations of the machine that a graph needs, each once.
+
+    A node is its name and the nodes that it reads, or for a leaf its number. An operation with two
+    results stands for the first; SECOND of it for the other.
+    """
+
+    def __init__(self) -> None:
+        self.nodes: list[tuple[str, tuple[float, ...]]] = []
+        self.uniform: list[bool] = []  # the same at all rows
+        self._known: dict[tuple[object, ...], int] = {}
+
+    def add(self, name: str, *operands: float) -> int:
+        """The node, made if there is none."""
+        if name in EITHER_WAY:
+            operands = tuple(sorted(operands))
+        if name == "MUL" and operands[0] == operands[1]:
+            name, operands = "SQUARE", operands[:1]
+        key = (name, *map(repr, operands))  # by which 0.0 is not -0.0, and NaN is itself
+        if key not in self._known:
+            self._known[key] = len(self.nodes)
+            self.nodes.append((name, operands))
+            leaf = name in LEAVES
+            self.uniform.append(
+                name != INPUTS and (leaf or all(self.uniform[int(k)] for k in operands))
+            )
+        return self._known[key]
+
+    def operands(self, node: int) -> tuple[int, ...]:
+        """The nodes that a node reads."""
+        name, operands = self.nodes[node]
+        return () if name in LEAVES else tuple(map(int, operands))
+
+    def of_symbol(self, symbol: Symbol, at: Mapping[Symbol, int]) -> int:
+        """The node of an operation whose arguments have theirs."""
+        if symbol.operation == CONSTANT:
+            return self.add(CONSTANTS, symbol.arguments[0])
+        name, arguments = symbol.operation, symbol.arguments
+        operands = [at[argument] for argument in arguments]
+        if name == "sin":
+            return self.add("SINCOS", *operands)
+        if name == "cos":
+            return self.add(SECOND, self.add("SINCOS", *operands))
+        if name == "power":
+            exponent = arguments[1].number
+            if exponent is not None and exponent.is_integer() and abs(exponent) <= LARGEST_POWER:
+                return self._multiplied_out(operands[0], int(exponent))
+            high, low = self._log_parts(arguments[0], at)
+            return self.add("POWER", *operands, high, low)
+        if name == "log" and _floored(arguments[0]) is not None:
+            return self._log_parts(arguments[0], at)[0]
+        if name == "minimum" and arguments[1].number == HUGE:
+            inner = arguments[0]
+            if inner.operation == "maximum" and inner.arguments[1].number == -HUGE:
+                return self.add("BOUND", at[inner.arguments[0]])
+        return self.add(PLAIN[name], *operands)
+
+    def _log_parts(self, base: Symbol, at: Mapping[Symbol, int]) -> tuple[int, int]:
+        """The parts of the logarithm of |base|: a power and its derivatives share them."""
+        floored = _floored(base)
+        parts = self.add("LOG_PARTS", at[base if floored is None else floored])
+        low = self.add(SECOND, parts)
+        if floored is None:
+            return parts, low
+        above = self.add("FLOOR_PARTS", parts, low)
+        return above, self.add(SECOND, above)
+
+    def _multiplied_out(self, base: int, exponent: int) -> int:
+        """A whole power, by squares."""
+        if exponent <= 0:
+            one = self.add(CONSTANTS, 1.0)
+            return (
+                one if not exponent else self.add("DIV", one, self._multiplied_out(base, -exponent))
+            )
+        if exponent == 1:
+            return base
+        half = self._multiplied_out(base, exponent // 2)
+        square = self.add("MUL", half, half)
+        return self.add("MUL", square, base) if exponent % 2 else square
+
+    def needed_for(self, results: Sequence[int]) -> list[int]:
+        """The nodes that results depend on, each after those that it reads."""
+        needed, stack = set[int](), list(results)
+        while stack:
+            node = stack.pop()
+            if node not in needed:
+                needed.add(node)
+                stack += self.operands(node)
+                if self.nodes[node][0] in TWO_RESULTS:
+                    stack.append(self.add(SECOND, node))
+        return sorted(needed)
+
+
+def _floored(symbol: Symbol) -> Symbol | None:
+    """X of max(|x|, TINY), as derivatives of powers have it; None of anything else."""
+    if symbol.operation != "maximum" or symbol.arguments[1].number != TINY:
+        return None
+    inner: Symbol = symbol.arguments[0]
+    return inner.arguments[0] if inner.operation == "absolute" else None
+
+
+class _Registers:
+    """Where each node is held: the scalar, or the register, and from when to when."""
+
+    def __init__(self, nodes: _Nodes, results: Sequence[int], inputs: int, parameters: int) -> None:
+        self.nodes, self.results = nodes, results
+        self.inputs, self.parameters = inputs, parameters
+        self.needed = nodes.needed_for(results)
+        self.base = self.top = inputs + len(results)
+        self.free: list[int] = []
+        self.fills: dict[int, int] = {}  # registers of scalars, by node
+        names = nodes.nodes
+        constants = [k for k in self.needed if names[k][0] == CONSTANTS]
+        self.constants = tuple(names[k][1][0] for k in constants)
+        self.scalars = {k: i for i, k in enumerate(constants)}
+        for k, (name, operands) in enumerate(names):
+            if name == PARAMETERS:
+                self.scalars[k] = len(constants) + int(operands[0])
+        self.count = len(constants) + parameters
+        self.at = {k: int(operands[0]) for k, (name, operands) in enumerate(names)
+                   if name == INPUTS}  # fmt: skip
+        self.slots: dict[int, int] = {}  # of results that are written where they belong
+        for i, k in enumerate(results):
+            if not nodes.uniform[k] and k not in self.at:
+                self.slots.setdefault(k, inputs + i)
+        self.users: dict[int, list[int]] = {}
+        for k in self.needed:
+            for operand in nodes.operands(k):
+                self.users.setdefault(operand, []).append(k)
+
+    def tape(self) -> Tape:
+        """The tape."""
+        nodes = self.nodes
+        once = tuple(self._once())
+        rows = [k for k in self.needed if not nodes.uniform[k] and k not in self.at]
+        code = [*self._rows([k for k in rows if nodes.nodes[k][0] != SECOND])]
+        for i, k in enumerate(self.results):
+            if self.slots.get(k) != self.inputs + i:
+                code.append(Instruction("COPY", (self._held(k),), (self.inputs + i,)))
+        fills = tuple((register, self.scalars[k]) for k, register in self.fills.items())
+        return Tape(
+            self.inputs, len(self.results), self.top, self.parameters, self.count, self.constants,
+            once, tuple(code), fills,
+        )  # fmt: skip
+
+    def _once(self) -> Iterator[Instruction]:
+        """What is the same at all rows."""
+        for k in self.needed:
+            if not self.nodes.uniform[k] or k in self.scalars:
+                continue
+            name, made = self._operation(k)
+            for node in made:
+                self.scalars[node] = self.count
+                self.count += 1
+            operands = tuple(self.scalars[j] for j in self.nodes.operands(k))
+            yield Instruction(name, operands, tuple(self.scalars[j] for j in made))
+
+    def _rows(self, order: Sequence[int]) -> Iterator[Instruction]:
+        """What is computed for each row."""
+        last: dict[int, int] = {}
+        for i, k in enumerate(order):
+            last |= dict.fromkeys(self.nodes.operands(k), i)
+        for i, k in enumerate(order):
+            name, made = self._operation(k)
+            read = self.nodes.operands(k)
+            operation, operands = self._read(name, read)
+            done = [j for j in dict.fromkeys(read) if last[j] == i and not self.nodes.uniform[j]]
+            if len(made) == 1:  # which may take the place of what it reads
+                self._release(done)
+            places = tuple(map(self._placed, made))
+            if len(made) > 1:
+                self._release(done + [j for j in made if j not in last])
+            yield Instruction(operation, operands, places)
+
+    def _operation(self, k: int) -> tuple[str, list[int]]:
+        """The operation of a node, and the nodes that it computes: it and its second result.
+
+        Of a sine and a cosine one may not be needed.
+        """
+        name = self.nodes.nodes[k][0]
+        users = self.users.get(k, [])
+        second = [j for j in users if self.nodes.nodes[j][0] == SECOND]
+        if name == "SINCOS" and not second:
+            return "SIN", [k]
+        if name == "SINCOS" and users == second and k not in self.results:
+            return "COS", second
+        return name, [k, *second]
+
+    def _read(self, name: str, read: Sequence[int]) -> tuple[str, tuple[int, ...]]:
+        """An operation and its operands, with a scalar for one where it has that form."""
+        uniform = [self.nodes.uniform[j] for j in read]
+        if name not in WITH_SCALAR or not any(uniform):
+            return name, tuple(map(self._held, read))
+        row, scalar = (read[0], read[1]) if uniform[1] else (read[1], read[0])
+        form = f"{name}_S" if uniform[1] or name in EITHER_WAY else f"S_{name}"
+        return form, (self.at[row], self.scalars[scalar])
+
+    def _held(self, k: int) -> int:
+        """The register that holds a node."""
+        if not self.nodes.uniform[k]:
+            return self.at[k]
+        if k not in self.fills:
+            self.fills[k] = self._new()
+        return self.fills[k]
+
+    def _placed(self, k: int) -> int:
+        self.at[k] = (
+            self.slots[k] if k in self.slots else self.free.pop() if self.free else self._new()
+        )
+        return self.at[k]
+
+    def _new(self) -> int:
+        self.top += 1
+        return self.top - 1
+
+    def _release(self, done: Sequence[int]) -> None:
+        self.free += [self.at[j] for j in done if self.at[j] >= self.base and j not in self.slots]

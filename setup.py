@@ -1,0 +1,68 @@
+"""Builds the machine that runs formulas, `miho/core`; all else is in pyproject.toml.
+
+Without a C compiler, or one that does not know the extension's code, the library is installed
+without the machine, and works all the same.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import sysconfig
+import tempfile
+from pathlib import Path
+
+from setuptools import Extension, setup
+from setuptools._distutils.ccompiler import new_compiler
+from setuptools._distutils.errors import CompileError, DistutilsError
+from setuptools._distutils.sysconfig import customize_compiler
+
+CORE = Path("miho/core")
+FLAGS = [
+    "-std=gnu11", "-O3", "-g0", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
+]  # fmt: skip
+"""No product and sum is fused, so that every processor gives the same bits."""
+LIMITED = not sysconfig.get_config_var("Py_GIL_DISABLED")
+"""One build serves all versions of Python; those without a lock have no stable interface."""
+
+
+def can_compile() -> bool:
+    """Whether there is a compiler for these flags, and Python's headers."""
+    if os.name == "nt" and "clang" not in os.environ.get("CC", ""):
+        return False  # Microsoft's has no vector code of this kind
+    with tempfile.TemporaryDirectory() as folder:
+        source = Path(folder, "probe.c")
+        source.write_text("#include <Python.h>\nint probe(void) { return 0; }\n", encoding="ascii")
+        compiler = new_compiler()
+        try:
+            customize_compiler(compiler)
+            compiler.compile(
+                [str(source)],
+                output_dir=folder,
+                include_dirs=[sysconfig.get_path("include")],
+                extra_postargs=FLAGS,
+            )
+        except (CompileError, DistutilsError, OSError):
+            return False
+    return True
+
+
+machine = Extension(
+    "miho.core._machine",
+    [str(CORE / f"{name}.c") for name in
+     ("module", "evaluate", "level_baseline", "level_avx2", "level_avx512")],
+    depends=[str(path) for path in sorted(CORE.glob("*.h"))],
+    extra_compile_args=FLAGS,
+    define_macros=[("Py_LIMITED_API", "0x030b0000")] if LIMITED else [],
+    py_limited_api=LIMITED,
+    optional=True,
+)  # fmt: skip
+
+if can_compile():
+    setup(
+        ext_modules=[machine],
+        options={"bdist_wheel": {"py_limited_api": "cp311"}} if LIMITED else {},
+    )
+else:
+    sys.stderr.write("miho: no C compiler with Python's headers; formulas go without the machine\n")
+    setup()
