@@ -205,7 +205,6 @@ CALLED: dict[str, Any] = {
     "cache": True,
     "error_model": "numpy",
     "fastmath": {"contract", "nsz"},
-    "_nrt": False,
 }
 """How compiled code calls a model: by eight whole numbers, and how that is compiled."""
 
