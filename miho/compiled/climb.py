@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
@@ -13,6 +12,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from miho.compiled.kernel import INFINITE, NAN, Block, Climb, Steps
+from miho.compiled.taped import equal_parts
 from miho.quantities import Array
 
 WORTH_THREADS = 1
@@ -134,11 +134,6 @@ def climb_on(
         return _merged(list(pool.map(part, parts)), parts, best)
 
     return climb
-
-
-def equal_parts(n: int, count: int) -> list[slice]:
-    """Rows 0 to n in `count` parts, which differ by one row at most."""
-    return [slice(i, j) for i, j in pairwise(np.linspace(0, n, count + 1).astype(int).tolist())]
 
 
 def _merged(blocks: list[Block], parts: list[slice], best: float) -> Block:

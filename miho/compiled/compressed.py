@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 import miho.compiled.polynomials  # noqa: F401 -- registers the elementary functions
 from miho.compiled.arrays import as_tuple, read_only
-from miho.compiled.climb import climb_on, compiled_climb, equal_parts
+from miho.compiled.climb import climb_on, compiled_climb
 from miho.compiled.kernel import Climb, Formulas
 from miho.compiled.panel_sums import (
     ROUNDING,
@@ -34,6 +34,7 @@ from miho.compiled.panel_sums import (
 )
 from miho.compiled.panels import panels
 from miho.compiled.signature import Signed, signed_formulas, signing
+from miho.compiled.taped import equal_parts
 from miho.quantities import Array
 
 TRUNCATION = 0.15

@@ -38,18 +38,17 @@ from miho.compiled.arrays import (
     sum_of_squares,
 )
 from miho.compiled.calls import mean_square, pointer
-from miho.compiled.climb import climb_on, compiled_climb, equal_parts
+from miho.compiled.climb import climb_on, compiled_climb
 from miho.compiled.kernel import Climb, Formula, Formulas, Rows
 from miho.compiled.panel_sums import Sign, panel_sums, panel_terms, scratch_for
 from miho.compiled.panels import panels
 from miho.compiled.signature import Signed, signature_of, signed_formulas, signing
-from miho.core import Tape, machine
+from miho.compiled.taped import SHARE, TapedLoss, equal_parts
+from miho.core import machine
 from miho.quantities import Array
 
 BLOCK = 512
 """Rows at a time: temporaries of 4 KiB each."""
-SHARE = 50_000
-"""A batch of so many model values is worth a further thread."""
 FIRST_BLOCK = 64
 """Rows before the first test whether a candidate is beaten; then twice as many each, up to BLOCK.
 Where panels are tested first, an early test on rows gains nothing."""
@@ -74,9 +73,13 @@ class FusedLoss:
     threads: int = 1
 
     @cached_property
-    def tapes(self) -> tuple[Tape, Tape] | None:
-        """The output and its derivatives for the machine; None where numba compiles them."""
-        return None if machine() is None else self.model.tapes
+    def taped(self) -> TapedLoss | None:
+        """The same by the machine; None where numba compiles the formulas."""
+        tapes = None if machine() is None else self.model.tapes
+        if tapes is None:
+            return None
+        return TapedLoss(*tapes, self._columns[0], self.y, self.order, self._first_block,
+                         self.threads)  # fmt: skip
 
     @cached_property
     def _compiled(self) -> _Compiled:
@@ -85,13 +88,13 @@ class FusedLoss:
 
     @cached_property
     def _steps(self) -> Callable[..., tuple[int, int, int, int]]:
-        if self.tapes is not None and not self._in_panels:
+        if self.taped is not None and not self._in_panels:
             return _steps_by_machine()
         shape, formulas = self._shape, [self.model.value]
         if self._in_panels and self.model.bound is not None:
             formulas.append(self.model.bound)
         signed = signed_formulas(tuple(formulas), shape)
-        return _compile_steps(signed, *shape, by_machine=self.tapes is not None)
+        return _compile_steps(signed, *shape, by_machine=self.taped is not None)
 
     @property
     def _shape(self) -> tuple[int, int]:
@@ -107,14 +110,16 @@ class FusedLoss:
 
     @cached_property
     def _ordered(self) -> tuple[Array, Array]:
+        if self.taped is not None:
+            return self.taped.ordered
         return np.ascontiguousarray(self.X[:, self.order]), self.y[self.order]
 
     @property
     def _data(self) -> tuple[Any, ...]:
         """What `_mean_square` and `_by_machine` take."""
         by_machine: tuple[int, ...] = ()
-        if self.tapes is not None:
-            value = self.tapes[0].in_machine
+        if self.taped is not None:
+            value = self.taped.value.in_machine
             by_machine = machine().functions()[2], machine().address(value)
         return *self._ordered, self._first_block, *by_machine
 
@@ -122,8 +127,8 @@ class FusedLoss:
     def rows(self) -> Rows:
         """Residuals and derivatives of some rows, in the order of the loss."""
         X, y = map(read_only, self._ordered)
-        if self.tapes is not None:
-            kept = [tape.in_machine for tape in self.tapes]
+        if self.taped is not None:
+            kept = [tape.in_machine for tape in (self.taped.value, self.taped.slopes)]
             functions = machine().functions()[:2]
             calls = np.array([*functions, *map(machine().address, kept)], dtype=np.int64)
             return Rows(calls, X, y, kept)
@@ -153,26 +158,24 @@ class FusedLoss:
 
     def losses(self, thetas: Array, rows: int | None = None) -> Array:
         """Losses (n,) of parameter rows (n, d), over the first rows of the order if not all."""
+        if self.taped is not None:
+            return self.taped.losses(thetas, rows)
         thetas = read_only(thetas)
         losses = np.empty(len(thetas))
-        X, y = self._ordered
-        y = y[:rows]
-        parts = min(self.threads, len(thetas), len(thetas) * y.size // SHARE)
-
-        def part(rows: slice) -> None:
-            if self.tapes is not None:
-                value = self.tapes[0]
-                losses[rows] = value.mean_squares(thetas[rows], X, y, self._first_block)
-                return
+        X, y, first_block = self._data
+        data = X, y[:rows], first_block
+        parts = min(self.threads, len(thetas), len(thetas) * data[1].size // SHARE)
+        if parts <= 1:
             try:
-                self._compiled.losses(thetas[rows], (X, y, self._first_block), losses[rows])
+                self._compiled.losses(thetas, data, losses)
             except NumbaError as error:
                 raise ValueError(self._explained(error)) from None
+            return losses
 
-        if parts <= 1:
-            part(slice(None))
-        else:
-            list(self._pool.map(part, equal_parts(len(thetas), parts)))
+        def part(rows: slice) -> None:
+            self._compiled.losses(thetas[rows], data, losses[rows])
+
+        list(self._pool.map(part, equal_parts(len(thetas), parts)))
         return losses
 
     def _explained(self, error: NumbaError) -> str:
@@ -183,18 +186,16 @@ class FusedLoss:
 
     def residuals(self, theta: Array) -> Array:
         """Model minus data, (N,)."""
-        if self.tapes is not None:
-            values = self.tapes[0].evaluate(theta[None], self._columns[0])[0, 0]
-            values -= self.y
-            return np.asarray(values)
+        if self.taped is not None:
+            return np.asarray(self.taped.residuals(theta[None])[0])
         residuals = np.empty_like(self.y)
         self._compiled.residuals(read_only(theta), *self._columns, residuals)
         return residuals
 
     def jacobian(self, theta: Array) -> Array:
         """Derivatives of the residuals, (N, d)."""
-        if self.tapes is not None:
-            return np.asarray(self.tapes[1].evaluate(theta[None], self._columns[0])[0].T)
+        if self.taped is not None:
+            return self.taped.jacobian(theta)
         columns = np.empty((len(self.model.parameters), self.y.size))
         self._compiled.jacobian(read_only(theta), self._columns[0], columns)
         return columns.T

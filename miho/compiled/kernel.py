@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.core import Tape
+from miho.core import Tape, machine
 from miho.quantities import Array, Integers
 
 if TYPE_CHECKING:
     from miho.compiled.fit import FitKernel
+    from miho.compiled.taped import TapedLoss
 
 
 Formula = Callable[[tuple[Any, ...], tuple[Any, ...]], Any]
@@ -141,3 +142,18 @@ def kernel_for(
     from miho.compiled.fit import FitKernel
 
     return FitKernel(model, X, y, order, thetas, name, threads, compressed)
+
+
+def taped_loss(
+    model: Formulas, X: Array, y: Array, order: NDArray[np.intp], *, threads: int = 1
+) -> TapedLoss | None:
+    """The mean square of a formula minus data by the machine of `miho.core`, None without.
+
+    The arguments are those of `kernel_for`. Nothing is compiled, and numba is not imported.
+    """
+    tapes = None if machine() is None else model.tapes
+    if tapes is None:
+        return None
+    from miho.compiled.taped import TapedLoss
+
+    return TapedLoss(*tapes, np.ascontiguousarray(X), y, order, threads=threads)

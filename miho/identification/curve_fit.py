@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.compiled import kernel_for
+from miho.compiled import kernel_for, taped_loss
 from miho.data.dataset import Dataset
 from miho.identification.curve_fit_checks import (
     TRIALS,
@@ -42,6 +42,7 @@ from miho.quantities import Array
 
 if TYPE_CHECKING:
     from miho.compiled.fit import FitKernel
+    from miho.compiled.taped import TapedLoss
 
 
 FRACTION = 1e-12
@@ -56,7 +57,7 @@ REMEMBERED = 1 << 20
 """Numbers of errors to remember for the derivatives of a robust loss at the same configurations."""
 WORTH_COMPILING = 20_000
 """Rows from which on a search by NumPy takes seconds, as compiling a user's function does."""
-OF_THE_MODEL = ("noise", "_fitted", "_of_thread")
+OF_THE_MODEL = ("noise", "_fitted", "_taped", "_of_thread")
 """What a problem remembers of its model."""
 BLOCK = 50_000
 """Model values per block: the temporaries of one block stay in the cache of one core."""
@@ -239,6 +240,14 @@ class CurveFit(Remade, LeastSquaresProblem):
             name=name, threads=self.threads, compressed=self.compressed,
         )  # fmt: skip
 
+    @cached_property
+    def _taped(self) -> TapedLoss | None:
+        """The model that is known as a graph, by the machine: nothing has to be compiled."""
+        if not isinstance(self._fitted, TracedExpression):
+            return None
+        columns, target = np.array(self._columns), self._target
+        return taped_loss(self._fitted, columns, target, self._order, threads=self.threads)
+
     @property
     def _worth_compiling(self) -> bool:
         if self.compiled is not None:
@@ -332,6 +341,8 @@ class CurveFit(Remade, LeastSquaresProblem):
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Mean squared error (n,) of parameter rows (n, d), over a fidelity of the data rows."""
         columns, output, rows = self._columns, self._target, self._rows(fidelity)
+        if self._taped is not None and self._square and self.prior is None:
+            return self._taped.losses(thetas, rows)
         if self.kernel is not None:
             losses = self.kernel.losses(thetas, rows)
             if losses is not None:
@@ -387,6 +398,8 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     def _errors(self, thetas: Array, fidelity: float) -> Array:
         part = self._part(fidelity)
+        if self._taped is not None:
+            return self._taped.residuals(thetas, None if part is None else part.size)
         if part is None and self.kernel is not None:
             residuals = self.kernel.residuals(thetas)
             if residuals is not None:
@@ -413,7 +426,10 @@ class CurveFit(Remade, LeastSquaresProblem):
             derivatives = self.kernel.jacobian(theta)
             if derivatives is not None:
                 return derivatives
-        derivatives = self._fitted.jacobian(theta, *self._columns_of(part))
+        if self._taped is not None:
+            derivatives = self._taped.jacobian(theta, None if part is None else part.size)
+        else:
+            derivatives = self._fitted.jacobian(theta, *self._columns_of(part))
         if self.prior is not None:
             return np.vstack([derivatives, self.prior.slopes(theta)])
         if self._square:

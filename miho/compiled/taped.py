@@ -1,0 +1,83 @@
+"""Values of a formula by the machine of `miho.core`: importing this imports no numba."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.core import Tape
+from miho.quantities import Array
+
+SHARE = 50_000
+"""A batch of so many model values is worth a further thread."""
+
+
+@dataclass(frozen=True, eq=False)
+class TapedLoss:
+    """Residuals of a formula, their derivatives and their mean square, from its two tapes.
+
+    X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which some rows
+    are its first ones. A mean square is summed in blocks, the first one of `first_block` rows, and
+    is the same bits alone, in a batch, and on any number of `threads`.
+    """
+
+    value: Tape
+    slopes: Tape
+    X: Array
+    y: Array
+    order: NDArray[np.intp]
+    first_block: int = 64
+    threads: int = 1
+    _parts: dict[int, tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False)
+
+    def losses(self, thetas: Array, rows: int | None = None) -> Array:
+        """Mean squares (n,) of parameter rows (n, d), over the first rows of the order if given."""
+        X, y = self.ordered
+        y = y[:rows]
+        parts = min(self.threads, len(thetas), len(thetas) * y.size // SHARE)
+        if parts <= 1:
+            return self.value.mean_squares(thetas, X, y, self.first_block)
+
+        def part(rows: slice) -> Array:
+            return self.value.mean_squares(thetas[rows], X, y, self.first_block)
+
+        return np.concatenate(list(self._pool.map(part, equal_parts(len(thetas), parts))))
+
+    def residuals(self, thetas: Array, rows: int | None = None) -> Array:
+        """Model minus data (n, N), or over the first rows of the order (n, rows)."""
+        X, y = self._first(rows)
+        values = self.value.evaluate(thetas, X)[:, 0]
+        values -= y
+        return values
+
+    def jacobian(self, theta: Array, rows: int | None = None) -> Array:
+        """Derivatives of the residuals at theta (d,), (N, d) or (rows, d)."""
+        return np.asarray(self.slopes.evaluate(theta[None], self._first(rows)[0])[0].T)
+
+    @cached_property
+    def ordered(self) -> tuple[Array, Array]:
+        """Inputs and output in the order."""
+        return np.ascontiguousarray(self.X[:, self.order]), self.y[self.order]
+
+    def _first(self, rows: int | None) -> tuple[Array, Array]:
+        """Inputs and output of the first rows of the order, or of all in their own."""
+        if rows is None:
+            return self.X, self.y
+        if rows not in self._parts:
+            X, y = self.ordered
+            self._parts[rows] = np.ascontiguousarray(X[:, :rows]), y[:rows]
+        return self._parts[rows]
+
+    @cached_property
+    def _pool(self) -> ThreadPoolExecutor:
+        return ThreadPoolExecutor(self.threads)
+
+
+def equal_parts(n: int, count: int) -> list[slice]:
+    """Rows 0 to n in `count` parts, which differ by one row at most."""
+    return [slice(i, j) for i, j in pairwise(np.linspace(0, n, count + 1).astype(int).tolist())]
