@@ -1,15 +1,18 @@
 """What is installed, and what the checkout holds."""
 
+import os
 import re
 import subprocess
 import sys
 import tarfile
 import tomllib
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
+from miho.core import machine
 from miho.data import published_names
 
 ROOT = Path(__file__).parent.parent
@@ -18,16 +21,20 @@ ROOT = Path(__file__).parent.parent
 @pytest.fixture(scope="session")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A wheel of the files that git tracks, built with the installed setuptools."""
-    folder = tmp_path_factory.mktemp("wheel")
+    return built(tmp_path_factory.mktemp("wheel"), os.environ)
+
+
+def built(folder: Path, environment: Mapping[str, str]) -> Path:
+    """The wheel that is built in a folder."""
     archive = folder / "source.tar"
     subprocess.run(["git", "archive", "-o", archive, "HEAD"], cwd=ROOT, check=True)
     with tarfile.open(archive) as tar:
         tar.extractall(folder / "source", filter="data")
     command = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-index"]
     command += ["--no-build-isolation", "--wheel-dir", str(folder), str(folder / "source")]
-    subprocess.run(command, check=True, capture_output=True)
-    (built,) = folder.glob("*.whl")
-    return built
+    subprocess.run(command, check=True, capture_output=True, env=dict(environment))
+    (wheel,) = folder.glob("*.whl")
+    return wheel
 
 
 @pytest.mark.slow
@@ -44,6 +51,43 @@ def test_the_wheel_contains_only_miho(wheel: Path) -> None:
     }
     assert pages
     assert pages <= set(names)
+    sources = {path.relative_to(ROOT).as_posix() for path in (ROOT / "miho/core").glob("*.[ch]")}
+    assert sources
+    assert sources <= set(names)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(machine() is None, reason="there is no C compiler")
+def test_one_wheel_with_the_machine_serves_all_pythons(wheel: Path) -> None:
+    assert "-cp311-abi3-" in wheel.name
+    assert any(name.startswith("miho/core/_machine.") and not name.endswith(".pyi")
+               for name in zipfile.ZipFile(wheel).namelist())  # fmt: skip
+
+
+@pytest.mark.slow
+def test_without_a_compiler_the_wheel_is_for_any_machine_and_works(tmp_path: Path) -> None:
+    """Without the machine; the fit takes its other road."""
+    wheel = built(tmp_path, {**os.environ, "CC": str(tmp_path / "no compiler")})
+    assert wheel.name.endswith("-py3-none-any.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path / "installed")
+    program = (
+        "import miho, miho.core, numpy as np;"
+        "assert miho.core.machine() is None;"
+        "x = np.linspace(0, 5, 50);"
+        "f = lambda x, a, b: a * np.exp(-b * x);"
+        "fit = miho.fit(f, x, f(x, 2.0, 1.5), {'a': (0, 10), 'b': (0, 10)}, compiled=False);"
+        "print(*fit.theta)"
+    )
+    process = subprocess.run(
+        [sys.executable, "-P", "-c", program],
+        cwd=tmp_path,
+        env={"PYTHONPATH": str(tmp_path / "installed")},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert [float(word) for word in process.stdout.split()] == pytest.approx([2.0, 1.5], rel=1e-6)
 
 
 @pytest.mark.slow

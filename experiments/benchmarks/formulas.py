@@ -1,0 +1,174 @@
+"""What a row of a formula costs, value and all derivatives: the machine, NumPy, and numba.
+
+python -m experiments.benchmarks.formulas [--quick] [--numba] [--output FOLDER]
+
+The tire with and without curvature, the 27 coefficients of MF 6.1's lateral force, a power with a
+choice, and the published formulas, at 3,000 rows (and the first ones at 300 and 30,000). The
+machine runs on each level of instructions that the processor has; NumPy evaluates the formula as
+written, once for values and once for derivatives. With --numba the same two functions compiled,
+which takes minutes, and what their compilation takes. "ready" is what a new formula costs before
+its first evaluation: tracing value and derivatives, and making both tapes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property, partial
+from time import perf_counter
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.benchmarks.bars import (
+    AT_LEAST,
+    AT_MOST,
+    Bar,
+    Measured,
+    benchmark,
+    interleaved,
+    shown,
+)
+from miho.compiled.arrays import read_only
+from miho.compiled.fused import FusedLoss
+from miho.core import Tape, machine
+from miho.data import embedded_tire
+from miho.models import Pacejka, PacejkaCurvature, load_tir
+from miho.models.expression import Expression
+from miho.models.formula_tape import traced_tapes
+from miho.models.function_model import FunctionFormula, FunctionModel
+from miho.models.lateral_magic_formula import COEFFICIENTS
+from miho.models.published import FORMS, PublishedModel
+from miho.models.tire_formula import TireFormula
+from miho.quantities import Array
+
+ROWS, MORE_ROWS = 3000, (300, 30_000)
+REPEATS = 7
+MAGIC, PUBLISHED = "MF 6.1 lateral", "published"
+NEW_FORMULA, NEW_MAGIC_FORMULA = 10, 30
+"""Milliseconds that a new formula may take."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A formula, a range of its inputs and one of its parameters."""
+
+    name: str
+    model: Expression
+    inputs: tuple[tuple[float, float], ...]
+    thetas: tuple[tuple[float, float], ...]
+
+    def at(self, rows: int) -> tuple[Array, Array]:
+        """Columns (p, rows) and parameters (d,)."""
+        rng = np.random.default_rng(0)
+        X = np.array([rng.uniform(low, high, rows) for low, high in self.inputs])
+        return X, np.array([rng.uniform(low, high) for low, high in self.thetas])
+
+    @cached_property
+    def tapes(self) -> tuple[Tape, Tape]:
+        """Value and derivatives."""
+        tapes = self.model.tapes
+        assert tapes is not None
+        return tapes
+
+
+def power_with_choice(x: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
+    """A power up to a knee, a line behind it."""
+    return np.where(x < c, a * x**b, a * c**b + d * (x - c))
+
+
+def cases() -> Iterator[Case]:
+    """All formulas, those first that are measured at more sizes."""
+    tire = (2.0, 20.0), (1.0, 2.0), (2e3, 5e3), (-0.02, 0.02), (-100.0, 100.0)
+    yield Case("tire", Pacejka(), ((-0.25, 0.25),), tire)
+    bent = (*tire[:3], (-2.0, 0.5), *tire[3:])
+    yield Case("tire with curvature", PacejkaCurvature(), ((-0.25, 0.25),), bent)
+    formula = FunctionModel(power_with_choice, columns=("x",)).formula
+    assert isinstance(formula, FunctionFormula)
+    yield Case("power and choice", formula, ((0.1, 3.0),), ((0.5, 2.0),) * 4)
+    base = load_tir(embedded_tire("lf"))
+    magic = TireFormula(base, tuple(COEFFICIENTS), "Fy", ("alpha", "Fz", "gamma", "pressure"))
+    inputs = (-0.2, 0.2), (1e3, 6e3), (-0.05, 0.05), (1.5e5, 2.5e5)
+    values = [float(getattr(base.parameters, name)) for name in COEFFICIENTS]
+    yield Case(MAGIC, magic, inputs, tuple((v - 0.01, v + 0.01) for v in values))
+    for name in FORMS:
+        model = PublishedModel(name)
+        yield Case(
+            f"{PUBLISHED}: {name}", model, ((0.1, 2.0),) * len(model.inputs),
+            ((0.2, 2.0),) * len(model.parameters),
+        )  # fmt: skip
+
+
+def both(call: Callable[[Any, Array, Array, Array], None], tapes: Any, *arrays: Array) -> None:
+    """Value and derivatives by the machine."""
+    theta, X, value, slopes = arrays
+    call(tapes[0], theta, X, value)
+    call(tapes[1], theta, X, slopes)
+
+
+def by_numpy(model: Expression, theta: Array, X: Array) -> None:
+    """Value and derivatives as written."""
+    model.predict(theta[None], *X)
+    model.jacobian(theta, *X)
+
+
+def by_numba(loss: FusedLoss, theta: Array, columns: tuple[Array, Array], out: Any) -> None:
+    """Value and derivatives by the two functions that numba compiles."""
+    loss._compiled.residuals(theta, *columns, out[0])
+    loss._compiled.jacobian(theta, columns[0], out[1])
+
+
+def measured(case: Case, rows: int, repeats: int, numba: bool) -> dict[str, Any]:
+    """One row of the table."""
+    X, theta = case.at(rows)
+    d, p = theta.size, len(X)
+    started = perf_counter()
+    traced_tapes(case.model.value, case.model.derivatives, p, d)
+    row: dict[str, Any] = {"formula": case.name, "rows": rows}
+    row["ready [ms]"] = 1e3 * (perf_counter() - started)
+    row["instructions"] = sum(len(tape.code) for tape in case.tapes)
+    jobs: dict[str, Callable[[], object]] = {"NumPy": partial(by_numpy, case.model, theta, X)}
+    out = np.empty((1, 1, rows)), np.empty((1, d, rows))
+    for level, name in enumerate(machine().levels()):
+        held = [tape.at_level(level) for tape in case.tapes]
+        jobs[name] = partial(both, machine().evaluate, held, theta[None], X, *out)
+    if numba:
+        loss = FusedLoss(case.model, X, np.zeros(rows), np.arange(rows))
+        columns, into = (read_only(X), read_only(loss.y)), (np.empty(rows), np.empty((d, rows)))
+        jobs["numba"] = partial(by_numba, loss, read_only(theta), columns, into)
+        started = perf_counter()
+        jobs["numba"]()
+        row["numba compiles [s]"] = perf_counter() - started
+    seconds = interleaved(jobs, repeats)
+    return row | {name: 1e9 * value / rows for name, value in seconds.items()}
+
+
+def measure(quick: bool, numba: bool) -> Measured:
+    """All formulas."""
+    if machine() is None:
+        raise ValueError("the machine of miho.core was not built; install with a C compiler")
+    repeats, levels = (3 if quick else REPEATS), machine().levels()
+    chosen = list(cases())[:: 4 if quick else 1]
+    planned = [(case, rows) for case in chosen for rows in (ROWS, *MORE_ROWS)
+               if rows == ROWS or PUBLISHED not in case.name]  # fmt: skip
+    table = pd.DataFrame(shown(measured(*each, repeats, numba) for each in planned))
+    gain = table["NumPy"] / table[levels[-1]]
+    published = gain[table["formula"].str.startswith(PUBLISHED)]
+    magic = table["formula"] == MAGIC
+    bars = [
+        Bar(f"published formulas by {levels[-1]} over NumPy, median", published.median(),
+            AT_LEAST, 1, "times"),
+        Bar("a new formula", table.loc[~magic, "ready [ms]"].median(), AT_MOST, NEW_FORMULA, "ms"),
+        Bar(f"a new {MAGIC}", table.loc[magic, "ready [ms]"].min(), AT_MOST, NEW_MAGIC_FORMULA,
+            "ms"),
+    ]  # fmt: skip
+    notes = [f"ns a row; published formulas: least gain over NumPy {published.min():.2f}"]
+    return Measured(table, table, [b for b in bars if b.measured == b.measured], notes)
+
+
+INPUTS = MappingProxyType({"numba": "compile the formulas by numba too, which takes minutes"})
+
+if __name__ == "__main__":
+    benchmark(__doc__, measure, None, "formulas", INPUTS)
