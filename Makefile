@@ -32,7 +32,7 @@ unexport PYTHONDONTWRITEBYTECODE
 help:
 	@sed -n 's/^# make /make /p' Makefile
 
-$(INSTALLED): pyproject.toml setup.py constraints.txt $(wildcard miho/core/*.[ch])
+$(INSTALLED): pyproject.toml setup.py constraints.txt $(wildcard miho/core/*.c miho/core/*.h)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "error: Python 3.11 or newer is needed; name it with make PYTHON=...")'
 	@echo "$(VENV): an environment for $$($(PYTHON) --version)"
 	@$(PYTHON) -m venv $(VENV)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from time import perf_counter
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -38,7 +38,7 @@ from miho.data import embedded_tire
 from miho.models import Pacejka, PacejkaCurvature, load_tir
 from miho.models.expression import Expression
 from miho.models.formula_tape import traced_tapes
-from miho.models.function_model import FunctionFormula, FunctionModel
+from miho.models.function_model import FunctionModel
 from miho.models.lateral_magic_formula import COEFFICIENTS
 from miho.models.published import FORMS, PublishedModel
 from miho.models.tire_formula import TireFormula
@@ -69,9 +69,7 @@ class Case:
     @cached_property
     def tapes(self) -> tuple[Tape, Tape]:
         """Value and derivatives."""
-        tapes = self.model.tapes
-        assert tapes is not None
-        return tapes
+        return cast(tuple[Tape, Tape], self.model.tapes)
 
 
 def power_with_choice(x: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
@@ -85,8 +83,7 @@ def cases() -> Iterator[Case]:
     yield Case("tire", Pacejka(), ((-0.25, 0.25),), tire)
     bent = (*tire[:3], (-2.0, 0.5), *tire[3:])
     yield Case("tire with curvature", PacejkaCurvature(), ((-0.25, 0.25),), bent)
-    formula = FunctionModel(power_with_choice, columns=("x",)).formula
-    assert isinstance(formula, FunctionFormula)
+    formula = cast(Expression, FunctionModel(power_with_choice, columns=("x",)).formula)
     yield Case("power and choice", formula, ((0.1, 3.0),), ((0.5, 2.0),) * 4)
     base = load_tir(embedded_tire("lf"))
     magic = TireFormula(base, tuple(COEFFICIENTS), "Fy", ("alpha", "Fz", "gamma", "pressure"))
@@ -153,7 +150,7 @@ def measure(quick: bool, numba: bool) -> Measured:
     chosen = list(cases())[:: 4 if quick else 1]
     planned = [(case, rows) for case in chosen for rows in (ROWS, *MORE_ROWS)
                if rows == ROWS or PUBLISHED not in case.name]  # fmt: skip
-    table = pd.DataFrame(shown(measured(*each, repeats, numba) for each in planned))
+    table = pd.DataFrame([*shown(measured(*each, repeats, numba) for each in planned)])
     gain = table["NumPy"] / table[levels[-1]]
     published = gain[table["formula"].str.startswith(PUBLISHED)]
     magic = table["formula"] == MAGIC

@@ -57,7 +57,7 @@ def fit_joint(
     each part's own, called NAME_PART, whose bounds are those of NAME unless it has its own.
     `space`, `missing`, `fixed`, `tied`, `constraints`, `method`, `budget`, `seed`, `workers`,
     `evaluation_limit` and `journal` are those of `miho.fit`. Where all parts are the same
-    expression, it is compiled from 20,000 rows on, or where `compiled` is true.
+    expression, its search is compiled from 20,000 rows on, or where `compiled` is true.
 
     A part's sigma that is not given is estimated from its own residuals, see `Joint.complete`.
     Raises ValueError for what does not fit together.

@@ -91,9 +91,9 @@ def fit(
     the best configuration that stands in the journal, whatever method evaluated it. `loss` is what
     a residual costs: its square, or one that outliers cannot dominate, such as
     `miho.identification.Huber(scale)`; where `sigma` is known, "huber" or "cauchy" will do. An
-    arithmetic function runs in NumPy first. It is compiled once its searches have taken some two
-    seconds, at once where `compiled` is true, and never where it is false: that takes seconds,
-    later fits milliseconds.
+    arithmetic function is searched by steps in NumPy first, and by compiled ones once its searches
+    have taken some two seconds; at once where `compiled` is true, never where it is false. To
+    compile them takes half a minute, once on a machine; later fits take milliseconds.
 
     A tire, `miho.load_tir` of a property file or its path, is a model too, of Fx, Fy or Mz as `y`
     names it; its coefficients that have bounds or a start are free, all others stay. Only named, as

@@ -6,7 +6,9 @@ import math
 import sys
 from collections import defaultdict
 from dataclasses import replace
+from functools import cache
 
+from miho.core import machine
 from miho.fitting.confirmed import by_calls, check_repeats, compared_at
 from miho.fitting.dear_fit import interrupted, pace_line, spread, title
 from miho.fitting.fit_result import Fit
@@ -141,6 +143,8 @@ def _run(
                 return plain, first
             checkpoint = first.checkpoint
         problem = replace(problem, compiled=True, dear=True)
+    if problem.kernel is not None and machine() is None:
+        _say_that_formulas_are_compiled()
     if problem.kernel is not None and method.uncompiled:
         sys.stderr.write(
             "miho: compiling the search, once on this machine, for about half a minute "
@@ -159,6 +163,15 @@ def _left(budget: Budget, run: RunRecord) -> Budget | None:
     few = evaluations is not None and evaluations < run.evaluations
     late = seconds is not None and seconds < run.seconds
     return None if few or late else replace(budget, evaluations=evaluations, seconds=seconds)
+
+
+@cache
+def _say_that_formulas_are_compiled() -> None:
+    """Say once in a process that each formula takes seconds, and why."""
+    sys.stderr.write(
+        "miho: compiling each formula takes some seconds, as the library was installed without a "
+        "C compiler\n"
+    )
 
 
 def _ended(run: RunRecord, budget: Budget) -> bool:

@@ -56,7 +56,7 @@ That is never more than AGREEING L + (ROUNDING r)^2, within which two losses cou
 REMEMBERED = 1 << 20
 """Numbers of errors to remember for the derivatives of a robust loss at the same configurations."""
 WORTH_COMPILING = 20_000
-"""Rows from which on a search by NumPy takes seconds, as compiling a user's function does."""
+"""Rows from which on a search whose steps are Python takes seconds."""
 OF_THE_MODEL = ("noise", "_fitted", "_taped", "_of_thread")
 """What a problem remembers of its model."""
 BLOCK = 50_000
@@ -74,15 +74,15 @@ class CurveFit(Remade, LeastSquaresProblem):
     fixes or ties some, `model` and `space` become those of the free ones (`miho.models.tied`),
     and everything else follows. `label`
     names the problem: the same data in two spaces are two problems. The square loss of a model
-    that is an `Expression` is compiled, and evaluates batches on `threads` threads. `compressed`
+    that is an `Expression` is a fast kernel, and takes batches on `threads` threads. `compressed`
     takes it, to 1e-9 of itself, from far fewer values than points, if the model has one input and
     a `bound`; residuals, derivatives and lower fidelities stay those of the points. So neither
     changes a run of a method that works with residuals, such as `MIHOGN`, the default.
 
     A plain function may stand for the model, with annotations as `miho.models.FunctionModel`
     describes them. One of arithmetic and NumPy's functions of numbers gets exact derivatives. It is
-    compiled from WORTH_COMPILING rows on, like a tied expression, or where `compiled` is true;
-    where that is false, every model is evaluated by NumPy.
+    searched by compiled code from WORTH_COMPILING rows on, like a tied expression, or where
+    `compiled` is true; where that is false, nothing is compiled.
 
     `sigma` is the standard deviation of the errors, a number or a column of the data, in the
     output's unit: known as it is, or if not `sigma_known` up to one factor for all rows, which the

@@ -267,7 +267,7 @@ def declared_unit(annotation: Any, source: bool) -> str:
 class FunctionFormula(TracedExpression):
     """A function of arithmetic and NumPy's functions of numbers, traced once.
 
-    So its derivatives are exact, its loss can be compiled, and the parameters in which it is
+    So its derivatives are exact, its loss has fast forms, and the parameters in which it is
     jointly linear are known, unless the function model declares them itself.
     """
 

@@ -191,7 +191,9 @@ def test_an_edit_is_another_run(tmp_path: Path) -> None:
     os.utime(tmp_path / "mine.py", ns=(before, before))
     second = build(composed(edited))
     assert second.identity.code != first.identity.code
-    assert second.problem.loss(THETAS)[0] > first.problem.loss(THETAS)[0] == 0
+    # The data are NumPy's exponentials; the machine's may differ by an ulp of 2 (4e-16).
+    assert second.problem.loss(THETAS)[0] > 1e-3
+    assert first.problem.loss(THETAS)[0] <= 1e-31
     assert first.problem.name == "decay-mine"
     assert not list(tmp_path.rglob("__pycache__"))
 
