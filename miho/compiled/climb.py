@@ -94,12 +94,14 @@ def climb_on(
     data: Any,
     room: Callable[[], Any],
     threads: int = 1,
+    kept: object = None,
 ) -> Climb:
     """The compiled loop on one problem's data, with the rows of P shared out among threads.
 
-    `room` makes the arrays that a thread works in. Rows do not depend on each other, so that the
-    result is the same however many threads there are. A run with a target has only one, since all
-    rows end with the step that reaches it.
+    `room` makes the arrays that a thread works in. `kept` holds what addresses in the data point
+    to, and lives as long as what this gives. Rows do not depend on each other, so that the result
+    is the same however many threads there are. A run with a target has only one, since all rows end
+    with the step that reaches it.
     """
     pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
@@ -133,6 +135,7 @@ def climb_on(
         parts = equal_parts(n, threads)
         return _merged(list(pool.map(part, parts)), parts, best)
 
+    climb.__dict__["kept"] = kept
     return climb
 
 

@@ -150,11 +150,11 @@ class FusedLoss:
     def climb(self) -> Climb:
         """Compiled mutation steps on this loss."""
         if not self._in_panels:
-            return climb_on(self._steps, self._data, tuple, self.threads)
+            return climb_on(self._steps, self._data, tuple, self.threads, self.taped)
         size = float(np.sqrt(np.mean(self.y**2)))
         terms = panel_terms(panels(self.X[0], self.y), self.y.size, size)
         room = partial(scratch_for, terms)
-        return climb_on(self._steps, (self._data, terms), room, self.threads)
+        return climb_on(self._steps, (self._data, terms), room, self.threads, self.taped)
 
     def losses(self, thetas: Array, rows: int | None = None) -> Array:
         """Losses (n,) of parameter rows (n, d), over the first rows of the order if not all."""

@@ -40,7 +40,8 @@ static int fits(const instruction *q, int once, const tape *t) {
         if (q->result[k] < (written ? first : 0) || q->result[k] >= places) return 0;
     }
     if (known[q->op].results < 2) return 1;
-    for (int k = 0; k < known[q->op].operands; k++) /* the first result is written before all is read */
+    /* The first result of a row is written before all of it is read. */
+    for (int k = 0; k < known[q->op].operands; k++)
         if (q->operand[k] == q->result[0] || q->operand[k] == q->result[1]) return 0;
     return q->result[0] != q->result[1];
 }
@@ -68,7 +69,7 @@ static const char *fault(const tape *t) {
 static void drop(PyObject *capsule) { PyMem_Free(PyCapsule_GetPointer(capsule, "tape")); }
 
 PyDoc_STRVAR(tape_doc, "tape(counts, code, constants, fills, level=-1): a tape, of arrays of int32 "
-    "and doubles, for a level of instructions, the highest if -1. Raises ValueError for a bad one.");
+    "and doubles, for a level of instructions, the highest if -1. A bad one raises ValueError.");
 static PyObject *py_tape(PyObject *module, PyObject *args) {
     Py_buffer counts = {0}, code = {0}, constants = {0}, fills = {0};
     int chosen = -1, levels = count_of_levels();
@@ -87,7 +88,8 @@ static PyObject *py_tape(PyObject *module, PyObject *args) {
                  constants.len != (Py_ssize_t)sizeof(double) * c[3] ||
                  fills.len != (Py_ssize_t)sizeof(int32_t) * 2 * c[8]) why = "a length differs";
     }
-    if (!why && !(t = PyMem_Malloc(sizeof *t + constants.len + code.len + fills.len))) PyErr_NoMemory();
+    if (!why) t = PyMem_Malloc(sizeof *t + constants.len + code.len + fills.len);
+    if (!why && !t) PyErr_NoMemory();
     if (t) {
         char *room = (char *)(t + 1);
         memcpy(&t->inputs, c, sizeof c);
@@ -149,8 +151,8 @@ static PyObject *py_evaluate(PyObject *module, PyObject *const *a, Py_ssize_t co
 }
 
 PyDoc_STRVAR(mean_squares_doc,
-    "mean_squares(tape, thetas (n, d), X (p, N), y (rows,), first, out (n,)): fill out with those of "
-    "the one result minus y, over the first rows of X, of which the first block has `first`.");
+    "mean_squares(tape, thetas (n, d), X (p, N), y (rows,), first, out (n,)): fill out with those "
+    "of the one result minus y, over the first rows of X, of which the first block has `first`.");
 static PyObject *py_mean_squares(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     tape *t = count == 6 ? PyCapsule_GetPointer(a[0], "tape") : NULL;
     if (!t) return PyErr_Occurred() ? NULL
@@ -165,8 +167,8 @@ static PyObject *py_mean_squares(PyObject *module, PyObject *const *a, Py_ssize_
     d.N = rows_in(&V[1], t);
     d.rows = V[2].len / 8;
     if (out && (d.rows > d.N || d.first < 1 || t->results != 1))
-        PyErr_SetString(PyExc_ValueError, "expected a tape of one result, no more data than rows of "
-                        "X, and a first block");
+        PyErr_SetString(PyExc_ValueError, "expected a tape of one result, no more data than rows "
+                        "of X, and a first block");
     else if (out) {
         int64_t n = configurations(&V[0], t);
         Py_BEGIN_ALLOW_THREADS
@@ -184,7 +186,8 @@ static PyObject *py_address(PyObject *module, PyObject *capsule) {
     return t ? PyLong_FromVoidPtr(t) : NULL;
 }
 
-PyDoc_STRVAR(functions_doc, "functions(): addresses of tape_residuals, tape_columns and tape_mean_square (tape.h).");
+PyDoc_STRVAR(functions_doc,
+    "functions(): addresses of tape_residuals, tape_columns and tape_mean_square (tape.h).");
 static PyObject *py_functions(PyObject *module, PyObject *none) {
     return Py_BuildValue("NNN", PyLong_FromVoidPtr((void *)(uintptr_t)tape_residuals),
                          PyLong_FromVoidPtr((void *)(uintptr_t)tape_columns),

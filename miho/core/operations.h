@@ -162,7 +162,8 @@ static double square_sum(const double *values, const double *data, int rows) {
         double r = values[i + k] - data[i + k];
         sums[k] += r * r;
     }
-    return ((sums[0] + sums[4]) + (sums[2] + sums[6])) + ((sums[1] + sums[5]) + (sums[3] + sums[7]));
+    double even = (sums[0] + sums[4]) + (sums[2] + sums[6]);
+    return even + ((sums[1] + sums[5]) + (sums[3] + sums[7]));
 }
 
 #define JOINED(a, b) a##b

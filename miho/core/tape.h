@@ -33,9 +33,9 @@ typedef struct { int32_t op, operand[4], result[2]; } instruction;
 
 struct level;
 
-/* Registers are the inputs, the results, then those of work. Scalars are constants, parameters, then
-   what the first instructions, as many as `once`, compute of these once a call. `fill` holds pairs
-   of a register of work, which holds a scalar throughout, and that scalar. */
+/* Registers are the inputs, the results, then those of work. Scalars are constants, parameters,
+   then what the first instructions, as many as `once`, compute of these once a call. `fill` holds
+   pairs of a register of work, which holds a scalar throughout, and that scalar. */
 typedef struct {
     int32_t inputs, results, registers, constants, parameters, scalars, once, length, fills;
     const instruction *code; /* once + length */

@@ -18,12 +18,14 @@ from miho.models.symbolic import (
     Symbol,
     argument,
     of_symbols,
+    operation,
     ordered,
     trace,
 )
 
 PLAIN = {
     "add": "ADD", "subtract": "SUB", "divide": "DIV", "multiply": "MUL", "negative": "NEG",
+    "positive": "COPY",
     "absolute": "ABS", "sign": "SIGN", "sqrt": "SQRT", "minimum": "MIN", "maximum": "MAX",
     "exp": "EXP", "expm1": "EXPM1", "log": "LOG", "log1p": "LOG1P", "log10": "LOG10",
     "log2": "LOG2", "tan": "TAN", "arcsin": "ASIN", "arccos": "ACOS", "arctan": "ATAN",
@@ -65,8 +67,9 @@ def traced_tapes(
     columns, parameters = tuple(map(_input, range(p))), tuple(map(_parameter, range(d)))
     try:
         graph = trace(value, columns, parameters)
-        slopes = of_symbols(lambda: derivatives(columns, parameters))
-        slopes = [trace(lambda slope=slope: slope) for slope in slopes]
+        slopes = of_symbols(
+            lambda: [operation("positive", slope) for slope in derivatives(columns, parameters)]
+        )
         tapes = (
             tape_of([graph], columns, parameters),
             tape_of(slopes, columns, parameters),
@@ -103,7 +106,8 @@ class _Nodes:
             operands = tuple(sorted(operands))
         if name == "MUL" and operands[0] == operands[1]:
             name, operands = "SQUARE", operands[:1]
-        key = (name, *map(repr, operands))  # by which 0.0 is not -0.0, and NaN is itself
+        # As text 0.0 is not -0.0, and NaN is itself.
+        key = (name, repr(operands[0])) if name == CONSTANTS else (name, *operands)
         if key not in self._known:
             self._known[key] = len(self.nodes)
             self.nodes.append((name, operands))
