@@ -1,4 +1,7 @@
-"""Compiled losses in numba's cache on disk: what is compiled anew, and what is told apart."""
+"""Compiled losses in numba's cache on disk: what is compiled anew, and what is told apart.
+
+Of models that ask for arrays, so that they cannot be traced: the machine compiles nothing.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ from miho.models.expression import Expression
 
 @register_jitable
 def scaled(x):
-    return FACTOR * x
+    return FACTOR * np.asarray(x)
 
 
 def formula(inputs, theta):
@@ -106,7 +109,9 @@ class Wave(Expression):
     @property
     def value(self):
         factor = self.factor
-        return lambda x, t: t[0] * sin(factor * atan(t[1] * cos(factor * x[0]))) + factor
+        return lambda x, t: (
+            t[0] * sin(factor * atan(t[1] * cos(factor * np.asarray(x[0])))) + factor
+        )
 
     @property
     def derivatives(self):

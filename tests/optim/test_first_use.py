@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,9 @@ from numba.core import event
 from numba.extending import register_jitable
 from numpy.typing import NDArray
 
-from miho.optim import MIHOGN, Budget, minimize
+from miho import CurveFit, Dataset, Parameter, Space
+from miho.core import machine
+from miho.optim import MIHO, MIHOGN, Budget, Optimizer, minimize
 from miho.testing import DecayFit
 
 Array = NDArray[np.float64]
@@ -53,6 +56,37 @@ def test_a_compiled_problem_compiles_its_own_steps_once(tmp_path: Path) -> None:
     process = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=ROOT)
     assert process.returncode == 0, process.stderr
     assert process.stdout.split() == ["run_bracket", "1"]
+
+
+def decay(t: Any, *, a: Any, b: Any) -> Any:
+    return a * np.exp(-b * t)
+
+
+def tone(t: Any, *, a: Any, w: Any, c: Any) -> Any:
+    return a * np.sin(w * t) + c
+
+
+@pytest.mark.skipif(machine() is None, reason="the machine was not built")
+@pytest.mark.parametrize("method", [MIHOGN(), MIHO(R=9, eta=3)])
+def test_a_second_formula_compiles_nothing(method: Optimizer) -> None:
+    """It runs on the machine, and the compiled steps are given its address."""
+    t = np.linspace(0, 3, 400)
+    units = {"t": "s", "y": "V"}
+    first, second = (
+        CurveFit(function, Dataset("d", {"t": t, "y": function(t, **values)}, units, "y"),
+                 Space(tuple(Parameter(*each, 0.1, 5) for each in parameters)), compiled=True)
+        for function, values, parameters in (
+            (decay, {"a": 2.0, "b": 1.5}, (("a", "V"), ("b", "1/s"))),
+            (tone, {"a": 2.0, "w": 3.0, "c": 1.0}, (("a", "V"), ("w", "1/s"), ("c", "V"))),
+        )
+    )  # fmt: skip
+    budget = Budget(evaluations=400)
+    minimize(method, first, budget)
+    with event.install_recorder("numba:compile") as compiled:
+        run = minimize(method, second, budget)
+    assert run.error is None
+    assert run.loss < 1.0
+    assert not compiled.buffer
 
 
 @pytest.mark.slow
