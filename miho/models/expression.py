@@ -1,4 +1,4 @@
-"""Models written once as an expression, which NumPy evaluates and the fused loss compiles."""
+"""Models written once as an expression, which NumPy and the machine of formulas evaluate."""
 
 from __future__ import annotations
 
@@ -15,8 +15,10 @@ from miho.models.formula_tape import traced_tapes
 from miho.models.model import Model
 from miho.quantities import Array
 
-TAPES: WeakKeyDictionary[Formula, tuple[Tape, Tape] | None] = WeakKeyDictionary()
-"""The tapes of formulas of this process: thousands of fits of one function need them once."""
+Tapes = tuple[Tape, Tape] | None
+TAPES: WeakKeyDictionary[Formula, tuple[Formula, Tapes]] = WeakKeyDictionary()
+"""Derivatives and tapes of formulas of this process: thousands of fits of a function need them
+once."""
 
 
 class Expression(Model):
@@ -53,16 +55,17 @@ class Expression(Model):
 
     @final
     @property
-    def tapes(self) -> tuple[Tape, Tape] | None:
+    def tapes(self) -> Tapes:
         """The output and its derivatives for the machine of `miho.core`.
 
         None where the formulas cannot be traced, or are too long for it.
         """
-        value = self.value
-        if value not in TAPES:
-            sizes = len(self.inputs), len(self.parameters)
-            TAPES[value] = traced_tapes(value, self.derivatives, *sizes)
-        return TAPES[value]
+        value, derivatives = self.value, self.derivatives
+        known, tapes = TAPES.get(value, (None, None))
+        if known is not derivatives:
+            tapes = traced_tapes(value, derivatives, len(self.inputs), len(self.parameters))
+            TAPES[value] = derivatives, tapes
+        return tapes
 
     @final
     def predict(self, thetas: Array, *inputs: Array) -> Array:

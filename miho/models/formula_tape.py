@@ -25,12 +25,11 @@ from miho.models.symbolic import (
 
 PLAIN = {
     "add": "ADD", "subtract": "SUB", "divide": "DIV", "multiply": "MUL", "negative": "NEG",
-    "positive": "COPY",
-    "absolute": "ABS", "sign": "SIGN", "sqrt": "SQRT", "minimum": "MIN", "maximum": "MAX",
-    "exp": "EXP", "expm1": "EXPM1", "log": "LOG", "log1p": "LOG1P", "log10": "LOG10",
-    "log2": "LOG2", "tan": "TAN", "arcsin": "ASIN", "arccos": "ACOS", "arctan": "ATAN",
-    "arctan2": "ATAN2", "hypot": "HYPOT", "sinh": "SINH", "cosh": "COSH", "tanh": "TANH",
-    "arcsinh": "ASINH", "arccosh": "ACOSH", "arctanh": "ATANH", "greater": "GT",
+    "positive": "COPY", "absolute": "ABS", "sign": "SIGN", "sqrt": "SQRT", "minimum": "MIN",
+    "maximum": "MAX", "exp": "EXP", "expm1": "EXPM1", "log": "LOG", "log1p": "LOG1P",
+    "log10": "LOG10", "log2": "LOG2", "tan": "TAN", "arcsin": "ASIN", "arccos": "ACOS",
+    "arctan": "ATAN", "arctan2": "ATAN2", "hypot": "HYPOT", "sinh": "SINH", "cosh": "COSH",
+    "tanh": "TANH", "arcsinh": "ASINH", "arccosh": "ACOSH", "arctanh": "ATANH", "greater": "GT",
     "greater_equal": "GE", "less": "LT", "less_equal": "LE", "equal": "EQ", "not_equal": "NE",
     "logical_and": "AND", "logical_or": "OR", "logical_not": "NOT", "where": "WHERE",
 }  # fmt: skip
@@ -64,28 +63,18 @@ def traced_tapes(
 
     None where they cannot be traced, or are too long for the machine.
     """
-    columns, parameters = tuple(map(_input, range(p))), tuple(map(_parameter, range(d)))
+    columns = tuple(argument(f"x{k}") for k in range(p))
+    parameters = tuple(argument(f"p{k}") for k in range(d))
     try:
         graph = trace(value, columns, parameters)
         slopes = of_symbols(
             lambda: [operation("positive", slope) for slope in derivatives(columns, parameters)]
         )
-        tapes = (
-            tape_of([graph], columns, parameters),
-            tape_of(slopes, columns, parameters),
-        )
+        tapes = tuple(tape_of(results, columns, parameters) for results in ([graph], slopes))
         _ = [tape.in_machine for tape in tapes]
     except (NotAFormulaError, TapeError):
         return None
-    return tapes if len(slopes) == d else None
-
-
-def _input(k: int) -> Symbol:
-    return argument(f"x{k}")
-
-
-def _parameter(k: int) -> Symbol:
-    return argument(f"p{k}")
+    return (tapes[0], tapes[1]) if len(slopes) == d else None
 
 
 class _Nodes:
