@@ -1,7 +1,8 @@
-"""Compiled forms of a curve fit, each used only where it gives what NumPy gives.
+"""Fast forms of a curve fit, each used only where it gives what NumPy gives.
 
-Three causes why it might not: an expression that is not element by element gives another value for
-a block than for the whole column; a function may have another form for compiled code; and numba's
+Why the machine might not: a function may do something else with symbols than with arrays. Why
+compiled code might not: an expression that is not element by element gives another value for a
+block than for the whole column; a function may have another form for compiled code; and numba's
 cache on disk may hold code that was edited since.
 """
 
@@ -11,6 +12,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numba.core.errors import NumbaError
@@ -22,14 +24,18 @@ from miho.compiled.compressed import CompressedLoss
 from miho.compiled.fused import FusedLoss
 from miho.compiled.kernel import Climb, Formulas, Rows
 from miho.compiled.signature import signature_of
+from miho.core import Tape
 from miho.quantities import Array
 
 Values = Callable[[Array], Array]
 """(theta (d,)) -> losses, residuals or derivatives (..., rows) at one configuration."""
 
-AGREED: set[tuple[str, str, int]] = set()
-"""Signatures of formulas, kinds of values and rows on which they agreed with NumPy's: once in a
-process is enough, so that many fits of a model pay for one comparison."""
+Agreed = set[tuple[str, int]]
+"""Kinds of values, and rows on which they agreed with NumPy's."""
+OF_TAPES: WeakKeyDictionary[Tape, Agreed] = WeakKeyDictionary()
+OF_SIGNATURES: dict[str, Agreed] = {}
+"""By the tape of the derivatives, or the signature of what is compiled: once in a process is
+enough, so that many fits of a model pay for one comparison."""
 COMPARED = 1000
 """Rows on which compiled values are compared with NumPy's."""
 CLOSE = 1e-9
@@ -42,7 +48,7 @@ by ROUNDINGS times what they change when a parameter changes by the share MOVED,
 
 @dataclass(frozen=True, eq=False)
 class FitKernel:
-    """Compiled forms of the mean square of a model minus data, see `kernel_for`.
+    """Fast forms of the mean square of a model minus data, see `kernel_for`.
 
     Each is compared with NumPy's at its first use, off the clock like its compilation; where it
     differs there is a warning, and None in its place.
@@ -97,8 +103,10 @@ class FitKernel:
         return FusedLoss(self.model, self.X, self.y, self.order, self.threads)
 
     def _agrees(self, kind: str) -> bool:
-        key = (self._signature, kind, min(self.y.size, COMPARED))
-        if key in AGREED:
+        if self._fused.taped is not None:
+            kind = "rows"  # all others come from the same tapes
+        key = kind, min(self.y.size, COMPARED)
+        if key in self._agreed:
             return True
         if kind not in self._disagreements:
             rows = self.order[:COMPARED]
@@ -113,12 +121,15 @@ class FitKernel:
                     stacklevel=4,
                 )
             else:
-                AGREED.add(key)
+                self._agreed.add(key)
         return not self._disagreements[kind]
 
     @cached_property
-    def _signature(self) -> str:
-        return signature_of(self.model.value, self.model.derivatives)
+    def _agreed(self) -> Agreed:
+        if self._fused.taped is not None:
+            return OF_TAPES.setdefault(self._fused.taped.slopes, set())
+        signature = signature_of(self.model.value, self.model.derivatives)
+        return OF_SIGNATURES.setdefault(signature, set())
 
     @cached_property
     def _disagreements(self) -> dict[str, str]:
