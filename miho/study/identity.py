@@ -33,13 +33,15 @@ def sha256(text: str | bytes) -> str:
 def code_digest(places: Iterable[Path]) -> str:
     """SHA-256 over the names and the meaning of these Python files and all below these folders.
 
-    Comments, docstrings and layout do not count.
+    Comments, docstrings and layout do not count. The C in these folders counts as it is written.
     """
     digest = hashlib.sha256()
     for place in places:
         for path in [place] if place.is_file() else sorted(place.rglob("*.py")):
             name = path.relative_to(place.parent).as_posix()
             digest.update(f"\0{name}\0{meaning(path.read_bytes())}".encode())
+        for path in [] if place.is_file() else sorted(place.rglob("*.[ch]")):
+            digest.update(f"\0{path.name}\0".encode() + path.read_bytes())
     return digest.hexdigest()
 
 

@@ -25,7 +25,7 @@ def roots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """Our packages, to be changed."""
     copies = {name: tmp_path_factory.mktemp("copies") / name for name in PACKAGES}
     for name, folder in PACKAGES.items():
-        for path in folder.rglob("*.py"):
+        for path in (*folder.rglob("*.py"), *folder.rglob("*.[ch]")):
             copy = copies[name] / path.relative_to(folder)
             copy.parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(path, copy)
@@ -67,7 +67,8 @@ def test_code_that_a_run_does_not_use_may_change(
 @pytest.mark.parametrize(
     "place",
     ["optim/oracle.py", "optim/space.py", "compiled/fused.py", "identification/loss.py",
-     "compiled/elementary.py", "models/tire.py", "methods/descent.py", "data/dataset.py"],
+     "compiled/elementary.py", "core/elementary.h", "models/tire.py", "methods/descent.py",
+     "data/dataset.py"],
 )  # fmt: skip
 def test_one_constant_of_what_it_uses_may_not(
     roots: dict[str, Path], cache: Path, before: str, place: str
