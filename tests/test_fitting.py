@@ -93,6 +93,16 @@ def test_a_profile_with_known_sigma_is_that_of_a_linear_model() -> None:
     assert (row["profile high"] - row["profile low"]) / 2 == pytest.approx(half, rel=2e-3)
 
 
+def test_one_line_says_that_the_machine_of_formulas_was_not_built(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(search, "machine", lambda: None)
+    search._say_that_formulas_are_compiled.cache_clear()
+    for _ in range(2):
+        miho.fit(decay, t, decay(t, 2.0, 1.5), {"a": (0, 5), "b": (0, 5)}, compiled=True)
+    assert capsys.readouterr().err.count("without a C compiler") == 1
+
+
 def test_a_start_takes_the_place_of_bounds() -> None:
     theta, _ = curve_fit(decay, t, y, [1.0, 1.0], xtol=1e-12)
     fit = miho.fit(decay, t, y, start={"a": 1, "b": 1}, compiled=False)

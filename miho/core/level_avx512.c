@@ -1,10 +1,9 @@
-/* The operations with AVX-512, in full width. As level_avx2.c. */
+/* The operations with AVX-512, in full width, as level_avx2.c has them. */
 #include <stdint.h>
 #include <string.h>
 #define LEVEL avx512
-#define TARGET "avx2,avx512f,avx512dq,avx512vl,avx512bw"
 #if defined(__x86_64__) && defined(__clang__)
-#pragma clang attribute push(__attribute__((target(TARGET))), apply_to = function)
+#pragma clang attribute push(__attribute__((target("avx2,avx512f,avx512dq,avx512vl,avx512bw"))), apply_to = function)
 #elif defined(__x86_64__) && defined(__GNUC__)
 #pragma GCC target("avx2,avx512f,avx512dq,avx512vl,avx512bw,prefer-vector-width=512")
 #endif
