@@ -1,9 +1,10 @@
-"""What one point of the tire's loss costs: compiled, in NumPy, and at the processor's limit.
+"""What one point of the tire's loss costs: here, in NumPy, and at the processor's limit.
 
 python -m experiments.benchmarks.loss [--quick] [--output FOLDER]
 
-The limit: the compiled path makes 12 multiplications and 20 fused multiply-adds per point, counted
-by hand in `miho.models.tire`, `elementary` and `fused`, besides 8 additions and one division, which
+The limit: with fused multiply-adds, which the machine of formulas does not use, a point takes 12
+multiplications and 20 of them, counted by hand in `miho.models.tire` and the functions that numba
+compiles (`miho.compiled.polynomials`), besides 8 additions and one division, which
 other units of the processor do meanwhile: 61 floating-point operations. It reads 16 bytes, the
 slip angle and the force; temporaries stay in the first-level cache. The time is that of 32 fused
 multiply-adds at the rate measured here with a kernel that does nothing else, or that of the 16

@@ -3,7 +3,8 @@
 #include <string.h>
 #define LEVEL avx512
 #if defined(__x86_64__) && defined(__clang__)
-#pragma clang attribute push(__attribute__((target("avx2,avx512f,avx512dq,avx512vl,avx512bw"))), apply_to = function)
+#pragma clang attribute push( \
+    __attribute__((target("avx2,avx512f,avx512dq,avx512vl,avx512bw"))), apply_to = function)
 #elif defined(__x86_64__) && defined(__GNUC__)
 #pragma GCC target("avx2,avx512f,avx512dq,avx512vl,avx512bw,prefer-vector-width=512")
 #endif
