@@ -151,8 +151,9 @@ INLINE double power_of(double x, double y, double L, double L_rest) {
     r = size_of(y) == INFINITE ? (size == 1.0 ? 1.0 : endless) : r;
     r = x != x ? x : y != y ? y : r;
     /* A negative base has a value for a whole exponent, negative for an odd one. */
-    int large = size_of(y) >= 0x1p52, whole = (to_whole(y) == y) | large;
-    int odd = (size_of(y) < 0x1p53) & whole & (to_whole(y * 0.5) * 2.0 != y) & !large;
+    double z = size_of(y), half = 0.5 * z;
+    int whole = (z >= 0x1p52) | ((z + 0x1p52) - 0x1p52 == z);
+    int odd = (z < 0x1p53) & whole & ((half + 0x1p52) - 0x1p52 != half);
     r = ((x < 0.0) & !whole & (size != INFINITE)) ? NOT_A_NUMBER : r;
     r = odd ? with_sign(r, x) : r;
     return ((y == 0.0) | (x == 1.0)) ? 1.0 : r;
@@ -212,7 +213,8 @@ INLINE double atan_of(double x) {
 }
 INLINE double atan2_of(double y, double x) {
     double rise = size_of(y), run = size_of(x);
-    double angle = atan_of_ratio(rise, run);
+    double scale = (rise > 0x1p1000) | (run > 0x1p1000) ? 0x1p-10 : 1.0; /* their sum is finite */
+    double angle = atan_of_ratio(rise * scale, run * scale);
     angle = rise == 0.0 ? 0.0 : angle;
     angle = run == INFINITE ? (rise == INFINITE ? PI_QUARTER_0 : 0.0)
         : rise == INFINITE ? PI_HALF_0 : angle;

@@ -144,6 +144,8 @@ def test_functions_of_two_arguments_are_near_the_exact_value() -> None:
 
 EDGES = [0.0, -0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -2.0, 3.0, -3.0, 2.5, 1e-310, -5e-324, 1e300, -1e300]
 EDGES += [710.0, -746.0, np.inf, -np.inf, np.nan]
+LARGE = [2.0**51 + 0.5, 2.0**51 + 1, 2.0**52 + 1, 2.0**53 - 1, 2.0**53, 1e308, 1.7e308]
+"""Odd ones are the largest, and the sum of the last two is none."""
 
 
 @needs_machine
@@ -163,7 +165,8 @@ def test_zeros_infinities_and_what_is_no_number_are_numpys(name: str) -> None:
 @needs_machine
 @pytest.mark.parametrize("name", ["POWER", "ATAN2", "HYPOT", "MIN", "MAX"])
 def test_pairs_of_zeros_infinities_and_what_is_no_number_are_numpys(name: str) -> None:
-    x, y = (each.ravel().copy() for each in np.meshgrid(EDGES, EDGES))
+    edges = [*EDGES, *LARGE, *np.negative(LARGE)]
+    x, y = (each.ravel().copy() for each in np.meshgrid(edges, edges))
     with np.errstate(all="ignore"):
         expected = np.power(x, y) if name == "POWER" else OPERATIONS[name](x, y)
     values = function(name, x, y)
