@@ -137,8 +137,8 @@ static PyObject *py_evaluate(PyObject *module, PyObject *const *a, Py_ssize_t co
     double *X = thetas ? doubles(a[2], &V[1], 0, t->inputs) : NULL;
     int64_t n = configurations(&V[0], t), N = X ? rows_in(&V[1], t) : 0;
     double *out = X ? doubles(a[3], &V[2], 1, 0) : NULL;
-    if (out && V[2].len / 8 / t->results / (N ? N : 1) < n)
-        PyErr_SetString(PyExc_ValueError, "expected an array of enough doubles");
+    if (out && (double)(V[2].len / 8) != (double)n * (double)t->results * (double)N)
+        PyErr_SetString(PyExc_ValueError, "expected out (n, results, N), for all rows alike");
     else if (out && n * N < LONG_CALL) done = tape_evaluate(t, thetas, n, X, N, out);
     else if (out) {
         Py_BEGIN_ALLOW_THREADS

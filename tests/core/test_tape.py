@@ -221,6 +221,7 @@ def test_arrays_that_do_not_fit_are_refused() -> None:
     for arguments in [
         (theta, X, out[..., :4].copy()), (theta[:, :0], X, out), (theta, X.astype(np.float32), out),
         (theta, X[:, ::2], out), (np.ones((2, 1)), X, out), (theta, X, frozen), (theta, None, out),
+        (theta, X[:, :2].copy(), out), (theta, X, np.empty((2, 1, 5))),
     ]:  # fmt: skip
         with pytest.raises((ValueError, TypeError, BufferError)):
             machine().evaluate(held, *arguments)
