@@ -49,7 +49,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     ),
     "miho.driving": ({"miho.driving", "miho.compiled", "miho.models", "miho.data"}, NUMERICS),
     "miho.study": (
-        {"miho.study", "miho.optim", "miho.parallel"},
+        {"miho.core", "miho.study", "miho.optim", "miho.parallel"},
         {"pandas", "filelock", "numpy", "orjson", "threadpoolctl"},
     ),
     "miho.analysis.pages": (

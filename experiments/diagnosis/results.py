@@ -33,7 +33,10 @@ QUARANTINE = ".quarantine"
 TEMPORARY = re.compile(r"\..+\.(\d+)")
 """What `write_text` calls a file until it is whole: .NAME.PID."""
 LOCK, LISTED = "lock", 3
-IN_WORDS = {"processor": "kinds of CPU", "blas": "kernels of BLAS", "simd": "sets of SIMD"}
+IN_WORDS = {
+    "processor": "kinds of CPU", "blas": "kernels of BLAS", "simd": "sets of SIMD",
+    "formulas": "machines of formulas",
+}  # fmt: skip
 """What `ARITHMETIC` names."""
 
 

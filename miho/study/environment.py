@@ -16,6 +16,8 @@ from typing import Any
 import numpy as np
 import threadpoolctl
 
+from miho.core import machine
+
 PACKAGES = ("numpy", "scipy", "optuna", "hydra-core", "pandas")
 
 
@@ -48,13 +50,14 @@ def environment_stamp() -> dict[str, Any]:
         "processor": _processor(),
         "blas": blas_kernels(),
         "simd": simd_extensions(),
+        "formulas": "machine" if machine() else "numpy",
         "cores": os.cpu_count(),
         "load": list(os.getloadavg()) if hasattr(os, "getloadavg") else None,
         "threads": library_threads(),
     }
 
 
-ARITHMETIC = ("processor", "blas", "simd")
+ARITHMETIC = ("processor", "blas", "simd", "formulas")
 """The last bits of a loss depend on these, besides the versions of packages: the same seed gives
 the same bits only where these are the same."""
 
