@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any, cast
 
 import numpy as np
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from miho.compiled.kernel import INFINITE, NAN, Block, Climb, Steps
 from miho.compiled.taped import equal_parts
+from miho.compiled.threads import threads_of
 from miho.quantities import Array
 
 WORTH_THREADS = 1
@@ -103,7 +103,6 @@ def climb_on(
     is the same however many threads there are. A run with a target has only one, since all rows end
     with the step that reaches it.
     """
-    pool = ThreadPoolExecutor(threads) if threads > 1 else None
 
     def climb_rows(steps: Steps, best: float, target: float) -> Block:
         n, d = steps.P.shape
@@ -124,7 +123,8 @@ def climb_on(
 
     def climb(steps: Steps, best: float, target: float) -> Block:
         n = len(steps.P)
-        if pool is None or target > -math.inf or n < threads or len(steps.noise) < WORTH_THREADS:
+        few = n < threads or len(steps.noise) < WORTH_THREADS
+        if threads <= 1 or target > -math.inf or few:
             return climb_rows(steps, best, target)
 
         def part(rows: slice) -> Block:
@@ -133,7 +133,7 @@ def climb_on(
             return climb_rows(steps._replace(first=first, P=P, L=L, noise=noise), best, target)
 
         parts = equal_parts(n, threads)
-        return _merged(list(pool.map(part, parts)), parts, best)
+        return _merged(list(threads_of(threads).map(part, parts)), parts, best)
 
     climb.__dict__["kept"] = kept
     return climb

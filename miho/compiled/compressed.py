@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import NamedTuple
@@ -35,6 +34,7 @@ from miho.compiled.panel_sums import (
 from miho.compiled.panels import panels
 from miho.compiled.signature import Signed, signed_formulas, signing
 from miho.compiled.taped import equal_parts
+from miho.compiled.threads import threads_of
 from miho.quantities import Array
 
 TRUNCATION = 0.15
@@ -110,12 +110,8 @@ class CompressedLoss:
         if parts <= 1:
             part(slice(None))
         else:
-            list(self._pool.map(part, equal_parts(len(thetas), parts)))
+            list(threads_of(self.threads).map(part, equal_parts(len(thetas), parts)))
         return losses, counts
-
-    @cached_property
-    def _pool(self) -> ThreadPoolExecutor:
-        return ThreadPoolExecutor(self.threads)
 
 
 class _Data(NamedTuple):

@@ -13,7 +13,6 @@ early stopping on or off, and by the machine on every processor.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache, cached_property, partial
 from typing import Any, cast
@@ -44,6 +43,7 @@ from miho.compiled.panel_sums import Sign, panel_sums, panel_terms, scratch_for
 from miho.compiled.panels import panels
 from miho.compiled.signature import Signed, signature_of, signed_formulas, signing
 from miho.compiled.taped import SHARE, TapedLoss, equal_parts
+from miho.compiled.threads import threads_of
 from miho.core import machine
 from miho.quantities import Array
 
@@ -143,10 +143,6 @@ class FusedLoss:
         return read_only(self.X), read_only(self.y)
 
     @cached_property
-    def _pool(self) -> ThreadPoolExecutor:
-        return ThreadPoolExecutor(self.threads)
-
-    @cached_property
     def climb(self) -> Climb:
         """Compiled mutation steps on this loss."""
         if not self._in_panels:
@@ -175,7 +171,7 @@ class FusedLoss:
         def part(rows: slice) -> None:
             self._compiled.losses(thetas[rows], data, losses[rows])
 
-        list(self._pool.map(part, equal_parts(len(thetas), parts)))
+        list(threads_of(self.threads).map(part, equal_parts(len(thetas), parts)))
         return losses
 
     def _explained(self, error: NumbaError) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -10,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.compiled.threads import threads_of
 from miho.core import Tape
 from miho.quantities import Array
 
@@ -46,7 +46,8 @@ class TapedLoss:
         def part(rows: slice) -> Array:
             return self.value.mean_squares(thetas[rows], X, y, self.first_block)
 
-        return np.concatenate(list(self._pool.map(part, equal_parts(len(thetas), parts))))
+        shares = equal_parts(len(thetas), parts)
+        return np.concatenate(list(threads_of(self.threads).map(part, shares)))
 
     def residuals(self, thetas: Array, rows: int | None = None) -> Array:
         """Model minus data (n, N), or over the first rows of the order (n, rows)."""
@@ -72,10 +73,6 @@ class TapedLoss:
             X, y = self.ordered
             self._parts[rows] = np.ascontiguousarray(X[:, :rows]), y[:rows]
         return self._parts[rows]
-
-    @cached_property
-    def _pool(self) -> ThreadPoolExecutor:
-        return ThreadPoolExecutor(self.threads)
 
 
 def equal_parts(n: int, count: int) -> list[slice]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import warnings
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -106,6 +108,20 @@ def test_a_loss_is_the_same_bits_alone_in_a_batch_and_on_any_threads(
     assert several.losses(thetas[40:43]).tolist() == alone[40:43]
     assert several.losses(thetas[::3]).tolist() == alone[::3]
     assert several.losses(thetas[:0]).shape == (0,)
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+def test_a_fork_has_threads_of_its_own() -> None:
+    model, between, box = TIRE
+    thetas = space_of(model, box).initial(200)
+    loss = fused(model, between, 700, 2)
+    losses = loss.losses(thetas).tolist()
+    child = os.fork()
+    if child == 0:
+        signal.alarm(20)  # which ends it where it waits for its parent's threads
+        os._exit(0 if loss.losses(thetas).tolist() == losses else 1)
+    assert os.waitpid(child, 0)[1] == 0
 
 
 def test_the_callers_arrays_are_left_alone() -> None:
