@@ -1,10 +1,34 @@
 from typing import Any
 
-from miho.quantities import Array
+from miho.quantities import Array, Integers
 
 def tape(counts: object, code: object, constants: Array, fills: object, level: int = -1) -> Any: ...
 def evaluate(tape: Any, thetas: Array, X: Array, out: Array) -> None: ...
 def mean_squares(tape: Any, thetas: Array, X: Array, y: Array, first: int, out: Array) -> None: ...
+def run_bracket(
+    calls: Integers,
+    kept: Any,
+    X: Array,
+    y: Array,
+    numbers: Array,
+    counts: Integers,
+    R: Array,
+    stored: Array,
+    place: Integers,
+    order: Integers,
+    box: tuple[Any, ...],
+    level_rows: Integers,
+    minima: tuple[Any, ...],
+    settings: tuple[Any, ...],
+    most: int,
+    best: float,
+    target: float,
+    at: Integers,
+    losses: Array,
+    thetas: Array,
+    tally: Integers,
+    room: Array,
+) -> int: ...
 def address(tape: Any) -> int: ...
 def functions() -> tuple[int, int, int]: ...
 def levels() -> tuple[str, ...]: ...

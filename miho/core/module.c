@@ -1,8 +1,6 @@
 /* miho.core._machine: the door from Python. What a tape may do is checked here, once. */
-#define PY_SSIZE_T_CLEAN
-#include <Python.h>
+#include "module.h"
 #include <string.h>
-#include "tape.h"
 
 #define LONG_CALL 2000 /* model values from which on other threads may run meanwhile */
 
@@ -18,6 +16,8 @@ static int count_of_levels(void) {
     return 1;
 #endif
 }
+
+const level *highest_level(void) { return every_level[count_of_levels() - 1]; }
 
 static const struct { const char *name; int operands, results; } known[] = {
 #define AS_ROW(name, operands, results) {#name, operands, results},
@@ -216,6 +216,7 @@ static PyMethodDef methods[] = {
     {"tape", py_tape, METH_VARARGS, tape_doc},
     {"evaluate", FAST(py_evaluate), evaluate_doc},
     {"mean_squares", FAST(py_mean_squares), mean_squares_doc},
+    {"run_bracket", FAST(py_run_bracket), run_bracket_doc},
     {"address", py_address, METH_O, address_doc},
     {"functions", py_functions, METH_NOARGS, functions_doc},
     {"levels", py_levels, METH_NOARGS, levels_doc},

@@ -1,6 +1,7 @@
 /* The operations of a tape on blocks of rows. Compiled once for each level, whose name is LEVEL. */
 #include "large_angles.h"
 #include "tape.h"
+#include "columns.h"
 
 /* Operands and results of a block overlap nowhere or are the same rows, so that rows may be worked
    on side by side. */
@@ -162,12 +163,13 @@ static double square_sum(const double *values, const double *data, int rows) {
         double r = values[i + k] - data[i + k];
         sums[k] += r * r;
     }
-    double even = (sums[0] + sums[4]) + (sums[2] + sums[6]);
-    return even + ((sums[1] + sums[5]) + (sums[3] + sums[7]));
+    return in_pairs(sums);
 }
 
 #define JOINED(a, b) a##b
 #define NAMED(a, b) JOINED(a, b)
 #define QUOTED(a) #a
 #define TEXT(a) QUOTED(a)
-const level NAMED(level_, LEVEL) = {TEXT(LEVEL), run, square_sum};
+const level NAMED(level_, LEVEL) = {
+    TEXT(LEVEL), run, square_sum, product_sum, fold, update_columns,
+};

@@ -50,8 +50,14 @@ typedef struct level {
     void (*run)(const instruction *from, const instruction *to, double *const *registers,
                 const double *scalars, int rows);
     double (*square_sum)(const double *values, const double *data, int rows);
+    double (*product_sum)(const double *a, const double *b, int64_t rows);
+    void (*fold)(double *T, int64_t side, double *columns, int64_t stride, int64_t rows, int64_t n);
+    void (*update_columns)(double *columns, const double *residuals, const double *step,
+                           const double *D, double total, int64_t d, int64_t m);
 } level;
 extern const level level_baseline, level_avx2, level_avx512;
+/* The highest one of this processor. */
+const level *highest_level(void);
 
 /* Results of parameter rows thetas (n, d) at X (p, N): out (n, results, N). */
 int tape_evaluate(const tape *t, const double *thetas, int64_t n, const double *X, int64_t N,

@@ -1,0 +1,62 @@
+/* Sums over columns of rows. Compiled once for each level, by operations.h. */
+
+/* Eight sums in pairs: with every eighth term in each, the same bits whatever the processor. */
+static double in_pairs(const double *sums) {
+    double even = (sums[0] + sums[4]) + (sums[2] + sums[6]);
+    return even + ((sums[1] + sums[5]) + (sums[3] + sums[7]));
+}
+
+static double product_sum(const double *a, const double *b, int64_t rows) {
+    double sums[8] = {0};
+    int64_t i = 0;
+    for (; i + 8 <= rows; i += 8)
+        for (int k = 0; k < 8; k++) sums[k] += a[i + k] * b[i + k];
+    for (int k = 0; i + k < rows; k++) sums[k] += a[i + k] * b[i + k];
+    return in_pairs(sums);
+}
+
+static void subtract(double *a, double factor, const double *b, int64_t rows) {
+    _Pragma("GCC ivdep") for (int64_t i = 0; i < rows; i++) a[i] -= factor * b[i];
+}
+
+/* Update T (side, side), the triangular factor of all rows so far, by more rows, given as n
+   columns. By Householder reflections of T stacked on the rows (Golub and Van Loan, Matrix
+   Computations, section 5.2): the factor of any number of rows, chunk by chunk. Overwrites the
+   columns. */
+static void fold(double *T, int64_t side, double *columns, int64_t stride, int64_t rows,
+                 int64_t n) {
+    for (int64_t k = 0; k < n; k++) {
+        double *v = columns + k * stride, *row = T + k * side;
+        double square = product_sum(v, v, rows), diagonal = row[k];
+        if (square == 0.0) continue;
+        double norm = -__builtin_copysign(__builtin_sqrt(diagonal * diagonal + square), diagonal);
+        double first = diagonal - norm, factor = 2.0 / (first * first + square);
+        row[k] = norm;
+        for (int64_t j = k + 1; j < n; j++) {
+            double *other = columns + j * stride;
+            double product = (first * row[j] + product_sum(v, other, rows)) * factor;
+            row[j] -= product * first;
+            subtract(other, product, v, rows);
+        }
+    }
+}
+
+/* Broyden's update of the columns (d + 1, m), the last of which are the residuals, after a step
+   whose square length in the metric of the scales D is `total`, to other residuals (m,). */
+static void update_columns(double *columns, const double *residuals, const double *step,
+                           const double *D, double total, int64_t d, int64_t m) {
+    double missing[MOST_ROWS];
+    for (int64_t start = 0; start < m; start += MOST_ROWS) {
+        int64_t rows = m - start < MOST_ROWS ? m - start : MOST_ROWS;
+        double *last = columns + d * m + start;
+        for (int64_t i = 0; i < rows; i++) missing[i] = residuals[start + i] - last[i];
+        for (int64_t k = 0; k < d; k++) subtract(missing, step[k], columns + k * m + start, rows);
+        for (int64_t i = 0; i < rows; i++) missing[i] /= total;
+        for (int64_t k = 0; k < d; k++) {
+            double *column = columns + k * m + start;
+            _Pragma("GCC ivdep") for (int64_t i = 0; i < rows; i++)
+                column[i] += missing[i] * D[k] * D[k] * step[k];
+        }
+        memcpy(last, residuals + start, rows * sizeof(double));
+    }
+}

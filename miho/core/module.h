@@ -1,0 +1,12 @@
+/* What the door from Python is made of, beside module.c. */
+#ifndef MIHO_MODULE_H
+#define MIHO_MODULE_H
+
+#define PY_SSIZE_T_CLEAN
+#include <Python.h>
+#include "tape.h"
+
+/* module_search.c */
+extern const char run_bracket_doc[];
+PyObject *py_run_bracket(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+#endif

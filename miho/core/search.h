@@ -1,0 +1,151 @@
+/* Descents of Gauss and Newton, many candidates side by side: the records.
+
+   The arrays are those of miho/compiled/gauss_newton_candidates.py, which says what each means; the
+   names are the same. Sums over rows are those of columns.h, so that a search takes the same bits
+   on every processor. */
+#ifndef MIHO_SEARCH_H
+#define MIHO_SEARCH_H
+
+#include "tape.h"
+
+#define CHUNK 512           /* rows at a time: their derivatives stay in the first-level cache */
+#define MOST_PARAMETERS 4096
+
+/* Stages of a candidate. */
+enum { ENTER, SLOPES, READY, TRIED, RECORD, DONE, AT_KNOWN, UNUSABLE };
+/* Where a bracket stands, in `place`. */
+enum { PHASE, AT_LEVEL, SIZE, ACTIVE, STORED, PLACES };
+/* Its phases. */
+enum { SCREEN, RUNG, LEAD, FINISH, REVIVE, POLISH, CLOSED, EMPTY, RETURNED, SOLVED };
+/* How a block of steps ended: no candidate needs anything; the next evaluation would cost more rows
+   than were allowed; or the target is reached. */
+enum { FINISHED, PAUSED, REACHED };
+/* What a block did, in `tally`. */
+enum { SPENT, IMPROVEMENTS, NANS, INFINITIES, UNUSABLES, TALLIES };
+
+typedef void (*residual_function)(const tape *, const double *theta, const double *X, int64_t N,
+                                  const double *y, int64_t i, int64_t j, double *out);
+typedef void (*column_function)(const tape *, const double *theta, const double *X, int64_t N,
+                                int64_t i, int64_t j, double *out, int64_t stride);
+
+/* Residuals and derivatives of d parameters at columns X (p, N), and y (N,), whose first rows are
+   those of each level; and the box. */
+typedef struct {
+    residual_function residuals;
+    column_function slopes;
+    const tape *value_tape, *slope_tape; /* what they are given */
+    const struct level *sums;
+    const double *X, *y;
+    int64_t N, d;
+    const double *low, *high, *origin, *width;
+    const uint8_t *log;
+    const int64_t *linear, *nonlinear;
+    int64_t linears, nonlinears;
+    const int64_t *level_rows;
+    int64_t levels;
+} problem;
+
+/* Known minima. */
+typedef struct {
+    const double *x, *loss, *sums;
+    const uint8_t *determined;
+    int64_t count;
+} known_minima;
+
+typedef struct {
+    int64_t eta, steps, lead;
+    double reach;
+    int64_t secants;
+    double tolerance, level_tolerance, digits, patience, progress, rounding;
+    int64_t slope_cost, compiled, projects, solved;
+    double rung_budget;
+    int64_t allowance, room;
+} search_settings;
+
+/* What a block of steps may do. */
+typedef struct {
+    int64_t level, last, steps;
+    double reach;
+    int64_t secants;
+    double tolerance;
+    int64_t patience, allowance;
+    double progress, near, better;
+    int64_t ending;
+    double rounding;
+} step_rules;
+
+/* A row of `counts`, and the middle of a row of `numbers`. */
+typedef struct {
+    int64_t stage, stage_after_record, secants, trials, spent, spent_at_mark, projects;
+} candidate_counts;
+typedef struct {
+    double loss, damping, growth, predicted_gain, loss_at_mark, fading;
+} candidate_numbers;
+#define COUNTS 7
+#define NUMBERS 6
+
+/* One candidate. `derivatives` (d + 1, m) is NULL where none are stored. */
+typedef struct {
+    double *x, *trial, *q, *D, *sums, *R, *derivatives;
+    candidate_numbers *is;
+    candidate_counts *has;
+} candidate;
+
+/* Minimise |R s + q|^2 + |scale s|^2 within low <= s <= high. R is triangular in its first n rows
+   and columns, q has `step` numbers from one to the next. */
+typedef struct {
+    const double *R, *q, *scale, *low, *high;
+    int64_t side, step, n;
+} box_problem;
+
+/* Where that is solved, for at most d parameters: free (d,), solution (d,), columns (d + 1, 2 d),
+   T (d + 1, d + 1). */
+typedef struct {
+    double *free, *solution, *columns, *T;
+    int64_t d;
+    const struct level *level;
+} solver_room;
+
+/* Where steps are worked out. theta, step, low, high, scale (d,): the configuration in units, a
+   step, its bounds and damping. sums (levels,). T (d + 1, d + 1): a triangular factor. chunk (d + 1,
+   CHUNK): columns to fold into it. slopes (d, CHUNK), residuals (residual_room,). */
+typedef struct {
+    double *theta, *step, *low, *high, *scale, *sums, *T, *chunk, *slopes, *residuals;
+    int64_t residual_room;
+    solver_room solver;
+} work_room;
+
+/* A bracket of n candidates at most, and what the block under way may do and did. */
+typedef struct {
+    problem p;
+    known_minima minima;
+    search_settings settings;
+    step_rules rules;
+    work_room w;
+    int64_t n, m;           /* candidates; rows of this level */
+    double *numbers, *R, *stored;
+    int64_t *counts, *place, *order;
+    int64_t stored_room;
+    int64_t most;           /* rows that may be spent */
+    double best, target;
+    int64_t events;         /* improvements that may be listed */
+    int64_t *at, *tally;
+    double *losses, *thetas;
+} search;
+
+candidate candidate_at(const search *s, int64_t i);
+
+/* triangular.c */
+void solve_in_box(const box_problem *b, double *s, const solver_room *room);
+double square_norm(const box_problem *b, const double *s);
+
+/* steps.c */
+int descend(search *s, int64_t i);
+int is_copy(const search *s, const candidate *better, const candidate *c);
+
+/* bracket.c: take a bracket to its end, or as far as it may go; how it ended. */
+int run_bracket(search *s);
+/* How many numbers of room there are for, beside residuals. */
+int64_t room_beside_residuals(int64_t d, int64_t levels);
+void divide_room(search *s, double *room, int64_t size);
+#endif

@@ -1,0 +1,162 @@
+/* Small least-squares problems by orthogonal transformations. */
+#include <math.h>
+#include "search.h"
+
+/* A pivot below this share of the largest one, or of its column, is taken for 0: its parameter
+   depends on those before it, and stays where it is as long as the same others are free. */
+#define SINGULAR 1e-14
+/* Marks such a parameter, beside those that are free (1) and those at a bound (0). */
+#define DEPENDENT 0.5
+
+static double larger(double a, double b) { return b > a ? b : a; }
+static double smaller(double a, double b) { return b < a ? b : a; }
+static double between(double low, double x, double high) {
+    return smaller(larger(x, low), high);
+}
+
+/* A row of R s + q. */
+static double row_of(const box_problem *b, const double *s, int64_t row) {
+    double value = 0.0;
+    for (int64_t k = row; k < b->n; k++) value += b->R[row * b->side + k] * s[k];
+    return value + b->q[row * b->step];
+}
+
+/* |R s + q|^2. */
+double square_norm(const box_problem *b, const double *s) {
+    double total = 0.0;
+    for (int64_t row = 0; row < b->n; row++) {
+        double value = row_of(b, s, row);
+        total += value * value;
+    }
+    return total;
+}
+
+/* The factor of the free parameters, the others fixed, into room->T; how many are free. */
+static int64_t factor_of_free(const box_problem *b, const double *s, const solver_room *room) {
+    int64_t n = b->n, stride = 2 * room->d, side = room->d + 1, count = 0;
+    for (int64_t k = 0; k < n; k++) {
+        if (room->free[k] != 1.0) continue;
+        double *column = room->columns + count * stride;
+        for (int64_t row = 0; row < n; row++) {
+            column[row] = row <= k ? b->R[row * b->side + k] : 0.0;
+            column[n + row] = row == k ? b->scale[k] : 0.0;
+        }
+        count++;
+    }
+    double *last = room->columns + count * stride;
+    for (int64_t row = 0; row < n; row++) {
+        double right = b->q[row * b->step];
+        for (int64_t k = row; k < n; k++)
+            if (room->free[k] != 1.0) right += b->R[row * b->side + k] * s[k];
+        last[row] = right;
+        last[n + row] = 0.0;
+    }
+    for (int64_t j = 0; j <= count; j++)
+        for (int64_t k = 0; k <= count; k++) room->T[j * side + k] = 0.0;
+    room->level->fold(room->T, side, room->columns, stride, 2 * n, count + 1);
+    return count;
+}
+
+/* Whether no free parameter depends on those before it; the first that does is marked. The factor
+   has to be made anew without it: what remains of its column is rounding, but takes up a row of the
+   factor. */
+static int independent(int64_t n, int64_t count, const solver_room *room) {
+    int64_t side = room->d + 1, j = 0;
+    double largest = 0.0;
+    for (int64_t k = 0; k < count; k++) largest = larger(largest, fabs(room->T[k * side + k]));
+    for (int64_t k = 0; k < n; k++) {
+        if (room->free[k] != 1.0) continue;
+        double norm = 0.0;
+        for (int64_t row = 0; row <= j; row++) norm = larger(norm, fabs(room->T[row * side + j]));
+        if (fabs(room->T[j * side + j]) <= SINGULAR * larger(largest, norm)) {
+            room->free[k] = DEPENDENT;
+            return 0;
+        }
+        j++;
+    }
+    return 1;
+}
+
+/* The minimum of the free parameters into room->solution, without those that depend on others. */
+static void solve_free(const box_problem *b, const double *s, const solver_room *room) {
+    int64_t n = b->n, side = room->d + 1;
+    double *solution = room->solution;
+    const double *T = room->T;
+    for (int64_t k = 0; k < n; k++)
+        if (room->free[k] == DEPENDENT) room->free[k] = 1.0;
+    int64_t count = factor_of_free(b, s, room);
+    while (!independent(n, count, room)) count = factor_of_free(b, s, room);
+    for (int64_t j = count - 1; j >= 0; j--) {
+        double right = -T[j * side + count];
+        for (int64_t k = j + 1; k < count; k++) right -= T[j * side + k] * solution[k];
+        solution[j] = right / T[j * side + j];
+    }
+}
+
+/* Move the free parameters to their minimum, those that leave the box to its bounds. With `stop`
+   they move on the straight way to it as far as the first bound. Gives whether any came to a bound;
+   those are fixed there. */
+static int minimise_free(const box_problem *b, double *s, int stop, const solver_room *room) {
+    const double *low = b->low, *high = b->high, *solution = room->solution;
+    solve_free(b, s, room);
+    /* The share of the way to it that ends at the first bound. */
+    double share = 1.0;
+    for (int64_t k = 0, j = 0; k < b->n; k++) {
+        if (room->free[k] != 1.0) continue;
+        double to = solution[j++], bound = between(low[k], to, high[k]);
+        if (stop && bound != to) share = smaller(share, (bound - s[k]) / (to - s[k]));
+    }
+    /* Go there; what comes to a bound is fixed. */
+    int fixed = 0;
+    for (int64_t k = 0, j = 0; k < b->n; k++) {
+        if (room->free[k] != 1.0) continue;
+        double to = solution[j++], bound = between(low[k], to, high[k]);
+        if (bound != to && (!stop || (bound - s[k]) / (to - s[k]) <= share)) {
+            s[k] = bound;
+            room->free[k] = 0.0;
+            fixed = 1;
+        } else if (share < 1.0) {
+            s[k] = between(low[k], s[k] + share * (to - s[k]), high[k]);
+        } else {
+            s[k] = to;
+        }
+    }
+    return fixed;
+}
+
+/* The parameter at a bound with the steepest gradient inwards, -1 if none. */
+static int64_t steepest_inwards(const box_problem *b, const double *s, const solver_room *room) {
+    double steepest = 0.0;
+    int64_t found = -1;
+    for (int64_t k = 0; k < b->n; k++) {
+        if (room->free[k] != 0.0) continue;
+        double slope = b->scale[k] * b->scale[k] * s[k];
+        for (int64_t row = 0; row <= k; row++)
+            slope += b->R[row * b->side + k] * row_of(b, s, row);
+        int inward = s[k] <= b->low[k] ? slope < 0 : slope > 0;
+        if (inward && fabs(slope) > steepest) {
+            steepest = fabs(slope);
+            found = k;
+        }
+    }
+    return found;
+}
+
+/* By an active set. First, all parameters that a solution would take out of the box are fixed at
+   its bounds at once, and the others solved for again. Then the fixed one with the steepest
+   gradient inwards is freed, and the way to the new solution ends at the first bound, so that each
+   step lowers the sum of squares, until the Karush-Kuhn-Tucker conditions hold (Stark and Parker,
+   Computational Statistics 10, 1995), or 3 n have been freed. */
+void solve_in_box(const box_problem *b, double *s, const solver_room *room) {
+    for (int64_t k = 0; k < b->n; k++) {
+        s[k] = 0.0;
+        room->free[k] = 1.0;
+    }
+    while (minimise_free(b, s, 0, room)) { }
+    for (int64_t count = 0; count < 3 * b->n; count++) {
+        int64_t k = steepest_inwards(b, s, room);
+        if (k < 0) return;
+        room->free[k] = 1.0;
+        while (minimise_free(b, s, 1, room)) { }
+    }
+}
