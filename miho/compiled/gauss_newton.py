@@ -178,7 +178,8 @@ def broyden(c: GNCandidates, i: int, m: int, w: Work) -> None:
     total = 0.0
     for k in range(x.size):
         w.step[k] = trial[k] - x[k]
-        total += (D[k] * w.step[k]) ** 2
+        scaled = D[k] * w.step[k]
+        total += scaled * scaled
     update_columns(c.derivatives[i], D, total, m, w)
 
 

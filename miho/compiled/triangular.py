@@ -171,7 +171,8 @@ def norm(R: Array, q: Array, n: int, s: Array) -> float:
     """|R s + q|^2."""
     total = 0.0
     for row in range(n):
-        total += row_of(R, q, n, s, row) ** 2
+        value = row_of(R, q, n, s, row)
+        total += value * value
     return total
 
 

@@ -83,7 +83,8 @@ def machine() -> Any:
         import miho.core._machine as built
     except ImportError:
         return None
-    return built if built.operations() == tuple(OPERATIONS) else None
+    whole = "run_bracket" in vars(built)
+    return built if whole and built.operations() == tuple(OPERATIONS) else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,235 @@
+"""The search of the machine takes the decisions of the Python functions, and the same bits.
+
+Python's steps are here given the machine's sums, exponential and logarithm: all else is arithmetic
+in the same order, which leaves no last bit to differ. With NumPy's sums, or numba's, last bits do.
+"""
+
+from __future__ import annotations
+
+import math
+import pickle
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from miho import CurveFit, Dataset, Parameter, Space
+from miho.compiled import gauss_newton, gauss_newton_bracket, gauss_newton_loop, triangular
+from miho.compiled.gauss_newton_loop import FINISHED, PAUSED, REACHED, run_bracket
+from miho.core import Instruction, Tape, machine
+from miho.data import published_fit, published_names
+from miho.models import FunctionModel, PublishedModel
+from miho.models.published import FORMS
+from miho.optim import (
+    MIHOGN,
+    Budget,
+    BudgetExhausted,
+    LeastSquaresProblem,
+    Oracle,
+    gauss_newton_steps,
+)
+from miho.optim.miho_gn_state import MIHOGNState
+from tests.optim.decays import fit
+
+Array = NDArray[np.float64]
+pytestmark = pytest.mark.skipif(machine() is None, reason="the machine was not built")
+
+
+def product_sum(a: Array, b: Array) -> float:
+    """The sum of products as `miho/core/columns.h` has it: eight sums, then these in pairs."""
+    terms = np.zeros(-(-a.size // 8) * 8)
+    terms[: a.size] = a * b
+    s = np.zeros(8)
+    for row in terms.reshape(-1, 8):
+        s += row
+    return float(((s[0] + s[4]) + (s[2] + s[6])) + ((s[1] + s[5]) + (s[3] + s[7])))
+
+
+def square_sum(r: Array, count: int) -> float:
+    return product_sum(r[:count], r[:count])
+
+
+def fold(T: Array, columns: Array, count: int, n: int) -> None:
+    rows = columns[:n, :count]
+    for k in range(n):
+        v, diagonal = rows[k], T[k, k]
+        square = product_sum(v, v)
+        if square == 0.0:
+            continue
+        norm = -math.copysign(math.sqrt(diagonal * diagonal + square), diagonal)
+        first = diagonal - norm
+        factor = 2.0 / (first * first + square)
+        T[k, k] = norm
+        for j in range(k + 1, n):
+            product = (first * T[k, j] + product_sum(v, rows[j])) * factor
+            T[k, j] -= product * first
+            rows[j] -= product * v
+
+
+def by_machine(operation: str) -> Any:
+    """An elementary function of one number by the machine."""
+    tape = Tape(1, 1, 2, 0, 0, (), (), (Instruction(operation, (0,), (1,)),), ())
+    return lambda x: float(tape.evaluate(np.empty((1, 0)), np.array([[x]])).item())
+
+
+@contextmanager
+def python_steps(sums: bool = True) -> Iterator[None]:
+    """Compiled problems are searched by the Python functions, which sum as the machine does."""
+    functions = {name: getattr(math, name) for name in ("sqrt", "isfinite", "inf")}
+    with pytest.MonkeyPatch.context() as patch, np.errstate(all="ignore"):
+        patch.setattr(gauss_newton_steps, "machine", lambda: None)
+        patch.setattr(gauss_newton_steps, "run_bracket", run_bracket.function)
+        if sums:
+            exact = SimpleNamespace(exp=by_machine("EXP"), log=by_machine("LOG"), **functions)
+            patch.setattr(gauss_newton, "math", exact)
+            patch.setattr(gauss_newton_loop, "square_sum", square_sum)
+            for module in (gauss_newton, gauss_newton_loop, triangular):
+                patch.setattr(module, "fold", fold)
+        yield
+
+
+def searched(
+    problem: LeastSquaresProblem, method: MIHOGN, seed: int, evaluations: int
+) -> tuple[MIHOGNState, Oracle]:
+    """A search to its end, or that of the budget."""
+    oracle = Oracle(problem, Budget(evaluations=evaluations))
+    try:
+        method.run(oracle, np.random.default_rng(seed))
+    except BudgetExhausted:
+        pass
+    state = oracle.state
+    assert isinstance(state, MIHOGNState)
+    return state, oracle
+
+
+def assert_same(one: tuple[MIHOGNState, Oracle], other: tuple[MIHOGNState, Oracle]) -> None:
+    """The same evaluations, improvements, ends and states, to the last bit."""
+    (state, oracle), (expected, reference) = one, other
+    assert oracle.evaluations == reference.evaluations
+    assert oracle.trace.evaluations == reference.trace.evaluations
+    assert oracle.trace.loss == reference.trace.loss
+    np.testing.assert_array_equal(oracle.trace.theta, reference.trace.theta)
+    assert oracle.meter.rejected == reference.meter.rejected
+    assert repr(oracle.agreement) == repr(reference.agreement)
+    np.testing.assert_array_equal(state.place, expected.place)
+    size = int(state.place[gauss_newton_bracket.SIZE])
+    for array, wanted in zip(state.candidates[:3], expected.candidates[:3], strict=True):
+        np.testing.assert_array_equal(array[:size], wanted[:size])
+    for array, wanted in zip(state.minima, expected.minima, strict=True):
+        np.testing.assert_array_equal(array, wanted)
+    assert state.rng.bit_generator.state == expected.rng.bit_generator.state
+    assert state.finished == expected.finished
+
+
+def assert_python_takes_the_same_steps(
+    problem: LeastSquaresProblem, method: MIHOGN, seeds: int = 2, evaluations: int = 300
+) -> None:
+    for seed in range(seeds):
+        by_machine = searched(problem, method, seed, evaluations)
+        with python_steps():
+            by_python = searched(problem, method, seed, evaluations)
+        assert_same(by_machine, by_python)
+
+
+METHODS = [
+    MIHOGN(), MIHOGN(secants=0), MIHOGN(projecting=0), MIHOGN(projecting=1), MIHOGN(fading=1.0),
+    MIHOGN(patience=0.5), MIHOGN(eta=2, steps=1, lead=2, reach=0.1, damping=1.0),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("method", METHODS, ids=range(len(METHODS)))
+@pytest.mark.parametrize("linear", [(), ("a", "c")], ids=["stepping", "projecting"])
+def test_settings_of_the_method(method: MIHOGN, linear: tuple[str, ...]) -> None:
+    for N in (7, 60, 1500):
+        assert_python_takes_the_same_steps(fit(N, linear=linear), method)
+
+
+BOXES = {
+    "optimum outside": ((0.0, 1.5), (0.01, 100.0), (0.6, 10.0)),
+    "all but one at a bound": ((5.0, 6.0), (0.01, 100.0), (1.0, 2.0)),
+    "overflows": ((0.0, 1e200), (1e-100, 1e100), (-1e200, 1e200)),
+    "narrow": ((2.0, 2.0 + 1e-9), (0.5, 0.5 + 1e-9), (0.3, 0.3 + 1e-9)),
+}
+
+
+@pytest.mark.parametrize("name", BOXES)
+@pytest.mark.parametrize("linear", [(), ("a", "c")], ids=["stepping", "projecting"])
+def test_bounds_and_values_that_cannot_be_used(name: str, linear: tuple[str, ...]) -> None:
+    a, b, c = BOXES[name]
+    space = Space(
+        (Parameter("a", "V", *a), Parameter("b", "1/s", *b, scale="log"), Parameter("c", "V", *c))
+    )
+    for method in (MIHOGN(brackets=6), MIHOGN(brackets=6, projecting=1)):
+        assert_python_takes_the_same_steps(fit(300, space, linear=linear), method)
+
+
+def published(name: str) -> CurveFit | None:
+    """A published fit in a box around its optimum; None where the formula is no tape."""
+    given = published_fit(name)
+    model = PublishedModel(given.model)
+    if model.tapes is None:
+        return None
+    space = []
+    for unit, value in zip(model.parameters.items(), given.optimum, strict=True):
+        size = abs(value) or 1.0
+        if value > 0:
+            space.append(Parameter(*unit, value / 30, value * 30, scale="log"))
+        else:
+            space.append(Parameter(*unit, value - 5 * size, value + 5 * size))
+    return CurveFit(model, given.dataset, Space(tuple(space)), compiled=True)
+
+
+@pytest.mark.parametrize("name", published_names())
+def test_published_fits(name: str) -> None:
+    problem = published(name)
+    if problem is None or problem.kernel is None or problem.kernel.rows is None:
+        pytest.skip("no formula of the machine")
+    assert_python_takes_the_same_steps(problem, MIHOGN(), seeds=1, evaluations=200)
+
+
+def undetermined(t: Any, *, a: Any, b: Any, k: Any) -> Any:
+    return a * b * np.exp(-k * t)
+
+
+def test_parameters_that_the_data_do_not_determine() -> None:
+    t = np.linspace(0, 3, 200)
+    y = undetermined(t, a=2.0, b=1.0, k=0.5) + 0.01 * np.random.default_rng(3).normal(size=200)
+    space = Space(tuple(Parameter(name, "-", 0.1, 10.0) for name in "abk"))
+    data = Dataset("undetermined", {"t": t, "y": y}, {"t": "-", "y": "-"}, "y")
+    problem = CurveFit(undetermined, data, space, compiled=True)
+    for method in (MIHOGN(), MIHOGN(projecting=1)):
+        assert_python_takes_the_same_steps(problem, method, evaluations=150)
+
+
+@pytest.mark.parametrize("evaluations", range(1, 41))
+def test_a_search_cut_anywhere_goes_on_as_if_it_had_not_been(evaluations: int) -> None:
+    """Also where its state was pickled, and where the other one of the two goes on."""
+    method, problem = MIHOGN(brackets=5), fit(1000)
+    whole = searched(problem, method, 1, 400)
+    state, cut = searched(problem, method, 1, evaluations)
+    with python_steps():
+        assert_same((state, cut), searched(problem, method, 1, evaluations))
+    for _ in range(2):
+        saved, meter = pickle.loads(pickle.dumps((state, cut.meter)))
+        resumed = Oracle(problem, Budget(evaluations=400), meter=meter)
+        if _ == 0:
+            method.resume(resumed, saved)
+        else:
+            with python_steps():
+                method.resume(resumed, saved)
+        assert_same((saved, resumed), whole)
+
+
+def test_a_target_ends_a_search_at_its_evaluation() -> None:
+    problem = fit()
+    _, free = searched(problem, MIHOGN(), 0, 500)
+    for target in free.trace.loss:
+        oracle = Oracle(problem, Budget(target=target))
+        with pytest.raises(BudgetExhausted):
+            MIHOGN().run(oracle, np.random.default_rng(0))
+        assert oracle.best == target
