@@ -577,6 +577,28 @@ def test_a_short_search_waits_for_no_compiler() -> None:
     assert process.stderr == ""
 
 
+@pytest.fixture
+def without_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The library as it is where it was installed without a C compiler."""
+    for module in ("compiled.kernel", "compiled.fused", "identification.curve_fit",
+                   "optim.gauss_newton_steps", "optim.miho_gn"):  # fmt: skip
+        monkeypatch.setattr(f"miho.{module}.machine", lambda: None)
+
+
+def test_the_machine_searches_a_formula_at_once() -> None:
+    """With the same evaluations as steps in Python, and nothing is compiled however long it is."""
+    plain = miho.fit(decay, t, y, BOX, compiled=False)
+    fit = miho.fit(decay, t, y, BOX)
+    assert fit.problem.compiled is None
+    assert fit.problem.kernel.taped is not None
+    assert fit.problem.kernel.climb is None
+    assert fit.values == pytest.approx(plain.values, rel=1e-9)
+    assert fit.descents.screened == plain.descents.screened
+    assert fit.descents.ends == pytest.approx(plain.descents.ends, rel=1e-9)
+    assert plain.problem.kernel is None
+
+
+@pytest.mark.usefixtures("without_machine")
 def test_a_long_search_is_compiled_and_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the same evaluations as one that is never compiled, to the rounding of sums of 60."""
     plain = miho.fit(decay, t, y, BOX, compiled=False)
@@ -592,6 +614,7 @@ def test_a_long_search_is_compiled_and_goes_on(monkeypatch: pytest.MonkeyPatch) 
         assert fit.descents.ends == pytest.approx(plain.descents.ends, rel=1e-9)
 
 
+@pytest.mark.usefixtures("without_machine")
 def test_a_limit_of_evaluations_or_a_target_ends_a_search_that_is_not_compiled_yet() -> None:
     for budget in (miho.Budget(evaluations=40), miho.Budget(target=1.0)):
         assert miho.fit(decay, t, y, BOX, budget=budget).problem.compiled is False

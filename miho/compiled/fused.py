@@ -42,18 +42,10 @@ from miho.compiled.kernel import Climb, Formula, Formulas, Rows
 from miho.compiled.panel_sums import Sign, panel_sums, panel_terms, scratch_for
 from miho.compiled.panels import panels
 from miho.compiled.signature import Signed, signature_of, signed_formulas, signing
-from miho.compiled.taped import SHARE, TapedLoss, equal_parts
+from miho.compiled.taped import BLOCK, SHARE, TapedLoss, equal_parts, first_block, in_panels
 from miho.compiled.threads import threads_of
 from miho.core import machine
 from miho.quantities import Array
-
-BLOCK = 512
-"""Rows at a time: temporaries of 4 KiB each."""
-FIRST_BLOCK = 64
-"""Rows before the first test whether a candidate is beaten; then twice as many each, up to BLOCK.
-Where panels are tested first, an early test on rows gains nothing."""
-WORTH_PANELS = 1000
-"""From so many rows on, sums over panels show sooner than the rows that a candidate is beaten."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,11 +94,11 @@ class FusedLoss:
 
     @property
     def _in_panels(self) -> bool:
-        return len(self.X) == 1 and self.y.size >= WORTH_PANELS and self.model.bound is not None
+        return in_panels(self.model, len(self.X), self.y.size)
 
     @property
     def _first_block(self) -> int:
-        return BLOCK if self._in_panels else FIRST_BLOCK
+        return first_block(self.model, len(self.X), self.y.size)
 
     @cached_property
     def _ordered(self) -> tuple[Array, Array]:
@@ -126,12 +118,9 @@ class FusedLoss:
     @cached_property
     def rows(self) -> Rows:
         """Residuals and derivatives of some rows, in the order of the loss."""
-        X, y = map(read_only, self._ordered)
         if self.taped is not None:
-            kept = [tape.in_machine for tape in (self.taped.value, self.taped.slopes)]
-            functions = machine().functions()[:2]
-            calls = np.array([*functions, *map(machine().address, kept)], dtype=np.int64)
-            return Rows(calls, X, y, kept)
+            return self.taped.rows
+        X, y = map(read_only, self._ordered)
         shape, formulas = self._shape, (self.model.value, self.model.derivatives)
         residuals, slopes = _compile_rows(signed_formulas(formulas, shape), *shape)
         calls = np.zeros(4, dtype=np.int64)

@@ -131,17 +131,18 @@ def kernel_for(
     name: str,
     threads: int = 1,
     compressed: bool = False,
+    climbs: bool = True,
 ) -> FitKernel:
-    """Compiled forms of the mean square of a model minus data, checked against NumPy's.
+    """Fast forms of the mean square of a model minus data, checked against NumPy's.
 
     X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which a loss goes
     through them. Each form is checked at `thetas` (n, d), at its first use; `name` is the model's
-    in a warning. `compressed` takes the loss from few nodes instead of all points. numba is
-    imported here, and not before.
+    in a warning. `compressed` takes the loss from few nodes instead of all points, and there are
+    no compiled mutation steps unless it `climbs`. numba is imported where something is compiled.
     """
     from miho.compiled.fit import FitKernel
 
-    return FitKernel(model, X, y, order, thetas, name, threads, compressed)
+    return FitKernel(model, X, y, order, thetas, name, threads, compressed, climbs)
 
 
 def taped_loss(
@@ -154,6 +155,7 @@ def taped_loss(
     tapes = None if machine() is None else model.tapes
     if tapes is None:
         return None
-    from miho.compiled.taped import TapedLoss
+    from miho.compiled.taped import TapedLoss, first_block
 
-    return TapedLoss(*tapes, np.ascontiguousarray(X), y, order, threads=threads)
+    rows = first_block(model, len(X), y.size)
+    return TapedLoss(*tapes, np.ascontiguousarray(X), y, order, rows, threads)

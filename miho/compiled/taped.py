@@ -9,10 +9,18 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.compiled.kernel import Formulas, Rows
 from miho.compiled.threads import threads_of
-from miho.core import Tape
+from miho.core import Tape, machine
 from miho.quantities import Array
 
+FIRST_BLOCK = 64
+"""Rows before the first test whether a candidate is beaten; then twice as many each, up to BLOCK.
+Where panels are tested first, an early test on rows gains nothing."""
+BLOCK = 512
+"""Rows at a time: temporaries of 4 KiB each."""
+WORTH_PANELS = 1000
+"""From so many rows on, sums over panels show sooner than the rows that a candidate is beaten."""
 SHARE = 50_000
 """A batch of so many model values is worth a further thread."""
 
@@ -31,7 +39,7 @@ class TapedLoss:
     X: Array
     y: Array
     order: NDArray[np.intp]
-    first_block: int = 64
+    first_block: int = FIRST_BLOCK
     threads: int = 1
     _parts: dict[int, tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False)
 
@@ -61,9 +69,18 @@ class TapedLoss:
         return np.asarray(self.slopes.evaluate(theta[None], self._first(rows)[0])[0].T)
 
     @cached_property
+    def rows(self) -> Rows:
+        """Residuals and derivatives of some rows, in the order of the loss."""
+        kept = [tape.in_machine for tape in (self.value, self.slopes)]
+        functions = machine().functions()[:2]
+        calls = np.array([*functions, *map(machine().address, kept)], dtype=np.int64)
+        return Rows(calls, *self.ordered, kept)
+
+    @cached_property
     def ordered(self) -> tuple[Array, Array]:
         """Inputs and output in the order."""
-        return np.ascontiguousarray(self.X[:, self.order]), self.y[self.order]
+        X, y = self.X[:, self.order], self.y[self.order]
+        return np.ascontiguousarray(X, dtype=float), np.ascontiguousarray(y, dtype=float)
 
     def _first(self, rows: int | None) -> tuple[Array, Array]:
         """Inputs and output of the first rows of the order, or of all in their own."""
@@ -73,6 +90,16 @@ class TapedLoss:
             X, y = self.ordered
             self._parts[rows] = np.ascontiguousarray(X[:, :rows]), y[:rows]
         return self._parts[rows]
+
+
+def in_panels(model: Formulas, inputs: int, rows: int) -> bool:
+    """Whether sums over panels are tested before rows."""
+    return inputs == 1 and rows >= WORTH_PANELS and model.bound is not None
+
+
+def first_block(model: Formulas, inputs: int, rows: int) -> int:
+    """How many rows the first block of a mean square has."""
+    return BLOCK if in_panels(model, inputs, rows) else FIRST_BLOCK
 
 
 def equal_parts(n: int, count: int) -> list[slice]:

@@ -1,4 +1,4 @@
-"""The search of a problem: in NumPy first, compiled where it takes long."""
+"""The search of a problem: by the machine, or in NumPy first and compiled where it takes long."""
 
 from __future__ import annotations
 
@@ -113,11 +113,12 @@ def _run(
     seed: int,
     evaluations: Evaluations | None,
 ) -> tuple[CurveFit, RunRecord]:
-    """Search a problem, and compile its formula only if the search takes long.
+    """Search a problem, and compile its formula only if that is needed and the search takes long.
 
-    The search starts in NumPy. After about NUMPY_SECONDS the compiled problem continues from the
-    same state. The time is counted in evaluations, so that the result does not depend on the
-    machine; all searches of one formula in this process share it.
+    The machine searches a formula at once. Without it the search starts in NumPy, and after about
+    NUMPY_SECONDS the compiled problem continues from the same state. The time is counted in
+    evaluations, so that the result does not depend on the machine; all searches of one formula in
+    this process share it.
     """
 
     def run(
@@ -130,7 +131,9 @@ def _run(
 
     checkpoint = None
     model = problem.model
-    if problem.compiled is None and isinstance(model, Expression) and isinstance(method, MIHOGN):
+    by_machine = problem.kernel is not None and problem.kernel.taped is not None
+    undecided = problem.compiled is None and isinstance(method, MIHOGN) and not by_machine
+    if undecided and isinstance(model, Expression):
         formula = getattr(model.value, "__code__", type(model))
         seconds = PER_EVALUATION + PER_ROW * problem.residual_count
         most = int((NUMPY_SECONDS - numpy_seconds[formula]) / seconds)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.compiled import kernel_for, taped_loss
+from miho.core import machine
 from miho.data.dataset import Dataset
 from miho.identification.curve_fit_checks import (
     TRIALS,
@@ -228,16 +229,19 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @cached_property
     def kernel(self) -> FitKernel | None:  # type: ignore[override]
-        """Compiled forms of the square loss of a model that is an expression."""
+        """Fast forms of the square loss of a model that is an expression."""
         model = self._fitted
         plain = self._square and self.prior is None
-        if not (isinstance(model, Expression) and plain and self._worth_compiling):
+        if not (isinstance(model, Expression) and plain):
+            return None
+        compiles = self._worth_compiling
+        if not compiles and (self.compiled is False or machine() is None or model.tapes is None):
             return None
         thetas = self.space.decode(self.space.initial(TRIALS))
         name = self.model.name or type(self.model).__name__
         return kernel_for(
             model, np.array(self._columns), self._target, self._order, thetas,
-            name=name, threads=self.threads, compressed=self.compressed,
+            name=name, threads=self.threads, compressed=self.compressed, climbs=compiles,
         )  # fmt: skip
 
     @cached_property

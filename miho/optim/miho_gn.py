@@ -22,6 +22,7 @@ from miho.compiled.gauss_newton_candidates import (
 )
 from miho.compiled.gauss_newton_loop import run_bracket
 from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE, SOLVED
+from miho.core import machine
 from miho.optim.brackets import around, draw_starts, luby, rows_by_level
 from miho.optim.evidence import Agreement, in_optimum
 from miho.optim.gauss_newton_steps import run_phases
@@ -146,8 +147,8 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
 
     @property
     def uncompiled(self) -> bool:
-        """Whether the steps are not in numba's cache."""
-        return not run_bracket.in_cache
+        """Whether the steps are compiled by numba, and not in its cache."""
+        return machine() is None and not run_bracket.in_cache
 
     def _count_rows(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Look once at all residuals of a problem that does not say how many there are."""
