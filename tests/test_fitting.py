@@ -580,8 +580,7 @@ def test_a_short_search_waits_for_no_compiler() -> None:
 @pytest.fixture
 def without_machine(monkeypatch: pytest.MonkeyPatch) -> None:
     """The library as it is where it was installed without a C compiler."""
-    for module in ("compiled.kernel", "compiled.fused", "identification.curve_fit",
-                   "optim.gauss_newton_steps", "optim.miho_gn"):  # fmt: skip
+    for module in ("compiled.kernel", "compiled.fused", "compiled.gauss_newton_loop"):
         monkeypatch.setattr(f"miho.{module}.machine", lambda: None)
 
 

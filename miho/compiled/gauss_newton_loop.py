@@ -1,12 +1,16 @@
-"""The compiled loop of Gauss-Newton steps, for problems whose residuals are compiled.
+"""The loop of Gauss-Newton steps, for problems whose residuals are functions in memory.
 
-A whole bracket is one call. Derivatives are folded into triangular
-factors chunk by chunk, so that memory does not grow with the number of rows.
+A whole bracket is one call: of the machine of `miho.core`, which has the same loop in C, or where
+the library was installed without it, of the functions here, which numba compiles. Derivatives are
+folded into triangular factors chunk by chunk, so that memory does not grow with the number of rows.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
+from typing import cast
 
 from miho.compiled.addresses import write_residuals, write_slopes
 from miho.compiled.gauss_newton import (
@@ -30,8 +34,10 @@ from miho.compiled.gauss_newton_candidates import (
     GNSettings,
     Minima,
 )
+from miho.compiled.kernel import Rows
 from miho.compiled.triangular import compiled, entry, fold, square_sum
 from miho.compiled.workspace import CHUNK, Work, clear, copy, work
+from miho.core import machine
 from miho.quantities import Array, Integers
 
 FINISHED, PAUSED, REACHED = range(3)
@@ -39,6 +45,19 @@ FINISHED, PAUSED, REACHED = range(3)
 than were allowed; or the target is reached."""
 SPENT, IMPROVEMENTS, NANS, INFINITIES, UNUSABLES = range(5)
 """What a block did, in the array `tally` (5,): rows spent, improvements, and what it rejected."""
+
+
+def bracket_of(rows: Rows) -> Callable[..., int]:
+    """`run_bracket` on these rows, by the machine where there is one."""
+    if machine() is None:
+        return partial(run_bracket, rows.calls, rows.X, rows.y)
+    by_machine = partial(machine().run_bracket, rows.calls, rows.kept, rows.X, rows.y)
+    return cast(Callable[..., int], by_machine)
+
+
+def waits_for_numba() -> bool:
+    """Whether `run_bracket` is to be compiled, and is not in numba's cache."""
+    return machine() is None and not run_bracket.in_cache
 
 
 @entry

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from miho.compiled import kernel_for, taped_loss
-from miho.core import machine
 from miho.data.dataset import Dataset
 from miho.identification.curve_fit_checks import (
     TRIALS,
@@ -235,7 +234,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         if not (isinstance(model, Expression) and plain):
             return None
         compiles = self._worth_compiling
-        if not compiles and (self.compiled is False or machine() is None or model.tapes is None):
+        if not compiles and (self.compiled is False or self._taped is None):
             return None
         thetas = self.space.decode(self.space.initial(TRIALS))
         name = self.model.name or type(self.model).__name__

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -23,7 +22,7 @@ from miho.compiled.gauss_newton_candidates import (
     GNCandidates,
     GNRules,
 )
-from miho.compiled.gauss_newton_loop import FINISHED, run_bracket
+from miho.compiled.gauss_newton_loop import FINISHED, bracket_of
 from miho.compiled.gauss_newton_parts import (
     after_evaluations,
     after_one_evaluation,
@@ -35,7 +34,6 @@ from miho.compiled.gauss_newton_parts import (
 )
 from miho.compiled.kernel import INFINITE, NAN
 from miho.compiled.workspace import CHUNK, Work, room_for, work
-from miho.core import machine
 from miho.optim.meter import BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_state import MIHOGNState
 from miho.optim.oracle import Oracle
@@ -59,10 +57,7 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
         for _ in rounds(oracle, state):
             pass
         return
-    # By the machine where it was built, else compiled by numba.
-    run = partial(run_bracket, rows.calls)
-    if machine() is not None:
-        run = partial(machine().run_bracket, rows.calls, rows.kept)
+    run = bracket_of(rows)
     # Room for one block's improvements, and for the steps to be worked out in.
     N, slope_cost = rows.y.size, state.settings.slope_cost
     least = float(max(state.box.linear.size + 1, slope_cost))
@@ -75,7 +70,7 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
         limit = round(min(most, EVENTS) * N)  # most is of whole rows but for its rounding
         tally = np.zeros(5, np.int64)
         ended = run(
-            rows.X, rows.y, *c[:3], state.stored, state.place, state.order, state.box,
+            *c[:3], state.stored, state.place, state.order, state.box,
             level_rows, state.minima, state.settings, limit, best, target, at, losses, thetas,
             tally, room,
         )  # fmt: skip

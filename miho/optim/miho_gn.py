@@ -20,9 +20,8 @@ from miho.compiled.gauss_newton_candidates import (
     GNSettings,
     Minima,
 )
-from miho.compiled.gauss_newton_loop import run_bracket
+from miho.compiled.gauss_newton_loop import waits_for_numba
 from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE, SOLVED
-from miho.core import machine
 from miho.optim.brackets import around, draw_starts, luby, rows_by_level
 from miho.optim.evidence import Agreement, in_optimum
 from miho.optim.gauss_newton_steps import run_phases
@@ -148,7 +147,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     @property
     def uncompiled(self) -> bool:
         """Whether the steps are compiled by numba, and not in its cache."""
-        return machine() is None and not run_bracket.in_cache
+        return waits_for_numba()
 
     def _count_rows(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Look once at all residuals of a problem that does not say how many there are."""

@@ -30,7 +30,6 @@ from miho.optim import (
     BudgetExhausted,
     LeastSquaresProblem,
     Oracle,
-    gauss_newton_steps,
 )
 from miho.optim.miho_gn_state import MIHOGNState
 from tests.optim.decays import fit
@@ -81,8 +80,8 @@ def python_steps(sums: bool = True) -> Iterator[None]:
     """Compiled problems are searched by the Python functions, which sum as the machine does."""
     functions = {name: getattr(math, name) for name in ("sqrt", "isfinite", "inf")}
     with pytest.MonkeyPatch.context() as patch, np.errstate(all="ignore"):
-        patch.setattr(gauss_newton_steps, "machine", lambda: None)
-        patch.setattr(gauss_newton_steps, "run_bracket", run_bracket.function)
+        patch.setattr(gauss_newton_loop, "machine", lambda: None)
+        patch.setattr(gauss_newton_loop, "run_bracket", run_bracket.function)
         if sums:
             exact = SimpleNamespace(exp=by_machine("EXP"), log=by_machine("LOG"), **functions)
             patch.setattr(gauss_newton, "math", exact)
