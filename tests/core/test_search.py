@@ -10,6 +10,7 @@ import math
 import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 from miho import CurveFit, Dataset, Parameter, Space
 from miho.compiled import gauss_newton, gauss_newton_loop, triangular
 from miho.compiled.gauss_newton_candidates import SIZE
-from miho.compiled.gauss_newton_loop import run_bracket
+from miho.compiled.gauss_newton_loop import PAUSED, run_bracket
 from miho.core import Instruction, Tape, machine
 from miho.data import published_fit, published_names
 from miho.models import FunctionModel, PublishedModel
@@ -132,6 +133,25 @@ def assert_python_takes_the_same_steps(
         assert_same(by_machine, by_python)
 
 
+def at_level(problem: CurveFit, level: int) -> CurveFit:
+    """The same problem, whose tapes are for a level of the processor's instructions."""
+    other = replace(problem)
+    kernel = other.kernel
+    assert kernel is not None
+    assert kernel.taped is not None
+    tapes = [tape.at_level(level) for tape in (kernel.taped.value, kernel.taped.slopes)]
+    vars(kernel.taped)["rows"] = kernel.taped.rows._replace(kept=tapes)
+    return other
+
+
+@pytest.mark.parametrize("level", range(len(machine().levels()) if machine() else 0))
+def test_the_same_bits_on_every_level_of_instructions(level: int) -> None:
+    for problem in (fit(linear=()), fit(5000), published("osborne2"), published("gauss1")):
+        assert problem is not None
+        usual = searched(problem, MIHOGN(), 1, 200)
+        assert_same(searched(at_level(problem, level), MIHOGN(), 1, 200), usual)
+
+
 METHODS = [
     MIHOGN(), MIHOGN(secants=0), MIHOGN(projecting=0), MIHOGN(projecting=1), MIHOGN(fading=1.0),
     MIHOGN(patience=0.5), MIHOGN(eta=2, steps=1, lead=2, reach=0.1, damping=1.0),
@@ -229,3 +249,102 @@ def test_a_target_ends_a_search_at_its_evaluation() -> None:
         with pytest.raises(BudgetExhausted):
             MIHOGN().run(oracle, np.random.default_rng(0))
         assert oracle.best == target
+
+
+CALL = [
+    "calls", "kept", "X", "y", "numbers", "counts", "R", "stored", "place", "order", "box",
+    "level_rows", "minima", "settings", "most", "best", "target", "at", "losses", "thetas",
+    "tally", "room",
+]  # fmt: skip
+
+
+def a_call() -> dict[str, Any]:
+    """The arguments of the first block of a search, of two candidates that store derivatives."""
+    problem = fit(600, linear=("a", "c"))
+    taken: dict[str, Any] = {}
+
+    def bracket(*arguments: Any) -> int:
+        taken.update(zip(CALL[4:], arguments, strict=True))
+        raise BudgetExhausted
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("miho.optim.gauss_newton_steps.bracket_of", lambda rows: bracket)
+        searched(problem, MIHOGN(), 0, 100)
+    assert problem.kernel is not None
+    rows = problem.kernel.rows
+    assert rows is not None
+    return dict(zip(CALL, [rows.calls, rows.kept, rows.X, rows.y], strict=False)) | taken
+
+
+def run(arguments: dict[str, Any]) -> int:
+    return int(machine().run_bracket(*(arguments[name] for name in CALL)))
+
+
+def with_item(array: Any, at: int, value: Any) -> Any:
+    changed = array.copy()
+    changed[at] = value
+    return changed
+
+
+OTHER_TAPE = Tape(1, 1, 2, 0, 0, (), (), (Instruction("EXP", (0,), (1,)),), ())
+BAD: dict[str, Any] = {
+    "calls": [np.zeros(3, np.int64), np.zeros(4), None],
+    "kept": [[], [1], 3, [OTHER_TAPE.in_machine] * 2],
+    "X": [np.zeros((1, 599)), np.zeros((2, 600)), np.zeros(600), np.zeros((1, 600), np.float32)],
+    "y": [np.zeros(599), np.zeros((1, 600))],
+    "numbers": [lambda a: a[:, :-1].copy(), lambda a: a[:, ::-1], lambda a: a[1:].copy()],
+    "counts": [lambda a: a[:-1].copy(), lambda a: a.astype(float), lambda a: a[:, 1:].copy()],
+    "R": [lambda a: a[:-1].copy(), lambda a: a[:, 1:].copy(), lambda a: a[0].copy()],
+    "stored": [lambda a: a[:10].copy(), lambda a: a.astype(int)],
+    "place": [
+        lambda a: a[1:].copy(), lambda a: with_item(a, 1, 99), lambda a: with_item(a, 1, -1),
+        lambda a: with_item(a, 2, 10_000), lambda a: with_item(a, 3, 10_000),
+        lambda a: with_item(a, 2, -1), lambda a: with_item(a, 3, -1),
+        lambda a: with_item(a, 4, 7), lambda a: with_item(a, 4, -5),
+    ],
+    "order": [lambda a: a[1:].copy()],
+    "box": [
+        (), None, [], lambda a: a[:6], lambda a: a._replace(low=a.low[1:]),
+        lambda a: a._replace(log=a.log.astype(float)),
+        lambda a: a._replace(linear=np.array([0, 3])),
+        lambda a: a._replace(linear=np.array([0, -1])),
+        lambda a: a._replace(linear=np.array([0, 0])),
+        lambda a: a._replace(nonlinear=np.array([5])),
+        lambda a: a._replace(nonlinear=np.array([0, 1])),
+    ],
+    "level_rows": [
+        np.empty(0, np.int64), lambda a: a[::-1].copy(), lambda a: a + 1,
+        lambda a: with_item(a, 0, 0),
+    ],
+    "minima": [(), lambda a: a._replace(x=np.zeros((0, 2))), lambda a: a._replace(loss=np.ones(3))],
+    "settings": [(), lambda a: a[:5], lambda a: a._replace(eta=0), lambda a: a._replace(steps=1.5),
+                 lambda a: a._replace(slope_cost=-1), lambda a: a._replace(reach="far")],
+    "most": [1.5, None, 2**70],
+    "best": ["low", None],
+    "target": [None],
+    "at": [lambda a: a[:3].copy(), lambda a: a.astype(float)],
+    "losses": [lambda a: a[:3].copy()],
+    "thetas": [lambda a: a[:, :2].copy(), lambda a: a[:3].copy()],
+    "tally": [np.zeros(4, np.int64), np.ones(5, np.int64)],
+    "room": [lambda a: a[:100].copy(), lambda a: a.astype(np.float32)],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", CALL)
+def test_arguments_that_would_lead_out_of_an_array_are_refused(name: str) -> None:
+    """And leave all arrays as they are."""
+    good = a_call()
+    before = pickle.dumps((good["numbers"], good["counts"], good["place"]))
+    for bad in BAD[name]:
+        value = bad(good[name]) if callable(bad) else bad
+        with pytest.raises((ValueError, TypeError, OverflowError, BufferError, IndexError)):
+            run(good | {name: value})
+    assert pickle.dumps((good["numbers"], good["counts"], good["place"])) == before
+    for written in ("numbers", "counts", "R", "place", "losses"):
+        frozen = good[written].copy()
+        frozen.flags.writeable = False
+        with pytest.raises((ValueError, BufferError)):
+            run(good | {written: frozen})
+    with pytest.raises(TypeError):
+        machine().run_bracket(*list(good.values())[:-1])
+    assert run(good | {"most": 2 * 600}) == PAUSED
