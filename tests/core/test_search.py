@@ -295,7 +295,7 @@ BAD: dict[str, Any] = {
     "numbers": [lambda a: a[:, :-1].copy(), lambda a: a[:, ::-1], lambda a: a[1:].copy()],
     "counts": [lambda a: a[:-1].copy(), lambda a: a.astype(float), lambda a: a[:, 1:].copy()],
     "R": [lambda a: a[:-1].copy(), lambda a: a[:, 1:].copy(), lambda a: a[0].copy()],
-    "stored": [lambda a: a[:10].copy(), lambda a: a.astype(int)],
+    "stored": [lambda a: a.astype(int), lambda a: a[:, None]],
     "place": [
         lambda a: a[1:].copy(), lambda a: with_item(a, 1, 99), lambda a: with_item(a, 1, -1),
         lambda a: with_item(a, 2, 10_000), lambda a: with_item(a, 3, 10_000),
@@ -345,6 +345,10 @@ def test_arguments_that_would_lead_out_of_an_array_are_refused(name: str) -> Non
         frozen.flags.writeable = False
         with pytest.raises((ValueError, BufferError)):
             run(good | {written: frozen})
+    rows = good["level_rows"][0]
+    for stored in (good["stored"][:10].copy(), np.empty(0)):
+        with pytest.raises(ValueError, match="no room"):
+            run(good | {"stored": stored, "place": with_item(good["place"], 4, rows)})
     with pytest.raises(TypeError):
         machine().run_bracket(*list(good.values())[:-1])
     assert run(good | {"most": 2 * 600}) == PAUSED
