@@ -561,6 +561,8 @@ class Growth:
 t = np.linspace(0, 2, 50)
 y = 2 * np.exp(-1.5 * t) + 0.05 * np.random.default_rng(1).standard_normal(50)
 box = {"a": (0, 5), "b": (0, 10)}
+many = np.linspace(0, 2, 30_000)
+miho.fit(lambda t, a, b: a / (1 + b * t), many, 2 / (1 + 1.5 * many), box)
 for model in (lambda t, a, b: a * np.exp(-b * t), Growth().__call__):
     fit = miho.fit(model, t, y, box)
     print(fit, fit.report())
@@ -570,7 +572,7 @@ assert "numba" not in sys.modules
 
 
 def test_a_short_search_waits_for_no_compiler() -> None:
-    """The README's first fit, a function that is only called, and both not compiled."""
+    """A long one, the README's first fit, a function that is only called, and both not compiled."""
     command = [sys.executable, "-c", WITHOUT_NUMBA]
     process = subprocess.run(command, capture_output=True, text=True)
     assert process.returncode == 0, process.stderr

@@ -80,9 +80,10 @@ class CurveFit(Remade, LeastSquaresProblem):
     changes a run of a method that works with residuals, such as `MIHOGN`, the default.
 
     A plain function may stand for the model, with annotations as `miho.models.FunctionModel`
-    describes them. One of arithmetic and NumPy's functions of numbers gets exact derivatives. It is
-    searched by compiled code from WORTH_COMPILING rows on, like a tied expression, or where
-    `compiled` is true; where that is false, nothing is compiled.
+    describes them. One of arithmetic and NumPy's functions of numbers gets exact derivatives. Like
+    any expression it is searched by the machine of `miho.core`, unless `compiled` is false. What
+    the machine does not do (mutation steps of `MIHO`, and all where it was not built) is compiled
+    from WORTH_COMPILING rows on, or where `compiled` is true.
 
     `sigma` is the standard deviation of the errors, a number or a column of the data, in the
     output's unit: known as it is, or if not `sigma_known` up to one factor for all rows, which the
