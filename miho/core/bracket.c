@@ -15,7 +15,6 @@
 #define POLISHING 50    /* steps for more digits at most: a narrow valley could take long */
 #define UNLIMITED ((int64_t)1 << 40)
 
-static double smaller(double a, double b) { return b < a ? b : a; }
 static int on_all_rows(const search *s) { return s->place[AT_LEVEL] == s->p.levels - 1; }
 static int64_t rows_of_level(const search *s) { return s->p.level_rows[s->place[AT_LEVEL]]; }
 
@@ -151,7 +150,7 @@ static void look_again(search *s) {
         c.is->growth = 2.0;
         c.has->stage = ENTER;
         c.has->secants = 0;
-        memcpy(c.trial, c.x, (size_t)s->p.d * sizeof(double));
+        copy(c.x, c.trial, s->p.d);
     }
     s->place[ACTIVE] = s->place[SIZE];
     make_room(s);

@@ -6,6 +6,7 @@
 #ifndef MIHO_SEARCH_H
 #define MIHO_SEARCH_H
 
+#include <string.h>
 #include "tape.h"
 
 #define CHUNK 512           /* rows at a time: their derivatives stay in the first-level cache */
@@ -107,8 +108,8 @@ typedef struct {
 } solver_room;
 
 /* Where steps are worked out. theta, step, low, high, scale (d,): the configuration in units, a
-   step, its bounds and damping. sums (levels,). T (d + 1, d + 1): a triangular factor. chunk (d + 1,
-   CHUNK): columns to fold into it. slopes (d, CHUNK), residuals (residual_room,). */
+   step, its bounds and damping. sums (levels,). T (d + 1, d + 1): a triangular factor. chunk
+   (d + 1, CHUNK): columns to fold into it. slopes (d, CHUNK), residuals (residual_room,). */
 typedef struct {
     double *theta, *step, *low, *high, *scale, *sums, *T, *chunk, *slopes, *residuals;
     int64_t residual_room;
@@ -133,17 +134,33 @@ typedef struct {
     double *losses, *thetas;
 } search;
 
-candidate candidate_at(const search *s, int64_t i);
+static inline double larger(double a, double b) { return b > a ? b : a; }
+static inline double smaller(double a, double b) { return b < a ? b : a; }
+static inline double between(double low, double x, double high) {
+    return smaller(larger(x, low), high);
+}
+static inline void copy(const double *from, double *to, int64_t n) {
+    memcpy(to, from, (size_t)n * sizeof(double));
+}
 
 /* triangular.c */
 void solve_in_box(const box_problem *b, double *s, const solver_room *room);
 double square_norm(const box_problem *b, const double *s);
 
 /* steps.c */
-int descend(search *s, int64_t i);
+int is_free(double x);
 int is_copy(const search *s, const candidate *better, const candidate *c);
+void take_factor(const search *s, candidate *c);
+int prepare(search *s, candidate *c);
+void after_evaluation(search *s, candidate *c, double loss);
 
-/* bracket.c: take a bracket to its end, or as far as it may go; how it ended. */
+/* descent.c: give a candidate its steps until it needs none, or as far as it may go, and say how
+   that ended. */
+int descend(search *s, int64_t i);
+
+/* bracket.c */
+candidate candidate_at(const search *s, int64_t i);
+/* Take a bracket to its end, or as far as it may go, and say how that ended. */
 int run_bracket(search *s);
 /* How many numbers of room there are for, beside residuals. */
 int64_t room_beside_residuals(int64_t d, int64_t levels);

@@ -1,8 +1,7 @@
-/* Levenberg-Marquardt steps of one candidate. miho/compiled/gauss_newton.py says the same in
-   Python, for residuals that come from there. */
+/* Levenberg-Marquardt steps of one candidate, between two evaluations.
+   miho/compiled/gauss_newton.py says the same in Python, for residuals that come from there. */
 #include <math.h>
 #include <string.h>
-#include "elementary.h"
 #include "search.h"
 
 /* Gain over predicted gain: above the first a trial is taken; above the second the damping falls,
@@ -33,17 +32,8 @@
 #define COPY 0.5
 #define COPY_LOSS 0.05
 
-static double larger(double a, double b) { return b > a ? b : a; }
-static double smaller(double a, double b) { return b < a ? b : a; }
-static double between(double low, double x, double high) {
-    return smaller(larger(x, low), high);
-}
-static void copy(const double *from, double *to, int64_t n) {
-    memcpy(to, from, (size_t)n * sizeof(double));
-}
-
 /* Whether a coordinate is off the bounds. */
-static int is_free(double x) { return INSIDE < x && x < 1 - INSIDE; }
+int is_free(double x) { return INSIDE < x && x < 1 - INSIDE; }
 
 /* How many parameters steps of a candidate move, and which the k-th of them is. */
 static int64_t moved(const problem *p, const candidate *c) {
@@ -53,20 +43,11 @@ static int64_t moved_at(const problem *p, const candidate *c, int64_t k) {
     return c->has->projects ? p->nonlinear[k] : k;
 }
 
-/* The configuration at unit coordinates x, in units. */
-static void to_units(const problem *p, const double *x, double *theta) {
-    for (int64_t k = 0; k < p->d; k++) {
-        double value = p->origin[k] + p->width[k] * x[k];
-        if (p->log[k]) value = exp_of(value);
-        theta[k] = between(p->low[k], value, p->high[k]);
-    }
-}
-
 /* Set R, q and D of a candidate from w.T, the triangular factor of derivatives and residuals. The
    columns of w.T are the d parameters and the residuals; or, where the linear parameters are
    projected out, first the free linear ones, then the nonlinear ones and the residuals. The rows
    below the first are then Kaufman's (1975) Jacobian of the reduced problem. */
-static void take_factor(const search *s, candidate *c) {
+void take_factor(const search *s, candidate *c) {
     const problem *p = &s->p;
     int64_t d = p->d, side = d + 1, n = moved(p, c), first = 0;
     if (c->has->projects)
@@ -266,7 +247,7 @@ static int crawls(const search *s, candidate *c) {
 }
 
 /* Bring a candidate to its next evaluation; 0 where it needs none in this block. */
-static int prepare(search *s, candidate *c) {
+int prepare(search *s, candidate *c) {
     while (c->has->stage == SLOPES || c->has->stage == READY) {
         if (c->has->stage == READY && nears_known_minimum(s, c)) c->has->stage = AT_KNOWN;
         else if (c->has->trials >= s->rules.steps || crawls(s, c)) return 0;
@@ -276,40 +257,10 @@ static int prepare(search *s, candidate *c) {
     return c->has->stage < DONE;
 }
 
-/* Move a trial to its best linear parameters, and give the loss there, by algebra. w.T is the
-   triangular factor of their columns, in box widths, and of the residuals at w.theta. The loss is
-   infinite where that is not finite. */
-static double solve_linear(search *s, candidate *c) {
-    const problem *p = &s->p;
-    const work_room *w = &s->w;
-    int64_t n = p->linears, side = p->d + 1;
-    for (int64_t j = 0; j <= n; j++)
-        for (int64_t k = j; k <= n; k++)
-            if (!isfinite(w->T[j * side + k])) return INFINITY;
-    for (int64_t j = 0; j < n; j++) {
-        int64_t k = p->linear[j];
-        double width = p->high[k] - p->low[k];
-        w->scale[j] = 0.0;
-        w->low[j] = (p->low[k] - w->theta[k]) / width;
-        w->high[j] = (p->high[k] - w->theta[k]) / width;
-    }
-    box_problem b = {w->T, w->T + n, w->scale, w->low, w->high, side, side, n};
-    solve_in_box(&b, w->step, &w->solver);
-    double rest = w->T[n * side + n], square = rest * rest + square_norm(&b, w->step);
-    for (int64_t j = 0; j < n; j++) {
-        int64_t k = p->linear[j];
-        double value = w->theta[k] + (p->high[k] - p->low[k]) * w->step[j];
-        value = between(p->low[k], value, p->high[k]);
-        if (p->log[k]) value = log_of(value);
-        c->trial[k] = between(0.0, (value - p->origin[k]) / p->width[k], 1.0);
-    }
-    return square / (double)s->m;
-}
-
 /* Take a candidate on after an evaluation, with the loss that residuals or algebra gave. The loss
    at solved linear parameters is known by algebra only: on all rows an improvement is evaluated
    once more (RECORD), so that what the run records was evaluated. */
-static void after_evaluation(search *s, candidate *c, double loss) {
+void after_evaluation(search *s, candidate *c, double loss) {
     if (c->has->stage == RECORD) {
         c->has->stage = c->has->stage_after_record;
         copy(s->w.sums, c->sums, s->p.levels);
@@ -325,124 +276,4 @@ static void after_evaluation(search *s, candidate *c, double loss) {
     } else if (c->is->loss < previous) {
         copy(s->w.sums, c->sums, s->p.levels);
     }
-}
-
-/* The sum of squares at w.theta over the rows of this level, and in w.sums those over the rows of
-   each. The residuals are left in w.residuals if they are to `keep`. */
-static double look(search *s, int keep) {
-    const problem *p = &s->p;
-    double total = 0.0;
-    int64_t start = 0;
-    for (int64_t level = 0; level < p->levels; level++) {
-        int64_t end = p->level_rows[level] < s->m ? p->level_rows[level] : s->m;
-        while (start < end) {
-            int64_t rows = end - start < CHUNK ? end - start : CHUNK;
-            double *r = s->w.residuals + (keep ? start : 0);
-            p->residuals(p->value_tape, s->w.theta, p->X, p->N, p->y, start, start + rows, r);
-            total += p->sums->product_sum(r, r, rows);
-            start += rows;
-        }
-        s->w.sums[level] = total;
-    }
-    return total;
-}
-
-static int is_linear(const problem *p, int64_t k) {
-    for (int64_t j = 0; j < p->linears; j++)
-        if (p->linear[j] == k) return 1;
-    return 0;
-}
-
-/* Derivatives in units as those in a coordinate of which 1 is this width. */
-static void scale_column(const double *slopes, double width, int64_t rows, double *scaled) {
-    for (int64_t i = 0; i < rows; i++) scaled[i] = slopes[i] * width;
-}
-
-/* Scale the columns in w.slopes into w.chunk, in the order that `take_factor` expects, or those of
-   the linear parameters; how many. */
-static int64_t order_columns(const search *s, const candidate *c, int only_linear, int64_t rows) {
-    const problem *p = &s->p;
-    const work_room *w = &s->w;
-    int64_t n = 0;
-    for (int64_t j = 0; (only_linear || c->has->projects) && j < p->linears; j++) {
-        int64_t k = p->linear[j];
-        if (only_linear || is_free(c->x[k]))
-            scale_column(w->slopes + k * CHUNK, p->high[k] - p->low[k], rows,
-                         w->chunk + CHUNK * n++);
-    }
-    for (int64_t k = 0; !only_linear && k < p->d; k++) {
-        if (c->has->projects && is_linear(p, k)) continue;
-        double width = p->width[k] * (p->log[k] ? w->theta[k] : 1.0);
-        scale_column(w->slopes + k * CHUNK, width, rows, w->chunk + CHUNK * n++);
-    }
-    return n;
-}
-
-/* Write the triangular factor of derivatives and residuals at w.theta to w.T, chunk by chunk: of
-   the linear parameters only, in box widths, or of those that `take_factor` expects. */
-static void fill(search *s, candidate *c, int only_linear) {
-    const problem *p = &s->p;
-    const work_room *w = &s->w;
-    int64_t d = p->d, m = s->m;
-    int keep = c->derivatives && !c->has->projects;
-    memset(w->T, 0, (size_t)((d + 1) * (d + 1)) * sizeof(double));
-    for (int64_t start = 0; start < m; start += CHUNK) {
-        int64_t rows = m - start < CHUNK ? m - start : CHUNK;
-        p->slopes(p->slope_tape, w->theta, p->X, p->N, start, start + rows, w->slopes, CHUNK);
-        int64_t n = order_columns(s, c, only_linear, rows);
-        double *last = w->chunk + n * CHUNK;
-        if (keep) {
-            for (int64_t k = 0; k < d; k++)
-                copy(w->chunk + k * CHUNK, c->derivatives + k * m + start, rows);
-            copy(c->derivatives + d * m + start, last, rows);
-        } else {
-            p->residuals(p->value_tape, w->theta, p->X, p->N, p->y, start, start + rows, last);
-        }
-        p->sums->fold(w->T, d + 1, w->chunk, CHUNK, rows, n + 1);
-    }
-}
-
-/* List an improvement over all rows, found with the last m of the rows spent but for `more`. */
-static void list_improvement(search *s, double loss, int64_t more) {
-    int64_t k = s->tally[IMPROVEMENTS]++;
-    s->at[k] = s->tally[SPENT] - more;
-    s->best = s->losses[k] = loss;
-    copy(s->w.theta, s->thetas + k * s->p.d, s->p.d);
-}
-
-/* Give a candidate its steps, one evaluation after the other, until it needs none. */
-int descend(search *s, int64_t i) {
-    const problem *p = &s->p;
-    candidate c = candidate_at(s, i);
-    while (prepare(s, &c)) {
-        int64_t stage = c.has->stage, m = s->m;
-        int project = c.has->projects && stage != RECORD;
-        int64_t cost = stage == SLOPES ? m * s->settings.slope_cost
-            : m * (project ? p->linears + 1 : 1);
-        if (cost > s->most - s->tally[SPENT] || s->tally[IMPROVEMENTS] >= s->events) return PAUSED;
-        s->tally[SPENT] += cost;
-        c.has->spent += cost;
-        /* Derivatives, where it is. */
-        if (stage == SLOPES) {
-            to_units(p, c.x, s->w.theta);
-            fill(s, &c, 0);
-            take_factor(s, &c);
-            s->tally[UNUSABLES] += c.has->stage == UNUSABLE;
-            continue;
-        }
-        /* Or a look at its trial, recorded if it is an improvement over all rows. */
-        to_units(p, stage == RECORD ? c.x : c.trial, s->w.theta);
-        double loss = look(s, c.derivatives && !project) / (double)m;
-        s->tally[NANS] += isnan(loss) != 0;
-        s->tally[INFINITIES] += isinf(loss) != 0;
-        if (s->rules.last && loss < s->best) list_improvement(s, loss, cost - m);
-        /* The linear parameters are solved for from there. */
-        if (project && isfinite(loss)) {
-            fill(s, &c, 1);
-            loss = solve_linear(s, &c);
-        }
-        after_evaluation(s, &c, loss);
-        if (s->best <= s->target) return REACHED;
-    }
-    return FINISHED;
 }

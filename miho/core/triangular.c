@@ -8,12 +8,6 @@
 /* Marks such a parameter, beside those that are free (1) and those at a bound (0). */
 #define DEPENDENT 0.5
 
-static double larger(double a, double b) { return b > a ? b : a; }
-static double smaller(double a, double b) { return b < a ? b : a; }
-static double between(double low, double x, double high) {
-    return smaller(larger(x, low), high);
-}
-
 /* A row of R s + q. */
 static double row_of(const box_problem *b, const double *s, int64_t row) {
     double value = 0.0;

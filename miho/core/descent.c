@@ -1,0 +1,166 @@
+/* Descents of one candidate: its evaluations, one after the other, and its steps between them.
+   Derivatives are folded into triangular factors chunk by chunk, so that memory does not grow with
+   the number of rows. miho/compiled/gauss_newton_loop.py says the same in Python. */
+#include <math.h>
+#include <string.h>
+#include "elementary.h"
+#include "search.h"
+
+/* The configuration at unit coordinates x, in units. */
+static void to_units(const problem *p, const double *x, double *theta) {
+    for (int64_t k = 0; k < p->d; k++) {
+        double value = p->origin[k] + p->width[k] * x[k];
+        if (p->log[k]) value = exp_of(value);
+        theta[k] = between(p->low[k], value, p->high[k]);
+    }
+}
+
+/* Move a trial to its best linear parameters, and give the loss there, by algebra. w.T is the
+   triangular factor of their columns, in box widths, and of the residuals at w.theta. The loss is
+   infinite where that is not finite. */
+static double solve_linear(search *s, candidate *c) {
+    const problem *p = &s->p;
+    const work_room *w = &s->w;
+    int64_t n = p->linears, side = p->d + 1;
+    for (int64_t j = 0; j <= n; j++)
+        for (int64_t k = j; k <= n; k++)
+            if (!isfinite(w->T[j * side + k])) return INFINITY;
+    for (int64_t j = 0; j < n; j++) {
+        int64_t k = p->linear[j];
+        double width = p->high[k] - p->low[k];
+        w->scale[j] = 0.0;
+        w->low[j] = (p->low[k] - w->theta[k]) / width;
+        w->high[j] = (p->high[k] - w->theta[k]) / width;
+    }
+    box_problem b = {w->T, w->T + n, w->scale, w->low, w->high, side, side, n};
+    solve_in_box(&b, w->step, &w->solver);
+    double rest = w->T[n * side + n], square = rest * rest + square_norm(&b, w->step);
+    for (int64_t j = 0; j < n; j++) {
+        int64_t k = p->linear[j];
+        double value = w->theta[k] + (p->high[k] - p->low[k]) * w->step[j];
+        value = between(p->low[k], value, p->high[k]);
+        if (p->log[k]) value = log_of(value);
+        c->trial[k] = between(0.0, (value - p->origin[k]) / p->width[k], 1.0);
+    }
+    return square / (double)s->m;
+}
+
+/* The sum of squares at w.theta over the rows of this level, and in w.sums those over the rows of
+   each. The residuals are left in w.residuals if they are to `keep`. */
+static double look(search *s, int keep) {
+    const problem *p = &s->p;
+    double total = 0.0;
+    int64_t start = 0;
+    for (int64_t level = 0; level < p->levels; level++) {
+        int64_t end = p->level_rows[level] < s->m ? p->level_rows[level] : s->m;
+        while (start < end) {
+            int64_t rows = end - start < CHUNK ? end - start : CHUNK;
+            double *r = s->w.residuals + (keep ? start : 0);
+            p->residuals(p->value_tape, s->w.theta, p->X, p->N, p->y, start, start + rows, r);
+            total += p->sums->product_sum(r, r, rows);
+            start += rows;
+        }
+        s->w.sums[level] = total;
+    }
+    return total;
+}
+
+static int is_linear(const problem *p, int64_t k) {
+    for (int64_t j = 0; j < p->linears; j++)
+        if (p->linear[j] == k) return 1;
+    return 0;
+}
+
+/* Derivatives in units as those in a coordinate of which 1 is this width. */
+static void scale_column(const double *slopes, double width, int64_t rows, double *scaled) {
+    for (int64_t i = 0; i < rows; i++) scaled[i] = slopes[i] * width;
+}
+
+/* Scale the columns in w.slopes into w.chunk, in the order that `take_factor` expects, or those of
+   the linear parameters; how many. */
+static int64_t order_columns(const search *s, const candidate *c, int only_linear, int64_t rows) {
+    const problem *p = &s->p;
+    const work_room *w = &s->w;
+    int64_t n = 0;
+    for (int64_t j = 0; (only_linear || c->has->projects) && j < p->linears; j++) {
+        int64_t k = p->linear[j];
+        if (only_linear || is_free(c->x[k]))
+            scale_column(w->slopes + k * CHUNK, p->high[k] - p->low[k], rows,
+                         w->chunk + CHUNK * n++);
+    }
+    for (int64_t k = 0; !only_linear && k < p->d; k++) {
+        if (c->has->projects && is_linear(p, k)) continue;
+        double width = p->width[k] * (p->log[k] ? w->theta[k] : 1.0);
+        scale_column(w->slopes + k * CHUNK, width, rows, w->chunk + CHUNK * n++);
+    }
+    return n;
+}
+
+/* Write the triangular factor of derivatives and residuals at w.theta to w.T, chunk by chunk: of
+   the linear parameters only, in box widths, or of those that `take_factor` expects. */
+static void fill(search *s, candidate *c, int only_linear) {
+    const problem *p = &s->p;
+    const work_room *w = &s->w;
+    int64_t d = p->d, m = s->m;
+    int keep = c->derivatives && !c->has->projects;
+    memset(w->T, 0, (size_t)((d + 1) * (d + 1)) * sizeof(double));
+    for (int64_t start = 0; start < m; start += CHUNK) {
+        int64_t rows = m - start < CHUNK ? m - start : CHUNK;
+        p->slopes(p->slope_tape, w->theta, p->X, p->N, start, start + rows, w->slopes, CHUNK);
+        int64_t n = order_columns(s, c, only_linear, rows);
+        double *last = w->chunk + n * CHUNK;
+        if (keep) {
+            for (int64_t k = 0; k < d; k++)
+                copy(w->chunk + k * CHUNK, c->derivatives + k * m + start, rows);
+            copy(c->derivatives + d * m + start, last, rows);
+        } else {
+            p->residuals(p->value_tape, w->theta, p->X, p->N, p->y, start, start + rows, last);
+        }
+        p->sums->fold(w->T, d + 1, w->chunk, CHUNK, rows, n + 1);
+    }
+}
+
+/* List an improvement over all rows, found with the last m of the rows spent but for `more`. */
+static void list_improvement(search *s, double loss, int64_t more) {
+    int64_t k = s->tally[IMPROVEMENTS]++;
+    s->at[k] = s->tally[SPENT] - more;
+    s->best = s->losses[k] = loss;
+    copy(s->w.theta, s->thetas + k * s->p.d, s->p.d);
+}
+
+/* Give a candidate its steps, one evaluation after the other, until it needs none. */
+int descend(search *s, int64_t i) {
+    const problem *p = &s->p;
+    candidate c = candidate_at(s, i);
+    while (prepare(s, &c)) {
+        int64_t stage = c.has->stage, m = s->m;
+        int project = c.has->projects && stage != RECORD;
+        int64_t cost = stage == SLOPES ? m * s->settings.slope_cost
+            : m * (project ? p->linears + 1 : 1);
+        if (cost > s->most - s->tally[SPENT] || s->tally[IMPROVEMENTS] >= s->events) return PAUSED;
+        s->tally[SPENT] += cost;
+        c.has->spent += cost;
+        /* Derivatives, where it is. */
+        if (stage == SLOPES) {
+            to_units(p, c.x, s->w.theta);
+            fill(s, &c, 0);
+            take_factor(s, &c);
+            s->tally[UNUSABLES] += c.has->stage == UNUSABLE;
+            continue;
+        }
+        /* Or a look at its trial, recorded if it is an improvement over all rows. */
+        to_units(p, stage == RECORD ? c.x : c.trial, s->w.theta);
+        double loss = look(s, c.derivatives && !project) / (double)m;
+        s->tally[NANS] += isnan(loss) != 0;
+        s->tally[INFINITIES] += isinf(loss) != 0;
+        if (s->rules.last && loss < s->best) list_improvement(s, loss, cost - m);
+        /* The linear parameters are solved for from there. */
+        if (project && isfinite(loss)) {
+            fill(s, &c, 1);
+            loss = solve_linear(s, &c);
+        }
+        after_evaluation(s, &c, loss);
+        if (s->best <= s->target) return REACHED;
+    }
+    return FINISHED;
+}
