@@ -152,6 +152,23 @@ def test_the_same_bits_on_every_level_of_instructions(level: int) -> None:
         assert_same(searched(at_level(problem, level), MIHOGN(), 1, 200), usual)
 
 
+@pytest.mark.parametrize("linear", [(), ("a", "c")], ids=["stepping", "projecting"])
+def test_with_numpys_own_sums_last_bits_differ_alone(linear: tuple[str, ...]) -> None:
+    """The evaluations are the same as long as rounding decides nothing: without last digits.
+
+    A sum of 600 terms is rounded by some 1e-15 of itself; a thousand times that is to spare.
+    """
+    method = MIHOGN(brackets=4, digits=1e-8)
+    for seed in range(4):
+        state, oracle = searched(fit(linear=linear), method, seed, 500)
+        with python_steps(sums=False):
+            expected, reference = searched(fit(linear=linear), method, seed, 500)
+        assert oracle.evaluations == reference.evaluations
+        assert oracle.trace.evaluations == reference.trace.evaluations
+        np.testing.assert_allclose(oracle.trace.loss, reference.trace.loss, rtol=1e-12)
+        np.testing.assert_array_equal(state.place, expected.place)
+
+
 METHODS = [
     MIHOGN(), MIHOGN(secants=0), MIHOGN(projecting=0), MIHOGN(projecting=1), MIHOGN(fading=1.0),
     MIHOGN(patience=0.5), MIHOGN(eta=2, steps=1, lead=2, reach=0.1, damping=1.0),
