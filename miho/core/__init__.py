@@ -1,7 +1,8 @@
 """Formulas that run without being compiled: tapes of operations, and the machine that runs them.
 
 Below all other rooms: it knows arrays, no graph and no model. The machine is C, built when the
-library is installed; NumPy's form of it gives the same to rounding.
+library is installed; NumPy's form of it gives the same to rounding. It also searches formulas, by
+the brackets of `MIHOGN`, whose Python form is that of `miho.compiled`.
 """
 
 from miho.core.tape import OPERATIONS, Instruction, Tape, TapeError, machine
