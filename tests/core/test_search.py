@@ -258,6 +258,16 @@ def test_a_search_cut_anywhere_goes_on_as_if_it_had_not_been(evaluations: int) -
         assert_same((saved, resumed), whole)
 
 
+def test_a_formula_that_numba_compiles_is_searched_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one that cannot be traced is: the search calls it by its address."""
+    for module in ("kernel", "fused"):
+        monkeypatch.setattr(f"miho.compiled.{module}.machine", lambda: None)
+    problem = fit(300)
+    assert problem.kernel is not None
+    assert problem.kernel.taped is None
+    assert_python_takes_the_same_steps(problem, MIHOGN(), seeds=1)
+
+
 def test_a_target_ends_a_search_at_its_evaluation() -> None:
     problem = fit()
     _, free = searched(problem, MIHOGN(), 0, 500)
