@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from functools import cached_property
 from itertools import product
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 import scipy  # which loads its packages where they are used: importing them takes a second
 
 from miho.identification.curve_fit import CurveFit
@@ -18,6 +18,9 @@ from miho.identification.uncertainty import AT_BOUND, Linearised, linearised
 from miho.optim import Minimum
 from miho.optim.trace import SAME_PLACE
 from miho.quantities import Array
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 GENEROUS = 10.0
 """Dependent rows widen intervals some 3 times: minima up to so many times further above the best as
@@ -186,6 +189,8 @@ def optima_table(problem: CurveFit, optima: Sequence[Linearised]) -> pd.DataFram
     Columns: `optimum` (from 1), `excess` (by how much chi-squared exceeds the best one's, in units
     of the errors' variance), the parameters, and the derived quantities of the model.
     """
+    import pandas as pd
+
     if len(optima) < 2:
         return pd.DataFrame()
     values, _ = _compared(problem, optima)
