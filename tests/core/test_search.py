@@ -239,6 +239,20 @@ def test_parameters_that_the_data_do_not_determine() -> None:
         assert_python_takes_the_same_steps(problem, method, evaluations=150)
 
 
+def root(t: Any, *, a: Any, b: Any) -> Any:
+    return a * np.sqrt(b - t)
+
+
+def test_steps_that_end_at_values_that_are_none() -> None:
+    """The best b is beyond the last row, where the root has no value: damping grows to its end."""
+    t = np.linspace(0, 3, 60)
+    data = Dataset("root", {"t": t, "y": np.sqrt(np.abs(2.5 - t))}, {"t": "-", "y": "-"}, "y")
+    space = Space((Parameter("a", "-", 0.1, 10.0), Parameter("b", "-", 0.1, 10.0)))
+    problem = CurveFit(FunctionModel(root), data, space, compiled=True)
+    patient = MIHOGN(patience=1e9, tolerance=1e-300, digits=1e-300)
+    assert_python_takes_the_same_steps(problem, patient, seeds=1, evaluations=600)
+
+
 @pytest.mark.parametrize("evaluations", range(1, 41))
 def test_a_search_cut_anywhere_goes_on_as_if_it_had_not_been(evaluations: int) -> None:
     """Also where its state was pickled, and where the other one of the two goes on."""
