@@ -217,6 +217,8 @@ static PyMethodDef methods[] = {
     {"evaluate", FAST(py_evaluate), evaluate_doc},
     {"mean_squares", FAST(py_mean_squares), mean_squares_doc},
     {"run_bracket", FAST(py_run_bracket), run_bracket_doc},
+    {"solve_trajectories", FAST(py_solve_trajectories), solve_trajectories_doc},
+    {"derive_trajectory", FAST(py_derive_trajectory), derive_trajectory_doc},
     {"address", py_address, METH_O, address_doc},
     {"functions", py_functions, METH_NOARGS, functions_doc},
     {"levels", py_levels, METH_NOARGS, levels_doc},

@@ -9,4 +9,8 @@
 /* module_search.c */
 extern const char run_bracket_doc[];
 PyObject *py_run_bracket(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+/* module_trajectory.c */
+extern const char solve_trajectories_doc[], derive_trajectory_doc[];
+PyObject *py_solve_trajectories(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+PyObject *py_derive_trajectory(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 #endif

@@ -1,58 +1,7 @@
 /* The door to the search. All that is an index or a size in the arrays is checked here, once. */
-#include "module.h"
 #include <string.h>
+#include "module_arrays.h"
 #include "search.h"
-
-#define MOST_ARRAYS 32
-typedef struct {
-    Py_buffer view[MOST_ARRAYS];
-    PyObject *tape[2];
-    int count;
-} arrays;
-
-static int64_t times(int64_t a, int64_t b) {
-    int64_t product;
-    return __builtin_mul_overflow(a, b, &product) ? -1 : product;
-}
-
-/* The numbers of an array in one piece, of so many axes; NULL, with an error, if it is another one.
-   `kind` is d (numbers), l (whole numbers) or ?; a capital is for one that is written. Axes of
-   `shape` that are negative are found out. */
-static void *array_of(arrays *all, PyObject *o, const char *name, char kind, int axes,
-                      int64_t *shape) {
-    int writable = kind < 'a' && kind != '?';
-    char expected = writable ? (char)(kind + ('a' - 'A')) : kind;
-    Py_buffer *view = &all->view[all->count];
-    int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
-    if (all->count == MOST_ARRAYS || PyObject_GetBuffer(o, view, flags)) return NULL;
-    all->count++;
-    char is = view->format ? view->format[0] : 'B';
-    int fits = view->ndim == axes && (is == expected || (is == 'q' && expected == 'l')) &&
-        view->itemsize == (expected == '?' ? 1 : 8) && !view->format[1];
-    for (int k = 0; fits && k < axes; k++) {
-        if (shape[k] < 0) shape[k] = view->shape[k];
-        fits = shape[k] == view->shape[k];
-    }
-    if (fits) return view->buf;
-    PyErr_Format(PyExc_ValueError, "run_bracket: %s has another type or shape than expected", name);
-    return NULL;
-}
-
-static void *vector(arrays *all, PyObject *o, const char *name, char kind, int64_t n) {
-    return array_of(all, o, name, kind, 1, &n);
-}
-
-/* Field k of a record of `count`, a borrowed reference. */
-static PyObject *field(PyObject *record, Py_ssize_t k, Py_ssize_t count, const char *name) {
-    if (PyTuple_Check(record) && PyTuple_Size(record) == count) return PyTuple_GetItem(record, k);
-    PyErr_Format(PyExc_TypeError, "run_bracket: %s is no record of %zd fields", name, count);
-    return NULL;
-}
-
-static int refuse(const char *what) {
-    PyErr_Format(PyExc_ValueError, "run_bracket: %s", what);
-    return 0;
-}
 
 /* The tapes of `kept`, or the functions at the addresses `calls`, which nothing can check. */
 static int take_functions(PyObject *calls, PyObject *kept, arrays *all, int64_t inputs,
@@ -69,14 +18,14 @@ static int take_functions(PyObject *calls, PyObject *kept, arrays *all, int64_t 
         p->sums = v->level;
         if (v->results != 1 || g->results != p->d || v->parameters != p->d ||
             g->parameters != p->d || v->inputs != inputs || g->inputs != inputs)
-            done = refuse("the tapes are of other parameters or inputs");
+            done = refuse(all, "the tapes are of other parameters or inputs");
     } else if (done) {
         p->residuals = (residual_function)(uintptr_t)address[0];
         p->slopes = (column_function)(uintptr_t)address[1];
         p->value_tape = (const tape *)(uintptr_t)address[2];
         p->slope_tape = (const tape *)(uintptr_t)address[3];
         p->sums = highest_level();
-        if (!address[0] || !address[1]) done = refuse("no functions are called");
+        if (!address[0] || !address[1]) done = refuse(all, "no functions are called");
     }
     return done;
 }
@@ -94,7 +43,7 @@ static int are_places(const int64_t *places, int64_t n, int64_t d) {
 static int take_box(PyObject *box, arrays *all, problem *p) {
     PyObject *of[7];
     for (int k = 0; k < 7; k++)
-        if (!(of[k] = field(box, k, 7, "box"))) return 0;
+        if (!(of[k] = field(all, box, k, 7, "box"))) return 0;
     int64_t any = -1, *n = &any;
     if (!(p->low = array_of(all, of[0], "box.low", 'd', 1, n)) ||
         !(p->high = vector(all, of[1], "box.high", 'd', any)) ||
@@ -105,27 +54,28 @@ static int take_box(PyObject *box, arrays *all, problem *p) {
     p->linears = p->nonlinears = -1;
     if (!(p->linear = array_of(all, of[5], "box.linear", 'l', 1, &p->linears)) ||
         !(p->nonlinear = array_of(all, of[6], "box.nonlinear", 'l', 1, &p->nonlinears))) return 0;
-    if (p->d < 1 || p->d > MOST_PARAMETERS) return refuse("there are too few or many parameters");
+    if (p->d < 1 || p->d > MOST_PARAMETERS)
+        return refuse(all, "there are too few or many parameters");
     if (p->linears + p->nonlinears != p->d || !are_places(p->linear, p->linears, p->d) ||
         !are_places(p->nonlinear, p->nonlinears, p->d))
-        return refuse("linear and nonlinear parameters are not those of the box");
+        return refuse(all, "linear and nonlinear parameters are not those of the box");
     return 1;
 }
 
 static int take_levels(PyObject *rows, arrays *all, problem *p) {
     p->levels = -1;
     if (!(p->level_rows = array_of(all, rows, "level_rows", 'l', 1, &p->levels))) return 0;
-    if (p->levels < 1) return refuse("there is no level");
+    if (p->levels < 1) return refuse(all, "there is no level");
     for (int64_t k = 0, before = 0; k < p->levels; before = p->level_rows[k++])
         if (p->level_rows[k] <= before || p->level_rows[k] > p->N)
-            return refuse("levels have ever more of the rows");
+            return refuse(all, "levels have ever more of the rows");
     return 1;
 }
 
 static int take_minima(PyObject *minima, arrays *all, const problem *p, known_minima *known) {
     PyObject *of[4];
     for (int k = 0; k < 4; k++)
-        if (!(of[k] = field(minima, k, 4, "minima"))) return 0;
+        if (!(of[k] = field(all, minima, k, 4, "minima"))) return 0;
     int64_t x[] = {-1, p->d}, sums[] = {-1, p->levels};
     if (!(known->x = array_of(all, of[0], "minima.x", 'd', 2, x))) return 0;
     sums[0] = known->count = x[0];
@@ -134,7 +84,7 @@ static int take_minima(PyObject *minima, arrays *all, const problem *p, known_mi
         (known->determined = vector(all, of[3], "minima.determined", '?', known->count));
 }
 
-static int take_settings(PyObject *settings, search_settings *to) {
+static int take_settings(PyObject *settings, const arrays *all, search_settings *to) {
     struct { int64_t *whole; double *number; } fields[] = {
         {&to->eta}, {&to->steps}, {&to->lead}, {.number = &to->reach}, {&to->secants},
         {.number = &to->tolerance}, {.number = &to->level_tolerance}, {.number = &to->digits},
@@ -143,14 +93,14 @@ static int take_settings(PyObject *settings, search_settings *to) {
         {.number = &to->rung_budget}, {&to->allowance}, {&to->room},
     };
     for (int k = 0; k < 18; k++) {
-        PyObject *value = field(settings, k, 18, "settings");
+        PyObject *value = field(all, settings, k, 18, "settings");
         if (!value) return 0;
         if (fields[k].whole) *fields[k].whole = PyLong_AsLongLong(value);
         else *fields[k].number = PyFloat_AsDouble(value);
         if (PyErr_Occurred()) return 0;
     }
     if (to->eta < 1 || to->slope_cost < 0 || to->slope_cost > INT32_MAX)
-        return refuse("settings.eta is at least 1, and settings.slope_cost not negative");
+        return refuse(all, "settings.eta is at least 1, and settings.slope_cost not negative");
     return 1;
 }
 
@@ -166,13 +116,14 @@ static int take_candidates(PyObject *const *a, arrays *all, search *s) {
         !(s->place = vector(all, a[4], "place", 'L', PLACES)) ||
         !(s->order = vector(all, a[5], "order", 'L', n))) return 0;
     const int64_t *at = s->place;
-    if (at[AT_LEVEL] < 0 || at[AT_LEVEL] >= s->p.levels) return refuse("place names no level");
+    if (at[AT_LEVEL] < 0 || at[AT_LEVEL] >= s->p.levels)
+        return refuse(all, "place names no level");
     int64_t m = at[STORED];
     if (at[SIZE] < 0 || at[SIZE] > n || at[ACTIVE] < 0 || at[ACTIVE] > at[SIZE] || m < 0)
-        return refuse("place names more candidates than there are");
+        return refuse(all, "place names more candidates than there are");
     if (m && (m != s->p.level_rows[at[AT_LEVEL]] || times(times(at[SIZE], d + 1), m) < 0 ||
               at[SIZE] * (d + 1) * m > s->stored_room))
-        return refuse("there is no room for so many derivatives");
+        return refuse(all, "there is no room for so many derivatives");
     return 1;
 }
 
@@ -190,7 +141,7 @@ static int take_room(PyObject *room, arrays *all, search *s) {
     double *numbers = array_of(all, room, "room", 'D', 1, &size);
     if (!numbers) return 0;
     if (size < room_beside_residuals(s->p.d, s->p.levels) + rows)
-        return refuse("there is too little room to work in");
+        return refuse(all, "there is too little room to work in");
     divide_room(s, numbers, size);
     return 1;
 }
@@ -203,7 +154,7 @@ static int take(PyObject *const *a, arrays *all, search *s) {
     p->N = X[1];
     if (!(p->y = vector(all, a[3], "y", 'd', p->N))) return 0;
     if (!take_functions(a[0], a[1], all, X[0], p) || !take_levels(a[11], all, p) ||
-        !take_minima(a[12], all, p, &s->minima) || !take_settings(a[13], &s->settings) ||
+        !take_minima(a[12], all, p, &s->minima) || !take_settings(a[13], all, &s->settings) ||
         !take_candidates(a + 4, all, s) || !take_report(a + 17, all, s) ||
         !take_room(a[21], all, s)) return 0;
     s->most = PyLong_AsLongLong(a[14]);
@@ -211,7 +162,7 @@ static int take(PyObject *const *a, arrays *all, search *s) {
     s->target = PyFloat_AsDouble(a[16]);
     if (PyErr_Occurred()) return 0;
     for (int k = 0; k < TALLIES; k++)
-        if (s->tally[k]) return refuse("tally is not 0");
+        if (s->tally[k]) return refuse(all, "tally is not 0");
     return 1;
 }
 
@@ -222,6 +173,7 @@ const char run_bracket_doc[] =
 PyObject *py_run_bracket(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 22) return PyErr_Format(PyExc_TypeError, "run_bracket takes 22 arguments");
     arrays all;
+    all.caller = "run_bracket";
     all.tape[0] = all.tape[1] = NULL;
     all.count = 0;
     search s;
@@ -232,8 +184,6 @@ PyObject *py_run_bracket(PyObject *module, PyObject *const *a, Py_ssize_t count)
         ended = run_bracket(&s);
         Py_END_ALLOW_THREADS
     }
-    for (int k = 0; k < all.count; k++) PyBuffer_Release(&all.view[k]);
-    Py_XDECREF(all.tape[0]);
-    Py_XDECREF(all.tape[1]);
+    release(&all);
     return taken ? PyLong_FromLong(ended) : NULL;
 }

@@ -2,6 +2,7 @@
 #include "large_angles.h"
 #include "tape.h"
 #include "columns.h"
+#include "variations.h"
 
 /* Operands and results of a block overlap nowhere or are the same rows, so that rows may be worked
    on side by side. */
@@ -65,7 +66,7 @@ static void floor_parts_of(const double *a, const double *b, double *o, double *
     }
 }
 
-static void functions(int op, const double *a, const double *b, double *o, int rows) {
+INLINE void functions(int op, const double *a, const double *b, double *o, int rows) {
     switch (op) {
     CASE(EXP, exp_of(a[i]));
     CASE(EXPM1, expm1_of(a[i]));
@@ -87,7 +88,7 @@ static void functions(int op, const double *a, const double *b, double *o, int r
     }
 }
 
-static void conditions(int op, const double *a, const double *b, double *o, int rows) {
+INLINE void conditions(int op, const double *a, const double *b, double *o, int rows) {
     switch (op) {
     CASE(GT, a[i] > b[i] ? 1.0 : 0.0);
     CASE(GE, a[i] >= b[i] ? 1.0 : 0.0);
@@ -102,7 +103,7 @@ static void conditions(int op, const double *a, const double *b, double *o, int 
 }
 
 /* One instruction; the second operand of some is a scalar. */
-static void operate(const instruction *q, double *const *r, const double *scalars, int rows) {
+INLINE void operate(const instruction *q, double *const *r, const double *scalars, int rows) {
     int scalar = q->op >= OP_ADD_S && q->op <= OP_S_DIV;
     double s = scalar ? scalars[q->operand[1]] : 0.0;
     const double *a = r[q->operand[0]], *b = r[scalar ? 0 : q->operand[1]];
@@ -147,7 +148,10 @@ static void operate(const instruction *q, double *const *r, const double *scalar
 
 static void run(const instruction *from, const instruction *to, double *const *registers,
                 const double *scalars, int rows) {
-    for (const instruction *q = from; q < to; q++) operate(q, registers, scalars, rows);
+    if (rows == 1) /* which the compiler then knows: one row costs no loop */
+        for (const instruction *q = from; q < to; q++) operate(q, registers, scalars, 1);
+    else
+        for (const instruction *q = from; q < to; q++) operate(q, registers, scalars, rows);
 }
 
 /* The sum of (values - data)^2 in eight sums and then these in pairs, whatever the processor. */
@@ -171,5 +175,5 @@ static double square_sum(const double *values, const double *data, int rows) {
 #define QUOTED(a) #a
 #define TEXT(a) QUOTED(a)
 const level NAMED(level_, LEVEL) = {
-    TEXT(LEVEL), run, square_sum, product_sum, fold, update_columns,
+    TEXT(LEVEL), run, square_sum, product_sum, fold, update_columns, vary, vary_step,
 };

@@ -32,6 +32,7 @@ enum { OPERATIONS(AS_NAME) COUNT_OF_OPERATIONS };
 typedef struct { int32_t op, operand[4], result[2]; } instruction;
 
 struct level;
+struct slopes;
 
 /* Registers are the inputs, the results, then those of work. Scalars are constants, parameters,
    then what the first instructions, as many as `once`, compute of these once a call. `fill` holds
@@ -54,6 +55,10 @@ typedef struct level {
     void (*fold)(double *T, int64_t side, double *columns, int64_t stride, int64_t rows, int64_t n);
     void (*update_columns)(double *columns, const double *residuals, const double *step,
                            const double *D, double total, int64_t d, int64_t m);
+    void (*vary)(const struct slopes *of, const double *values, const double *x, double *direct,
+                 double *out);
+    void (*vary_step)(const struct slopes *of, const double *values, double h, double *x,
+                      double *work);
 } level;
 extern const level level_baseline, level_avx2, level_avx512;
 /* The highest one of this processor. */

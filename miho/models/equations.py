@@ -15,6 +15,7 @@ from miho.compiled.course import LANES, FlatEquations
 from miho.models.formula_text import assignments, defined, written
 from miho.models.function_model import COLUMN, declared_unit
 from miho.models.symbolic import NotAFormulaError, Symbol, argument, gradient, of_symbols, trace
+from miho.models.taped_equations import TapedEquations, taped_equations
 from miho.quantities import Array
 
 NO_UNIT = "-"
@@ -70,8 +71,8 @@ class Equations:
 
     Functions take their arguments by name: the time, states, inputs u (q,) and parameters p (d,).
     An output is a function or the name of a state. Arrays may have a further axis of n parameter
-    rows. What traces (`miho.models.symbolic`) is differentiated exactly and has a `flat` form to
-    compile; of anything else central differences of rhs and h are taken.
+    rows. What traces (`miho.models.symbolic`) is differentiated exactly, is `taped` for the machine,
+    and has a `flat` form to compile; of anything else central differences of rhs and h are taken.
     """
 
     rhs: Declared
@@ -105,6 +106,16 @@ class Equations:
         if self._formulas is None:
             return self._differences(self._observed, t, u, x, p)
         return self._split(self._formulas.output_slopes((t, *u, *x, *p)))
+
+    @property
+    def traced(self) -> bool:
+        """Whether they trace; raises ValueError unless rhs gives a derivative for each state."""
+        return self._graphs is not None
+
+    @cached_property
+    def taped(self) -> TapedEquations | None:
+        """The equations for the machine, None without it, or if they do not trace."""
+        return None if self._graphs is None else taped_equations(*self._graphs, *self._symbols)
 
     @cached_property
     def flat(self) -> FlatEquations | None:

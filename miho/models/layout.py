@@ -41,7 +41,7 @@ class Layout:
         # Rows of one time stand for one state of the motion.
         times, earliest, at = np.unique(t, return_index=True, return_inverse=True)
         inputs = np.column_stack([columns[name] for name in self.inputs] or [np.empty((t.size, 0))])
-        u = inputs[earliest]
+        u = np.asarray(inputs[earliest], dtype=float)
         differs = np.argwhere(inputs != u[at])
         if differs.size:
             row, k = differs[0]
@@ -51,7 +51,7 @@ class Layout:
             )
         reset, values, parameters = self._starts(columns, earliest)
         return Course(
-            t=times,
+            t=np.asarray(times, dtype=float),
             u=u,
             substeps=self.substeps,
             held=self.held,

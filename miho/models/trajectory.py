@@ -22,6 +22,7 @@ from miho.validate import one_of, positive, whole
 
 if TYPE_CHECKING:
     from miho.compiled.runge_kutta import Trajectories
+    from miho.models.taped_equations import TapedEquations
 
 RUNGE_KUTTA = "RK4"
 SOLVERS = (RUNGE_KUTTA, "Radau", "BDF", "LSODA")
@@ -105,7 +106,7 @@ class Trajectory(Model):
         self._check_starts()
         self._check_outputs()
         self._check_names()
-        _ = self.equations.flat  # raises where rhs does not give a derivative for each state
+        _ = self.equations.traced  # raises where rhs does not give a derivative for each state
 
     def _check_names(self) -> None:
         quantities = [Declared.of(quantity) for quantity in self.quantities]
@@ -241,11 +242,14 @@ class Trajectory(Model):
         )
 
     @cached_property
-    def _compiled(self) -> Trajectories | None:
-        """The compiled solution, None for equations that cannot be compiled and for stiff ones."""
-        flat = self.equations.flat
-        if flat is None or self.solver != RUNGE_KUTTA:
+    def _compiled(self) -> TapedEquations | Trajectories | None:
+        """The solution by the machine, without it by numba; None if it is by neither."""
+        if not self.equations.traced or self.solver != RUNGE_KUTTA:
             return None
+        if self.equations.taped is not None:
+            return self.equations.taped
+        flat = self.equations.flat
+        assert flat is not None
         from miho.compiled.runge_kutta import trajectories
 
         return trajectories(flat, len(self.states), len(self.outputs), len(self.parameters))

@@ -1,0 +1,48 @@
+/* Arrays and records that a call from Python gives. */
+#include "module_arrays.h"
+
+int64_t times(int64_t a, int64_t b) {
+    int64_t product;
+    return __builtin_mul_overflow(a, b, &product) ? -1 : product;
+}
+
+void *array_of(arrays *all, PyObject *o, const char *name, char kind, int axes, int64_t *shape) {
+    int writable = kind < 'a' && kind != '?';
+    char expected = writable ? (char)(kind + ('a' - 'A')) : kind;
+    Py_buffer *view = &all->view[all->count];
+    int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
+    if (all->count == MOST_ARRAYS || PyObject_GetBuffer(o, view, flags)) return NULL;
+    all->count++;
+    char is = view->format ? view->format[0] : 'B';
+    int fits = view->ndim == axes && (is == expected || (is == 'q' && expected == 'l')) &&
+        view->itemsize == (expected == '?' ? 1 : 8) && !view->format[1];
+    for (int k = 0; fits && k < axes; k++) {
+        if (shape[k] < 0) shape[k] = view->shape[k];
+        fits = shape[k] == view->shape[k];
+    }
+    if (fits) return view->buf;
+    PyErr_Format(PyExc_ValueError, "%s: %s has another type or shape than expected", all->caller,
+                 name);
+    return NULL;
+}
+
+void *vector(arrays *all, PyObject *o, const char *name, char kind, int64_t n) {
+    return array_of(all, o, name, kind, 1, &n);
+}
+
+PyObject *field(const arrays *all, PyObject *record, Py_ssize_t k, Py_ssize_t count,
+                const char *name) {
+    if (PyTuple_Check(record) && PyTuple_Size(record) == count) return PyTuple_GetItem(record, k);
+    PyErr_Format(PyExc_TypeError, "%s: %s is no record of %zd fields", all->caller, name, count);
+    return NULL;
+}
+
+int refuse(const arrays *all, const char *what) {
+    PyErr_Format(PyExc_ValueError, "%s: %s", all->caller, what);
+    return 0;
+}
+
+void release(arrays *all) {
+    for (int k = 0; k < all->count; k++) PyBuffer_Release(&all->view[k]);
+    for (int k = 0; k < 2; k++) Py_XDECREF(all->tape[k]);
+}

@@ -1,0 +1,55 @@
+/* How derivatives with respect to parameters follow the states. Compiled once for each level. */
+#include "trajectory.h"
+
+/* Numbers from one derivative to the next, which are evaluated at MOST_POINTS points. */
+#define DERIVATIVE(i) values[(i) * MOST_POINTS]
+
+/* direct (rows, width): the derivatives with respect to parameters themselves. Zeros stay. */
+static void set_direct(const slopes *of, const double *values, double *direct) {
+    for (int64_t i = 0; i < of->count; i++) {
+        int64_t row = of->at[2 * i], column = of->at[2 * i + 1] - of->states;
+        if (column >= 0) direct[row * of->width + column] = DERIVATIVE(i);
+    }
+}
+
+/* out (rows, width): derivatives by the chain rule, of those of the states x (S, width). */
+static void chain(const slopes *of, const double *values, const double *x, const double *direct,
+                  double *out) {
+    int64_t width = of->width, i = 0;
+    for (int64_t row = 0; row < of->rows; row++) {
+        double *o = out + row * width;
+        for (int64_t k = 0; k < width; k++) o[k] = 0.0;
+        for (; i < of->count && of->at[2 * i] == row; i++) {
+            int64_t state = of->at[2 * i + 1];
+            if (state >= of->states) continue;
+            const double factor = DERIVATIVE(i), *from = x + state * width;
+            for (int64_t k = 0; k < width; k += 8)
+                _Pragma("GCC ivdep") for (int l = 0; l < 8; l++) o[k + l] += factor * from[k + l];
+        }
+        _Pragma("GCC ivdep") for (int64_t k = 0; k < width; k++) o[k] += direct[row * width + k];
+    }
+}
+
+static void vary(const slopes *of, const double *values, const double *x, double *direct,
+                 double *out) {
+    set_direct(of, values, direct);
+    chain(of, values, x, direct, out);
+}
+
+/* A step of length h of x (S, width), given derivatives at its four stages. work (7 S, width): zeros
+   at first, then what the step before left. */
+static void vary_step(const slopes *of, const double *values, double h, double *x, double *work) {
+    int64_t size = of->rows * of->width;
+    double *at = work, *after = at + size, *dx = after + size, *direct = dx + size;
+    /* All of them before any is read: what was just written number by number reads slowly. */
+    for (int stage = 0; stage < 4; stage++) set_direct(of, values + stage, direct + stage * size);
+    for (int64_t k = 0; k < size; k++) at[k] = after[k] = x[k];
+    for (int stage = 0; stage < 4; stage++) {
+        double ahead = (stage + 1) / 2 / 2.0 * h, weight = stage == 1 || stage == 2 ? h / 3 : h / 6;
+        if (stage)
+            _Pragma("GCC ivdep") for (int64_t k = 0; k < size; k++) at[k] = x[k] + ahead * dx[k];
+        chain(of, values + stage, at, direct + stage * size, dx);
+        _Pragma("GCC ivdep") for (int64_t k = 0; k < size; k++) after[k] += weight * dx[k];
+    }
+    memcpy(x, after, size * sizeof(double));
+}
