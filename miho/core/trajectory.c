@@ -8,7 +8,7 @@
 #include <string.h>
 #include "trajectory.h"
 
-#define LANES 32            /* parameter rows side by side */
+#define LANES 64            /* parameter rows side by side */
 #define MOST_EVENTS MOST_POINTS
 
 /* A tape whose inputs and results stay where they are. */

@@ -71,7 +71,7 @@ class Equations:
 
     Functions take their arguments by name: the time, states, inputs u (q,) and parameters p (d,).
     An output is a function or the name of a state. Arrays may have a further axis of n parameter
-    rows. What traces (`miho.models.symbolic`) is differentiated exactly, is `taped` for the machine,
+    rows. What traces (`miho.models.symbolic`) is differentiated exactly, is `taped` for the machine
     and has a `flat` form to compile; of anything else central differences of rhs and h are taken.
     """
 

@@ -44,16 +44,23 @@ LARGEST_POWER = 64
 
 
 def tape_of(
-    results: Sequence[Symbol], columns: Sequence[Symbol], parameters: Sequence[Symbol]
+    results: Sequence[Symbol],
+    columns: Sequence[Symbol],
+    parameters: Sequence[Symbol],
+    abreast: bool = False,
 ) -> Tape:
-    """The tape that computes results of input columns and parameters."""
+    """The tape that computes results of input columns and parameters.
+
+    Operations that do not need each other stand side by side if `abreast`. That takes more
+    registers, and is faster for few rows, where the processor else waits for the one before.
+    """
     nodes = _Nodes()
     at = {symbol: nodes.add(INPUTS, k) for k, symbol in enumerate(columns)}
     at |= {symbol: nodes.add(PARAMETERS, k) for k, symbol in enumerate(parameters)}
     for symbol in ordered(results):
         if symbol not in at:
             at[symbol] = nodes.of_symbol(symbol, at)
-    return _Registers(nodes, [at[r] for r in results], len(columns), len(parameters)).tape()
+    return _Registers(nodes, [at[r] for r in results], len(columns), len(parameters)).tape(abreast)
 
 
 def traced_tapes(
@@ -208,11 +215,16 @@ class _Registers:
             for operand in nodes.operands(k):
                 self.users.setdefault(operand, []).append(k)
 
-    def tape(self) -> Tape:
-        """The tape."""
+    def tape(self, abreast: bool) -> Tape:
+        """The tape, see `tape_of`."""
         nodes = self.nodes
         once = tuple(self._once())
         rows = [k for k in self.needed if not nodes.uniform[k] and k not in self.at]
+        if abreast:
+            depth = dict.fromkeys(self.needed, 0)
+            for k in self.needed:
+                depth[k] = max((depth[j] + 1 for j in nodes.operands(k)), default=0)
+            rows.sort(key=depth.__getitem__)
         code = [*self._rows([k for k in rows if nodes.nodes[k][0] != SECOND])]
         for i, k in enumerate(self.results):
             if self.slots.get(k) != self.inputs + i:

@@ -84,8 +84,8 @@ def taped_equations(
         return Slopes(tape_of(values, [*driven, *x], p), at)
 
     taped = TapedEquations(
-        tape_of(rates, [*x, *p], driven),
-        tape_of(outputs, [*x, *p], driven),
+        tape_of(rates, [*x, *p], driven, abreast=True),
+        tape_of(outputs, [*x, *p], driven, abreast=True),
         slopes(rates),
         slopes(outputs),
     )

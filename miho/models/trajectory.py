@@ -244,12 +244,13 @@ class Trajectory(Model):
     @cached_property
     def _compiled(self) -> TapedEquations | Trajectories | None:
         """The solution by the machine, without it by numba; None if it is by neither."""
-        if not self.equations.traced or self.solver != RUNGE_KUTTA:
+        if self.solver != RUNGE_KUTTA:
             return None
         if self.equations.taped is not None:
             return self.equations.taped
         flat = self.equations.flat
-        assert flat is not None
+        if flat is None:
+            return None
         from miho.compiled.runge_kutta import trajectories
 
         return trajectories(flat, len(self.states), len(self.outputs), len(self.parameters))

@@ -1,4 +1,4 @@
-"""Compiled trajectories in numba's cache on disk: read back, and told apart."""
+"""Trajectories by numba, as without the machine: in its cache on disk, and in batches."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from miho.models import Trajectory
+from miho.models import Trajectory, taped_equations
 
 LAGS = """
 import sys
 import numpy as np
-from miho.models import Trajectory
+from miho.models import Trajectory, taped_equations
 
+taped_equations.machine = lambda: None
 t = np.linspace(0.0, 1.0, 11)
 for rate in sys.argv[1:]:
     model = Trajectory(lambda x, *, k, c=float(rate): -c * k * x, {"x": 1.0}, ["x"], name="lag")
@@ -50,8 +51,9 @@ def test_models_of_two_processes_are_told_apart_by_a_third(tmp_path: Path) -> No
 
 
 @pytest.mark.slow
-def test_a_batch_of_any_size_gives_each_row_as_alone() -> None:
+def test_a_batch_of_any_size_gives_each_row_as_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """One, some and all lanes, and a second block; NaN in one lane stays there."""
+    monkeypatch.setattr(taped_equations, "machine", lambda: None)
     model = Trajectory(
         lambda x, u, *, k, c: u * np.sin(k * x) - c * x, {"x": "identified"}, ["x"], name="lane"
     )
