@@ -20,8 +20,10 @@ from setuptools._distutils.sysconfig import customize_compiler
 CORE = Path("miho/core")
 FLAGS = [
     "-std=gnu11", "-O3", "-g0", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
+    "-fvisibility=hidden",
 ]  # fmt: skip
-"""No product and sum is fused, so that every processor gives the same bits."""
+"""No product and sum is fused, so that every processor gives the same bits; and no function gives
+way to one of its name in another library."""
 LIMITED = not sysconfig.get_config_var("Py_GIL_DISABLED")
 """One build serves all versions of Python; those without a lock have no stable interface."""
 

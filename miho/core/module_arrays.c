@@ -1,7 +1,7 @@
 /* Arrays and records that a call from Python gives. */
 #include "module_arrays.h"
 
-int64_t times(int64_t a, int64_t b) {
+int64_t product_of(int64_t a, int64_t b) {
     int64_t product;
     return __builtin_mul_overflow(a, b, &product) ? -1 : product;
 }
@@ -26,11 +26,11 @@ void *array_of(arrays *all, PyObject *o, const char *name, char kind, int axes, 
     return NULL;
 }
 
-void *vector(arrays *all, PyObject *o, const char *name, char kind, int64_t n) {
+void *vector_of(arrays *all, PyObject *o, const char *name, char kind, int64_t n) {
     return array_of(all, o, name, kind, 1, &n);
 }
 
-PyObject *field(const arrays *all, PyObject *record, Py_ssize_t k, Py_ssize_t count,
+PyObject *field_of(const arrays *all, PyObject *record, Py_ssize_t k, Py_ssize_t count,
                 const char *name) {
     if (PyTuple_Check(record) && PyTuple_Size(record) == count) return PyTuple_GetItem(record, k);
     PyErr_Format(PyExc_TypeError, "%s: %s is no record of %zd fields", all->caller, name, count);
@@ -42,7 +42,7 @@ int refuse(const arrays *all, const char *what) {
     return 0;
 }
 
-void release(arrays *all) {
+void release_arrays(arrays *all) {
     for (int k = 0; k < all->count; k++) PyBuffer_Release(&all->view[k]);
     for (int k = 0; k < 2; k++) Py_XDECREF(all->tape[k]);
 }

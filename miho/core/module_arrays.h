@@ -18,13 +18,13 @@ typedef struct {
    `kind` is d (numbers), l (whole numbers) or ?; a capital is for one that is written. Axes of
    `shape` that are negative are found out. */
 void *array_of(arrays *all, PyObject *o, const char *name, char kind, int axes, int64_t *shape);
-void *vector(arrays *all, PyObject *o, const char *name, char kind, int64_t n);
+void *vector_of(arrays *all, PyObject *o, const char *name, char kind, int64_t n);
 /* Field k of a record of `count`, a borrowed reference. */
-PyObject *field(const arrays *all, PyObject *record, Py_ssize_t k, Py_ssize_t count,
+PyObject *field_of(const arrays *all, PyObject *record, Py_ssize_t k, Py_ssize_t count,
                 const char *name);
 /* Set an error, and give 0. */
 int refuse(const arrays *all, const char *what);
-void release(arrays *all);
+void release_arrays(arrays *all);
 /* The product, negative if it is too large. */
-int64_t times(int64_t a, int64_t b);
+int64_t product_of(int64_t a, int64_t b);
 #endif

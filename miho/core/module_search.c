@@ -6,7 +6,7 @@
 /* The tapes of `kept`, or the functions at the addresses `calls`, which nothing can check. */
 static int take_functions(PyObject *calls, PyObject *kept, arrays *all, int64_t inputs,
                           problem *p) {
-    const int64_t *address = vector(all, calls, "calls", 'l', 4);
+    const int64_t *address = vector_of(all, calls, "calls", 'l', 4);
     PyObject *value = all->tape[0] = address ? PySequence_GetItem(kept, 0) : NULL;
     PyObject *slopes = all->tape[1] = value ? PySequence_GetItem(kept, 1) : NULL;
     int done = slopes != NULL;
@@ -43,13 +43,13 @@ static int are_places(const int64_t *places, int64_t n, int64_t d) {
 static int take_box(PyObject *box, arrays *all, problem *p) {
     PyObject *of[7];
     for (int k = 0; k < 7; k++)
-        if (!(of[k] = field(all, box, k, 7, "box"))) return 0;
+        if (!(of[k] = field_of(all, box, k, 7, "box"))) return 0;
     int64_t any = -1, *n = &any;
     if (!(p->low = array_of(all, of[0], "box.low", 'd', 1, n)) ||
-        !(p->high = vector(all, of[1], "box.high", 'd', any)) ||
-        !(p->origin = vector(all, of[2], "box.origin", 'd', any)) ||
-        !(p->width = vector(all, of[3], "box.width", 'd', any)) ||
-        !(p->log = vector(all, of[4], "box.log", '?', any))) return 0;
+        !(p->high = vector_of(all, of[1], "box.high", 'd', any)) ||
+        !(p->origin = vector_of(all, of[2], "box.origin", 'd', any)) ||
+        !(p->width = vector_of(all, of[3], "box.width", 'd', any)) ||
+        !(p->log = vector_of(all, of[4], "box.log", '?', any))) return 0;
     p->d = any;
     p->linears = p->nonlinears = -1;
     if (!(p->linear = array_of(all, of[5], "box.linear", 'l', 1, &p->linears)) ||
@@ -75,13 +75,13 @@ static int take_levels(PyObject *rows, arrays *all, problem *p) {
 static int take_minima(PyObject *minima, arrays *all, const problem *p, known_minima *known) {
     PyObject *of[4];
     for (int k = 0; k < 4; k++)
-        if (!(of[k] = field(all, minima, k, 4, "minima"))) return 0;
+        if (!(of[k] = field_of(all, minima, k, 4, "minima"))) return 0;
     int64_t x[] = {-1, p->d}, sums[] = {-1, p->levels};
     if (!(known->x = array_of(all, of[0], "minima.x", 'd', 2, x))) return 0;
     sums[0] = known->count = x[0];
-    return (known->loss = vector(all, of[1], "minima.loss", 'd', known->count)) &&
+    return (known->loss = vector_of(all, of[1], "minima.loss", 'd', known->count)) &&
         (known->sums = array_of(all, of[2], "minima.sums", 'd', 2, sums)) &&
-        (known->determined = vector(all, of[3], "minima.determined", '?', known->count));
+        (known->determined = vector_of(all, of[3], "minima.determined", '?', known->count));
 }
 
 static int take_settings(PyObject *settings, const arrays *all, search_settings *to) {
@@ -93,7 +93,7 @@ static int take_settings(PyObject *settings, const arrays *all, search_settings 
         {.number = &to->rung_budget}, {&to->allowance}, {&to->room},
     };
     for (int k = 0; k < 18; k++) {
-        PyObject *value = field(all, settings, k, 18, "settings");
+        PyObject *value = field_of(all, settings, k, 18, "settings");
         if (!value) return 0;
         if (fields[k].whole) *fields[k].whole = PyLong_AsLongLong(value);
         else *fields[k].number = PyFloat_AsDouble(value);
@@ -113,15 +113,16 @@ static int take_candidates(PyObject *const *a, arrays *all, search *s) {
     if (!(s->counts = array_of(all, a[1], "counts", 'L', 2, counts)) ||
         !(s->R = array_of(all, a[2], "R", 'D', 3, R)) ||
         !(s->stored = array_of(all, a[3], "stored", 'D', 1, &s->stored_room)) ||
-        !(s->place = vector(all, a[4], "place", 'L', PLACES)) ||
-        !(s->order = vector(all, a[5], "order", 'L', n))) return 0;
+        !(s->place = vector_of(all, a[4], "place", 'L', PLACES)) ||
+        !(s->order = vector_of(all, a[5], "order", 'L', n))) return 0;
     const int64_t *at = s->place;
     if (at[AT_LEVEL] < 0 || at[AT_LEVEL] >= s->p.levels)
         return refuse(all, "place names no level");
     int64_t m = at[STORED];
     if (at[SIZE] < 0 || at[SIZE] > n || at[ACTIVE] < 0 || at[ACTIVE] > at[SIZE] || m < 0)
         return refuse(all, "place names more candidates than there are");
-    if (m && (m != s->p.level_rows[at[AT_LEVEL]] || times(times(at[SIZE], d + 1), m) < 0 ||
+    if (m && (m != s->p.level_rows[at[AT_LEVEL]] ||
+              product_of(product_of(at[SIZE], d + 1), m) < 0 ||
               at[SIZE] * (d + 1) * m > s->stored_room))
         return refuse(all, "there is no room for so many derivatives");
     return 1;
@@ -131,9 +132,9 @@ static int take_report(PyObject *const *a, arrays *all, search *s) {
     int64_t thetas[] = {-1, s->p.d};
     s->events = -1;
     return (s->at = array_of(all, a[0], "at", 'L', 1, &s->events)) &&
-        (s->losses = vector(all, a[1], "losses", 'D', s->events)) &&
+        (s->losses = vector_of(all, a[1], "losses", 'D', s->events)) &&
         (thetas[0] = s->events, s->thetas = array_of(all, a[2], "thetas", 'D', 2, thetas)) &&
-        (s->tally = vector(all, a[3], "tally", 'L', TALLIES));
+        (s->tally = vector_of(all, a[3], "tally", 'L', TALLIES));
 }
 
 static int take_room(PyObject *room, arrays *all, search *s) {
@@ -152,7 +153,7 @@ static int take(PyObject *const *a, arrays *all, search *s) {
     int64_t X[] = {-1, -1};
     if (!take_box(a[10], all, p) || !(p->X = array_of(all, a[2], "X", 'd', 2, X))) return 0;
     p->N = X[1];
-    if (!(p->y = vector(all, a[3], "y", 'd', p->N))) return 0;
+    if (!(p->y = vector_of(all, a[3], "y", 'd', p->N))) return 0;
     if (!take_functions(a[0], a[1], all, X[0], p) || !take_levels(a[11], all, p) ||
         !take_minima(a[12], all, p, &s->minima) || !take_settings(a[13], all, &s->settings) ||
         !take_candidates(a + 4, all, s) || !take_report(a + 17, all, s) ||
@@ -184,6 +185,6 @@ PyObject *py_run_bracket(PyObject *module, PyObject *const *a, Py_ssize_t count)
         ended = run_bracket(&s);
         Py_END_ALLOW_THREADS
     }
-    release(&all);
+    release_arrays(&all);
     return taken ? PyLong_FromLong(ended) : NULL;
 }

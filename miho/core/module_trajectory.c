@@ -17,12 +17,12 @@ static void *of_course(arrays *all, PyObject *record, int k, char kind, int axes
     static const char *const names[] = {
         "t", "u", "substeps", "held", "first", "rows", "output", "reset", "values", "parameters",
     };
-    PyObject *o = field(all, record, k, 11, "course");
+    PyObject *o = field_of(all, record, k, 11, "course");
     return o ? array_of(all, o, names[k], kind, axes, shape) : NULL;
 }
 
 static int take_flags(arrays *all, PyObject *record, course *c) {
-    PyObject *substeps = field(all, record, 2, 11, "course");
+    PyObject *substeps = field_of(all, record, 2, 11, "course");
     if (!substeps) return 0;
     c->substeps = PyLong_AsLongLong(substeps);
     c->held = PyObject_IsTrue(PyTuple_GetItem(record, 3));
@@ -75,9 +75,11 @@ static int take_motion(arrays *all, PyObject *rates, PyObject *outputs, motion *
 
 /* Derivatives of `rows` rates or outputs: (tape, at). */
 static int take_slopes(arrays *all, PyObject *record, int64_t rows, const course *c, slopes *of) {
-    PyObject *held = field(all, record, 0, 2, "slopes"), *at = field(all, record, 1, 2, "slopes");
-    of->tape = held ? tape_in(held) : NULL;
-    if (!held || !at || !of->tape) return PyErr_Occurred() ? 0 : refuse(all, "slopes have no tape");
+    PyObject *held = field_of(all, record, 0, 2, "slopes");
+    PyObject *at = held ? field_of(all, record, 1, 2, "slopes") : NULL;
+    if (!at) return 0;
+    of->tape = tape_in(held);
+    if (!of->tape) return refuse(all, "slopes have no tape");
     int64_t shape[] = {of->tape->results, 2};
     if (!(of->at = array_of(all, at, "slopes.at", 'l', 2, shape))) return 0;
     of->count = shape[0];
@@ -101,7 +103,7 @@ static int take_both(arrays *all, PyObject *const *tapes, PyObject *record, moti
 }
 
 static PyObject *ended(arrays *all, int taken, int done) {
-    release(all);
+    release_arrays(all);
     if (taken && done) Py_RETURN_NONE;
     return taken ? PyErr_NoMemory() : NULL;
 }
@@ -137,8 +139,8 @@ PyObject *py_solve_trajectories(PyObject *module, PyObject *const *a, Py_ssize_t
 }
 
 const char derive_trajectory_doc[] =
-    "derive_trajectory(rates, outputs, rate_slopes, output_slopes, theta (d,), course, out (R, d)): "
-    "fill out. Slopes are a tape of the inputs t, u and x and the parameters p, and the row and "
+    "derive_trajectory(rates, outputs, rate_slopes, output_slopes, theta (d,), course, out (R, d))"
+    ": fill out. Slopes are a tape of the inputs t, u and x and the parameters p, and the row and "
     "the column of each of its results, in their order.";
 PyObject *py_derive_trajectory(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     if (count != 7) return PyErr_Format(PyExc_TypeError, "derive_trajectory takes 7 arguments");
@@ -155,7 +157,7 @@ PyObject *py_derive_trajectory(PyObject *module, PyObject *const *a, Py_ssize_t 
         int64_t size[] = {c.R, c.d};
         taken = take_slopes(&all, a[2], c.S, &c, &of[0]) &&
             take_slopes(&all, a[3], c.K, &c, &of[1]) &&
-            (theta = vector(&all, a[4], "theta", 'd', c.d)) &&
+            (theta = vector_of(&all, a[4], "theta", 'd', c.d)) &&
             (out = array_of(&all, a[6], "out", 'D', 2, size));
     }
     if (taken) {

@@ -36,8 +36,8 @@ static void vary(const slopes *of, const double *values, const double *x, double
     chain(of, values, x, direct, out);
 }
 
-/* A step of length h of x (S, width), given derivatives at its four stages. work (7 S, width): zeros
-   at first, then what the step before left. */
+/* A step of length h of x (S, width), given derivatives at its four stages. work (7 S, width):
+   zeros at first, then what the step before left. */
 static void vary_step(const slopes *of, const double *values, double h, double *x, double *work) {
     int64_t size = of->rows * of->width;
     double *at = work, *after = at + size, *dx = after + size, *direct = dx + size;
