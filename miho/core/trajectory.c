@@ -114,8 +114,8 @@ static void inputs_at(const course *c, int64_t j, double share, double *u) {
 /* t, u and x of the one row, as inputs of derivatives. */
 static void note(const values *v, const course *c, double now, const double *x, double *point) {
     point[0] = now;
-    for (int64_t k = 0; k < c->q; k++) point[(1 + k) * MOST_POINTS] = v->u[k];
-    for (int64_t s = 0; s < c->S; s++) point[(1 + c->q + s) * MOST_POINTS] = x[s];
+    for (int64_t k = 0; k < c->q; k++) point[(1 + k) * APART] = v->u[k];
+    for (int64_t s = 0; s < c->S; s++) point[(1 + c->q + s) * APART] = x[s];
 }
 
 static double step_of(const course *c, int64_t j) {
@@ -209,8 +209,8 @@ typedef struct {
     const slopes *of;           /* of the rates and of the outputs */
     const double *theta;
     values now;
-    double *points[2];          /* (1 + q + S, MOST_POINTS): stages, and rows to be observed */
-    double *derivatives[2];     /* (count, MOST_POINTS) */
+    double *points[2];          /* (1 + q + S, APART): stages, and rows to be observed */
+    double *derivatives[2];     /* (count, APART) */
     double *x, *work;           /* (S, width), and room for a step */
     double *direct, *y;         /* (K, width) */
     int used[2];
@@ -239,8 +239,8 @@ static void observe_variation(const variation *v, int64_t j, const double *deriv
 static void catch_up(variation *v) {
     int done[2] = {0};
     for (int k = 0; k < 2; k++)
-        tape_columns(v->of[k].tape, v->theta, v->points[k], MOST_POINTS, 0, v->used[k],
-                     v->derivatives[k], MOST_POINTS);
+        tape_columns(v->of[k].tape, v->theta, v->points[k], APART, 0, v->used[k],
+                     v->derivatives[k], APART);
     for (const event *e = v->events; e < v->events + v->waiting; e++) {
         if (e->kind == BEGIN) begin_variation(v, e->at);
         else if (e->kind == OBSERVE) observe_variation(v, e->at, v->derivatives[1] + done[1]++);
@@ -281,13 +281,13 @@ static void note_row(visitor *is, int64_t j) {
 static int take_variation(const motion *m, variation *v) {
     const course *c = v->c;
     int64_t width = v->of->width, inputs = 1 + c->q + c->S;
-    int64_t points = (2 * inputs + v->of[0].count + v->of[1].count) * MOST_POINTS;
+    int64_t points = (2 * inputs + v->of[0].count + v->of[1].count) * APART;
     double *room = calloc(points + (8 * c->S + 2 * c->K) * width, sizeof(double));
     v->points[0] = room;
     if (!take_values(m, c, 1, &v->now) || !room) return 0;
-    v->points[1] = room + inputs * MOST_POINTS;
-    v->derivatives[0] = v->points[1] + inputs * MOST_POINTS;
-    v->derivatives[1] = v->derivatives[0] + v->of[0].count * MOST_POINTS;
+    v->points[1] = room + inputs * APART;
+    v->derivatives[0] = v->points[1] + inputs * APART;
+    v->derivatives[1] = v->derivatives[0] + v->of[0].count * APART;
     v->x = room + points;
     v->work = v->x + c->S * width;
     v->direct = v->work + 7 * c->S * width;

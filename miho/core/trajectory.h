@@ -5,6 +5,8 @@
 #include "tape.h"
 
 #define MOST_POINTS MOST_ROWS /* where derivatives are evaluated side by side */
+#define APART (MOST_POINTS + 8) /* numbers from one derivative to the next: no power of two, which
+                                   would put them all in one place of the cache */
 
 /* What miho.compiled.course.Course holds: N times, q inputs, S states, d parameters, K outputs, R
    rows of data, M starts. */

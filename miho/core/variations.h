@@ -1,8 +1,7 @@
 /* How derivatives with respect to parameters follow the states. Compiled once for each level. */
 #include "trajectory.h"
 
-/* Numbers from one derivative to the next, which are evaluated at MOST_POINTS points. */
-#define DERIVATIVE(i) values[(i) * MOST_POINTS]
+#define DERIVATIVE(i) values[(i) * APART] /* at one point */
 
 /* direct (rows, width): the derivatives with respect to parameters themselves. Zeros stay. */
 static void set_direct(const slopes *of, const double *values, double *direct) {
