@@ -88,10 +88,14 @@ static int take_slopes(arrays *all, PyObject *record, int64_t rows, const course
     of->width = c->d < 8 ? 8 : (c->d + 7) / 8 * 8;
     if (of->tape->inputs != 1 + c->q + c->S || of->tape->parameters != c->d)
         return refuse(all, "slopes are of other states, inputs or parameters");
+    for (of->chained = 0; of->chained < of->count; of->chained++)
+        if (of->at[2 * of->chained + 1] >= c->S) break;
     for (int64_t i = 0; i < of->count; i++) {
         const int64_t *is = of->at + 2 * i;
-        if (is[0] < (i ? is[-2] : 0) || is[0] >= rows || is[1] < 0 || is[1] >= c->S + c->d)
-            return refuse(all, "slopes are in the order of their rows, of states and parameters");
+        int by_state = i < of->chained, first = !i || i == of->chained;
+        if (is[0] < (first ? 0 : is[-2]) || is[0] >= rows || is[1] < (by_state ? 0 : c->S) ||
+            is[1] >= (by_state ? c->S : c->S + c->d))
+            return refuse(all, "slopes are by states and then by parameters, in order of rows");
     }
     return 1;
 }

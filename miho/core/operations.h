@@ -107,8 +107,7 @@ INLINE void operate(const instruction *q, double *const *r, const double *scalar
     int scalar = q->op >= OP_ADD_S && q->op <= OP_S_DIV;
     double s = scalar ? scalars[q->operand[1]] : 0.0;
     const double *a = r[q->operand[0]], *b = r[scalar ? 0 : q->operand[1]];
-    const double *c = r[q->operand[2]], *d = r[q->operand[3]];
-    double *o = r[q->result[0]], *o2 = r[q->result[1]];
+    double *o = r[q->result[0]];
     switch (q->op) {
     CASE(ADD, a[i] + b[i]);
     CASE(SUB, a[i] - b[i]);
@@ -129,16 +128,22 @@ INLINE void operate(const instruction *q, double *const *r, const double *scalar
     CASE(MIN, least(a[i], b[i]));
     CASE(MAX, largest(a[i], b[i]));
     CASE(BOUND, a[i] < -1e300 ? -1e300 : a[i] > 1e300 ? 1e300 : a[i]);
-    CASE(WHERE, a[i] != 0.0 ? b[i] : c[i]);
-    CASE(POWER, power_of(a[i], b[i], c[i], d[i]));
+    case OP_WHERE: {
+        const double *c = r[q->operand[2]];
+        EACH(a[i] != 0.0 ? b[i] : c[i]);
+    }
+    case OP_POWER: {
+        const double *c = r[q->operand[2]], *d = r[q->operand[3]];
+        EACH(power_of(a[i], b[i], c[i], d[i]));
+    }
     case OP_SIN: case OP_COS: case OP_SINCOS: case OP_TAN:
-        angles(q->op, a, o, o2, rows);
+        angles(q->op, a, o, r[q->result[1]], rows);
         break;
     case OP_LOG_PARTS:
-        log_parts_of(a, o, o2, rows);
+        log_parts_of(a, o, r[q->result[1]], rows);
         break;
     case OP_FLOOR_PARTS:
-        floor_parts_of(a, b, o, o2, rows);
+        floor_parts_of(a, b, o, r[q->result[1]], rows);
         break;
     default:
         if (q->op >= OP_GT) conditions(q->op, a, b, o, rows);

@@ -23,12 +23,13 @@ typedef struct { const tape *rates, *outputs; } motion;
 
 /* Derivatives of `rows` rates or outputs, those that are not zero throughout: the tape's inputs are
    t, u (q,) and x (S,), its parameters p (d,), and its result i is the derivative of at[i, 0] with
-   respect to the state at[i, 1], or the parameter at[i, 1] - S; at (count, 2) is in order. `width`
-   numbers stand for the d parameters. */
+   respect to the state at[i, 1], or the parameter at[i, 1] - S. In at (count, 2) those by states,
+   `chained` of them, are first; and both are in the order of rows. `width` numbers stand for the d
+   parameters. */
 typedef struct slopes {
     const tape *tape;
     const int64_t *at;
-    int64_t count, rows, states, width;
+    int64_t count, chained, rows, states, width;
 } slopes;
 
 /* Outputs out (n, R) of parameter rows thetas (n, d); 0 without memory. */

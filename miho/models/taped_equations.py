@@ -20,7 +20,8 @@ class Slopes(NamedTuple):
     """Derivatives of rates or outputs by states (S,) and parameters (d,), but those that are zero.
 
     Result i of the tape is the derivative of the number at[i, 0] by the state at[i, 1], or by the
-    parameter at[i, 1] - S; `at` (count, 2) is in order. Inputs of the tape are t, u and x.
+    parameter at[i, 1] - S. In `at` (count, 2) those by states are first, and both are in the order
+    of rows. Inputs of the tape are t, u and x.
     """
 
     tape: Tape
@@ -79,6 +80,7 @@ def taped_equations(
             for column, slope in enumerate(gradient(result, [*x, *p]))
             if slope.number != 0
         ] or [(0, 0, constant(0.0))]
+        table.sort(key=lambda entry: entry[1] >= len(x))
         values = [slope for *_, slope in table]
         at = np.array([place for *place, _ in table], dtype=np.int64)
         return Slopes(tape_of(values, [*driven, *x], p), at)
