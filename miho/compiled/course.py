@@ -1,4 +1,4 @@
-"""What a trajectory is computed from, for compiled code: importing this imports no numba."""
+"""What a trajectory is computed from, in C or compiled: importing this imports no numba."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 from miho.quantities import Array, Integers
 
 LANES = 16
-"""Parameter rows side by side."""
+"""Parameter rows side by side, in numba's code."""
 
 
 class Course(NamedTuple):

@@ -1,4 +1,6 @@
-"""Trajectories and their sensitivities by the classical Runge-Kutta method, compiled.
+"""Trajectories and their sensitivities by the classical Runge-Kutta method, compiled by numba.
+
+This is what runs without the machine of `miho.core`, whose trajectories take the same steps.
 
 A right-hand side and the outputs come as generated functions of flat arrays (`FlatEquations`). One
 parameter row after the other would leave the processor's vector units idle: the values of several

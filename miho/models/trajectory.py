@@ -68,8 +68,9 @@ class Trajectory(Model):
         SciPy for stiff equations, to the relative `tolerance`.
 
     Derivatives are those of the computed solution (forward sensitivities), exact where `rhs` is
-    arithmetic and NumPy's functions of numbers: it is then compiled too. Others are differenced,
-    and run in NumPy. A solution that fails or diverges is NaN. Times increase from row to row.
+    arithmetic and NumPy's functions of numbers: it then runs in C too, or is compiled without the
+    machine of `miho.core`. Others are differenced, and run in NumPy. A solution that fails or
+    diverges is NaN. Times increase from row to row.
     """
 
     rhs: Callable[..., Any]
