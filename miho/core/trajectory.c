@@ -156,7 +156,7 @@ static void follow(const course *c, visitor *v) {
     }
 }
 
-/* Values: rows of parameters, of which the first `lanes` are asked for. */
+/* Values of some parameter rows, written to out (rows, R). */
 typedef struct {
     visitor is;
     const course *c;
