@@ -99,8 +99,8 @@ static int take_settings(PyObject *settings, const arrays *all, search_settings 
         else *fields[k].number = PyFloat_AsDouble(value);
         if (PyErr_Occurred()) return 0;
     }
-    if (to->eta < 1 || to->slope_cost < 0 || to->slope_cost > INT32_MAX)
-        return refuse(all, "settings.eta is at least 1, and settings.slope_cost not negative");
+    if (to->eta < 2 || to->slope_cost < 0 || to->slope_cost > INT32_MAX)
+        return refuse(all, "settings.eta is at least 2, and settings.slope_cost not negative");
     return 1;
 }
 
