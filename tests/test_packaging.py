@@ -153,6 +153,22 @@ def test_ci_installs_every_extra() -> None:
     assert extras(commands) == set(project["optional-dependencies"])
 
 
+def test_the_sanitized_tests_have_what_they_import() -> None:
+    """They run in a copy of some files: each module of the tests that one imports is among them."""
+    script = (ROOT / ".ci/run").read_text(encoding="utf-8")
+    command = re.search(r"(git ls-files .*?) \|", script, re.DOTALL)
+    assert command is not None
+    listed = command[1].replace("\\\n", "").replace("-T -", "").split()
+    output = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    copied = output.split()
+    assert "tests/core/test_search.py" in copied
+    for name in copied:
+        if name.startswith("tests/"):
+            text = (ROOT / name).read_text(encoding="utf-8")
+            for module in re.findall(r"^from (tests[.\w]*) import", text, re.MULTILINE):
+                assert module.replace(".", "/") + ".py" in copied, f"{name} imports {module}"
+
+
 def test_the_public_names() -> None:
     import miho
 
