@@ -146,15 +146,20 @@ def test_models_that_change_their_process(tmp_path: Path, measured: Figures) -> 
     )
     wanted = SEEDS * len(innocent)
     cost = 1e3 * (_seconds(alone=True) - _seconds(alone=False))
-    busy = (busy_cores() or 0.0) > BUSY_CORES
-    unjudged = " (not judged, the machine is busy)" * (busy and cost > ALLOWED)
+    forking = 1e3 * _forking()
+    # Where a fork alone takes half of what is allowed, what is added to it is judged.
+    slow = forking >= ALLOWED / 2 and cost - forking <= ALLOWED
+    reason = "a fork alone takes long here" * slow
+    if (busy_cores() or 0.0) > BUSY_CORES:
+        reason = "the machine is busy"
+    unjudged = f" (not judged, {reason})" if reason and cost > ALLOWED else ""
     measured(
         f"{equal} of {wanted} innocent runs equal, {len(runs)} of {2 * wanted} done, exit "
-        f"{code}; a process of its own takes {cost:.1f} ms at best, {1e3 * _forking():.1f} ms of "
+        f"{code}; a process of its own takes {cost:.1f} ms at best, {forking:.1f} ms of "
         f"them the system's own for a fork and its end{unjudged}"
     )
     assert equal == len(unchanged) == wanted
-    assert cost <= ALLOWED or busy
+    assert cost <= ALLOWED or reason
 
 
 @pytest.mark.slow
