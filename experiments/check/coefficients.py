@@ -70,7 +70,7 @@ def interpolated(function: Callable[[Any], Any], low: Any, high: Any, count: int
 
 
 def as_sum(value: Any, bits: tuple[int, ...]) -> list[float]:
-    """A constant as a sum of doubles, each but the last rounded down to so many bits."""
+    """Split a constant into a sum of doubles; all but the last are rounded down to `bits` bits."""
     terms: list[float] = []
     for count in bits:
         if count:

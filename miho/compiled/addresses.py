@@ -27,7 +27,7 @@ def call(function: int, a: int, b: int, c: int, d: int, e: int, f: int, g: int, 
 def write_residuals(
     calls: Integers, theta: Array, X: Array, y: Array, i: int, j: int, r: Array
 ) -> None:
-    """Write the residuals of rows i to j to r (j - i,); `calls`, X and y are those of `Rows`."""
+    """Write the residuals of rows i to j to r (j - i,); `Rows` describes `calls`, X and y."""
     call(
         calls[RESIDUALS], calls[VALUE], theta.ctypes.data, X.ctypes.data, X.shape[1],
         y.ctypes.data, i, j, r.ctypes.data,

@@ -36,8 +36,8 @@ Agreed = set[tuple[str, int]]
 """Kinds of values, and rows on which they agreed with NumPy's."""
 OF_TAPES: WeakKeyDictionary[Tape, Agreed] = WeakKeyDictionary()
 OF_SIGNATURES: dict[str, Agreed] = {}
-"""By the tape of the derivatives, or the signature of what is compiled: once in a process is
-enough, so that many fits of a model pay for one comparison."""
+"""A process compares each formula once, so that many fits of a model pay for one comparison. The
+keys are the tape of the derivatives, or the signature of the compiled functions."""
 COMPARED = 1000
 """Rows on which compiled values are compared with NumPy's."""
 CLOSE = 1e-9

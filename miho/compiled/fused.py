@@ -239,7 +239,7 @@ def _compile(formulas: Signed, p: int, d: int) -> _Compiled:
 
 @cache
 def _compile_rows(formulas: Signed, p: int, d: int) -> tuple[Any, Any]:
-    """Residuals and derivatives of rows i to j, called as those of the machine are (`tape.h`).
+    """Compile the residuals and derivatives of rows i to j, with the arguments that `tape.h` has.
 
     Row by row, from which the compiler makes several at once: for a few rows, the temporaries of a
     block would cost more than the rows do.
