@@ -9,7 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
@@ -27,7 +26,6 @@ from miho.identification import CurveFit, Loss, linear_optimum
 from miho.identification.constraints import constrained
 from miho.identification.report import irreducible_of
 from miho.models import Model
-from miho.models.expression import Expression
 from miho.models.joint import PART
 from miho.optim import Budget, Optimizer, Parameter, Space
 from miho.parallel.cluster import is_address
@@ -223,10 +221,6 @@ def _statement(
     model = instantiate(part_of(config, "model"), "model", Model)
     if dataset is None:
         dataset = build_dataset(part_of(config, "dataset"))
-    if isinstance(model, Expression) and numba.config.DISABLE_JIT:
-        raise ConfigError(
-            "NUMBA_DISABLE_JIT: is set, and the loss of this model is compiled; unset it"
-        )
     sigma = {key: settings[key] for key in SIGMA if key in settings}
 
     def problem_of(space: Space, constraints: str | Sequence[str], **switches: Any) -> CurveFit:

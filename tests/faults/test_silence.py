@@ -8,7 +8,6 @@ import signal
 import time
 from multiprocessing import forkserver
 from pathlib import Path
-from unittest import mock
 
 import pytest
 
@@ -43,16 +42,15 @@ def line(alpha: "rad", *, D: "N", B: "N") -> "N":
 @pytest.mark.slow
 @pytest.mark.fault(
     row="R25",
-    fault="result deleted, JIT off, all evaluations rejected, data without error, bad seed, "
+    fault="result deleted, all evaluations rejected, data without error, bad seed, "
     "hang-up, server of workers killed",
     promise="each noticed in words and in the exit code; partial results kept",
 )
 def test_silence(tmp_path: Path, measured: Figures) -> None:
-    """Seven faults, each of which must be noticed in words and in the exit code."""
+    """Six faults, each of which must be noticed in words and in the exit code."""
     prepare()
     noticed = {
         "deleted result": _deleted(tmp_path),
-        "JIT off": _jit_off(tmp_path),
         "all rejected": _rejected(tmp_path),
         "no error in the data": _exact(tmp_path),
         "a bad seed": _bad_seed(tmp_path),
@@ -76,12 +74,6 @@ def _deleted(folder: Path) -> bool:
     again = identified(*sweep)
     seen = any("1 of 2 runs" in line for line in checked) and "have no result.json" in again.err
     return seen and again.code == 0 and len(list(root.glob("*/*/*/result.json"))) == 2
-
-
-def _jit_off(folder: Path) -> bool:
-    with mock.patch("numba.config.DISABLE_JIT", 1):
-        ended = identified(*TINY, f"root={folder / 'jit'}")
-    return ended.code == 2 and "NUMBA_DISABLE_JIT" in ended.complaint
 
 
 def _rejected(folder: Path) -> bool:
