@@ -6,20 +6,16 @@ import math
 import os
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Protocol
 
-from numba.core import event
 from tqdm import tqdm
 
 from miho.optim import Budget, Oracle
 from miho.optim.pace import Pace
 
 REFRESH_SECONDS = 1.0
-WORTH_TELLING = 2.0
-"""Seconds from which a user wonders what a compilation is doing."""
 COLUMNS, ROWS = 80, 24
 """Of a terminal that does not tell its own."""
 
@@ -51,7 +47,6 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
     """A bar that fills with the budget and shows the best error; in a log a line each ten seconds.
 
     Of a method that makes descents also how many agree: with enough of them some end by themselves.
-    Before, for how long numba has been compiling what is not in its cache.
     """
     limited = budget.evaluations is not None or budget.seconds is not None
     layout = "{percentage:3.0f}% |{bar}| {desc}" if limited else "{desc}"
@@ -81,63 +76,7 @@ def progress(title: str, budget: Budget, unit: str) -> Iterator[Observer]:
                 print(line, file=sys.stderr, flush=True)
             bar.set_description_str(line)
 
-        log = iter([f"{title}: compiling, once on this machine"])
-
-        def compiling(seconds: float | None) -> None:
-            if bar.disable:
-                for line in log:  # the first time
-                    print(line, file=sys.stderr, flush=True)
-                return
-            stage = "" if seconds is None else f": compiling, once on this machine, {seconds:.0f} s"
-            bar.set_description_str(f"{title}{stage}")
-
-        with _watched(compiling):
-            yield observe
-
-
-class _Compilation(event.Listener):  # type: ignore[misc]
-    """Since when numba has been compiling, one function within another and one after the other."""
-
-    def __init__(self) -> None:
-        self.depth, self.since, self.ended = 0, -math.inf, -math.inf
-
-    def on_start(self, event: Any) -> None:
-        """Called by numba."""
-        now = time.perf_counter()
-        if not self.depth and now - self.ended > REFRESH_SECONDS:
-            self.since = now
-        self.depth += 1
-
-    def on_end(self, event: Any) -> None:
-        """Called by numba."""
-        self.depth -= 1
-        self.ended = time.perf_counter()
-
-
-@contextmanager
-def _watched(show: Callable[[float | None], None]) -> Iterator[None]:
-    """Show each second for how long numba has been compiling, from some seconds on; None after."""
-    compilation, finished = _Compilation(), threading.Event()
-
-    def watch() -> None:
-        visible = False
-        while not finished.wait(REFRESH_SECONDS):
-            seconds = time.perf_counter() - compilation.since
-            if compilation.depth and seconds >= WORTH_TELLING:
-                show(seconds)
-                visible = True
-            elif visible:
-                show(None)
-                visible = False
-
-    thread = threading.Thread(target=watch, daemon=True)
-    with event.install_listener("numba:compile", compilation):
-        thread.start()
-        try:
-            yield
-        finally:
-            finished.set()
-            thread.join()
+        yield observe
 
 
 @contextmanager

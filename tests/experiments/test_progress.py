@@ -2,10 +2,8 @@
 
 import math
 import os
-import time
 
 import pytest
-from numba.core import event
 
 from experiments.app.progress import progress, spent
 from miho import Budget, Oracle
@@ -55,36 +53,6 @@ def test_the_bar_shows_it(
     assert "at most 15 s left" in printed
 
 
-def test_a_compilation_is_told_while_it_lasts(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Of two functions, one in the other, that numba does not find in its cache."""
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    monkeypatch.setattr("experiments.app.progress.REFRESH_SECONDS", 0.01)
-    monkeypatch.setattr("experiments.app.progress.WORTH_TELLING", 0.0)
-    printed, deadline = "", time.monotonic() + 60
-    with progress("run", Budget(evaluations=100), "V"):
-        assert "compiling" not in capsys.readouterr().err
-        with event.trigger_event("numba:compile"), event.trigger_event("numba:compile"):
-            while "compiling, once on this machine" not in printed and time.monotonic() < deadline:
-                printed += capsys.readouterr().err
-    assert "run: compiling, once on this machine, 0 s" in printed
-
-
-def test_a_log_says_once_that_something_compiles(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("experiments.app.progress.REFRESH_SECONDS", 0.01)
-    monkeypatch.setattr("experiments.app.progress.WORTH_TELLING", 0.0)
-    printed, deadline = "", time.monotonic() + 60
-    with progress("run", Budget(evaluations=100), "V"):
-        for _ in range(2):
-            with event.trigger_event("numba:compile"):
-                while "compiling" not in printed and time.monotonic() < deadline:
-                    printed += capsys.readouterr().err
-    assert printed + capsys.readouterr().err == "run: compiling, once on this machine\n"
-
-
 def test_a_line_without_a_value_says_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -92,18 +60,6 @@ def test_a_line_without_a_value_says_so(
     with progress("run", Budget(evaluations=100), "V") as observer:
         observer(Oracle(DecayFit(), Budget(evaluations=100)))
     assert capsys.readouterr().err.startswith("run: no value yet, 0 evaluations, ")
-
-
-def test_a_short_compilation_is_not_worth_telling(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
-    with (
-        progress("run", Budget(evaluations=100), "V"),
-        event.trigger_event("numba:compile"),
-    ):
-        pass
-    assert "compiling" not in capsys.readouterr().err
 
 
 def test_a_terminal_without_a_width_shows_it(monkeypatch: pytest.MonkeyPatch) -> None:
