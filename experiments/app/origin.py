@@ -24,7 +24,7 @@ from miho.study.closure import Sources
 from miho.study.identity import sha256
 from miho.study.provenance import command_line
 
-NUMERICAL = {"numpy", "scipy", "numba"}
+NUMERICAL = {"numpy", "scipy"}
 WRAPPED = {name: name for name in ("optuna", "cmaes", "nevergrad", "dehb")} | {"dfols": "DFO-LS"}
 """Distributions of the libraries that methods wrap, by the name that they are imported by."""
 

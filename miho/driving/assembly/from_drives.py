@@ -123,7 +123,7 @@ def identify_parts(
         result = identified_at(problem, record.theta)
         about = {
             "optimizer": repr(optimizer), "seed": seed, "evaluations": record.evaluations,
-            "packages": {name: version(name) for name in ("numpy", "scipy", "numba")},
+            "packages": {name: version(name) for name in ("numpy", "scipy")},
         }  # fmt: skip
         whole = replace(result, provenance={**result.provenance, **about})
         write_text(folder / f"{part}.json", parameters_text(whole, {}))
