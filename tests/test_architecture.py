@@ -47,7 +47,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         },
         NUMERICS,
     ),
-    "miho.driving": ({"miho.driving", "miho.compiled", "miho.models", "miho.data"}, NUMERICS),
+    "miho.driving": ({"miho.driving", "miho.models", "miho.data"}, NUMERICS),
     "miho.study": (
         {"miho.core", "miho.study", "miho.optim", "miho.parallel"},
         {"pandas", "filelock", "numpy", "orjson", "threadpoolctl"},

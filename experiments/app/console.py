@@ -36,6 +36,7 @@ from experiments.app.help import completion, help_text
 from experiments.app.safety import ReceivedError, SecretError, check_folder, check_typed
 from experiments.app.signals import Stopped, name_of, stopping_signal
 from miho.data import CSVError, DataUnavailableError
+from miho.driving.compiling import MissingNumbaError
 from miho.models import TirError
 from miho.parallel.cluster import ClusterError
 from miho.parallel.worker_process import SPURIOUS_INTERRUPT
@@ -53,7 +54,7 @@ BY_SIGNAL = 128
 BAD_INPUT_ERRORS = (
     ClusterError, HydraException, OmegaConfBaseException, ConfigError, CSVError, TirError,
     DataUnavailableError, NotAFileError, ReceivedError, SecretError, YAMLError, FileNotFoundError,
-    IsADirectoryError,
+    IsADirectoryError, MissingNumbaError,
 )  # fmt: skip
 
 Task = Callable[[DictConfig], float | None]

@@ -12,8 +12,8 @@ from math import atan, cos, sin
 from typing import NamedTuple
 
 import numpy as np
-from numba.extending import register_jitable
 
+from miho.driving.compiling import part
 from miho.models.magic_formula import MagicFormula
 
 
@@ -138,7 +138,7 @@ def wheel_tire(tire: MagicFormula, gamma: float = 0.0, pressure: float | None = 
     )
 
 
-@register_jitable(error_model="numpy")
+@part
 def wheel_forces(
     p: WheelTire, load: float, kappa: float, alpha: float, Vx: float, friction: float = 1.0
 ) -> tuple[float, float]:
@@ -162,7 +162,7 @@ def wheel_forces(
     return loaded * Fx, loaded * Fy
 
 
-@register_jitable(error_model="numpy")
+@part
 def _longitudinal(
     p: WheelTire, Fz: float, dfz: float, kappa: float, alpha: float, Vx: float, friction: float
 ) -> float:
@@ -182,7 +182,7 @@ def _longitudinal(
     return G
 
 
-@register_jitable(error_model="numpy")
+@part
 def _lateral(
     p: WheelTire, Fz: float, dfz: float, kappa: float, alpha: float, friction: float
 ) -> float:
@@ -209,19 +209,19 @@ def _lateral(
     return Fy
 
 
-@register_jitable(error_model="numpy")
+@part
 def _faded(p: WheelTire, friction: float) -> float:
     return p.A_mu * friction / (1 + (p.A_mu - 1) * friction)  # 4.E8
 
 
-@register_jitable(error_model="numpy")
+@part
 def _argument(slip: float, B: float, E: float) -> float:
     x = B * slip
     y: float = x - E * (x - atan(x))
     return y
 
 
-@register_jitable(error_model="numpy")
+@part
 def _weight(slip: float, shift: float, B: float, C: float, E: float) -> float:
     at_zero = cos(C * atan(_argument(shift, B, E)))
     w: float = cos(C * atan(_argument(slip + shift, B, E))) / at_zero

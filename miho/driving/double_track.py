@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 
-from miho.compiled.signature import compiled_when_called
+from miho.driving.compiling import compiled, part
 from miho.driving.dynamics import (
     CHI,
     DELTA,
@@ -143,7 +142,7 @@ class DoubleTrack(Plant[DoubleTrackState]):
         )  # fmt: skip
 
 
-@compiled_when_called(nogil=True, error_model="numpy")
+@compiled
 def _advance(
     car: Car, road: Road, step: float, count: int, y: Array, gearbox: Array, steering: Array,
     brake: Array, outputs: Array, steering_command: float, throttle: float, brake_command: float,
@@ -168,7 +167,7 @@ def _advance(
     _write_outputs(car, road, int(gearbox[0]), gearbox[1] <= step / 2, y, slope, outputs)
 
 
-@njit(error_model="numpy")
+@part
 def _write_outputs(
     car: Car, road: Road, gear: int, closed: bool, y: Array, slope: Array, outputs: Array
 ) -> None:
@@ -182,7 +181,7 @@ def _write_outputs(
     outputs[7], outputs[8], outputs[9], outputs[10] = loads_of(car, road, y)
 
 
-@njit(error_model="numpy")
+@part
 def _shift(car: Car, y: Array, gearbox: Array, gear_command: int, step: float) -> tuple[int, bool]:
     """The gear and whether its clutch is closed.
 
@@ -200,7 +199,7 @@ def _shift(car: Car, y: Array, gearbox: Array, gear_command: int, step: float) -
     return gear, gearbox[1] <= step / 2
 
 
-@njit(error_model="numpy")
+@part
 def _delayed(queue: Array, command: float) -> float:
     """The command that arrives now, while a new one joins the queue."""
     if queue.size == 0:

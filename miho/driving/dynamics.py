@@ -19,9 +19,8 @@ from __future__ import annotations
 
 import math
 
-from numba.extending import register_jitable
-
 from miho.driving.compiled_tire import wheel_forces
+from miho.driving.compiling import part
 from miho.driving.load_transfer import wheel_loads
 from miho.driving.plant_parameters import Car
 from miho.driving.powertrain import (
@@ -50,7 +49,7 @@ LARGEST_SLIP = 1.5
 """Where slip ratio and tan(alpha) stop to grow; the tires slide long before."""
 
 
-@register_jitable(error_model="numpy")
+@part
 def derivative(
     car: Car, road: Road, gear: int, closed: bool, inputs: tuple[float, float, float],
     y: Array, dy: Array,
@@ -90,7 +89,7 @@ def derivative(
     return ax, ay
 
 
-@register_jitable(error_model="numpy")
+@part
 def loads_of(car: Car, road: Road, y: Array) -> tuple[float, float, float, float]:
     """Loads of the wheels [N]."""
     curvature, bank = shape_at(road, y[S])
@@ -101,7 +100,7 @@ def loads_of(car: Car, road: Road, y: Array) -> tuple[float, float, float, float
     return fl, fr, rl, rr
 
 
-@register_jitable(error_model="numpy")
+@part
 def _wheels(
     car: Car, road: Road, gear: int, closed: bool, y: Array, dy: Array
 ) -> tuple[float, float, float]:
@@ -152,13 +151,13 @@ def _wheels(
     return fx, fy, moment
 
 
-@register_jitable(error_model="numpy")
+@part
 def _slip_rate(slip: float, sliding: float, along: float, relaxation: float) -> float:
     rate: float = (sliding - abs(along) * slip) / relaxation
     return 0.0 if abs(slip) >= LARGEST_SLIP and rate * slip > 0 else rate
 
 
-@register_jitable(error_model="numpy")
+@part
 def _damping(along: float) -> float:
     if abs(along) >= SLOW:
         return 0.0

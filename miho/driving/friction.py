@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
+from miho.driving.compiling import compiled, part
 from miho.driving.grip import Grip
 from miho.driving.load_transfer import LoadCoefficients, LoadTransfer, wheel_loads
 from miho.driving.vehicle import Vehicle
@@ -73,7 +73,7 @@ def friction_car(
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def friction_use(car: FrictionCar, v: float, ax: float, lateral: float, gravity: float) -> float:
     """Use of the friction ellipse by the worse axle; above 1 it is beyond its limit.
 
@@ -101,7 +101,7 @@ def friction_use(car: FrictionCar, v: float, ax: float, lateral: float, gravity:
     return worst
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def point_demand(v: float, curvature: float, bank: float) -> tuple[float, float]:
     """Lateral demand and gravity of `Demand` [m/s^2] at a single point, for compiled code."""
     turning = v * v * curvature
@@ -109,14 +109,14 @@ def point_demand(v: float, curvature: float, bank: float) -> tuple[float, float]
     return lateral, g * math.cos(bank) + turning * math.sin(bank)
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def use_on_line(car: FrictionCar, v: float, ax: float, curvature: float, bank: float) -> float:
     """Use of the friction ellipse at a point of a line, by curvature [1/m] and bank [rad]."""
     lateral, gravity = point_demand(v, curvature, bank)
     return float(friction_use(car, v, ax, lateral, gravity))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def measured_use(car: FrictionCar, v: Array, ax: Array, ay: Array, gravity: Array) -> Array:
     """Use of the friction ellipse, (n,), by a car whose accelerations were measured.
 
@@ -129,7 +129,7 @@ def measured_use(car: FrictionCar, v: Array, ax: Array, ay: Array, gravity: Arra
     return use
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def limits_and_use(
     car: FrictionCar, v: Array, ax: Array, curvature: Array, bank: Array
 ) -> tuple[Array, Array]:

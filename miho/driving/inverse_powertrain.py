@@ -8,8 +8,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from miho.driving.compiling import compiled
 from miho.driving.vehicle import Vehicle
 from miho.models.engine_map import EngineMap
 from miho.quantities import Array
@@ -51,7 +51,7 @@ def powertrain_model(vehicle: Vehicle, engine: EngineMap) -> PowertrainModel:
     )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def effort(m: PowertrainModel, ax: float, vx: float, gear: int) -> Effort:
     """What it takes to accelerate by ax [m/s^2] at a speed [m/s] in a gear, on level ground."""
     lever = m.levers[gear - 1]

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import register_jitable
 from numpy.typing import ArrayLike
 
+from miho.driving.compiling import part
 from miho.driving.vehicle import Vehicle
 from miho.quantities import Array, g
 
@@ -126,7 +126,7 @@ class LoadTransfer:
         return car.mass * car.lr / car.wheelbase, car.mass * car.lf / car.wheelbase
 
 
-@register_jitable(error_model="numpy")
+@part
 def wheel_loads(c: LoadCoefficients, vx: Any, ax: Any, ay: Any, gravity: Any) -> tuple[Any, ...]:
     """Loads of the wheels in the order of `WheelLoads`, of numbers or arrays, compiled or not."""
     air = vx * vx

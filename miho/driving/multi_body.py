@@ -77,7 +77,7 @@ class MultiBody(Plant[MultiBodyState]):
         except ImportError:
             raise ImportError(
                 "the multi-body plant needs a library that is missing (commonroad-vehicle-models); "
-                "pip install 'miho[driving]'"
+                "pip install 'miho[multibody]'"
             ) from None
 
     @cached_property

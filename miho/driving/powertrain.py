@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from numba.extending import register_jitable
-
+from miho.driving.compiling import part
 from miho.driving.plant_parameters import Brakes, Driveline, Engine
 from miho.quantities import Array
 
@@ -13,7 +12,7 @@ STICTION = 1.0
 """Wheel speed [rad/s] below which what brakes a wheel fades, so that it comes to rest."""
 
 
-@register_jitable(error_model="numpy")
+@part
 def map_torque(e: Engine, omega: float, throttle: float) -> float:
     """Torque [Nm] of the map at an engine speed [rad/s] and an opening, as `EngineMap.torque`."""
     i = _cell(e.speeds, omega)
@@ -27,7 +26,7 @@ def map_torque(e: Engine, omega: float, throttle: float) -> float:
     return torque
 
 
-@register_jitable(error_model="numpy")
+@part
 def _cell(axis: Array, at: float) -> int:
     """Index of the cell of a rising axis that holds a point, the first or last beyond the ends."""
     low, high = 0, axis.size - 2
@@ -40,7 +39,7 @@ def _cell(axis: Array, at: float) -> int:
     return low
 
 
-@register_jitable(error_model="numpy")
+@part
 def engine_speed(
     e: Engine, d: Driveline, gear: int, closed: bool, rear: float
 ) -> tuple[float, bool]:
@@ -54,7 +53,7 @@ def engine_speed(
     return max(locked, d.idle_speed), closed and locked >= d.idle_speed
 
 
-@register_jitable(error_model="numpy")
+@part
 def torque_rate(e: Engine, d: Driveline, torque: float, omega: float, throttle: float) -> float:
     """Rate of the engine torque [Nm/s]: it follows the map with a lag, slower when it rises."""
     allowed = min(max((d.engine_speed_max + CUT - omega) / CUT, 0.0), 1.0)
@@ -63,7 +62,7 @@ def torque_rate(e: Engine, d: Driveline, torque: float, omega: float, throttle: 
     return rate
 
 
-@register_jitable(error_model="numpy")
+@part
 def rear_accelerations(
     e: Engine,
     d: Driveline,
@@ -98,14 +97,14 @@ def rear_accelerations(
     )
 
 
-@register_jitable(error_model="numpy")
+@part
 def brake_torques(b: Brakes, pressure: float) -> tuple[float, float]:
     """Torque of a front and of a rear wheel [Nm] at a pressure of the front circuit [Pa]."""
     front = b.K_front * max(pressure - b.P0_front, 0.0)
     return front, b.K_rear * max(pressure * b.rear - b.P0_rear, 0.0)
 
 
-@register_jitable(error_model="numpy")
+@part
 def pressure_rate(b: Brakes, pressure: float, command: float) -> float:
     """Rate of the pressure [Pa/s] towards the commanded one, at most that of the pump."""
     target = min(command, b.P_max)
@@ -113,7 +112,7 @@ def pressure_rate(b: Brakes, pressure: float, command: float) -> float:
     return rate
 
 
-@register_jitable(error_model="numpy")
+@part
 def against(torque: float, omega: float) -> float:
     """A braking torque [Nm] with its sign: against the turning of the wheel [rad/s]."""
     signed: float = -torque * min(max(omega / STICTION, -1.0), 1.0)

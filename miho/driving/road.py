@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import register_jitable
 
+from miho.driving.compiling import part
 from miho.driving.track import Track
 from miho.quantities import Array
 from miho.validate import positive
@@ -47,7 +47,7 @@ def road_of(track: Track, friction: float = 1.0) -> Road:
     return Road(float(track.step), True, track.turn, x, y, heading, bank, curvature, friction)
 
 
-@register_jitable(error_model="numpy")
+@part
 def shape_at(road: Road, s: float) -> tuple[float, float]:
     """Curvature [1/m] in the plan and bank [rad] at an arc length [m], beyond a lap too."""
     i, part, _ = _cell(road, s)
@@ -55,7 +55,7 @@ def shape_at(road: Road, s: float) -> tuple[float, float]:
     return road.curvature[i], bank
 
 
-@register_jitable(error_model="numpy")
+@part
 def place_at(road: Road, s: float, offset: float) -> tuple[float, float, float]:
     """x, y [m] and the line's heading [rad] at an arc length and an offset in the plan [m].
 
@@ -69,7 +69,7 @@ def place_at(road: Road, s: float, offset: float) -> tuple[float, float, float]:
     return x, y, heading + lap * road.turn
 
 
-@register_jitable(error_model="numpy")
+@part
 def _cell(road: Road, s: float) -> tuple[int, float, Any]:
     """The cell that holds an arc length, how far into it (0 to 1 if closed), and laps done."""
     at, lap = s / road.step, 0.0

@@ -8,9 +8,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
+from miho.driving.compiling import compiled
 from miho.quantities import Array
 
 GAP = 0.05
@@ -137,7 +137,7 @@ class Track:
             )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _points(
     s: Array, length: float, turn: float, xs: Array, ys: Array, heading: Array,
     curvature: Array, bank: Array, left: Array, right: Array,
@@ -166,7 +166,7 @@ def _points(
     return points
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _project(
     x: float,
     y: float,

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from miho.driving.compiling import compiled, part
 from miho.driving.friction import (
     BISECTIONS,
     FrictionCar,
@@ -175,7 +175,7 @@ def front_share(brake: Brake) -> float:
     return at_front / (at_front + at_rear)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _lateral_limits(car: FrictionCar, curvature: Array, bank: Array, highest: float) -> Array:
     """Largest speeds (n,) that can be kept in a turn, with all below them down to a least one.
 
@@ -207,7 +207,7 @@ def _lateral_limits(car: FrictionCar, curvature: Array, bank: Array, highest: fl
     return limits
 
 
-@njit(cache=True, error_model="numpy")
+@compiled
 def _passes(
     car: FrictionCar, powers: _Powers, curvature: Array, bank: Array, limits: Array, step: float
 ) -> Array:
@@ -231,7 +231,7 @@ def _passes(
     return v
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _largest(car: FrictionCar, v: float, highest: float, curvature: float, bank: float) -> float:
     """The largest acceleration [m/s^2] from 0 to `highest` that the tires bear."""
     if use_on_line(car, v, highest, curvature, bank) <= 1:
@@ -246,7 +246,7 @@ def _largest(car: FrictionCar, v: float, highest: float, curvature: float, bank:
     return good
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _entry(
     car: FrictionCar,
     powers: _Powers,
@@ -269,7 +269,7 @@ def _entry(
     return good
 
 
-@njit(cache=True, error_model="numpy")
+@part
 def _can_slow(
     car: FrictionCar,
     powers: _Powers,

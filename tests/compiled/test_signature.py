@@ -14,14 +14,11 @@ from miho.compiled.compressed import CompressedLoss
 from miho.compiled.fused import FusedLoss
 from miho.compiled.kernel import Formula
 from miho.compiled.signature import signature_of, signed_formulas
-from miho.driving import double_track
 from miho.models import Pacejka, TorqueCubic, Trajectory, single_track_response
 
 CAR = {"mass": 800.0, "lf": 1.7, "lr": 1.3, "Izz": 850.0}
 X = np.linspace(100, 700, 200)
 PACKAGE = [path.stem for path in Path(signature.__file__).parent.glob("*.py")]
-PLANT = ["compiled_tire", "double_track", "dynamics", "load_transfer", "plant_parameters",
-         "powertrain", "road"]  # fmt: skip
 
 
 def fused() -> str:
@@ -38,17 +35,12 @@ def simulated() -> str:
     return signature_of(flat.rates, flat.outputs)
 
 
-def plant() -> str:
-    return signature_of(double_track._advance.__wrapped__)
-
-
 @pytest.mark.parametrize(
     ("name_of", "files"),
     [
         (fused, [*PACKAGE, "tire"]),
         (compressed, [*PACKAGE, "tire"]),
         (simulated, PACKAGE),
-        (plant, [*PACKAGE, *PLANT]),
     ],
 )
 def test_an_edit_of_any_file_that_is_compiled_in_gives_another_name(
@@ -71,12 +63,12 @@ def test_an_edit_of_any_file_that_is_compiled_in_gives_another_name(
 
 
 def test_an_edit_elsewhere_gives_no_other_name(monkeypatch: pytest.MonkeyPatch) -> None:
-    names = fused(), plant()
+    name = fused()
     text = signature._text
     monkeypatch.setattr(
-        signature, "_text", lambda path: text(path) + b"#" * (Path(path).stem in ("driver", "axle"))
+        signature, "_text", lambda path: text(path) + b"#" * (Path(path).stem == "axle")
     )
-    assert names == (fused(), plant())
+    assert name == fused()
 
 
 def formula(source: str, **named: object) -> Formula:

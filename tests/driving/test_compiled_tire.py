@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numba import njit
 
 from miho.data import embedded_tire
 from miho.driving.compiled_tire import wheel_forces, wheel_tire
+from miho.driving.compiling import compiled
 from miho.models import load_tir
 from miho.models.magic_formula import MagicFormula
 
@@ -22,7 +22,7 @@ def tire(name: str, folder: Path) -> MagicFormula:
     return load_tir(path, strict=False)
 
 
-@njit(error_model="numpy")
+@compiled
 def forces(p, load, kappa, alpha, Vx):  # type: ignore[no-untyped-def]
     values = np.empty((2, load.size))
     for i in range(load.size):
@@ -41,8 +41,8 @@ def compare(model: MagicFormula, gamma: float, pressure: float | None = None) ->
     kappa = rng.uniform(-1.2, 1.2, 2000) * rng.choice(size, 2000)
     alpha = rng.uniform(-0.8, 0.8, 2000) * rng.choice(size, 2000)
     expected = model.forces(load, kappa, alpha, gamma, Vx, pressure)
-    compiled = forces(wheel_tire(model, gamma, pressure), load, kappa, alpha, Vx)
-    for force, reference in zip(compiled, (expected.Fx, expected.Fy), strict=True):
+    calculated = forces(wheel_tire(model, gamma, pressure), load, kappa, alpha, Vx)
+    for force, reference in zip(calculated, (expected.Fx, expected.Fy), strict=True):
         np.testing.assert_allclose(force, reference, rtol=0, atol=1e-12 * np.abs(reference).max())
 
 

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numba import njit
 
 from miho.driving.compiled_tire import wheel_forces, wheel_tire
+from miho.driving.compiling import compiled
 from miho.driving.multi_body import MultiBody
 from miho.driving.ovals import ims
 from miho.driving.plant import Command
@@ -20,7 +20,7 @@ RAMP = [(0.02, Command(steering=angle, gear=0)) for angle in np.linspace(0.0, 0.
 """Steering until the front tires slide."""
 
 
-@njit(error_model="numpy")
+@compiled
 def one_wheel(p, load, kappa, alpha, Vx, friction):  # type: ignore[no-untyped-def]
     return wheel_forces(p, load, kappa, alpha, Vx, friction)
 
