@@ -7,10 +7,12 @@ from types import MappingProxyType
 
 import numpy as np
 
-from miho.compiled.signature import compiled_when_called
 from miho.models.brake_statics import BrakePressure
 from miho.models.model import Model
 from miho.quantities import Array
+
+CELLS = 16384
+"""Rows times configurations that are computed together: about what stays in a cache."""
 
 
 @dataclass(frozen=True)
@@ -40,43 +42,45 @@ class BrakePlay(Model):
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Pressure [Pa], (n, N)."""
         (u,) = inputs
-        return np.asarray(_pressures(np.ascontiguousarray(thetas), np.ascontiguousarray(u)))
+        pressures = np.empty((thetas.shape[0], u.size))
+        together = max(CELLS // max(u.size, 1), 1)
+        for i in range(0, thetas.shape[0], together):
+            some = thetas[i : i + together]
+            pressures[i : i + together] = BrakePressure().predict(
+                some[:, :4], _played(u, some[:, 4])
+            )
+        return pressures
 
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives of the pressure with respect to (u0, u1, P_max, n, width), (N, 5)."""
         (u,) = inputs
-        v, by_width = _played(np.ascontiguousarray(u), theta[4])
+        (v,) = _played(u, theta[4:])
         static = BrakePressure().jacobian(theta[:4], v)
         by_v = -(static[:, 0] + static[:, 1])  # the curve depends on v - u0 and v - u1 alone
-        return np.column_stack([static, by_v * by_width])
+        return np.column_stack([static, by_v * _by_width(u, v, theta[4])])
 
 
-@compiled_when_called(error_model="numpy")
-def _pressures(thetas: Array, u: Array) -> Array:
-    """Pressures (n, N) of parameter rows (n, 5) at a record of commands (N,)."""
-    pressures = np.empty((thetas.shape[0], u.size))
-    for i in range(thetas.shape[0]):
-        u0, u1, P_max = thetas[i, 0], thetas[i, 1], thetas[i, 2]
-        n, half = thetas[i, 3], thetas[i, 4] / 2
-        v, x, share = u[0], 0.0, 0.0
-        for j in range(u.size):
-            v = min(max(v, u[j] - half), u[j] + half)
-            before, x = x, min(max((v - u0) / (u1 - u0), 0.0), 1.0)
-            if x != before:  # the power is what costs, and a resting v repeats it
-                share = x**n
-            pressures[i, j] = P_max * share
-    return pressures
+def _played(u: Array, widths: Array) -> Array:
+    """Outputs (n, N) of the play of each width (n,) at a record of commands (N,).
+
+    Each row clips what came before to a band. Two clips after each other are one clip, whose ends
+    are those of the first, clipped by the second. So rows are joined with those 1, 2, 4, ... before
+    them, until each has all before it.
+    """
+    low, high = u[:, None] - widths / 2, u[:, None] + widths / 2
+    low[:1] = high[:1] = u[:1, None]
+    step = 1
+    while step < u.size:
+        below, above = low[step:], high[step:]
+        joined = [np.minimum(np.maximum(end[:-step], below), above) for end in (low, high)]
+        low[step:], high[step:] = joined
+        step *= 2
+    return high.T
 
 
-@compiled_when_called()
-def _played(u: Array, width: float) -> tuple[Array, Array]:
-    """The output v of the play at each command, and its derivative in the width, (N,) each."""
-    played, slope = np.empty(u.size), np.empty(u.size)
-    v, by_width = u[0], 0.0
-    for j in range(u.size):
-        if u[j] - width / 2 > v:
-            v, by_width = u[j] - width / 2, -0.5
-        elif u[j] + width / 2 < v:
-            v, by_width = u[j] + width / 2, 0.5
-        played[j], slope[j] = v, by_width
-    return played, slope
+def _by_width(u: Array, v: Array, width: float) -> Array:
+    """The derivative (N,) of the output v (N,) in the width: of the row that dragged it last."""
+    before = np.append(u[:1], v[:-1])
+    risen, fallen = u - width / 2 > before, u + width / 2 < before
+    last = np.maximum.accumulate(np.where(risen | fallen, np.arange(u.size), 0))
+    return np.where(risen, -0.5, np.where(fallen, 0.5, 0.0))[last]
