@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 import miho.compiled.polynomials  # noqa: F401 -- registers the elementary functions
 from miho.compiled.arrays import as_tuple, read_only
-from miho.compiled.climb import climb_on, compiled_climb
-from miho.compiled.kernel import Climb, Formulas
+from miho.compiled.kernel import Formulas
 from miho.compiled.panel_sums import (
     ROUNDING,
     WITHIN,
@@ -80,11 +79,6 @@ class CompressedLoss:
         goal = math.log(TRUNCATION * self.tolerance) if accurate else -math.inf
         return _Data(panel_terms(tree, N, size), goal, scatter)
 
-    @cached_property
-    def climb(self) -> Climb:
-        """Compiled mutation steps on this loss."""
-        return climb_on(self._compiled.climb, self._data, self._room, self.threads)
-
     def _room(self) -> Scratch:
         return scratch_for(self._data.terms)
 
@@ -125,7 +119,6 @@ class _Data(NamedTuple):
 @dataclass(frozen=True)
 class _Compiled:
     losses: Callable[[Array, Array, _Data, Scratch, Array, NDArray[np.int64]], None]
-    climb: Callable[..., tuple[int, int, int, int]]
 
 
 @cache
@@ -158,12 +151,6 @@ def _compile(formulas: Signed, d: int) -> _Compiled:
         square, more = over_panels(parameters, -np.inf, limit, scratch, terms)
         return square, count + more
 
-    @register_jitable(error_model="numpy", forceinline=True)
-    @sign
-    def loss(theta: Array, limit: float, data: _Data, scratch: Scratch) -> float:
-        square: float = counted(theta, limit, data, scratch)[0]
-        return square
-
     @njit(cache=True, nogil=True, error_model="numpy", _nrt=False)
     @sign
     def losses(
@@ -173,4 +160,4 @@ def _compile(formulas: Signed, d: int) -> _Compiled:
         for i in range(len(thetas)):
             out[i], counts[i] = counted(thetas[i], limits[i], data, scratch)
 
-    return _Compiled(losses, compiled_climb(loss, formulas.signature, allocates=False))
+    return _Compiled(losses)

@@ -101,9 +101,8 @@ class FitKernel:
     @property
     def climb(self) -> Climb | None:
         """Mutation steps on the loss."""
-        if self.few_nodes is not None:
-            return self.few_nodes.climb
-        return self._fused.climb if self.climbs and self._agrees("losses") else None
+        taped = self.taped
+        return taped.climb if taped is not None and self._agrees("losses") else None
 
     @property
     def rows(self) -> Rows | None:

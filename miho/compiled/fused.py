@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from typing import Any, cast
 
 import numpy as np
@@ -36,13 +36,11 @@ from miho.compiled.arrays import (
     store_row,
     sum_of_squares,
 )
-from miho.compiled.calls import mean_square, pointer
-from miho.compiled.climb import climb_on, compiled_climb
-from miho.compiled.kernel import Climb, Formula, Formulas, Rows
-from miho.compiled.panel_sums import Sign, panel_sums, panel_terms, scratch_for
-from miho.compiled.panels import panels
-from miho.compiled.signature import Signed, signature_of, signed_formulas, signing
-from miho.compiled.taped import BLOCK, SHARE, TapedLoss, equal_parts, first_block, in_panels
+from miho.compiled.calls import pointer
+from miho.compiled.kernel import Formula, Formulas, Rows
+from miho.compiled.panel_sums import Sign
+from miho.compiled.signature import Signed, signed_formulas, signing
+from miho.compiled.taped import FIRST_BLOCK, SHARE, TapedLoss, equal_parts
 from miho.compiled.threads import threads_of
 from miho.core import machine
 from miho.quantities import Array
@@ -70,35 +68,16 @@ class FusedLoss:
         tapes = None if machine() is None else self.model.tapes
         if tapes is None:
             return None
-        return TapedLoss(*tapes, self._columns[0], self.y, self.order, self._first_block,
-                         self.threads)  # fmt: skip
+        return TapedLoss(*tapes, self._columns[0], self.y, self.order, self.threads)
 
     @cached_property
     def _compiled(self) -> _Compiled:
         shape, formulas = self._shape, (self.model.value, self.model.derivatives)
         return _compile(signed_formulas(formulas, shape), *shape)
 
-    @cached_property
-    def _steps(self) -> Callable[..., tuple[int, int, int, int]]:
-        if self.taped is not None and not self._in_panels:
-            return _steps_by_machine()
-        shape, formulas = self._shape, [self.model.value]
-        if self._in_panels and self.model.bound is not None:
-            formulas.append(self.model.bound)
-        signed = signed_formulas(tuple(formulas), shape)
-        return _compile_steps(signed, *shape, by_machine=self.taped is not None)
-
     @property
     def _shape(self) -> tuple[int, int]:
         return len(self.X), len(self.model.parameters)
-
-    @property
-    def _in_panels(self) -> bool:
-        return in_panels(self.model, len(self.X), self.y.size)
-
-    @property
-    def _first_block(self) -> int:
-        return first_block(self.model, len(self.X), self.y.size)
 
     @cached_property
     def _ordered(self) -> tuple[Array, Array]:
@@ -108,12 +87,8 @@ class FusedLoss:
 
     @property
     def _data(self) -> tuple[Any, ...]:
-        """What `_mean_square` and `_by_machine` take."""
-        by_machine: tuple[int, ...] = ()
-        if self.taped is not None:
-            value = self.taped.value.in_machine
-            by_machine = machine().functions()[2], machine().address(value)
-        return *self._ordered, self._first_block, *by_machine
+        """What `_mean_square` takes."""
+        return *self._ordered, FIRST_BLOCK
 
     @cached_property
     def rows(self) -> Rows:
@@ -130,16 +105,6 @@ class FusedLoss:
     @cached_property
     def _columns(self) -> tuple[Array, Array]:
         return read_only(self.X), read_only(self.y)
-
-    @cached_property
-    def climb(self) -> Climb:
-        """Compiled mutation steps on this loss."""
-        if not self._in_panels:
-            return climb_on(self._steps, self._data, tuple, self.threads, self.taped)
-        size = float(np.sqrt(np.mean(self.y**2)))
-        terms = panel_terms(panels(self.X[0], self.y), self.y.size, size)
-        room = partial(scratch_for, terms)
-        return climb_on(self._steps, (self._data, terms), room, self.threads, self.taped)
 
     def losses(self, thetas: Array, rows: int | None = None) -> Array:
         """Losses (n,) of parameter rows (n, d), over the first rows of the order if not all."""
@@ -186,6 +151,8 @@ class FusedLoss:
         return columns.T
 
 
+BLOCK = 512
+"""Rows at a time: temporaries of 4 KiB each."""
 CALL = types.void(*[types.int64] * 8)
 CALLED: dict[str, Any] = {
     "cache": True,
@@ -268,55 +235,6 @@ def _compile_rows(formulas: Signed, p: int, d: int) -> tuple[Any, Any]:
             store_row(derivatives(inputs(parts, row), parameters), J, row)
 
     return residuals, slopes
-
-
-@register_jitable(error_model="numpy")
-def _by_machine(theta: Array, limit: float, data: Any, scratch: Any) -> float:
-    """The mean square by the machine, as `_mean_square` gives it."""
-    X, y, first, function, tape = data
-    total: float = mean_square(theta, limit, function, tape, X, y, first)
-    return total
-
-
-@cache
-def _steps_by_machine() -> Callable[..., tuple[int, int, int, int]]:
-    """Mutation steps on the value of any formula."""
-    return compiled_climb(_by_machine, signature_of(_by_machine), allocates=False)
-
-
-@cache
-def _compile_steps(
-    formulas: Signed, p: int, d: int, *, by_machine: bool = False
-) -> Callable[..., tuple[int, int, int, int]]:
-    """Mutation steps on the value of a model, and with its bound on sums over panels first."""
-    sign = signing(formulas.signature)
-    value, *bound = map(register_jitable, formulas.copies())
-    loss = _by_machine if by_machine else _on_rows(_mean_square(value, sign, p, d), sign)
-    if not bound:
-        return compiled_climb(loss, formulas.signature)
-    _, beaten = panel_sums(value, bound[0], sign)
-
-    @register_jitable(error_model="numpy")
-    @sign
-    def panels_first(theta: Array, limit: float, data: Any, scratch: Any) -> float:
-        if limit < np.inf and beaten(as_tuple(theta, d), limit, scratch, data[1])[0]:
-            return limit
-        total: float = loss(theta, limit, data[0], scratch)
-        return total
-
-    return compiled_climb(panels_first, formulas.signature)
-
-
-def _on_rows(loss: Callable[..., float], sign: Sign) -> Callable[..., float]:
-    """A loss that needs no room, called as one that does."""
-
-    @register_jitable(error_model="numpy")
-    @sign
-    def of_rows(theta: Array, limit: float, data: Any, scratch: Any) -> float:
-        total: float = loss(theta, limit, data)
-        return total
-
-    return cast(Callable[..., float], of_rows)
 
 
 def _mean_square(

@@ -155,7 +155,6 @@ def taped_loss(
     tapes = None if machine() is None else model.tapes
     if tapes is None:
         return None
-    from miho.compiled.taped import TapedLoss, first_block
+    from miho.compiled.taped import TapedLoss
 
-    rows = first_block(model, len(X), y.size)
-    return TapedLoss(*tapes, np.ascontiguousarray(X), y, order, rows, threads)
+    return TapedLoss(*tapes, np.ascontiguousarray(X), y, order, threads)

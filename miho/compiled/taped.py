@@ -1,4 +1,4 @@
-"""Values of a formula by the machine of `miho.core`: importing this imports no numba."""
+"""Values of a formula by the machine of `miho.core`."""
 
 from __future__ import annotations
 
@@ -9,18 +9,13 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from miho.compiled.kernel import Formulas, Rows
+from miho.compiled.kernel import Climb, Rows
 from miho.compiled.threads import threads_of
 from miho.core import Tape, machine
 from miho.quantities import Array
 
 FIRST_BLOCK = 64
-"""Rows before the first test whether a candidate is beaten; then twice as many each, up to BLOCK.
-Where panels are tested first, an early test on rows gains nothing."""
-BLOCK = 512
-"""Rows at a time: temporaries of 4 KiB each."""
-WORTH_PANELS = 1000
-"""From so many rows on, sums over panels show sooner than the rows that a candidate is beaten."""
+"""Rows before the first test whether a candidate is beaten; then twice as many each."""
 SHARE = 50_000
 """A batch of so many model values is worth a further thread."""
 
@@ -30,8 +25,8 @@ class TapedLoss:
     """Residuals of a formula, their derivatives and their mean square, from its two tapes.
 
     X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which some rows
-    are its first ones. A mean square is summed in blocks, the first one of `first_block` rows, and
-    is the same bits alone, in a batch, and on any number of `threads`.
+    are its first ones. A mean square is summed in blocks, and is the same bits alone, in a batch,
+    and on any number of `threads`.
     """
 
     value: Tape
@@ -39,7 +34,6 @@ class TapedLoss:
     X: Array
     y: Array
     order: NDArray[np.intp]
-    first_block: int = FIRST_BLOCK
     threads: int = 1
     _parts: dict[int, tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False)
 
@@ -49,10 +43,10 @@ class TapedLoss:
         y = y[:rows]
         parts = min(self.threads, len(thetas), len(thetas) * y.size // SHARE)
         if parts <= 1:
-            return self.value.mean_squares(thetas, X, y, self.first_block)
+            return self.value.mean_squares(thetas, X, y, FIRST_BLOCK)
 
         def part(rows: slice) -> Array:
-            return self.value.mean_squares(thetas[rows], X, y, self.first_block)
+            return self.value.mean_squares(thetas[rows], X, y, FIRST_BLOCK)
 
         shares = equal_parts(len(thetas), parts)
         return np.concatenate(list(threads_of(self.threads).map(part, shares)))
@@ -67,6 +61,13 @@ class TapedLoss:
     def jacobian(self, theta: Array, rows: int | None = None) -> Array:
         """Derivatives of the residuals at theta (d,), (N, d) or (rows, d)."""
         return np.asarray(self.slopes.evaluate(theta[None], self._first(rows)[0])[0].T)
+
+    @cached_property
+    def climb(self) -> Climb:
+        """Mutation steps on the loss."""
+        from miho.compiled.climb import climb_on
+
+        return climb_on(self.value, *self.ordered, self.threads)
 
     @cached_property
     def rows(self) -> Rows:
@@ -90,16 +91,6 @@ class TapedLoss:
             X, y = self.ordered
             self._parts[rows] = np.ascontiguousarray(X[:, :rows]), y[:rows]
         return self._parts[rows]
-
-
-def in_panels(model: Formulas, inputs: int, rows: int) -> bool:
-    """Whether sums over panels are tested before rows."""
-    return inputs == 1 and rows >= WORTH_PANELS and model.bound is not None
-
-
-def first_block(model: Formulas, inputs: int, rows: int) -> int:
-    """How many rows the first block of a mean square has."""
-    return BLOCK if in_panels(model, inputs, rows) else FIRST_BLOCK
 
 
 def equal_parts(n: int, count: int) -> list[slice]:

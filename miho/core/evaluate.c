@@ -3,23 +3,23 @@
 #include <string.h>
 #include "tape.h"
 
-typedef struct {
+struct workspace {
     double **registers;     /* to the rows of each */
     double **each_scalar;
     double *scalars;
     double *work;           /* registers of work, and room for one more */
     int rows;               /* of a block */
-} workspace;
+};
 
 static int rows_of_block(const tape *t) {
     return t->registers - t->inputs > MANY_REGISTERS ? MOST_ROWS / 2 : MOST_ROWS;
 }
 
-/* False without memory. `workspace.registers` is all there is to free. */
-static int allocate(const tape *t, workspace *w) {
+/* For blocks of so many rows. False without memory. `workspace.registers` is all there is to free. */
+static int allocate_rows(const tape *t, int rows, workspace *w) {
     size_t pointers = (size_t)t->registers + t->scalars;
     size_t of_work = t->registers - t->inputs - t->results + 1;
-    w->rows = rows_of_block(t);
+    w->rows = rows;
     size_t before = pointers * sizeof(double *) + t->scalars * sizeof(double) + 64;
     w->registers = malloc(before + of_work * w->rows * sizeof(double));
     if (!w->registers) return 0;
@@ -32,6 +32,8 @@ static int allocate(const tape *t, workspace *w) {
     memcpy(w->scalars, t->constant, t->constants * sizeof(double));
     return 1;
 }
+
+static int allocate(const tape *t, workspace *w) { return allocate_rows(t, rows_of_block(t), w); }
 
 /* What depends on the parameters alone. */
 static void start(const tape *t, const double *theta, workspace *w) {
@@ -76,9 +78,8 @@ int tape_evaluate(const tape *t, const double *thetas, int64_t n, const double *
     return 1;
 }
 
-/* The mean square of the one result minus y at theta, see tape.h. */
-static double mean_square(const tape *t, const double *theta, const measurements *d, double limit,
-                          workspace *w) {
+double tape_mean_square(const tape *t, const double *theta, const measurements *d, double limit,
+                        workspace *w) {
     double total = 0.0;
     int size = fewer(d->first, w->rows), m;
     start(t, theta, w);
@@ -97,19 +98,9 @@ int tape_mean_squares(const tape *t, const double *thetas, int64_t n, const meas
     workspace w;
     if (!allocate(t, &w)) return 0;
     for (int64_t k = 0; k < n; k++)
-        out[k] = mean_square(t, thetas + k * t->parameters, d, __builtin_inf(), &w);
+        out[k] = tape_mean_square(t, thetas + k * t->parameters, d, __builtin_inf(), &w);
     free(w.registers);
     return 1;
-}
-
-double tape_mean_square(const tape *t, const double *theta, const double *X, int64_t N,
-                        const double *y, int64_t rows, int64_t first, double limit) {
-    measurements d = {X, N, y, rows, first};
-    workspace w;
-    if (!allocate(t, &w)) return __builtin_nan("");
-    double value = mean_square(t, theta, &d, limit, &w);
-    free(w.registers);
-    return value;
 }
 
 void tape_residuals(const tape *t, const double *theta, const double *X, int64_t N,
@@ -128,4 +119,16 @@ void tape_columns(const tape *t, const double *theta, const double *X, int64_t N
     start(t, theta, &w);
     columns(t, X, N, i, j, out, stride, &w);
     free(w.registers);
+}
+
+workspace *tape_open(const tape *t, int64_t rows) {
+    workspace *w = malloc(sizeof *w);
+    if (w && allocate_rows(t, fewer(rows, rows_of_block(t)), w)) return w;
+    free(w);
+    return NULL;
+}
+
+void tape_close(workspace *w) {
+    if (w) free(w->registers);
+    free(w);
 }

@@ -187,11 +187,10 @@ static PyObject *py_address(PyObject *module, PyObject *capsule) {
 }
 
 PyDoc_STRVAR(functions_doc,
-    "functions(): addresses of tape_residuals, tape_columns and tape_mean_square (tape.h).");
+    "functions(): addresses of tape_residuals and tape_columns (tape.h).");
 static PyObject *py_functions(PyObject *module, PyObject *none) {
-    return Py_BuildValue("NNN", PyLong_FromVoidPtr((void *)(uintptr_t)tape_residuals),
-                         PyLong_FromVoidPtr((void *)(uintptr_t)tape_columns),
-                         PyLong_FromVoidPtr((void *)(uintptr_t)tape_mean_square));
+    return Py_BuildValue("NN", PyLong_FromVoidPtr((void *)(uintptr_t)tape_residuals),
+                         PyLong_FromVoidPtr((void *)(uintptr_t)tape_columns));
 }
 
 PyDoc_STRVAR(levels_doc, "levels(): names of the levels of instructions that this processor has.");
@@ -217,6 +216,7 @@ static PyMethodDef methods[] = {
     {"evaluate", FAST(py_evaluate), evaluate_doc},
     {"mean_squares", FAST(py_mean_squares), mean_squares_doc},
     {"run_bracket", FAST(py_run_bracket), run_bracket_doc},
+    {"climb", FAST(py_climb), climb_doc},
     {"solve_trajectories", FAST(py_solve_trajectories), solve_trajectories_doc},
     {"derive_trajectory", FAST(py_derive_trajectory), derive_trajectory_doc},
     {"address", py_address, METH_O, address_doc},

@@ -9,6 +9,9 @@
 /* module_search.c */
 extern const char run_bracket_doc[];
 PyObject *py_run_bracket(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+/* module_climb.c */
+extern const char climb_doc[];
+PyObject *py_climb(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 /* module_trajectory.c */
 extern const char solve_trajectories_doc[], derive_trajectory_doc[];
 PyObject *py_solve_trajectories(PyObject *module, PyObject *const *arguments, Py_ssize_t count);

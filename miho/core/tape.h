@@ -73,13 +73,18 @@ typedef struct { const double *X; int64_t N; const double *y; int64_t rows, firs
 /* Mean squares (n,) of the one result minus y. */
 int tape_mean_squares(const tape *t, const double *thetas, int64_t n, const measurements *d,
                       double *out);
-/* One of them, or any number from `limit` on as soon as it is known to be there. */
-double tape_mean_square(const tape *t, const double *theta, const double *X, int64_t N,
-                        const double *y, int64_t rows, int64_t first, double limit);
 /* The one result minus y at rows i to j of X (p, N), out (j - i,). */
 void tape_residuals(const tape *t, const double *theta, const double *X, int64_t N,
                     const double *y, int64_t i, int64_t j, double *out);
 /* All results there, each `stride` numbers behind the last. */
 void tape_columns(const tape *t, const double *theta, const double *X, int64_t N, int64_t i,
                   int64_t j, double *out, int64_t stride);
+
+/* Room for many calls, in blocks of no more than so many rows, NULL without memory. */
+typedef struct workspace workspace;
+workspace *tape_open(const tape *t, int64_t rows);
+void tape_close(workspace *w);
+/* One of the mean squares, or any number from `limit` on as soon as it is known to be there. */
+double tape_mean_square(const tape *t, const double *theta, const measurements *d, double limit,
+                        workspace *w);
 #endif

@@ -83,7 +83,7 @@ def machine() -> Any:
         import miho.core._machine as built
     except ImportError:
         return None
-    whole = {"run_bracket", "solve_trajectories"} <= vars(built).keys()
+    whole = {"run_bracket", "solve_trajectories", "climb"} <= vars(built).keys()
     return built if whole and built.operations() == tuple(OPERATIONS) else None
 
 

@@ -1,4 +1,4 @@
-"""Compiled steps against the general path: the same trace, bit for bit, wherever a run is cut."""
+"""Steps in the machine against the general path: the same bits, wherever a run is cut."""
 
 from __future__ import annotations
 
@@ -29,8 +29,9 @@ from miho import (
     minimize,
 )
 from miho.compiled import Block, Climb, Kernel, Rows, Steps
-from miho.compiled.fused import FusedLoss
 from miho.compiled.kernel import Formula
+from miho.compiled.taped import TapedLoss
+from miho.core import machine
 from miho.models import TorqueCubic
 from miho.models.expression import Expression
 from miho.optim import AsynchronousMIHO, BudgetExhausted, Clock, Outcome, RunRecord
@@ -39,6 +40,8 @@ from miho.optim.schedule import hyperband_table
 from miho.optim.seeds import stream
 
 Array = NDArray[np.float64]
+
+pytestmark = pytest.mark.skipif(machine() is None, reason="the machine was not built")
 
 BOX = [(-50, 150), (-200, 400), (-400, 200), (-200, 200)]
 
@@ -51,13 +54,20 @@ def space_of(model: Expression, box: list[tuple[float, float]]) -> Space:
 SPACE = space_of(TorqueCubic(), BOX)
 
 
-def torque(rows: int = 150) -> FusedLoss:
+def taped(model: Expression, x: Array, y: Array, order: NDArray[np.intp]) -> TapedLoss:
+    """The mean square of a formula of one input minus y (N,) at x (N,)."""
+    tapes = model.tapes
+    assert tapes is not None
+    return TapedLoss(*tapes, x[None], y, order)
+
+
+def torque(rows: int = 150) -> TapedLoss:
     """The loss of a noisy torque curve."""
     rng = np.random.default_rng(5)
     omega = rng.uniform(100, 730, rows)
     w = omega / TorqueCubic().omega_max
     y = 40 + 150 * w - 90 * w**2 - 20 * w**3 + rng.normal(0, 10, rows)
-    return FusedLoss(TorqueCubic(), omega[None], y, rng.permutation(rows))
+    return taped(TorqueCubic(), omega, y, rng.permutation(rows))
 
 
 class Counting(NamedTuple):
@@ -74,7 +84,7 @@ class Watched(Problem):
     Beyond `until` steps somebody presses Ctrl-C.
     """
 
-    fused: FusedLoss
+    fit: TapedLoss
     compiled: bool = True
     space: Space = SPACE
     until: float = math.inf
@@ -82,14 +92,14 @@ class Watched(Problem):
     name: str = "climbed"
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        return self.fused.losses(thetas)
+        return self.fit.losses(thetas)
 
     @property
     def kernel(self) -> Kernel | None:  # type: ignore[override]
         return Counting(self._climb) if self.compiled else None
 
     def _climb(self, steps: Steps, best: float, target: float) -> Block:
-        block = self.fused.climb(steps, best, target)
+        block = self.fit.climb(steps, best, target)
         self.steps += round(block.evaluations) // len(steps.P)
         if self.steps > self.until:
             signal.raise_signal(signal.SIGINT)
@@ -97,12 +107,12 @@ class Watched(Problem):
 
 
 @pytest.fixture(scope="module")
-def fit() -> FusedLoss:
+def fit() -> TapedLoss:
     return torque()
 
 
 def both(
-    fit: FusedLoss,
+    fit: TapedLoss,
     optimizer: MIHO | AsynchronousMIHO,
     budget: Budget | None = None,
     seed: int = 3,
@@ -131,7 +141,7 @@ def same(record: RunRecord, reference: RunRecord) -> None:
 @pytest.mark.parametrize("clip", ["box", "lower", "none"])
 @pytest.mark.parametrize("annealing", ["linear", "exponential"])
 def test_the_trace_is_that_of_the_general_path(
-    fit: FusedLoss, early_stopping: bool, clip: str, annealing: str
+    fit: TapedLoss, early_stopping: bool, clip: str, annealing: str
 ) -> None:
     optimizer = MIHO(R=100, eta=3, clip=clip, annealing=annealing, early_stopping=early_stopping)
     climbed, general = both(fit, optimizer)
@@ -141,7 +151,7 @@ def test_the_trace_is_that_of_the_general_path(
 
 
 @pytest.mark.parametrize(("R", "eta"), [(1, 2), (2, 2), (3, 3), (5, 2), (400, 20)])
-def test_small_schedules(fit: FusedLoss, R: int, eta: int) -> None:
+def test_small_schedules(fit: TapedLoss, R: int, eta: int) -> None:
     runs = [
         minimize(MIHO(R=R, eta=eta), Watched(fit, compiled), seed=1) for compiled in (True, False)
     ]
@@ -153,7 +163,7 @@ def test_small_schedules(fit: FusedLoss, R: int, eta: int) -> None:
 @pytest.mark.parametrize("early_stopping", [False, True])
 @pytest.mark.parametrize("evaluations", [1, 80, 81, 100, 163, 250, 333, 401, 600, 777])
 def test_cut_anywhere_and_resumed_from_a_pickle(
-    fit: FusedLoss, evaluations: int, early_stopping: bool
+    fit: TapedLoss, evaluations: int, early_stopping: bool
 ) -> None:
     """MIHO(81, 3) starts with 81 configurations; later budgets end inside a step of several."""
     optimizer = MIHO(R=81, eta=3, early_stopping=early_stopping)
@@ -172,7 +182,7 @@ def test_cut_anywhere_and_resumed_from_a_pickle(
 
 
 @pytest.mark.parametrize("clip", ["box", "lower"])
-def test_a_chain_that_is_alone_climbs_as_it_would_step(fit: FusedLoss, clip: str) -> None:
+def test_a_chain_that_is_alone_climbs_as_it_would_step(fit: TapedLoss, clip: str) -> None:
     """The asynchronous method without workers, cut within blocks and resumed by both paths."""
     optimizer = AsynchronousMIHO(R=81, eta=3, clip=clip)
     climbed, whole = both(fit, optimizer)
@@ -187,7 +197,7 @@ def test_a_chain_that_is_alone_climbs_as_it_would_step(fit: FusedLoss, clip: str
             same(minimize(optimizer, Watched(fit, goes_on), seed=3, checkpoint=checkpoint), whole)
 
 
-def test_a_target_ends_the_run_at_the_same_improvement(fit: FusedLoss) -> None:
+def test_a_target_ends_the_run_at_the_same_improvement(fit: TapedLoss) -> None:
     optimizer = MIHO(R=100, eta=3)
     losses = minimize(optimizer, Watched(fit), seed=3).trace.loss
     for target in (losses[-3], losses[len(losses) // 2]):
@@ -203,7 +213,7 @@ def test_a_target_ends_the_run_at_the_same_improvement(fit: FusedLoss) -> None:
         assert resumed[0].trace.loss == losses
 
 
-def test_a_target_in_the_last_step_is_still_what_ended_the_run(fit: FusedLoss) -> None:
+def test_a_target_in_the_last_step_is_still_what_ended_the_run(fit: TapedLoss) -> None:
     optimizer = MIHO(R=5, eta=2)
     last = hyperband_table(5, 2, "ceil")[-1].n
     runs = (minimize(optimizer, Watched(fit), seed=seed) for seed in range(200))
@@ -217,9 +227,9 @@ def test_a_target_in_the_last_step_is_still_what_ended_the_run(fit: FusedLoss) -
 
 
 def test_log_scales_go_the_general_path() -> None:
-    fused = torque()
+    fit = torque()
     units = {"omega": "rad/s", "T": "Nm"}
-    data = Dataset("torque", {"omega": fused.X[0], "T": fused.y}, units, "T")
+    data = Dataset("torque", {"omega": fit.X[0], "T": fit.y}, units, "T")
     first = Parameter("p0", "Nm", 1, 150, "log")
     log = CurveFit(TorqueCubic(), data, Space((first, *SPACE.parameters[1:])))
     assert climb_of(Oracle(log, Budget())) is None
@@ -229,13 +239,13 @@ def test_log_scales_go_the_general_path() -> None:
     assert record.loss < 1000
 
 
-def test_fresh_proposals_go_the_general_path(fit: FusedLoss) -> None:
+def test_fresh_proposals_go_the_general_path(fit: TapedLoss) -> None:
     watched = Watched(fit)
     minimize(MIHO(R=100, eta=3, proposal="fresh"), watched)
     assert watched.steps <= 1  # the warm-up's
 
 
-def climb_by(fit: FusedLoss, P: Array, L: Array, noise: Array, early_stopping: bool) -> Block:
+def climb_by(fit: TapedLoss, P: Array, L: Array, noise: Array, early_stopping: bool) -> Block:
     """Mutations of P by the rows of `noise`, against the incumbents L."""
     sigma, bounds = np.ones((len(noise), P.shape[1])), SPACE.bounds
     first = np.clip(P + noise[0], *bounds)
@@ -276,7 +286,7 @@ def test_threads_change_nothing(rows: int) -> None:
     same(runs[2], runs[0])
 
 
-def test_an_equal_loss_does_not_replace_its_parent(fit: FusedLoss) -> None:
+def test_an_equal_loss_does_not_replace_its_parent(fit: TapedLoss) -> None:
     P = SPACE.initial(3)
     for early_stopping in (False, True):
         p, L = P.copy(), fit.losses(P)
@@ -307,11 +317,10 @@ class Root(Expression):
         )
 
 
-@pytest.mark.slow  # it compiles a model of its own
 @pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning")
 def test_losses_that_are_no_numbers_are_rejected_alike() -> None:
     x = np.linspace(0, 1, 200)
-    fit = FusedLoss(Root(), x[None], np.sqrt(0.02 + x), np.arange(200))
+    fit = taped(Root(), x, np.sqrt(0.02 + x), np.arange(200))
     space = space_of(Root(), [(0, 3), (-1, 1)])
     climbed, general = both(fit, MIHO(R=100, eta=3, early_stopping=False), space=space)
     same(climbed, general)
@@ -321,17 +330,17 @@ def test_losses_that_are_no_numbers_are_rejected_alike() -> None:
     same(stopped, general)
 
 
-def test_overflow_and_holes_in_the_data_are_rejected_alike(fit: FusedLoss) -> None:
+def test_overflow_and_holes_in_the_data_are_rejected_alike(fit: TapedLoss) -> None:
     for value, word in ((np.nan, "nan"), (np.inf, "inf"), (1e200, "inf")):
         y = fit.y.copy()
         y[7] = value
-        holed = FusedLoss(fit.model, fit.X, y, fit.order)
+        holed = replace(fit, y=y)
         climbed, general = both(holed, MIHO(R=100, eta=3))
         assert climbed.outcome is general.outcome is Outcome.NO_FINITE_VALUE
         assert climbed.rejected == general.rejected == {f"loss is {word}": climbed.evaluations}
 
 
-def test_ctrl_c_between_blocks_leaves_a_state_that_goes_on(fit: FusedLoss) -> None:
+def test_ctrl_c_between_blocks_leaves_a_state_that_goes_on(fit: TapedLoss) -> None:
     optimizer = MIHO(R=400, eta=3)
     whole = minimize(optimizer, Watched(fit, False), seed=3)
     record = minimize(optimizer, Watched(fit, until=100), seed=3)
@@ -343,7 +352,7 @@ def test_ctrl_c_between_blocks_leaves_a_state_that_goes_on(fit: FusedLoss) -> No
         same(minimize(optimizer, Watched(fit, compiled), seed=3, checkpoint=checkpoint), whole)
 
 
-def test_a_step_makes_no_more_evaluations_than_the_budget_allows(fit: FusedLoss) -> None:
+def test_a_step_makes_no_more_evaluations_than_the_budget_allows(fit: TapedLoss) -> None:
     """Before anything was timed one, then as many as the clock or the budget allows."""
     ticks, optimizer = count(), MIHO(R=9, eta=3)
     clock = Clock(wall=lambda: 1e-6 * next(ticks))
@@ -360,7 +369,7 @@ def test_a_step_makes_no_more_evaluations_than_the_budget_allows(fit: FusedLoss)
         assert state.row == evaluations % n  # of the step that was cut
 
 
-def test_by_default_a_step_is_one_batch(fit: FusedLoss) -> None:
+def test_by_default_a_step_is_one_batch(fit: TapedLoss) -> None:
     method = Halves()
     oracle = Oracle(Watched(fit), Budget())
     state = method.start(oracle, stream("own"))
