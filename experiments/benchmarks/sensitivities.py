@@ -6,7 +6,7 @@ The single-track car of `conf/problem/single_track`, 7 parameters: one evaluatio
 batch of 64 (values, batch), one with the sensitivities that are integrated with it, and one with
 central differences of the solver, which are 14 values in one batch. The fastest of many calls in
 turns counts. A first use is that of a new model, from its right-hand side to its first values and
-sensitivities, in CPU time: without the machine numba compiles it, or reads it from its cache.
+sensitivities, in CPU time.
 Exactness is the largest difference of a sensitivity from complex steps through the same Runge-Kutta
 steps in NumPy, as a fraction of the largest in its column.
 """

@@ -1,15 +1,10 @@
-"""What a trajectory is computed from, in C or compiled: importing this imports no numba."""
+"""What a trajectory is computed from."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from miho.quantities import Array, Integers
-
-LANES = 16
-"""Parameter rows side by side, in numba's code."""
 
 
 class Course(NamedTuple):
@@ -33,19 +28,3 @@ class Course(NamedTuple):
     values: Array
     parameters: Integers
     restart: bool
-
-
-@dataclass(frozen=True)
-class FlatEquations:
-    """Right-hand side and outputs as plain functions of flat arrays, which numba compiles.
-
-    All are called (t, u, x, p, out, columns). Of `rates` and `outputs` these are parameter rows:
-    state s of row i is x[LANES * s + i], and so are p and out. Of `varied_rates` and
-    `varied_outputs` they are the d parameters of one row: behind x (S,) stand its derivatives
-    (S, d) with respect to them, row by row, and so they do behind the result in out.
-    """
-
-    rates: Callable[..., None]
-    outputs: Callable[..., None]
-    varied_rates: Callable[..., None]
-    varied_outputs: Callable[..., None]

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from miho.compiled.course import LANES, FlatEquations
-from miho.models.formula_text import assignments, defined, written
+from miho.models.formula_text import written
 from miho.models.function_model import COLUMN, declared_unit
 from miho.models.symbolic import NotAFormulaError, Symbol, argument, gradient, of_symbols, trace
 from miho.models.taped_equations import TapedEquations, taped_equations
@@ -71,8 +70,8 @@ class Equations:
 
     Functions take their arguments by name: the time, states, inputs u (q,) and parameters p (d,).
     An output is a function or the name of a state. Arrays may have a further axis of n parameter
-    rows. What traces (`miho.models.symbolic`) is differentiated exactly, is `taped` for the machine
-    and has a `flat` form to compile; of anything else central differences of rhs and h are taken.
+    rows. What traces (`miho.models.symbolic`) is differentiated exactly, and is `taped` for the
+    machine; of anything else central differences of rhs and h are taken.
     """
 
     rhs: Declared
@@ -116,19 +115,6 @@ class Equations:
     def taped(self) -> TapedEquations | None:
         """The equations for the machine, None without it, or if they do not trace."""
         return None if self._graphs is None else taped_equations(*self._graphs, *self._symbols)
-
-    @cached_property
-    def flat(self) -> FlatEquations | None:
-        """The equations for the compiler, None if they do not trace."""
-        if self._graphs is None:
-            return None
-        rates, outputs = self._graphs
-        return FlatEquations(
-            self._in_lanes("rates", rates),
-            self._in_lanes("outputs", outputs),
-            self._varied("varied_rates", rates),
-            self._varied("varied_outputs", outputs),
-        )
 
     def _values(
         self, t: Any, u: Iterable[Any], x: Iterable[Any], p: Iterable[Any]
@@ -235,48 +221,6 @@ class Equations:
         S, d = len(self.states), len(self.parameters)
         both = np.array(slopes, dtype=float).reshape(-1, S + d)
         return both[:, :S], both[:, S:]
-
-    def _in_lanes(self, name: str, results: Sequence[Symbol]) -> Callable[..., None]:
-        """Results of several parameter rows; what inputs and time alone decide is done once."""
-        u, x, p = self._symbols
-        places = {"t": "t"} | {s.arguments[0]: f"u[{k}]" for k, s in enumerate(u)}
-        places |= {s.arguments[0]: f"x[{k * LANES} + i]" for k, s in enumerate(x)}
-        places |= {s.arguments[0]: f"p[{k * LANES} + i]" for k, s in enumerate(p)}
-        shared = frozenset(["t", *(s.arguments[0] for s in u)])
-        lines, results_at = assignments(results, places)
-        return defined(
-            name,
-            [
-                f"def {name}(t, u, x, p, out, lanes):",
-                *(f"    {line}" for line, needs in lines if needs <= shared),
-                "    for i in range(lanes):",
-                *(f"        {line}" for line, needs in lines if not needs <= shared),
-                *(f"        out[{k * LANES} + i] = {at}" for k, at in enumerate(results_at)),
-            ],
-        )
-
-    def _varied(self, name: str, results: Sequence[Symbol]) -> Callable[..., None]:
-        """Results and their derivatives by the chain rule, for one parameter row."""
-        u, x, p = self._symbols
-        places = {"t": "t"}
-        for group, symbols in (("u", u), ("x", x), ("p", p)):
-            places |= {s.arguments[0]: f"{group}[{k}]" for k, s in enumerate(symbols)}
-        slopes = [gradient(result, [*x, *p]) for result in results]
-        lines, at = assignments([*results, *(slope for row in slopes for slope in row)], places)
-        body = [line for line, _ in lines]
-        written_at, d = iter(at[len(results) :]), len(p)
-        for k, row in enumerate(slopes):
-            by = [(slope.number != 0, next(written_at)) for slope in row]
-            moving = [(s, at) for s, (moves, at) in enumerate(by[: len(x)]) if moves]
-            chain = [f"{at} * x[{len(x) + s * d} + k]" for s, at in moving]
-            begin = len(results) + k * d
-            body.append(f"for k in range({d}):")
-            body.append(f"    out[{begin} + k] = {' + '.join(chain) or '0.0'}")
-            directly = enumerate(by[len(x) :])
-            body += [f"out[{begin + q}] += {at}" for q, (moves, at) in directly if moves]
-            body.append(f"out[{k}] = {at[k]}")
-        head = f"def {name}(t, u, x, p, out, columns):"
-        return defined(name, [head, *(f"    {line}" for line in body)])
 
 
 @dataclass(frozen=True)

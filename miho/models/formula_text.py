@@ -1,9 +1,9 @@
-"""Graphs written out as plain Python functions, which NumPy evaluates and numba compiles."""
+"""Graphs written out as plain Python functions, which NumPy evaluates."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -24,46 +24,30 @@ def written(
     """
     lines = [f"def {name}({', '.join(signature)}):"]
     lines += [f"    ({', '.join(names)},) = {tuple_}" for tuple_, names in signature.items()]
-    statements, places = assignments(results)
-    lines += [f"    {line}" for line, _ in statements]
+    statements, places = _assignments(results)
+    lines += [f"    {line}" for line in statements]
     returned = ", ".join(places)
     lines.append(f"    return {returned if single else f'({returned},)'}")
-    return defined(name, lines)
+    return _function(name, "\n".join(lines))
 
 
-def assignments(
-    results: Sequence[Symbol], names: Mapping[str, str] | None = None
-) -> tuple[list[tuple[str, frozenset[str]]], list[str]]:
-    """Lines that compute results, each operation once, and what to write for each result.
-
-    With each line come the arguments that it depends on; `names` is what to write for these, if
-    not their own names.
-    """
-    lines: list[tuple[str, frozenset[str]]] = []
+def _assignments(results: Sequence[Symbol]) -> tuple[list[str], list[str]]:
+    """Lines that compute results, each operation once, and what to write for each result."""
+    lines: list[str] = []
     places: dict[Symbol, str] = {}
-    needs: dict[Symbol, frozenset[str]] = {}
     values: dict[str, str] = {}  # by what they are computed from, so that none is computed twice
     for symbol in ordered(results):
         if symbol.operation == ARGUMENT:
-            name = symbol.arguments[0]
-            needs[symbol] = frozenset([name])
-            places[symbol] = name if names is None else names[name]
+            places[symbol] = symbol.arguments[0]
         elif symbol.operation == CONSTANT:
-            needs[symbol] = frozenset()
             places[symbol] = _literal(symbol.arguments[0])
         else:
             formula = _formula(symbol, places)
-            needs[symbol] = frozenset().union(*(needs[child] for child in symbol.arguments))
             if formula not in values:
                 values[formula] = f"_{len(values)}"
-                lines.append((f"{values[formula]} = {formula}", needs[symbol]))
+                lines.append(f"{values[formula]} = {formula}")
             places[symbol] = values[formula]
     return lines, [places[result] for result in results]
-
-
-def defined(name: str, lines: Iterable[str]) -> Callable[..., Any]:
-    """The function of that name that lines define, with NumPy and our elementary functions."""
-    return _function(name, "\n".join(lines))
 
 
 @lru_cache(maxsize=256)

@@ -121,7 +121,7 @@ def input_at(course: Course, j: int, share: float) -> Array:
 
 
 def runge_kutta(course: Course, motion: Motion) -> Path:
-    """The classical method of fourth order, as `miho.compiled.runge_kutta` does it."""
+    """The classical method of fourth order, as the machine does it."""
 
     def step(z: Array, j: int, substep: int, h: float) -> Array:
         after, dz = z, np.zeros_like(z)

@@ -21,7 +21,6 @@ from miho.quantities import Array
 from miho.validate import one_of, positive, whole
 
 if TYPE_CHECKING:
-    from miho.compiled.runge_kutta import Trajectories
     from miho.models.taped_equations import TapedEquations
 
 RUNGE_KUTTA = "RK4"
@@ -68,9 +67,9 @@ class Trajectory(Model):
         SciPy for stiff equations, to the relative `tolerance`.
 
     Derivatives are those of the computed solution (forward sensitivities), exact where `rhs` is
-    arithmetic and NumPy's functions of numbers: it then runs in C too, or is compiled without the
-    machine of `miho.core`. Others are differenced, and run in NumPy. A solution that fails or
-    diverges is NaN. Times increase from row to row.
+    arithmetic and NumPy's functions of numbers: it then runs on the machine of `miho.core` too.
+    Others are differenced, and run in NumPy, as all do where the library was installed without a C
+    compiler. A solution that fails or diverges is NaN. Times increase from row to row.
     """
 
     rhs: Callable[..., Any]
@@ -142,7 +141,7 @@ class Trajectory(Model):
                 )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """The settings alone: what was traced or compiled is so again."""
+        """The settings alone: what was traced is so again."""
         settings = [getattr(self, f.name) for f in fields(self)]
         return type(self), tuple(settings)
 
@@ -242,26 +241,17 @@ class Trajectory(Model):
             tuple(self.parameters),
         )
 
-    @cached_property
-    def _compiled(self) -> TapedEquations | Trajectories | None:
-        """The solution by the machine, without it by numba; None if it is by neither."""
-        if self.solver != RUNGE_KUTTA:
-            return None
-        if self.equations.taped is not None:
-            return self.equations.taped
-        flat = self.equations.flat
-        if flat is None:
-            return None
-        from miho.compiled.runge_kutta import trajectories
-
-        return trajectories(flat, len(self.states), len(self.outputs), len(self.parameters))
+    @property
+    def _taped(self) -> TapedEquations | None:
+        """The solution by the machine, None where it is NumPy's or SciPy's."""
+        return self.equations.taped if self.solver == RUNGE_KUTTA else None
 
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
         course = self._course(inputs)
         out = np.empty((len(thetas), inputs[0].size))
-        if self._compiled is not None:
-            self._compiled.solve(np.array(thetas, dtype=float, order="C"), course, out)
+        if self._taped is not None:
+            self._taped.solve(np.array(thetas, dtype=float, order="C"), course, out)
         elif self.solver == RUNGE_KUTTA:
             motion = Values(self.equations, thetas.T.copy())
             out[:] = along(course, motion, runge_kutta(course, motion)).T
@@ -276,9 +266,9 @@ class Trajectory(Model):
         """Derivatives of the outputs (N, d), by the equations that they obey along the solution."""
         course, theta = self._course(inputs), np.array(theta, dtype=float)
         motion = Sensitivities(self.equations, theta, np.maximum(np.abs(theta), SMALLEST))
-        if self._compiled is not None:
+        if self._taped is not None:
             out = np.empty((inputs[0].size, theta.size))
-            self._compiled.derive(theta, course, out)
+            self._taped.derive(theta, course, out)
         elif self.solver == RUNGE_KUTTA:
             out = along(course, motion, runge_kutta(course, motion))
         else:

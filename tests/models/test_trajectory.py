@@ -83,10 +83,10 @@ def test_a_rate_that_is_switched_is_its_closed_form() -> None:
     np.testing.assert_allclose(model.jacobian(theta, T, fan), exact, rtol=0, atol=1e-7)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-def test_a_damped_oscillator_is_its_closed_form(compiled: bool) -> None:
+@pytest.mark.parametrize("traced", [True, False])
+def test_a_damped_oscillator_is_its_closed_form(traced: bool) -> None:
     """RK4 at 5 ms is within 1e-9 of it, h^4 times some 100 rad/s."""
-    model = OSCILLATOR if compiled else untraced(OSCILLATOR)
+    model = OSCILLATOR if traced else untraced(OSCILLATOR)
     theta = np.array([40.0, 1.5, 0.3])
     assert list(model.parameters) == ["k", "c", "x_0"]
     np.testing.assert_allclose(model.predict(theta[None], T)[0], oscillation(T, theta), atol=1e-9)
@@ -103,7 +103,7 @@ def untraced(model: Trajectory) -> Trajectory:
         return inner(x, v, k=k, c=c) if x > -1e9 else (0.0, 0.0)
 
     other = replace(model, rhs=branching)
-    assert other.equations.flat is None
+    assert not other.equations.traced
     return other
 
 
@@ -276,7 +276,7 @@ def test_all_solvers_go_the_same_way(start: dict[str, Any]) -> None:
     theta = np.array([1.7, 0.5, -1.0, 2.0])[: len(model.parameters)]
     values, slopes = model.predict(theta[None], *columns), model.jacobian(theta, *columns)
     for other in others:
-        assert other._compiled is None
+        assert other._taped is None
         np.testing.assert_allclose(other.predict(theta[None], *columns), values, atol=1e-6)
         np.testing.assert_allclose(other.jacobian(theta, *columns), slopes, atol=1e-6)
 
