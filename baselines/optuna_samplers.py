@@ -69,6 +69,7 @@ class OptunaCMAES(Optimizer):
     (Auger and Hansen, CEC 2005). Until the budget ends, in memory.
     """
 
+    loads = ("cmaes",)
     inc_popsize: int = 2
     tolerance: float = 1e-12
 

@@ -387,14 +387,6 @@ def test_what_has_changed_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyP
         called(monkeypatch, tmp_path.joinpath("empty"))
 
 
-def test_a_compressed_problem_is_made_again_as_such(root: Path) -> None:
-    for switch in (True, False):
-        experiment = build(composed([*FAST, *TIRE, f"root={root}", f"problem.compressed={switch}"]))
-        result = {"data": experiment.problem.dataset.digest}
-        stored = StoredRun(root, experiment.identity.config, {}, {}, result)
-        assert rebuild(stored).compressed is switch
-
-
 def test_code_of_the_users_runs_only_if_trusted(tmp_path: Path) -> None:
     path = tmp_path / "mine.py"
     path.write_text('def line(alpha: "rad", *, a: "N/rad") -> "N":\n    return a * alpha\n')

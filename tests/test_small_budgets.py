@@ -82,10 +82,10 @@ def test_more_rows_count_before_a_lower_loss() -> None:
 
 def test_a_run_says_which_configuration_is_only_provisional() -> None:
     problem = miho.fit(*PROBLEMS["osborne_2"], budget=Budget(evaluations=1)).problem
-    run = miho.minimize(miho.MIHOGN(), problem, Budget(evaluations=2), rehearse=False)
+    run = miho.minimize(miho.MIHOGN(), problem, Budget(evaluations=2))
     assert run.theta is None
     assert run.provisional is not None
-    longer = miho.minimize(miho.MIHOGN(), problem, Budget(evaluations=500), rehearse=False)
+    longer = miho.minimize(miho.MIHOGN(), problem, Budget(evaluations=500))
     assert longer.theta is not None
     assert longer.provisional is None
 

@@ -124,7 +124,7 @@ def build(cfg: Settings, problem: CurveFit | None = None) -> Experiment:
         config = {key: part_of(setting, key) for key in ("model", "dataset", "loss", "budget")}
         space = with_local(setting, part_of(setting, "space"))
         config["space"] = scaled_by(problem.dataset, space)
-        config["problem"] = {key: setting["problem"][key] for key in ("name", "compressed")}
+        config["problem"] = {"name": setting["problem"]["name"]}
         if setting["problem"]["sigma"] is not None:
             config["problem"] |= {key: setting["problem"][key] for key in SIGMA}
         if setting["problem"]["parts"]:
@@ -195,7 +195,7 @@ def build_problem(cfg: Settings, dataset: Dataset | None = None, *, dear: bool =
     space = build_space(scaled_by(dataset, with_local(setting, part_of(setting, "space"))))
     rho = instantiate(part_of(setting, "loss"), "loss", Loss)
     settings = part_of(setting, "problem")
-    switches = {key: settings[key] for key in ("threads", "compressed")} | {"dear": dear}
+    switches = {"threads": settings["threads"], "dear": dear}
     try:
         constraints = settings["constraints"] or ()
         return problem_of(
@@ -290,13 +290,11 @@ def rebuild(stored: StoredRun, *, trusted: bool = False) -> CurveFit:
         raise ConfigError(f"{stored.folder}: its data have changed since; identify again")
     try:
         name, space = config["problem"].get("name"), build_space(config["space"])
-        compressed = config["problem"].get("compressed", False)
         constraints = config["problem"].get("constraints") or ()
         calls = stored.result.get("facts", {}).get("called_as") or ()
         return problem_of(
-            space, rho=rho, label=name, compressed=compressed, constraints=constraints,
-            dear=bool(calls),
-        ).called(calls)  # fmt: skip
+            space, rho=rho, label=name, constraints=constraints, dear=bool(calls)
+        ).called(calls)
     except (TypeError, ValueError) as error:
         raise ConfigError(f"{stored.folder}: {error}") from None
 

@@ -39,7 +39,7 @@ class Errand:
 class Delivery:
     """What became of an errand, and the files of its run where they are to be stored here."""
 
-    state: State | None
+    state: State
     files: Mapping[str, bytes]
 
 
@@ -84,7 +84,7 @@ class ClusterRuns:
     def __init__(self, workers: ClusterWorkers[Errand, Delivery], *, shared: bool) -> None:
         self._workers, self._shared = workers, shared
         self._claims: dict[str, ExitStack] = {}
-        self._known: deque[JobOutcome[Request, State | None]] = deque()
+        self._known: deque[JobOutcome[Request, State]] = deque()
 
     def __enter__(self) -> ClusterRuns:
         return self
@@ -110,7 +110,7 @@ class ClusterRuns:
     def start(self, request: Request) -> None:
         """Have a run done, unless it is stored or another process does it."""
         store = Store(Path(request.root).absolute())
-        if not (self._shared or request.compile_only):
+        if not self._shared:
             with ExitStack() as stack:
                 try:
                     stack.enter_context(store.claim(request.identity))
@@ -127,7 +127,7 @@ class ClusterRuns:
         there = replace(request, root=str(store.root))
         self._workers.start(Errand(there, str(Path.cwd()), self._shared))
 
-    def wait(self, seconds: float) -> list[JobOutcome[Request, State | None]]:
+    def wait(self, seconds: float) -> list[JobOutcome[Request, State]]:
         """The runs that end within some seconds, stored, as soon as there is one."""
         if self._known:
             known = list(self._known)
@@ -149,7 +149,7 @@ class ClusterRuns:
     def _knows(self, state: State) -> None:
         self._known.append(JobOutcome(state.request, state))
 
-    def _stored(self, ended: JobOutcome[Errand, Delivery]) -> JobOutcome[Request, State | None]:
+    def _stored(self, ended: JobOutcome[Errand, Delivery]) -> JobOutcome[Request, State]:
         """The outcome for the sweep, once what was sent lies in the store."""
         request, delivery = ended.job.request, ended.result
         reason, detail, interrupted = ended.reason, ended.detail, ended.interrupted
@@ -166,11 +166,11 @@ def deliver(placed: Placed[Errand]) -> Delivery:
     errand, request = placed.job, placed.job.request
     _go_to(errand)
     _check_same(request)
-    if errand.shared or request.compile_only:
+    if errand.shared:
         return Delivery(execute(request), {})
     state = execute(replace(request, root=placed.folder))
-    if state is not None:  # its line names the file of what is not done
-        state = replace(state, line=state.line.replace(placed.folder, request.root))
+    # The line names the file of what is not done.
+    state = replace(state, line=state.line.replace(placed.folder, request.root))
     return Delivery(state, Store(Path(placed.folder)).files(request.identity))
 
 

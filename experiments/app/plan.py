@@ -41,9 +41,8 @@ MODULES = ("experiments.app.runs",)
 class Request:
     """One requested run: in the user's words, as a configuration in JSON, and its identity.
 
-    `own_code`: its model is code of the user's. `lost`: why it cannot even begin. `compile_only`:
-    it is not done, but what it needs is compiled. `experiment`: what was built of it, where it is
-    to be done in this process.
+    `own_code`: its model is code of the user's. `lost`: why it cannot even begin. `experiment`:
+    what was built of it, where it is to be done in this process.
     """
 
     words: str
@@ -52,7 +51,6 @@ class Request:
     root: str
     own_code: bool = False
     lost: str | None = None
-    compile_only: bool = False
     experiment: Experiment | None = field(default=None, compare=False)
 
 

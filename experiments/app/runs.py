@@ -18,11 +18,10 @@ from typing import Any
 
 from tqdm import tqdm
 
-from experiments.app.build import build_optimizer
 from experiments.app.cluster_runs import ClusterRuns, cluster_runs
 from experiments.app.execution import execution_of, result_error, result_line
 from experiments.app.mirror import check_tracking, mirror_runs, say_unmirrored
-from experiments.app.plan import MODULES, POLL, Request, experiment_of, setting_of
+from experiments.app.plan import MODULES, POLL, Request, experiment_of
 from experiments.app.schema import SweepConfig
 from experiments.app.signals import Stopped, stopping
 from experiments.app.working import State, ended_state, execute, executed_state, own_code, prepare
@@ -192,7 +191,7 @@ def _run_here(plan: Sequence[Request]) -> Iterator[State]:
 
 def _workers(
     plan: Sequence[Request], settings: SweepConfig, at_once: int | str
-) -> AbstractContextManager[Workers[Request, State | None] | ClusterRuns]:
+) -> AbstractContextManager[Workers[Request, State] | ClusterRuns]:
     """Processes of this machine, or the workers of the cluster at an address."""
     if isinstance(at_once, str):
         return cluster_runs(at_once, settings, own_code=any(map(own_code, plan)))
@@ -206,10 +205,7 @@ def _run_in_workers(
     if not plan:
         return
     todo, elsewhere = deque(plan), deque[Request]()
-    first = _to_compile(plan) if at_once != 1 else None
     with _workers(plan, settings, at_once) as workers, stopping(workers.interrupt) as stop:
-        if first is not None:
-            workers.start(first)
         while todo or elsewhere or workers.busy:
             # Once a signal has come, nothing more is started. It is repeated, and in the end what
             # has not stopped is killed.
@@ -222,20 +218,17 @@ def _run_in_workers(
             if stop.overdue(KILL_AFTER):
                 unstopped = workers.jobs
                 workers.kill()
-                for job in unstopped if first is None else ():
+                for job in unstopped:
                     reason = "did not stop in time"
                     yield ended_state(JobOutcome(job, reason=reason, interrupted=True))
                 break
             # Idle workers get what is to do; what another process is doing is asked for again.
-            while todo and workers.idle and first is None:
+            while todo and workers.idle:
                 workers.start(todo.popleft())
             if elsewhere and workers.idle:
                 time.sleep(POLL)
                 todo.append(elsewhere.popleft())
             for ended in workers.wait(POLL) if workers.busy else ():
-                if first is not None:
-                    first = None
-                    continue
                 state = ended_state(ended)
                 if state.status is Status.RUNNING_ELSEWHERE:
                     elsewhere.append(ended.job)
@@ -246,18 +239,6 @@ def _run_in_workers(
                 yield state
         if stop.number is not None:
             raise Stopped(stop.number)
-
-
-def _to_compile(plan: Sequence[Request]) -> Request | None:
-    """A run whose method is to be compiled before the others start: each would compile the same."""
-    by_method = {r.identity.optimizer: r for r in reversed(plan) if not r.own_code}
-    for request in by_method.values():
-        if build_optimizer(setting_of(request.setting)).uncompiled:
-            if sys.stderr.isatty():
-                name = request.identity.optimizer
-                print(f"compiling {name}, once on this machine", file=sys.stderr)
-            return replace(request, compile_only=True)
-    return None
 
 
 @contextmanager

@@ -65,9 +65,9 @@ class ProblemConfig:
     published formula in any box: their outcomes are not independent, so ranks and tests are shown
     over families as well. `optimum` is the smallest known root of the loss in the space, in the
     output's unit, and `evidence` says how it is known. Of data without errors, an error below
-    `resolution` is rounding, and counts as equal to it in an arena. `compressed` and `threads` are
-    those of `miho.CurveFit`: they make losses faster, which methods that work with residuals
-    (`miho_gn`, least squares) do not ask for. `sigma` is the standard deviation of the errors, a
+    `resolution` is rounding, and counts as equal to it in an arena. `threads` are those of
+    `miho.CurveFit`: they make losses faster, which methods that work with residuals (`miho_gn`,
+    least squares) do not ask for. `sigma` is the standard deviation of the errors, a
     number or a column of the dataset, known as it is or up to a factor (`sigma_known`).
 
     `parts` are several datasets or outputs, identified at once: parameters of one name are one, but
@@ -80,7 +80,6 @@ class ProblemConfig:
     optimum: float | None = None
     resolution: float | None = None
     evidence: str = ""
-    compressed: bool = False
     threads: int = 1
     sigma: Any = None
     sigma_known: bool = True
@@ -245,8 +244,9 @@ class Config:
 RENAMED = {
     "drive.mu": "is now two settings: drive.performance_factor, the share of the tires' grip that "
     "the plan uses (the paper's mu), and drive.road_friction, what the road gives the car",
+    "problem.compressed": "is gone, since losses are summed over all rows; leave it out",
 }
-"""What became of settings that were called otherwise."""
+"""What became of settings that are called otherwise, or are gone."""
 
 
 def register() -> None:

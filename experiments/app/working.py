@@ -10,7 +10,6 @@ from experiments.app.execution import execution_of, line_of, result_error
 from experiments.app.origin import our_code, packages_of
 from experiments.app.plan import Request, dataset_of, experiment_of, setting_of
 from miho.identification import CurveFit
-from miho.optim.minimize import warm_up
 from miho.parallel.worker_process import SPURIOUS_INTERRUPT
 from miho.parallel.workers import JobOutcome
 from miho.study import Execution, Status, Store, StoredRun, environment_stamp, single_thread
@@ -45,7 +44,7 @@ def executed_state(request: Request, execution: Execution) -> State:
     )
 
 
-def ended_state(ended: JobOutcome[Request, State | None]) -> State:
+def ended_state(ended: JobOutcome[Request, State]) -> State:
     """The state that a worker gives, or that of a run whose worker ended without one."""
     request, reason, interrupted = ended.job, ended.reason, ended.interrupted
     if ended.result is not None:
@@ -78,12 +77,8 @@ def prepare(request: Request) -> None:
         packages_of(optimizer)
 
 
-def execute(request: Request) -> State | None:
-    """In a process of its own: do a run, unless it is done; or only compile what it needs."""
-    if request.compile_only:
-        experiment = experiment_of(request.setting)
-        warm_up(experiment.optimizer, experiment.problem)
-        return None
+def execute(request: Request) -> State:
+    """In a process of its own: do a run, unless it is done."""
     root = Path(request.root).absolute()  # before a model of the user's may change the folder
     experiment = replace(experiment_of(request.setting), identity=request.identity, root=root)
     return executed_state(request, execution_of(experiment, quiet=True))

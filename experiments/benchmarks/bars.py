@@ -135,7 +135,7 @@ def machine() -> str:
     load = f"load {stamp['load'][0]:.1f}" if stamp["load"] else "load unknown"
     return (
         f"{stamp['processor']}, {stamp['cores']} cores, {load}, Python {stamp['python']}, "
-        f"numpy {version('numpy')}, numba {version('numba')}"
+        f"numpy {version('numpy')}"
     )
 
 

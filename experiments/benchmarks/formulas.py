@@ -1,13 +1,12 @@
-"""What a row of a formula costs, value and all derivatives: the machine, NumPy, and numba.
+"""What a row of a formula costs, value and all derivatives: the machine and NumPy.
 
-python -m experiments.benchmarks.formulas [--quick] [--numba] [--output FOLDER]
+python -m experiments.benchmarks.formulas [--quick] [--output FOLDER]
 
 The tire with and without curvature, the 27 coefficients of MF 6.1's lateral force, a power with a
 choice, and the published formulas, at 3,000 rows (and the first ones at 300 and 30,000). The
 machine runs on each level of instructions that the processor has; NumPy evaluates the formula as
-written, once for values and once for derivatives. With --numba the same two functions compiled,
-which takes minutes, and what their compilation takes. "ready" is what a new formula costs before
-its first evaluation: tracing value and derivatives, and making both tapes.
+written, once for values and once for derivatives. "ready" is what a new formula costs before its
+first evaluation: tracing value and derivatives, and making both tapes.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 from time import perf_counter
-from types import MappingProxyType
 from typing import Any, cast
 
 import numpy as np
@@ -31,8 +29,6 @@ from experiments.benchmarks.bars import (
     interleaved,
     shown,
 )
-from miho.compiled.arrays import read_only
-from miho.compiled.fused import FusedLoss
 from miho.core import Tape, machine
 from miho.data import embedded_tire
 from miho.models import Pacejka, PacejkaCurvature, load_tir
@@ -111,13 +107,7 @@ def by_numpy(model: Expression, theta: Array, X: Array) -> None:
     model.jacobian(theta, *X)
 
 
-def by_numba(loss: FusedLoss, theta: Array, columns: tuple[Array, Array], out: Any) -> None:
-    """Value and derivatives by the two functions that numba compiles."""
-    loss._compiled.residuals(theta, *columns, out[0])
-    loss._compiled.jacobian(theta, columns[0], out[1])
-
-
-def measured(case: Case, rows: int, repeats: int, numba: bool) -> dict[str, Any]:
+def measured(case: Case, rows: int, repeats: int) -> dict[str, Any]:
     """One row of the table."""
     X, theta = case.at(rows)
     d, p = theta.size, len(X)
@@ -131,18 +121,11 @@ def measured(case: Case, rows: int, repeats: int, numba: bool) -> dict[str, Any]
     for level, name in enumerate(machine().levels()):
         held = [tape.at_level(level) for tape in case.tapes]
         jobs[name] = partial(both, machine().evaluate, held, theta[None], X, *out)
-    if numba:
-        loss = FusedLoss(case.model, X, np.zeros(rows), np.arange(rows))
-        columns, into = (read_only(X), read_only(loss.y)), (np.empty(rows), np.empty((d, rows)))
-        jobs["numba"] = partial(by_numba, loss, read_only(theta), columns, into)
-        started = perf_counter()
-        jobs["numba"]()
-        row["numba compiles [s]"] = perf_counter() - started
     seconds = interleaved(jobs, repeats)
     return row | {name: 1e9 * value / rows for name, value in seconds.items()}
 
 
-def measure(quick: bool, numba: bool) -> Measured:
+def measure(quick: bool) -> Measured:
     """All formulas."""
     if machine() is None:
         raise ValueError("the machine of miho.core was not built; install with a C compiler")
@@ -150,7 +133,7 @@ def measure(quick: bool, numba: bool) -> Measured:
     chosen = list(cases())[:: 4 if quick else 1]
     planned = [(case, rows) for case in chosen for rows in (ROWS, *MORE_ROWS)
                if rows == ROWS or PUBLISHED not in case.name]  # fmt: skip
-    table = pd.DataFrame([*shown(measured(*each, repeats, numba) for each in planned)])
+    table = pd.DataFrame([*shown(measured(*each, repeats) for each in planned)])
     gain = table["NumPy"] / table[levels[-1]]
     published = gain[table["formula"].str.startswith(PUBLISHED)]
     magic = table["formula"] == MAGIC
@@ -165,7 +148,5 @@ def measure(quick: bool, numba: bool) -> Measured:
     return Measured(table, table, [b for b in bars if b.measured == b.measured], notes)
 
 
-INPUTS = MappingProxyType({"numba": "compile the formulas by numba too, which takes minutes"})
-
 if __name__ == "__main__":
-    benchmark(__doc__, measure, None, "formulas", INPUTS)
+    benchmark(__doc__, measure, None, "formulas")

@@ -34,16 +34,16 @@ Array = NDArray[np.float64]
 
 ROUNDS = 5
 """How often the fast runs are made."""
-PLAIN, GENERAL, FUSED = "plain loop", "MIHO, NumPy loss", "MIHO, compiled loss"
-STEPS, STOPPED, SMALL = "compiled steps", "and early stopping", "and compressed loss"
-STOPPED_2, SMALL_2 = "early stopping, two threads", "compressed loss, two threads"
-FAST = (STOPPED, STOPPED_2, SMALL, SMALL_2)
+PLAIN, GENERAL, LOSS = "plain loop", "MIHO, NumPy loss", "MIHO, loss of the machine"
+STEPS, STOPPED = "steps of the machine", "and early stopping"
+STOPPED_2 = "early stopping, two threads"
+FAST = (STOPPED, STOPPED_2)
 KINDS = ("seconds", "cpu_seconds")
 
 
 @dataclass(frozen=True)
 class NumPyPacejka(Model):
-    """Eq. 4 as a model that is not an expression, so that nothing of it is compiled."""
+    """Eq. 4 as a model that is not an expression, so that the machine does not run it."""
 
     inputs = Pacejka.inputs
     parameters = Pacejka.parameters
@@ -60,7 +60,7 @@ class NumPyPacejka(Model):
 
 
 class LossAlone(Problem):
-    """A problem without compiled steps: its loss alone is compiled."""
+    """A problem whose loss alone is the machine's."""
 
     def __init__(self, inner: Problem) -> None:
         self.inner, self.name, self.space = inner, inner.name, inner.space
@@ -113,16 +113,12 @@ def plain_loop(
         yield result
 
 
-def problems() -> tuple[CurveFit, CurveFit, CurveFit]:
-    """The tire's problem, its NumPy form and its compressed form, under one name."""
+def problems() -> tuple[CurveFit, CurveFit]:
+    """The tire's problem and its NumPy form, under one name."""
     register()
     fit = build(composed(["dataset=tire_lf", "optimizer=miho"])).problem
     space, label = fit.space, fit.name
-    return (
-        fit,
-        CurveFit(NumPyPacejka(), fit.dataset, space, label=label),
-        CurveFit(fit.model, fit.dataset, space, label=label, compressed=True),
-    )
+    return fit, CurveFit(NumPyPacejka(), fit.dataset, space, label=label)
 
 
 @dataclass
@@ -140,7 +136,7 @@ class Race:
     def run(self, seed: int) -> None:
         """Run all: the fast forms ROUNDS times over the length of the loop, the others once."""
         pauses = sorted(set(np.linspace(0, self.rungs, ROUNDS, dtype=int).tolist()))
-        slow = dict(zip(pauses[1:], (GENERAL, FUSED, STEPS), strict=False))
+        slow = dict(zip(pauses[1:], (GENERAL, LOSS, STEPS), strict=False))
         for rung in range(self.rungs + 1):
             if rung in pauses:
                 for name in (*FAST, *([slow[rung]] if rung in slow else [])):
@@ -176,17 +172,15 @@ class Race:
 def measure(quick: bool) -> Measured:
     """One plain run and one of each slower form, several of the fast ones between its rungs."""
     R, eta, seed = 1000 if quick else 10_000, 5, 0
-    fit, plain, small = problems()
+    fit, plain = problems()
     stopping, whole = MIHO(R=R, eta=eta), MIHO(R=R, eta=eta, early_stopping=False)
     # The forms, from the general one on; all make the same search with the same draws.
     forms: dict[str, tuple[MIHO, Problem]] = {
         GENERAL: (whole, plain),
-        FUSED: (whole, LossAlone(fit)),
+        LOSS: (whole, LossAlone(fit)),
         STEPS: (whole, fit),
         STOPPED: (stopping, fit),
         STOPPED_2: (stopping, replace(fit, threads=2)),
-        SMALL: (stopping, small),
-        SMALL_2: (stopping, replace(small, threads=2)),
     }
     alpha, force = fit.inputs[0], fit.dataset[fit.dataset.output]
     rng, space = stream("own", fit.name, seed, "MIHO"), fit.space.seeded(fit.name, seed)
@@ -202,16 +196,14 @@ def measure(quick: bool) -> Measured:
               if (times := [record.seconds for record in race.records[name]])]  # fmt: skip
     bars = [
         Bar(STOPPED, speedup[STOPPED], AT_LEAST, 40, "times the plain loop"),
-        Bar(SMALL, speedup[SMALL], AT_LEAST, 100, "times the plain loop"),
-        Bar(SMALL_2, speedup[SMALL_2], AT_LEAST, 100, "times the plain loop"),
         Bar("final loss on the full data, largest difference", apart, AT_MOST, 1e-9, "relative"),
     ]
     notes = [
         f"R = {R}, eta = {eta}, {len(fit.dataset)} rows; the method's own seconds, median of "
         f"{ROUNDS} runs of the fast forms ({'; '.join(spread)}), one run of the others",
         f"by processor time, which others on the machine take none of: {STOPPED} "
-        f"{busy[STOPPED]:.1f} times, {SMALL} {busy[SMALL]:.1f} times",
-        "setup_seconds: compilation or its cache, and preparation, before the first run",
+        f"{busy[STOPPED]:.1f} times",
+        "setup_seconds: what is traced before the first run",
         "difference: final loss against the plain loop's, both by NumPy over all rows",
     ]
     return Measured(tidy, tidy, bars, notes)

@@ -200,10 +200,8 @@ def measure(quick: bool) -> Measured:
     per_block = block_seconds(space, repeats)
     tidy.append({"kind": "recorder", "name": "a block of compiled steps", "us": 1e6 * per_block})
 
-    # How often a run of MIHO makes these calls; the first run compiles.
+    # How often a run of MIHO makes these calls.
     counted = Counted(experiment.problem)
-    minimize(experiment.optimizer, counted, Budget(evaluations=1000))
-    counted.batches = counted.blocks = 0
     run = minimize(experiment.optimizer, counted)
     per_improvement = cost["all", 1000] / 1000
     spent = (

@@ -176,7 +176,7 @@ def compared(kinds: list[str], counts: list[int], evaluations: int) -> pd.DataFr
     budget, rows = Budget(evaluations=evaluations), []
     slow, quick = problems(SECONDS), problems(0.0)
     runs = [(method, problem) for problem in slow for method in METHODS]
-    alone = {(m, p): minimize(METHODS[m], quick[p], budget, rehearse=False) for m, p in runs}
+    alone = {(m, p): minimize(METHODS[m], quick[p], budget) for m, p in runs}
     for kind in kinds:
         for count in counts:
             with opened(kind, count) as workers:

@@ -1,10 +1,9 @@
-"""Levenberg-Marquardt steps of many candidates side by side, compiled.
+"""Levenberg-Marquardt steps of many candidates side by side.
 
 The functions here are what happens between two evaluations: each takes a candidate from one stage
-to the next. So the same steps serve a model that is compiled, where a loop makes them without
-Python in between (`gauss_newton_loop`), and any other, whose residuals and derivatives come from
-Python (`gauss_newton_parts`); and a run that is cut off between two evaluations resumes as if it
-had not been.
+to the next. The machine of `miho.core` has the same in C (`steps.c`), for models that it runs
+itself. These serve any other (`gauss_newton_parts`), and the C is tested against them. A run that
+is cut off between two evaluations resumes as if it had not been.
 """
 
 from __future__ import annotations
@@ -26,9 +25,8 @@ from miho.compiled.gauss_newton_candidates import (
     GNCandidates,
     GNRules,
     Minima,
-    views,
 )
-from miho.compiled.triangular import by_numpy, compiled, fold, norm, solve_in_box
+from miho.compiled.triangular import fold, norm, solve_in_box
 from miho.compiled.workspace import CHUNK, Work, clear, copy
 from miho.quantities import Array
 
@@ -55,10 +53,7 @@ SMALLEST_SCALE = 1e-10
 INSIDE = 1e-12
 """A linear parameter that is nearer to a bound than this share of the width is at it."""
 
-compiled(views)
 
-
-@compiled
 def to_units(x: Array, box: GNBox, theta: Array) -> None:
     """Write the configuration at unit coordinates x (d,) into theta (d,), in units."""
     for k in range(x.size):
@@ -68,7 +63,6 @@ def to_units(x: Array, box: GNBox, theta: Array) -> None:
         theta[k] = min(max(value, box.low[k]), box.high[k])
 
 
-@compiled
 def take_factor(c: GNCandidates, i: int, box: GNBox, w: Work) -> None:
     """Set R, q and D of a candidate from w.T, the triangular factor of derivatives and residuals.
 
@@ -102,13 +96,11 @@ def take_factor(c: GNCandidates, i: int, box: GNBox, w: Work) -> None:
         c.stage[i] = DONE
 
 
-@compiled
 def is_free(x: float) -> bool:
     """Whether a coordinate is off the bounds."""
     return INSIDE < x < 1 - INSIDE
 
 
-@compiled
 def judge_trial(
     c: GNCandidates, i: int, loss: float, box: GNBox, m: int, rules: GNRules, w: Work
 ) -> None:
@@ -164,14 +156,12 @@ def judge_trial(
         c.stage[i] = DONE if c.damping[i] > LARGEST_DAMPING else READY
 
 
-@compiled
 def keep_residuals(c: GNCandidates, i: int, m: int, w: Work) -> None:
     """Store the residuals of a candidate beside its derivatives, if there is room for them."""
     if c.derivatives.shape[2]:
         copy(w.residuals[:m], c.derivatives[i, c.x.shape[1]])
 
 
-@compiled
 def broyden(c: GNCandidates, i: int, m: int, w: Work) -> None:
     """Broyden's update of the derivatives after a trial, in the metric of the scales D."""
     x, trial, D = c.x[i], c.trial[i], c.D[i]
@@ -183,7 +173,8 @@ def broyden(c: GNCandidates, i: int, m: int, w: Work) -> None:
     update_columns(c.derivatives[i], D, total, m, w)
 
 
-def _update_columns(columns: Array, D: Array, total: float, m: int, w: Work) -> None:
+def update_columns(columns: Array, D: Array, total: float, m: int, w: Work) -> None:
+    """Broyden's update of the columns (d + 1, m) after the step w.step, of squared length total."""
     d, step = D.size, w.step
     missing = w.residuals[:m] - columns[d, :m]
     for k in range(d):
@@ -194,21 +185,6 @@ def _update_columns(columns: Array, D: Array, total: float, m: int, w: Work) -> 
     columns[d, :m] = w.residuals[:m]
 
 
-@by_numpy(_update_columns)
-def update_columns(columns: Array, D: Array, total: float, m: int, w: Work) -> None:
-    """Broyden's update of the columns (d + 1, m) after the step w.step, of squared length total."""
-    d = D.size
-    for row in range(m):
-        missing = w.residuals[row] - columns[d, row]
-        for k in range(d):
-            missing -= columns[k, row] * w.step[k]
-        missing /= total
-        for k in range(d):
-            columns[k, row] += missing * D[k] * D[k] * w.step[k]
-        columns[d, row] = w.residuals[row]
-
-
-@compiled
 def refold(columns: Array, count: int, last: int, m: int, w: Work) -> None:
     """The triangular factor of the first `count` columns (., m) and number `last`, into w.T."""
     clear(w.T)
@@ -220,7 +196,6 @@ def refold(columns: Array, count: int, last: int, m: int, w: Work) -> None:
         fold(w.T, w.chunk, size, count + 1)
 
 
-@compiled
 def propose_trial(c: GNCandidates, i: int, box: GNBox, m: int, rules: GNRules, w: Work) -> None:
     """Set the next trial of a candidate whose derivatives are known; or it is done."""
     d = c.x.shape[1]
@@ -265,7 +240,6 @@ def propose_trial(c: GNCandidates, i: int, box: GNBox, m: int, rules: GNRules, w
     c.stage[i] = TRIED if differs else DONE
 
 
-@compiled
 def square_distance(c: GNCandidates, i: int, x: Array, box: GNBox) -> float:
     """|R (x_i - x)|^2: by how much the linear model of a candidate changes on the way to x (d,)."""
     n, total = box.nonlinear.size if c.projects[i] else x.size, 0.0
@@ -278,7 +252,6 @@ def square_distance(c: GNCandidates, i: int, x: Array, box: GNBox) -> float:
     return total
 
 
-@compiled
 def nears_known_minimum(
     c: GNCandidates, i: int, box: GNBox, m: int, minima: Minima, rules: GNRules
 ) -> bool:
@@ -292,7 +265,6 @@ def nears_known_minimum(
     return False
 
 
-@compiled
 def prepare(
     c: GNCandidates, i: int, box: GNBox, m: int, minima: Minima, rules: GNRules, w: Work
 ) -> bool:
@@ -309,7 +281,6 @@ def prepare(
     return bool(c.stage[i] < DONE)
 
 
-@compiled
 def crawls(c: GNCandidates, i: int, rules: GNRules) -> bool:
     """Whether a candidate gains too little for the rows it costs, and has spent its allowance."""
     if rules.patience == 0 or c.spent[i] - c.spent_at_mark[i] < rules.patience:
@@ -320,7 +291,6 @@ def crawls(c: GNCandidates, i: int, rules: GNRules) -> bool:
     return False
 
 
-@compiled
 def solve_linear(c: GNCandidates, i: int, box: GNBox, m: int, w: Work) -> float:
     """Move a trial to its best linear parameters, and give the loss there, by algebra.
 
@@ -351,7 +321,6 @@ def solve_linear(c: GNCandidates, i: int, box: GNBox, m: int, w: Work) -> float:
     return float(square / m)
 
 
-@compiled
 def after_evaluation(
     c: GNCandidates, i: int, loss: float, box: GNBox, m: int, rules: GNRules, best: float, w: Work
 ) -> None:
@@ -374,7 +343,6 @@ def after_evaluation(
         copy(w.sums, c.sums[i])
 
 
-@compiled
 def is_copy(c: GNCandidates, i: int, j: int, box: GNBox) -> bool:
     """Whether candidate j, the worse of two, is a copy of i as far as the rows can tell."""
     modelled = c.stage[i] == READY or c.stage[i] == DONE

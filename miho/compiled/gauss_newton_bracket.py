@@ -1,6 +1,6 @@
 """The phases of a bracket: which candidates go on from steps to steps, and on how many rows.
 
-Between two phases candidates make steps, compiled or evaluation by evaluation. Candidates are
+Between two phases candidates make steps. Candidates are
 moved in their arrays, the best first; `order` (n,) is for positions of so many.
 """
 
@@ -26,7 +26,6 @@ from miho.compiled.gauss_newton_candidates import (
     GNRules,
     GNSettings,
     Minima,
-    views,
 )
 from miho.compiled.phases import (
     EMPTY,
@@ -40,9 +39,8 @@ from miho.compiled.phases import (
     SOLVED,
     UNLIMITED,
 )
-from miho.compiled.triangular import by_numpy, compiled
 from miho.compiled.workspace import copy
-from miho.quantities import Array, Integers
+from miho.quantities import Integers
 
 NEAR, NEAR_LAST = 9.0, 0.1
 """A candidate is at a known minimum within this squared distance, in shares of its sum of squares
@@ -56,7 +54,6 @@ POLISHING = 50
 """Steps for more digits at most: in a narrow valley they would go on for long."""
 
 
-@compiled
 def rules_of(place: Integers, level_rows: Integers, d: int, settings: GNSettings) -> GNRules:
     """What the candidates of this phase may do."""
     phase, level = place[PHASE], place[LEVEL]
@@ -90,17 +87,6 @@ def rules_of(place: Integers, level_rows: Integers, d: int, settings: GNSettings
     )
 
 
-@compiled
-def candidates_at(
-    numbers: Array, counts: Integers, R: Array, stored: Array, place: Integers
-) -> GNCandidates:
-    """The record of all candidates, with their derivatives on this level."""
-    n, m = R.shape[1] + 1, place[STORED]
-    size = place[SIZE]
-    return views(numbers, counts, R, stored[: size * n * m].reshape((size, n, m)))
-
-
-@compiled
 def next_phase(
     c: GNCandidates,
     place: Integers,
@@ -136,7 +122,6 @@ def next_phase(
     return prune(c, place, order, box, level_rows, minima, settings)
 
 
-@compiled
 def begin(c: GNCandidates, place: Integers, phase: int, active: int) -> None:
     """Begin a phase: steps and progress are counted from here."""
     place[PHASE], place[ACTIVE] = phase, active
@@ -145,7 +130,6 @@ def begin(c: GNCandidates, place: Integers, phase: int, active: int) -> None:
         c.loss_at_mark[i] = c.loss[i]
 
 
-@compiled
 def begin_rung(
     c: GNCandidates,
     place: Integers,
@@ -174,7 +158,6 @@ def begin_rung(
     return True
 
 
-@compiled
 def enter(c: GNCandidates, place: Integers, level_rows: Integers, settings: GNSettings) -> None:
     """Have the candidates evaluated on the rows of the next level."""
     last = place[LEVEL] == level_rows.size - 1
@@ -186,7 +169,6 @@ def enter(c: GNCandidates, place: Integers, level_rows: Integers, settings: GNSe
     look_again(c, place, level_rows, settings)
 
 
-@compiled
 def look_again(
     c: GNCandidates, place: Integers, level_rows: Integers, settings: GNSettings
 ) -> None:
@@ -199,7 +181,6 @@ def look_again(
     make_room(c, place, level_rows, settings)
 
 
-@compiled
 def make_room(c: GNCandidates, place: Integers, level_rows: Integers, settings: GNSettings) -> None:
     """Have derivatives stored on this level, if there is room and they may be updated."""
     m, projecting = level_rows[place[LEVEL]], 0
@@ -211,7 +192,6 @@ def make_room(c: GNCandidates, place: Integers, level_rows: Integers, settings: 
     place[STORED] = m if stores else 0
 
 
-@compiled
 def prune(
     c: GNCandidates,
     place: Integers,
@@ -250,54 +230,16 @@ def prune(
     return begin_rung(c, place, box, level_rows, settings, entering)
 
 
-def _sort_usable(c: GNCandidates, place: Integers, order: Integers) -> None:
+def sort_usable(c: GNCandidates, place: Integers, order: Integers) -> None:
+    """Keep those with finite losses, the best first."""
     size = int(place[SIZE])
     usable = np.flatnonzero((c.stage[:size] != UNUSABLE) & np.isfinite(c.loss[:size]))
     order[: usable.size] = usable[np.argsort(c.loss[usable], kind="stable")]
     keep(c, place, order, usable.size)
 
 
-@by_numpy(_sort_usable)
-def sort_usable(c: GNCandidates, place: Integers, order: Integers) -> None:
-    """Keep those with finite losses, the best first."""
-    count = 0
-    for i in range(place[SIZE]):
-        if c.stage[i] == UNUSABLE or not math.isfinite(c.loss[i]):
-            continue
-        k = count
-        while k and c.loss[order[k - 1]] > c.loss[i]:
-            order[k] = order[k - 1]
-            k -= 1
-        order[k] = i
-        count += 1
-    keep(c, place, order, count)
-
-
-def _keep(c: GNCandidates, place: Integers, order: Integers, count: int) -> None:
+def keep(c: GNCandidates, place: Integers, order: Integers, count: int) -> None:
+    """Move the candidates at the first `count` positions of `order` to the front, so ordered."""
     for array in c[:4]:
         array[:count] = array[order[:count]]
     place[SIZE] = count
-
-
-@by_numpy(_keep)
-def keep(c: GNCandidates, place: Integers, order: Integers, count: int) -> None:
-    """Move the candidates at the first `count` positions of `order` to the front, so ordered."""
-    for k in range(count):
-        i = order[k]
-        while i < k:  # what stood there has changed places with what was to stand there
-            i = order[i]
-        if i != k:
-            swap(c.numbers[i], c.numbers[k])
-            swap(c.counts[i], c.counts[k])
-            for row in range(c.R.shape[1]):
-                swap(c.R[i, row], c.R[k, row])
-            for row in range(c.derivatives.shape[1]):
-                swap(c.derivatives[i, row], c.derivatives[k, row])
-    place[SIZE] = count
-
-
-@compiled
-def swap(a: Array, b: Array) -> None:
-    """Exchange the numbers of two arrays (n,)."""
-    for k in range(a.size):
-        a[k], b[k] = b[k], a[k]

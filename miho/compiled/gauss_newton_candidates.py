@@ -1,4 +1,4 @@
-"""The records of arrays behind Gauss-Newton descents, for compiled code and for Python alike.
+"""The records of arrays behind Gauss-Newton descents, for the machine and for Python alike.
 
 A candidate is a configuration that descends: one row of the arrays of `GNCandidates`, and a small
 state machine whose `stage` says which evaluation it needs next. Coordinates x are those of the unit
@@ -45,7 +45,7 @@ class GNCandidates(NamedTuple):
     derivatives by parameter and last the residuals; else m = 0.
 
     All but R and derivatives are views of `numbers` and `counts`, a row for each candidate, because
-    a call of compiled code takes longer the more arrays it is given.
+    a call of the machine takes longer the more arrays it is given.
     """
 
     numbers: Array
@@ -78,7 +78,7 @@ class GNCandidates(NamedTuple):
         """New candidates at unit coordinates (n, d)."""
         n, d = x.shape
         numbers, counts = np.zeros((n, 4 * d + 6 + levels)), np.zeros((n, 7), np.int64)
-        c = _from_arrays(numbers, counts, np.zeros((n, d, d)), np.zeros((n, d + 1, 0)))
+        c = views(numbers, counts, np.zeros((n, d, d)), np.zeros((n, d + 1, 0)))
         c.x[:] = c.trial[:] = x
         c.loss[:] = c.predicted_gain[:] = np.inf
         c.damping[:], c.growth[:], c.fading[:] = damping, 2.0, fading
@@ -88,24 +88,17 @@ class GNCandidates(NamedTuple):
     def first(self) -> GNCandidates:
         """A copy of the first, without derivatives."""
         nothing = np.zeros((1, self.x.shape[1] + 1, 0))
-        return _from_arrays(
-            self.numbers[:1].copy(), self.counts[:1].copy(), self.R[:1].copy(), nothing
-        )
+        return views(self.numbers[:1].copy(), self.counts[:1].copy(), self.R[:1].copy(), nothing)
 
     def with_derivatives(self, stored: Array, size: int, m: int) -> GNCandidates:
         """The same with derivatives of m rows of the first `size`, in the numbers `stored`."""
         n = self.x.shape[1] + 1
         derivatives = stored[: size * n * m].reshape((size, n, m))
-        return _from_arrays(*self[:3], derivatives)
+        return views(*self[:3], derivatives)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copied and pickled as views of four arrays, which a tuple of fields would not stay."""
-        return _from_arrays, self[:4]
-
-
-def _from_arrays(numbers: Array, counts: Integers, R: Array, derivatives: Array) -> GNCandidates:
-    """`views`, which is compiled, under a name that pickle finds."""
-    return views(numbers, counts, R, derivatives)
+        return views, self[:4]
 
 
 def views(numbers: Array, counts: Integers, R: Array, derivatives: Array) -> GNCandidates:
@@ -138,7 +131,7 @@ def views(numbers: Array, counts: Integers, R: Array, derivatives: Array) -> GNC
 
 
 class GNBox(NamedTuple):
-    """A space as compiled code needs it, d parameters.
+    """A space as the steps need it, d parameters.
 
     low, high (d,): bounds in units. origin, width (d,): lower bounds and widths in search
     coordinates. log (d,): whether a scale is logarithmic. linear, nonlinear: positions of the
@@ -168,9 +161,9 @@ class GNSettings(NamedTuple):
     """The settings of the search, of the problem and of one bracket, by which its phases go on.
 
     The first are those of `MIHOGN`. A loss up to `rounding` is 0, derivatives cost `slope_cost`
-    evaluations, and residuals are `compiled` or not. Candidates of the bracket have their linear
-    parameters solved for if it `projects`, and are `solved` thereby if there are no others. A rung
-    costs about `rung_budget` evaluations, a candidate that goes on `allowance` rows, and
+    evaluations, and residuals are the machine's if `compiled`. Candidates of the bracket have their
+    linear parameters solved for if it `projects`, and are `solved` thereby if there are no others.
+    A rung costs about `rung_budget` evaluations, a candidate that goes on `allowance` rows, and
     derivatives are stored in `room` numbers at most.
     """
 

@@ -1,4 +1,4 @@
-"""What compiled code can do for a problem, as its users see it: importing this imports no numba."""
+"""What the machine of formulas can do for a problem, as its users see it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
 
 Formula = Callable[[tuple[Any, ...], tuple[Any, ...]], Any]
-"""(inputs, theta) -> value: element by element, with the operators and the functions of
-`miho.compiled.elementary`."""
+"""(inputs, theta) -> value: element by element, with the operators and NumPy's functions of
+numbers."""
 
 
 NAN, INFINITE = "loss is nan", "loss is inf"
@@ -26,7 +26,7 @@ NAN, INFINITE = "loss is nan", "loss is inf"
 
 
 class Block(NamedTuple):
-    """What a block of compiled code did: the evaluations it spent, and its improvements.
+    """What a block of evaluations did: the evaluations it spent, and its improvements.
 
     Improvement k came with evaluation `at[k]` of the block, at `thetas[k]` (d,) with `losses[k]`.
     `rejected` counts values that could not be used, by reason. `finished` unless it stopped before
@@ -67,10 +67,11 @@ that reaches `target`. Each step counts one evaluation for each row, stopped ear
 
 
 class Rows(NamedTuple):
-    """Residuals and derivatives of the rows of the data, which compiled code can call.
+    """Residuals and derivatives of the rows of the data, which the machine can call.
 
-    `calls` (4,) are what `miho.compiled.addresses` takes: addresses in `kept`, which has to live as
-    long. X (p, N) and y (N,) hold the data in the order of a fidelity.
+    `calls` (4,) are addresses of two functions, of residuals and of derivatives, and of the tape
+    that each is given; what is there is `kept`, and has to live as long. X (p, N) and y (N,) hold
+    the data in the order of a fidelity.
     """
 
     calls: Integers
@@ -80,7 +81,7 @@ class Rows(NamedTuple):
 
 
 class Kernel(Protocol):
-    """Compiled forms of a problem's loss, each None where there is none."""
+    """Fast forms of a problem's loss, each None where there is none."""
 
     @property
     def climb(self) -> Climb | None:
@@ -92,7 +93,7 @@ class Kernel(Protocol):
 
 
 class Formulas(Protocol):
-    """What compiled code needs of a model; `miho.models.expression.Expression` documents it."""
+    """What the machine needs of a model; `miho.models.expression.Expression` documents it."""
 
     @property
     def parameters(self) -> Mapping[str, str]:
@@ -107,10 +108,6 @@ class Formulas(Protocol):
         """The formula of its derivatives with respect to theta, a tuple."""
 
     @property
-    def bound(self) -> Formula | None:
-        """The formula of a bound of the output in the complex plane, None without one."""
-
-    @property
     def tapes(self) -> tuple[Tape, Tape] | None:
         """The formulas of the output and of its derivatives as tapes, None without."""
 
@@ -121,36 +118,23 @@ class Formulas(Protocol):
         """Their derivatives (N, d) by NumPy."""
 
 
-def kernel_for(
-    model: Formulas,
-    X: Array,
-    y: Array,
-    order: NDArray[np.intp],
-    thetas: Array,
-    *,
-    name: str,
-    threads: int = 1,
-    compressed: bool = False,
-    climbs: bool = True,
-) -> FitKernel:
+def kernel_for(taped: TapedLoss, model: Formulas, thetas: Array, *, name: str) -> FitKernel:
     """Fast forms of the mean square of a model minus data, checked against NumPy's.
 
-    X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which a loss goes
-    through them. Each form is checked at `thetas` (n, d), at its first use; `name` is the model's
-    in a warning. `compressed` takes the loss from few nodes instead of all points, and there are
-    no compiled mutation steps unless it `climbs`. numba is imported where something is compiled.
+    They are checked at `thetas` (n, d), at their first use; `name` is the model's in a warning.
     """
     from miho.compiled.fit import FitKernel
 
-    return FitKernel(model, X, y, order, thetas, name, threads, compressed, climbs)
+    return FitKernel(taped, model, thetas, name)
 
 
 def taped_loss(
     model: Formulas, X: Array, y: Array, order: NDArray[np.intp], *, threads: int = 1
 ) -> TapedLoss | None:
-    """The mean square of a formula minus data by the machine of `miho.core`, None without.
+    """The mean square of a model minus data by the machine, None where it cannot run the model.
 
-    The arguments are those of `kernel_for`. Nothing is compiled, and numba is not imported.
+    X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which a loss goes
+    through them.
     """
     tapes = None if machine() is None else model.tapes
     if tapes is None:

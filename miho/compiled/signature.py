@@ -12,41 +12,12 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
-from functools import cache, cached_property, partial, update_wrapper
+from functools import cache, cached_property, update_wrapper
 from pathlib import Path
-from threading import Lock
 from types import CodeType, FunctionType
-from typing import Any, Generic, TypeVar, cast
-
-from miho.compiled.kernel import Formula
+from typing import Any, Generic, TypeVar
 
 Function = TypeVar("Function", bound=Callable[..., object])
-
-
-@dataclass(frozen=True)
-class Signed:
-    """Formulas of one model with their signature, by which alone two of them are equal.
-
-    A cache with these for keys compiles equal formulas once, even if each model makes its own.
-    """
-
-    signature: str
-    formulas: tuple[Formula, ...] = field(compare=False)
-
-    def copies(self) -> list[Formula]:
-        """Copies of the formulas under names of their own; the originals stay as they are."""
-        sign = signing(self.signature)
-        return [
-            cast(Formula, sign(FunctionType(f.__code__, f.__globals__, f.__name__, None,
-                                            f.__closure__)))
-            for f in self.formulas
-        ]  # fmt: skip
-
-
-def signed_formulas(formulas: tuple[Formula, ...], shape: tuple[int, ...]) -> Signed:
-    """The formulas with a signature; `shape` is what else is compiled in."""
-    return Signed(signature_of(*formulas, shape=shape), formulas)
 
 
 def signature_of(*functions: Callable[..., object], shape: tuple[int, ...] = ()) -> str:
@@ -106,53 +77,13 @@ class Entry(Generic[Function]):
         """Numba's form of the function."""
         import numba
 
-        import miho.compiled.calls
-        import miho.compiled.polynomials  # noqa: F401 -- both register compiled forms
-
-        with _registering:
-            _register_parts()
-            sign = signing(signature_of(self.function))
-            return numba.njit(cache=True, **self._options)(sign(self.function))
-
-    @property
-    def in_cache(self) -> bool:
-        """Whether the function is compiled, or numba's cache on disk holds it."""
-        if self.compiled.signatures:
-            return True
-        name = self.compiled.py_func.__qualname__
-        return any(Path(self.compiled.stats.cache_path).glob(f"*.{name}-*.nbi"))
+        sign = signing(signature_of(self.function))
+        return numba.njit(cache=True, **self._options)(sign(self.function))
 
 
 def compiled_when_called(**options: Any) -> Callable[[Function], Entry[Function]]:
     """A decorator as numba's njit, cached on disk; numba is imported at the first call."""
     return lambda function: Entry(function, options)
-
-
-def part(function: Function, options: Mapping[str, Any], form: Function | None = None) -> Function:
-    """Have a function compiled with the entries that call it; Python calls `form`, or itself."""
-    shown = form or function
-    _parts.append((shown, function, options))
-    return shown
-
-
-_parts: list[tuple[Callable[..., object], Callable[..., object], Mapping[str, Any]]] = []
-"""Functions as Python calls them, as numba compiles them, and how; those that numba knows are out
-of the list."""
-
-
-_registering = Lock()
-
-
-def _register_parts() -> None:
-    from numba.extending import overload
-
-    while _parts:
-        shown, function, options = _parts.pop()
-        overload(shown, jit_options=dict(options), strict=False)(partial(_always, function))
-
-
-def _always(function: Function, *_: object, **__: object) -> Function:
-    return function
 
 
 def _names(code: CodeType) -> Iterator[str]:

@@ -1,40 +1,11 @@
-"""Small least-squares problems by orthogonal transformations, compiled."""
+"""Small least-squares problems by orthogonal transformations."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from typing import NamedTuple
 
-from miho.compiled.signature import Entry, part
 from miho.quantities import Array
-
-OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
-"""No array is allocated here, so there is no reference counting (nrt): it costs more than a step of
-a few rows does."""
-SUMMING: dict[str, Any] = {"fastmath": {"reassoc", "contract", "nsz"}}
-"""Sums may be in any order, so that the processor adds several terms at once."""
-Function = TypeVar("Function", bound=Callable[..., Any])
-
-
-def entry(function: Function) -> Entry[Function]:
-    """A decorator: compiled and cached at its first call from Python.
-
-    Each takes seconds to compile, since it is compiled with all that it calls. So they are few, and
-    take arrays of always the same type (a row as a view is of another type than an array of rows).
-    """
-    return Entry(function, OPTIONS)
-
-
-def compiled(function: Function) -> Function:
-    """A decorator: compiled as a part of the entries that call it. Python calls it as it is."""
-    return part(function, OPTIONS)
-
-
-def by_numpy(form: Function, **options: Any) -> Callable[[Function], Function]:
-    """A decorator like `compiled`, of a loop over rows: Python calls its NumPy form instead."""
-    return lambda function: part(function, OPTIONS | options, form)
-
 
 SINGULAR = 1e-14
 """A pivot below this share of the largest one, or of its column, is taken for 0: its parameter
@@ -43,20 +14,17 @@ DEPENDENT = 0.5
 """Marks such a parameter, beside those that are free (1) and those at a bound (0)."""
 
 
-def _square_sum(r: Array, count: int) -> float:
+def square_sum(r: Array, count: int) -> float:
+    """The sum of the squares of the first residuals."""
     return float(r[:count] @ r[:count])
 
 
-@by_numpy(_square_sum, **SUMMING)
-def square_sum(r: Array, count: int) -> float:
-    """The sum of the squares of the first residuals."""
-    total = 0.0
-    for i in range(count):
-        total += r[i] * r[i]
-    return total
+def fold(T: Array, columns: Array, count: int, n: int) -> None:
+    """Update T, the triangular factor of all rows so far, by `count` more, given as n columns.
 
-
-def _fold(T: Array, columns: Array, count: int, n: int) -> None:
+    By Householder reflections of T stacked on the rows (Golub and Van Loan, Matrix Computations,
+    section 5.2): the factor of any number of rows, chunk by chunk. Overwrites the columns.
+    """
     rows = columns[:n, :count]
     for k in range(n):
         v, diagonal = rows[k], T[k, k]
@@ -72,36 +40,6 @@ def _fold(T: Array, columns: Array, count: int, n: int) -> None:
         others -= products[:, None] * v
 
 
-@by_numpy(_fold, **SUMMING)
-def fold(T: Array, columns: Array, count: int, n: int) -> None:
-    """Update T, the triangular factor of all rows so far, by `count` more, given as n columns.
-
-    By Householder reflections of T stacked on the rows (Golub and Van Loan, Matrix Computations,
-    section 5.2): the factor of any number of rows, chunk by chunk. Overwrites the columns.
-    """
-    for k in range(n):
-        v = columns[k]
-        square = 0.0
-        for i in range(count):
-            square += v[i] * v[i]
-        if square == 0.0:
-            continue
-        diagonal = T[k, k]
-        norm = -math.copysign(math.sqrt(diagonal * diagonal + square), diagonal)
-        first = diagonal - norm
-        T[k, k] = norm
-        factor = 2.0 / (first * first + square)
-        for j in range(k + 1, n):
-            other = columns[j]
-            product = first * T[k, j]
-            for i in range(count):
-                product += v[i] * other[i]
-            product *= factor
-            T[k, j] -= product * first
-            for i in range(count):
-                other[i] -= product * v[i]
-
-
 class SolverScratch(NamedTuple):
     """Arrays in which `solve_in_box` works, for at most d parameters.
 
@@ -114,7 +52,6 @@ class SolverScratch(NamedTuple):
     T: Array
 
 
-@compiled
 def solve_in_box(
     R: Array,
     q: Array,
@@ -157,7 +94,6 @@ def solve_in_box(
             pass
 
 
-@compiled
 def row_of(R: Array, q: Array, n: int, s: Array, row: int) -> float:
     """A row of R s + q."""
     value = 0.0
@@ -166,7 +102,6 @@ def row_of(R: Array, q: Array, n: int, s: Array, row: int) -> float:
     return value + float(q[row])
 
 
-@compiled
 def norm(R: Array, q: Array, n: int, s: Array) -> float:
     """|R s + q|^2."""
     total = 0.0
@@ -176,7 +111,6 @@ def norm(R: Array, q: Array, n: int, s: Array) -> float:
     return total
 
 
-@compiled
 def factor_of_free(
     R: Array, q: Array, scale: Array, n: int, s: Array, scratch: SolverScratch
 ) -> int:
@@ -202,7 +136,6 @@ def factor_of_free(
     return count
 
 
-@compiled
 def independent(n: int, count: int, scratch: SolverScratch) -> bool:
     """Whether no free parameter depends on those before it; the first that does is marked.
 
@@ -224,7 +157,6 @@ def independent(n: int, count: int, scratch: SolverScratch) -> bool:
     return True
 
 
-@compiled
 def _minimise_free(
     R: Array,
     q: Array,

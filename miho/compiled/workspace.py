@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from miho.compiled.triangular import SolverScratch, by_numpy, compiled
+from miho.compiled.triangular import SolverScratch
 from miho.quantities import Array
 
 CHUNK = 512
@@ -37,7 +37,6 @@ def room_for(d: int, m: int, levels: int) -> int:
     return levels + (d + 1) * (d + 1) + (2 * d + 1) * CHUNK + m + 7 * d + (d + 1) * (3 * d + 1)
 
 
-@compiled
 def work(room: Array, d: int, m: int, levels: int) -> Work:
     """Parts of `room` for d parameters, m residuals and levels of rows; factor and sums are 0."""
     n, start = d + 1, 7 * d
@@ -76,24 +75,11 @@ def work(room: Array, d: int, m: int, levels: int) -> Work:
     )
 
 
-def _clear(T: Array) -> None:
+def clear(T: Array) -> None:
+    """Make all numbers 0."""
     T[:] = 0.0
 
 
-@by_numpy(_clear)
-def clear(T: Array) -> None:
-    """Make all numbers 0."""
-    for j in range(T.shape[0]):
-        for k in range(T.shape[1]):
-            T[j, k] = 0.0
-
-
-def _copy(source: Array, target: Array) -> None:
-    target[: source.size] = source
-
-
-@by_numpy(_copy)
 def copy(source: Array, target: Array) -> None:
     """Copy all numbers of one array to another."""
-    for k in range(source.size):
-        target[k] = source[k]
+    target[: source.size] = source

@@ -1,6 +1,6 @@
 /* Descents of one candidate: its evaluations, one after the other, and its steps between them.
    Derivatives are folded into triangular factors chunk by chunk, so that memory does not grow with
-   the number of rows. miho/compiled/gauss_newton_loop.py says the same in Python. */
+   the number of rows. tests/core/python_bracket.py says the same in Python. */
 #include <math.h>
 #include <string.h>
 #include "elementary.h"

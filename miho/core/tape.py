@@ -7,6 +7,7 @@ compare the other one with, and what runs where the library was installed withou
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cache, cached_property
@@ -72,19 +73,30 @@ Those from ADD_S to S_DIV take a scalar, truth is 1 and falsehood 0. LOG_PARTS g
 of |x| as a sum of two numbers, FLOOR_PARTS that of what is at least TINY, and POWER takes a power
 given the parts of its base: so a power and its derivatives need one logarithm.
 """
+NOT_BUILT = (
+    "miho: formulas run in NumPy, which is slower: {}; install a C compiler, such as gcc, then "
+    "miho again\n"
+)
 NUMBER = {name: k for k, name in enumerate(OPERATIONS)}
 WITH_SCALAR = {"ADD_S", "MUL_S", "SUB_S", "DIV_S", "S_SUB", "S_DIV"}
 
 
 @cache
 def machine() -> Any:
-    """The machine in C, None where it was not built, or was built of other sources."""
+    """The machine in C, None where it was not built, or was built of other sources.
+
+    Without it a line on stderr says so, once in a process.
+    """
     try:
         import miho.core._machine as built
     except ImportError:
+        sys.stderr.write(NOT_BUILT.format("the library was installed without a C compiler"))
         return None
     whole = {"run_bracket", "solve_trajectories", "climb"} <= vars(built).keys()
-    return built if whole and built.operations() == tuple(OPERATIONS) else None
+    if whole and built.operations() == tuple(OPERATIONS):
+        return built
+    sys.stderr.write(NOT_BUILT.format("the machine of formulas was built of other sources"))
+    return None
 
 
 @dataclass(frozen=True, eq=False)

@@ -46,7 +46,7 @@ def fit_joint(
     method: Optimizer | str | None = None,
     budget: Budget | None = None,
     seed: int = 0,
-    compiled: bool | None = None,
+    compiled: bool = True,
     workers: Workers = None,
     evaluation_limit: float | None = None,
     journal: JournalPath = None,
@@ -55,9 +55,8 @@ def fit_joint(
 
     `parts` are named. A parameter of one name is the same in all parts; one in `local` is one of
     each part's own, called NAME_PART, whose bounds are those of NAME unless it has its own.
-    `space`, `missing`, `fixed`, `tied`, `constraints`, `method`, `budget`, `seed`, `workers`,
-    `evaluation_limit` and `journal` are those of `miho.fit`. Where all parts are the same
-    expression, its search is compiled from 20,000 rows on, or where `compiled` is true.
+    `space`, `missing`, `fixed`, `tied`, `constraints`, `method`, `budget`, `seed`, `compiled`,
+    `workers`, `evaluation_limit` and `journal` are those of `miho.fit`.
 
     A part's sigma that is not given is estimated from its own residuals, see `Joint.complete`.
     Raises ValueError for what does not fit together.

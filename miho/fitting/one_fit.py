@@ -32,7 +32,6 @@ from miho.identification.uncertainty import linearised
 from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
 from miho.models.tied import Tied, whole_model
-from miho.models.tire_formula import TireFormula
 from miho.optim import Budget, Optimizer, Space
 from miho.parallel import Evaluations, Workers
 
@@ -60,7 +59,7 @@ def fit(
     method: Optimizer | str | None = None,
     budget: Budget | None = None,
     seed: int = 0,
-    compiled: bool | None = None,
+    compiled: bool = True,
     workers: Workers = None,
     evaluation_limit: float | None = None,
     journal: JournalPath = None,
@@ -90,10 +89,9 @@ def fit(
     parameter there is one descent from there, and bounds are not needed; with "journal" one from
     the best configuration that stands in the journal, whatever method evaluated it. `loss` is what
     a residual costs: its square, or one that outliers cannot dominate, such as
-    `miho.identification.Huber(scale)`; where `sigma` is known, "huber" or "cauchy" will do. An
-    arithmetic function is searched by steps in NumPy first, and by compiled ones once its searches
-    have taken some two seconds; at once where `compiled` is true, never where it is false. To
-    compile them takes half a minute, once on a machine; later fits take milliseconds.
+    `miho.identification.Huber(scale)`; where `sigma` is known, "huber" or "cauchy" will do. A
+    function of arithmetic and NumPy's functions of numbers is searched by the machine of
+    `miho.core`, any other one by steps in NumPy, as all are where `compiled` is false.
 
     A tire, `miho.load_tir` of a property file or its path, is a model too, of Fx, Fy or Mz as `y`
     names it; its coefficients that have bounds or a start are free, all others stay. Only named, as
@@ -125,8 +123,6 @@ def fit(
     dataset, chosen, sigma = data_of(model, x, y, sigma, parameters, missing, convention, ranges)
     known = None if sigma is None or not sigma_known else sigma
     rho = loss_of(loss, dataset[known] if isinstance(known, str) else known)
-    if compiled is None and (start is not None or isinstance(model, TireFormula)):
-        compiled = False
     stated = chosen, space, start, fixed or {}, tied or {}
     sought = space_of(*stated)
     bounds = constrained(sought, constraints)

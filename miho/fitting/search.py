@@ -1,14 +1,11 @@
-"""The search of a problem: by the machine, or in NumPy first and compiled where it takes long."""
+"""The search of a problem, and the descent to the optimum that it has found."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections import defaultdict
 from dataclasses import replace
-from functools import cache
 
-from miho.core import machine
 from miho.fitting.confirmed import by_calls, check_repeats, compared_at
 from miho.fitting.dear_fit import interrupted, pace_line, spread, title
 from miho.fitting.fit_result import Fit
@@ -16,11 +13,9 @@ from miho.fitting.named import check_budget, method_of
 from miho.identification.alternatives import optima_within_noise
 from miho.identification.curve_fit import CurveFit
 from miho.identification.refit import Refit, refit
-from miho.models.expression import Expression
 from miho.optim import (
     MIHOGN,
     Budget,
-    Checkpoint,
     Minimum,
     Optimizer,
     Outcome,
@@ -29,12 +24,6 @@ from miho.optim import (
 )
 from miho.optim.usable_values import NOT_FINITE
 from miho.parallel import Evaluations
-
-NUMPY_SECONDS, PER_EVALUATION, PER_ROW = 2.0, 3e-4, 3e-6
-"""Seconds that searches of one formula may take in NumPy; seconds of an evaluation in NumPy; and
-seconds of each of its rows in addition."""
-numpy_seconds: defaultdict[object, float] = defaultdict(float)
-"""The estimated seconds that the searches of each formula have taken in this process."""
 
 
 def searched(
@@ -54,7 +43,10 @@ def searched(
     called = by_calls(problem, compared_at(problem), evaluations)
     if called is not None:
         problem, evaluations = called, None
-    problem, run = _run(problem, method, budget, seed, evaluations)
+    run = minimize(
+        method, problem, budget, seed,
+        workers=evaluations, observer=pace_line(problem, method, budget),
+    )  # fmt: skip
     if run.outcome is Outcome.INTERRUPTED:
         raise interrupted(run)
     name = title(problem)
@@ -106,56 +98,6 @@ def _with_others(fit: Fit, optimum: Refit, evaluations: Evaluations | None) -> F
     return replace(fit, theta=optima[0].theta, descents=descents, moving=optima[0].moving)
 
 
-def _run(
-    problem: CurveFit,
-    method: Optimizer,
-    budget: Budget,
-    seed: int,
-    evaluations: Evaluations | None,
-) -> tuple[CurveFit, RunRecord]:
-    """Search a problem, and compile its formula only if that is needed and the search takes long.
-
-    The machine searches a formula at once. Without it the search starts in NumPy, and after about
-    NUMPY_SECONDS the compiled problem continues from the same state. The time is counted in
-    evaluations, so that the result does not depend on the machine; all searches of one formula in
-    this process share it.
-    """
-
-    def run(
-        problem: CurveFit, budget: Budget, checkpoint: Checkpoint | None = None
-    ) -> tuple[CurveFit, RunRecord]:
-        return problem, minimize(
-            method, problem, budget, seed, checkpoint=checkpoint, rehearse=False,
-            workers=evaluations, observer=pace_line(problem, method, budget),
-        )  # fmt: skip
-
-    checkpoint = None
-    model = problem.model
-    by_machine = problem.kernel is not None and problem.kernel.taped is not None
-    undecided = problem.compiled is None and isinstance(method, MIHOGN) and not by_machine
-    if undecided and isinstance(model, Expression):
-        formula = getattr(model.value, "__code__", type(model))
-        seconds = PER_EVALUATION + PER_ROW * problem.residual_count
-        most = int((NUMPY_SECONDS - numpy_seconds[formula]) / seconds)
-        limits = most if budget.evaluations is None else min(most, budget.evaluations)
-        if most > 0:
-            plain = replace(problem, compiled=False, dear=True)
-            plain, first = run(plain, replace(budget, evaluations=limits))
-            numpy_seconds[formula] += first.evaluations * seconds
-            if _ended(first, budget) or limits == budget.evaluations:
-                return plain, first
-            checkpoint = first.checkpoint
-        problem = replace(problem, compiled=True, dear=True)
-    if problem.kernel is not None and machine() is None:
-        _say_that_formulas_are_compiled()
-    if problem.kernel is not None and method.uncompiled:
-        sys.stderr.write(
-            "miho: compiling the search, once on this machine, for about half a minute "
-            "(compiled=False does without)\n"
-        )
-    return run(problem, budget, checkpoint)
-
-
 def _left(budget: Budget, run: RunRecord) -> Budget | None:
     """What a run has left of its budget; None if that is less than it has spent."""
     evaluations, seconds = budget.evaluations, budget.seconds
@@ -166,20 +108,3 @@ def _left(budget: Budget, run: RunRecord) -> Budget | None:
     few = evaluations is not None and evaluations < run.evaluations
     late = seconds is not None and seconds < run.seconds
     return None if few or late else replace(budget, evaluations=evaluations, seconds=seconds)
-
-
-@cache
-def _say_that_formulas_are_compiled() -> None:
-    """Say once in a process that each formula takes seconds, and why."""
-    sys.stderr.write(
-        "miho: compiling each formula takes some seconds, as the library was installed without a "
-        "C compiler\n"
-    )
-
-
-def _ended(run: RunRecord, budget: Budget) -> bool:
-    """Whether a run has ended otherwise than by the number of its evaluations."""
-    if run.outcome not in (Outcome.BUDGET, Outcome.NO_FINITE_VALUE) or run.checkpoint is None:
-        return True
-    late = budget.seconds is not None and run.seconds >= budget.seconds
-    return late or (budget.target is not None and run.loss <= budget.target)

@@ -55,8 +55,6 @@ That is never more than AGREEING L + (ROUNDING r)^2, within which two losses cou
 1 / sqrt(AGREEING) (`miho.optim.evidence`)."""
 REMEMBERED = 1 << 20
 """Numbers of errors to remember for the derivatives of a robust loss at the same configurations."""
-WORTH_COMPILING = 20_000
-"""Rows from which on a search whose steps are Python takes seconds."""
 OF_THE_MODEL = ("noise", "_fitted", "_taped", "_of_thread")
 """What a problem remembers of its model."""
 BLOCK = 50_000
@@ -74,16 +72,12 @@ class CurveFit(Remade, LeastSquaresProblem):
     fixes or ties some, `model` and `space` become those of the free ones (`miho.models.tied`),
     and everything else follows. `label`
     names the problem: the same data in two spaces are two problems. The square loss of a model
-    that is an `Expression` is a fast kernel, and takes batches on `threads` threads. `compressed`
-    takes it, to 1e-9 of itself, from far fewer values than points, if the model has one input and
-    a `bound`; residuals, derivatives and lower fidelities stay those of the points. So neither
-    changes a run of a method that works with residuals, such as `MIHOGN`, the default.
+    that is an `Expression` is a fast kernel, and takes batches on `threads` threads.
 
     A plain function may stand for the model, with annotations as `miho.models.FunctionModel`
     describes them. One of arithmetic and NumPy's functions of numbers gets exact derivatives. Like
-    any expression it is searched by the machine of `miho.core`, unless `compiled` is false. What
-    the machine does not do (mutation steps of `MIHO`, and all where it was not built) is compiled
-    from WORTH_COMPILING rows on, or where `compiled` is true.
+    any expression it is searched by the machine of `miho.core`, unless `compiled` is false. Any
+    other model is evaluated as it is, and so are all where the machine was not built.
 
     `sigma` is the standard deviation of the errors, a number or a column of the data, in the
     output's unit: known as it is, or if not `sigma_known` up to one factor for all rows, which the
@@ -99,8 +93,7 @@ class CurveFit(Remade, LeastSquaresProblem):
     rho: Loss = field(default_factory=Square)
     label: str | None = None
     threads: int = 1
-    compressed: bool = False
-    compiled: bool | None = None
+    compiled: bool = True
     sigma: str | float | None = None
     sigma_known: bool = True
     prior_scale: float | None = None
@@ -120,13 +113,6 @@ class CurveFit(Remade, LeastSquaresProblem):
         object.__setattr__(self, "space", self.space.free)
         check_curve_fit(self, dear)
         check_sigma(self)
-        if self.compressed and (self.kernel is None or self.kernel.few_nodes is None):
-            raise ValueError(
-                f"compressed is true for {self.model.name or type(self.model).__name__} with "
-                f"{len(self.model.inputs)} inputs and the loss {type(self.rho).__name__}; expected "
-                "an Expression of one input that has a bound, and the loss Square; set compressed "
-                "to false"
-            )
 
     @property
     def name(self) -> str:  # type: ignore[override]
@@ -229,35 +215,26 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     @cached_property
     def kernel(self) -> FitKernel | None:  # type: ignore[override]
-        """Fast forms of the square loss of a model that is an expression."""
-        model = self._fitted
+        """Fast forms of the square loss of a model that the machine runs."""
         plain = self._square and self.prior is None
-        if not (isinstance(model, Expression) and plain):
-            return None
-        compiles = self._worth_compiling
-        if not compiles and (self.compiled is False or self._taped is None):
+        if not (self.compiled and plain) or self._taped is None:
             return None
         thetas = self.space.decode(self.space.initial(TRIALS))
         name = self.model.name or type(self.model).__name__
-        return kernel_for(
-            model, np.array(self._columns), self._target, self._order, thetas,
-            name=name, threads=self.threads, compressed=self.compressed, climbs=compiles,
-        )  # fmt: skip
+        return kernel_for(self._taped, self._fitted, thetas, name=name)
 
     @cached_property
     def _taped(self) -> TapedLoss | None:
-        """The model that is known as a graph, by the machine: nothing has to be compiled."""
-        if not isinstance(self._fitted, TracedExpression):
+        """The model by the machine, None where that cannot run it."""
+        if not isinstance(self._fitted, Expression):
             return None
         columns, target = np.array(self._columns), self._target
         return taped_loss(self._fitted, columns, target, self._order, threads=self.threads)
 
     @property
-    def _worth_compiling(self) -> bool:
-        if self.compiled is not None:
-            return self.compiled
-        traced = isinstance(self.model, TracedExpression)
-        return not traced or len(self.dataset) >= WORTH_COMPILING
+    def _of_graph(self) -> TapedLoss | None:
+        """The model that is known as a graph, by the machine: there is nothing to compare."""
+        return self._taped if isinstance(self._fitted, TracedExpression) else None
 
     @cached_property
     def prior(self) -> PriorResiduals | None:
@@ -345,8 +322,8 @@ class CurveFit(Remade, LeastSquaresProblem):
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
         """Mean squared error (n,) of parameter rows (n, d), over a fidelity of the data rows."""
         columns, output, rows = self._columns, self._target, self._rows(fidelity)
-        if self._taped is not None and self._square and self.prior is None:
-            return self._taped.losses(thetas, rows)
+        if self._of_graph is not None and self._square and self.prior is None:
+            return self._of_graph.losses(thetas, rows)
         if self.kernel is not None:
             losses = self.kernel.losses(thetas, rows)
             if losses is not None:
@@ -402,8 +379,8 @@ class CurveFit(Remade, LeastSquaresProblem):
 
     def _errors(self, thetas: Array, fidelity: float) -> Array:
         part = self._part(fidelity)
-        if self._taped is not None:
-            return self._taped.residuals(thetas, None if part is None else part.size)
+        if self._of_graph is not None:
+            return self._of_graph.residuals(thetas, None if part is None else part.size)
         if part is None and self.kernel is not None:
             residuals = self.kernel.residuals(thetas)
             if residuals is not None:
@@ -426,12 +403,12 @@ class CurveFit(Remade, LeastSquaresProblem):
     def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
         """Derivatives of the residuals, (m, d)."""
         part = self._part(fidelity)
-        if part is None and self.kernel is not None:
+        if self._of_graph is None and part is None and self.kernel is not None:
             derivatives = self.kernel.jacobian(theta)
             if derivatives is not None:
                 return derivatives
-        if self._taped is not None:
-            derivatives = self._taped.jacobian(theta, None if part is None else part.size)
+        if self._of_graph is not None:
+            derivatives = self._of_graph.jacobian(theta, None if part is None else part.size)
         else:
             derivatives = self._fitted.jacobian(theta, *self._columns_of(part))
         if self.prior is not None:

@@ -38,6 +38,7 @@ class DifferentialEvolution(Optimizer):
     budget ends.
     """
 
+    loads = ("scipy.optimize",)
     strategy: str = "best1bin"
     popsize: int = 15
     maxiter: int = 1000

@@ -32,6 +32,7 @@ class DualAnnealing(Optimizer):
     worse by 2.5e-8 of the first loss.
     """
 
+    loads = ("scipy.optimize",)
     maxiter: int = 1000
     initial_temp: float = 5230.0
     restart_temp_ratio: float = 2e-5

@@ -56,6 +56,8 @@ class HickernellYuan(Optimizer):
     problem.
     """
 
+    loads = ("scipy.stats",)
+
     N: int = 30
     p: int = 5
     q: int = 3

@@ -37,6 +37,7 @@ class LeastSquares(Optimizer):
     SciPy's 100 looks per parameter.
     """
 
+    loads = ("scipy.optimize",)
     screen: int = 500
     starts: int = 10
     rounds: int | None = 3

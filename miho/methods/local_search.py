@@ -36,6 +36,7 @@ class LBFGSB(Optimizer):
     line search turns back.
     """
 
+    loads = ("scipy.optimize",)
     screen: int = 500
     starts: int = 10
     rounds: int | None = None
@@ -87,6 +88,7 @@ class NelderMead(Optimizer):
     loss as it is, but it is slow beyond some ten parameters and may stop where nothing is optimal.
     """
 
+    loads = ("scipy.optimize",)
     screen: int = 500
     starts: int = 10
     rounds: int | None = None

@@ -41,6 +41,7 @@ class ScatterSearch(Optimizer):
     Needs a least-squares problem.
     """
 
+    loads = ("scipy.optimize",)
     diverse: int = 10
     members: int | None = None
     first: int = 1

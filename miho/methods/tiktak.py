@@ -34,6 +34,7 @@ class TikTak(Optimizer):
     Ends after `rounds` rounds, or with the budget if that is None. Needs a least-squares problem.
     """
 
+    loads = ("scipy.stats",)
     points: int = 100
     share: float = 0.1
     lowest_weight: float = 0.1

@@ -28,6 +28,7 @@ class VariableProjection(Optimizer):
     least-squares problem.
     """
 
+    loads = ("scipy.optimize",)
     screen: int = 500
     starts: int = 10
     rounds: int | None = 3

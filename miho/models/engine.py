@@ -17,11 +17,6 @@ RPM = pi / 30
 """One revolution per minute in rad/s."""
 
 
-def _cubic_bound(ellipse: tuple[Any, ...], theta: tuple[Any, ...]) -> Any:
-    """Nothing is left of a polynomial of the third degree."""
-    return 0.0, 0.0
-
-
 @dataclass(frozen=True)
 class TorqueCubic(Expression):
     """Engine torque T [Nm] over the engine speed omega [rad/s] at one throttle opening (Eq. 8).
@@ -40,7 +35,6 @@ class TorqueCubic(Expression):
     parameters = MappingProxyType({"p0": "Nm", "p1": "Nm", "p2": "Nm", "p3": "Nm"})
     output = "Nm"
     linear = ("p0", "p1", "p2", "p3")
-    bound = staticmethod(_cubic_bound)
 
     def __post_init__(self) -> None:
         if not 0 < self.omega_max < np.inf:

@@ -25,18 +25,11 @@ class Expression(Model):
     """A model whose output at a row depends on that row and theta alone, as one expression.
 
     `value` and `derivatives` are plain functions of two tuples, the inputs and the parameters in
-    their order. They use arithmetic, NumPy's functions of numbers and those of
-    `miho.compiled.elementary`, without branches, so that numbers, arrays and compiled blocks go
-    through the same lines. What they need besides is in their closure, as plain numbers.
-
-    `bound`, for a model of one input whose loss can be compressed, is such a function too:
-    ((centre, a, b), theta) -> (A, v) says that |value - q| <= A exp(v) for complex inputs inside
-    the ellipse with the half axes a along and b across the real axis, where q is some polynomial
-    of at most the third degree in the input and A depends on theta alone. v is 1e200 or more where
-    this is not so or not known, as around a branch point.
+    their order. They use arithmetic and NumPy's functions of numbers, without branches, so that
+    numbers, arrays and the symbols of a tape go through the same lines. What they need besides is
+    in their closure, as plain numbers. One that the machine of `miho.core` cannot run, as it calls
+    other functions, runs in NumPy.
     """
-
-    bound: Formula | None = None
 
     @final
     def with_leaves(self, wrap: Callable[[Model], Model]) -> Model:
@@ -70,7 +63,7 @@ class Expression(Model):
     @final
     def predict(self, thetas: Array, *inputs: Array) -> Array:
         """Outputs (n, N) of parameter rows (n, d) at input columns (N,)."""
-        with np.errstate(all="ignore"):  # without a value it is NaN or infinite, as compiled
+        with np.errstate(all="ignore"):  # without a value it is NaN or infinite, as on the machine
             rows = np.asarray(self.value(inputs, tuple(thetas.T[:, :, None])))
         shape = len(thetas), inputs[0].size
         own = rows.shape == shape and rows.base is None

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from miho.compiled.elementary import atan, cos, sin, where
 from miho.models.symbolic import ARGUMENT, CONSTANT, OPERATIONS, Symbol, ordered
 
 
@@ -53,7 +52,7 @@ def _assignments(results: Sequence[Symbol]) -> tuple[list[str], list[str]]:
 @lru_cache(maxsize=256)
 def _function(name: str, text: str) -> Callable[..., Any]:
     """The function of this text, made once for all fits of a model."""
-    names: dict[str, Any] = {"np": np, "sin": sin, "cos": cos, "atan": atan, "where": where}
+    names: dict[str, Any] = {"np": np}
     exec(compile(text, f"<{name}>", "exec"), names)  # noqa: S102 -- lines of our own
     function: Callable[..., Any] = names[name]
     return function

@@ -243,12 +243,12 @@ OPERATIONS: Mapping[str, tuple[str, Partials]] = {
     "log10": ("np.log10({})", lambda z, a: (1 / (math.log(10) * a),)),
     "log2": ("np.log2({})", lambda z, a: (1 / (math.log(2) * a),)),
     "sqrt": ("np.sqrt({})", lambda z, a: (0.5 / np.maximum(z, TINY),)),
-    "sin": ("sin({})", lambda z, a: (np.cos(a),)),
-    "cos": ("cos({})", lambda z, a: (-np.sin(a),)),
+    "sin": ("np.sin({})", lambda z, a: (np.cos(a),)),
+    "cos": ("np.cos({})", lambda z, a: (-np.sin(a),)),
     "tan": ("np.tan({})", lambda z, a: (1 + z * z,)),
     "arcsin": ("np.arcsin({})", lambda z, a: (1 / _above(np.sqrt(1 - a * a)),)),
     "arccos": ("np.arccos({})", lambda z, a: (-1 / _above(np.sqrt(1 - a * a)),)),
-    "arctan": ("atan({})", lambda z, a: (1 / (1 + a * a),)),
+    "arctan": ("np.arctan({})", lambda z, a: (1 / (1 + a * a),)),
     "sinh": ("np.sinh({})", lambda z, a: (_bounded(np.cosh(a)),)),
     "cosh": ("np.cosh({})", lambda z, a: (_bounded(np.sinh(a)),)),
     "tanh": ("np.tanh({})", lambda z, a: (1 - z * z,)),
@@ -280,7 +280,7 @@ OPERATIONS: Mapping[str, tuple[str, Partials]] = {
     "logical_and": ("{} & {}", _no_partials),
     "logical_or": ("{} | {}", _no_partials),
     "logical_not": ("np.logical_not({})", _no_partials),
-    "where": ("where({}, {}, {})", _no_partials),  # `gradient` chooses between those of both
+    "where": ("np.where({}, {}, {})", _no_partials),  # `gradient` chooses between those of both
 }
 """How an operation is written, and its partial derivatives given its value and arguments."""
 UFUNCS = {name: name for name in (*OPERATIONS, "square", "positive")} | {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import groupby
@@ -13,12 +13,10 @@ from typing import Any
 import numpy as np
 
 from miho.compiled import Block, Climb
-from miho.optim.meter import Budget
 from miho.optim.miho_settings import MIHOSettings
-from miho.optim.mutation import climb_of, climb_once, compiled_steps, limits
+from miho.optim.mutation import climb_of, compiled_steps, limits
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
-from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.schedule import Rung
 from miho.optim.space import Space
 from miho.parallel import Ahead
@@ -152,16 +150,6 @@ class AsynchronousMIHO(MIHOSettings, Resumable[AsynchronousMIHOState]):
     def done(self, state: AsynchronousMIHOState) -> bool:
         """After the last bracket."""
         return not (state.chains or state.brackets or state.coming)
-
-    def rehearsals(
-        self, problem: Problem, toy: LeastSquaresProblem, theta: Array
-    ) -> Sequence[Callable[[], object]]:
-        """Losses, compiled steps where the problem has them, and a search of the toy."""
-        return [
-            lambda: Oracle(problem, Budget())(theta[None]),
-            lambda: climb_once(problem, theta),
-            lambda: self.search_toy(toy),
-        ]
 
     def _first_ready(self, state: AsynchronousMIHOState, oracle: Oracle) -> int:
         """Have workers evaluate what chains propose; the position of the one that is there first.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
@@ -16,8 +16,6 @@ from miho.optim.miho_gn_settings import MIHOGNSettings
 from miho.optim.miho_gn_state import MIHOGNState
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
-from miho.optim.problem import LeastSquaresProblem, Problem
-from miho.quantities import Array
 
 
 @dataclass
@@ -116,17 +114,6 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
     def done(self, state: AsynchronousMIHOGNState) -> bool:
         """After brackets whose ends are evidence enough, or after the last."""
         return state.search.finished
-
-    def rehearsals(
-        self, problem: Problem, toy: LeastSquaresProblem, theta: Array
-    ) -> Sequence[Callable[[], object]]:
-        """Those of the method."""
-        return self.method.rehearsals(problem, toy, theta)
-
-    @property
-    def uncompiled(self) -> bool:
-        """Whether the steps are not in numba's cache."""
-        return self.method.uncompiled
 
     def _next(self, state: AsynchronousMIHOGNState, oracle: Oracle) -> int:
         """Have workers busy and wait: the position of a bracket, which learns what others found."""

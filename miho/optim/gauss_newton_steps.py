@@ -1,4 +1,4 @@
-"""The brackets of Gauss-Newton descents: in compiled blocks, or evaluation by evaluation."""
+"""The brackets of Gauss-Newton descents: by the machine, or evaluation by evaluation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from miho.compiled.gauss_newton_candidates import (
     GNCandidates,
     GNRules,
 )
-from miho.compiled.gauss_newton_loop import FINISHED, bracket_of
+from miho.compiled.gauss_newton_machine import FINISHED, bracket_of
 from miho.compiled.gauss_newton_parts import (
     after_evaluations,
     after_one_evaluation,
@@ -45,11 +45,11 @@ EVENTS = 4096
 
 
 def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
-    """Take a bracket to its end, compiled where the problem is, and go on where it was cut off.
+    """Take a bracket to its end, by the machine if it can, and go on where it was cut off.
 
     Raises as the oracle does at the end of the budget.
     """
-    # A problem without compiled residuals is asked for each evaluation.
+    # A problem that the machine cannot run is asked for each evaluation.
     kernel = oracle.kernel
     rows = None if kernel is None else kernel.rows
     c, d, level_rows = state.candidates, state.d, state.level_rows
@@ -113,9 +113,8 @@ def rounds(oracle: Oracle, state: MIHOGNState) -> Iterator[Round]:
     c, place, level_rows = state.candidates, state.place, state.level_rows
     yield from _rounds_of_phase(oracle, state)
     while after_steps(
-        *c[:3], state.stored, place, state.order, state.box, level_rows, state.minima,
-        state.settings,
-    ):  # fmt: skip
+        c, state.stored, place, state.order, state.box, level_rows, state.minima, state.settings
+    ):
         yield from _rounds_of_phase(oracle, state)
 
 
@@ -131,14 +130,14 @@ def _rounds_of_phase(oracle: Oracle, state: MIHOGNState) -> Iterator[Round]:
     # All that enter a level are looked at in one batch: models that work on arrays are faster so.
     if not (rules.last and rules.steps):
         index, thetas = np.empty(active, np.int64), np.empty((active, d))
-        count = entering(*c[:4], active, box, index, thetas)
+        count = entering(c, active, box, index, thetas)
         if count:
             yield Round(count, oracle.ahead(thetas[:count], fidelity, "residuals"))
             entrants = index[:count], thetas[:count]
             _evaluate_entering(oracle, fidelity, c, *entrants, box, level_rows, rules, w)
     while True:
         needs, i = [], state.turn
-        while (i := next_to_evaluate(*c[:4], i, active, box, m, state.minima, rules, w)) < active:
+        while (i := next_to_evaluate(c, i, active, box, m, state.minima, rules, w)) < active:
             needs.append((i, w.theta.copy()))
             i += 1
         if not needs and state.turn == 0:
@@ -196,7 +195,7 @@ def _evaluate(
             _evaluate_slopes(oracle, fidelity, c, i, box, m, w)
         elif project:
             loss = _evaluate_projected(oracle, fidelity, c, i, box, state.level_rows, w)
-            after_one_evaluation(*c[:4], i, loss, box, m, rules, oracle.best, w)
+            after_one_evaluation(c, i, loss, box, m, rules, oracle.best, w)
         else:
             r = oracle.residuals(w.theta.copy(), fidelity)
             index = np.array([i])
@@ -205,7 +204,7 @@ def _evaluate(
         if stage == SLOPES:
             c.stage[i] = UNUSABLE
         else:
-            after_one_evaluation(*c[:4], i, math.inf, box, m, rules, oracle.best, w)
+            after_one_evaluation(c, i, math.inf, box, m, rules, oracle.best, w)
     c.spent[i] += m * cost
 
 
@@ -243,10 +242,10 @@ def _hand_over(
     rules: GNRules,
     w: Work,
 ) -> None:
-    """Hand the residuals r (k, m) of the candidates `index` (k,) to the compiled code."""
-    r = np.array(r, dtype=float, order="C")  # as compiled code is made for
+    """Hand the residuals r (k, m) of the candidates `index` (k,) to the steps."""
+    r = np.array(r, dtype=float, order="C")
     in_order = r if fidelity < 1.0 or oracle.order is None else np.take(r, oracle.order, axis=1)
-    after_evaluations(*c[:4], index, r, in_order, box, level_rows, rules, oracle.best, w)
+    after_evaluations(c, index, r, in_order, box, level_rows, rules, oracle.best, w)
 
 
 def _evaluate_slopes(
@@ -267,7 +266,7 @@ def _evaluate_slopes(
         stored = np.empty((d + 1, m))
         stored[d] = oracle.residuals(theta, fidelity, goes_on=True)
     stored[: order.size] = columns[order]
-    factor_columns(*c[:4], i, box, stored, order.size, w)
+    factor_columns(c, i, box, stored, order.size, w)
 
 
 def _evaluate_projected(
@@ -294,7 +293,7 @@ def _evaluate_projected(
         scale = (box.high[k] - box.low[k]) / (probe[k] - theta[k])
         columns[column] = (oracle.residuals(probe, fidelity, goes_on=True) - r) * scale
     columns[p] = r
-    loss = solve_columns(*c[:4], i, box, columns, w)
+    loss = solve_columns(c, i, box, columns, w)
     r += w.step[:p] @ columns[:p]
     return loss
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
 from miho.compiled import Block, Climb
-from miho.optim.meter import Budget
 from miho.optim.miho_settings import MIHOSettings
-from miho.optim.mutation import climb_of, climb_once, compiled_steps, limits
+from miho.optim.mutation import climb_of, compiled_steps, limits
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
-from miho.optim.problem import LeastSquaresProblem, Problem
 from miho.optim.schedule import Rung
 from miho.optim.space import Space
 from miho.quantities import Array
@@ -56,8 +53,7 @@ class MIHO(MIHOSettings, Resumable[MIHOState]):
 
     `early_stopping` gives a mutant up as soon as its loss cannot be below its parent's, where the
     problem has a compiled loss; it changes no decision, but what the rest of its loss would have
-    been, NaN included, is then not seen. Whether the loss is a compressed one is no setting of a
-    method but a switch of the problem, off by default, and applies to all methods alike.
+    been, NaN included, is then not seen.
     """
 
     early_stopping: bool = True
@@ -123,16 +119,6 @@ class MIHO(MIHOSettings, Resumable[MIHOState]):
         if state.row == 0:
             self._count(state, round(block.evaluations) // (rows.stop - rows.start))
         return block
-
-    def rehearsals(
-        self, problem: Problem, toy: LeastSquaresProblem, theta: Array
-    ) -> Sequence[Callable[[], object]]:
-        """Losses, compiled steps where the problem has them, and a search of the toy."""
-        return [
-            lambda: Oracle(problem, Budget())(theta[None]),
-            lambda: climb_once(problem, theta),
-            lambda: self.search_toy(toy),
-        ]
 
     def _count(self, state: MIHOState, steps: int) -> None:
         """Count steps as done and prepare the next batch."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,20 +19,16 @@ from miho.compiled.gauss_newton_candidates import (
     GNSettings,
     Minima,
 )
-from miho.compiled.gauss_newton_loop import waits_for_numba
 from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE, SOLVED
 from miho.optim.brackets import around, draw_starts, luby, rows_by_level
 from miho.optim.evidence import Agreement, in_optimum
 from miho.optim.gauss_newton_steps import run_phases
-from miho.optim.meter import Budget, BudgetExhausted, UnusableValueError
+from miho.optim.meter import BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_settings import MIHOGNSettings
 from miho.optim.miho_gn_state import ROOM, MIHOGNState, at_bound, box_of, square_distances
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
-from miho.optim.problem import LeastSquaresProblem, Problem
-from miho.optim.seeds import stream
 from miho.optim.zero import EPSILON, is_rounding, is_zero
-from miho.quantities import Array
 
 SOLVED_FIRST = 9
 """A problem that is linear in all parameters is solved on one row in so many, then on all."""
@@ -127,27 +122,6 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             POLISH: self._end,
         }
         endings[state.phase](state, oracle)
-
-    def rehearsals(
-        self, problem: Problem, toy: LeastSquaresProblem, theta: Array
-    ) -> Sequence[Callable[[], object]]:
-        """A first bracket of a compiled problem; of any other, as of every method."""
-
-        def rehearse() -> None:
-            oracle = Oracle(problem, Budget(evaluations=len(theta) + 2))
-            if _has_rows(oracle):
-                self.run(oracle, stream())
-                return
-            for job in super(MIHOGN, self).rehearsals(problem, toy, theta):
-                with contextlib.suppress(Exception):
-                    job()
-
-        return [lambda: problem.noise, rehearse]
-
-    @property
-    def uncompiled(self) -> bool:
-        """Whether the steps are compiled by numba, and not in its cache."""
-        return waits_for_numba()
 
     def _count_rows(self, state: MIHOGNState, oracle: Oracle) -> None:
         """Look once at all residuals of a problem that does not say how many there are."""

@@ -10,23 +10,20 @@ import sys
 import threading
 import time
 import traceback
-import weakref
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 from types import FrameType
-from typing import Any, NamedTuple
-
-import numpy as np
+from typing import Any
 
 from miho.optim.meter import Arrivals, Budget, BudgetExhausted, Meter, RunInterrupted
 from miho.optim.optimizer import Optimizer, Resumable
 from miho.optim.oracle import Oracle
-from miho.optim.problem import LeastSquaresProblem, Problem, mean_square
+from miho.optim.problem import Problem
 from miho.optim.seeds import stream
-from miho.optim.space import Space
 from miho.optim.spread import JournalFile, spread_problem
 from miho.optim.trace import Descents, Trace
 from miho.parallel import Evaluations, NoWorkersLeft, StaleJournalError, Workers
@@ -66,7 +63,7 @@ class RunRecord:
     """What one run found, and what it spent.
 
     `theta` (d,) in units and `loss` are the best seen, None and math.inf if nothing was finite.
-    `seconds` is the method's clock; imports, compilation and warm-up are in `setup_seconds`.
+    `seconds` is the method's clock; imports and traced formulas are in `setup_seconds`.
     `rejected` counts unusable values by reason; `error` holds the traceback of a failed run, with
     the line of the method's file at its end, or one line where all workers are gone.
     `outside` counts evaluations outside of the box, in compiled blocks only those that improve.
@@ -104,7 +101,6 @@ def minimize(
     *,
     checkpoint: Checkpoint | None = None,
     observer: Callable[[Oracle], None] | None = None,
-    rehearse: bool = True,
     workers: Workers | Evaluations = None,
     evaluation_limit: float | None = None,
     journal: JournalFile = None,
@@ -115,10 +111,9 @@ def minimize(
     `seed` is the repetition: (problem, seed) fixes the common initial configurations, the
     method's name is mixed in only for its own stream. A `checkpoint` of the same optimizer,
     problem and seed is continued under the new, larger budget. `observer` is called with the
-    oracle about ten times a second, off the method's clock, to show progress. What is compiled at
-    its first use is used before the clock starts, unless nobody compares seconds and `rehearse` is
-    false. The first Ctrl-C ends the run as `interrupted` after the evaluation in progress, the
-    second at once.
+    oracle about ten times a second, off the method's clock, to show progress. What is imported or
+    traced at its first use is so before the clock starts. The first Ctrl-C ends the run as
+    `interrupted` after the evaluation in progress, the second at once.
 
     `workers` make the evaluations of a problem where each takes long: a number of processes, -1
     for one per core, an executor of `concurrent.futures`, a callable like `map`, or the address of
@@ -142,8 +137,7 @@ def minimize(
     meter = None if checkpoint is None else checkpoint.meter
     with spread_problem(problem, workers, evaluation_limit, journal) as (spread, evaluations):
         setup_started = time.perf_counter()
-        if rehearse:  # of what may be dear nothing is evaluated in vain
-            warm_up(optimizer, problem, evaluate=spread is problem)
+        _load(optimizer, problem)
         setup_seconds = time.perf_counter() - setup_started
         oracle = Oracle(
             spread, budget or Budget(), space=space, meter=meter, observer=observer,
@@ -251,7 +245,7 @@ def _ctrl_c_waits(on_first: Callable[[], object]) -> Iterator[None]:
     """The first Ctrl-C calls `on_first` and raises nothing; the second raises KeyboardInterrupt.
 
     So a run ends at an evaluation, where the method's state is whole, and not anywhere: in a
-    callback of a library, such as Numba's while it compiles, what is raised would be lost.
+    callback of a library what is raised could be lost.
 
     Only in the main thread and where nobody else handles the signal. There a KeyboardInterrupt
     without a Ctrl-C comes from the model or the method, and becomes a RuntimeError.
@@ -284,68 +278,13 @@ def _ctrl_c_waits(on_first: Callable[[], object]) -> Iterator[None]:
         signal.signal(signal.SIGINT, default)
 
 
-class _WarmedUp(NamedTuple):
-    """Weak references to the method and the problem that were warmed up last."""
+def _load(optimizer: Optimizer, problem: Problem) -> None:
+    """Import, trace and check what is used for the first time; nothing of the problem is evaluated.
 
-    optimizer: Callable[[], Optimizer | None] = lambda: None
-    problem: Callable[[], Problem | None] = lambda: None
-
-
-_last = _WarmedUp()
-
-
-def warm_up(optimizer: Optimizer, problem: Problem, *, evaluate: bool = True) -> None:
-    """Let problem and method import, compile and allocate before the clock starts.
-
-    Without `evaluate` the method alone does.
-
-    The method says how (`rehearsals`): by default the problem evaluates one configuration, and the
-    method searches a paraboloid over the same space, so that it learns nothing of the problem. The
-    method and problem of the last run need none. A Ctrl-C is raised after the evaluation in
-    progress, or before the next function is compiled.
+    What a fast form of the problem needs is so made before the clock starts.
     """
-    from miho.compiled.interrupts import stopping_compilation
-
-    global _last
-    if _last.optimizer() is optimizer and _last.problem() is problem:
-        return
-    theta = problem.space.decode(problem.space.initial(1))
-    theta.setflags(write=False)  # as the oracle gives it, which is another type to compiled code
-    toy = _Paraboloid(replace(problem.space, seed=()))
-    interrupts: list[bool] = []
-    for job in optimizer.rehearsals(problem if evaluate else toy, toy, theta[0]):
-        try:
-            with (
-                _ctrl_c_waits(partial(interrupts.append, True)),
-                stopping_compilation(interrupts),
-            ):
-                job()
-        except KeyboardInterrupt:
-            raise
-        except BaseException:  # noqa: BLE001, S110 -- the run itself will meet and report it
-            pass
-        if interrupts:
-            raise KeyboardInterrupt
-    _last = _WarmedUp(weakref.ref(optimizer), weakref.ref(problem))
-
-
-class _Paraboloid(LeastSquaresProblem):
-    """Squared distance to the middle of the box, relative to its widths."""
-
-    name = "warm-up"
-
-    def __init__(self, space: Space) -> None:
-        self.space = space
-
-    def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        return mean_square(np.atleast_2d(self.residuals(thetas)))
-
-    def residuals(self, theta: Array, fidelity: float = 1.0) -> Array:
-        return np.asarray((2 * theta - self.space.low - self.space.high) / self._width)
-
-    def jacobian(self, theta: Array, fidelity: float = 1.0) -> Array:
-        return np.diag(2 / self._width)
-
-    @property
-    def _width(self) -> Array:
-        return self.space.high - self.space.low
+    for name in optimizer.loads:
+        import_module(name)
+    with contextlib.suppress(Exception):  # the run itself will meet and report it
+        if problem.kernel is not None:
+            _ = problem.kernel.rows

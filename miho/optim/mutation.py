@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from miho.compiled import Block, Climb, Steps
-from miho.optim.meter import Budget
 from miho.optim.oracle import Oracle
-from miho.optim.problem import Problem
 from miho.optim.space import Space
 from miho.quantities import Array
 
@@ -108,11 +106,3 @@ def compiled_steps(
         rng.bit_generator.state = generator
         rng.standard_normal((more, *shape[1:]))
     return block
-
-
-def climb_once(problem: Problem, theta: Array) -> None:
-    """Compile the steps of the problem's kernel, if it has them, by one step of one row."""
-    climb = climb_of(Oracle(problem, Budget()))
-    if climb is not None:
-        P, noise, L = theta[None].copy(), np.empty((0, 1, theta.size)), np.array([np.inf])
-        climb(Steps(P, P.copy(), L, noise, noise[:, 0], problem.space.bounds), np.inf, -np.inf)

@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
-from typing import Generic, TypeVar, final
+from collections.abc import Sequence
+from typing import ClassVar, Generic, TypeVar, final
 
 import numpy as np
 
-from miho.optim.meter import Budget
 from miho.optim.oracle import Oracle
-from miho.optim.problem import LeastSquaresProblem, Problem
-from miho.optim.seeds import stream
 from miho.optim.space import Space
 from miho.quantities import Array
 
 State = TypeVar("State")
 
-TOY_EVALUATIONS = 64
-
 
 class Optimizer(ABC):
-    """A method: a frozen dataclass of its settings, which serves any number of runs."""
+    """A method: a frozen dataclass of its settings, which serves any number of runs.
+
+    `loads` names modules that it imports where it first needs them: `minimize` does so before the
+    clock starts.
+    """
+
+    loads: ClassVar[Sequence[str]] = ()
 
     @abstractmethod
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
@@ -30,28 +31,6 @@ class Optimizer(ABC):
         Everything a method learns of the problem comes through `oracle`; all its randomness
         comes from `rng`, except the common start, `oracle.space.initial(n)`.
         """
-
-    def rehearsals(
-        self, problem: Problem, toy: LeastSquaresProblem, theta: Array
-    ) -> Sequence[Callable[[], object]]:
-        """What makes problem and method compile and allocate before the clock starts.
-
-        By default losses, residuals and derivatives of the problem at one configuration (d,), and a
-        search of `toy`, which has the same space and is compiled nowhere.
-        """
-        jobs: list[Callable[[], object]] = [lambda: Oracle(problem, Budget())(theta[None])]
-        if isinstance(problem, LeastSquaresProblem):
-            jobs += [lambda: problem.residuals(theta), lambda: problem.jacobian(theta)]
-        return [*jobs, lambda: self.search_toy(toy)]
-
-    @property
-    def uncompiled(self) -> bool:
-        """Whether the method has compiled code of its own that is not cached: it takes seconds."""
-        return False
-
-    def search_toy(self, toy: LeastSquaresProblem) -> None:
-        """A search of a few evaluations."""
-        self.run(Oracle(toy, Budget(evaluations=TOY_EVALUATIONS)), stream())
 
 
 class Resumable(Optimizer, Generic[State]):

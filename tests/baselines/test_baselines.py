@@ -83,7 +83,7 @@ def test_gbo_steps_in_its_units(units: str) -> None:
             return np.eye(4)
 
     problem, rate = Distance(), 1e-9
-    record = minimize(GBO(rate, units=units, steps=2), problem, seed=1, rehearse=False)
+    record = minimize(GBO(rate, units=units, steps=2), problem, seed=1)
     assert record.outcome is Outcome.CONVERGED
     assert record.evaluations == 2 * (1 + 4)
     first, second = problem.at
@@ -94,7 +94,7 @@ def test_gbo_steps_in_its_units(units: str) -> None:
 def test_gbo_starts_where_sampling_says() -> None:
     problem = Watched()
     optimizer = GBO(1e-3, sampling="uniform_plus_noise", steps=1)
-    minimize(optimizer, problem, seed=1, rehearse=False)
+    minimize(optimizer, problem, seed=1)
     space = problem.space.seeded(problem.name, 1)
     start = space.decode(space.initial(1, "uniform_plus_noise"))[0]
     np.testing.assert_array_equal(problem.residuals_at[0], space.clip(start))
@@ -168,8 +168,7 @@ def test_least_squares_reaches_the_optimum_and_ends() -> None:
     record = minimize(LeastSquares(screen=50, starts=3, rounds=2), problem)
     assert record.outcome is Outcome.CONVERGED
     assert record.loss == pytest.approx(np.mean(optimum.fun**2), rel=1e-9)
-    warm_up = 1
-    looks, slopes = len(problem.residuals_at) - warm_up, problem.jacobians - warm_up
+    looks, slopes = len(problem.residuals_at), problem.jacobians
     assert record.evaluations == 100 + looks + 2 * slopes
 
 

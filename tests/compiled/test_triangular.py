@@ -2,60 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from miho.compiled import triangular
-from miho.compiled.triangular import SolverScratch, entry
+from miho.compiled.triangular import SolverScratch, fold, solve_in_box, square_sum
 
 Array = NDArray[np.float64]
-
-
-@entry
-def fold(T: Array, columns: Array, count: int, n: int) -> None:
-    """Compiled, as its callers have it."""
-    triangular.fold(T, columns, count, n)
-
-
-@entry
-def square_sum(r: Array, count: int) -> float:
-    """Likewise."""
-    return triangular.square_sum(r, count)
-
-
-@entry
-def solve_in_box(
-    R: Array,
-    q: Array,
-    scale: Array,
-    low: Array,
-    high: Array,
-    n: int,
-    s: Array,
-    scratch: SolverScratch,
-) -> None:
-    """Likewise."""
-    triangular.solve_in_box(R, q, scale, low, high, n, s, scratch)
-
-
-class Forms(NamedTuple):
-    """The functions in Python, or compiled."""
-
-    fold: Callable[..., None]
-    square_sum: Callable[..., float]
-    solve_in_box: Callable[..., None]
-
-
-@pytest.fixture(params=["python", pytest.param("compiled", marks=pytest.mark.slow)])
-def forms(request: pytest.FixtureRequest) -> Forms:
-    if request.param == "compiled":
-        return Forms(fold, square_sum, solve_in_box)
-    return Forms(triangular.fold, triangular.square_sum, triangular.solve_in_box)
 
 
 BACKWARD = 1e-13
@@ -63,26 +17,24 @@ BACKWARD = 1e-13
 and Stability of Numerical Algorithms, section 19.3), which is 1e-14 to 1e-13 for what is here."""
 
 
-def factor(forms: Forms, rows: Array, ends: list[int]) -> Array:
+def factor(rows: Array, ends: list[int]) -> Array:
     """The factor (n, n) of rows (m, n), folded in chunks that end there."""
     n = rows.shape[1]
     T, start = np.zeros((n, n)), 0
     for end in ends:
         scratch = np.full((n, end - start + 3), np.nan)
         scratch[:, : end - start] = rows[start:end].T
-        forms.fold(T, scratch, end - start, n)
+        fold(T, scratch, end - start, n)
         start = end
     return T
 
 
 @pytest.mark.parametrize("ends", [[200], [1, 2, 3, 200], [64, 128, 192, 200], [3, 190, 200]])
 @pytest.mark.parametrize("size", [1.0, 1e150, 1e-150])
-def test_the_factor_is_lapacks_however_the_rows_come(
-    forms: Forms, ends: list[int], size: float
-) -> None:
+def test_the_factor_is_lapacks_however_the_rows_come(ends: list[int], size: float) -> None:
     """Up to the signs of its rows; of numbers whose squares are numbers."""
     rows = size * np.random.default_rng(1).standard_normal((200, 5))
-    T, R = factor(forms, rows, ends), np.linalg.qr(rows)[1]
+    T, R = factor(rows, ends), np.linalg.qr(rows)[1]
     np.testing.assert_allclose(
         T * np.sign(np.diag(T))[:, None],
         R * np.sign(np.diag(R))[:, None],
@@ -92,11 +44,11 @@ def test_the_factor_is_lapacks_however_the_rows_come(
     assert (np.tril(T, -1) == 0).all()
 
 
-def test_the_last_column_is_turned_with_the_others(forms: Forms) -> None:
+def test_the_last_column_is_turned_with_the_others() -> None:
     """R'R = A'A and R'q = A'r, and what is left in the corner is the norm of what A cannot tell."""
     rng = np.random.default_rng(2)
     A, r = rng.standard_normal((300, 4)) * [1, 1e-6, 1e6, 1], rng.standard_normal(300)
-    T = factor(forms, np.column_stack([A, r]), [100, 300])
+    T = factor(np.column_stack([A, r]), [100, 300])
     R, q = T[:4, :4], T[:4, 4]
     norms = np.linalg.norm(A, axis=0)
     np.testing.assert_allclose(R.T @ R / np.outer(norms, norms), A.T @ A / np.outer(norms, norms),
@@ -107,19 +59,19 @@ def test_the_last_column_is_turned_with_the_others(forms: Forms) -> None:
 
 
 @pytest.mark.parametrize("zero", [0, 1, 2])
-def test_a_column_of_zeros_has_none_but_zeros(forms: Forms, zero: int) -> None:
+def test_a_column_of_zeros_has_none_but_zeros(zero: int) -> None:
     rows = np.random.default_rng(3).standard_normal((50, 4))
     rows[:, zero] = 0.0
-    T = factor(forms, rows, [20, 50])
+    T = factor(rows, [20, 50])
     assert (T[:, zero] == 0).all()
     np.testing.assert_allclose(T.T @ T, rows.T @ rows, rtol=0, atol=BACKWARD * 50)
 
 
-def test_squares_are_summed(forms: Forms) -> None:
+def test_squares_are_summed() -> None:
     """500 positive numbers in any order: as many roundings at most, of 1.1e-16 of their sum."""
     r = np.random.default_rng(4).standard_normal(700)
-    assert forms.square_sum(r, 500) == pytest.approx(r[:500] @ r[:500], rel=1e-13)
-    assert forms.square_sum(r, 0) == 0.0
+    assert square_sum(r, 500) == pytest.approx(r[:500] @ r[:500], rel=1e-13)
+    assert square_sum(r, 0) == 0.0
 
 
 def boxed(rng: np.random.Generator, kind: str) -> tuple[Array, Array, Array, Array, Array]:
@@ -140,7 +92,7 @@ def boxed(rng: np.random.Generator, kind: str) -> tuple[Array, Array, Array, Arr
 
 
 @pytest.mark.parametrize("kind", ["any", "dependent", "zero", "unlike"])
-def test_the_solution_in_a_box_is_scipys(forms: Forms, kind: str) -> None:
+def test_the_solution_in_a_box_is_scipys(kind: str) -> None:
     """The sum of squares is SciPy's (bvls), and the slopes are those of a minimum.
 
     Both to 1e-10 of what they are made of. Rounding leaves 1e-15, but where it decides whether
@@ -150,12 +102,12 @@ def test_the_solution_in_a_box_is_scipys(forms: Forms, kind: str) -> None:
     for _ in range(400):
         A, r, scale, low, high = boxed(rng, kind)
         n = len(low)
-        T = factor(forms, np.column_stack([A, r]), [len(r)])
+        T = factor(np.column_stack([A, r]), [len(r)])
         s = np.full(n, np.nan)
         scratch = SolverScratch(
             *(np.full(shape, np.nan) for shape in (n, n, (n + 1, 2 * n), (n + 1, n + 1)))
         )
-        forms.solve_in_box(T, T[:, n].copy(), scale, low, high, n, s, scratch)
+        solve_in_box(T, T[:, n].copy(), scale, low, high, n, s, scratch)
         assert ((low <= s) & (s <= high)).all()
 
         M, right = np.vstack([A, np.diag(scale)]), np.append(-r, np.zeros(n))
@@ -169,15 +121,13 @@ def test_the_solution_in_a_box_is_scipys(forms: Forms, kind: str) -> None:
         assert (np.abs(slopes) <= 1e-10 * np.linalg.norm(M, axis=0) * np.linalg.norm(r)).all()
 
 
-def test_what_the_rows_do_not_tell_stays_where_it_is(forms: Forms) -> None:
+def test_what_the_rows_do_not_tell_stays_where_it_is() -> None:
     """A parameter without influence, and the second of two that have the same, do not move."""
     rng = np.random.default_rng(6)
     a, b, r = rng.standard_normal((3, 40))
     rows = np.column_stack([a, np.zeros(40), 0.3 * a, b, r])
-    T, s = factor(forms, rows, [40]), np.empty(4)
+    T, s = factor(rows, [40]), np.empty(4)
     scratch = SolverScratch(np.empty(4), np.empty(4), np.empty((5, 8)), np.empty((5, 5)))
-    forms.solve_in_box(
-        T, T[:, 4].copy(), np.zeros(4), np.full(4, -9.0), np.full(4, 9.0), 4, s, scratch
-    )
+    solve_in_box(T, T[:, 4].copy(), np.zeros(4), np.full(4, -9.0), np.full(4, 9.0), 4, s, scratch)
     assert s[1] == s[2] == 0.0
     np.testing.assert_allclose(s[[0, 3]], np.linalg.lstsq(rows[:, [0, 3]], -r)[0], rtol=1e-12)

@@ -1,7 +1,7 @@
 """The search of the machine takes the decisions of the Python functions, and the same bits.
 
 Python's steps are here given the machine's sums, exponential and logarithm: all else is arithmetic
-in the same order, which leaves no last bit to differ. With NumPy's sums, or numba's, last bits do.
+in the same order, which leaves no last bit to differ. With NumPy's sums last bits do.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import pickle
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -19,9 +20,9 @@ import pytest
 from numpy.typing import NDArray
 
 from miho import CurveFit, Dataset, Parameter, Space
-from miho.compiled import gauss_newton, gauss_newton_loop, triangular
+from miho.compiled import gauss_newton, triangular
 from miho.compiled.gauss_newton_candidates import SIZE
-from miho.compiled.gauss_newton_loop import PAUSED, run_bracket
+from miho.compiled.gauss_newton_machine import PAUSED
 from miho.core import Instruction, Tape, machine
 from miho.data import published_fit, published_names
 from miho.models import FunctionModel, PublishedModel
@@ -31,8 +32,10 @@ from miho.optim import (
     BudgetExhausted,
     LeastSquaresProblem,
     Oracle,
+    gauss_newton_steps,
 )
 from miho.optim.miho_gn_state import MIHOGNState
+from tests.core import python_bracket
 from tests.optim.decays import fit
 
 Array = NDArray[np.float64]
@@ -78,16 +81,16 @@ def by_machine(operation: str) -> Any:
 
 @contextmanager
 def python_steps(sums: bool = True) -> Iterator[None]:
-    """Compiled problems are searched by the Python functions, which sum as the machine does."""
+    """Problems of the machine are searched by the Python functions, which sum as it does."""
     functions = {name: getattr(math, name) for name in ("sqrt", "isfinite", "inf")}
     with pytest.MonkeyPatch.context() as patch, np.errstate(all="ignore"):
-        patch.setattr(gauss_newton_loop, "machine", lambda: None)
-        patch.setattr(gauss_newton_loop, "run_bracket", run_bracket.function)
+        by_python = partial(partial, python_bracket.run_bracket)
+        patch.setattr(gauss_newton_steps, "bracket_of", by_python)
         if sums:
             exact = SimpleNamespace(exp=by_machine("EXP"), log=by_machine("LOG"), **functions)
             patch.setattr(gauss_newton, "math", exact)
-            patch.setattr(gauss_newton_loop, "square_sum", square_sum)
-            for module in (gauss_newton, gauss_newton_loop, triangular):
+            patch.setattr(python_bracket, "square_sum", square_sum)
+            for module in (gauss_newton, python_bracket, triangular):
                 patch.setattr(module, "fold", fold)
         yield
 
@@ -138,7 +141,6 @@ def at_level(problem: CurveFit, level: int) -> CurveFit:
     other = replace(problem)
     kernel = other.kernel
     assert kernel is not None
-    assert kernel.taped is not None
     tapes = [tape.at_level(level) for tape in (kernel.taped.value, kernel.taped.slopes)]
     vars(kernel.taped)["rows"] = kernel.taped.rows._replace(kept=tapes)
     return other
@@ -270,16 +272,6 @@ def test_a_search_cut_anywhere_goes_on_as_if_it_had_not_been(evaluations: int) -
             with python_steps():
                 method.resume(resumed, saved)
         assert_same((saved, resumed), whole)
-
-
-def test_a_formula_that_numba_compiles_is_searched_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As one that cannot be traced is: the search calls it by its address."""
-    for module in ("kernel", "fused"):
-        monkeypatch.setattr(f"miho.compiled.{module}.machine", lambda: None)
-    problem = fit(300)
-    assert problem.kernel is not None
-    assert problem.kernel.taped is None
-    assert_python_takes_the_same_steps(problem, MIHOGN(), seeds=1)
 
 
 def test_a_target_ends_a_search_at_its_evaluation() -> None:

@@ -207,7 +207,7 @@ def test_compiled_values_are_those_of_numpy(name: str) -> None:
     """At random parameters, with and without a value there; a division by zero is no error.
 
     Each value is within some roundings, which the sum of squares averages; sines of large angles
-    are the most different (`miho.compiled.elementary`).
+    are the most different (`miho/core/elementary.h`).
     """
     fit = published_fit(name)
     model = PublishedModel(fit.model)

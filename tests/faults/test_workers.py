@@ -35,9 +35,7 @@ HUNG = 0.5
 )
 def test_killed_workers(tmp_path: Path, measured: Figures) -> None:
     """A tenth of all rows wait until their process is killed, then are evaluated by another."""
-    alone = minimize(
-        PSO(particles=10), Failing(_new(tmp_path / "alone"), "doomed"), BUDGET, rehearse=False
-    )
+    alone = minimize(PSO(particles=10), Failing(_new(tmp_path / "alone"), "doomed"), BUDGET)
     problem = Failing(_new(tmp_path / "shared"), "doomed")
     with _killing(problem.folder) as killed:
         record = minimize(
@@ -112,9 +110,7 @@ def test_hung_workers(tmp_path: Path, measured: Figures) -> None:
 def test_a_cluster_that_leaves(tmp_path: Path, measured: Figures) -> None:
     """A worker is killed while it evaluates, later the scheduler while all workers are busy."""
     pytest.importorskip("distributed")
-    alone = minimize(
-        PSO(particles=10), Failing(_new(tmp_path / "1"), "doomed"), BUDGET, rehearse=False
-    )
+    alone = minimize(PSO(particles=10), Failing(_new(tmp_path / "1"), "doomed"), BUDGET)
     once = logged(tmp_path / "1", "done")
     first, second = (Failing(_new(tmp_path / k), "doomed", ends=1) for k in ("2", "3"))
     with _cluster(tmp_path / "three", 3) as (address, _), _killing(first.folder) as killed:

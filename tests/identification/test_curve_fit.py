@@ -1,6 +1,7 @@
 """The identification problem: its loss is Eq. 5, in any batch."""
 
 import contextlib
+import ctypes
 from dataclasses import replace
 from types import MappingProxyType
 
@@ -8,7 +9,6 @@ import numpy as np
 import pytest
 
 from miho import Budget, CurveFit, Dataset, Oracle, Parameter, Space
-from miho.compiled.addresses import write_residuals, write_slopes
 from miho.identification.loss import Cauchy, Huber, Loss, Square
 from miho.models import Pacejka, PacejkaCurvature, TorqueCubic
 from miho.models.expression import Expression
@@ -129,7 +129,7 @@ def test_residuals_at_a_fidelity_are_those_of_its_rows(fidelity: float, rho: Los
     ],
     ids=lambda model: model.name or type(model).__name__,
 )
-def test_compiled_rows_are_numpys(model: Expression) -> None:
+def test_rows_of_the_machine_are_numpys(model: Expression) -> None:
     """Of any rows i to j; to 1e-9 of a column: roundings where large terms cancel."""
     rng = np.random.default_rng(4)
     N, d = 101, len(model.parameters)
@@ -141,23 +141,27 @@ def test_compiled_rows_are_numpys(model: Expression) -> None:
     p = CurveFit(model, data, space)
     rows = p.kernel.rows
     assert rows is not None
+    call = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 8)
+    write_residuals, write_slopes = map(call, rows.calls[:2].tolist())
+    value, derivatives = rows.calls[2:].tolist()
     checked = 0
     for theta in space.sample(20, rng, "uniform"):
         for i, j in ((0, N), (0, 1), (40, 57), (100, 101)):
             r, J = np.full(j - i, np.nan), np.full((d, j - i + 2), np.nan)
-            write_residuals(rows.calls, theta, rows.X, rows.y, i, j, r)
-            write_slopes(rows.calls, theta, rows.X, i, j, J)
+            at, X, y_, r_, J_ = (a.ctypes.data for a in (theta, rows.X, rows.y, r, J))
+            write_residuals(value, at, X, N, y_, i, j, r_)
+            write_slopes(derivatives, at, X, N, i, j, J_, J.shape[1])
             some = p._order[i:j]
-            for compiled, numpys in (
+            for machines, numpys in (
                 (r, model.predict(theta[None], *p.inputs)[0] - y),
                 *zip(J[:, : j - i], model.jacobian(theta, *p.inputs).T, strict=True),
             ):
                 valued = np.isfinite(numpys)
                 scale = np.abs(numpys[valued]).max(initial=1.0)
-                assert (np.isfinite(compiled) == valued[some]).all()
+                assert (np.isfinite(machines) == valued[some]).all()
                 checked += np.count_nonzero(valued[some])
                 np.testing.assert_allclose(
-                    compiled[valued[some]], numpys[some][valued[some]], rtol=1e-9, atol=1e-9 * scale
+                    machines[valued[some]], numpys[some][valued[some]], rtol=1e-9, atol=1e-9 * scale
                 )
             assert np.isnan(J[:, j - i :]).all(), "no more rows than these"
     assert checked

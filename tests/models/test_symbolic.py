@@ -180,8 +180,7 @@ def test_linear_parameters_are_found_and_bends_are_not_taken_for_lines() -> None
         assert jointly_linear(graph, [a, b, c], gradient(graph, [a, b, c])) == expected, name
 
 
-@pytest.mark.slow
-def test_choices_compiled_are_those_of_numpy() -> None:
+def test_choices_on_the_machine_are_those_of_numpy() -> None:
     """The two orders of the sum over rows differ by a few roundings."""
 
     def choices(t: Any, a: Any, b: Any, c: Any) -> Any:
@@ -191,10 +190,10 @@ def test_choices_compiled_are_those_of_numpy() -> None:
     space = miho.Space(tuple(miho.Parameter(name, "", 0.1, 3) for name in "abc"))
     dataset = miho.Dataset("choices", {"t": t, "y": y}, {"t": "", "y": ""}, "y")
     model = FunctionModel(choices, columns=("t",))
-    compiled, numpy = (miho.CurveFit(model, dataset, space, compiled=c) for c in (True, False))
-    assert compiled.kernel is not None
+    machine, numpy = (miho.CurveFit(model, dataset, space, compiled=c) for c in (True, False))
+    assert machine.kernel is not None
     assert numpy.kernel is None
-    np.testing.assert_allclose(compiled.loss(THETAS), numpy.loss(THETAS), rtol=1e-13)
+    np.testing.assert_allclose(machine.loss(THETAS), numpy.loss(THETAS), rtol=1e-13)
 
 
 def test_a_piecewise_line_is_found_with_its_break() -> None:

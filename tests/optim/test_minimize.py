@@ -4,6 +4,8 @@ import ctypes
 import itertools
 import pickle
 import signal
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,6 +13,8 @@ import numpy as np
 import pytest
 
 from miho import MIHO, Budget, Optimizer, Oracle, minimize
+from miho.compiled import Climb, Rows
+from miho.fitting.named import METHODS
 from miho.optim import Outcome, RandomSearch
 from miho.testing import DecayFit
 
@@ -34,28 +38,62 @@ class Broken(Optimizer):
 
 
 @dataclass(frozen=True)
-class Counted(Optimizer):
-    """Remembers the problems that it was run on."""
+class Loading(Optimizer):
+    """Tells what was there before its first evaluation."""
 
-    problems: list[str]
+    seen: list[bool]
+    loads = ("colorsys",)
 
     def run(self, oracle: Oracle, rng: np.random.Generator) -> None:
-        oracle(oracle.space.decode(oracle.space.initial(1)))
-        self.problems.append(oracle.space.seed[0] if oracle.space.seed else "toy")
+        assert oracle.meter.evaluations == 0
+        kernel = oracle.kernel
+        assert isinstance(kernel, Traced)
+        self.seen.extend(["colorsys" in sys.modules, kernel.rows_asked_for == 1])
 
 
-def test_only_what_ran_last_is_warm() -> None:
-    problem, optimizer = DecayFit(), Counted([])
-    for seed in (0, 1):
-        minimize(optimizer, problem, seed=seed)
-    assert optimizer.problems.count("toy") == 1
-    minimize(optimizer, DecayFit())
-    assert optimizer.problems.count("toy") == 2, "another problem"
-    minimize(optimizer, problem)
-    assert optimizer.problems.count("toy") == 3, "the first one is not what ran last"
-    other = Counted([])
-    minimize(other, problem)
-    assert other.problems.count("toy") == 1, "another method"
+@dataclass
+class Traced:
+    """Fast forms that are checked when they are first asked for."""
+
+    rows_asked_for: int = 0
+    climb: Climb | None = None
+
+    @property
+    def rows(self) -> Rows | None:
+        self.rows_asked_for += 1
+        return None
+
+
+def test_what_a_run_needs_is_loaded_before_its_clock_starts() -> None:
+    problem, optimizer = DecayFit(), Loading([])
+    problem.kernel = Traced()
+    sys.modules.pop("colorsys", None)
+    assert minimize(optimizer, problem).error is None
+    assert optimizer.seen == [True, True]
+
+
+IMPORTS = """
+import sys
+from miho import Budget, minimize
+from miho.fitting.named import method_of
+from miho.testing import DecayFit
+
+method, problem = method_of(sys.argv[1]), DecayFit()
+problem.space.seeded("a", 1).initial(1)
+for name in method.loads:
+    __import__(name)
+before = set(sys.modules)
+minimize(method, problem, Budget(evaluations=200))
+print([name for name in sys.modules if name.startswith("scipy.") and name not in before])
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", METHODS)
+def test_methods_import_no_part_of_scipy_while_the_clock_runs(name: str) -> None:
+    command = [sys.executable, "-c", IMPORTS, name]
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == "[]"
 
 
 def test_ctrl_c_keeps_what_was_found() -> None:
@@ -88,13 +126,13 @@ class Upset(DecayFit):
 
 
 def test_ctrl_c_in_a_callback_of_a_library_is_not_lost() -> None:
-    """As Numba's are while it compiles: ctypes prints what they raise, and goes on."""
+    """ctypes prints what they raise, and goes on."""
     callback = ctypes.CFUNCTYPE(None)(lambda: signal.raise_signal(signal.SIGINT))
-    with pytest.raises(KeyboardInterrupt):
-        minimize(RandomSearch(), Upset(callback), Budget(evaluations=100))
+    record = minimize(RandomSearch(), Upset(callback), Budget(evaluations=100))
+    assert record.outcome is Outcome.INTERRUPTED
 
 
-def test_what_a_model_raises_in_the_warm_up_is_a_failure() -> None:
+def test_an_interrupt_that_a_model_raises_itself_is_a_failure() -> None:
     def deed() -> None:
         raise KeyboardInterrupt
 

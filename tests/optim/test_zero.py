@@ -59,10 +59,10 @@ def test_a_system_that_is_solved_is_certain_and_the_search_stops(name: str, seed
 
 def test_without_the_rule_the_search_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = solved("powell_singular", 0).problem
-    run = minimize(MIHOGN(brackets=20), problem, rehearse=False)
+    run = minimize(MIHOGN(brackets=20), problem)
     assert run.outcome is Outcome.CONVERGED
     monkeypatch.setattr(miho_gn, "is_zero", lambda *_: False)
-    longer = minimize(MIHOGN(brackets=20), problem, rehearse=False)
+    longer = minimize(MIHOGN(brackets=20), problem)
     assert longer.evaluations > 1.5 * run.evaluations
 
 
@@ -148,10 +148,10 @@ def test_large_derivatives_where_nothing_is_solved_are_no_excuse(width: float, s
 def test_a_run_that_is_cut_off_anywhere_and_goes_on_is_the_same() -> None:
     """Also where the budget ends before the look that shows a zero."""
     problem = solved("powell_singular", 0).problem
-    whole = minimize(MIHOGN(), problem, rehearse=False)
+    whole = minimize(MIHOGN(), problem)
     # The look is among the last evaluations before the polish.
     for evaluations in range(1, int(whole.evaluations) + 1, 3):
-        part = minimize(MIHOGN(), problem, Budget(evaluations=evaluations), rehearse=False)
-        rest = minimize(MIHOGN(), problem, checkpoint=part.checkpoint, rehearse=False)
+        part = minimize(MIHOGN(), problem, Budget(evaluations=evaluations))
+        rest = minimize(MIHOGN(), problem, checkpoint=part.checkpoint)
         assert (rest.evaluations, rest.loss) == (whole.evaluations, whole.loss)
         assert rest.descents == whole.descents

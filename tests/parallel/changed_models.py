@@ -52,7 +52,7 @@ def search(model: Model, journal: Path) -> float:
     function = FunctionModel(model, batched=False, rowwise=False, columns=("t",))
     problem = CurveFit(function, LINE, SPACE)
     budget = Budget(evaluations=6)
-    return minimize(RandomSearch(), problem, budget, rehearse=False, journal=journal).loss
+    return minimize(RandomSearch(), problem, budget, journal=journal).loss
 
 
 def way(make: Callable[[float, Path], Model]) -> Callable[[float, Path], Model]:

@@ -13,9 +13,7 @@ from miho.analysis.tidy import require_columns
 BLUE, ORANGE, GREEN, RED = sns.color_palette("colorblind").as_hex()[:4]
 BLACK = "#222222"
 LOSS_COLOURS = {"NumPy": ORANGE, "one thread": BLUE, "two threads": GREEN}
-GROWTH_COLOURS = {
-    "fused": BLUE, "stopped": GREEN, "compressed": RED, "compressed, stopped": ORANGE,
-}  # fmt: skip
+GROWTH_COLOURS = {"whole": BLUE, "stopped": GREEN}
 ARRIVAL_COLOURS = {
     "miho_gn": RED, "miho_qn": ORANGE, "least_squares": BLUE, "one look": BLACK,
 }  # fmt: skip
@@ -30,22 +28,19 @@ LABEL_ROOM = 2.2
 def loss_figure(frame: pd.DataFrame) -> Figure:
     """Nanoseconds per point over the rows, for batches of one and for the largest ones.
 
-    Frame: rows, batch, method, ns; the method `limit` is the processor's own, whatever the batch.
+    Frame: rows, batch, method, ns.
     """
     require_columns(frame, {"rows", "batch", "method", "ns"}, "frame")
     with house_style():
         figure = Figure(figsize=(WIDTH, 3.0), layout="constrained")
         left, right = figure.subplots(1, 2, sharey=True)
-        measured = frame[frame["method"] != "limit"]
-        largest = measured.groupby("rows")["batch"].transform("max")
+        largest = frame.groupby("rows")["batch"].transform("max")
         panels = (
-            (left, measured[measured["batch"] == 1], "one configuration at a time"),
-            (right, measured[measured["batch"] == largest], "the largest batch"),
+            (left, frame[frame["batch"] == 1], "one configuration at a time"),
+            (right, frame[frame["batch"] == largest], "the largest batch"),
         )
         for ax, part, title in panels:
-            limit = frame[frame["method"] == "limit"]
             _lines(part, ax, "method", "ns", LOSS_COLOURS)
-            ax.plot(limit["rows"], limit["ns"], color=BLACK, linestyle="dashed", label="limit")
             ax.set_title(title, loc="left")
         left.set_ylabel("time per point [ns]")
         right.legend()

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from miho.compiled.elementary import cos, sin
 from miho.models.published.form import Form
 
 Inputs = tuple[Any, ...]
@@ -75,31 +74,31 @@ def _gulf_derivatives(inputs: Inputs, b: Theta) -> tuple[Any, ...]:
 def glasser_1(inputs: Inputs, b: Theta) -> Any:
     """b1 b2^x sin(b3 x + b4)."""
     x = inputs[0]
-    return b[0] * np.exp(x * np.log(b[1])) * sin(b[2] * x + b[3])
+    return b[0] * np.exp(x * np.log(b[1])) * np.sin(b[2] * x + b[3])
 
 
 def _glasser_1_derivatives(inputs: Inputs, b: Theta) -> tuple[Any, ...]:
     x = inputs[0]
     grown = np.exp(x * np.log(b[1]))
-    wave, slope = grown * sin(b[2] * x + b[3]), b[0] * grown * cos(b[2] * x + b[3])
+    wave, slope = grown * np.sin(b[2] * x + b[3]), b[0] * grown * np.cos(b[2] * x + b[3])
     return wave, b[0] * wave * x / b[1], slope * x, slope
 
 
 def glasser_2(inputs: Inputs, b: Theta) -> Any:
     """b1 b2^x tanh(b3 x + sin(b4 x)) cos(x exp(b5))."""
     x = inputs[0]
-    rise = np.tanh(b[2] * x + sin(b[3] * x))
-    return b[0] * np.exp(x * np.log(b[1])) * rise * cos(x * np.exp(b[4]))
+    rise = np.tanh(b[2] * x + np.sin(b[3] * x))
+    return b[0] * np.exp(x * np.log(b[1])) * rise * np.cos(x * np.exp(b[4]))
 
 
 def _glasser_2_derivatives(inputs: Inputs, b: Theta) -> tuple[Any, ...]:
     x = inputs[0]
-    grown, rise = np.exp(x * np.log(b[1])), np.tanh(b[2] * x + sin(b[3] * x))
+    grown, rise = np.exp(x * np.log(b[1])), np.tanh(b[2] * x + np.sin(b[3] * x))
     angle = x * np.exp(b[4])
-    wave = grown * cos(angle)
+    wave = grown * np.cos(angle)
     by_rise = b[0] * wave * (1 - rise * rise) * x
-    by_angle = -b[0] * grown * rise * sin(angle) * angle
-    return wave * rise, b[0] * wave * rise * x / b[1], by_rise, by_rise * cos(b[3] * x), by_angle
+    by_angle = -b[0] * grown * rise * np.sin(angle) * angle
+    return wave * rise, b[0] * wave * rise * x / b[1], by_rise, by_rise * np.cos(b[3] * x), by_angle
 
 
 FORMS = {

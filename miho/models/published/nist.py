@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from miho.compiled.elementary import atan, cos, sin
 from miho.models.published.form import Form
 
 Inputs = tuple[Any, ...]
@@ -71,17 +70,19 @@ def enso(inputs: Inputs, b: Theta) -> Any:
     """b1 and cosines and sines of a period of 12 (b2, b3), b4 (b5, b6) and b7 (b8, b9)."""
     x = inputs[0]
     year, first, second = YEAR * x, CIRCLE * x / b[3], CIRCLE * x / b[6]
-    cycles = b[4] * cos(first) + b[5] * sin(first) + b[7] * cos(second) + b[8] * sin(second)
-    return b[0] + b[1] * cos(year) + b[2] * sin(year) + cycles
+    cycles = (
+        b[4] * np.cos(first) + b[5] * np.sin(first) + b[7] * np.cos(second) + b[8] * np.sin(second)
+    )
+    return b[0] + b[1] * np.cos(year) + b[2] * np.sin(year) + cycles
 
 
 def _enso_derivatives(inputs: Inputs, b: Theta) -> tuple[Any, ...]:
     x = inputs[0]
     year, first, second = YEAR * x, CIRCLE * x / b[3], CIRCLE * x / b[6]
-    c, s, C, S = cos(first), sin(first), cos(second), sin(second)
+    c, s, C, S = np.cos(first), np.sin(first), np.cos(second), np.sin(second)
     by_first = (b[4] * s - b[5] * c) * first / b[3]
     by_second = (b[7] * S - b[8] * C) * second / b[6]
-    return x * 0 + 1, cos(year), sin(year), by_first, c, s, by_second, C, S
+    return x * 0 + 1, np.cos(year), np.sin(year), by_first, c, s, by_second, C, S
 
 
 def eckerle4(inputs: Inputs, b: Theta) -> Any:
@@ -263,7 +264,7 @@ def _richards_derivatives(inputs: Inputs, b: Theta) -> tuple[Any, ...]:
 def roszman1(inputs: Inputs, b: Theta) -> Any:
     """b1 - b2 x - arctan(b3 / (x - b4)) / pi."""
     x = inputs[0]
-    return b[0] - b[1] * x - atan(b[2] / (x - b[3])) / math.pi
+    return b[0] - b[1] * x - np.arctan(b[2] / (x - b[3])) / math.pi
 
 
 def _roszman1_derivatives(inputs: Inputs, b: Theta) -> tuple[Any, ...]:

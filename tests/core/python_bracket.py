@@ -1,18 +1,16 @@
-"""The loop of Gauss-Newton steps, for problems whose residuals are functions in memory.
+"""The loop of a bracket in Python, which the machine's is compared with.
 
-A whole bracket is one call: of the machine of `miho.core`, which has the same loop in C, or where
-the library was installed without it, of the functions here, which numba compiles. Derivatives are
-folded into triangular factors chunk by chunk, so that memory does not grow with the number of rows.
+Derivatives are folded into triangular factors chunk by chunk, so that memory does not grow with the
+number of rows.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import partial
-from typing import cast
+from typing import Any
 
-from miho.compiled.addresses import write_residuals, write_slopes
+import numpy as np
+
 from miho.compiled.gauss_newton import (
     after_evaluation,
     is_free,
@@ -21,10 +19,11 @@ from miho.compiled.gauss_newton import (
     take_factor,
     to_units,
 )
-from miho.compiled.gauss_newton_bracket import candidates_at, next_phase, rules_of
+from miho.compiled.gauss_newton_bracket import next_phase, rules_of
 from miho.compiled.gauss_newton_candidates import (
     ACTIVE,
     RECORD,
+    SIZE,
     SLOPES,
     STORED,
     UNUSABLE,
@@ -33,38 +32,38 @@ from miho.compiled.gauss_newton_candidates import (
     GNRules,
     GNSettings,
     Minima,
+    views,
 )
+from miho.compiled.gauss_newton_machine import FINISHED, PAUSED, REACHED
 from miho.compiled.kernel import Rows
-from miho.compiled.triangular import compiled, entry, fold, square_sum
+from miho.compiled.triangular import fold, square_sum
 from miho.compiled.workspace import CHUNK, Work, clear, copy, work
 from miho.core import machine
 from miho.quantities import Array, Integers
 
-FINISHED, PAUSED, REACHED = range(3)
-"""How a block of steps ended: no candidate needs anything; the next evaluation would cost more rows
-than were allowed; or the target is reached."""
 SPENT, IMPROVEMENTS, NANS, INFINITIES, UNUSABLES = range(5)
 """What a block did, in the array `tally` (5,): rows spent, improvements, and what it rejected."""
 
 
-def bracket_of(rows: Rows) -> Callable[..., int]:
-    """`run_bracket` on these rows, by the machine where there is one."""
-    if machine() is None:
-        return partial(run_bracket, rows.calls, rows.X, rows.y)
-    by_machine = partial(machine().run_bracket, rows.calls, rows.kept, rows.X, rows.y)
-    return cast(Callable[..., int], by_machine)
+def residuals(rows: Rows, theta: Array, i: int, j: int) -> Array:
+    """Of rows i to j, (j - i,)."""
+    return evaluated(rows.kept[0], theta, rows.X[:, i:j], 1)[0] - rows.y[i:j]
 
 
-def waits_for_numba() -> bool:
-    """Whether `run_bracket` is to be compiled, and is not in numba's cache."""
-    return machine() is None and not run_bracket.in_cache
+def slopes(rows: Rows, theta: Array, i: int, j: int) -> Array:
+    """The derivatives of those, (d, j - i)."""
+    return evaluated(rows.kept[1], theta, rows.X[:, i:j], theta.size)
 
 
-@entry
+def evaluated(tape: Any, theta: Array, X: Array, results: int) -> Array:
+    """The results of a tape, (results, N)."""
+    out = np.empty((1, results, X.shape[1]))
+    machine().evaluate(tape, theta[None].copy(), np.ascontiguousarray(X), out)
+    return np.asarray(out[0])
+
+
 def run_bracket(
-    calls: Integers,
-    X: Array,
-    y: Array,
+    rows: Rows,
     numbers: Array,
     counts: Integers,
     R: Array,
@@ -86,20 +85,19 @@ def run_bracket(
 ) -> int:
     """Take a bracket to its end; how it ended. Goes on where it was cut off.
 
-    `numbers` to `R` are the arrays of `GNCandidates`, `stored` (.,) holds their derivatives;
-    `calls`, X and y are those of `Rows`. At most `most` rows are spent. Each improvement of
-    `best` is listed: the rows spent up to and with it (`at`), its loss and its theta; one that
-    reaches `target` ends the block. What was done is added to `tally` (5,); `room` is for `work`.
+    The arguments are those of `miho.compiled.gauss_newton_machine.bracket_of`.
     """
     while True:
-        c = candidates_at(numbers, counts, R, stored, place)
+        n, m = R.shape[1] + 1, int(place[STORED])
+        derivatives = stored[: place[SIZE] * n * m].reshape((place[SIZE], n, m))
+        c = views(numbers, counts, R, derivatives)
         rules = rules_of(place, level_rows, R.shape[1], settings)
         m = level_rows[rules.level]
         w = work(room, R.shape[1], m if place[STORED] else CHUNK, level_rows.size)
         # All starts that are left descend to the phase's end; then the best go on.
         for i in range(place[ACTIVE]):
             state = descend(
-                calls, X, y, c, i, box, level_rows, minima, rules, settings.slope_cost, most,
+                rows, c, i, box, level_rows, minima, rules, settings.slope_cost, most,
                 best, target, at, losses, thetas, tally, w,
             )  # fmt: skip
             if state != FINISHED:
@@ -110,11 +108,8 @@ def run_bracket(
             return FINISHED
 
 
-@compiled
 def descend(
-    calls: Integers,
-    X: Array,
-    y: Array,
+    rows: Rows,
     c: GNCandidates,
     i: int,
     box: GNBox,
@@ -146,24 +141,24 @@ def descend(
         # Derivatives, where it is.
         if stage == SLOPES:
             to_units(c.x[i], box, w.theta)
-            fill(calls, X, y, c, i, box, m, False, w)
+            fill(rows, c, i, box, m, False, w)
             take_factor(c, i, box, w)
             tally[UNUSABLES] += c.stage[i] == UNUSABLE
             continue
         # Or a look at its trial, recorded if it is an improvement over all rows.
         to_units(c.x[i] if stage == RECORD else c.trial[i], box, w.theta)
         keep = c.derivatives.shape[2] > 0 and not project
-        loss = look(calls, X, y, level_rows, m, keep, w) / m
+        loss = look(rows, level_rows, m, keep, w) / m
         tally[NANS] += math.isnan(loss)
         tally[INFINITIES] += math.isinf(loss)
-        if m == y.size and loss < best:
+        if m == rows.y.size and loss < best:
             best, k = loss, tally[IMPROVEMENTS]
             at[k], losses[k] = tally[SPENT] - cost + m, loss
             copy(w.theta, thetas[k])
             tally[IMPROVEMENTS] += 1
         # The linear parameters are solved for from there.
         if project and math.isfinite(loss):
-            fill(calls, X, y, c, i, box, m, True, w)
+            fill(rows, c, i, box, m, True, w)
             loss = solve_linear(c, i, box, m, w)
         after_evaluation(c, i, loss, box, m, rules, best, w)
         if best <= target:
@@ -171,10 +166,7 @@ def descend(
     return FINISHED
 
 
-@compiled
-def look(
-    calls: Integers, X: Array, y: Array, level_rows: Integers, m: int, keep: bool, w: Work
-) -> float:
+def look(rows: Rows, level_rows: Integers, m: int, keep: bool, w: Work) -> float:
     """The sum of squares at w.theta over m rows, and in w.sums those over each level's rows.
 
     The residuals are left in w.residuals if they are to `keep`.
@@ -185,18 +177,15 @@ def look(
         while start < end:
             count = min(CHUNK, end - start)
             r = w.residuals[start : start + count] if keep else w.residuals[:count]
-            write_residuals(calls, w.theta, X, y, start, start + count, r)
+            r[:] = residuals(rows, w.theta, start, start + count)
             total += square_sum(r, count)
             start += count
         w.sums[level] = total
     return total
 
 
-@compiled
 def fill(
-    calls: Integers,
-    X: Array,
-    y: Array,
+    rows: Rows,
     c: GNCandidates,
     i: int,
     box: GNBox,
@@ -211,46 +200,28 @@ def fill(
     """
     d = w.theta.size
     keep = c.derivatives.shape[2] > 0 and not c.projects[i]
-    J, chunk = w.slopes, w.chunk
+    chunk = w.chunk
     clear(w.T)
     for start in range(0, m, CHUNK):
         count = min(CHUNK, m - start)
-        write_slopes(calls, w.theta, X, start, start + count, J)
+        J = slopes(rows, w.theta, start, start + count)
         n = 0
         if only_linear or c.projects[i]:
             for k in box.linear:
                 if only_linear or is_free(c.x[i, k]):
-                    scale_column(J[k], box.high[k] - box.low[k], count, chunk[n])
+                    chunk[n, :count] = J[k] * (box.high[k] - box.low[k])
                     n += 1
         if not only_linear:
             for k in range(d):
-                if c.projects[i] and is_linear(k, box):
+                if c.projects[i] and k in box.linear:
                     continue
                 width = box.width[k] * (w.theta[k] if box.log[k] else 1.0)
-                scale_column(J[k], width, count, chunk[n])
+                chunk[n, :count] = J[k] * width
                 if keep:
-                    for row in range(count):
-                        c.derivatives[i, k, start + row] = chunk[n, row]
+                    c.derivatives[i, k, start : start + count] = chunk[n, :count]
                 n += 1
         if keep:
-            for row in range(count):
-                chunk[n, row] = c.derivatives[i, d, start + row]
+            chunk[n, :count] = c.derivatives[i, d, start : start + count]
         else:
-            write_residuals(calls, w.theta, X, y, start, start + count, chunk[n, :count])
+            chunk[n, :count] = residuals(rows, w.theta, start, start + count)
         fold(w.T, chunk, count, n + 1)
-
-
-@compiled
-def scale_column(slopes: Array, width: float, count: int, scaled: Array) -> None:
-    """Write derivatives in units as those in a coordinate of which 1 is this width."""
-    for row in range(count):
-        scaled[row] = slopes[row] * width
-
-
-@compiled
-def is_linear(k: int, box: GNBox) -> bool:
-    """Whether a parameter is one of the linear ones."""
-    for j in box.linear:  # noqa: SIM110 -- as numba compiles it
-        if j == k:
-            return True
-    return False
