@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-NUMERICS = {"numpy", "scipy", "numba", "llvmlite"}
+NUMERICS = {"numpy", "scipy"}
 TABLES = {"pandas", "seaborn", "matplotlib"}
 
 # package: (ours it may import, third-party packages it may import); a part before its whole
 LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "miho.core": ({"miho.core"}, {"numpy"}),
-    "miho.compiled": ({"miho.compiled", "miho.core"}, NUMERICS),
+    "miho.compiled": ({"miho.compiled", "miho.core"}, {"numpy"}),
     "miho.optim": ({"miho.compiled", "miho.optim", "miho.parallel"}, NUMERICS),
     "miho.parallel": (
         {"miho.parallel"},
@@ -47,7 +47,7 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
         },
         NUMERICS,
     ),
-    "miho.driving": ({"miho.driving", "miho.models", "miho.data"}, NUMERICS),
+    "miho.driving": ({"miho.driving", "miho.models", "miho.data"}, NUMERICS | {"numba"}),
     "miho.study": (
         {"miho.core", "miho.study", "miho.optim", "miho.parallel"},
         {"pandas", "filelock", "numpy", "orjson", "threadpoolctl"},
@@ -65,7 +65,6 @@ LAYERS: dict[str, tuple[set[str], set[str]]] = {
     "miho.analysis": ({"miho.analysis", "miho.study"}, NUMERICS | TABLES),
     "miho.fitting": (
         {
-            "miho.core",
             "miho.fitting",
             "miho.identification",
             "miho.methods",

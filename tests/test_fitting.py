@@ -556,7 +556,7 @@ def test_the_curve_of_a_simulation_is_drawn_at_the_rows_of_data() -> None:
     assert np.array_equal(line.get_ydata(), fit.predict(t).value)
 
 
-WITHOUT_NUMBA = """
+NO_NUMBA = """
 import sys
 import numpy as np
 import miho
@@ -580,7 +580,7 @@ assert "numba" not in sys.modules
 
 def test_no_search_waits_for_a_compiler() -> None:
     """A long one, the README's first fit, a function that is only called, and both not compiled."""
-    command = [sys.executable, "-c", WITHOUT_NUMBA]
+    command = [sys.executable, "-c", NO_NUMBA]
     process = subprocess.run(command, capture_output=True, text=True)
     assert process.returncode == 0, process.stderr
     assert process.stderr == ""

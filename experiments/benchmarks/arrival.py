@@ -2,7 +2,7 @@
 
 python -m experiments.benchmarks.arrival [--quick] [--output FOLDER]
 
-The methods take turns, seed by seed, compiled before; figures are medians over seeds. `one look` is
+The methods take turns, seed by seed; figures are medians over seeds. `one look` is
 the loss of one configuration on all rows, which a run cannot do without: it is how an arrival is
 recorded. The last column says how much of `miho_gn` is values of the model.
 """

@@ -3,18 +3,16 @@
 python -m experiments.benchmarks.fit [--quick] [--output FOLDER]
 
 `miho.fit` searches a wide box without a start; `miho.fit, start` and the others descend from 20 %
-from the optimum. They take turns, compiled before. First fits run in a process of their own with an
-empty cache of compiled code; their seconds are CPU time after `import miho`.
+from the optimum. They take turns. First fits run in a process of their own; their seconds are CPU
+time after `import miho`.
 """
 
 from __future__ import annotations
 
 import importlib
 import json
-import os
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from functools import partial
@@ -111,13 +109,9 @@ def measure(quick: bool) -> Measured:
 
 
 def first_fits() -> dict[str, float]:
-    """CPU seconds of the first fits of a process on a machine that has compiled nothing."""
-    with tempfile.TemporaryDirectory() as cache:
-        command = [sys.executable, "-c", FIRST_FITS]
-        environment = os.environ | {"NUMBA_CACHE_DIR": cache}
-        process = subprocess.run(
-            command, env=environment, capture_output=True, text=True, check=True
-        )
+    """CPU seconds of the first fits of a process."""
+    command = [sys.executable, "-c", FIRST_FITS]
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
     return dict(json.loads(process.stdout))
 
 
@@ -126,9 +120,9 @@ def _jobs(x: Array, y: Array) -> dict[str, Callable[[], object]]:
     optimize = importlib.import_module("scipy.optimize")
     jobs: dict[str, Callable[[], object]] = {
         "curve_fit": partial(optimize.curve_fit, bump, x, y, list(NEAR.values())),
-        "miho.fit": partial(miho.fit, bump, x, y, BOX, compiled=True),
+        "miho.fit": partial(miho.fit, bump, x, y, BOX),
         "miho.fit, start": partial(miho.fit, bump, x, y, start=NEAR),
-        "miho.fit, not compiled": partial(miho.fit, bump, x, y, BOX, compiled=False),
+        "miho.fit, by NumPy": partial(miho.fit, bump, x, y, BOX, compiled=False),
     }
     try:
         lmfit = importlib.import_module("lmfit")

@@ -216,12 +216,13 @@ class CurveFit(Remade, LeastSquaresProblem):
     @cached_property
     def kernel(self) -> FitKernel | None:  # type: ignore[override]
         """Fast forms of the square loss of a model that the machine runs."""
+        model = self._fitted
         plain = self._square and self.prior is None
-        if not (self.compiled and plain) or self._taped is None:
+        if not (self.compiled and plain and isinstance(model, Expression)) or self._taped is None:
             return None
         thetas = self.space.decode(self.space.initial(TRIALS))
         name = self.model.name or type(self.model).__name__
-        return kernel_for(self._taped, self._fitted, thetas, name=name)
+        return kernel_for(self._taped, model, thetas, name=name)
 
     @cached_property
     def _taped(self) -> TapedLoss | None:

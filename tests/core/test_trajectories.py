@@ -187,7 +187,7 @@ def test_sensitivities_of_what_diverges_are_nan() -> None:
     assert np.isnan(slopes[-1]).all()
 
 
-def test_what_the_machine_cannot_hold_goes_to_numba() -> None:
+def test_what_the_machine_cannot_hold_goes_to_numpy() -> None:
     """A right-hand side of some 75,000 operations."""
 
     def long(x: Any, *, k: Any) -> Any:
