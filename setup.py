@@ -20,10 +20,11 @@ from setuptools._distutils.sysconfig import customize_compiler
 CORE = Path("miho/core")
 FLAGS = [
     "-std=gnu11", "-O3", "-g0", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math",
-    "-fvisibility=hidden",
+    "-fvisibility=hidden", "-fno-wrapv",
 ]  # fmt: skip
-"""No product and sum is fused, so that every processor gives the same bits; and no function gives
-way to one of its name in another library."""
+"""No product and sum is fused, so that every processor gives the same bits; no function gives way
+to one of its name in another library; and counters of loops do not wrap, as Python's own flags
+would have them."""
 LIMITED = not sysconfig.get_config_var("Py_GIL_DISABLED")
 """One build serves all versions of Python; those without a lock have no stable interface."""
 

@@ -207,9 +207,7 @@ INLINE double atan_of_ratio(double rise, double run) {
     return top + (r + (z * r * (w2 * w2 * c + (w2 * b + a)) + top_rest));
 }
 INLINE double atan_of(double x) {
-    double size = size_of(x);
-    double y = size == INFINITE ? PI_HALF_0 : atan_of_ratio(size, 1.0);
-    return x != x ? x : with_sign(y, x);
+    return with_sign(atan_of_ratio(size_of(x), 1.0), x);
 }
 INLINE double atan2_of(double y, double x) {
     double rise = size_of(y), run = size_of(x);

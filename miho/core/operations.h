@@ -10,6 +10,7 @@
     _Pragma("GCC ivdep") for (int i = 0; i < rows; i++) o[i] = (value); \
     break
 #define CASE(name, value) case OP_##name: EACH(value)
+#define PAIR(one, other, value) case OP_##one * COUNT_OF_OPERATIONS + OP_##other: EACH(value)
 
 static int any_large(const double *a, int rows) {
     int any = 0;
@@ -151,12 +152,35 @@ INLINE void operate(const instruction *q, double *const *r, const double *scalar
     }
 }
 
+/* Two instructions with scalars, the second of which takes the place of what the first one made:
+   one pass over the rows. Whether they are such. */
+INLINE int operate_two(const instruction *q, double *const *r, const double *scalars, int rows) {
+    if (q[1].op < OP_ADD_S || q[1].op > OP_S_DIV || q[1].operand[0] != q[0].result[0] ||
+        q[1].result[0] != q[0].result[0]) return 0;
+    const double *a = r[q[0].operand[0]];
+    double *o = r[q[0].result[0]], s = scalars[q[0].operand[1]], t = scalars[q[1].operand[1]];
+    switch (q[0].op * COUNT_OF_OPERATIONS + q[1].op) {
+    PAIR(ADD_S, MUL_S, (a[i] + s) * t);
+    PAIR(SUB_S, MUL_S, (a[i] - s) * t);
+    PAIR(S_SUB, MUL_S, (s - a[i]) * t);
+    PAIR(MUL_S, ADD_S, a[i] * s + t);
+    PAIR(MUL_S, SUB_S, a[i] * s - t);
+    PAIR(MUL_S, S_SUB, t - a[i] * s);
+    default: return 0;
+    }
+    return 1;
+}
+
 static void run(const instruction *from, const instruction *to, double *const *registers,
                 const double *scalars, int rows) {
     if (rows == 1) /* which the compiler then knows: one row costs no loop */
         for (const instruction *q = from; q < to; q++) operate(q, registers, scalars, 1);
     else
-        for (const instruction *q = from; q < to; q++) operate(q, registers, scalars, rows);
+        for (const instruction *q = from; q < to; q++) {
+            int scalar = q->op >= OP_ADD_S && q->op <= OP_S_DIV && q + 1 < to;
+            if (scalar && operate_two(q, registers, scalars, rows)) q++;
+            else operate(q, registers, scalars, rows);
+        }
 }
 
 /* The sum of (values - data)^2 in eight sums and then these in pairs, whatever the processor. */
