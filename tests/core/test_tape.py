@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 import miho.core.tape
 from miho.core import OPERATIONS, Instruction, Tape, TapeError, machine
+from miho.core.tape import WITH_SCALAR
 from miho.models import Pacejka
 from miho.models.expression import Expression
 from miho.models.formula_tape import tape_of
@@ -188,6 +189,31 @@ def test_bad_tapes_are_refused(fault: str) -> None:
     np.testing.assert_allclose(Tape(**GOOD).evaluate(theta, X), np.exp(np.full((1, 1, 5), 6.0)))
     with pytest.raises(TapeError):
         Tape(**GOOD | BAD[fault]).evaluate(theta, X)
+
+
+@needs_machine
+@pytest.mark.parametrize("first", sorted(WITH_SCALAR))
+def test_two_operations_with_scalars_round_as_two(first: str) -> None:
+    """Where the second takes the place of the first, and where the first is read again."""
+    x = np.random.default_rng(9).standard_normal((1, 300))
+    x[0, :4] = 0.0, -0.0, np.inf, np.nan
+    theta = np.array([[0.3, -1.7]])
+    for second in (*WITH_SCALAR, "EXP"):
+        for place in (2, 3):
+            code = (
+                Instruction(first, (0, 0), (2,)),
+                Instruction(second, (2, 1)[: 1 + (second != "EXP")], (place,)),
+                Instruction("COPY", (2,), (1,)),
+            )
+            tape = Tape(1, 1, 4, 2, 2, (), (), code, ())
+            for rows in (1, 7, 300):
+                columns = np.ascontiguousarray(x[:, :rows])
+                values, expected = (
+                    tape.evaluate(theta, columns)[0],
+                    tape.by_numpy(theta[0], columns),
+                )
+                exact = 1e-15 if second == "EXP" else 0.0
+                np.testing.assert_allclose(values, expected, rtol=exact)
 
 
 @needs_machine
