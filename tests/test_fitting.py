@@ -579,7 +579,7 @@ assert "numba" not in sys.modules
 
 
 def test_no_search_waits_for_a_compiler() -> None:
-    """A long one, the README's first fit, a function that is only called, and both not compiled."""
+    """A long one, the README's, of a function that is only called, and with steps in NumPy."""
     command = [sys.executable, "-c", NO_NUMBA]
     process = subprocess.run(command, capture_output=True, text=True)
     assert process.returncode == 0, process.stderr

@@ -161,7 +161,7 @@ def test_an_end_that_was_not_seen_is_caught() -> None:
 def test_a_method_that_asks_for_nothing_is_ended(
     monkeypatch: pytest.MonkeyPatch, asks: int, check: str
 ) -> None:
-    """Directly, and in a run whose warm-up and whose failures are caught."""
+    """Directly, and in a run whose failures are caught."""
     monkeypatch.setattr("miho.testing.patience.PATIENCE", 0.05)
     with pytest.raises(ConformanceError, match=f"{check}: NoEvaluation: it (computed|waited) for"):
         run_check(check, Silent(asks), {})
@@ -190,7 +190,7 @@ def test_a_method_outside_of_the_box_is_counted() -> None:
     record = minimize(Sound("leaves the box"), DecayFit(), Budget(evaluations=700))
     problem = DecayFit()
     minimize(Sound("leaves the box"), problem, Budget(evaluations=700))
-    thetas = np.array(problem.thetas)[1:]  # the first is of the warm-up
+    thetas = np.array(problem.thetas)
     assert record.outside == np.count_nonzero(~problem.space.contains(thetas)) > 100
     assert minimize(Sound(), DecayFit(), Budget(evaluations=700)).outside == 0
 

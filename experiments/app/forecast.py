@@ -38,7 +38,7 @@ def announce(experiment: Experiment, dataset: Mapping[str, Any]) -> None:
 
 
 def seconds_of_evaluation(problem: CurveFit) -> float:
-    """Seconds that one evaluation of the loss takes, the fastest of some, once it is compiled."""
+    """Seconds that one evaluation of the loss takes, the fastest of some."""
     thetas = problem.space.decode(problem.space.initial(1))
     problem.loss(thetas)
     best, started = float("inf"), time.perf_counter()

@@ -159,7 +159,7 @@ class JointModel(Model):
 class JointExpression(TracedExpression):
     """A joint model whose parts are one expression: that of the parameters that the part selects.
 
-    So it can be compiled; and NumPy evaluates it sooner than part by part.
+    So the machine can run it; and NumPy evaluates it sooner than part by part.
     """
 
     joint: JointModel

@@ -75,8 +75,8 @@ class AsynchronousMIHOGN(MIHOGNSettings, Resumable[AsynchronousMIHOGNState]):
 
     What it decides depends on when several were under way and in which order rounds ended, and on
     nothing else (`record.arrivals` repeats it). It makes one bracket after the other, as `MIHOGN`
-    does, with one worker, with compiled residuals, where all parameters are linear, and as long as
-    evaluations are not known to be worth a worker each. It has the settings of `MIHOGN`.
+    does, with one worker, with residuals of the machine, where all parameters are linear, and as
+    long as evaluations are not known to be worth a worker each. It has the settings of `MIHOGN`.
     """
 
     @cached_property

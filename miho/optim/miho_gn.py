@@ -44,7 +44,7 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
     """Brackets of successive halving whose survivors descend, on ever more rows of the data.
 
     `MIHOGNSettings` says how. Needs a least-squares problem. Uses residuals and derivatives of its
-    first rows, if it can give them, and compiled ones, if it has them.
+    first rows, if it can give them, and those of the machine, if it runs the model.
     """
 
     def start(self, oracle: Oracle, rng: np.random.Generator) -> MIHOGNState:

@@ -22,8 +22,8 @@ from miho.optim.space import Space
 from miho.quantities import Array
 
 ROOM = 1 << 22
-"""Numbers that the derivatives of a rung may hold; beyond, each step pays for its own, and where
-nothing is compiled for the residuals again."""
+"""Numbers that the derivatives of a rung may hold; beyond, each step pays for its own, and for
+the residuals again where these come from Python."""
 
 
 @dataclass
@@ -33,8 +33,8 @@ class MIHOGNState:
     `place` (5,) is where the bracket stands, `settings` how it goes on, `order` (n,) and `stored`
     room for the positions of its `candidates` and for their derivatives. `level_rows` (levels,):
     how many rows each level looks at, all of them on the last (0 as long as that is not known,
-    after so many `attempts` to find out). Where nothing is compiled candidates are evaluated in
-    turn, now the one at position `turn`. The best of the `minima` was found after
+    after so many `attempts` to find out). Where residuals come from Python candidates are evaluated
+    in turn, now the one at position `turn`. The best of the `minima` was found after
     `best_found_after` evaluations. `stalled` are candidates that made too little progress, one
     each; before the bracket, `spent_before` evaluations were spent. The first `judged` minima are
     known not to be zero to rounding. The best minimum has `passed` so many challenges; it is

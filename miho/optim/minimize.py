@@ -281,10 +281,12 @@ def _ctrl_c_waits(on_first: Callable[[], object]) -> Iterator[None]:
 def _load(optimizer: Optimizer, problem: Problem) -> None:
     """Import, trace and check what is used for the first time; nothing of the problem is evaluated.
 
-    What a fast form of the problem needs is so made before the clock starts.
+    What a method, the common start and a fast form of the problem need is so there before the clock
+    starts.
     """
     for name in optimizer.loads:
         import_module(name)
+    problem.space.initial(1)
     with contextlib.suppress(Exception):  # the run itself will meet and report it
         if problem.kernel is not None:
             _ = problem.kernel.rows

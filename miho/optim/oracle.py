@@ -234,7 +234,7 @@ class Oracle:
 
     @property
     def kernel(self) -> Kernel | None:
-        """Compiled forms of the problem's loss, for blocks of evaluations (`spend`)."""
+        """Fast forms of the problem's loss, for blocks of evaluations (`spend`)."""
         return self._problem.kernel
 
     @property
@@ -365,7 +365,7 @@ class Oracle:
         return (fidelity,), self._problem.cost(fidelity)
 
     def spend(self, block: Callable[[float, float, float], Block], least: float) -> None:
-        """Let compiled code evaluate in blocks of some 20 ms until it is done.
+        """Let a kernel evaluate in blocks of some 20 ms until it is done.
 
         `block(most, best, target)` spends no more than `most` evaluations and reports what it did,
         each improvement at its own evaluation; the state of its method is then whole, and it goes
@@ -439,7 +439,7 @@ class Oracle:
         self._recorder.stop()
         usage, recorder = self.usage, self._recorder
         if usage is not None and usage.each is None and not usage.known and recorder.evaluated:
-            usage.here += round(recorder.evaluated)  # compiled ones, which nobody else has timed
+            usage.here += round(recorder.evaluated)  # in blocks, which nobody else has timed
             usage.each = recorder.evaluating / recorder.evaluated
 
     def _check_open(self) -> None:
@@ -485,7 +485,7 @@ class Oracle:
         self._recorder.record(at, improved, thetas, losses.size * cost, started)
 
     def _record_block(self, block: Block, started: float) -> None:
-        """Record what compiled code did, with its improvements."""
+        """Record what a block did, with its improvements."""
         for reason, count in block.rejected.items():
             if count:
                 self.meter.reject(reason, count)

@@ -20,7 +20,7 @@ class Problem(ABC):
     """A loss over a box of parameters; the loss of a row depends on that row alone.
 
     `name` identifies the problem in seeds, stores and figures: two problems with one name are the
-    same problem. `kernel` holds compiled forms of this very loss, for methods that know what to do
+    same problem. `kernel` holds fast forms of this very loss, for methods that know what to do
     with them. A loss up to `rounding` counts as 0: its digits are rounding. Losses that differ by
     less than `resolution` count as equal: a method that sees only losses may end so far above a
     minimum whose loss is 0. A loss above `noise` is more than the noise of the data explains, as

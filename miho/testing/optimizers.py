@@ -72,7 +72,7 @@ def run_check(
 
 
 def _run_observed(optimizer: Optimizer, evaluations: int) -> tuple[Oracle, DecayFit]:
-    """The oracle and the problem after one run without warm-up, whose evaluations it remembers."""
+    """The oracle and the problem after one run, whose evaluations it remembers."""
     problem = DecayFit()
     space = problem.space.seeded(problem.name, 3)
     oracle = Oracle(problem, Budget(evaluations=evaluations), space=space)

@@ -45,7 +45,7 @@ class Rescaled(DecayFit):
 
 
 def visited(optimizer: Optimizer, problem: DecayFit, evaluations: int) -> Array:
-    """Every configuration that the run evaluated, without the warm-up."""
+    """Every configuration that the run evaluated."""
     record = minimize(optimizer, problem, Budget(evaluations=evaluations), seed=1)
     assert record.error is None
     return np.array(problem.thetas)

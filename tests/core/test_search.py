@@ -19,6 +19,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+import tests.core.python_bracket as python_bracket
 from miho import CurveFit, Dataset, Parameter, Space
 from miho.compiled import gauss_newton, triangular
 from miho.compiled.gauss_newton_candidates import SIZE
@@ -35,7 +36,6 @@ from miho.optim import (
     gauss_newton_steps,
 )
 from miho.optim.miho_gn_state import MIHOGNState
-from tests.core import python_bracket
 from tests.optim.decays import fit
 
 Array = NDArray[np.float64]

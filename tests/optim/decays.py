@@ -1,4 +1,4 @@
-"""Least-squares problems that are compiled, and the same ones where nothing is."""
+"""Least-squares problems of the machine, and the same ones whose residuals come from Python."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def fit(
 
 
 class Outside(LeastSquaresProblem):
-    """A problem as it is, but not compiled, which counts the rows it evaluates.
+    """A problem as it is, but without its kernel, which counts the rows it evaluates.
 
     `says_rows` is False for one that does not say how many there are. `requests` lists the
     configurations and the numbers of rows of all residuals.

@@ -114,7 +114,7 @@ def test_an_interrupt_that_nobody_sent_is_a_failure(error: type[BaseException]) 
 
 
 class Upset(DecayFit):
-    """Does something at each evaluation, of which the warm-up's is the first."""
+    """Does something at each evaluation."""
 
     def __init__(self, deed: Callable[[], object]) -> None:
         super().__init__()
@@ -198,13 +198,12 @@ def test_resuming_leaves_the_checkpoint_as_it_was() -> None:
     assert more.trace.loss == whole.trace.loss
 
 
-@pytest.mark.parametrize("call", [2, 3, 5, 10, 20, 40, 80, 120])
+@pytest.mark.parametrize("call", [1, 2, 4, 9, 20, 40, 80, 120])
 @pytest.mark.parametrize("delay", [1e-6, 1e-4])
 def test_ctrl_c_at_any_time_resumes_bit_exactly(call: int, delay: float) -> None:
     optimizer, budget, calls = MIHO(R=300, eta=3), Budget(evaluations=6000), itertools.count(1)
 
     def deed() -> None:
-        """The first call is that of the warm-up."""
         if next(calls) == call:
             signal.setitimer(signal.ITIMER_REAL, delay)
 

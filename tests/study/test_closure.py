@@ -66,8 +66,8 @@ def test_code_that_a_run_does_not_use_may_change(
 
 @pytest.mark.parametrize(
     "place",
-    ["optim/oracle.py", "optim/space.py", "compiled/fused.py", "identification/loss.py",
-     "compiled/elementary.py", "core/elementary.h", "models/tire.py", "methods/descent.py",
+    ["optim/oracle.py", "optim/space.py", "compiled/taped.py", "identification/loss.py",
+     "compiled/fit.py", "core/elementary.h", "models/tire.py", "methods/descent.py",
      "data/dataset.py"],
 )  # fmt: skip
 def test_one_constant_of_what_it_uses_may_not(

@@ -64,7 +64,7 @@ def lubricant(inputs: Inputs, b: Theta) -> Any:
 
 def _lubricant_derivatives(inputs: Inputs, b: Theta) -> tuple[Any, ...]:
     T, p = inputs
-    square, pressure = p * p, p * 1  # compiled, an input itself is of another type than a column
+    square, pressure = p * p, p * 1
     share, cooled = 1 / (b[1] + T), 1 / (b[7] + b[8] * square)
     faded = np.exp(-T * cooled) * p
     slope = (b[5] + b[6] * square) * faded * T * cooled * cooled
