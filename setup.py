@@ -7,15 +7,18 @@ without the machine, and works all the same.
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 import sysconfig
 import tempfile
 from pathlib import Path
+from typing import Any
 
 from setuptools import Extension, setup
 from setuptools._distutils.ccompiler import new_compiler
 from setuptools._distutils.errors import CompileError, DistutilsError
 from setuptools._distutils.sysconfig import customize_compiler
+from setuptools.command.build_ext import build_ext
 
 CORE = Path("miho/core")
 FLAGS = [
@@ -25,20 +28,40 @@ FLAGS = [
 """No product and sum is fused, so that every processor gives the same bits; no function gives way
 to one of its name in another library; and counters of loops do not wrap, as Python's own flags
 would have them."""
+WINDOWS = os.name == "nt"
+if WINDOWS:
+    FLAGS = [f"/clang:{flag}" for flag in FLAGS if flag not in ("-g0", "-fvisibility=hidden")]
 LIMITED = not sysconfig.get_config_var("Py_GIL_DISABLED")
 """One build serves all versions of Python; those without a lock have no stable interface."""
 
 
+def choose(compiler: Any) -> None:
+    """Take clang-cl on Windows: Microsoft's own compiler has no vector code of this kind."""
+    if WINDOWS:
+        compiler.initialize()
+        compiler.cc = shutil.which("clang-cl")
+        if compiler.cc is None:
+            raise CompileError("there is no clang-cl")
+
+
+class Build(build_ext):
+    """Compiles with the compiler of `choose`."""
+
+    def build_extensions(self) -> None:
+        """Build all extensions; setuptools calls it."""
+        choose(self.compiler)
+        super().build_extensions()
+
+
 def can_compile() -> bool:
     """Whether there is a compiler for these flags, and Python's headers."""
-    if os.name == "nt" and "clang" not in os.environ.get("CC", ""):
-        return False  # Microsoft's has no vector code of this kind
     with tempfile.TemporaryDirectory() as folder:
         source = Path(folder, "probe.c")
         source.write_text("#include <Python.h>\nint probe(void) { return 0; }\n", encoding="ascii")
         compiler = new_compiler()
         try:
             customize_compiler(compiler)
+            choose(compiler)
             compiler.compile(
                 [str(source)],
                 output_dir=folder,
@@ -65,6 +88,7 @@ machine = Extension(
 
 if can_compile():
     setup(
+        cmdclass={"build_ext": Build},
         ext_modules=[machine],
         options={"bdist_wheel": {"py_limited_api": "cp311"}} if LIMITED else {},
     )

@@ -6,6 +6,19 @@
 
 static const level *const every_level[] = {&level_baseline, &level_avx2, &level_avx512};
 
+#if defined(__x86_64__) && defined(_WIN32) /* where the function below is in no library */
+#include <cpuid.h>
+
+static int count_of_levels(void) {
+    unsigned a, b, c, d, saved, high; /* `saved`: the registers that the system keeps */
+    if (!__get_cpuid(1, &a, &b, &c, &d) || !(c & bit_OSXSAVE)) return 1;
+    __asm__("xgetbv" : "=a"(saved), "=d"(high) : "c"(0));
+    if (!__get_cpuid_count(7, 0, &a, &b, &c, &d) || (saved & 0x6) != 0x6 || !(b & bit_AVX2))
+        return 1;
+    unsigned wanted = bit_AVX512F | bit_AVX512DQ | bit_AVX512VL | bit_AVX512BW;
+    return (saved & 0xe6) == 0xe6 && (b & wanted) == wanted ? 3 : 2;
+}
+#else
 static int count_of_levels(void) {
 #if defined(__x86_64__)
     __builtin_cpu_init();
@@ -16,6 +29,7 @@ static int count_of_levels(void) {
     return 1;
 #endif
 }
+#endif
 
 const level *highest_level(void) { return every_level[count_of_levels() - 1]; }
 
