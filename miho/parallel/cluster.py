@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.metadata
 import importlib.util
 import logging
 import re
@@ -250,10 +249,12 @@ def _library(name: str) -> Any:
 
 def versions() -> dict[str, str]:
     """What has to be the same in a client and its workers."""
-    libraries = {name: importlib.metadata.version(name) for name in ("distributed", "cloudpickle")}
+    from importlib import metadata  # only here: it is slow to import
+
+    libraries = {name: metadata.version(name) for name in ("distributed", "cloudpickle")}
     try:
-        ours = importlib.metadata.version("miho")
-    except importlib.metadata.PackageNotFoundError:
+        ours = metadata.version("miho")
+    except metadata.PackageNotFoundError:
         ours = "of a checkout"
     return {"Python": "{}.{}".format(*sys.version_info), "miho": ours, **libraries}
 

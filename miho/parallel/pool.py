@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import functools
 import itertools
@@ -287,6 +286,8 @@ def _broken(error: BaseException) -> str:
     """In one line what it means that an executor takes no more calls."""
     if isinstance(error, WorkerLostError):
         return str(error)
+    import asyncio  # only here: it is slow to import
+
     if isinstance(error, (CancelledError, asyncio.CancelledError)):
         return "the workers or their scheduler have left; give workers anew"
     return f"the executor is broken ({Raised.of(error).line}); give a new one"
