@@ -19,7 +19,8 @@ DEVELOPED := $(VENV)/developed
 DOCUMENTED := $(VENV)/documented
 
 # Without build isolation nothing is downloaded twice. Libraries are compiled where they are imported;
-# our own modules are compiled first, since numba takes code from sources and from bytecode for two.
+# our own modules are compiled first, since numba, which drives use, takes code from sources and from
+# bytecode for two.
 PIP := $(BIN)/python -m pip install -qq --no-compile --no-build-isolation --constraint constraints.txt
 # A process that has no tests left takes some of the other one's.
 PYTEST := $(BIN)/python -m pytest -q -n auto --dist worksteal
