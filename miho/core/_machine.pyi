@@ -41,6 +41,21 @@ def climb(
     losses: Array,
     thetas: Array,
 ) -> tuple[int, int, int, int]: ...
+def fit_many(
+    value: Any,
+    slopes: Any,
+    X: Array,
+    y: Array,
+    ends: Integers,
+    shared: bool,
+    box: tuple[Any, ...],
+    starts: tuple[Any, ...],
+    which: Integers,
+    thetas: Array,
+    squares: Array,
+    covariance: Array,
+    flags: Any,
+) -> None: ...
 def solve_trajectories(
     rates: Any, outputs: Any, thetas: Array, course: tuple[Any, ...], out: Array
 ) -> None: ...

@@ -132,3 +132,10 @@ void tape_close(workspace *w) {
     if (w) free(w->registers);
     free(w);
 }
+
+void tape_start(const tape *t, const double *theta, workspace *w) { start(t, theta, w); }
+
+void tape_continue(const tape *t, const double *X, int64_t N, int64_t rows, double *out,
+                   int64_t stride, workspace *w) {
+    columns(t, X, N, 0, rows, out, stride, w);
+}

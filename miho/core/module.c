@@ -231,6 +231,7 @@ static PyMethodDef methods[] = {
     {"mean_squares", FAST(py_mean_squares), mean_squares_doc},
     {"run_bracket", FAST(py_run_bracket), run_bracket_doc},
     {"climb", FAST(py_climb), climb_doc},
+    {"fit_many", FAST(py_fit_many), fit_many_doc},
     {"solve_trajectories", FAST(py_solve_trajectories), solve_trajectories_doc},
     {"derive_trajectory", FAST(py_derive_trajectory), derive_trajectory_doc},
     {"address", py_address, METH_O, address_doc},

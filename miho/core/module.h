@@ -12,6 +12,9 @@ PyObject *py_run_bracket(PyObject *module, PyObject *const *arguments, Py_ssize_
 /* module_climb.c */
 extern const char climb_doc[];
 PyObject *py_climb(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
+/* module_many.c */
+extern const char fit_many_doc[];
+PyObject *py_fit_many(PyObject *module, PyObject *const *arguments, Py_ssize_t count);
 /* module_trajectory.c */
 extern const char solve_trajectories_doc[], derive_trajectory_doc[];
 PyObject *py_solve_trajectories(PyObject *module, PyObject *const *arguments, Py_ssize_t count);

@@ -8,7 +8,7 @@ int64_t product_of(int64_t a, int64_t b) {
 
 void *array_of(arrays *all, PyObject *o, const char *name, char kind, int axes, int64_t *shape) {
     int writable = kind < 'a' && kind != '?';
-    char expected = writable ? (char)(kind + ('a' - 'A')) : kind;
+    char expected = kind == 'B' ? '?' : writable ? (char)(kind + ('a' - 'A')) : kind;
     Py_buffer *view = &all->view[all->count];
     int flags = PyBUF_C_CONTIGUOUS | PyBUF_FORMAT | (writable ? PyBUF_WRITABLE : 0);
     if (all->count == MOST_ARRAYS || PyObject_GetBuffer(o, view, flags)) return NULL;

@@ -15,7 +15,7 @@ typedef struct {
 } arrays;
 
 /* The numbers of an array in one piece, of so many axes; NULL, with an error, if it is another one.
-   `kind` is d (numbers), l (whole numbers) or ?; a capital is for one that is written. Axes of
+   `kind` is d (numbers), l (whole numbers) or ?; a capital is for one that is written, B for ?. Axes of
    `shape` that are negative are found out. */
 void *array_of(arrays *all, PyObject *o, const char *name, char kind, int axes, int64_t *shape);
 void *vector_of(arrays *all, PyObject *o, const char *name, char kind, int64_t n);

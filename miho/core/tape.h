@@ -84,6 +84,10 @@ void tape_columns(const tape *t, const double *theta, const double *X, int64_t N
 typedef struct workspace workspace;
 workspace *tape_open(const tape *t, int64_t rows);
 void tape_close(workspace *w);
+/* After `tape_start` at a configuration, all results at the first rows of X. */
+void tape_start(const tape *t, const double *theta, workspace *w);
+void tape_continue(const tape *t, const double *X, int64_t N, int64_t rows, double *out,
+                   int64_t stride, workspace *w);
 /* One of the mean squares, or any number from `limit` on as soon as it is known to be there. */
 double tape_mean_square(const tape *t, const double *theta, const measurements *d, double limit,
                         workspace *w);

@@ -70,6 +70,26 @@ def traced_tapes(
 
     None where they cannot be traced, or are too long for the machine.
     """
+    tapes = _traced(value, derivatives, p, d, lambda graph, slopes: ([graph], slopes))
+    return None if tapes is None else (tapes[0], tapes[1])
+
+
+def traced_together(
+    value: Callable[..., Any], derivatives: Callable[..., Any], p: int, d: int
+) -> Tape | None:
+    """One tape of the d derivatives of a formula and, behind them, its value; else as above."""
+    tapes = _traced(value, derivatives, p, d, lambda graph, slopes: ([*slopes, graph],))
+    return None if tapes is None else tapes[0]
+
+
+def _traced(
+    value: Callable[..., Any],
+    derivatives: Callable[..., Any],
+    p: int,
+    d: int,
+    parts: Callable[[Symbol, list[Symbol]], Sequence[Sequence[Symbol]]],
+) -> list[Tape] | None:
+    """Tapes of the results in each of the `parts` that are made of value and derivatives."""
     columns = tuple(argument(f"x{k}") for k in range(p))
     parameters = tuple(argument(f"p{k}") for k in range(d))
     try:
@@ -77,11 +97,11 @@ def traced_tapes(
         slopes = of_symbols(
             lambda: [operation("positive", slope) for slope in derivatives(columns, parameters)]
         )
-        tapes = tuple(tape_of(results, columns, parameters) for results in ([graph], slopes))
+        tapes = [tape_of(results, columns, parameters) for results in parts(graph, slopes)]
         _ = [tape.in_machine for tape in tapes]
     except (NotAFormulaError, TapeError):
         return None
-    return (tapes[0], tapes[1]) if len(slopes) == d else None
+    return tapes if len(slopes) == d else None
 
 
 class _Nodes:

@@ -1,0 +1,442 @@
+/* Descents of Levenberg and Marquardt within a box, of many small datasets one after the other.
+   miho/fitting/descents.py does the same with NumPy, for all of them side by side. */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+#include "elementary.h"
+#include "many.h"
+
+#define STEPS 200               /* of a descent at most */
+#define DAMPING 1e-3            /* at first */
+/* Gain over predicted gain above which the damping falls, and below which it grows; by so much.
+   After a step that gains nothing it grows by a factor that doubles each time (Nielsen, 1999). */
+#define GOOD 0.75
+#define POOR 0.25
+#define LESS 0.1
+#define MORE 2.0
+#define RESTART_DAMPING 1e-6
+#define SMALLEST_DAMPING 1e-12
+#define LARGEST_DAMPING 1e10
+#define FADING 0.3              /* a scale falls by no more from step to step */
+#define SMALLEST_SCALE 1e-10    /* as a share of the largest: of parameters without effect */
+#define REACH 0.25              /* of the box, in search coordinates: no step is longer */
+/* A step that gains less than this share of the sum of squares, or promises less, is the last. If
+   it promises less because of the damping, that falls. */
+#define STANDSTILL 1e-13
+#define DONE_DAMPING 1e-3
+#define TRIES 12
+#define LEAST 1e-300
+#define ROUNDING 3.5e-15        /* residuals of this share of the data are rounding */
+/* A descent is at a known minimum within this squared distance, in shares of its sum of squares and
+   units of d / rows, or a share alone. */
+#define NEAR 9.0
+#define NEAR_LAST 0.1
+/* Of evidence, see miho/optim/evidence.py. */
+#define AGREEING 1e-4
+#define ENOUGH 5
+#define SHARE 0.25
+#define BETTER 0.025
+#define DEPENDENT 1e-7          /* pivots below it, of columns of length 1, are of dependent ones */
+#define MOST_KEPT 4000000       /* values at common starts that are kept */
+#define OPERATIONS_OF_WATCH 4e6 /* between two looks whether to stop: milliseconds */
+
+/* A configuration in search coordinates, in which a logarithmic scale is even, and in units; the
+   triangular factor (d + 1, d + 1) of derivatives and residuals; and the sum of squares. */
+typedef struct {
+    double *x, *theta, *R, squares;
+    int converged;
+} place;
+
+typedef struct {
+    const many_data *data;
+    const many_starts *starts;
+    const watch *by;
+    workspace *values, *slopes;
+    place here, trial, best;
+    double *low, *high;         /* of the box, in search coordinates */
+    double *step, *step_low, *step_high, *scale, *D;
+    double *chunk;              /* (d + 1, stride): columns to fold */
+    double *looks;              /* (rows,): values of a start */
+    double *kept;               /* (brackets, size, N): values at all starts, NULL if not kept */
+    uint8_t *is_kept;           /* (brackets,) */
+    double *ends;               /* (brackets,): sums of squares at which descents ended */
+    solver_room solver;
+    int64_t stride, rows, descents;
+    const double *X, *y;        /* of this dataset */
+    double zero;                /* a sum of squares up to it is 0 to rounding */
+    double worked;
+    int stopped;
+} fitter;
+
+static void spend(fitter *w, double operations) {
+    w->worked += operations;
+    if (w->worked < OPERATIONS_OF_WATCH) return;
+    w->worked = 0.0;
+    w->stopped = w->stopped || w->by->stops(w->by->state);
+}
+
+static void set_units(const fitter *w, place *at) {
+    const many_data *data = w->data;
+    for (int64_t k = 0; k < data->d; k++) {
+        double value = data->log[k] ? exp_of(at->x[k]) : at->x[k];
+        at->theta[k] = at->x[k] <= w->low[k] ? data->low[k] : at->x[k] >= w->high[k]
+            ? data->high[k] : between(data->low[k], value, data->high[k]);
+    }
+}
+
+static void set_coordinates(const fitter *w, const double *theta, double *x) {
+    for (int64_t k = 0; k < w->data->d; k++) {
+        double value = between(w->data->low[k], theta[k], w->data->high[k]);
+        x[k] = w->data->log[k] ? log_of(value) : value;
+    }
+}
+
+/* The factor and the sum of squares at a place, infinite where that is not finite. */
+static void evaluate(fitter *w, place *at) {
+    const many_data *data = w->data;
+    int64_t d = data->d, side = d + 1, stride = w->stride;
+    double *r = w->chunk + d * stride;
+    memset(at->R, 0, (size_t)(side * side) * sizeof(double));
+    at->squares = 0.0;
+    set_units(w, at);
+    tape_start(data->slope_tape, at->theta, w->slopes);
+    for (int64_t start = 0; start < w->rows && !w->stopped; start += CHUNK) {
+        int64_t rows = w->rows - start < CHUNK ? w->rows - start : CHUNK;
+        tape_continue(data->slope_tape, w->X + start, data->N, rows, w->chunk, stride, w->slopes);
+        for (int64_t k = 0; k < d; k++) {
+            double *column = w->chunk + k * stride, factor = at->theta[k];
+            if (data->log[k])
+                for (int64_t i = 0; i < rows; i++) column[i] *= factor;
+        }
+        for (int64_t i = 0; i < rows; i++) r[i] -= w->y[start + i];
+        at->squares += data->slope_tape->level->product_sum(r, r, rows);
+        data->slope_tape->level->fold(at->R, side, w->chunk, stride, rows, side);
+        spend(w, (double)(rows * (data->slope_tape->length + side * side)));
+    }
+    if (!isfinite(at->squares)) at->squares = INFINITY;
+}
+
+/* Scales from the norms of columns; 0 where a derivative is not finite. */
+static int set_scales(fitter *w, double fading) {
+    int64_t d = w->data->d, side = d + 1;
+    double largest = 0.0;
+    for (int64_t k = 0; k < d; k++) {
+        double square = 0.0;
+        for (int64_t j = 0; j <= k; j++) square += w->here.R[j * side + k] * w->here.R[j * side + k];
+        if (!isfinite(square)) return 0;
+        w->D[k] = larger(sqrt(square), fading * w->D[k]);
+        largest = larger(largest, w->D[k]);
+    }
+    for (int64_t k = 0; k < d; k++) w->D[k] = larger(w->D[k], SMALLEST_SCALE * largest);
+    return 1;
+}
+
+/* Set the trial to the next step; how much that gains by the linear model, 0 if the descent is done
+   there. */
+static double propose(fitter *w, double *damping) {
+    int64_t d = w->data->d, side = d + 1;
+    const double *x = w->here.x, *R = w->here.R;
+    double square = 0.0;
+    for (int64_t k = 0; k < d; k++) {
+        double reach = REACH * (w->high[k] - w->low[k]), q = R[k * side + d];
+        w->step_low[k] = larger(w->low[k] - x[k], -reach);
+        w->step_high[k] = smaller(w->high[k] - x[k], reach);
+        square += q * q;
+    }
+    box_problem b = {R, R + d, w->scale, w->step_low, w->step_high, side, side, d};
+    for (int count = 0; count < TRIES; count++) {
+        double root = sqrt(*damping);
+        for (int64_t k = 0; k < d; k++) w->scale[k] = root * w->D[k];
+        solve_in_box(&b, w->step, &w->solver);
+        double gain = square - square_norm(&b, w->step);
+        if (!(gain > STANDSTILL * w->here.squares)) {
+            if (*damping <= DONE_DAMPING) return 0.0;
+            *damping *= LESS;
+            continue;
+        }
+        int differs = 0;
+        for (int64_t k = 0; k < d; k++) {
+            double step = w->step[k], to = between(w->low[k], x[k] + step, w->high[k]);
+            if (step <= w->low[k] - x[k]) to = w->low[k];
+            if (step >= w->high[k] - x[k]) to = w->high[k];
+            w->trial.x[k] = to;
+            differs = differs || to != x[k];
+        }
+        return differs ? gain : 0.0;
+    }
+    return 0.0;
+}
+
+/* Whether a descent is on its way to the best minimum so far, and no better. */
+static int nears_best(const fitter *w) {
+    int64_t d = w->data->d, side = d + 1;
+    const double *x = w->here.x, *R = w->here.R;
+    if (!(w->best.squares <= w->here.squares)) return 0;
+    double near = smaller(NEAR * (double)d / (double)w->rows, NEAR_LAST) * w->here.squares;
+    double total = w->here.squares - w->best.squares;
+    for (int64_t row = 0; row < d && total <= near; row++) {
+        double value = 0.0;
+        if (fabs(R[row * side + row]) <= DEPENDENT * w->D[row]) return 0;
+        for (int64_t k = row; k < d; k++) value += R[row * side + k] * (x[k] - w->best.x[k]);
+        total += value * value;
+    }
+    return total <= near;
+}
+
+static void exchange(place *a, place *b) {
+    place kept = *a;
+    *a = *b;
+    *b = kept;
+}
+
+/* Descend from `here`, where nothing is known yet. Gives whether it has come to the best minimum so
+   far. */
+static int descend_here(fitter *w) {
+    double damping = DAMPING, growth = 2.0;
+    evaluate(w, &w->here);
+    w->here.converged = 0;
+    if (!isfinite(w->here.squares) || !set_scales(w, 0.0)) return 0;
+    for (int steps = 0; steps < STEPS && !w->stopped; steps++) {
+        if (w->here.squares <= w->zero) break;
+        if (nears_best(w)) return 1;
+        double predicted = propose(w, &damping);
+        if (!(predicted > 0.0)) break;
+        evaluate(w, &w->trial);
+        double before = w->here.squares, gain = before - w->trial.squares;
+        int last = fabs(gain) <= STANDSTILL * (before + LEAST);
+        if (gain > 0.0) {
+            exchange(&w->here, &w->trial);
+            if (!set_scales(w, FADING)) return 0;
+            if (gain > GOOD * predicted) damping = larger(LESS * damping, SMALLEST_DAMPING);
+            else if (gain < POOR * predicted) damping *= MORE;
+            growth = 2.0;
+        } else {
+            damping = larger(damping * growth, RESTART_DAMPING);
+            growth *= 2.0;
+        }
+        if (last || damping > LARGEST_DAMPING) break;
+        if (steps == STEPS - 1) return 0;
+    }
+    w->here.converged = !w->stopped;
+    return 0;
+}
+
+/* Descend from a configuration in units, and keep the better minimum. */
+static void descend_from(fitter *w, const double *theta) {
+    set_coordinates(w, theta, w->here.x);
+    if (descend_here(w)) {
+        w->ends[w->descents++] = w->best.squares;
+        return;
+    }
+    w->ends[w->descents++] = w->here.squares;
+    if (w->here.squares < w->best.squares) {
+        exchange(&w->here, &w->best);
+    }
+}
+
+/* The values at a start, over the rows from `start` on of this dataset. */
+static const double *look(fitter *w, int64_t at, const double *theta, int64_t start,
+                          int64_t rows) {
+    const many_data *data = w->data;
+    if (w->kept) return w->kept + at * data->N + start;
+    if (!start) tape_start(data->value_tape, theta, w->values);
+    tape_continue(data->value_tape, w->X + start, data->N, rows, w->looks, 0, w->values);
+    spend(w, (double)(rows * data->value_tape->length));
+    return w->looks;
+}
+
+/* Keep the values at the starts of a bracket, which are those of all datasets. */
+static void keep_values(fitter *w, int64_t bracket) {
+    const many_data *data = w->data;
+    int64_t size = w->starts->size;
+    if (!w->kept || w->is_kept[bracket]) return;
+    for (int64_t k = bracket * size; k < (bracket + 1) * size; k++) {
+        tape_start(data->value_tape, w->starts->starts + k * data->d, w->values);
+        tape_continue(data->value_tape, data->X, data->N, data->N, w->kept + k * data->N, 0,
+                      w->values);
+    }
+    w->is_kept[bracket] = 1;
+}
+
+/* The start of a bracket with the lowest sum of squares, NULL if none is finite. */
+static const double *best_start(fitter *w, int64_t bracket) {
+    const many_starts *starts = w->starts;
+    const double *found = NULL;
+    double least = INFINITY;
+    keep_values(w, bracket);
+    for (int64_t k = bracket * starts->size; k < (bracket + 1) * starts->size; k++) {
+        const double *theta = starts->starts + k * w->data->d;
+        double total = 0.0;
+        for (int64_t start = 0; start < w->rows && total < least; start += CHUNK) {
+            int rows = (int)(w->rows - start < CHUNK ? w->rows - start : CHUNK);
+            const double *values = look(w, k, theta, start, rows);
+            total += w->data->value_tape->level->square_sum(values, w->y + start, rows);
+        }
+        if (!(total < least)) continue;
+        least = total;
+        found = theta;
+    }
+    return found;
+}
+
+static int in_optimum(const fitter *w, double best, double end) {
+    return end <= best + AGREEING * best + w->zero;
+}
+
+/* Whether the ends of descents are evidence that the best is the optimum: Boender and Rinnooy Kan's
+   (1987), as in miho/optim/evidence.py; or few, which all ended in one. */
+static int is_enough(const fitter *w) {
+    int64_t n = w->descents, agreeing = 0, optima = 0;
+    if (w->best.squares <= w->zero) return 1;
+    for (int64_t k = 0; k < n; k++) {
+        int is_new = 1;
+        agreeing += in_optimum(w, w->best.squares, w->ends[k]);
+        for (int64_t j = 0; is_new && j < k; j++)
+            is_new = !in_optimum(w, smaller(w->ends[j], w->ends[k]), larger(w->ends[j], w->ends[k]));
+        optima += is_new;
+    }
+    if (n >= w->starts->few && agreeing == n && isfinite(w->best.squares)) return 1;
+    return agreeing >= ENOUGH && (double)agreeing >= SHARE * (double)n &&
+        (double)optima <= BETTER * (double)(n * (n - 1));
+}
+
+/* The covariance at the best: 0 where the derivatives are too close to being dependent. */
+static int set_covariance(fitter *w, double *out) {
+    const many_data *data = w->data;
+    int64_t d = data->d, side = d + 1, n = 0;
+    double *columns = w->solver.columns, *T = w->solver.T, *norms = w->scale, *free = w->step;
+    for (int64_t k = 0; k < d * d; k++) out[k] = NAN;
+    for (int64_t k = 0; k < d; k++)
+        if (w->best.theta[k] > data->low[k] && w->best.theta[k] < data->high[k])
+            free[n++] = (double)k;
+    if (!n || w->rows <= n || !isfinite(w->best.squares)) return 1;
+    for (int64_t j = 0; j < n; j++) {
+        int64_t k = (int64_t)free[j];
+        double square = 0.0;
+        for (int64_t row = 0; row <= k; row++)
+            square += w->best.R[row * side + k] * w->best.R[row * side + k];
+        norms[j] = sqrt(square);
+        if (!isfinite(square) || !(square > 0.0)) return 0;
+        for (int64_t row = 0; row < d; row++)
+            columns[j * 2 * d + row] = row <= k ? w->best.R[row * side + k] / norms[j] : 0.0;
+        if (data->log[k]) norms[j] /= w->best.theta[k];
+    }
+    memset(T, 0, (size_t)(side * side) * sizeof(double));
+    w->solver.level->fold(T, side, columns, 2 * d, d, n);
+    for (int64_t j = 0; j < n; j++)
+        if (fabs(T[j * side + j]) < DEPENDENT) return 0;
+    /* The inverse of the factor, column by column, in place of the columns. */
+    for (int64_t j = 0; j < n; j++)
+        for (int64_t i = j; i >= 0; i--) {
+            double value = i == j ? 1.0 : 0.0;
+            for (int64_t k = i + 1; k <= j; k++) value -= T[i * side + k] * columns[j * 2 * d + k];
+            columns[j * 2 * d + i] = value / T[i * side + i];
+        }
+    double variance = w->best.squares / (double)(w->rows - n);
+    for (int64_t i = 0; i < n; i++)
+        for (int64_t j = i; j < n; j++) {
+            double value = 0.0;
+            for (int64_t k = j; k < n; k++) value += columns[k * 2 * d + i] * columns[k * 2 * d + j];
+            value *= variance / (norms[i] * norms[j]);
+            out[(int64_t)free[i] * d + (int64_t)free[j]] = value;
+            out[(int64_t)free[j] * d + (int64_t)free[i]] = value;
+        }
+    return 1;
+}
+
+/* Fit dataset k, the i-th that was asked for. */
+static void fit_one(fitter *w, int64_t k, int64_t i, many_ends *out) {
+    const many_data *data = w->data;
+    const many_starts *starts = w->starts;
+    int64_t d = data->d, bracket = starts->brackets == 1 ? 0 : i;
+    w->rows = data->ends[k + 1] - data->ends[k];
+    w->X = data->X + (data->shared ? 0 : data->ends[k]);
+    w->y = data->y + data->ends[k];
+    w->zero = 0.0;
+    for (int64_t start = 0; start < w->rows; start += CHUNK) {
+        int64_t rows = w->rows - start < CHUNK ? w->rows - start : CHUNK;
+        const double *y = w->y + start;
+        w->zero += ROUNDING * ROUNDING * data->slope_tape->level->product_sum(y, y, rows);
+    }
+    w->best.squares = INFINITY;
+    w->best.converged = 0;
+    for (int64_t j = 0; j < d; j++) w->best.theta[j] = NAN;
+    w->descents = 0;
+    int evident = starts->own;
+    if (starts->own) {
+        for (int64_t j = 0; j < starts->size && !w->stopped; j++)
+            descend_from(w, starts->starts + (bracket * starts->size + j) * d);
+    } else {
+        for (int64_t j = 0; j < starts->brackets && !evident && !w->stopped; j++) {
+            const double *theta = best_start(w, j);
+            if (!theta) continue;
+            descend_from(w, theta);
+            evident = is_enough(w);
+        }
+    }
+    if (w->stopped) return;
+    copy(w->best.theta, out->thetas + i * d, d);
+    out->squares[i] = w->best.squares;
+    uint8_t *flags = out->flags + i * FLAGS;
+    flags[CONVERGED] = (uint8_t)w->best.converged;
+    flags[EVIDENT] = (uint8_t)evident;
+    flags[SINGULAR] = (uint8_t)!set_covariance(w, out->covariance + i * d * d);
+}
+
+/* Room for all of it; 0 without memory. */
+static int open_room(fitter *w) {
+    const many_data *data = w->data;
+    const many_starts *starts = w->starts;
+    int64_t d = data->d, side = d + 1, longest = 1;
+    for (int64_t k = 0; k < data->datasets; k++)
+        if (data->ends[k + 1] - data->ends[k] > longest)
+            longest = data->ends[k + 1] - data->ends[k];
+    if (longest > CHUNK) longest = CHUNK;
+    w->stride = (longest + 7) / 8 * 8 + 8;
+    int64_t number = starts->brackets * starts->size;
+    int64_t keeps = data->shared && !starts->own && number <= MOST_KEPT / data->N;
+    int64_t descents = starts->own ? starts->size : starts->brackets;
+    int64_t size = 3 * (2 * d + side * side) + 9 * d + side * w->stride + w->stride + descents +
+        side * 2 * d + side * side;
+    double *room = malloc((size_t)size * sizeof(double));
+    w->kept = keeps ? malloc((size_t)(number * data->N) * sizeof(double)) : NULL;
+    w->is_kept = calloc((size_t)starts->brackets, 1);
+    w->values = tape_open(data->value_tape, longest);
+    w->slopes = tape_open(data->slope_tape, longest);
+    w->low = room;
+    if (!room || (keeps && !w->kept) || !w->is_kept || !w->values || !w->slopes) return 0;
+    double **const vectors[] = {
+        &w->low, &w->high, &w->step, &w->step_low, &w->step_high, &w->scale, &w->D,
+        &w->solver.free, &w->solver.solution, &w->here.x, &w->here.theta, &w->trial.x,
+        &w->trial.theta, &w->best.x, &w->best.theta,
+    };
+    for (int k = 0; k < 15; k++, room += d) *vectors[k] = room;
+    double **const squares[] = {&w->here.R, &w->trial.R, &w->best.R, &w->solver.T};
+    for (int k = 0; k < 4; k++, room += side * side) *squares[k] = room;
+    w->solver.columns = room;
+    w->chunk = w->solver.columns + side * 2 * d;
+    w->looks = w->chunk + side * w->stride;
+    w->ends = w->looks + w->stride;
+    w->solver.d = d;
+    w->solver.level = data->slope_tape->level;
+    set_coordinates(w, data->low, w->low);
+    set_coordinates(w, data->high, w->high);
+    return 1;
+}
+
+int fit_many(const many_data *data, const many_starts *starts, const int64_t *which, int64_t n,
+             const watch *by, many_ends *out) {
+    fitter w;
+    memset(&w, 0, sizeof w);
+    w.data = data;
+    w.starts = starts;
+    w.by = by;
+    int done = open_room(&w);
+    for (int64_t i = 0; done && i < n && !w.stopped; i++) fit_one(&w, which[i], i, out);
+    tape_close(w.values);
+    tape_close(w.slopes);
+    free(w.kept);
+    free(w.is_kept);
+    free(w.low);
+    return done;
+}
