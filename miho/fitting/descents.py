@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.fitting.datasets import Datasets
 from miho.models.expression import Expression
 from miho.models.model import Model
 from miho.optim import Space
@@ -64,33 +65,14 @@ class Batch:
     real: NDArray[np.bool_]
 
     @classmethod
-    def of(
-        cls,
-        model: Model,
-        space: Space,
-        columns: Sequence[Sequence[Array]],
-        outputs: Sequence[Array],
-    ) -> Batch:
-        """Datasets of columns (p, N) and outputs (N,), with N of their own.
-
-        Raises ValueError for columns of different lengths, and for what is not finite.
-        """
-        rows = np.array([output.size for output in outputs])
-        for k, parts in enumerate(columns):
-            whole = (*parts, outputs[k])
-            if {part.size for part in whole} != {rows[k]} or not rows[k]:
-                raise ValueError(f"dataset {k}: columns differ in length or are empty")
-            if not all(np.isfinite(part).all() for part in whole):
-                raise ValueError(
-                    f"dataset {k}: holds values that are not finite; remove those rows"
-                )
+    def of(cls, model: Model, space: Space, datasets: Datasets, which: Indices) -> Batch:
+        """Some of many datasets."""
+        rows = datasets.rows[which]
         places = np.minimum(np.arange(rows.max()), rows[:, None] - 1)
-        filled = [
-            np.array([part[place] for part, place in zip(parts, places, strict=True)])
-            for parts in (*zip(*columns, strict=True), outputs)
-        ]
+        at = datasets.ends[which, None] + places
+        columns = datasets.X[:, places] if datasets.shared else datasets.X[:, at]
         real = np.arange(rows.max()) < rows[:, None]
-        return cls(model, space, np.array(filled[:-1]), filled[-1], rows, real)
+        return cls(model, space, columns, datasets.y[at], rows, real)
 
     def residuals(self, thetas: Array, which: Indices) -> Array:
         """Model minus data (n, N) of datasets `which` (n,) at configurations (n, d)."""
@@ -191,7 +173,10 @@ def normal_matrix(J: Array, held: NDArray[np.bool_]) -> Array:
 
 
 def descend(batch: Batch, which: Indices, starts: Array, progress: Callable[[int], object]) -> Ends:
-    """Descents of the datasets `which`, each from the best of some starts (s, d)."""
+    """Descents of the datasets `which`, each from the best of some starts.
+
+    These are (s, d) for all, or (s, M, d), of all M datasets.
+    """
     ends = [
         _descend(batch, chunk, starts) for chunk in batch.chunks(which) if not progress(chunk[0])
     ]
@@ -209,11 +194,12 @@ def _descend(batch: Batch, which: Indices, starts: Array) -> Ends:
     log = np.array([parameter.scale == "log" for parameter in space.parameters])
     n, d = which.size, low.size
     # The best start of each dataset.
-    x, squares = np.empty((n, d)), np.full(n, np.inf)
+    x, squares = np.full((n, d), np.nan), np.full(n, np.inf)
     for start in starts:
-        values = batch.squares(batch.residuals(np.tile(start, (n, 1)), which))
+        own = np.tile(start, (n, 1)) if start.ndim == 1 else start[which]
+        values = batch.squares(batch.residuals(own, which))
         won = values < squares
-        x[won], squares[won] = space.encode(start), values[won]
+        x[won], squares[won] = space.encode(own[won]), values[won]
     damping, moving = np.full(n, DAMPING), np.isfinite(squares)
     converged = np.zeros(n, dtype=bool)
     for _ in range(STEPS):

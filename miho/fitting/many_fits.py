@@ -5,16 +5,20 @@ from __future__ import annotations
 import sys
 import time
 import warnings
-from collections.abc import Callable, Hashable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from miho.fitting.datasets import Groups, Rows
+from miho.fitting.dear_fit import title
 from miho.fitting.descents import Batch, Ends, descend
+from miho.fitting.machine_fits import MachineFits, checked
 from miho.fitting.search import searched
-from miho.fitting.statement import data_of, inputs_of, space_of
-from miho.identification.constraints import constrained
+from miho.fitting.statement import data_of, space_of
+from miho.identification.constraints import constrained, free_values
 from miho.identification.curve_fit import CurveFit
 from miho.models.model import Model
 from miho.models.tied import Tied
@@ -42,6 +46,7 @@ def fit_many(
     space: Space | Mapping[str, Any],
     *,
     by: str | None = None,
+    start: Mapping[str, Any] | None = None,
     fixed: Mapping[str, float] | None = None,
     tied: Mapping[str, str] | None = None,
     constraints: str | Sequence[str] = (),
@@ -53,8 +58,12 @@ def fit_many(
     the name of a column; or else the rows of `y` (M, N), over columns (N,) or (M, N) in `x`.
     `model`, `space`, `fixed`, `tied` and `constraints` are those of `miho.fit`.
 
-    A few datasets are searched whole. The others descend from the best of where those ended, and
-    again from where others ended that are worse off; some are then searched whole too.
+    Each dataset of a formula descends from the best of common starts, and again from the best of
+    other ones, until the descents agree. Of what is no formula, a few datasets are searched whole;
+    the others descend from the best of where those ended, and again from where others ended that
+    are worse off. Some datasets are then searched longer, to see whether the others can be
+    believed. With a `start`, a number or one for each dataset (M,) of every free parameter, each
+    descends from there and is not checked.
     The columns are each parameter and its standard error (`a`, `a_error`), the root-mean-square
     `error`, `rows`, and whether the descent `converged`. The table's `attrs` say of how many
     `checked` datasets the search found a `better` optimum, of which a warning tells.
@@ -62,94 +71,129 @@ def fit_many(
     """
     import pandas as pd
 
-    keys, parts = _parts(x, y, by)
+    parts = Rows(x, y) if by is None else Groups(x, y, by)
+    names = {*(fixed or ()), *(tied or ()), *(start or ())}
     named = space.names if isinstance(space, Space) else tuple(space)
-    first, chosen, _ = data_of(model, *parts[0], None, {*named, *(fixed or ()), *(tied or ())})
-    bounds = constrained(space_of(chosen, space, None, fixed or {}, tied or {}), constraints)
+    first, chosen, _ = data_of(model, *parts.part(0), None, {*named, *names})
+    starts = None if start is None else {name: np.ravel(value) for name, value in start.items()}
+    one = None if starts is None else {name: float(value[0]) for name, value in starts.items()}
+    bounds = constrained(space_of(chosen, space, one, fixed or {}, tied or {}), constraints)
     problem = CurveFit(chosen, first, bounds, compiled=False)
-    columns = [list(inputs_of(chosen, columns).values()) for columns, _ in parts]
-    outputs = [output_of(*part) for part in parts]
-    batch = Batch.of(problem.model, problem.space, columns, outputs)
-    progress = _Progress(len(keys))
-
-    def search(k: int) -> Array:
-        dataset = data_of(chosen, *parts[k], None)[0]
-        return searched(CurveFit(chosen, dataset, bounds, compiled=False), seed=seed).theta
-
     taken = {"error", "rows", "converged", *(f"{name}_error" for name in problem.space.names)}
     clash = sorted(taken.intersection(bounds.names))
     if clash:
         raise ValueError(f"{', '.join(clash)}: columns of the table have these names; use others")
     if any(parameter.prior is not None for parameter in bounds.parameters):
         raise ValueError("priors need miho.fit; leave them out")
-    everyone = np.arange(len(keys))
-    few = np.unique(np.linspace(0, len(keys) - 1, SEARCHED).round().astype(int))
-    ends = descend(batch, everyone, np.array([search(int(k)) for k in few]), progress)
-    worst_off = np.argsort(ends.squares, kind="stable")[:: max(1, len(keys) // SEARCHED)]
-    ends = ends.better_of(descend(batch, everyone, ends.thetas[worst_off[:SEARCHED]], progress))
-    checked = np.random.default_rng(seed).permutation(everyone)[:CHECKED]
-    better = 0
-    for k in checked:
-        theta = search(int(k))
-        squares = float(batch.squares(batch.residuals(theta[None], np.array([k])))[0])
-        if squares < (1 - BETTER) * ends.squares[k]:
-            better += 1
-            ends.thetas[k], ends.squares[k], ends.converged[k] = theta, squares, True
-    table = _table(problem, batch, ends, pd.Index(keys, name=by))
-    table.attrs = {"checked": len(checked), "better": better}
-    if better:
+    datasets = parts.of(chosen)
+    thetas = None if starts is None else starts_of(problem, starts, len(datasets))
+
+    def search(k: int) -> Array:
+        dataset = data_of(chosen, *parts.part(k), None)[0]
+        return searched(CurveFit(chosen, dataset, bounds, compiled=False), seed=seed).theta
+
+    fits = MachineFits.of(problem.model, problem.space, datasets)
+    progress = _Progress(len(datasets))
+    if fits is not None:
+        ends, covariance, found = _by_machine(fits, thetas, seed, progress)
+    else:
+        batch = Batch.of(problem.model, problem.space, datasets, np.arange(len(datasets)))
+        ends, covariance, found = _by_numpy(batch, thetas, search, seed, progress)
+    if not np.isfinite(ends.squares).any():
+        raise ValueError(f"{title(problem)}: no finite value was found")
+    table = _table(problem, datasets.rows, ends, covariance, pd.Index(parts.keys, name=by))
+    table.attrs = found
+    if found["better"]:
         warnings.warn(
-            f"of {len(checked)} datasets that were searched whole, {better} have a better optimum "
-            "than their descent found, and so may others; narrow the bounds",
+            f"of {found['checked']} datasets that were searched whole, {found['better']} have a "
+            "better optimum than their descent found, and so may others; narrow the bounds",
             UserWarning,
             stacklevel=2,
         )
     return table
 
 
-def _parts(x: Any, y: Any, by: str | None) -> tuple[list[Hashable], list[tuple[Any, Any]]]:
-    """The name of each dataset, and its columns and output."""
-    if by is not None:
-        named = isinstance(by, str) and isinstance(y, str) and hasattr(x, "groupby")
-        if not named or by not in x or y not in x:
+Results = tuple[Ends, Array, dict[str, int]]
+"""Ends, their covariance (M, d, d), and how many were checked, and found better."""
+
+
+def _by_machine(
+    fits: MachineFits, starts: Array | None, seed: int, progress: Callable[[int], object]
+) -> Results:
+    """The fits of a formula, from starts (1 or M, d) if given."""
+    everyone = np.arange(len(fits.datasets))
+    if starts is not None:
+        found = fits.descend(everyone, starts[:, None, :], progress)
+        return found, fits.covariance(found), {"checked": 0, "better": 0}
+    found = fits.search(everyone, seed, progress)
+    which = _to_check(len(everyone), seed)
+    better = checked(fits, found, which, seed, BETTER)
+    return found, fits.covariance(found), {"checked": len(which), "better": len(better)}
+
+
+def _by_numpy(
+    batch: Batch,
+    starts: Array | None,
+    search: Callable[[int], Array],
+    seed: int,
+    progress: Callable[[int], object],
+) -> Results:
+    """The same for any model, by whole searches of a few datasets."""
+    count = len(batch.rows)
+    everyone = np.arange(count)
+    if starts is not None:
+        each = np.broadcast_to(starts, (count, starts.shape[1]))
+        ends = descend(batch, everyone, each[None], progress)
+        return ends, batch.covariance(ends), {"checked": 0, "better": 0}
+    few = np.unique(np.linspace(0, count - 1, SEARCHED).round().astype(int))
+    ends = descend(batch, everyone, np.array([search(int(k)) for k in few]), progress)
+    worst_off = np.argsort(ends.squares, kind="stable")[:: max(1, count // SEARCHED)]
+    ends = ends.better_of(descend(batch, everyone, ends.thetas[worst_off[:SEARCHED]], progress))
+    which, better = _to_check(count, seed), 0
+    for k in which:
+        theta = search(int(k))
+        squares = float(batch.squares(batch.residuals(theta[None], np.array([k])))[0])
+        if squares < (1 - BETTER) * ends.squares[k]:
+            better += 1
+            ends.thetas[k], ends.squares[k], ends.converged[k] = theta, squares, True
+    return ends, batch.covariance(ends), {"checked": len(which), "better": better}
+
+
+def _to_check(count: int, seed: int) -> NDArray[np.intp]:
+    return np.random.default_rng(seed).permutation(np.arange(count))[:CHECKED]
+
+
+def starts_of(problem: CurveFit, start: Mapping[str, Array], count: int) -> Array:
+    """The starts (1 or M, d) of values of each parameter, (1,) or (M,)."""
+    for name, values in start.items():
+        if values.size not in (1, count):
             raise ValueError(
-                f"by is {by!r} and y is {y!r}; give a data frame x that has both as columns"
+                f"start: {name} has {values.size} values and there are {count} datasets; give one, "
+                "or one for each"
             )
-        groups = list(x.groupby(by, sort=False, dropna=False))
-        if not groups:
-            raise ValueError("the data frame has no rows; give some")
-        return [key for key, _ in groups], [(group, y) for _, group in groups]
-    if isinstance(y, str):
-        raise ValueError(f"y is {y!r}; give by= as well, the column that tells datasets apart")
-    values = np.asarray(y, dtype=float)
-    if values.ndim != 2 or not values.size:
-        raise ValueError(f"y has shape {values.shape}; give (datasets, rows), or a data frame, by=")
-
-    def row(column: Any, k: int) -> Array:
-        column = np.asarray(column, dtype=float)
-        if column.ndim == 2 and len(column) != len(values):
-            raise ValueError(f"x has {len(column)} datasets and y {len(values)}; give as many")
-        return np.asarray(column[k] if column.ndim == 2 else column)
-
-    def part(k: int) -> tuple[Any, Array]:
-        if isinstance(x, Mapping) or hasattr(x, "columns"):
-            return {name: row(x[name], k) for name in x}, values[k]
-        whole = tuple(row(column, k) for column in (x if isinstance(x, tuple) else (x,)))
-        return whole, values[k]
-
-    return list(range(len(values))), [part(k) for k in range(len(values))]
+    rows = np.stack(np.broadcast_arrays(*map(np.float64, start.values())), axis=-1)
+    space, model = problem.space, problem.model
+    if isinstance(model, Tied):
+        named = [dict(zip(start, row.tolist(), strict=True)) for row in rows]
+        thetas = np.array([free_values(space, model.ties, values) for values in named])
+    else:
+        thetas = rows[:, [[*start].index(name) for name in space.names]]
+    for k, name in enumerate(space.names):
+        inside = (space.low[k] <= thetas[:, k]) & (thetas[:, k] <= space.high[k])
+        if not inside.all():
+            value = thetas[np.flatnonzero(~inside)[0], k]
+            raise ValueError(
+                f"start: {name} is {value:g}; give one from {space.low[k]:g} to {space.high[k]:g}"
+            )
+    return np.ascontiguousarray(thetas)
 
 
-def output_of(columns: Any, y: Any) -> Array:
-    """The output's values, given as such or by the name of a column."""
-    return np.asarray(columns[y] if isinstance(y, str) else y, dtype=float)
-
-
-def _table(problem: CurveFit, batch: Batch, ends: Ends, index: pd.Index) -> pd.DataFrame:
+def _table(
+    problem: CurveFit, rows: NDArray[np.int64], ends: Ends, covariance: Array, index: pd.Index
+) -> pd.DataFrame:
     """A row per dataset; standard errors are NaN at a bound and without a degree of freedom."""
     import pandas as pd
 
-    covariance = batch.covariance(ends)
     unknown = np.isnan(np.diagonal(covariance, axis1=1, axis2=2))
     names, values, model = problem.space.names, ends.thetas, problem.model
     if isinstance(model, Tied):
@@ -166,8 +210,8 @@ def _table(problem: CurveFit, batch: Batch, ends: Ends, index: pd.Index) -> pd.D
     for k, name in enumerate(names):
         columns |= {name: values[:, k], f"{name}_error": errors[:, k]}
     columns |= {
-        "error": np.sqrt(ends.squares / batch.rows),
-        "rows": batch.rows,
+        "error": np.sqrt(ends.squares / rows),
+        "rows": rows,
         "converged": ends.converged,
     }
     return pd.DataFrame(columns, index=index)

@@ -1,0 +1,140 @@
+"""Many datasets of one model, as they are given in a call, and as arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.fitting.statement import inputs_of
+from miho.models.model import Model
+from miho.quantities import Array
+
+
+class Groups:
+    """The groups of a data frame that have one value in a column, in the order in which they come.
+
+    Raises ValueError for columns that the frame has not, and for a frame without rows.
+    """
+
+    def __init__(self, frame: Any, y: Any, by: str) -> None:
+        named = isinstance(by, str) and isinstance(y, str) and hasattr(frame, "groupby")
+        if not named or by not in frame or y not in frame:
+            raise ValueError(
+                f"by is {by!r} and y is {y!r}; give a data frame x that has both as columns"
+            )
+        codes = frame.groupby(by, sort=False, dropna=False).ngroup().to_numpy()
+        if not codes.size:
+            raise ValueError("the data frame has no rows; give some")
+        _, codes = np.unique(codes, return_inverse=True)  # all groups have rows
+        self.order = np.argsort(codes, kind="stable")
+        self.ends = np.concatenate([[0], np.cumsum(np.bincount(codes))])
+        self.frame, self.y = frame, y
+        self.keys: list[Hashable] = frame[by].iloc[self.order[self.ends[:-1]]].tolist()
+
+    def part(self, k: int) -> tuple[Any, Any]:
+        """Columns and output of a dataset, as `miho.fit` takes them."""
+        return self.frame.iloc[self.order[self.ends[k] : self.ends[k + 1]]], self.y
+
+    def of(self, model: Model) -> Datasets:
+        """All of them as arrays."""
+        X = np.array([column[self.order] for column in inputs_of(model, self.frame).values()])
+        y = np.asarray(self.frame[self.y], dtype=float)[self.order]
+        return Datasets.checked(X, y, self.ends)
+
+
+class Rows:
+    """The rows of y (M, N), over columns (N,) or (M, N) in x.
+
+    Raises ValueError for another shape of y.
+    """
+
+    def __init__(self, x: Any, y: Any) -> None:
+        if isinstance(y, str):
+            raise ValueError(f"y is {y!r}; give by= as well, the column that tells datasets apart")
+        self.y = np.asarray(y, dtype=float)
+        if self.y.ndim != 2 or not self.y.size:
+            raise ValueError(
+                f"y has shape {self.y.shape}; give (datasets, rows), or a data frame, by="
+            )
+        self.keys: list[Hashable] = list(range(len(self.y)))
+        self.by_name = isinstance(x, Mapping) or hasattr(x, "columns")
+        names = [*x] if self.by_name else range(len(x) if isinstance(x, tuple) else 1)
+        columns = [x[name] for name in x] if self.by_name else x if isinstance(x, tuple) else (x,)
+        self.columns = dict(
+            zip(names, [np.asarray(column, dtype=float) for column in columns], strict=True)
+        )
+        for column in self.columns.values():
+            if column.ndim == 2 and len(column) != len(self.y):
+                raise ValueError(f"x has {len(column)} datasets and y {len(self.y)}; give as many")
+
+    def part(self, k: int) -> tuple[Any, Any]:
+        """Columns and output of a dataset, as `miho.fit` takes them."""
+        own = {name: c[k] if c.ndim == 2 else c for name, c in self.columns.items()}
+        return own if self.by_name else tuple(own.values()), self.y[k]
+
+    def of(self, model: Model) -> Datasets:
+        """All of them as arrays."""
+        names = [*inputs_of(model, self.part(0)[0])] if self.by_name else [*self.columns]
+        columns = [self.columns[name] for name in names]
+        M, N = self.y.shape
+        for column in columns:
+            if column.shape[-1] != N:
+                raise ValueError("dataset 0: columns differ in length or are empty")
+        ends = np.arange(M + 1) * N
+        if all(column.ndim == 1 for column in columns):
+            return Datasets.checked(np.array(columns), self.y.ravel(), ends)
+        X = np.array([np.broadcast_to(column, (M, N)).ravel() for column in columns])
+        return Datasets.checked(X, self.y.ravel(), ends)
+
+
+@dataclass(frozen=True)
+class Datasets:
+    """Columns X (p, n) and outputs y (n,) of M datasets, one behind the other; or X (p, N) of all.
+
+    The k-th has the rows from ends[k] to ends[k + 1]. `shared` says that X is the same for all.
+    """
+
+    X: Array
+    y: Array
+    ends: NDArray[np.int64]
+    shared: bool
+
+    @classmethod
+    def checked(cls, X: Array, y: Array, ends: NDArray[np.int64]) -> Datasets:
+        """Datasets, whose columns are shared if they are equal; all values have to be finite."""
+        lengths = np.diff(ends)
+        if X.shape[1] == y.size and (lengths == lengths[0]).all():
+            apart = X.reshape(len(X), len(lengths), -1)
+            if (apart == apart[:, :1]).all():
+                X = apart[:, 0]
+        shared = X.shape[1] == lengths[0]
+        for values in (y, *X):
+            bad = ~np.isfinite(values)
+            if bad.any():
+                k = np.searchsorted(ends, np.flatnonzero(bad)[0], side="right") - 1
+                raise ValueError(
+                    f"dataset {k}: holds values that are not finite; remove those rows"
+                )
+        X, y = np.ascontiguousarray(X, dtype=float), np.ascontiguousarray(y, dtype=float)
+        return cls(X, y, np.ascontiguousarray(ends, dtype=np.int64), bool(shared))
+
+    def __len__(self) -> int:
+        return len(self.ends) - 1
+
+    @cached_property
+    def rows(self) -> NDArray[np.int64]:
+        """How many rows each has."""
+        return np.diff(self.ends)
+
+    def columns(self, k: int) -> Array:
+        """The columns (p, N) of a dataset."""
+        return self.X if self.shared else self.X[:, self.ends[k] : self.ends[k + 1]]
+
+    def output(self, k: int) -> Array:
+        """The output (N,) of a dataset."""
+        return self.y[self.ends[k] : self.ends[k + 1]]

@@ -1,0 +1,153 @@
+"""Thousands of small fits of a formula by the machine of `miho.core`, one after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from miho.core import Tape, machine
+from miho.fitting.datasets import Datasets
+from miho.fitting.descents import Batch, Ends, Indices
+from miho.models.expression import Expression
+from miho.models.formula_tape import traced_together
+from miho.models.model import Model
+from miho.optim import Space
+from miho.optim.brackets import draw_starts
+from miho.quantities import Array
+
+BRACKETS, FIRST, SIZE = 32, 4, 32
+"""Brackets at most, those that nearly all datasets need, and the starts of each."""
+FEW = 2
+"""So many descents are enough where all of them ended in one optimum."""
+NUMBERS = 2_000_000
+"""Values and derivatives of a call at one configuration of each dataset: a fraction of a second."""
+CONVERGED, EVIDENT, SINGULAR = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Found(Ends):
+    """Ends, their covariance (M, d, d), and flags (M, 3) of `miho/core/many.h`."""
+
+    covariance: Array
+    flags: NDArray[np.bool_]
+
+    def put(self, at: Indices, other: Found) -> None:
+        """Replace some of them."""
+        for name in ("thetas", "squares", "converged", "covariance", "flags"):
+            getattr(self, name)[at] = getattr(other, name)
+
+
+@dataclass(frozen=True)
+class MachineFits:
+    """Fits of datasets, each by descents from the best starts of brackets of its own.
+
+    The brackets are the same for all datasets, and those of `MIHOGN` in how they are drawn, but
+    have SIZE starts, all of which are looked at on all rows, and one that descends. A dataset's
+    brackets end when FEW of them have all ended in one optimum, or by the rule of
+    `miho.optim.evidence`. So what is found of a dataset does not depend on the others.
+    """
+
+    model: Model
+    space: Space
+    datasets: Datasets
+    value: Tape
+    slopes: Tape
+    level: int = -1
+
+    @classmethod
+    def of(cls, model: Model, space: Space, datasets: Datasets) -> MachineFits | None:
+        """The fits of a formula; None without a machine, and for what is no formula."""
+        if machine() is None or not isinstance(model, Expression) or model.tapes is None:
+            return None
+        slopes = traced_together(
+            model.value, model.derivatives, len(model.inputs), len(model.parameters)
+        )
+        return None if slopes is None else cls(model, space, datasets, model.tapes[0], slopes)
+
+    def search(
+        self, which: Indices, seed: int, progress: Callable[[int], object], few: int = FEW
+    ) -> Found:
+        """The optima of some datasets, with evidence where `few` descents or the rule give it."""
+        found = self._fit(which, self._brackets(seed, FIRST), few, False, progress)
+        rest = np.flatnonzero(~found.flags[:, EVIDENT])
+        if rest.size:
+            brackets = self._brackets(seed, BRACKETS)
+            found.put(rest, self._fit(which[rest], brackets, few, False, progress))
+        return found
+
+    def descend(
+        self, which: Indices, starts: Array, progress: Callable[[int], object] = lambda _: None
+    ) -> Found:
+        """The best ends of descents from all starts, (M, s, d) for each dataset or (1, s, d)."""
+        return self._fit(which, starts, FEW, True, progress)
+
+    def covariance(self, found: Found) -> Array:
+        """The covariance (M, d, d), by NumPy where derivatives are close to being dependent."""
+        singular = np.flatnonzero(found.flags[:, SINGULAR])
+        if singular.size:
+            ends = Ends(found.thetas[singular], found.squares[singular], found.converged[singular])
+            batch = Batch.of(self.model, self.space, self.datasets, singular)
+            found.covariance[singular] = batch.covariance(ends)
+        return found.covariance
+
+    def _brackets(self, seed: int, count: int) -> Array:
+        """The starts (count, SIZE, d) of the first brackets, in units."""
+        drawn = [
+            draw_starts(self.space, SIZE, np.random.default_rng([seed, k]), k)
+            for k in range(1, count + 1)
+        ]
+        return np.ascontiguousarray(self.space.decode(np.concatenate(drawn))).reshape(
+            count, SIZE, -1
+        )
+
+    def _fit(
+        self, which: Indices, starts: Array, few: int, own: bool, progress: Callable[[int], object]
+    ) -> Found:
+        n, d = len(which), len(self.space)
+        thetas, squares = np.empty((n, d)), np.empty(n)
+        covariance, flags = np.empty((n, d, d)), np.zeros((n, 3), dtype=bool)
+        each = own and len(starts) > 1
+        size = max(1, int(NUMBERS // (self.datasets.rows.mean() * (d + 1))))
+        for start in range(0, n, size):
+            progress(start)
+            part = slice(start, start + size)
+            machine().fit_many(
+                *self._given, (np.ascontiguousarray(starts[part] if each else starts), few, own),
+                np.ascontiguousarray(which[part], dtype=np.int64),
+                thetas[part], squares[part], covariance[part], flags[part],
+            )  # fmt: skip
+        return Found(thetas, squares, flags[:, CONVERGED].copy(), covariance, flags)
+
+    @cached_property
+    def _given(self) -> tuple[Any, ...]:
+        """What all calls are given."""
+        data, space = self.datasets, self.space
+        log = np.array([parameter.scale == "log" for parameter in space.parameters])
+        box = tuple(np.array(end, dtype=float) for end in (space.low, space.high))
+        return (
+            self.value.at_level(self.level), self.slopes.at_level(self.level), data.X, data.y,
+            data.ends, data.shared, (*box, log),
+        )  # fmt: skip
+
+
+def checked(
+    fits: MachineFits, found: Found, which: Indices, seed: int, better: float
+) -> Indices:
+    """Search some datasets until the rule of evidence is met, and from where the others ended.
+
+    Gives those of which the sum of squares is lower by this share, after putting them right.
+    """
+    again = fits.search(which, seed, lambda _: None, few=BRACKETS)
+    ends = found.thetas[which[np.isfinite(found.squares[which])]]
+    if len(ends):
+        others = fits.descend(which, ends[None])
+        lower = np.flatnonzero(others.squares < again.squares)
+        again.put(lower, Found(*(part[lower] for part in vars(others).values())))
+    lower = np.flatnonzero(again.squares < (1 - better) * found.squares[which])
+    found.put(which[lower], Found(*(part[lower] for part in vars(again).values())))
+    return which[lower]
