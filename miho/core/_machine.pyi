@@ -42,8 +42,7 @@ def climb(
     thetas: Array,
 ) -> tuple[int, int, int, int]: ...
 def fit_many(
-    value: Any,
-    slopes: Any,
+    tape: Any,
     X: Array,
     y: Array,
     ends: Integers,

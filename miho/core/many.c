@@ -47,21 +47,29 @@ typedef struct {
     int converged;
 } place;
 
+/* The values at a start (rows,), an orthonormal basis of the columns of the linear parameters
+   (linears, rows), and the triangular factor (linears, linears) of these columns in it. */
+typedef struct {
+    double *values, *basis, *factor;
+} look;
+
 typedef struct {
     const many_data *data;
     const many_starts *starts;
     const watch *by;
-    workspace *values, *slopes;
+    workspace *room;
     place here, trial, best;
     double *low, *high;         /* of the box, in search coordinates */
     double *step, *step_low, *step_high, *scale, *D;
     double *chunk;              /* (d + 1, stride): columns to fold */
-    double *looks;              /* (rows,): values of a start */
-    double *kept;               /* (brackets, size, N): values at all starts, NULL if not kept */
-    uint8_t *is_kept;           /* (brackets,) */
+    double *columns;            /* (d + 1, longest): all results of the tape at a start */
+    double *residuals;          /* (longest,) */
+    double *looks;              /* of one start, or kept of all */
+    uint8_t *is_kept;           /* (brackets size,) of those that are kept, NULL if none is */
+    double *q, *solved;         /* (linears,): of a start; (d,): the best one at its linear values */
     double *ends;               /* (brackets,): sums of squares at which descents ended */
     solver_room solver;
-    int64_t stride, rows, descents;
+    int64_t stride, longest, rows, descents;
     const double *X, *y;        /* of this dataset */
     double zero;                /* a sum of squares up to it is 0 to rounding */
     double worked;
@@ -99,19 +107,19 @@ static void evaluate(fitter *w, place *at) {
     memset(at->R, 0, (size_t)(side * side) * sizeof(double));
     at->squares = 0.0;
     set_units(w, at);
-    tape_start(data->slope_tape, at->theta, w->slopes);
+    tape_start(data->tape, at->theta, w->room);
     for (int64_t start = 0; start < w->rows && !w->stopped; start += CHUNK) {
         int64_t rows = w->rows - start < CHUNK ? w->rows - start : CHUNK;
-        tape_continue(data->slope_tape, w->X + start, data->N, rows, w->chunk, stride, w->slopes);
+        tape_continue(data->tape, w->X + start, data->N, rows, w->chunk, stride, w->room);
         for (int64_t k = 0; k < d; k++) {
             double *column = w->chunk + k * stride, factor = at->theta[k];
             if (data->log[k])
                 for (int64_t i = 0; i < rows; i++) column[i] *= factor;
         }
         for (int64_t i = 0; i < rows; i++) r[i] -= w->y[start + i];
-        at->squares += data->slope_tape->level->product_sum(r, r, rows);
-        data->slope_tape->level->fold(at->R, side, w->chunk, stride, rows, side);
-        spend(w, (double)(rows * (data->slope_tape->length + side * side)));
+        at->squares += data->tape->level->product_sum(r, r, rows);
+        data->tape->level->fold(at->R, side, w->chunk, stride, rows, side);
+        spend(w, (double)(rows * (data->tape->length + side * side)));
     }
     if (!isfinite(at->squares)) at->squares = INFINITY;
 }
@@ -234,49 +242,92 @@ static void descend_from(fitter *w, const double *theta) {
     }
 }
 
-/* The values at a start, over the rows from `start` on of this dataset. */
-static const double *look(fitter *w, int64_t at, const double *theta, int64_t start,
-                          int64_t rows) {
-    const many_data *data = w->data;
-    if (w->kept) return w->kept + at * data->N + start;
-    if (!start) tape_start(data->value_tape, theta, w->values);
-    tape_continue(data->value_tape, w->X + start, data->N, rows, w->looks, 0, w->values);
-    spend(w, (double)(rows * data->value_tape->length));
-    return w->looks;
+/* Where the look at a start is kept, or made. */
+static look look_of(const fitter *w, int64_t start) {
+    int64_t L = w->data->linears, size = (L + 1) * w->longest + L * L;
+    double *values = w->looks + (w->is_kept ? start * size : 0);
+    return (look){values, values + w->longest, values + (L + 1) * w->longest};
 }
 
-/* Keep the values at the starts of a bracket, which are those of all datasets. */
-static void keep_values(fitter *w, int64_t bracket) {
+/* Look at a start, by Gram's and Schmidt's method; a column that depends on those before it is left
+   out, with a pivot of 0. */
+static look look_at(fitter *w, int64_t start, const double *theta) {
     const many_data *data = w->data;
-    int64_t size = w->starts->size;
-    if (!w->kept || w->is_kept[bracket]) return;
-    for (int64_t k = bracket * size; k < (bracket + 1) * size; k++) {
-        tape_start(data->value_tape, w->starts->starts + k * data->d, w->values);
-        tape_continue(data->value_tape, data->X, data->N, data->N, w->kept + k * data->N, 0,
-                      w->values);
+    int64_t L = data->linears, n = w->rows;
+    const level *level = data->tape->level;
+    look at = look_of(w, start);
+    if (w->is_kept && w->is_kept[start]) return at;
+    tape_start(data->tape, theta, w->room);
+    tape_continue(data->tape, w->X, data->N, n, w->columns, w->longest, w->room);
+    copy(w->columns + data->d * w->longest, at.values, n);
+    for (int64_t j = 0; j < L; j++) {
+        double *q = at.basis + j * w->longest;
+        copy(w->columns + data->linear[j] * w->longest, q, n);
+        double before = sqrt(level->product_sum(q, q, n));
+        for (int64_t i = 0; i < j; i++) {
+            const double *other = at.basis + i * w->longest;
+            double product = at.factor[i * L + j] = level->product_sum(other, q, n);
+            for (int64_t k = 0; k < n; k++) q[k] -= product * other[k];
+        }
+        double norm = sqrt(level->product_sum(q, q, n));
+        int dependent = norm <= DEPENDENT * before;
+        for (int64_t k = 0; k < n; k++) q[k] = dependent ? 0.0 : q[k] / norm;
+        at.factor[j * L + j] = dependent ? 0.0 : norm;
     }
-    w->is_kept[bracket] = 1;
+    if (w->is_kept) w->is_kept[start] = 1;
+    spend(w, (double)(n * (data->tape->length + L * L + 1)));
+    return at;
 }
 
-/* The start of a bracket with the lowest sum of squares, NULL if none is finite. */
-static const double *best_start(fitter *w, int64_t bracket) {
-    const many_starts *starts = w->starts;
-    const double *found = NULL;
+/* Solve for the linear parameters within the box, from their values at a start, into w.step; by how
+   much the sum of squares is larger for the box. */
+static double solve_linear(fitter *w, const look *at, const double *theta) {
+    const many_data *data = w->data;
+    int64_t L = data->linears;
+    int inside = 1;
+    for (int64_t j = L - 1; j >= 0; j--) {
+        double right = w->q[j], pivot = at->factor[j * L + j], start = theta[data->linear[j]];
+        for (int64_t k = j + 1; k < L; k++) right -= at->factor[j * L + k] * w->step[k];
+        w->step[j] = pivot > 0.0 ? right / pivot : 0.0;
+        w->step_low[j] = data->low[data->linear[j]] - start;
+        w->step_high[j] = data->high[data->linear[j]] - start;
+        inside = inside && w->step_low[j] <= w->step[j] && w->step[j] <= w->step_high[j];
+    }
+    if (inside) return 0.0;
+    for (int64_t j = 0; j < L; j++) {
+        w->q[j] = -w->q[j];
+        w->scale[j] = 0.0;
+    }
+    box_problem b = {at->factor, w->q, w->scale, w->step_low, w->step_high, L, 1, L};
+    solve_in_box(&b, w->step, &w->solver);
+    return square_norm(&b, w->step);
+}
+
+/* The start of a bracket with the lowest sum of squares over its linear parameters, into w.solved;
+   0 if none is finite. */
+static int best_start(fitter *w, int64_t bracket) {
+    const many_data *data = w->data;
+    const level *level = data->tape->level;
+    int64_t size = w->starts->size, L = data->linears;
     double least = INFINITY;
-    keep_values(w, bracket);
-    for (int64_t k = bracket * starts->size; k < (bracket + 1) * starts->size; k++) {
-        const double *theta = starts->starts + k * w->data->d;
-        double total = 0.0;
-        for (int64_t start = 0; start < w->rows && total < least; start += CHUNK) {
-            int rows = (int)(w->rows - start < CHUNK ? w->rows - start : CHUNK);
-            const double *values = look(w, k, theta, start, rows);
-            total += w->data->value_tape->level->square_sum(values, w->y + start, rows);
+    for (int64_t k = bracket * size; k < (bracket + 1) * size && !w->stopped; k++) {
+        const double *theta = w->starts->starts + k * data->d;
+        look at = look_at(w, k, theta);
+        for (int64_t i = 0; i < w->rows; i++) w->residuals[i] = w->y[i] - at.values[i];
+        double total = level->product_sum(w->residuals, w->residuals, w->rows);
+        for (int64_t j = 0; j < L; j++) {
+            const double *basis = at.basis + j * w->longest;
+            w->q[j] = level->product_sum(basis, w->residuals, w->rows);
+            total -= w->q[j] * w->q[j];
         }
         if (!(total < least)) continue;
+        total += solve_linear(w, &at, theta);
+        if (!(total < least)) continue;
         least = total;
-        found = theta;
+        copy(theta, w->solved, data->d);
+        for (int64_t j = 0; j < L; j++) w->solved[data->linear[j]] += w->step[j];
     }
-    return found;
+    return least < INFINITY;
 }
 
 static int in_optimum(const fitter *w, double best, double end) {
@@ -356,7 +407,7 @@ static void fit_one(fitter *w, int64_t k, int64_t i, many_ends *out) {
     for (int64_t start = 0; start < w->rows; start += CHUNK) {
         int64_t rows = w->rows - start < CHUNK ? w->rows - start : CHUNK;
         const double *y = w->y + start;
-        w->zero += ROUNDING * ROUNDING * data->slope_tape->level->product_sum(y, y, rows);
+        w->zero += ROUNDING * ROUNDING * data->tape->level->product_sum(y, y, rows);
     }
     w->best.squares = INFINITY;
     w->best.converged = 0;
@@ -368,9 +419,8 @@ static void fit_one(fitter *w, int64_t k, int64_t i, many_ends *out) {
             descend_from(w, starts->starts + (bracket * starts->size + j) * d);
     } else {
         for (int64_t j = 0; j < starts->brackets && !evident && !w->stopped; j++) {
-            const double *theta = best_start(w, j);
-            if (!theta) continue;
-            descend_from(w, theta);
+            if (!best_start(w, j)) continue;
+            descend_from(w, w->solved);
             evident = is_enough(w);
         }
     }
@@ -391,34 +441,34 @@ static int open_room(fitter *w) {
     for (int64_t k = 0; k < data->datasets; k++)
         if (data->ends[k + 1] - data->ends[k] > longest)
             longest = data->ends[k + 1] - data->ends[k];
-    if (longest > CHUNK) longest = CHUNK;
-    w->stride = (longest + 7) / 8 * 8 + 8;
-    int64_t number = starts->brackets * starts->size;
-    int64_t keeps = data->shared && !starts->own && number <= MOST_KEPT / data->N;
+    w->longest = starts->own ? 0 : longest;
+    w->stride = ((longest < CHUNK ? longest : CHUNK) + 7) / 8 * 8 + 8;
+    int64_t L = data->linears, number = starts->brackets * starts->size;
+    int64_t look = (L + 1) * w->longest + L * L;
+    int keeps = data->shared && !starts->own && number <= MOST_KEPT / look;
     int64_t descents = starts->own ? starts->size : starts->brackets;
-    int64_t size = 3 * (2 * d + side * side) + 9 * d + side * w->stride + w->stride + descents +
-        side * 2 * d + side * side;
-    double *room = malloc((size_t)size * sizeof(double));
-    w->kept = keeps ? malloc((size_t)(number * data->N) * sizeof(double)) : NULL;
-    w->is_kept = calloc((size_t)starts->brackets, 1);
-    w->values = tape_open(data->value_tape, longest);
-    w->slopes = tape_open(data->slope_tape, longest);
-    w->low = room;
-    if (!room || (keeps && !w->kept) || !w->is_kept || !w->values || !w->slopes) return 0;
+    int64_t size = 17 * d + 4 * side * side + side * 2 * d + side * w->stride + descents +
+        (d + 2) * w->longest + look * (keeps ? number : 1);
+    double *room = w->low = malloc((size_t)size * sizeof(double));
+    w->is_kept = keeps ? calloc((size_t)number, 1) : NULL;
+    w->room = tape_open(data->tape, longest);
+    if (!room || (keeps && !w->is_kept) || !w->room) return 0;
     double **const vectors[] = {
         &w->low, &w->high, &w->step, &w->step_low, &w->step_high, &w->scale, &w->D,
         &w->solver.free, &w->solver.solution, &w->here.x, &w->here.theta, &w->trial.x,
-        &w->trial.theta, &w->best.x, &w->best.theta,
+        &w->trial.theta, &w->best.x, &w->best.theta, &w->q, &w->solved,
     };
-    for (int k = 0; k < 15; k++, room += d) *vectors[k] = room;
+    for (int k = 0; k < 17; k++, room += d) *vectors[k] = room;
     double **const squares[] = {&w->here.R, &w->trial.R, &w->best.R, &w->solver.T};
     for (int k = 0; k < 4; k++, room += side * side) *squares[k] = room;
     w->solver.columns = room;
     w->chunk = w->solver.columns + side * 2 * d;
-    w->looks = w->chunk + side * w->stride;
-    w->ends = w->looks + w->stride;
+    w->ends = w->chunk + side * w->stride;
+    w->columns = w->ends + descents;
+    w->residuals = w->columns + side * w->longest;
+    w->looks = w->residuals + w->longest;
     w->solver.d = d;
-    w->solver.level = data->slope_tape->level;
+    w->solver.level = data->tape->level;
     set_coordinates(w, data->low, w->low);
     set_coordinates(w, data->high, w->high);
     return 1;
@@ -433,9 +483,7 @@ int fit_many(const many_data *data, const many_starts *starts, const int64_t *wh
     w.by = by;
     int done = open_room(&w);
     for (int64_t i = 0; done && i < n && !w.stopped; i++) fit_one(&w, which[i], i, out);
-    tape_close(w.values);
-    tape_close(w.slopes);
-    free(w.kept);
+    tape_close(w.room);
     free(w.is_kept);
     free(w.low);
     return done;

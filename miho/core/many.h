@@ -5,19 +5,22 @@
 #include "search.h"
 
 /* Datasets of columns X (p, N) and y: the k-th has the rows from ends[k] to ends[k + 1] of both, or,
-   if X is `shared`, all N of X. The slope tape's results are d derivatives and the value. */
+   if X is `shared`, all N of X. The tape's results are d derivatives and the value, which is linear
+   in the `linear` parameters jointly. */
 typedef struct {
-    const tape *value_tape, *slope_tape;
+    const tape *tape;
     const double *X, *y;
     const int64_t *ends;
     int64_t N, datasets, d;
     int shared;
     const double *low, *high;
     const uint8_t *log;
+    const int64_t *linear;
+    int64_t linears;
 } many_data;
 
-/* Starts (brackets, size, d) in units, for all datasets: a descent from the best of each bracket,
-   until `few` have all ended in one optimum, or the evidence is enough, or no bracket is left. With
+/* Starts (brackets, size, d) in units, for all datasets: a descent from the best of each bracket, at
+   the best values of its linear parameters, until `few` have all ended in one optimum, or the evidence is enough, or no bracket is left. With
    `own`, starts (brackets, size, d) are for one dataset each, or for all if brackets is 1, and each
    of them is descended from. */
 typedef struct {

@@ -3,30 +3,25 @@
 #include "many.h"
 #include "module_arrays.h"
 
-static int take_tapes(PyObject *const *a, arrays *all, many_data *to) {
-    if (!PyCapsule_IsValid(a[0], "tape") || !PyCapsule_IsValid(a[1], "tape"))
-        return refuse(all, "the first arguments are tapes");
-    to->value_tape = PyCapsule_GetPointer(a[0], "tape");
-    to->slope_tape = PyCapsule_GetPointer(a[1], "tape");
-    to->d = to->value_tape->parameters;
+static int take_tape(PyObject *capsule, arrays *all, many_data *to) {
+    if (!PyCapsule_IsValid(capsule, "tape")) return refuse(all, "the first argument is a tape");
+    to->tape = PyCapsule_GetPointer(capsule, "tape");
+    to->d = to->tape->parameters;
     if (to->d < 1 || to->d > MOST_PARAMETERS)
         return refuse(all, "there are too few or many parameters");
-    if (to->value_tape->results != 1 || to->slope_tape->results != to->d + 1 ||
-        to->slope_tape->parameters != to->d ||
-        to->slope_tape->inputs != to->value_tape->inputs ||
-        to->slope_tape->level != to->value_tape->level)
-        return refuse(all, "the tapes are of other parameters, inputs or levels");
+    if (to->tape->results != to->d + 1)
+        return refuse(all, "the tape's results are not derivatives and value");
     return 1;
 }
 
 static int take_data(PyObject *const *a, arrays *all, many_data *to) {
-    int64_t X[] = {to->value_tape->inputs, -1}, rows = -1, ends = -1;
-    if (!(to->X = array_of(all, a[2], "X", 'd', 2, X)) ||
-        !(to->y = array_of(all, a[3], "y", 'd', 1, &rows)) ||
-        !(to->ends = array_of(all, a[4], "ends", 'l', 1, &ends))) return 0;
+    int64_t X[] = {to->tape->inputs, -1}, rows = -1, ends = -1;
+    if (!(to->X = array_of(all, a[1], "X", 'd', 2, X)) ||
+        !(to->y = array_of(all, a[2], "y", 'd', 1, &rows)) ||
+        !(to->ends = array_of(all, a[3], "ends", 'l', 1, &ends))) return 0;
     to->N = X[1];
     to->datasets = ends - 1;
-    to->shared = PyObject_IsTrue(a[5]);
+    to->shared = PyObject_IsTrue(a[4]);
     if (to->datasets < 1 || to->N < 1 || to->ends[0] || to->ends[ends - 1] != rows)
         return refuse(all, "ends are not those of the rows of y");
     if (!to->shared && to->N != rows) return refuse(all, "X and y differ in length");
@@ -39,12 +34,18 @@ static int take_data(PyObject *const *a, arrays *all, many_data *to) {
 }
 
 static int take_box(PyObject *box, arrays *all, many_data *to) {
-    PyObject *of[3];
-    for (int k = 0; k < 3; k++)
-        if (!(of[k] = field_of(all, box, k, 3, "box"))) return 0;
-    return (to->low = vector_of(all, of[0], "box.low", 'd', to->d)) &&
-        (to->high = vector_of(all, of[1], "box.high", 'd', to->d)) &&
-        (to->log = vector_of(all, of[2], "box.log", '?', to->d));
+    PyObject *of[4];
+    for (int k = 0; k < 4; k++)
+        if (!(of[k] = field_of(all, box, k, 4, "box"))) return 0;
+    to->linears = -1;
+    if (!(to->low = vector_of(all, of[0], "box.low", 'd', to->d)) ||
+        !(to->high = vector_of(all, of[1], "box.high", 'd', to->d)) ||
+        !(to->log = vector_of(all, of[2], "box.log", '?', to->d)) ||
+        !(to->linear = array_of(all, of[3], "box.linear", 'l', 1, &to->linears))) return 0;
+    for (int64_t k = 0; k < to->linears; k++)
+        if (to->linear[k] < (k ? to->linear[k - 1] + 1 : 0) || to->linear[k] >= to->d)
+            return refuse(all, "linear parameters are not in order, or none of the box");
+    return 1;
 }
 
 static int take_starts(PyObject *record, arrays *all, int64_t d, int64_t n, many_starts *to) {
@@ -74,10 +75,10 @@ static int take_which(PyObject *o, arrays *all, const many_data *data, const int
 
 static int take_ends(PyObject *const *a, arrays *all, int64_t d, int64_t n, many_ends *to) {
     int64_t thetas[] = {n, d}, covariance[] = {n, d, d}, flags[] = {n, FLAGS};
-    return (to->thetas = array_of(all, a[9], "thetas", 'D', 2, thetas)) &&
-        (to->squares = vector_of(all, a[10], "squares", 'D', n)) &&
-        (to->covariance = array_of(all, a[11], "covariance", 'D', 3, covariance)) &&
-        (to->flags = array_of(all, a[12], "flags", 'B', 2, flags));
+    return (to->thetas = array_of(all, a[8], "thetas", 'D', 2, thetas)) &&
+        (to->squares = vector_of(all, a[9], "squares", 'D', n)) &&
+        (to->covariance = array_of(all, a[10], "covariance", 'D', 3, covariance)) &&
+        (to->flags = array_of(all, a[11], "flags", 'B', 2, flags));
 }
 
 /* Whether a signal has come, such as that of Ctrl-C. */
@@ -90,10 +91,10 @@ static int signalled(void *state) {
 }
 
 const char fit_many_doc[] =
-    "fit_many(value, slopes, X (p, N), y, ends (M + 1,), shared, box, starts, which (n,), thetas "
+    "fit_many(tape, X (p, N), y, ends (M + 1,), shared, box, starts, which (n,), thetas "
     "(n, d), squares (n,), covariance (n, d, d), flags (n, 3)): fill the last four. See many.h.";
 PyObject *py_fit_many(PyObject *module, PyObject *const *a, Py_ssize_t count) {
-    if (count != 13) return PyErr_Format(PyExc_TypeError, "fit_many takes 13 arguments");
+    if (count != 12) return PyErr_Format(PyExc_TypeError, "fit_many takes 12 arguments");
     arrays all;
     memset(&all, 0, sizeof all);
     all.caller = "fit_many";
@@ -102,9 +103,9 @@ PyObject *py_fit_many(PyObject *module, PyObject *const *a, Py_ssize_t count) {
     many_ends ends;
     const int64_t *which;
     int64_t n;
-    int taken = take_tapes(a, &all, &data) && take_data(a, &all, &data) &&
-        take_box(a[6], &all, &data) && take_which(a[8], &all, &data, &which, &n) &&
-        take_starts(a[7], &all, data.d, n, &starts) && take_ends(a, &all, data.d, n, &ends);
+    int taken = take_tape(a[0], &all, &data) && take_data(a, &all, &data) &&
+        take_box(a[5], &all, &data) && take_which(a[7], &all, &data, &which, &n) &&
+        take_starts(a[6], &all, data.d, n, &starts) && take_ends(a, &all, data.d, n, &ends);
     int done = 0;
     if (taken) {
         PyThreadState *thread = PyEval_SaveThread();

@@ -26,6 +26,8 @@ FEW = 2
 """So many descents are enough where all of them ended in one optimum."""
 NUMBERS = 2_000_000
 """Values and derivatives of a call at one configuration of each dataset: a fraction of a second."""
+ROUNDING = 1e-12
+"""Residuals of this share of the data are rounding."""
 CONVERGED, EVIDENT, SINGULAR = 0, 1, 2
 
 
@@ -55,19 +57,18 @@ class MachineFits:
     model: Model
     space: Space
     datasets: Datasets
-    value: Tape
-    slopes: Tape
+    tape: Tape
     level: int = -1
 
     @classmethod
     def of(cls, model: Model, space: Space, datasets: Datasets) -> MachineFits | None:
         """The fits of a formula; None without a machine, and for what is no formula."""
-        if machine() is None or not isinstance(model, Expression) or model.tapes is None:
+        if machine() is None or not isinstance(model, Expression):
             return None
-        slopes = traced_together(
+        tape = traced_together(
             model.value, model.derivatives, len(model.inputs), len(model.parameters)
         )
-        return None if slopes is None else cls(model, space, datasets, model.tapes[0], slopes)
+        return None if tape is None else cls(model, space, datasets, tape)
 
     def search(
         self, which: Indices, seed: int, progress: Callable[[int], object], few: int = FEW
@@ -129,10 +130,15 @@ class MachineFits:
         data, space = self.datasets, self.space
         log = np.array([parameter.scale == "log" for parameter in space.parameters])
         box = tuple(np.array(end, dtype=float) for end in (space.low, space.high))
-        return (
-            self.value.at_level(self.level), self.slopes.at_level(self.level), data.X, data.y,
-            data.ends, data.shared, (*box, log),
-        )  # fmt: skip
+        linear = np.array(self._linear, dtype=np.int64)
+        tape = self.tape.at_level(self.level)
+        return tape, data.X, data.y, data.ends, data.shared, (*box, log, linear)
+
+    @cached_property
+    def _linear(self) -> list[int]:
+        """The positions of the parameters in which the model is jointly linear."""
+        names = self.model.linear
+        return [k for k, name in enumerate(self.space.names) if name in names]
 
 
 def checked(
@@ -148,6 +154,8 @@ def checked(
         others = fits.descend(which, ends[None])
         lower = np.flatnonzero(others.squares < again.squares)
         again.put(lower, Found(*(part[lower] for part in vars(others).values())))
-    lower = np.flatnonzero(again.squares < (1 - better) * found.squares[which])
+    zero = ROUNDING**2 * np.array([np.sum(fits.datasets.output(k) ** 2) for k in which])
+    least = (1 - better) * found.squares[which] - zero
+    lower = np.flatnonzero(again.squares < least)
     found.put(which[lower], Found(*(part[lower] for part in vars(again).values())))
     return which[lower]
