@@ -8,6 +8,7 @@ import pytest
 from scipy.optimize import curve_fit
 
 import miho
+from miho.core import machine
 
 BOX = {"a": (0, 10), "b": (0.05, 20), "c": (-5, 5)}
 t = np.linspace(0, 3, 50)
@@ -90,14 +91,74 @@ def test_a_parameter_at_its_bound_has_no_error() -> None:
     assert table["a_error"].isna().all()
 
 
+PHASES = np.random.default_rng(4).uniform(0.5, 9.0, 40)
+
+
 @pytest.mark.slow
-def test_many_optima_are_told_of() -> None:
-    """A sine's phase and period: descents from a few others' optima end in wrong periods."""
-    phases = rng.uniform(0.5, 9.0, 40)
-    waves = np.array([np.sin(w * 4 * t) for w in phases]) + 0.01 * rng.standard_normal((40, 50))
+@pytest.mark.parametrize("top", [10, 200])
+def test_many_optima_are_told_of(top: float) -> None:
+    """A sine's period: descents of what is no formula end in wrong ones, and so do those of a
+    formula in a box that has hundreds of optima."""
+    rng = np.random.default_rng(0)
+    rises = np.sort(rng.uniform(0, 3, 50))
+    rates = rng.uniform(0.5, top, 40)
+    waves = np.sin(rates[:, None] * 4 * rises) + 0.01 * rng.standard_normal((40, 50))
+
+    def wave(t, w):
+        return np.sin(w * 4 * (t if top > 10 else np.asarray(t)))
+
     with pytest.warns(UserWarning, match="have a better optimum than their descent found"):
-        table = miho.fit_many(lambda t, w: np.sin(w * 4 * t), t, waves, {"w": (0.1, 10)})
+        table = miho.fit_many(wave, rises, waves, {"w": (0.1, top)})
     assert table.attrs["better"] > 0
+
+
+@pytest.mark.skipif(machine() is None, reason="without the machine some end elsewhere")
+def test_many_optima_of_a_formula_are_not_mistaken_for_the_best() -> None:
+    waves = np.sin(PHASES[:, None] * 4 * t) + 0.01 * rng.standard_normal((40, 50))
+    table = miho.fit_many(lambda t, w: np.sin(w * 4 * t), t, waves, {"w": (0.1, 10)})
+    assert table["w"].tolist() == pytest.approx(PHASES.tolist(), abs=0.01)
+
+
+@pytest.mark.skipif(machine() is None, reason="without the machine some end elsewhere")
+def test_peaks_are_found_where_they_are() -> None:
+    """In a wide box, most of whose curves have no peak among the rows."""
+    x = np.linspace(0, 10, 50)
+    at = np.random.default_rng(5).uniform(1, 9, 100)
+    noise = 0.05 * np.random.default_rng(6).standard_normal((100, 50))
+    peaks = 3 * np.exp(-((x - at[:, None]) ** 2) / 0.5) + 1 + noise
+    table = miho.fit_many(
+        lambda x, a, m, s, c: a * np.exp(-((x - m) ** 2) / (2 * s**2)) + c,
+        x, peaks, {"a": (0, 400), "m": (0, 200), "s": (0.05, 200), "c": (-50, 100)},
+    )  # fmt: skip
+    assert table["m"].tolist() == pytest.approx(at.tolist(), abs=0.1)
+    assert table["converged"].all()
+    assert table.attrs == {"checked": 20, "better": 0}
+
+
+@pytest.mark.parametrize("model", [decay, opaque])
+def test_from_a_start_each_descends_alone(model) -> None:
+    searched = miho.fit_many(decay, t, y, BOX)
+    starts = {name: 1.2 * TRUTH[:, k] for k, name in enumerate("abc")}
+    one = {"a": 2.0, "b": 1.0, "c": 0.0}
+    for start in (starts, one, {**one, "b": starts["b"]}):
+        table = miho.fit_many(model, t, y, BOX, start=start)
+        assert table.attrs == {"checked": 0, "better": 0}
+        assert table["converged"].all()
+        for name in NAMES:
+            assert table[name].tolist() == pytest.approx(searched[name].tolist(), abs=1e-4)
+            errors = searched[f"{name}_error"].tolist()
+            assert table[f"{name}_error"].tolist() == pytest.approx(errors, rel=1e-3)
+
+
+def test_a_start_goes_with_ties_and_constraints() -> None:
+    box = {"a": (0, 10), "c": (-5, 5)}
+    searched = miho.fit_many(decay, t, y[:3], box, tied={"b": "2 * a"}, constraints="c < a")
+    table = miho.fit_many(
+        decay, t, y[:3], box, tied={"b": "2 * a"}, constraints="c < a",
+        start={"a": TRUTH[:3, 0], "c": 0.1},
+    )  # fmt: skip
+    for name in NAMES:
+        assert table[name].tolist() == pytest.approx(searched[name].tolist(), abs=1e-4)
 
 
 def test_what_does_not_fit_together_is_refused_in_a_line() -> None:
@@ -108,6 +169,13 @@ def test_what_does_not_fit_together_is_refused_in_a_line() -> None:
         ((decay, t[:7], y, BOX), {}, "differ in length"),
         ((decay, t, np.where(y > 1, np.nan, y), BOX), {}, "a number is missing"),
         ((decay, t, y, {"a": (0, 1)}), {}, "b has no bounds"),
+        ((decay, t, y, BOX), {"start": {"a": 1, "b": 1}}, "lacks c"),
+        ((decay, t, y, BOX), {"start": {"a": [1, 2], "b": 1, "c": 1}}, "a has 2 values"),
+        ((decay, t, y, BOX), {"start": {"a": [], "b": 1, "c": 1}}, "a has 0 values"),
+        ((decay, t, y, BOX), {"start": {"a": 1, "b": 1, "c": 9}}, "c is 9; give one from -5"),
+        ((decay, t, y, BOX), {"start": {"a": 1, "b": 1, "c": np.nan}}, "c is nan"),
+        ((decay, -1e9 * t, y, {**BOX, "b": (1, 2)}), {}, "is not finite at t"),
+        ((decay, t, np.vstack([y[:1], y[1:] * np.inf]), BOX), {}, "dataset 1: holds values"),
     ):
         with pytest.raises(ValueError, match=message) as caught:
             miho.fit_many(*arguments, **keywords)

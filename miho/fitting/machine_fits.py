@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import Any
 
@@ -22,7 +22,7 @@ from miho.quantities import Array
 
 BRACKETS, FIRST, SIZE = 32, 4, 32
 """Brackets at most, those that nearly all datasets need, and the starts of each."""
-FEW = 2
+FEW = 3
 """So many descents are enough where all of them ended in one optimum."""
 NUMBERS = 2_000_000
 """Values and derivatives of a call at one configuration of each dataset: a fraction of a second."""
@@ -38,10 +38,14 @@ class Found(Ends):
     covariance: Array
     flags: NDArray[np.bool_]
 
+    def some(self, at: Indices) -> Found:
+        """Those at some positions."""
+        return Found(*(getattr(self, field.name)[at] for field in fields(self)))
+
     def put(self, at: Indices, other: Found) -> None:
-        """Replace some of them."""
-        for name in ("thetas", "squares", "converged", "covariance", "flags"):
-            getattr(self, name)[at] = getattr(other, name)
+        """Replace those at some positions."""
+        for field in fields(self):
+            getattr(self, field.name)[at] = getattr(other, field.name)
 
 
 @dataclass(frozen=True)
@@ -71,7 +75,7 @@ class MachineFits:
         return None if tape is None else cls(model, space, datasets, tape)
 
     def search(
-        self, which: Indices, seed: int, progress: Callable[[int], object], few: int = FEW
+        self, which: Indices, seed: Sequence[int], progress: Callable[[int], object], few: int = FEW
     ) -> Found:
         """The optima of some datasets, with evidence where `few` descents or the rule give it."""
         found = self._fit(which, self._brackets(seed, FIRST), few, False, progress)
@@ -96,10 +100,10 @@ class MachineFits:
             found.covariance[singular] = batch.covariance(ends)
         return found.covariance
 
-    def _brackets(self, seed: int, count: int) -> Array:
+    def _brackets(self, seed: Sequence[int], count: int) -> Array:
         """The starts (count, SIZE, d) of the first brackets, in units."""
         drawn = [
-            draw_starts(self.space, SIZE, np.random.default_rng([seed, k]), k)
+            draw_starts(self.space, SIZE, np.random.default_rng([*seed, k]), k)
             for k in range(1, count + 1)
         ]
         return np.ascontiguousarray(self.space.decode(np.concatenate(drawn))).reshape(
@@ -141,21 +145,20 @@ class MachineFits:
         return [k for k, name in enumerate(self.space.names) if name in names]
 
 
-def checked(
-    fits: MachineFits, found: Found, which: Indices, seed: int, better: float
-) -> Indices:
-    """Search some datasets until the rule of evidence is met, and from where the others ended.
+def checked(fits: MachineFits, found: Found, which: Indices, seed: int, better: float) -> Indices:
+    """Search some datasets by brackets of their own until the rule of evidence is met.
 
+    They also descend from where the others of them ended.
     Gives those of which the sum of squares is lower by this share, after putting them right.
     """
-    again = fits.search(which, seed, lambda _: None, few=BRACKETS)
+    again = fits.search(which, (seed, 1), lambda _: None, few=BRACKETS)
     ends = found.thetas[which[np.isfinite(found.squares[which])]]
     if len(ends):
         others = fits.descend(which, ends[None])
         lower = np.flatnonzero(others.squares < again.squares)
-        again.put(lower, Found(*(part[lower] for part in vars(others).values())))
+        again.put(lower, others.some(lower))
     zero = ROUNDING**2 * np.array([np.sum(fits.datasets.output(k) ** 2) for k in which])
     least = (1 - better) * found.squares[which] - zero
     lower = np.flatnonzero(again.squares < least)
-    found.put(which[lower], Found(*(part[lower] for part in vars(again).values())))
+    found.put(which[lower], again.some(lower))
     return which[lower]
