@@ -1,4 +1,4 @@
-"""A fit from a script: `miho.fit` and `fit_many` beside SciPy's curve_fit and lmfit, if installed.
+"""A fit from a script: `miho.fit` beside SciPy's curve_fit, and lmfit, if installed.
 
 python -m experiments.benchmarks.fit [--quick] [--output FOLDER]
 
@@ -25,7 +25,7 @@ from experiments.benchmarks.bars import AT_MOST, Bar, Measured, benchmark, turns
 from miho.analysis.figures.benchmark import run_figure
 from miho.quantities import Array
 
-ROWS, MANY, SHORT = 300, 10_000, 50
+ROWS = 300
 TRUTH = {"a": 3.0, "b": 0.7, "c": 6.0, "d": 1.2, "e": 2.0}
 BOX = {"a": (-20, 20), "b": (0.01, 20), "c": (0, 10), "d": (0.05, 10), "e": (-20, 20)}
 NEAR = {name: 1.2 * value for name, value in TRUTH.items()}
@@ -63,18 +63,8 @@ def bump(x: Array, a: float, b: float, c: float, d: float, e: float) -> Array:
     return a * np.exp(-b * x) + e * np.exp(-(((x - c) / d) ** 2))
 
 
-def decay(x: Array, a: float, b: float, c: float) -> Array:
-    """A decay to a level."""
-    return a * np.exp(-b * x) + c
-
-
-def opaque(x: Array, a: float, b: float, c: float) -> Array:
-    """The same in a form that is no formula, and cannot be compiled."""
-    return decay(np.asarray(x), a, b, c)
-
-
 def measure(quick: bool) -> Measured:
-    """Milliseconds of one fit, seconds of many."""
+    """Milliseconds of one fit."""
     rng = np.random.default_rng(0)
     x = np.linspace(0, 10, ROWS)
     y = bump(x, **TRUTH) + 0.05 * rng.standard_normal(ROWS)
@@ -88,19 +78,7 @@ def measure(quick: bool) -> Measured:
     ]
     if "lmfit" in of:
         bars.append(Bar("against lmfit", of["miho.fit"] / of["lmfit"], AT_MOST, 1.0, "times"))
-    t = np.linspace(0, 3, SHORT)
-    count = MANY // (10 if quick else 1)
-    theta = rng.uniform([[0.5], [0.3], [-1.0]], [[5.0], [5.0], [1.0]], (3, count))[..., None]
-    values = decay(t, *theta) + 0.02 * rng.standard_normal((count, SHORT))
-    box = {"a": (0, 10), "b": (0.05, 20), "c": (-5, 5)}
     notes = []
-    for model, limit in ((decay, 3.0), (opaque, 20.0)):
-        miho.fit_many(model, t, values[:100], box)
-        started = time.perf_counter()
-        table = miho.fit_many(model, t, values, box)
-        taken = time.perf_counter() - started
-        bars.append(Bar(f"fit_many of {count:,}, {model.__name__}", taken, AT_MOST, limit, "s"))
-        notes.append(f"{model.__name__}: {int(table['converged'].sum()):,} of {count:,} converged")
     first = first_fits()
     bars.append(Bar("the README's fit, first", first["the README's"], AT_MOST, 1.0, "s of CPU"))
     notes.append("first fits, CPU s: " + ", ".join(f"{k} {v:.2f}" for k, v in first.items()))

@@ -76,6 +76,14 @@ typedef struct {
     int stopped;
 } fitter;
 
+/* Sums are in eight lanes: rows of zeros up to a multiple of it change no bit of them, and cost less
+   than a rest. */
+static int64_t whole(int64_t rows) { return (rows + 7) / 8 * 8; }
+
+static void pad(double *column, int64_t rows) {
+    for (int64_t i = rows; i < whole(rows); i++) column[i] = 0.0;
+}
+
 static void spend(fitter *w, double operations) {
     w->worked += operations;
     if (w->worked < OPERATIONS_OF_WATCH) return;
@@ -117,8 +125,9 @@ static void evaluate(fitter *w, place *at) {
                 for (int64_t i = 0; i < rows; i++) column[i] *= factor;
         }
         for (int64_t i = 0; i < rows; i++) r[i] -= w->y[start + i];
-        at->squares += data->tape->level->product_sum(r, r, rows);
-        data->tape->level->fold(at->R, side, w->chunk, stride, rows, side);
+        for (int64_t k = 0; k < side; k++) pad(w->chunk + k * stride, rows);
+        at->squares += data->tape->level->product_sum(r, r, whole(rows));
+        data->tape->level->fold(at->R, side, w->chunk, stride, whole(rows), side);
         spend(w, (double)(rows * (data->tape->length + side * side)));
     }
     if (!isfinite(at->squares)) at->squares = INFINITY;
@@ -253,7 +262,7 @@ static look look_of(const fitter *w, int64_t start) {
    out, with a pivot of 0. */
 static look look_at(fitter *w, int64_t start, const double *theta) {
     const many_data *data = w->data;
-    int64_t L = data->linears, n = w->rows;
+    int64_t L = data->linears, n = w->rows, padded = whole(n);
     const level *level = data->tape->level;
     look at = look_of(w, start);
     if (w->is_kept && w->is_kept[start]) return at;
@@ -263,13 +272,14 @@ static look look_at(fitter *w, int64_t start, const double *theta) {
     for (int64_t j = 0; j < L; j++) {
         double *q = at.basis + j * w->longest;
         copy(w->columns + data->linear[j] * w->longest, q, n);
-        double before = sqrt(level->product_sum(q, q, n));
+        pad(q, n);
+        double before = sqrt(level->product_sum(q, q, padded));
         for (int64_t i = 0; i < j; i++) {
             const double *other = at.basis + i * w->longest;
-            double product = at.factor[i * L + j] = level->product_sum(other, q, n);
+            double product = at.factor[i * L + j] = level->product_sum(other, q, padded);
             for (int64_t k = 0; k < n; k++) q[k] -= product * other[k];
         }
-        double norm = sqrt(level->product_sum(q, q, n));
+        double norm = sqrt(level->product_sum(q, q, padded));
         int dependent = norm <= DEPENDENT * before;
         for (int64_t k = 0; k < n; k++) q[k] = dependent ? 0.0 : q[k] / norm;
         at.factor[j * L + j] = dependent ? 0.0 : norm;
@@ -308,16 +318,17 @@ static double solve_linear(fitter *w, const look *at, const double *theta) {
 static int best_start(fitter *w, int64_t bracket) {
     const many_data *data = w->data;
     const level *level = data->tape->level;
-    int64_t size = w->starts->size, L = data->linears;
+    int64_t size = w->starts->size, L = data->linears, padded = whole(w->rows);
     double least = INFINITY;
+    pad(w->residuals, w->rows);
     for (int64_t k = bracket * size; k < (bracket + 1) * size && !w->stopped; k++) {
         const double *theta = w->starts->starts + k * data->d;
         look at = look_at(w, k, theta);
         for (int64_t i = 0; i < w->rows; i++) w->residuals[i] = w->y[i] - at.values[i];
-        double total = level->product_sum(w->residuals, w->residuals, w->rows);
+        double total = level->product_sum(w->residuals, w->residuals, padded);
         for (int64_t j = 0; j < L; j++) {
             const double *basis = at.basis + j * w->longest;
-            w->q[j] = level->product_sum(basis, w->residuals, w->rows);
+            w->q[j] = level->product_sum(basis, w->residuals, padded);
             total -= w->q[j] * w->q[j];
         }
         if (!(total < least)) continue;
@@ -441,8 +452,8 @@ static int open_room(fitter *w) {
     for (int64_t k = 0; k < data->datasets; k++)
         if (data->ends[k + 1] - data->ends[k] > longest)
             longest = data->ends[k + 1] - data->ends[k];
-    w->longest = starts->own ? 0 : longest;
-    w->stride = ((longest < CHUNK ? longest : CHUNK) + 7) / 8 * 8 + 8;
+    w->longest = starts->own ? 0 : whole(longest);
+    w->stride = whole(longest < CHUNK ? longest : CHUNK) + 8;
     int64_t L = data->linears, number = starts->brackets * starts->size;
     int64_t look = (L + 1) * w->longest + L * L;
     int keeps = data->shared && !starts->own && number <= MOST_KEPT / look;

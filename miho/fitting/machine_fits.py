@@ -20,8 +20,10 @@ from miho.optim import Space
 from miho.optim.brackets import draw_starts
 from miho.quantities import Array
 
-BRACKETS, FIRST, SIZE = 32, 4, 32
-"""Brackets at most, those that nearly all datasets need, and the starts of each."""
+BRACKETS, FIRST = 32, 4
+"""Brackets at most, and those that nearly all datasets need."""
+SIZE, LARGEST = 16, 64
+"""Starts of a bracket for each parameter that is not solved for, and at most."""
 FEW = 3
 """So many descents are enough where all of them ended in one optimum."""
 NUMBERS = 2_000_000
@@ -52,10 +54,10 @@ class Found(Ends):
 class MachineFits:
     """Fits of datasets, each by descents from the best starts of brackets of its own.
 
-    The brackets are the same for all datasets, and those of `MIHOGN` in how they are drawn, but
-    have SIZE starts, all of which are looked at on all rows, and one that descends. A dataset's
-    brackets end when FEW of them have all ended in one optimum, or by the rule of
-    `miho.optim.evidence`. So what is found of a dataset does not depend on the others.
+    The brackets are the same for all datasets, and those of `MIHOGN` in how they are drawn; but all
+    starts are looked at on all rows, and one descends. A dataset's brackets end when FEW of them
+    have all ended in one optimum, or by the rule of `miho.optim.evidence`. So what is found of a
+    dataset does not depend on the others.
     """
 
     model: Model
@@ -101,13 +103,14 @@ class MachineFits:
         return found.covariance
 
     def _brackets(self, seed: Sequence[int], count: int) -> Array:
-        """The starts (count, SIZE, d) of the first brackets, in units."""
+        """The starts (count, size, d) of the first brackets, in units."""
+        size = min(LARGEST, SIZE * max(1, len(self.space) - len(self._linear)))
         drawn = [
-            draw_starts(self.space, SIZE, np.random.default_rng([*seed, k]), k)
+            draw_starts(self.space, size, np.random.default_rng([*seed, k]), k)
             for k in range(1, count + 1)
         ]
         return np.ascontiguousarray(self.space.decode(np.concatenate(drawn))).reshape(
-            count, SIZE, -1
+            count, size, -1
         )
 
     def _fit(

@@ -1,0 +1,107 @@
+"""Thousands of small fits: `miho.fit_many` beside a loop of curve_fit, and lmfit, if installed.
+
+python -m experiments.benchmarks.many_fits [--quick] [--output FOLDER]
+
+A decay to a level: 50 rows, three parameters. Fits from a start descend from 20 % from the truth,
+those without one search the box. All take turns in one run on one thread. A rate is that of the
+fastest turn, which is one call for all datasets; of the rivals it is a loop over LOOPED of them.
+NumPy's `fit_many` is that of a function that cannot be traced.
+"""
+
+from __future__ import annotations
+
+import importlib
+import time
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import curve_fit
+
+import miho
+from experiments.benchmarks.bars import AT_LEAST, Bar, Measured, benchmark, turns
+from miho.analysis.figures.benchmark import run_figure
+from miho.quantities import Array
+
+DATASETS, ROWS, LOOPED = 10_000, 50, 300
+BOX = {"a": (0, 10), "b": (0.05, 20), "c": (-5, 5)}
+SAME = 1e-6
+"""Of the sum of squares: a fit whose sum is no larger than another's by more is as good."""
+
+
+def decay(x: Array, a: float, b: float, c: float) -> Array:
+    """A decay to a level."""
+    return a * np.exp(-b * x) + c
+
+
+def opaque(x: Array, a: float, b: float, c: float) -> Array:
+    """The same in a form that is no formula."""
+    return decay(np.asarray(x), a, b, c)
+
+
+def measure(quick: bool) -> Measured:
+    """Fits a second, and how many of a sample are as good as SciPy's from the truth."""
+    rng = np.random.default_rng(0)
+    count = DATASETS // (10 if quick else 1)
+    t = np.linspace(0, 3, ROWS)
+    truth = rng.uniform([0.5, 0.3, -1.0], [5.0, 5.0, 1.0], (count, 3))
+    y = decay(t, *truth.T[:, :, None]) + 0.02 * rng.standard_normal((count, ROWS))
+    near = 1.2 * truth
+    start = dict(zip(BOX, near.T, strict=True))
+    jobs: dict[str, Callable[[], object]] = {
+        "curve_fit, start": partial(looped, _curve_fit, t, y, near),
+        "fit_many, start": partial(miho.fit_many, decay, t, y, BOX, start=start),
+        "fit_many": partial(miho.fit_many, decay, t, y, BOX),
+    }
+    try:
+        lmfit = importlib.import_module("lmfit")
+    except ImportError:
+        pass
+    else:
+        model = lmfit.Model(decay)
+        jobs["lmfit, start"] = partial(
+            looped, lambda t, y, p: model.fit(y, x=t, a=p[0], b=p[1], c=p[2]), t, y, near
+        )
+    fits = {name: count if name.startswith("fit_many") else LOOPED for name in jobs}
+    seconds = {name: min(s) / fits[name] for name, s in turns(jobs, 3 if quick else 10).items()}
+    started = time.perf_counter()
+    miho.fit_many(opaque, t, y, BOX)
+    seconds["fit_many, NumPy"] = (time.perf_counter() - started) / count
+    frame = pd.DataFrame({"form": [*seconds], "seconds": [*seconds.values()]})
+    frame["fits a second"] = 1 / frame["seconds"]
+    frame["speedup"] = seconds["curve_fit, start"] / frame["seconds"]
+    rate = dict(zip(frame["form"], frame["fits a second"], strict=True))
+    bars = [
+        Bar("fit_many from a start", rate["fit_many, start"], AT_LEAST, 100_000, "fits/s"),
+        Bar("fit_many without a start", rate["fit_many"], AT_LEAST, 50_000, "fits/s"),
+    ]
+    for name, given in (("start", start), ("no start", None)):
+        table = miho.fit_many(decay, t, y, BOX, start=given)
+        share = float(np.mean(_as_good(table, t, y, truth)))
+        bars.append(Bar(f"as good as SciPy's from the truth, {name}", share, AT_LEAST, 1.0))
+    return Measured(frame[["form", "fits a second", "speedup"]], frame, bars)
+
+
+def looped(fit: Callable[[Array, Array, Array], object], t: Array, y: Array, near: Array) -> None:
+    """The fits of the first LOOPED datasets."""
+    for values, start in zip(y[:LOOPED], near[:LOOPED], strict=True):
+        fit(t, values, start)
+
+
+def _curve_fit(t: Array, y: Array, start: Array) -> object:
+    return curve_fit(decay, t, y, start)
+
+
+def _as_good(table: pd.DataFrame, t: Array, y: Array, truth: Array) -> list[bool]:
+    """Of the first datasets, whether SciPy finds no better fit from the truth."""
+    good = []
+    for k in range(LOOPED):
+        theta, _ = curve_fit(decay, t, y[k], truth[k], xtol=1e-12, ftol=1e-12)
+        error = np.sqrt(np.mean((decay(t, *theta) - y[k]) ** 2))
+        good.append(bool(table["error"].iloc[k] <= (1 + SAME) * error))
+    return good
+
+
+if __name__ == "__main__":
+    benchmark(__doc__, measure, run_figure, "many_fits")
