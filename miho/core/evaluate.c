@@ -15,7 +15,8 @@ static int rows_of_block(const tape *t) {
     return t->registers - t->inputs > MANY_REGISTERS ? MOST_ROWS / 2 : MOST_ROWS;
 }
 
-/* For blocks of so many rows. False without memory. `workspace.registers` is all there is to free. */
+/* For blocks of so many rows. False without memory. Besides, `workspace.registers` is all there is
+   to free. */
 static int allocate_rows(const tape *t, int rows, workspace *w) {
     size_t pointers = (size_t)t->registers + t->scalars;
     size_t of_work = t->registers - t->inputs - t->results + 1;

@@ -66,7 +66,7 @@ typedef struct {
     double *residuals;          /* (longest,) */
     double *looks;              /* of one start, or kept of all */
     uint8_t *is_kept;           /* (brackets size,) of those that are kept, NULL if none is */
-    double *q, *solved;         /* (linears,): of a start; (d,): the best one at its linear values */
+    double *q, *solved;         /* of a start (linears,); the best one at its linear values (d,) */
     double *ends;               /* (brackets,): sums of squares at which descents ended */
     solver_room solver;
     int64_t stride, longest, rows, descents;
@@ -76,8 +76,8 @@ typedef struct {
     int stopped;
 } fitter;
 
-/* Sums are in eight lanes: rows of zeros up to a multiple of it change no bit of them, and cost less
-   than a rest. */
+/* Sums are in eight lanes: rows of zeros up to a multiple of eight change no bit of them, and cost
+   less than a rest. */
 static int64_t whole(int64_t rows) { return (rows + 7) / 8 * 8; }
 
 static void pad(double *column, int64_t rows) {
@@ -139,7 +139,10 @@ static int set_scales(fitter *w, double fading) {
     double largest = 0.0;
     for (int64_t k = 0; k < d; k++) {
         double square = 0.0;
-        for (int64_t j = 0; j <= k; j++) square += w->here.R[j * side + k] * w->here.R[j * side + k];
+        for (int64_t j = 0; j <= k; j++) {
+            double value = w->here.R[j * side + k];
+            square += value * value;
+        }
         if (!isfinite(square)) return 0;
         w->D[k] = larger(sqrt(square), fading * w->D[k]);
         largest = larger(largest, w->D[k]);
@@ -246,9 +249,7 @@ static void descend_from(fitter *w, const double *theta) {
         return;
     }
     w->ends[w->descents++] = w->here.squares;
-    if (w->here.squares < w->best.squares) {
-        exchange(&w->here, &w->best);
-    }
+    if (w->here.squares < w->best.squares) exchange(&w->here, &w->best);
 }
 
 /* Where the look at a start is kept, or made. */
@@ -353,8 +354,10 @@ static int is_enough(const fitter *w) {
     for (int64_t k = 0; k < n; k++) {
         int is_new = 1;
         agreeing += in_optimum(w, w->best.squares, w->ends[k]);
-        for (int64_t j = 0; is_new && j < k; j++)
-            is_new = !in_optimum(w, smaller(w->ends[j], w->ends[k]), larger(w->ends[j], w->ends[k]));
+        for (int64_t j = 0; is_new && j < k; j++) {
+            double a = w->ends[j], b = w->ends[k];
+            is_new = !in_optimum(w, smaller(a, b), larger(a, b));
+        }
         optima += is_new;
     }
     if (n >= w->starts->few && agreeing == n && isfinite(w->best.squares)) return 1;
@@ -398,7 +401,8 @@ static int set_covariance(fitter *w, double *out) {
     for (int64_t i = 0; i < n; i++)
         for (int64_t j = i; j < n; j++) {
             double value = 0.0;
-            for (int64_t k = j; k < n; k++) value += columns[k * 2 * d + i] * columns[k * 2 * d + j];
+            for (int64_t k = j; k < n; k++)
+                value += columns[k * 2 * d + i] * columns[k * 2 * d + j];
             value *= variance / (norms[i] * norms[j]);
             out[(int64_t)free[i] * d + (int64_t)free[j]] = value;
             out[(int64_t)free[j] * d + (int64_t)free[i]] = value;

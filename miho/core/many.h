@@ -4,9 +4,9 @@
 
 #include "search.h"
 
-/* Datasets of columns X (p, N) and y: the k-th has the rows from ends[k] to ends[k + 1] of both, or,
-   if X is `shared`, all N of X. The tape's results are d derivatives and the value, which is linear
-   in the `linear` parameters jointly. */
+/* Datasets of columns X (p, N) and y: the k-th has the rows from ends[k] to ends[k + 1] of both;
+   or, if X is `shared`, all N of X. The tape's results are d derivatives and the value, which is
+   linear in the `linear` parameters jointly. */
 typedef struct {
     const tape *tape;
     const double *X, *y;
@@ -19,17 +19,17 @@ typedef struct {
     int64_t linears;
 } many_data;
 
-/* Starts (brackets, size, d) in units, for all datasets: a descent from the best of each bracket, at
-   the best values of its linear parameters, until `few` have all ended in one optimum, or the evidence is enough, or no bracket is left. With
-   `own`, starts (brackets, size, d) are for one dataset each, or for all if brackets is 1, and each
-   of them is descended from. */
+/* Starts (brackets, size, d) in units, for all datasets: a descent from the best of each bracket,
+   at its best values of the linear parameters, until `few` have all ended in one optimum, or the
+   evidence is enough, or no bracket is left. With `own`, starts (brackets, size, d) are for one
+   dataset each, or for all if brackets is 1, and each of them is descended from. */
 typedef struct {
     const double *starts;
     int64_t brackets, size, few;
     int own;
 } many_starts;
 
-/* Of a dataset: whether the descent converged, whether there is evidence of its minimum, and whether
+/* Of a dataset: whether the descent converged; whether there is evidence of its minimum; whether
    the derivatives are too close to being dependent for the covariance to be found here. */
 enum { CONVERGED, EVIDENT, SINGULAR, FLAGS };
 /* Of each dataset that was asked for: a configuration (d,), its sum of squares, the covariance
