@@ -2,7 +2,8 @@
 
 Below all other rooms: it knows arrays, no graph and no model. The machine is C, built when the
 library is installed; NumPy's form of it gives the same to rounding. It also searches formulas, by
-the brackets of `MIHOGN`, whose Python form is that of `miho.compiled`.
+the brackets of `MIHOGN`, whose Python form is that of `miho.compiled`, and makes thousands of small
+fits of a formula.
 """
 
 from miho.core.tape import OPERATIONS, Instruction, Tape, TapeError, machine

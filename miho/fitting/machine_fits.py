@@ -24,8 +24,9 @@ BRACKETS, FIRST = 32, 4
 """Brackets at most, and those that nearly all datasets need."""
 SIZE, LARGEST = 16, 64
 """Starts of a bracket for each parameter that is not solved for, and at most."""
-FEW = 3
-"""So many descents are enough where all of them ended in one optimum."""
+FEW, MANY = 2, 7
+"""So many descents, and one for each parameter that is not solved for, are enough where all of them
+ended in one optimum; from MANY on the rule of evidence says so."""
 NUMBERS = 2_000_000
 """Values and derivatives of a call at one configuration of each dataset: a fraction of a second."""
 ROUNDING = 1e-12
@@ -55,9 +56,9 @@ class MachineFits:
     """Fits of datasets, each by descents from the best starts of brackets of its own.
 
     The brackets are the same for all datasets, and those of `MIHOGN` in how they are drawn; but all
-    starts are looked at on all rows, and one descends. A dataset's brackets end when FEW of them
-    have all ended in one optimum, or by the rule of `miho.optim.evidence`. So what is found of a
-    dataset does not depend on the others.
+    starts are looked at on all rows, and one descends. A dataset's brackets end when the first
+    few have all ended in one optimum, or by the rule of `miho.optim.evidence`. So what is found of
+    a dataset does not depend on the others.
     """
 
     model: Model
@@ -77,9 +78,10 @@ class MachineFits:
         return None if tape is None else cls(model, space, datasets, tape)
 
     def search(
-        self, which: Indices, seed: Sequence[int], progress: Callable[[int], object], few: int = FEW
+        self, which: Indices, seed: Sequence[int], progress: Callable[[int], object], few: int = 0
     ) -> Found:
-        """The optima of some datasets, with evidence where `few` descents or the rule give it."""
+        """The optima of some datasets; `few` descents are enough where all end in one optimum."""
+        few = few or min(MANY, FEW + self._nonlinear)
         found = self._fit(which, self._brackets(seed, FIRST), few, False, progress)
         rest = np.flatnonzero(~found.flags[:, EVIDENT])
         if rest.size:
@@ -91,7 +93,7 @@ class MachineFits:
         self, which: Indices, starts: Array, progress: Callable[[int], object] = lambda _: None
     ) -> Found:
         """The best ends of descents from all starts, (M, s, d) for each dataset or (1, s, d)."""
-        return self._fit(which, starts, FEW, True, progress)
+        return self._fit(which, starts, 1, True, progress)
 
     def covariance(self, found: Found) -> Array:
         """The covariance (M, d, d), by NumPy where derivatives are close to being dependent."""
@@ -104,7 +106,7 @@ class MachineFits:
 
     def _brackets(self, seed: Sequence[int], count: int) -> Array:
         """The starts (count, size, d) of the first brackets, in units."""
-        size = min(LARGEST, SIZE * max(1, len(self.space) - len(self._linear)))
+        size = min(LARGEST, SIZE * self._nonlinear)
         drawn = [
             draw_starts(self.space, size, np.random.default_rng([*seed, k]), k)
             for k in range(1, count + 1)
@@ -140,6 +142,11 @@ class MachineFits:
         linear = np.array(self._linear, dtype=np.int64)
         tape = self.tape.at_level(self.level)
         return tape, data.X, data.y, data.ends, data.shared, (*box, log, linear)
+
+    @property
+    def _nonlinear(self) -> int:
+        """How many parameters are not solved for, at least 1."""
+        return max(1, len(self.space) - len(self._linear))
 
     @cached_property
     def _linear(self) -> list[int]:
