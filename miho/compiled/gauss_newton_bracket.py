@@ -54,11 +54,21 @@ POLISHING = 50
 """Steps for more digits at most: in a narrow valley they would go on for long."""
 
 
+def nearness(d: int, m: int, last: bool) -> tuple[float, float]:
+    """The squared distance within which a candidate is at a known minimum, and by which share its
+    loss is lower where it is not, on m rows."""
+    share = d / m
+    if last:
+        return min(NEAR * share, NEAR_LAST), 0.0
+    return NEAR * share, BETTER * share
+
+
 def rules_of(place: Integers, level_rows: Integers, d: int, settings: GNSettings) -> GNRules:
     """What the candidates of this phase may do."""
     phase, level = place[PHASE], place[LEVEL]
     m, last = level_rows[level], level == level_rows.size - 1
     share = d / m  # of a loss, which so many rows do not tell from noise
+    near, better = nearness(d, m, last)
     steps = UNLIMITED
     if phase == SCREEN:
         steps = 0
@@ -80,8 +90,8 @@ def rules_of(place: Integers, level_rows: Integers, d: int, settings: GNSettings
         int(settings.patience * (d + 1) * m) if alone else 0,
         settings.allowance if phase == REVIVE else 0,
         settings.progress,
-        min(NEAR * share, NEAR_LAST) if last else NEAR * share,
-        0.0 if last else BETTER * share,
+        near,
+        better,
         phase != POLISH,
         0.0 if phase == POLISH else settings.rounding,
     )
@@ -183,11 +193,9 @@ def look_again(
 
 def make_room(c: GNCandidates, place: Integers, level_rows: Integers, settings: GNSettings) -> None:
     """Have derivatives stored on this level, if there is room and they may be updated."""
-    m, projecting = level_rows[place[LEVEL]], 0
-    for i in range(place[SIZE]):
-        projecting += c.projects[i]
-    stores = place[SIZE] * (c.x.shape[1] + 1) * m <= settings.room
-    if settings.compiled and projecting == place[SIZE]:
+    m, size = level_rows[place[LEVEL]], place[SIZE]
+    stores = size * (c.x.shape[1] + 1) * m <= settings.room
+    if settings.compiled and c.projects[:size].sum() == size:
         stores = False
     place[STORED] = m if stores else 0
 

@@ -78,12 +78,10 @@ class GNCandidates(NamedTuple):
         """New candidates at unit coordinates (n, d)."""
         n, d = x.shape
         numbers, counts = np.zeros((n, 4 * d + 6 + levels)), np.zeros((n, 7), np.int64)
-        c = views(numbers, counts, np.zeros((n, d, d)), np.zeros((n, d + 1, 0)))
-        c.x[:] = c.trial[:] = x
-        c.loss[:] = c.predicted_gain[:] = np.inf
-        c.damping[:], c.growth[:], c.fading[:] = damping, 2.0, fading
-        c.stage[:], c.projects[:] = ENTER, projects
-        return c
+        numbers[:, :d] = numbers[:, d : 2 * d] = x
+        numbers[:, 4 * d : 4 * d + 6] = np.inf, damping, 2.0, np.inf, 0.0, fading
+        counts[:, 0], counts[:, 6] = ENTER, projects
+        return views(numbers, counts, np.zeros((n, d, d)), np.zeros((n, d + 1, 0)))
 
     def first(self) -> GNCandidates:
         """A copy of the first, without derivatives."""

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from miho.optim.space import Space
+from miho.optim.space import Parameter, Space
 from miho.quantities import Array
 from miho.validate import positive_settings, whole, whole_settings
 
@@ -118,16 +118,28 @@ def by_scale(u: Array, space: Space, decades: int = 3) -> Array:
     likely. Shares of any other range are given back as they are; so are those on the log scale,
     which are log-uniform already.
     """
-    low, high = space.low, space.high
-    linear = np.array([p.scale != "log" for p in space.parameters])
-    spanning, above = (low < 0) & (high > 0), (low >= 0) & (10 * low < high)
-    below = (high <= 0) & (low < 10 * high)
-    negative = below | (spanning & (u < 0.5))
-    # Sizes reach from the end near zero to the far one.
-    shares = np.where(spanning, np.abs(2 * u - 1), np.where(below, 1 - u, u))
-    far = np.where(negative, -low, high)
-    near = np.maximum(np.where(negative, -high, low), far * 10.0**-decades)
-    with np.errstate(all="ignore"):  # of ranges that are not scaled
-        sizes = near * (far / near) ** np.clip(shares, 0.0, 1.0)
-        scaled = (np.where(negative, -sizes, sizes) - low) / (high - low)
-    return np.where(linear & (spanning | above | below), scaled, u)
+    if decades not in space.scales:
+        space.scales[decades] = np.array([_scale(p, decades) for p in space.parameters]).T
+    scaled, negative_below, offset, slope, *ends = space.scales[decades]
+    negative = u < negative_below
+    near, ratio = np.where(negative, ends[0], ends[1]), np.where(negative, ends[2], ends[3])
+    values = near * ratio ** np.abs(offset + slope * u)
+    return np.where(scaled > 0, (values - space.low) / (space.high - space.low), u)
+
+
+def _scale(parameter: Parameter, decades: int) -> tuple[float, ...]:
+    """How `by_scale` draws a parameter: whether it does; the share below which values are negative;
+    offset and slope of the share of the decades over that of the range; the values nearest to zero,
+    the negative one first, and the ratios of the farthest ones to them.
+    """
+    low, high = parameter.low, parameter.high
+    least = 10.0**-decades
+    smallest = max(-high, -low * least), max(low, high * least)
+    if parameter.scale != "log" and low < 0 < high:
+        ratios = low / -smallest[0], high / smallest[1]
+        return 1.0, 0.5, -1.0, 2.0, -smallest[0], smallest[1], *ratios
+    if parameter.scale != "log" and high <= 0 and low < 10 * high:
+        return 1.0, math.inf, 1.0, -1.0, -smallest[0], 1.0, low / -smallest[0], 1.0
+    if parameter.scale != "log" and low >= 0 and 10 * low < high:
+        return 1.0, -math.inf, 0.0, 1.0, 1.0, smallest[1], 1.0, high / smallest[1]
+    return 0.0, -math.inf, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0

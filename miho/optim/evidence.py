@@ -90,12 +90,13 @@ def agreement(
     """
     finished = len(ends) + dropped if finished is None else finished
     best = min(ends, default=math.inf) if best is None else best
-    optima, least = 0, -math.inf
+    optima, highest = 0, -math.inf
     for end in sorted(ends):
-        if not in_optimum(least, end, rounding):
-            optima, least = optima + 1, end
+        if not end <= highest:
+            optima, highest = optima + 1, highest_in_optimum(end, rounding)
     optima += dropped
-    agreeing = sum(in_optimum(best, end, rounding) for end in ends)
+    highest = highest_in_optimum(best, rounding)
+    agreeing = sum([end <= highest for end in ends])
     pairs = finished * (finished - 1)
     unseen = min(1.0, optima * (optima + 1) / pairs) if pairs else 1.0
     return Agreement(best, agreeing, finished, optima, unseen)
@@ -106,4 +107,9 @@ def in_optimum(best: float, end: float, rounding: float = 0.0) -> bool:
 
     It is unless its loss is above that by more than solvers leave (AGREEING) and rounding does.
     """
-    return bool(end <= best + AGREEING * abs(best) + rounding)
+    return bool(end <= highest_in_optimum(best, rounding))
+
+
+def highest_in_optimum(best: float, rounding: float = 0.0) -> float:
+    """The largest loss of a descent that ended in the optimum of this loss."""
+    return best + AGREEING * abs(best) + rounding

@@ -40,7 +40,7 @@ from miho.optim.oracle import Oracle
 from miho.parallel import Ahead
 from miho.quantities import Array, Integers
 
-EVENTS = 4096
+EVENTS = 1024
 """Looks at all rows in one block at most: each may be an improvement, which needs room."""
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from miho.compiled.gauss_newton_bracket import ENTERING, begin, look_again, make_room, rules_of
+from miho.compiled.gauss_newton_bracket import ENTERING, begin, look_again, make_room, nearness
 from miho.compiled.gauss_newton_candidates import (
     AT_KNOWN,
     COPY_LOSS,
@@ -218,18 +218,16 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
         if state.challenging:  # it started near the best one: to come back says nothing
             return
         c, known = state.candidates, state.minima
-        rules = rules_of(state.place, state.level_rows, state.d, state.settings)
-        loss = float(c.loss[0])
+        loss, came_back = float(c.loss[0]), c.stage[0] == AT_KNOWN
         if state.last and c.stage[0] == DONE:
             oracle.record_descent(math.inf, loss, theta=state.theta(c.x[0]))
             return
-        distances = square_distances(c, known.x, state.box)
-        matches = loss >= (1 - rules.better) * state.level_losses
-        if c.stage[0] == AT_KNOWN:
-            matches &= known.determined
-        else:
-            matches &= ~known.determined & (loss <= (1 + COPY_LOSS) * state.level_losses)
-            matches &= distances <= rules.near * loss * state.rows
+        near, better = nearness(state.d, state.rows, state.last)
+        distances, level_losses = square_distances(c, known.x, state.box), state.level_losses
+        matches = (loss >= (1 - better) * level_losses) & (known.determined == came_back)
+        if not came_back:
+            matches &= loss <= (1 + COPY_LOSS) * level_losses
+            matches &= distances <= near * loss * state.rows
         if matches.any():
             nearest = np.argmin(np.where(matches, distances, math.inf))
             end, place = float(known.loss[nearest]), state.theta(known.x[nearest])

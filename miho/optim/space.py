@@ -182,7 +182,7 @@ class Space:
             )
         return replace(self, parameters=free)
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         """The parameters' names, in the order of theta."""
         return tuple(parameter.name for parameter in self.parameters)
@@ -227,6 +227,11 @@ class Space:
         return self.encode(self.low), self.encode(self.high)
 
     @cached_property
+    def scales(self) -> dict[int, Array]:
+        """What draws by scale have worked out of these ranges, by decades."""
+        return {}
+
+    @cached_property
     def sigma(self) -> tuple[Array, Array]:
         """Maximum and minimum of the mutation's sigma in search coordinates, (d,) each (Eq. 2)."""
         return (
@@ -267,9 +272,14 @@ class Space:
             draws = rng.random((n, 2 * d))
             noise = scipy.special.ndtri(np.maximum(draws[:, d:], np.finfo(float).tiny))
             return np.asarray(low + (high - low) * draws[:, :d] + self.sigma[0] * noise)
+        return self.quantiles(rng.random((n, d)))
+
+    def quantiles(self, u: Array) -> Array:
+        """Quantiles u (n, d) of the initial distribution, in search coordinates."""
+        low, high = self.bounds
         mean, std, below, inside = self._normal
-        quantiles = below + inside * rng.random((n, d))
-        return np.minimum(np.maximum(mean + std * scipy.special.ndtri(quantiles), low), high)
+        draws = mean + std * scipy.special.ndtri(below + inside * u)
+        return np.minimum(np.maximum(draws, low), high)
 
     @cached_property
     def _normal(self) -> tuple[Array, Array, Array, Array]:
