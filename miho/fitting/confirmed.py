@@ -15,7 +15,6 @@ from dataclasses import replace
 import numpy as np
 
 from miho.identification.curve_fit import CurveFit
-from miho.models.function_calls import Calls
 from miho.models.function_model import FunctionFormula, FunctionModel, alike
 from miho.models.joint import JointExpression, JointModel
 from miho.models.leaves import dear_leaves
@@ -42,11 +41,16 @@ def by_calls(
     called = _called(problem.model)
     if called is problem.model or _is_final(problem, evaluations):
         return None
-    started = time.perf_counter()
-    agree = _same(problem.model, called, thetas[:1], problem.inputs)
-    if agree and len(thetas) > 1 and not is_dear(time.perf_counter() - started):
-        agree = _same(problem.model, called, thetas[1:], problem.inputs)
-    if agree:
+    model, inputs = problem.model, problem.inputs
+
+    def agree() -> bool:
+        started = time.perf_counter()
+        same = _same(model, called, thetas[:1], inputs)
+        if same and len(thetas) > 1 and not is_dear(time.perf_counter() - started):
+            same = _same(model, called, thetas[1:], inputs)
+        return same
+
+    if model.agreed(thetas, agree) if isinstance(model, FunctionFormula) else agree():
         return None
     sys.stderr.write(
         f"miho: {problem.name}: the function gives other values for numbers than for arrays; it is "
@@ -94,7 +98,7 @@ def _is_final(problem: CurveFit, evaluations: Evaluations | None) -> bool:
 def _called(model: Model) -> Model:
     """The model with its functions called with numbers; itself where they are, or it has none."""
     if isinstance(model, FunctionFormula):
-        return replace(model.function, tried=Calls(False, False))
+        return model.function.by_numbers
     if isinstance(model, FunctionModel):
         automatic = model.batched is None and model.tried.batched
         return replace(model, tried=model.tried._replace(batched=False)) if automatic else model
@@ -117,6 +121,8 @@ def _same(model: Model, called: Model, thetas: Array, inputs: tuple[Array, ...])
         if len(thetas) > 1:
             return all(_same(model, called, row[None], inputs) for row in thetas)
         return _raises(called, thetas, inputs)
+    if np.array_equal(first, second):
+        return True
     # Each row is compared on its own scale; what is not finite has no value.
     finite = [np.where(np.isfinite(values), values, np.nan) for values in (first, second)]
     size = np.nan_to_num(np.abs(finite[0])).max(axis=1, keepdims=True, initial=0.0)

@@ -14,7 +14,7 @@ import numpy as np
 from miho.data.dataset import Dataset
 from miho.identification.loss import Square
 from miho.models.function_calls import UNTRIED
-from miho.models.function_model import FunctionModel
+from miho.models.function_model import FunctionFormula, FunctionModel
 from miho.models.leaves import dear_leaves
 from miho.models.model import DifferencedModel, ExternalModel, Model
 from miho.models.plain_arithmetic import is_arithmetic
@@ -116,7 +116,8 @@ def _check_shapes(problem: CurveFit, model_name: str, theta: Array) -> None:
     shapes = {
         "predict": (model.predict(np.stack([theta, theta]), *problem.inputs).shape, (2, rows))
     }
-    if not isinstance(whole_model(model), DifferencedModel | ExternalModel):  # differences do
+    by_construction = DifferencedModel | ExternalModel | FunctionFormula
+    if not isinstance(whole_model(model), by_construction):
         J = model.jacobian(theta, *problem.inputs)
         shapes["jacobian"] = J.shape, (rows, len(problem.space))
     for method, (actual, expected) in shapes.items():
@@ -180,27 +181,36 @@ def examined(model: FunctionModel, dataset: Dataset, space: Space, dear: bool = 
     lacking = [name for name in model.inputs if name not in dataset.columns]
     if lacking:
         return model  # which is refused
-    parameters = {parameter.name: parameter for parameter in space.parameters}
-    rng = np.random.default_rng(0)
-    thetas = np.empty((TRIALS, len(model.parameters)))
-    for k, name in enumerate(model.parameters):
-        known = parameters.get(name)
-        if known is not None and known.free:
-            own = Space((known,))
-            sampling = "uniform" if known.std is None else "normal"
-            thetas[:, k] = own.decode(own.sample(TRIALS, rng, sampling))[:, 0]
-            continue
-        thetas[:, k] = 0.5 + rng.random(TRIALS)
-        if known is not None and known.fixed is not None:
-            thetas[:, k] = known.fixed
-    columns = [dataset[name] for name in model.inputs]
     if model.tried != UNTRIED:
         return model
+    thetas = _trials_of(model, space)
+    columns = [dataset[name] for name in model.inputs]
     if model.source is None or is_arithmetic(model.function):
         formula = model.formula_at(thetas, *columns)
         if formula is not model:
             return formula
     return model if dear else model.tried_at(thetas, *columns)
+
+
+def _trials_of(model: FunctionModel, space: Space) -> Array:
+    """Parameter rows (TRIALS, d) of a model: in the box, and about 1 of what nothing is known."""
+    names = list(model.parameters)
+    u = np.random.default_rng(0).random((len(names), TRIALS)).T
+    thetas = 0.5 + u
+    for parameter in space.parameters:
+        if parameter.fixed is not None and parameter.name in names:
+            thetas[:, names.index(parameter.name)] = parameter.fixed
+    if any(parameter.free for parameter in space.parameters):
+        box = space.free
+        own = [k for k, name in enumerate(box.names) if name in names]
+        places = [names.index(box.names[k]) for k in own]
+        shares = np.full((TRIALS, len(box)), 0.5)
+        shares[:, own] = u[:, places]
+        low, high = box.bounds
+        normal = [parameter.std is not None for parameter in box.parameters]
+        drawn = np.where(normal, box.quantiles(shares), low + (high - low) * shares)
+        thetas[:, places] = box.decode(drawn)[:, own]
+    return thetas
 
 
 def with_defaults(space: Space, model: Model) -> Space:
@@ -323,8 +333,13 @@ def _check_values(problem: CurveFit, model_name: str) -> None:
             f"{model_name} is not finite at {at} (row {never[0] + 1} of {problem.dataset.name}), "
             "whatever its parameters; remove the row or correct the model"
         )
-    if model.linear:
+    if model.linear and not _linear_by_graph(model):
         _check_linear(problem, model_name, thetas)
+
+
+def _linear_by_graph(model: Model) -> bool:
+    """Whether `linear` was told from a function's formula, which needs no check."""
+    return isinstance(model, FunctionFormula) and not model.function.linear
 
 
 def _check_linear(problem: CurveFit, model_name: str, thetas: Array) -> None:

@@ -16,6 +16,7 @@ out in an input, such as the first moments of a transient, is as rare here as it
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from typing import NamedTuple
@@ -58,8 +59,8 @@ def covering_rows(
     columns = [column for column in (_unit(column[pool]) for column in inputs) if column.any()]
     if len(columns) == 1:
         places = np.argsort(columns[0], kind="stable")
-        line = _Line(columns[0][places], places, rng)
-        return pool[np.fromiter(islice(line.covering(0, pool.size), most), order.dtype)]
+        line = _Line(columns[0][places].tolist(), places, rng)
+        return pool[list(islice(line.covering(0, pool.size), most))]
     return np.fromiter(islice(_covering(columns, pool, rng), most), order.dtype)
 
 
@@ -103,18 +104,18 @@ class _Line(NamedTuple):
     `places` are those of the rows before they were sorted, at random.
     """
 
-    values: Array
+    values: list[float]
     places: Rows
     rng: np.random.Generator
 
     def covering(self, i: int, j: int) -> Iterator[int]:
         """The places of the rows i to j, those of their box's two halves in turn."""
-        low, high = self.values[i].item(), self.values[j - 1].item()
+        low, high = self.values[i], self.values[j - 1]
         if j - i <= FEW or not high > low:
             yield from sorted(self.places[i:j].tolist())
             return
         middle = low + (high - low) / 2
-        cut = i + int(self.values[i:j].searchsorted(middle if middle < high else low, "right"))
+        cut = bisect_right(self.values, middle if middle < high else low, i, j)
         halves = [self.covering(cut, j), self.covering(i, cut)]
         if _lower_first((j - cut) / (j - i), self.rng):
             halves.reverse()

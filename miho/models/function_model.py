@@ -14,10 +14,12 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
+from miho.compiled.kernel import Formula
 from miho.models.function_calls import CONFIGURATIONS, UNTRIED, Calls, FunctionCalls, tried_rowwise
 from miho.models.model import DifferencedModel, Model
 from miho.models.plain_arithmetic import may_catch
@@ -33,6 +35,10 @@ from miho.quantities import Array
 COMPARED, CLOSE = 1000, 1e-9
 """Rows on which a formula is compared with its function, and how close they have to be."""
 COPY = "; the columns of data are shared: copy one before it is changed, as in x = x.copy()"
+AGREED: WeakKeyDictionary[Any, set[tuple[Formula, bytes]]] = WeakKeyDictionary()
+"""The formulas with which functions agree, and at which configurations."""
+REMEMBERED = 100
+"""Configurations of a function to remember."""
 COLUMN = (inspect.Parameter.POSITIONAL_ONLY, inspect.Parameter.POSITIONAL_OR_KEYWORD)
 
 
@@ -86,7 +92,7 @@ class FunctionModel(DifferencedModel):
         except (TypeError, ValueError):
             raise ValueError(f"{self.function!r} is not a function with a signature") from None
         plain = self._plain
-        own = inspect.signature(plain).parameters
+        own = (signature if plain is self.function else inspect.signature(plain)).parameters
         name = getattr(plain, "__name__", type(plain).__name__)
         code = getattr(plain, "__code__", None)
         source = bool(code and code.co_flags & __future__.annotations.compiler_flag)
@@ -130,6 +136,11 @@ class FunctionModel(DifferencedModel):
         own = (self.function, self.batched, self.linear, self.source, self.columns)
         return FunctionModel, (*own, self.rowwise, self.tried)
 
+    @cached_property
+    def by_numbers(self) -> FunctionModel:
+        """The same function, called with one row of parameters at a time, as numbers."""
+        return replace(self, tried=Calls(False, False))
+
     @property
     def ordered(self) -> bool:  # type: ignore[override]
         """Whether it may need every row in order: unless it is known to be `rowwise`."""
@@ -154,15 +165,18 @@ class FunctionModel(DifferencedModel):
         formula = self.formula
         if formula is None:
             return self
-        rows = np.unique(np.linspace(0, inputs[0].size - 1, COMPARED).round().astype(int))
-        columns = [column[rows] for column in inputs]
+        columns = list(inputs)
+        if inputs[0].size > COMPARED:
+            rows = np.linspace(0, inputs[0].size - 1, COMPARED).round().astype(int)
+            columns = [column[rows] for column in inputs]
         try:
-            own, traced = self.predict(thetas, *columns), formula.predict(thetas, *columns)
+            traced = formula.predict(thetas, *columns)
+            agree = formula.agreed(thetas, lambda: alike(self.predict(thetas, *columns), traced))
             slopes = formula.jacobian(thetas, *columns)
         except (Exception, NotAFormulaError):  # noqa: BLE001 -- it is called, whatever the reason
             return self
-        usable = np.isfinite(slopes).all(axis=2) | ~np.isfinite(own)
-        return formula if alike(own, traced) and usable.all() else self
+        usable = np.isfinite(slopes).all(axis=2) | ~np.isfinite(traced)
+        return formula if agree and usable.all() else self
 
     def tried_at(self, thetas: Array, *inputs: Array) -> FunctionModel:
         """This model with what calls at parameter rows (n, d) and columns (N,) show of it.
@@ -246,6 +260,8 @@ def is_number(value: object) -> bool:
 
 def alike(first: Array, second: Array) -> bool:
     """Whether outputs are the same to CLOSE, with NaN and infinity in the same places."""
+    if np.array_equal(first, second):
+        return True
     size = np.abs(first[np.isfinite(first)]).max(initial=0.0)
     return np.allclose(first, second, rtol=CLOSE, atol=CLOSE * size, equal_nan=True)
 
@@ -272,6 +288,22 @@ class FunctionFormula(TracedExpression):
     """
 
     function: FunctionModel
+
+    def agreed(self, thetas: Array, compare: Callable[[], bool]) -> bool:
+        """Whether function and formula agree at parameter rows (n, d), which a process compares
+        once: many fits of a function within the same bounds pay for one comparison."""
+        try:
+            known = AGREED.setdefault(self.function.function, set())
+        except TypeError:  # an object that has no hash, or cannot be referred to weakly
+            return compare()
+        at = self.value, thetas.tobytes()
+        if at not in known:
+            if not compare():
+                return False
+            if len(known) == REMEMBERED:
+                known.clear()
+            known.add(at)
+        return True
 
     @cached_property
     def graph(self) -> Symbol:

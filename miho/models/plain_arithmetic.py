@@ -70,7 +70,9 @@ def may_catch(function: Any, callers: tuple[FunctionType, ...] = ()) -> bool:
         return False
     codes, names = [function.__code__], set[str]()
     for code in codes:
-        if any(instruction.opname == "PUSH_EXC_INFO" for instruction in dis.get_instructions(code)):
+        if code.co_exceptiontable and any(
+            instruction.opname == "PUSH_EXC_INFO" for instruction in dis.get_instructions(code)
+        ):
             return True
         names.update(code.co_names)
         codes += [constant for constant in code.co_consts if isinstance(constant, CodeType)]
