@@ -33,6 +33,7 @@ from miho.models.magic_formula import MagicFormula
 from miho.models.model import Model
 from miho.models.tied import Tied, whole_model
 from miho.optim import Budget, Optimizer, Space
+from miho.optim.gauss_newton_descent import descended as descended_by_machine
 from miho.parallel import Evaluations, Workers
 
 EDGE = 1e-6
@@ -224,6 +225,9 @@ def descended(
     theta = np.array([float(start.get(name, 0.0)) for name in problem.space.names])
     if isinstance(model, Tied):
         theta = free_values(problem.space, model.ties, start)
+    rows = problem.machine_rows
+    if rows is not None:
+        theta = descended_by_machine(rows, problem.space, theta)
     descent = refit(spread(problem, evaluations), theta)
     if not math.isfinite(descent.cost):
         raise ValueError(f"{title(problem)}: is not finite at the start; give another one")

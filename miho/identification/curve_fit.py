@@ -42,6 +42,7 @@ from miho.quantities import Array
 
 if TYPE_CHECKING:
     from miho.compiled.fit import FitKernel
+    from miho.compiled.kernel import Rows
     from miho.compiled.taped import TapedLoss
 
 
@@ -236,6 +237,12 @@ class CurveFit(Remade, LeastSquaresProblem):
     def _of_graph(self) -> TapedLoss | None:
         """The model that is known as a graph, by the machine: there is nothing to compare."""
         return self._taped if isinstance(self._fitted, TracedExpression) else None
+
+    @property
+    def machine_rows(self) -> Rows | None:
+        """Residuals of the square loss and their derivatives by the machine, None without."""
+        plain = self._square and self.prior is None and self._taped is not None
+        return self._taped.rows if plain and self._taped is not None else None
 
     @cached_property
     def prior(self) -> PriorResiduals | None:

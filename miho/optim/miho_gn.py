@@ -16,7 +16,6 @@ from miho.compiled.gauss_newton_candidates import (
     UNUSABLE,
     GNBox,
     GNCandidates,
-    GNSettings,
     Minima,
 )
 from miho.compiled.phases import CLOSED, EMPTY, FINISH, POLISH, RETURNED, REVIVE, SOLVED
@@ -25,7 +24,7 @@ from miho.optim.evidence import Agreement, in_optimum
 from miho.optim.gauss_newton_steps import run_phases
 from miho.optim.meter import BudgetExhausted, UnusableValueError
 from miho.optim.miho_gn_settings import MIHOGNSettings
-from miho.optim.miho_gn_state import ROOM, MIHOGNState, at_bound, box_of, square_distances
+from miho.optim.miho_gn_state import MIHOGNState, at_bound, box_of, square_distances
 from miho.optim.optimizer import Resumable
 from miho.optim.oracle import Oracle
 from miho.optim.zero import EPSILON, is_rounding, is_zero
@@ -65,23 +64,18 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             box,
             rng,
             np.array(level_rows),
-            self._settings(oracle, solved=not box.nonlinear.size),
+            self.block_settings(
+                float(oracle.rounding),
+                oracle.jacobian_cost,
+                _has_rows(oracle),
+                solved=not box.nonlinear.size,
+            ),
             nobody,
             Minima(nobody.x.copy(), nowhere, sums, np.empty(0, bool)),
             place,
             order=np.empty(0, np.int64),
             stored=nowhere,
         )
-
-    def _settings(self, oracle: Oracle, solved: bool) -> GNSettings:
-        """The settings by which brackets go on, before the first."""
-        return GNSettings(
-            self.eta, self.steps, self.lead, float(self.reach), self.secants, float(self.tolerance),
-            float(self.level_tolerance), float(self.digits), float(self.patience),
-            float(self.progress), float(oracle.rounding), oracle.jacobian_cost,
-            _has_rows(oracle), projects=False, solved=solved,
-            rung_budget=0.0, allowance=0, room=ROOM,
-        )  # fmt: skip
 
     def _levels(self, N: int, box: GNBox) -> tuple[int, ...]:
         d = box.low.size

@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from miho.compiled.gauss_newton_candidates import GNSettings
 from miho.optim.brackets import DRAWS, check_brackets
 from miho.validate import one_of, positive_settings, whole, whole_settings
+
+ROOM = 1 << 22
+"""Numbers that the derivatives of a rung may hold; beyond, each step pays for its own, and for
+the residuals again if these come from Python."""
 
 
 @dataclass(frozen=True)
@@ -79,3 +84,14 @@ class MIHOGNSettings:
         positive_settings(self, ("damping", "fading", "reach", "digits", "longer"))
         if self.fading > 1:
             raise ValueError(f"fading is {self.fading:g}; expected at most 1")
+
+    def block_settings(
+        self, rounding: float, slope_cost: int, compiled: bool, solved: bool = False
+    ) -> GNSettings:
+        """The settings by which brackets go on, before the first."""
+        return GNSettings(
+            self.eta, self.steps, self.lead, float(self.reach), self.secants, float(self.tolerance),
+            float(self.level_tolerance), float(self.digits), float(self.patience),
+            float(self.progress), rounding, slope_cost, compiled, projects=False, solved=solved,
+            rung_budget=0.0, allowance=0, room=ROOM,
+        )  # fmt: skip

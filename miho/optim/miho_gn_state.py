@@ -21,10 +21,6 @@ from miho.compiled.phases import CLOSED, SCREEN
 from miho.optim.space import Space
 from miho.quantities import Array
 
-ROOM = 1 << 22
-"""Numbers that the derivatives of a rung may hold; beyond, each step pays for its own, and for
-the residuals again where these come from Python."""
-
 
 @dataclass
 class MIHOGNState:

@@ -1,0 +1,48 @@
+"""One Gauss-Newton descent by the machine, from a start."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from miho.compiled.gauss_newton_bracket import begin, make_room
+from miho.compiled.gauss_newton_candidates import GNCandidates, Minima
+from miho.compiled.gauss_newton_loop import PAUSED, bracket_of
+from miho.compiled.kernel import Rows
+from miho.compiled.phases import POLISH, SCREEN
+from miho.compiled.workspace import CHUNK, room_for
+from miho.optim.miho_gn_settings import MIHOGNSettings
+from miho.optim.miho_gn_state import box_of
+from miho.optim.space import Space
+from miho.quantities import Array
+
+LOOKS = 100
+"""Looks at all rows between two chances for a Ctrl-C."""
+
+
+def descended(rows: Rows, space: Space, start: Array) -> Array:
+    """Where a descent from `start` (d,) ends, by the steps of `MIHOGN` on all rows.
+
+    It is the start where that has no finite residuals.
+    """
+    method, box, d, N = MIHOGNSettings(), box_of(space, ()), len(space), rows.y.size
+    levels, place = np.array([N]), np.array([SCREEN, 0, 1, 1, 0])
+    x = (space.encode(space.clip(start)) - box.origin) / box.width
+    c = GNCandidates.at(np.clip(x, 0.0, 1.0)[None], 1, method.damping, method.fading, False)
+    settings = method.block_settings(0.0, d, compiled=True)
+    make_room(c, place, levels, settings)
+    begin(c, place, POLISH, 1)
+    minima = Minima(np.empty((0, d)), np.empty(0), np.empty((0, 1)), np.empty(0, bool))
+    stored, room = np.zeros((d + 1) * int(place[-1])), np.empty(room_for(d, max(CHUNK, N), 1))
+    at, losses, thetas = np.empty(LOOKS, np.int64), np.empty(LOOKS), np.empty((LOOKS, d))
+    run, best, ended, end = bracket_of(rows), math.inf, PAUSED, start
+    while ended == PAUSED:
+        tally = np.zeros(5, np.int64)
+        ended = run(
+            *c[:3], stored, place, np.empty(1, np.int64), box, levels, minima, settings,
+            LOOKS * N, best, -math.inf, at, losses, thetas, tally, room,
+        )  # fmt: skip
+        if tally[1]:
+            best, end = float(losses[tally[1] - 1]), thetas[tally[1] - 1].copy()
+    return end

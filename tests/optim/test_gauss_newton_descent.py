@@ -1,0 +1,53 @@
+"""A descent from a start by the machine ends where SciPy's does, and stays in the box."""
+
+import numpy as np
+import pytest
+import scipy
+
+from miho.core import machine
+from miho.data import Dataset
+from miho.identification import CurveFit
+from miho.models import FunctionModel
+from miho.optim import Parameter, Space
+from miho.optim.gauss_newton_descent import descended
+
+pytestmark = pytest.mark.skipif(machine() is None, reason="there is no machine")
+
+t = np.linspace(0, 3, 700)
+y = 2 * np.exp(-1.5 * t) + 0.3 + 0.05 * np.random.default_rng(1).standard_normal(t.size)
+START = np.array([0.5, 0.4, -1.0])
+
+
+def decay(t, *, a, b, c):  # type: ignore[no-untyped-def]
+    return a * np.exp(-b * t) + c
+
+
+def problem(high: float = 20.0) -> CurveFit:
+    data = Dataset("decay", {"t": t, "y": y}, {"t": "", "y": ""}, "y")
+    box = [("a", 0.0, 1e6), ("b", 0.05, high), ("c", -1e6, 1e6)]
+    space = Space(tuple(Parameter(name, "", low=low, high=up) for name, low, up in box))
+    return CurveFit(FunctionModel(decay), data, space)
+
+
+def test_it_ends_where_scipy_does() -> None:
+    fit = problem()
+    rows = fit.machine_rows
+    assert rows is not None
+    end = descended(rows, fit.space, START)
+    expected = scipy.optimize.least_squares(fit.residuals, START, fit.jacobian, xtol=1e-15).x
+    np.testing.assert_allclose(end, expected, rtol=1e-7)  # the box is 1e6 wide, so 1e-10 of that
+
+
+def test_it_stays_at_a_bound() -> None:
+    fit = problem(high=1.2)
+    assert fit.machine_rows is not None
+    end = descended(fit.machine_rows, fit.space, START)
+    assert end[1] == 1.2
+    assert fit.loss(end[None])[0] < fit.loss(START[None])[0]
+
+
+def test_it_stays_at_a_start_without_finite_residuals() -> None:
+    fit = problem(high=1e6)
+    assert fit.machine_rows is not None
+    start = np.array([np.nan, 1.0, 0.0])
+    assert descended(fit.machine_rows, fit.space, start) is start
