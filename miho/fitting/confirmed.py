@@ -50,7 +50,8 @@ def by_calls(
             same = _same(model, called, thetas[1:], inputs)
         return same
 
-    if model.agreed(thetas, agree) if isinstance(model, FunctionFormula) else agree():
+    in_box = len(thetas) > 1 and isinstance(model, FunctionFormula)
+    if model.agreed(thetas, agree) if in_box else agree():
         return None
     sys.stderr.write(
         f"miho: {problem.name}: the function gives other values for numbers than for arrays; it is "

@@ -198,7 +198,8 @@ def _column_names(function: Any, x: Any, parameters: Collection[str]) -> tuple[s
     plain = function
     while isinstance(plain, functools.partial):  # behind a bound argument all are keyword-only
         plain = plain.func
-    if any(a.kind is a.KEYWORD_ONLY for a in inspect.signature(plain).parameters.values()):
+    own = arguments if plain is function else inspect.signature(plain).parameters
+    if any(a.kind is a.KEYWORD_ONLY for a in own.values()):
         return ()
     if isinstance(x, Mapping) or hasattr(x, "columns"):
         names = tuple(name for name in arguments if name in x and name not in parameters)

@@ -67,7 +67,9 @@ def check_curve_fit(problem: CurveFit, dear: bool = False) -> None:
             raise ValueError(f"{place} has unit {unit!r}; model {model_name} needs {needed!r}")
 
     _check_output_size(problem)
-    if not dear and not any(
+    if isinstance(model, FunctionFormula):  # which was compared with its function
+        _check_values(problem, model_name)
+    elif not dear and not any(
         isinstance(leaf, FunctionModel) and leaf.tried.dear for leaf in dear_leaves(model)
     ):
         theta = _usable(problem, model_name)
@@ -116,8 +118,7 @@ def _check_shapes(problem: CurveFit, model_name: str, theta: Array) -> None:
     shapes = {
         "predict": (model.predict(np.stack([theta, theta]), *problem.inputs).shape, (2, rows))
     }
-    by_construction = DifferencedModel | ExternalModel | FunctionFormula
-    if not isinstance(whole_model(model), by_construction):
+    if not isinstance(whole_model(model), DifferencedModel | ExternalModel):  # differences do
         J = model.jacobian(theta, *problem.inputs)
         shapes["jacobian"] = J.shape, (rows, len(problem.space))
     for method, (actual, expected) in shapes.items():

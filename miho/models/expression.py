@@ -73,6 +73,8 @@ class Expression(Model):
     def jacobian(self, theta: Array, *inputs: Array) -> Array:
         """Derivatives of the outputs, (N, d), at one configuration (d,); rows (n, d): (n, N, d)."""
         with np.errstate(all="ignore"):
-            columns = self.derivatives(inputs, tuple(np.moveaxis(theta, -1, 0)[..., None]))
-        shape = *theta.shape[:-1], inputs[0].size
-        return np.stack([np.broadcast_to(column, shape) for column in columns], axis=-1)
+            columns = self.derivatives(inputs, tuple(theta.T[..., None]))
+        jacobian = np.empty((*theta.shape[:-1], inputs[0].size, len(columns)))
+        for k, column in enumerate(columns):
+            jacobian[..., k] = column
+        return jacobian

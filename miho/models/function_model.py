@@ -139,7 +139,10 @@ class FunctionModel(DifferencedModel):
     @cached_property
     def by_numbers(self) -> FunctionModel:
         """The same function, called with one row of parameters at a time, as numbers."""
-        return replace(self, tried=Calls(False, False))
+        model = object.__new__(FunctionModel)  # all else that is known of this one stays so
+        vars(model).update(vars(self), tried=Calls(False, False))
+        vars(model).pop("_calls", None)
+        return model
 
     @property
     def ordered(self) -> bool:  # type: ignore[override]

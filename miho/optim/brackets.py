@@ -82,17 +82,21 @@ def draw_starts(
     turn, place = divmod(bracket - 1, len(TURNS))
     if draws == "turns":
         draws = TURNS[place]
-    kinds = KINDS if draws == "thirds" else (draws,)
-    starts, u = np.empty((n, len(space))), rng.random((n, len(space)))
-    for k, kind in enumerate(kinds):
-        every = slice(k, None, len(kinds))
-        shares = u[every]
+    u = rng.random((n, len(space)))
+
+    def drawn(kind: str, shares: Array) -> Array:
         if kind == "own":
-            starts[every] = space.sample(len(shares), rng)
-            continue
+            return space.sample(len(shares), rng)
         if kind == "scale":
             shares = by_scale(shares, space, DECADES[turn % len(DECADES)])
-        starts[every] = low + (high - low) * shares
+        return low + (high - low) * shares
+
+    if draws == "thirds":
+        starts = np.empty_like(u)
+        for k, kind in enumerate(KINDS):
+            starts[k :: len(KINDS)] = drawn(kind, u[k :: len(KINDS)])
+    else:
+        starts = drawn(draws, u)
     if bracket == 1:
         starts[0] = space.initial(1)[0]
     return np.minimum(np.maximum(starts, low), high)
@@ -120,26 +124,28 @@ def by_scale(u: Array, space: Space, decades: int = 3) -> Array:
     """
     if decades not in space.scales:
         space.scales[decades] = np.array([_scale(p, decades) for p in space.parameters]).T
-    scaled, negative_below, offset, slope, *ends = space.scales[decades]
+    scaled, negative_below, offset, slope, low, width, *ends = space.scales[decades]
     negative = u < negative_below
     near, ratio = np.where(negative, ends[0], ends[1]), np.where(negative, ends[2], ends[3])
-    values = near * ratio ** np.abs(offset + slope * u)
-    return np.where(scaled > 0, (values - space.low) / (space.high - space.low), u)
+    shares = (near * ratio ** np.abs(offset + slope * u) - low) / width
+    return shares if scaled.all() else np.where(scaled > 0, shares, u)
 
 
 def _scale(parameter: Parameter, decades: int) -> tuple[float, ...]:
     """How `by_scale` draws a parameter: whether it does; the share below which values are negative;
-    offset and slope of the share of the decades over that of the range; the values nearest to zero,
-    the negative one first, and the ratios of the farthest ones to them.
+    offset and slope of the share of the decades over that of the range; where the range begins, and
+    its width; the values nearest to zero, the negative one first, and the ratios of the farthest
+    ones to them.
     """
     low, high = parameter.low, parameter.high
     least = 10.0**-decades
+    range_ = low, high - low
     smallest = max(-high, -low * least), max(low, high * least)
     if parameter.scale != "log" and low < 0 < high:
         ratios = low / -smallest[0], high / smallest[1]
-        return 1.0, 0.5, -1.0, 2.0, -smallest[0], smallest[1], *ratios
+        return 1.0, 0.5, -1.0, 2.0, *range_, -smallest[0], smallest[1], *ratios
     if parameter.scale != "log" and high <= 0 and low < 10 * high:
-        return 1.0, math.inf, 1.0, -1.0, -smallest[0], 1.0, low / -smallest[0], 1.0
+        return 1.0, math.inf, 1.0, -1.0, *range_, -smallest[0], 1.0, low / -smallest[0], 1.0
     if parameter.scale != "log" and low >= 0 and 10 * low < high:
-        return 1.0, -math.inf, 0.0, 1.0, 1.0, smallest[1], 1.0, high / smallest[1]
-    return 0.0, -math.inf, 0.0, 1.0, 1.0, 1.0, 1.0, 1.0
+        return 1.0, -math.inf, 0.0, 1.0, *range_, 1.0, smallest[1], 1.0, high / smallest[1]
+    return 0.0, -math.inf, 0.0, 1.0, *range_, 1.0, 1.0, 1.0, 1.0

@@ -32,10 +32,10 @@ from miho.compiled.gauss_newton_parts import (
     next_to_evaluate,
     solve_columns,
 )
-from miho.compiled.kernel import INFINITE, NAN
+from miho.compiled.kernel import INFINITE, NAN, Rows
 from miho.compiled.workspace import CHUNK, Work, room_for, work
 from miho.optim.meter import BudgetExhausted, UnusableValueError
-from miho.optim.miho_gn_state import MIHOGNState
+from miho.optim.miho_gn_state import Blocks, MIHOGNState
 from miho.optim.oracle import Oracle
 from miho.parallel import Ahead
 from miho.quantities import Array, Integers
@@ -52,18 +52,15 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
     # A problem that the machine cannot run is asked for each evaluation.
     kernel = oracle.kernel
     rows = None if kernel is None else kernel.rows
-    c, d, level_rows = state.candidates, state.d, state.level_rows
+    c, level_rows = state.candidates, state.level_rows
     if rows is None:
         for _ in rounds(oracle, state):
             pass
         return
-    run = bracket_of(rows)
-    # Room for one block's improvements, and for the steps to be worked out in.
-    N, slope_cost = rows.y.size, state.settings.slope_cost
-    least = float(max(state.box.linear.size + 1, slope_cost))
-    at, losses, thetas = np.empty(EVENTS, np.int64), np.empty(EVENTS), np.empty((EVENTS, d))
-    stored = [m for m in level_rows.tolist() if (d + 1) * m <= state.stored.size]
-    room = np.empty(room_for(d, max([CHUNK, *stored]), level_rows.size))
+    if state.blocks is None or state.blocks.rows is not rows:
+        state.blocks = blocks_on(rows, state)
+    N, least = rows.y.size, state.blocks.least
+    _, run, _, at, losses, thetas, room = state.blocks
 
     # The oracle says how many evaluations a block may spend, and records what it did.
     def block(most: float, best: float, target: float) -> Block:
@@ -95,6 +92,16 @@ def run_phases(oracle: Oracle, state: MIHOGNState) -> None:
         )
 
     oracle.spend(block, least)
+
+
+def blocks_on(rows: Rows, state: MIHOGNState) -> Blocks:
+    """What the blocks of a search on these rows have in common."""
+    d, levels, slope_cost = state.d, state.level_rows, state.settings.slope_cost
+    stored = [m for m in levels.tolist() if (d + 1) * m <= state.settings.room]
+    room = np.empty(room_for(d, max([CHUNK, *stored]), levels.size))
+    least = float(max(state.box.linear.size + 1, slope_cost))
+    at, losses, thetas = np.empty(EVENTS, np.int64), np.empty(EVENTS), np.empty((EVENTS, d))
+    return Blocks(rows, bracket_of(rows), least, at, losses, thetas, room)
 
 
 class Round(NamedTuple):

@@ -217,13 +217,17 @@ class MIHOGN(MIHOGNSettings, Resumable[MIHOGNState]):
             oracle.record_descent(math.inf, loss, theta=state.theta(c.x[0]))
             return
         near, better = nearness(state.d, state.rows, state.last)
-        distances, level_losses = square_distances(c, known.x, state.box), state.level_losses
+        level_losses = state.level_losses
         matches = (loss >= (1 - better) * level_losses) & (known.determined == came_back)
         if not came_back:
             matches &= loss <= (1 + COPY_LOSS) * level_losses
-            matches &= distances <= near * loss * state.rows
-        if matches.any():
-            nearest = np.argmin(np.where(matches, distances, math.inf))
+        places = matches.nonzero()[0]
+        if places.size > came_back:  # the only one that it came back to needs no distance
+            distances = square_distances(c, known.x[places], state.box)
+            within = came_back | (distances <= near * loss * state.rows)
+            places = places[within][np.argsort(distances[within], kind="stable")]
+        if places.size:
+            nearest = places[0]
             end, place = float(known.loss[nearest]), state.theta(known.x[nearest])
             oracle.record_descent(math.inf, end, theta=place)
         else:

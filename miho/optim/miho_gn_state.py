@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +20,26 @@ from miho.compiled.gauss_newton_candidates import (
     GNSettings,
     Minima,
 )
+from miho.compiled.kernel import Rows
 from miho.compiled.phases import CLOSED, SCREEN
 from miho.optim.space import Space
-from miho.quantities import Array
+from miho.quantities import Array, Integers
+
+
+class Blocks(NamedTuple):
+    """What all compiled blocks of a search have in common.
+
+    `run` is that of these rows, and may need `least` evaluations for its next step. There is room
+    for the improvements of one block, and for steps to be worked out in.
+    """
+
+    rows: Rows
+    run: Callable[..., int]
+    least: float
+    at: Integers
+    losses: Array
+    thetas: Array
+    room: Array
 
 
 @dataclass
@@ -61,6 +81,11 @@ class MIHOGNState:
     tested: float = math.inf
     structured: bool = False
     finished: bool = False
+    blocks: Blocks | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All but its blocks, which hold addresses of this process."""
+        return vars(self) | {"blocks": None}
 
     @property
     def best_minimum(self) -> int:
@@ -110,12 +135,10 @@ class MIHOGNState:
         n, d = c.x.shape
         self.candidates, self.order = c, np.empty(n, np.int64)
         self.place[:] = SCREEN, level, n, n, 0
-        numbers, most = 0, self.settings.room
-        for rows in self.level_rows[level:].tolist():
-            if (d + 1) * rows <= most:
-                numbers = max(numbers, min(n * (d + 1) * rows, most))
-            n = max(1, n // self.settings.eta)
-        self.stored = np.zeros(numbers)
+        levels, settings = tuple(self.level_rows[level:].tolist()), self.settings
+        numbers = room_for_derivatives(levels, n, d, settings.eta, settings.room)
+        if self.stored.size < numbers:
+            self.stored = np.zeros(numbers)
 
     def learn(self, other: MIHOGNState) -> None:
         """Know the minima that another bracket knows, and what is known of the best one.
@@ -139,6 +162,20 @@ class MIHOGNState:
         )
 
 
+@cache
+def room_for_derivatives(levels: tuple[int, ...], n: int, d: int, eta: int, most: int) -> int:
+    """How many numbers derivatives of n candidates, and of those that go on, have on these levels.
+
+    That is up to `most`, and none on a level where those of one candidate are more.
+    """
+    numbers = 0
+    for rows in levels:
+        if (d + 1) * rows <= most:
+            numbers = max(numbers, min(n * (d + 1) * rows, most))
+        n = max(1, n // eta)
+    return numbers
+
+
 def box_of(space: Space, linear: tuple[str, ...]) -> GNBox:
     """The box of a space whose residuals are linear in these parameters."""
     low, high = space.bounds
@@ -160,9 +197,11 @@ def square_distances(c: GNCandidates, minima: Array, box: GNBox) -> Array:
     That is the metric in which steps recognise a known minimum: by how much the residuals of the
     candidate's linear model change on the way there.
     """
-    coordinates = box.nonlinear if c.projects[0] else np.arange(c.x.shape[1])
-    R = c.R[0, : coordinates.size, : coordinates.size]
-    return np.asarray((((c.x[0] - minima)[:, coordinates] @ R.T) ** 2).sum(axis=1))
+    apart, R = c.x[0] - minima, c.R[0]
+    if c.projects[0]:
+        n = box.nonlinear.size
+        apart, R = apart[:, box.nonlinear], R[:n, :n]
+    return np.add.reduce((apart @ R.T) ** 2, axis=1)
 
 
 def at_bound(x: Array) -> bool:

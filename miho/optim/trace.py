@@ -128,7 +128,9 @@ class Starts:
     @property
     def ends(self) -> list[float]:
         """The losses where those ended, in the order of the descents."""
-        return [float(descent.end) for descent in self.finished]
+        return [
+            float(each.end) for each in self.descents if each.finished and abs(each.end) < math.inf
+        ]
 
 
 class Minimum(NamedTuple):
