@@ -121,12 +121,12 @@ def irreducible_limit(X: Array, y: Array, level: float = 0.95) -> float:
 
 def _pseudo_residuals(x: Array, y: Array) -> tuple[Array, Array]:
     """Each inner point minus the line through its neighbours (N - 2,), scaled to have the variance
-    of the noise; and the weights (N - 2, 3) of the three points, whose squares add up to 1."""
+    of the noise; and the weights (3, N - 2) of the three points, whose squares add up to 1."""
     width = x[2:] - x[:-2]
     a = np.divide(x[2:] - x[1:-1], width, out=np.full(width.shape, 0.5), where=width > 0)
-    weights = np.stack([a, np.full(a.shape, -1.0), 1 - a], axis=1)
-    weights /= np.linalg.norm(weights, axis=1)[:, None]
-    return weights[:, 0] * y[:-2] + weights[:, 1] * y[1:-1] + weights[:, 2] * y[2:], weights
+    weights = np.array([a, np.full(a.shape, -1.0), 1 - a])
+    weights /= np.sqrt(np.add.reduce(weights * weights))
+    return weights[0] * y[:-2] + weights[1] * y[1:-1] + weights[2] * y[2:], weights
 
 
 def _variance(errors: Array, weights: Array) -> float:
@@ -138,9 +138,9 @@ def _variance(errors: Array, weights: Array) -> float:
     """
     total = 2 * float(np.sum(errors**4)) / 3
     for lag, shared in (
-        (1, weights[:-1, 1:] * weights[1:, :-1]),
-        (2, weights[:-2, 2:] * weights[2:, :1]),
+        (1, weights[1:, :-1] * weights[:-1, 1:]),
+        (2, weights[2:, :-2] * weights[:1, 2:]),
     ):
-        r = shared.sum(axis=1) ** 2
+        r = np.add.reduce(shared) ** 2
         total += 2 * float(np.sum(2 * r / (1 + 2 * r) * errors[:-lag] ** 2 * errors[lag:] ** 2))
     return total / errors.size**2

@@ -154,12 +154,8 @@ class MIHOGNState:
         """Remember where the first candidate has ended as a known minimum."""
         loss, known = float(c.loss[0]), self.minima
         sums = c.sums[:1] if c.sums[0, -1] > 0 else loss * self.level_rows[None]
-        self.minima = Minima(
-            np.vstack([known.x, c.x[:1]]),
-            np.append(known.loss, loss),
-            np.vstack([known.sums, sums]),
-            np.append(known.determined, determines(c, self.box, self.rows)),
-        )
+        new = c.x[:1], [loss], sums, [determines(c, self.box, self.rows)]
+        self.minima = Minima(*map(np.concatenate, zip(known, new, strict=True)))
 
 
 @cache
@@ -201,7 +197,7 @@ def square_distances(c: GNCandidates, minima: Array, box: GNBox) -> Array:
     if c.projects[0]:
         n = box.nonlinear.size
         apart, R = apart[:, box.nonlinear], R[:n, :n]
-    return np.add.reduce((apart @ R.T) ** 2, axis=1)
+    return np.asarray(np.add.reduce((apart @ R.T) ** 2, axis=1))
 
 
 def at_bound(x: Array) -> bool:
