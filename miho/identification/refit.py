@@ -155,13 +155,13 @@ def at_optimum(J: Array, r: Array, part: Array) -> bool:
     """
     slope = J.T @ r
     held = ((part == 0) & (slope >= 0)) | ((part == 1) & (slope <= 0))
-    J = J[:, ~held]
+    columns = np.column_stack([J[:, ~held], r])
     with np.errstate(all="ignore"):
-        J = J / np.sqrt((J**2).sum(axis=0))
-        if J.shape[1] >= r.size or not np.isfinite(J).all():
+        columns /= np.sqrt((columns**2).sum(axis=0))
+        if columns.shape[1] > r.size or not np.isfinite(columns).all():
             return False
-    Q = np.linalg.qr(J)[0]
-    return bool(np.sum((Q.T @ r) ** 2) <= AT_OPTIMUM * (r @ r))
+    gains = np.linalg.qr(columns, mode="r")[:-1, -1] ** 2  # as shares of r'r
+    return bool(gains.sum() <= AT_OPTIMUM)
 
 
 def _limited(
