@@ -89,7 +89,7 @@ def draw_starts(
             return space.sample(len(shares), rng)
         if kind == "scale":
             shares = by_scale(shares, space, DECADES[turn % len(DECADES)])
-        return low + (high - low) * shares
+        return np.minimum(np.maximum(low + (high - low) * shares, low), high)
 
     if draws == "thirds":
         starts = np.empty_like(u)
@@ -99,7 +99,7 @@ def draw_starts(
         starts = drawn(draws, u)
     if bracket == 1:
         starts[0] = space.initial(1)[0]
-    return np.minimum(np.maximum(starts, low), high)
+    return starts
 
 
 def around(best: Array, starts: Array, rng: np.random.Generator) -> Array:
