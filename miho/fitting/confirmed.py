@@ -50,8 +50,8 @@ def by_calls(
             same = _same(model, called, thetas[1:], inputs)
         return same
 
-    in_box = len(thetas) > 1 and isinstance(model, FunctionFormula)
-    if model.agreed(thetas, agree) if in_box else agree():
+    formula = model if isinstance(model, FunctionFormula) and len(thetas) > 1 else None
+    if agree() if formula is None else formula.agreed(thetas, agree):
         return None
     sys.stderr.write(
         f"miho: {problem.name}: the function gives other values for numbers than for arrays; it is "

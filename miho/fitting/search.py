@@ -25,6 +25,8 @@ from miho.optim import (
 from miho.optim.usable_values import NOT_FINITE
 from miho.parallel import Evaluations
 
+DEFAULT = MIHOGN()
+
 
 def searched(
     problem: CurveFit,
@@ -37,7 +39,7 @@ def searched(
 
     `evaluations` make those of search and descent. Raises KeyboardInterrupt after a Ctrl-C.
     """
-    method = MIHOGN() if method is None else method_of(method)
+    method = DEFAULT if method is None else method_of(method)
     check_budget(budget)
     budget = budget or Budget()
     called = by_calls(problem, compared_at(problem), evaluations)

@@ -7,6 +7,7 @@ import time
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -196,7 +197,7 @@ def examined(model: FunctionModel, dataset: Dataset, space: Space, dear: bool = 
 def _trials_of(model: FunctionModel, space: Space) -> Array:
     """Parameter rows (TRIALS, d) of a model: in the box, and about 1 of what nothing is known."""
     names = list(model.parameters)
-    u = np.random.default_rng(0).random((len(names), TRIALS)).T
+    u = _shares(len(names))
     thetas = 0.5 + u
     for parameter in space.parameters:
         if parameter.fixed is not None and parameter.name in names:
@@ -214,6 +215,12 @@ def _trials_of(model: FunctionModel, space: Space) -> Array:
             drawn = np.where(normal, box.quantiles(shares), drawn)
         thetas[:, places] = box.decode(drawn)[:, own]
     return thetas
+
+
+@cache
+def _shares(count: int) -> Array:
+    """Random numbers (TRIALS, count), always the same."""
+    return np.random.default_rng(0).random((count, TRIALS)).T
 
 
 def with_defaults(space: Space, model: Model) -> Space:

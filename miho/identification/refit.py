@@ -160,8 +160,8 @@ def at_optimum(J: Array, r: Array, part: Array) -> bool:
         columns /= np.sqrt((columns**2).sum(axis=0))
         if columns.shape[1] > r.size or not np.isfinite(columns).all():
             return False
-    gains = np.linalg.qr(columns, mode="r")[:-1, -1] ** 2  # as shares of r'r
-    return bool(gains.sum() <= AT_OPTIMUM)
+    R = np.asarray(np.linalg.qr(columns, mode="r"))
+    return bool(np.sum(R[:-1, -1] ** 2) <= AT_OPTIMUM)  # of which the last column has norm 1
 
 
 def _limited(

@@ -143,9 +143,13 @@ class Minimum(NamedTuple):
 def best_minima(descents: Iterable[Descent]) -> tuple[Minimum, ...]:
     """The different places where descents ended, the best first, MOST_MINIMA of them at most."""
     minima: list[Minimum] = []
-    located = [(descent.end, descent.theta) for descent in descents if descent.theta is not None]
-    near = SAME_PLACE * np.abs([theta for _, theta in located]).max(axis=0, initial=0.0)
-    for end, theta in sorted(located, key=lambda each: each[0]):
+    located = {  # many come back to one place, to its last bit
+        (descent.end, descent.theta.tobytes()): descent.theta
+        for descent in descents
+        if descent.theta is not None
+    }
+    near = SAME_PLACE * np.abs([*located.values()]).max(axis=0, initial=0.0)
+    for (end, _), theta in sorted(located.items(), key=lambda each: each[0][0]):
         if not any(_same_place(known, theta, end, near) for known in minima):
             minima.append(Minimum(float(end), tuple(map(float, theta))))
         if len(minima) == MOST_MINIMA:
