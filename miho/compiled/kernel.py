@@ -129,12 +129,17 @@ def kernel_for(taped: TapedLoss, model: Formulas, thetas: Array, *, name: str) -
 
 
 def taped_loss(
-    model: Formulas, X: Array, y: Array, order: NDArray[np.intp], *, threads: int = 1
+    model: Formulas,
+    X: Array,
+    y: Array,
+    order: NDArray[np.intp] | Callable[[], NDArray[np.intp]],
+    *,
+    threads: int = 1,
 ) -> TapedLoss | None:
     """The mean square of a model minus data by the machine, None where it cannot run the model.
 
     X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which a loss goes
-    through them.
+    through them, or a function that returns it.
     """
     tapes = None if machine() is None else model.tapes
     if tapes is None:

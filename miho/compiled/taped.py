@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
@@ -25,15 +26,15 @@ class TapedLoss:
     """Residuals of a formula, their derivatives and their mean square, from its two tapes.
 
     X (p, N) holds the input columns, y (N,) the output, `order` (N,) the order in which some rows
-    are its first ones. A mean square is summed in blocks, and is the same bits alone, in a batch,
-    and on any number of `threads`.
+    are its first ones, or a function that returns it. A mean square is summed in blocks, and is the
+    same bits alone, in a batch, and on any number of `threads`.
     """
 
     value: Tape
     slopes: Tape
     X: Array
     y: Array
-    order: NDArray[np.intp]
+    order: NDArray[np.intp] | Callable[[], NDArray[np.intp]]
     threads: int = 1
     _parts: dict[int, tuple[Array, Array]] = field(default_factory=dict, init=False, repr=False)
 
@@ -72,15 +73,20 @@ class TapedLoss:
     @cached_property
     def rows(self) -> Rows:
         """Residuals and derivatives of some rows, in the order of the loss."""
+        return self.rows_of(*self.ordered)
+
+    def rows_of(self, X: Array, y: Array) -> Rows:
+        """Residuals and derivatives of these rows."""
         kept = [tape.in_machine for tape in (self.value, self.slopes)]
         functions = machine().functions()[:2]
         calls = np.array([*functions, *map(machine().address, kept)], dtype=np.int64)
-        return Rows(calls, *self.ordered, kept)
+        return Rows(calls, X, y, kept)
 
     @cached_property
     def ordered(self) -> tuple[Array, Array]:
         """Inputs and output in the order."""
-        X, y = self.X[:, self.order], self.y[self.order]
+        order = self.order() if callable(self.order) else self.order
+        X, y = self.X[:, order], self.y[order]
         return np.ascontiguousarray(X, dtype=float), np.ascontiguousarray(y, dtype=float)
 
     def _first(self, rows: int | None) -> tuple[Array, Array]:

@@ -231,7 +231,7 @@ class CurveFit(Remade, LeastSquaresProblem):
         if not isinstance(self._fitted, Expression):
             return None
         columns, target = np.array(self._columns), self._target
-        return taped_loss(self._fitted, columns, target, self._order, threads=self.threads)
+        return taped_loss(self._fitted, columns, target, lambda: self._order, threads=self.threads)
 
     @property
     def _of_graph(self) -> TapedLoss | None:
@@ -241,8 +241,8 @@ class CurveFit(Remade, LeastSquaresProblem):
     @property
     def machine_rows(self) -> Rows | None:
         """Residuals of the square loss and their derivatives by the machine, None without."""
-        plain = self._square and self.prior is None and self._taped is not None
-        return self._taped.rows if plain and self._taped is not None else None
+        taped = self._taped if self._square and self.prior is None else None
+        return None if taped is None else taped.rows_of(taped.X, taped.y)
 
     @cached_property
     def prior(self) -> PriorResiduals | None:

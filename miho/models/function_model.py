@@ -303,7 +303,7 @@ class FunctionFormula(TracedExpression):
         if at not in known:
             if not compare():
                 return False
-            if len(known) == REMEMBERED:
+            if len(known) >= REMEMBERED:
                 known.clear()
             known.add(at)
         return True

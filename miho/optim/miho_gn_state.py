@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import cache
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -158,7 +158,7 @@ class MIHOGNState:
         self.minima = Minima(*map(np.concatenate, zip(known, new, strict=True)))
 
 
-@cache
+@lru_cache(maxsize=256)
 def room_for_derivatives(levels: tuple[int, ...], n: int, d: int, eta: int, most: int) -> int:
     """How many numbers derivatives of n candidates, and of those that go on, have on these levels.
 
