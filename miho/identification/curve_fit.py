@@ -241,7 +241,8 @@ class CurveFit(Remade, LeastSquaresProblem):
     @property
     def machine_rows(self) -> Rows | None:
         """Residuals of the square loss and their derivatives by the machine, None without."""
-        taped = self._taped if self._square and self.prior is None else None
+        plain = self.compiled and self._square and self.prior is None
+        taped = self._taped if plain else None
         return None if taped is None else taped.rows_of(taped.X, taped.y)
 
     @cached_property

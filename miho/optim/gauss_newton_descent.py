@@ -8,7 +8,7 @@ import numpy as np
 
 from miho.compiled.gauss_newton_bracket import begin, make_room
 from miho.compiled.gauss_newton_candidates import GNCandidates, Minima
-from miho.compiled.gauss_newton_loop import PAUSED, bracket_of
+from miho.compiled.gauss_newton_machine import PAUSED, bracket_of
 from miho.compiled.kernel import Rows
 from miho.compiled.phases import POLISH, SCREEN
 from miho.compiled.workspace import CHUNK, room_for
