@@ -96,7 +96,7 @@ def agreement(
             optima, highest = optima + 1, highest_in_optimum(end, rounding)
     optima += dropped
     highest = highest_in_optimum(best, rounding)
-    agreeing = sum([end <= highest for end in ends])
+    agreeing = len([end for end in ends if end <= highest])
     pairs = finished * (finished - 1)
     unseen = min(1.0, optima * (optima + 1) / pairs) if pairs else 1.0
     return Agreement(best, agreeing, finished, optima, unseen)
