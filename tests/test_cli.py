@@ -81,7 +81,7 @@ def test_identify_prints_parameters_errors_and_evidence(identify: Command, tmp_p
     assert code == 0
     for word in ("1/rad", "195 degrees of freedom", "irreducible", "evaluations", "(ran)"):
         assert word in out
-    assert re.search(r"optimum +in doubt: only \d+ of 30 descents ended here", out)
+    assert re.search(r"optimum +In doubt: only \d+ of 30 descents", out)
     assert "best known" not in out, "nothing was recorded, and nothing else is run to know it"
     assert len(load_runs(tmp_path / "runs").runs) == 1
     assert re.search(r"^workers +evaluations made here, [\d.]+ .s each$", out, re.MULTILINE)

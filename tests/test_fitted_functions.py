@@ -382,7 +382,7 @@ def test_a_budget_without_a_value_is_said() -> None:
     settings: dict[str, Any] = {"budget": miho.Budget(seconds=1e-9), "compiled": False}
     decay = lambda t, a, b: a * np.exp(-b * t)  # noqa: E731
     fit = miho.fit(decay, t, t, {"a": (0, 5), "b": (0, 10)}, **settings)
-    assert "no bracket was finished within the budget" in fit.optimum
+    assert "no independent search finished within the budget" in fit.optimum
     with pytest.raises(ValueError, match="the budget ended before the first value"):
         miho.fit(decay, t, t, {"a": (0, 5), "b": (0, 10)}, method=Idle(), **settings)
 

@@ -109,7 +109,7 @@ def test_the_best_run_of_a_root(
     assert identified.provenance["degrees_of_freedom"] == 295
     deviation = identified.provenance["residual_standard_deviation"]
     assert deviation == pytest.approx(identified.provenance["error"] * np.sqrt(300 / 295))
-    evidence = "500 starts screened for 10 descents; 10 of "
+    evidence = "Converged: 10 of 10 descents (500 starting points screened) found this optimum. "
     assert identified.provenance["optimum"].startswith(evidence)
     assert identified.provenance["seed"] == best["seed"]
     assert identified.provenance["interval"] == "profile"
@@ -205,11 +205,11 @@ def test_a_check_by_name_adds_descents_from_other_starts(
     """In two seconds there is time for more descents than the ten of the run."""
     folder = load_runs(root).runs.set_index("seed").loc[0, "folder"]
     called(monkeypatch, folder, "--no-profile", "--output", tmp_path)
-    ended = r"optimum: [\d,]+ starts screened for (\d+) descents; (\d+) of them ended here"
-    ((first, before),) = re.findall(ended, capsys.readouterr().out)
+    ended = r": (?:only )?(\d+) of (\d+) descents \([\d,]+ starting points screened\) found"
+    ((before, first),) = re.findall(ended, capsys.readouterr().out)
     called(monkeypatch, folder, "--check", 2, "--no-profile", "--output", tmp_path)
     out = capsys.readouterr().out
-    ((finished, here),) = re.findall(ended, out)
+    ((here, finished),) = re.findall(ended, out)
     assert int(finished) > int(first) == 10
     assert int(before) <= int(here) <= int(finished)
     with pytest.raises(SystemExit, match="2"):
@@ -257,7 +257,9 @@ def test_the_gap_is_of_what_is_reported_and_of_the_run(tmp_path: Path) -> None:
     ratio = 100 * (np.sqrt(stored.result["loss"]) / best - 1)
     assert ratio > 1
     assert f"(closed form), gap 0.0000 %; of the run itself {ratio:.4f} %" in text
-    assert re.search(r"optimum +linear in all parameters, so that no other optimum is better", text)
+    assert re.search(
+        r"optimum +Converged: the model is linear in all parameters, so no other", text
+    )
     assert "in doubt" not in text
 
 
@@ -291,9 +293,9 @@ def test_another_method_is_not_the_one_of_the_run(root: Path) -> None:
         ("converged", Descents(7, 7, 7, 0, (2.0,) * 7), "itself, before enough of its descents"),
         ("converged", Descents(7, 7, 7, 0, (1.0,) * 6, dropped=1), "itself, before enough of its"),
         ("brackets", Descents(3, 3, 3, 0, (1.0,), 9, 1, 2, True),
-         "its largest number of brackets, before enough of its brackets agreed"),
+         "its largest number of brackets, before enough of its independent searches agreed"),
         ("budget", Descents(7, 7, 7, 0, (1.0,) * 7, brackets=True, settled=False),
-         "its budget, before enough of its brackets agreed"),
+         "its budget, before enough of its independent searches agreed"),
         ("converged", Descents(3, 3, 2, 0, (1.0, 2.0, 3.0)), "agreed; 1 of 3 descents were still"),
     ],
 )  # fmt: skip
@@ -312,7 +314,8 @@ def test_the_ending_says_that_a_later_step_found_a_better_optimum() -> None:
     cut = replace(descents, brackets=True, settled=False)
     ending = _ending({"outcome": "budget", "loss": 1.0}, cut, 0.0, None, "a profile")
     assert ending == (
-        "its budget, before enough of its brackets agreed; a profile found a better optimum"
+        "its budget, before enough of its independent searches agreed; a profile found a better "
+        "optimum"
     )
 
 
@@ -436,4 +439,6 @@ def test_ends_on_exact_data_agree_as_they_did_for_the_search(tmp_path: Path) -> 
     assert stored is not None
     assert stored.result["outcome"] == "converged"
     assert stored.result["loss"] > experiment.problem.rounding
-    assert "itself, after enough of its brackets agreed" in result_text(experiment, stored)
+    assert "itself, after enough of its independent searches agreed" in result_text(
+        experiment, stored
+    )

@@ -61,8 +61,8 @@ def test_every_method_gives_a_result_within_the_smallest_budgets(
 @pytest.mark.parametrize("evaluations", [1, 2, 5])
 def test_a_search_that_was_hardly_begun_says_so(evaluations: int) -> None:
     fit = miho.fit(*PROBLEMS["osborne_2"], budget=Budget(evaluations=evaluations))
-    assert fit.optimum.startswith("in doubt: no bracket was finished within the budget")
-    assert "the optimum is in doubt: no bracket was finished within the budget" in str(fit)
+    assert fit.optimum.startswith("In doubt: no independent search finished within the budget")
+    assert "the optimum is in doubt: no independent search finished within the budget" in str(fit)
 
 
 def test_a_compiled_search_gives_the_best_on_few_rows_too() -> None:

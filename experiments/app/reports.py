@@ -155,7 +155,7 @@ def report_on_run(stored: StoredRun, options: Options) -> tuple[Best, bool]:
     limits = f"limits: {marks}\n" * bool(marks)
     print(
         f"{result['problem']}: {stored.folder}\n\n{report_text(report)}\n\n{errors}\n"
-        f"{limits}optimum: {report.standing.statement}\nreport {path}\n"
+        f"{limits}{report.standing.statement}\nreport {path}\n"
     )
     if options.candidates is not None and options.rows is not None:
         print(

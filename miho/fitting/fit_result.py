@@ -180,8 +180,9 @@ class Fit(Remade):
 
     @property
     def optimum(self) -> str:
-        """What is known of the optimum: how many searches ended in it, or why it is in doubt."""
-        return "; ".join([self._standing.statement, *at_limits(self.problem, self.theta)])
+        """The evidence that the optimum is the best one, or the reason to doubt it."""
+        limits = (f"{limit}." for limit in at_limits(self.problem, self.theta))
+        return " ".join([self._standing.statement, *limits])
 
     @cached_property
     def _standing(self) -> Standing:
@@ -329,14 +330,13 @@ class Fit(Remade):
             marks = marked(self.problem, self.theta, self.uncertainty)
         except ValueError:  # too few rows
             marks = marked(self.problem, self.theta, None)
+        size = "; ".join([f"{error} (root mean square of {rows:,} rows{weights})", *marks])
+        size += f"{alike * self._dependent}{narrow * priors}"
         # The caveats explain an optimum in doubt.
-        limits = at_limits(self.problem, self.theta)
-        known = "; ".join(limits) if self._standing.doubt else self.optimum
-        last = "; ".join(
-            filter(None, [f"{error} (root mean square of {rows:,} rows{weights})", *marks, known])
-        )
-        last += f"{alike * self._dependent}{narrow * priors}"
-        return "\n".join([table, last, *(f"- {sentence}" for sentence in self.caveats)])
+        limits = " ".join(f"{limit}." for limit in at_limits(self.problem, self.theta))
+        known = limits if self._standing.doubt else self.optimum
+        caveats = (f"- {sentence}" for sentence in self.caveats)
+        return "\n".join(filter(None, [table, size, known, *caveats]))
 
     @property
     def _dependent(self) -> bool:

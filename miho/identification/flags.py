@@ -49,8 +49,8 @@ ANOTHER = 10.0
 def doubtful(doubt: str, remedy: str) -> list[str]:
     """Sentences on an optimum in doubt: why, and what to do."""
     return [
-        f"the optimum is in doubt: {doubt}. Values, standard errors and intervals are those of "
-        "this local optimum, and tell nothing of data or model.",
+        f"the optimum is in doubt: {doubt}. Values, standard errors and intervals describe this "
+        "local optimum only; they do not judge the data or the model.",
         remedy,
     ]
 

@@ -13,7 +13,7 @@ from miho.identification.closed_form import linear_optimum
 from miho.identification.curve_fit import CurveFit
 from miho.identification.flags import lost_effect
 from miho.identification.report import irreducible_of
-from miho.identification.standing import Standing, kind_of, standing
+from miho.identification.standing import Standing, kind_of, singular, standing
 from miho.identification.uncertainty import Linearised, linearised
 from miho.identification.validation import root_mean_square
 from miho.optim import Descents, in_optimum
@@ -39,14 +39,32 @@ def standing_of(
     found_by: str = "",
     best_known: float | None = None,
 ) -> Standing:
-    """The standing of the optimum `theta` (d,), to which a descent from `run` (d,) led.
+    """The standing of an optimum.
 
-    `searches` are the descents of the run, and of a check; `best_known` is the loss of a recorded
-    optimum. `at` is the uncertainty, where a lost effect of a parameter is to be noticed. `moving`
-    is after how many evaluations the descent was still moving, 0 if it came to its end. `found_by`
-    names the step after the search that met this optimum where the search had led to a worse one.
-    A profile and the bootstrap are no search: all descents have then missed this optimum, and may
-    have missed others.
+    Parameters
+    ----------
+    problem : CurveFit
+        The problem that was searched.
+    theta : ndarray of shape (d,)
+        The optimum.
+    run : ndarray of shape (d,)
+        The result of the search, from which a descent led to `theta`.
+    searches : sequence of Descents
+        The descents of the run, and of a check of the run.
+    at : Linearised, optional
+        The uncertainty. With it, a parameter that lost its effect is noticed.
+    moving : int
+        Evaluations after which the descent from `run` was still improving; 0 if it converged.
+    found_by : str
+        The step after the search that found this optimum, if the search had found a worse one. A
+        profile and the bootstrap are not searches: if one of them found the optimum, all descents
+        have missed it, and may have missed others.
+    best_known : float, optional
+        Loss of a recorded optimum.
+
+    Returns
+    -------
+    Standing
     """
     loss, rounding = float(problem.loss(theta[None])[0]), problem.resolution
     before = loss if np.array_equal(run, theta) else float(problem.loss(run[None])[0])
@@ -54,16 +72,16 @@ def standing_of(
     exact = linear_optimum(problem)
     if exact is not None:
         if loss <= exact[1] * (1 + LINEAR) + rounding:
-            linear = "linear in all parameters, so that no other optimum is better"
+            linear = "the model is linear in all parameters, so no other optimum is better"
             return Standing(linear, certain=True)
         best_known = exact[1]
     if _is_zero(problem, theta, loss):
-        zero = "the residuals are zero to rounding in this box, so that no other optimum is better"
+        zero = "the residuals are zero to rounding in this box, so no other optimum is better"
         return Standing(zero, certain=True)
     if best_known is not None:
         stand = standing(loss, rounding, searches, best_known=best_known)
     elif found_by in (PROFILE, BOOTSTRAP):
-        missed = f"{found_by} found it after {_missed(before, searches, problem.unit)}"
+        missed = f"{found_by} found this optimum after {_missed(before, searches, problem.unit)}"
         stand = Standing(missed, missed)
     else:
         stand = _by_descents(problem, theta, loss, searches)
@@ -75,8 +93,8 @@ def standing_of(
     objections = []
     if moving and exact is None:
         objections.append(
-            f"a descent from it was still moving after {moving:,} evaluations, so standard errors "
-            "and intervals are not those of an optimum"
+            f"a descent from this point was still improving after {moving:,} evaluations, so it is "
+            "not yet an optimum, and standard errors and intervals do not hold"
         )
     elif at is not None and at.unidentifiable.any():
         objections.append(lost_effect(at, problem.space, _never_identifiable(problem)))
@@ -125,7 +143,7 @@ def _missed(before: float, searches: Sequence[Descents], unit: str) -> str:
     count = sum(search.finished for search in searches)
     kind = kind_of(searches)
     if count == 1:
-        return f"one {kind.removesuffix('s')} had ended at an error of {error}"
+        return f"one {singular(kind)} had ended at an error of {error}"
     return f"{count:,} {kind} had ended, the best of them at an error of {error}"
 
 

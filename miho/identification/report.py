@@ -386,7 +386,7 @@ class Report:
         )
         lines = [f"error: {self.error:.5g} {self.problem.unit}".rstrip()]
         if not self.standing.doubt:  # else the notes begin with it
-            lines.append(f"optimum: {self.standing.statement}")
+            lines.append(self.standing.statement)
         return "\n\n".join([table, "\n".join([*lines, *(f"- {note}" for note in self.notes)])])
 
     @property

@@ -1,4 +1,4 @@
-"""The standing of an optimum: the evidence that it is the best, or why that is in doubt."""
+"""The evidence that an optimum is the best one, or the reason to doubt it."""
 
 from __future__ import annotations
 
@@ -9,20 +9,26 @@ from miho.identification.irreducible import Irreducible
 from miho.optim import Agreement, Descents, agreement
 
 BEATEN = 0.1
-"""Where no curve can have an error that is lower by this fraction, one search is enough evidence,
-unless another ended elsewhere: optima whose errors differ by less may differ in a weak signal."""
+"""If no curve can have an error lower by more than this fraction, one search is enough evidence,
+unless another search ended elsewhere: optima whose errors differ by less may differ in a weak
+signal."""
 OVERLOOKED = 0.01
-"""A recorded optimum is missed by an error that is larger by more than this fraction."""
+"""A recorded optimum counts as missed if the error is larger by more than this fraction."""
 
 
 @dataclass(frozen=True)
 class Standing:
-    """`evidence`: in a sentence, what is known of an optimum.
+    """The evidence for an optimum, from which every output takes its statement.
 
-    `doubt` says why it may not be the best, and is empty where there is enough evidence that it is.
-    `certain` if that does not rest on descents that agree, which may all have missed a better one.
-    Everything that is said of an optimum comes from here: the printed line, the report, its page
-    and `parameters.json`.
+    Parameters
+    ----------
+    evidence : str
+        What is known of the optimum, without a final full stop.
+    doubt : str, optional
+        Why a better optimum may exist. Empty if the evidence is sufficient.
+    certain : bool, optional
+        Whether the evidence does not rest on the agreement of searches, all of which may have
+        missed a better optimum.
     """
 
     evidence: str
@@ -31,13 +37,19 @@ class Standing:
 
     @property
     def statement(self) -> str:
-        """One sentence for all outputs: the evidence, or the doubt by name."""
-        return f"in doubt: {self.doubt}" if self.doubt else self.evidence
+        """One statement for the printed line, the report, its page and `parameters.json`."""
+        return f"In doubt: {self.doubt}." if self.doubt else f"Converged: {self.evidence}."
 
 
 def kind_of(searches: Sequence[Descents]) -> str:
-    """What the descents of these searches are called: brackets if all are, else descents."""
-    return "brackets" if searches and all(search.brackets for search in searches) else "descents"
+    """The name of these searches: "independent searches" if all are brackets, else "descents"."""
+    brackets = searches and all(search.brackets for search in searches)
+    return "independent searches" if brackets else "descents"
+
+
+def singular(kind: str) -> str:
+    """The name of one search of a kind."""
+    return {"independent searches": "independent search", "descents": "descent"}[kind]
 
 
 def standing(
@@ -49,76 +61,92 @@ def standing(
     irreducible: Irreducible | None = None,
     error: float = 0.0,
 ) -> Standing:
-    """The evidence for an optimum of this loss, or the doubt about it.
+    """The evidence for an optimum, or the doubt about it.
 
-    Losses up to `rounding` are 0; `searches` are the descents of the run, and of a check;
-    `best_known` is the loss of the optimum where linear algebra or a record knows it. `error` is
-    the root-mean-square error, which no curve undercuts by more than the lower end of the
-    `irreducible` one says. Where a method did not end by the evidence of its descents, they are
-    none: only those of a check may be enough, without them.
+    Parameters
+    ----------
+    loss : float
+        Loss of the optimum.
+    rounding : float
+        Losses up to this one count as 0.
+    searches : sequence of Descents
+        The descents of the run, and of a check of the run.
+    best_known : float, optional
+        Loss of the best optimum that linear algebra or a record knows. It decides alone.
+    irreducible : Irreducible, optional
+        The error that the scatter of neighbouring points leaves to any curve.
+    error : float
+        Root-mean-square error of the optimum, compared with the lower end of `irreducible`.
+
+    Returns
+    -------
+    Standing
+        If a search ended for another reason than its evidence, only the descents of a check can
+        remove the doubt.
     """
-    # A known optimum decides alone.
     if best_known is not None:
-        if loss <= best_known * (1 + OVERLOOKED) ** 2 + rounding:
-            return Standing("the best known optimum is reached", certain=True)
-        more = (loss / best_known) ** 0.5 - 1 if best_known > 0 else float("inf")
-        doubt = f"the error is {100 * more:.3g} % higher than that of the best known optimum"
-        return Standing(doubt, doubt)
-    # How many of the descents of all searches ended in this optimum.
+        return _against_the_best_known(loss, best_known, rounding)
     finished = sum(search.finished for search in searches)
     screened = sum(search.screened for search in searches)
+    kind, agreed = kind_of(searches), _agreement(searches, loss, rounding)
+    agreeing = agreed.agreeing
     dropped = sum(search.dropped for search in searches)
-    kind = kind_of(searches)
-    agreed = _agreement(searches, loss, rounding)
-    ended_here = agreed.agreeing
-    verb = "was" if dropped == 1 else "were"
-    drops = f", {dropped} {verb} dropped on fewer rows as no better" * bool(dropped)
-    count = f"{ended_here or 'none'} of {finished} {kind} ended here{drops}"
-    of_them = f"{ended_here or 'none'} of them ended here{drops}"
-    if finished == 1:
-        kind, place = kind.removesuffix("s"), "here" if ended_here else "elsewhere"
-        count, of_them = (
-            f"the only finished {kind} ended {place}{drops}",
-            f"it ended {place}{drops}",
-        )
-    evidence = f"{screened:,} starts screened for {finished} {kind}; {of_them}"
-    evidence = evidence if screened else count
-    chance = (
-        f"one more would find a better one with a probability of about {100 * agreed.better:.2g} %"
-    )
+    starts = f" ({screened:,} starting points screened)" * bool(screened)
+    counted = f"{finished} {kind if finished > 1 else singular(kind)}"
+    count = f"{agreeing or 'none'} of {counted}{starts} found this optimum{_stopped_early(dropped)}"
+    chance = f"chance that another search finds a better one: {100 * agreed.better:.2g} %"
 
-    # Enough evidence: descents that agree, or an error that no curve undercuts by much.
+    # Sufficient evidence: searches that agree, or an error that no curve can improve much.
     settled = [search for search in searches if search.settled]
     all_settled = len(settled) == len(searches)
     if agreed.enough and (all_settled or _agreement(settled, loss, rounding).enough):
-        return Standing(f"{evidence}, and none found a better one; {chance}")
-    alike = all_settled and ended_here == finished
+        return Standing(f"{count}. Estimated {chance}")
+    alike = all_settled and agreeing == finished
     if alike and irreducible is not None and error <= irreducible.high:
         below = max(0.0, 1 - irreducible.low / error) if error > 0 else 0.0
         if below <= BEATEN:
-            reached = (
-                "as neighbouring points scatter, no curve has an error that is more than "
-                f"{100 * below:.2g} % lower (95 % interval)"
+            least = (
+                f"no curve has an error more than {100 * below:.2g} % lower, judged by the scatter "
+                "of neighbouring points (95 % interval)"
             )
-            return Standing(f"{evidence}; {reached}" if finished else reached, certain=True)
-    # Too little: how many, and where the others ended.
+            return Standing(f"{count}; {least}" if finished else least, certain=True)
+
+    # Insufficient evidence: how many searches agreed, and where the others ended.
     if not searches:
-        single = "one search, and nothing in it tells whether a better optimum exists"
+        single = "a single search cannot show whether a better optimum exists"
         return Standing(single, single)
     if not finished:
-        unfinished = f"no {kind.removesuffix('s')} was finished"
-        return Standing(unfinished, f"{unfinished} within the budget")
+        unfinished = f"no {singular(kind)} finished within the budget"
+        return Standing(unfinished, unfinished)
+    if finished == 1:
+        place = "found this optimum" if agreeing else "ended elsewhere"
+        count = f"the only finished {singular(kind)}{starts} {place}{_stopped_early(dropped)}"
+    doubt = f"only {count}" if 0 < agreeing < finished else count
     if agreed.optima > 1:
         errors = agreed.optima - dropped
-        elsewhere = f"; they ended at {errors} different errors" * (errors > 1)
-        elsewhere += f", so that {chance}" * agreed.returned
-        evidence, count = evidence + elsewhere, count + elsewhere
-    doubt = f"only {count}" if 0 < ended_here < finished else count
+        doubt += f"; they ended at {errors} different errors" * (errors > 1)
+        doubt += f"; estimated {chance}" * agreed.returned
     if not all_settled:
-        unsettled = "; the search ended before that was evidence enough"
-        return Standing(evidence + unsettled, doubt + unsettled)
-    few = ", and one is" if finished == 1 else ", which are"
-    return Standing(evidence, doubt + f"{few} too few to rely on" * (ended_here == finished))
+        doubt += "; the search ended before the evidence was sufficient"
+    elif agreeing == finished:
+        doubt += ", and one is too few" if finished == 1 else f", and {finished} are too few"
+    return Standing(doubt, doubt)
+
+
+def _against_the_best_known(loss: float, best_known: float, rounding: float) -> Standing:
+    if loss <= best_known * (1 + OVERLOOKED) ** 2 + rounding:
+        return Standing("the best known optimum is reached", certain=True)
+    more = (loss / best_known) ** 0.5 - 1 if best_known > 0 else float("inf")
+    doubt = f"the error is {100 * more:.3g} % above the error of the best known optimum"
+    return Standing(doubt, doubt)
+
+
+def _stopped_early(count: int) -> str:
+    """The number of searches that were given up before they had looked at all rows."""
+    if not count:
+        return ""
+    verb, pronoun = ("was", "it was") if count == 1 else ("were", "they were")
+    return f", and {count} {verb} stopped on a part of the rows because {pronoun} no better"
 
 
 def _agreement(searches: Sequence[Descents], loss: float, rounding: float) -> Agreement:

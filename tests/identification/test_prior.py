@@ -154,7 +154,7 @@ def test_searches_are_counted_at_the_errors_that_were_settled_on() -> None:
     y = decay(t, 2.0, 1.5) + SIGMA * rng.standard_normal(40)
     space = {"a": (0, 5), "b": {"low": 0, "high": 10, "prior": (1.5, 0.1)}}
     fit = miho.fit(decay, t, y, space, compiled=False)
-    assert "7 of them ended here" in fit.optimum
+    assert "7 of 7 independent searches" in fit.optimum
 
 
 def test_beside_data_without_errors_a_prior_counts_nothing() -> None:

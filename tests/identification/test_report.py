@@ -63,7 +63,7 @@ def test_it_prints_in_words(tire: Report) -> None:
     ]  # fmt: skip
     assert [line.split()[0] for line in lines[1:6]] == ["B", "C", "D", "Sx", "Sy"]
     assert lines[7].startswith("error: ")
-    assert lines[8] == f"optimum: {tire.standing.statement}"
+    assert lines[8] == tire.standing.statement
     assert [line.removeprefix("- ") for line in lines[9:]] == tire.notes
 
 

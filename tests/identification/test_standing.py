@@ -37,23 +37,23 @@ def ended(*ends: float, started: int | None = None) -> Descents:
 @pytest.mark.parametrize(
     ("descents", "doubt"),
     [
-        (None, "one search, and nothing in it tells"),
-        (ended(started=1), "no descent was finished"),
-        (ended(1.0), "the only finished descent ended here, and one is too few to rely on"),
+        (None, "a single search cannot show"),
+        (ended(started=1), "no descent finished"),
+        (ended(1.0), "the only finished descent found this optimum, and one is too few"),
         (ended(2.0), "the only finished descent ended elsewhere"),
-        (ended(1.0, 1.0), "2 of 2 descents ended here, which are too few"),
-        (ended(*[1.0] * 6), "6 of 6 descents ended here, which are too few"),
+        (ended(1.0, 1.0), "2 of 2 descents found this optimum, and 2 are too few"),
+        (ended(*[1.0] * 6), "6 of 6 descents found this optimum, and 6 are too few"),
         (ended(*[1.0] * 7), ""),
         (ended(*[1.0] * 9, 2.0, 2.0, 3.0), ""),
-        (ended(1.0, *[2.0] * 29), "only 1 of 30 descents ended here; they ended at 2"),
+        (ended(1.0, *[2.0] * 29), "only 1 of 30 descents found this optimum; they ended at 2"),
         (ended(*[1.0] * 6, *[2.0] * 124), "only 6 of 130"),
         (
             ended(*[1.0] * 5, 2.0, 3.0),
-            "only 5 of 7 descents ended here; they ended at 3 different errors, so that one more "
-            "would find a better one with a probability of about 7.1 %",
+            "only 5 of 7 descents found this optimum; they ended at 3 different errors; estimated "
+            "chance that another search finds a better one: 7.1 %",
         ),
         (ended(*[1.0] * 8, *np.linspace(2, 9, 22)), "only 8 of 30"),
-        (ended(*[1.1] * 30), "none of 30 descents ended here"),
+        (ended(*[1.1] * 30), "none of 30 descents found this optimum"),
         (ended(*1 + np.linspace(0, 9e-5, 10)), ""),
     ],
 )
@@ -68,17 +68,15 @@ def test_the_evidence_counts_starts_descents_and_what_they_may_have_missed() -> 
     descents = ended(*[1.0] * 17, 2.0, 3.0, 3.0)
     stand = standing(1.0, 0.0, [replace(descents, screened=1234)])
     assert stand.evidence == (
-        "1,234 starts screened for 20 descents; 17 of them ended here, and none found a better "
-        "one; one more would find a better one with a probability of about 0.79 %"
+        "17 of 20 descents (1,234 starting points screened) found this optimum. Estimated chance "
+        "that another search finds a better one: 0.79 %"
     )
     assert standing(1.0, 0.0, [descents]).evidence.startswith(
-        "17 of 20 descents ended here, and none"
+        "17 of 20 descents found this optimum. "
     )
     check = replace(ended(*[1.0] * 5), screened=100)
     evidence = standing(1.0, 0.0, [descents, check]).evidence
-    assert evidence.startswith("100 starts screened for 25 descents; 22 of them ended here"), (
-        evidence
-    )
+    assert evidence.startswith("22 of 25 descents (100 starting points screened) found"), evidence
 
 
 def test_what_was_dropped_on_fewer_rows_is_said_and_may_be_an_optimum_of_its_own() -> None:
@@ -88,18 +86,19 @@ def test_what_was_dropped_on_fewer_rows_is_said_and_may_be_an_optimum_of_its_own
     )
     stand = standing(1.0, 0.0, [brackets])
     assert stand.evidence == (
-        "99 starts screened for 12 brackets; 10 of them ended here, 2 were dropped on fewer rows "
-        "as no better, and none found a better one; one more would find a better one with a "
-        "probability of about 2.3 %"
+        "10 of 12 independent searches (99 starting points screened) found this optimum, and 2 "
+        "were stopped on a part of the rows because they were no better. Estimated chance that "
+        "another search finds a better one: 2.3 %"
     )
     assert not stand.doubt
     few = replace(brackets, ends=(1.0,) * 7, started=8, finished=8, dropped=1)
     assert standing(1.0, 0.0, [few]).doubt == (
-        "only 7 of 8 brackets ended here, 1 was dropped on fewer rows as no better, so that one "
-        "more would find a better one with a probability of about 3.6 %"
+        "only 7 of 8 independent searches (99 starting points screened) found this optimum, and 1 "
+        "was stopped on a part of the rows because it was no better; estimated chance that another "
+        "search finds a better one: 3.6 %"
     )
     evidence = standing(1.0, 0.0, [brackets, ended(1.0)]).evidence
-    assert evidence.startswith("99 starts screened for 13 descents; 11 of them"), (
+    assert evidence.startswith("11 of 13 descents (99 starting points screened)"), (
         "not all are brackets"
     )
 
@@ -108,7 +107,7 @@ def test_what_is_known_needs_no_descents() -> None:
     alone = ended(1.0, *[2.0] * 29)
     assert standing(1.0, 9e-16, [alone], best_known=1.0).certain
     missed = standing(4.0, 9e-16, [ended(*[4.0] * 30)], best_known=1.0)
-    assert "100 % higher than that of the best known optimum" in missed.doubt
+    assert "100 % above the error of the best known optimum" in missed.doubt
     noise = Irreducible(1.0, 0.9, 1.1)
     assert standing(1.0, 9e-16, [], irreducible=noise, error=1.0).certain
     assert standing(1.0, 9e-16, [ended(1.0)], irreducible=noise, error=1.0).certain
@@ -182,13 +181,13 @@ def test_a_failed_search_blames_neither_data_nor_model() -> None:
     record = minimize(LeastSquares(), problem, seed=0)
     assert record.loss > 10 * problem.loss(truth[None])[0], "or this tests nothing"
     report = make_report(problem, record.theta, descents=record.descents, remedy="type this")
-    assert re.match(r"the optimum is in doubt: only \d of 30 descents ended here", report.notes[0])
+    assert re.match(r"the optimum is in doubt: only \d of 30 descents", report.notes[0])
     assert "do not depend on b5, as they do elsewhere in the box" in report.notes[0]
     assert report.notes[1] == "type this"
     assert not accused(report)[1:], "only the first sentence, which is of the search"
     good = make_report(problem, record.theta, descents=record.descents, better=truth)
     assert good.at.theta == pytest.approx(truth, rel=0.2)
-    assert "none of 30 descents ended here" in good.standing.doubt
+    assert "none of 30 descents (1,500 starting points screened) found this" in good.standing.doubt
 
 
 def test_an_error_close_to_the_noise_does_not_make_a_local_optimum_certain() -> None:
@@ -229,7 +228,7 @@ def test_a_method_without_descents_says_that_it_is_one_search() -> None:
     record = minimize(RandomSearch(), problem, Budget(evaluations=50))
     assert record.descents is None
     report = make_report(problem, record.theta)
-    assert "one search, and nothing in it tells" in report.notes[0]
+    assert "a single search cannot show" in report.notes[0]
 
 
 def test_residual_standard_deviation_is_the_certified_one() -> None:
@@ -284,7 +283,7 @@ def test_a_descent_from_behind_the_wall_says_so() -> None:
 def test_a_report_ends_in_time_and_says_what_is_missing() -> None:
     report = make_report(misra1a(), np.array([238.9, 5.5e-4]), seconds=1e-9)
     assert "profile intervals of b1, b2 are left out" in report.notes[-1]
-    assert "still moving" in report.standing.doubt
+    assert "still improving" in report.standing.doubt
     requested = make_report(misra1a(), np.array([238.9, 5.5e-4]), seconds=1e-9, profiles=True)
     assert all(requested.profiles), "what is asked for takes the time it takes"
 
