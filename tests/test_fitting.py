@@ -181,7 +181,7 @@ def test_what_takes_the_numbers_away_is_printed_below_the_table() -> None:
         (both, {"a": (-5, 5), "b": (-5, 5)}, {}, ["not identifiable", "not identifiable"],
          ["a and b are not identifiable one by one"]),
         (decay, {"a": (0, 5), "b": (0, 1)}, {}, ["free", "at upper bound"],
-         ["b is at its upper bound 1: widen the space"]),
+         ["b is at its upper bound 1: widen the bounds"]),
         (decay, BOX, {"a": 1.0, "b": 1.0}, ["free", "free"],
          ["the optimum is in doubt: a single search", "search from more starts"]),
         (decay, BOX, {}, ["free", "free"], []),

@@ -95,7 +95,7 @@ def test_the_best_run_of_a_root(
 ) -> None:
     called(monkeypatch, root, "--bootstrap", 20)
     output = capsys.readouterr().out
-    for words in ("95 % interval", "B and C are hard to tell apart", "kN/rad", "report.html"):
+    for words in ("95 % interval", "B and C are hard to distinguish", "kN/rad", "report.html"):
         assert words in output
     best = load_runs(root).runs.sort_values("error").iloc[0]
     (folder,) = (root / "reports" / "pacejka-tire_lf").iterdir()

@@ -321,9 +321,10 @@ class Fit(Remade):
         rows = len(self.problem.dataset)
         error = f"error {self.error:.5g} {self.problem.unit}".rstrip()
         weights = "" if self.problem.weights is None else ", weighted by sigma"
-        alike = "; intervals allow for errors that depend on those of neighbouring rows"
+        alike = "; intervals allow for correlated errors of neighbouring rows"
         narrow = (
-            "; errors of neighbouring rows are alike, so intervals beside priors are too narrow"
+            "; errors of neighbouring rows are correlated, and intervals do not allow for them "
+            "together with priors"
         )
         priors = bool(alike_beside_priors(self.problem, self.theta))
         try:

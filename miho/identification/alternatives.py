@@ -218,12 +218,12 @@ def several_values(problem: CurveFit, optima: Sequence[Linearised]) -> list[str]
         f"{name} is {_listed(several[name])}" for name in parameters if name in several
     )
     excess = _excesses(problem, optima)[1:].max()
-    listed = listed or "what the data determine is alike in all"
+    listed = listed or "they agree in all that the data determine"
     sentences = [
         f"{len(optima)} optima differ by less than the noise (chi-squared by {excess:.2g} at "
-        f"most), so the data cannot tell them apart: {listed}. "
-        "Intervals reach from the lowest of them to the highest, also over values between that "
-        "may not fit; standard errors are those of the first optimum alone."
+        f"most), so the data cannot distinguish them: {listed}. Each interval covers all optima, "
+        "including values between them that may not fit; standard errors hold for the first "
+        "optimum only."
     ]
     shared = [
         f"{name} = {_listed(values[name])} ± {errors[name]:.2g}"
@@ -233,8 +233,8 @@ def several_values(problem: CurveFit, optima: Sequence[Linearised]) -> list[str]
     shared = shared or _shared_product(problem, optima, several)
     if shared:
         sentences.append(
-            f"the optima share, to a standard error: {', '.join(shared)}. Trust this more than the "
-            "parameters that it is made of."
+            f"the optima agree within a standard error on {', '.join(shared)}. Trust this more "
+            "than the single parameters."
         )
     return sentences
 

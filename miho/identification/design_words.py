@@ -52,31 +52,31 @@ def assumptions(design: Design) -> list[str]:
     report = design.report
     problem, at = report.problem, report.at
     sentences = [
-        "this holds as far as the model is right, new errors are like the present ones (standard "
-        f"deviation {at.noise:.3g}{_unit(problem.unit)}), and the optimum is near this one: "
-        "measure, fit again, and ask again."
+        "this prediction assumes that the model is right, that new errors have the present "
+        f"standard deviation ({at.noise:.3g}{_unit(problem.unit)}), and that the new optimum is "
+        "near this one: measure, fit again, and plan again."
     ]
     if report.standing.doubt:
         sentences.append(
-            f"the optimum is in doubt ({report.standing.doubt}): another one would ask for other "
+            f"the optimum is in doubt ({report.standing.doubt}): a better optimum would need other "
             "rows."
         )
     sentences += _undetermined(design)
     held = [problem.space.names[i] for i in np.flatnonzero(at.at_bound)]
     if held:
-        sentences.append(f"held at a bound, and left out here: {', '.join(held)}.")
+        sentences.append(f"fixed at a bound, and left out here: {', '.join(held)}.")
     table = design.table
     vague = table[(table["present half width"] > LINEAR * table["value"].abs())]
     vague = vague[np.isfinite(vague["present half width"]) & (vague["quantity"] == design.goal)]
     if len(vague):
         sentences.append(
-            f"{design.goal} is known so little yet that a linearised model may mislead: measure a "
-            "part of these rows, and choose the others after the next fit."
+            f"{design.goal} is so uncertain that the linearised prediction may mislead: measure "
+            "some of these rows, and choose the others after the next fit."
         )
     if independence(problem, at):
         sentences.append(
-            "the errors of present rows depend on each other, as those of new ones will: read by "
-            "what factor the widths fall, not the widths."
+            "the errors of the present rows are correlated, and new errors will be: rely on the "
+            "factor by which the widths fall, not on the widths."
         )
     return sentences + _not_noise(report) + _beyond(design)
 

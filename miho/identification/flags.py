@@ -58,8 +58,8 @@ def doubtful(doubt: str, remedy: str) -> list[str]:
 def ended_at_bounds(at: Linearised, space: Space) -> list[str]:
     """Sentences on parameters at a bound where the optimum is in doubt."""
     return [
-        f"the search ended at the {end} bound of {name}, {bound}: {name} is held there and has no "
-        "standard error, and the others' are too small."
+        f"the search ended at the {end} bound of {name}, {bound}: {name} is fixed there and has no "
+        "standard error, and the other standard errors are too small."
         for name, end, bound in parameters_at_bounds(at, space)
     ]
 
@@ -81,8 +81,8 @@ def lost_effect(at: Linearised, space: Space, everywhere: NDArray[np.bool_]) -> 
     if not names:
         return ""
     return (
-        f"the search ended where the predictions do not depend on {_listed(names)}, as they do "
-        "elsewhere in the box"
+        f"at the end of the search the predictions do not depend on {_listed(names)}, although "
+        "they do elsewhere in the box"
     )
 
 
@@ -94,8 +94,9 @@ def identifiability(at: Linearised, space: Space) -> list[str]:
 def held_at_bounds(at: Linearised, space: Space) -> list[str]:
     """Sentences on parameters at a bound."""
     return [
-        f"{name} is at its {end} bound {bound}: widen the space, or the data do not determine it. "
-        "It is held there, so it has no standard error and the others' are too small."
+        f"{name} is at its {end} bound {bound}: widen the bounds, unless the data do not determine "
+        f"{name}. It is fixed there and has no standard error, and the other standard errors are "
+        "too small."
         for name, end, bound in parameters_at_bounds(at, space)
     ]
 
@@ -112,8 +113,8 @@ def unseen(at: Linearised, space: Space, everywhere: bool = True) -> list[str]:
         sentences.append(f"the data do not depend on {_listed(free)}: not identifiable, {place}.")
     elif free:
         sentences.append(
-            f"{_listed(free)} are not identifiable one by one: they can change together and "
-            f"leave every prediction as it is. Fix {len(at.null_directions)} of them."
+            f"{_listed(free)} are not identifiable one by one: they can change together without "
+            f"changing any prediction. Fix {len(at.null_directions)} of them."
         )
     return sentences
 
@@ -126,14 +127,14 @@ def entangled(at: Linearised, space: Space) -> list[str]:
         strongest = block[np.triu_indices(len(members), 1)]
         r = float(strongest[np.abs(strongest).argmax()])
         group = _listed([names[i] for i in members])
-        change = "a larger one with a smaller other" if r < 0 else "both larger or both smaller"
+        change = "increasing one and decreasing the other" if r < 0 else "changing both alike"
         if len(members) > 2:
-            finding = f"correlations reach {r:.2f}, one can make up for the others"
+            finding = f"correlations reach {r:.2f}, and one can compensate for the others"
         else:
-            finding = f"their correlation is {r:.2f}, {change} fits almost as well"
+            finding = f"their correlation is {r:.2f}, and {change} fits almost as well"
         sentences.append(
-            f"{group} are hard to tell apart: {finding}. Trust what they make together more than "
-            "each."
+            f"{group} are hard to distinguish: {finding}. Trust their combinations more than the "
+            "single values."
         )
     return sentences
 
@@ -200,20 +201,20 @@ def profile_shapes(
             ("below", "above"), (curve.low, curve.high), curve.tried, (p.low, p.high), strict=True
         ):
             if np.isinf(end):
-                place = "the edge of the box" if tried == edge else "as far as the profile goes"
+                place = "the bound" if tried == edge else "the end of the profile"
                 open_ends.append(f"{side} ({tried:.4g}, {place})")
         if open_ends:
             sentences.append(
-                f"{name} is not bounded {' or '.join(open_ends)}: the fit is not significantly "
-                "worse up to there, and nothing is known of values beyond."
+                f"the data do not limit {name} {' or '.join(open_ends)}: the fit is not "
+                "significantly worse up to there, and values beyond were not tried."
             )
             continue
         half = (high - low) / 2
         off = max(abs(low - curve.low), abs(curve.high - high)) / half if half < np.inf else 0.0
         if off > LOPSIDED:
             sentences.append(
-                f"{name}: its linearised interval is off by {100 * off:.0f} % of its half width; "
-                "use the profile interval."
+                f"{name}: the linearised interval differs from the profile interval by "
+                f"{100 * off:.0f} % of its half width; use the profile interval."
             )
     return sentences
 
@@ -233,9 +234,9 @@ def uneven_spread(at: Linearised, space: Space) -> list[str]:
         if those:
             sentences.append(f"too {kind} for {_listed(those)}")
     return [
-        "the errors do not have the same spread everywhere, as linearised and profile intervals "
-        f"take for granted: these are {' and '.join(sentences)}. Prefer the intervals of the "
-        "sandwich, which are consistent under uneven spread, or of the bootstrap."
+        "the standard deviation of the errors changes along the data, but linearised and profile "
+        f"intervals assume a constant one: they are {' and '.join(sentences)}. Prefer the sandwich "
+        "intervals, which remain valid, or the bootstrap."
     ]
 
 
@@ -266,20 +267,22 @@ def independence(problem: CurveFit, at: Linearised) -> list[str]:
     """A sentence if rows are not independent: they belong to events, or neighbours are alike."""
     if at.events:
         return [
-            f"rows of one event are not independent: standard errors, intervals and bootstrap are "
-            f"those of {at.events} events, and there are no profiles."
+            "rows of one event are not independent: standard errors, intervals and the bootstrap "
+            f"count {at.events} events instead of rows, and there are no profiles."
         ]
     sentences = []
     if EVENT in problem.dataset.columns:
-        sentences.append("the rows are of too few events to allow for what they share.")
+        sentences.append(
+            "the rows come from too few events to allow for the dependence within an event."
+        )
     usable = np.isfinite(at.standard_errors) & (at.standard_errors > 0)
     if at.dependence is not None and usable.any():
         sentences.append(_alike(at, at.dependence, np.eye(usable.size)[usable]))
     correlation = alike_beside_priors(problem, at.theta)
     if correlation:
         sentences.append(
-            f"the errors of neighbouring rows are alike (correlation {correlation:.2f}): beside "
-            "priors standard errors and intervals do not allow for that, and are too narrow."
+            f"the errors of neighbouring rows are correlated ({correlation:.2f}): with priors, "
+            "standard errors and intervals do not allow for that and are too narrow."
         )
     return sentences
 
@@ -289,15 +292,15 @@ def _alike(at: Linearised, dependence: Dependence, axes: Array) -> str:
     wider = at.reach(axes) / at.independent.reach(axes)
     factors = list(dict.fromkeys(f"{factor:.1f}" for factor in np.sort(wider)[[0, -1]]))
     sentence = (
-        f"the errors of neighbouring rows are alike (correlation {dependence.correlation:.2f}), so "
-        "the rows say less than their number: standard errors and intervals allow for that, which "
-        f"makes intervals {' to '.join(factors)} times as wide as those of independent rows. If "
-        "the model's shape is at fault, a better one narrows them."
+        f"the errors of neighbouring rows are correlated ({dependence.correlation:.2f}), so the "
+        "rows carry less information than independent rows would: standard errors and intervals "
+        f"allow for that and are {' to '.join(factors)} times as wide. If the correlation comes "
+        "from a wrong shape of the model, a better model narrows them."
     )
     if at.freedom < FEWEST_FREE:
         sentence += (
-            " The errors resemble each other over so much of the data that even these may be too "
-            "narrow: longer data help, more rows in the same time do not."
+            " The correlation reaches over so much of the data that even these may be too narrow: "
+            "a longer measurement helps, more rows in the same time do not."
         )
     return sentence
 
@@ -312,18 +315,17 @@ def followed(problem: CurveFit, trends: pd.DataFrame) -> list[str]:
         share = f"{100 * row['explained']:.0f} % of the errors' variance follows {name}"
         if not is_finding(row["explained"], row["p"]):
             sentences.append(
-                f"{share}, but errors that resemble their neighbours, as noise that drifts, would "
-                "do so too: these data cannot tell that from a wrong model. Repeat the "
-                f"measurement, or take {name} in another order: errors of the model follow {name} "
-                "again, and drift does not."
+                f"{share}, but correlated noise, such as drift, would do so too: these data cannot "
+                f"distinguish it from a wrong model. Repeat the measurement with {name} in another "
+                f"order: errors of the model follow {name} again, and drift does not."
             )
         elif row["an input"] == "yes":
             drift = f", {OR_DRIFT.format(name=name)}" if in_a_sweep(problem, name) else ""
             sentences.append(f"{share}: the model has the wrong shape{drift}.")
         else:
             sentences.append(
-                f"{share}, which is no input of the model: it is not noise, and only a model with "
-                "that input can remove it."
+                f"{share}, which is not an input of the model: this part is not noise, and only a "
+                "model with that input can remove it."
             )
     return sentences
 
@@ -338,8 +340,8 @@ def outliers(problem: CurveFit, at: Linearised) -> list[str]:
         return []
     usual = 1.345 * float(np.median(errors)) / 0.6745
     return [
-        f"{100 * np.mean(errors > rho.scale):.0f} % of the rows are beyond the scale of the loss, "
-        f"and standard errors are not to be trusted: choose a larger one, such as {usual:.2g} "
+        f"{100 * np.mean(errors > rho.scale):.0f} % of the errors exceed the scale of the loss, so "
+        f"the standard errors are unreliable: choose a larger scale, for example {usual:.2g} "
         f"{problem.unit}."
     ]
 
@@ -357,8 +359,8 @@ def run_differs(run: Array, at: Linearised, space: Space, gain: float) -> list[s
     higher = f"{percent:.2g}" if percent < 100 else f"{percent:.0f}"
     place = "far from it" if away.size and away.max() > ANOTHER else "near it"
     return [
-        f"reported is the optimum that was found after the run, which itself ended {place}, at an "
-        f"error that is {higher} % higher."
+        f"the report describes the optimum found after the run; the run itself ended {place}, at "
+        f"an error {higher} % higher."
     ]
 
 
@@ -386,7 +388,7 @@ def sigma_disagrees(problem: CurveFit, at: Linearised) -> list[str]:
     times = math.sqrt(squares / freedom)
     meaning = "too small, or the model is wrong" if times > 1 else "too large"
     return [
-        f"the errors are {times:.3g} times as large as sigma says (chi-squared {squares:.4g} with "
-        f"{freedom} degrees of freedom): sigma is {meaning}. Standard errors take it as it is; "
+        f"the errors are {times:.3g} times as large as sigma states (chi-squared {squares:.4g}, "
+        f"{freedom} degrees of freedom): sigma is {meaning}. Standard errors use sigma as given; "
         "sigma_known=False estimates a common factor."
     ]

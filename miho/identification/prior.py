@@ -129,14 +129,14 @@ def prior_notes(table: pd.DataFrame) -> list[str]:
     for row in table.to_dict("records"):
         if np.isfinite(row["of the priors [%]"]):  # which of a parameter at its bound it is not
             sentences.append(
-                f"of what is known of {row['parameter']} the priors give "
-                f"{row['of the priors [%]']:.0f} %: its standard error is "
-                f"{row['standard error']:.3g}, and from the data alone "
-                f"{row['error from the data alone']:.3g}."
+                f"the priors supply {row['of the priors [%]']:.0f} % of the information on "
+                f"{row['parameter']}: its standard error is {row['standard error']:.3g}, and "
+                f"{row['error from the data alone']:.3g} from the data alone."
             )
         if abs(row["deviations from it"]) > FAR:
             sentences.append(
-                f"{row['parameter']} ends {abs(row['deviations from it']):.3g} deviations from the "
-                f"mean of its prior, {row['prior mean']:g}: data and prior contradict each other."
+                f"{row['parameter']} is {abs(row['deviations from it']):.3g} standard deviations "
+                f"away from its prior mean, {row['prior mean']:g}: data and prior contradict each "
+                "other."
             )
     return sentences

@@ -62,13 +62,13 @@ from miho.optim import Descents, Space, in_optimum
 from miho.quantities import Array
 
 HEDGE = (
-    "what is said of data and model is said of this optimum, and would not hold if all descents "
+    "these remarks on data and model hold for this optimum, and may not hold if every search "
     "missed a better one."
 )
 """Starts are the best of a screen, so a narrow basin can be missed by all of them."""
 BIASED = (
-    "estimates among several optima are biased, and bootstrap intervals, which take them for "
-    "unbiased, may be too narrow: use the profile intervals."
+    "with several optima the estimates are biased, so bootstrap intervals, which assume unbiased "
+    "estimates, may be too narrow: use the profile intervals."
 )
 """Measured: they held the truth in 64 to 98 % where profile intervals did in 96 to 100 %
 (`experiments.check.coverage --curvature`)."""

@@ -184,8 +184,8 @@ def at_limits(problem: CurveFit, theta: Array) -> list[str]:
         return []
     values = whole_values(problem, theta)
     sentences = [
-        f"{name} ends at its limit {end:g}, so the errors of what it is tied to are no optimum's; "
-        "profile intervals follow the limit"
+        f"{name} ends at its limit {end:g}, so the standard errors of the parameters that it is "
+        "tied to do not hold; profile intervals respect the limit"
         for name, ends in model.ties.limits.items()
         for end in ends
         if np.isfinite(end) and abs(values[name] - end) <= NEAR * max(abs(end), _width(ends))
@@ -193,8 +193,8 @@ def at_limits(problem: CurveFit, theta: Array) -> list[str]:
     free = at_bounds(problem.space, theta)
     own = at_bounds(reported_space(problem.space), reported_values(problem, theta[None])[0])
     return sentences + [
-        f"{name} ends where the constraints hold it, {values[name]:.6g}, so its error and those of "
-        "what holds it are no optimum's; profile intervals follow the constraints"
+        f"{name} ends at a constraint, {values[name]:.6g}, so its standard error and the errors of "
+        "the parameters in that constraint do not hold; profile intervals respect the constraint"
         for k, name in _swapped(problem.space).items()
         if free[k] and not own[k]
     ]

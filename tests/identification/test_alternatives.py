@@ -160,7 +160,7 @@ def test_report_and_fit_tell_of_them() -> None:
     assert "2 optima differ by less than the noise" in str(fit)
     report = fit.report(replicates=20)
     assert "2 optima differ by less than the noise" in str(report)
-    assert "bootstrap intervals, which take them for unbiased, may be too narrow" in str(report)
+    assert "with several optima the estimates are biased" in str(report)
     assert "bootstrap intervals" not in str(fit.report())
     assert report.tables["optima"]["E"].tolist() == pytest.approx([0.907, 0.026], abs=DIGITS)
     for kind in ("linearised", "sandwich", "profile"):
@@ -214,7 +214,7 @@ def test_a_parameter_that_the_data_determine_nowhere_has_no_several_values() -> 
     optima = [linearised(fit, np.array(theta)) for theta in unseen]
     assert np.isinf(optima[0].standard_errors[:3]).all(), "or this tests nothing"
     (sentence,) = several_values(fit, optima)  # nothing is shared to an infinite error
-    assert "what the data determine is alike in all" in sentence
+    assert "they agree in all that the data determine" in sentence
 
 
 def test_hulls() -> None:

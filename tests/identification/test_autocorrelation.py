@@ -178,7 +178,7 @@ def test_a_report_allows_for_neighbours() -> None:
     spread = np.sqrt(np.diag(report.at.sandwich))
     np.testing.assert_allclose(report.replicates.std(axis=0), spread, rtol=0.3)
     factor = np.ptp(ends, axis=1) / np.ptp(report.at.independent.intervals(), axis=1)
-    (note,) = [note for note in report.notes if "neighbouring rows are alike" in note]
+    (note,) = [note for note in report.notes if "neighbouring rows are correlated" in note]
     assert f"{factor.min():.1f}" in note
     assert f"{factor.max():.1f} times as wide" in note
 
@@ -224,7 +224,7 @@ def test_noise_that_drifts_is_no_wrong_shape() -> None:
         report = make_report(problem, refit(problem, np.zeros(2)).theta, profiles=False)
         assert report.at.dependence is not None
         notes = "\n".join(report.notes)
-        told = ("wrong shape, or the measurement drifts", "wrong shape.", "cannot tell that")
+        told = ("wrong shape, or the measurement drifts", "wrong shape.", "cannot distinguish it")
         verdicts.append([words in notes for words in told])
         assert report.trends.loc[0, "p"] >= report.trends.loc[0, "p of independent rows"]
     sweep, flat, cannot_tell = np.eye(3, dtype=bool).tolist()
@@ -236,7 +236,7 @@ def test_noise_that_drifts_is_no_wrong_shape() -> None:
     problem = replace(problem, space=known, prior_scale=1.0)
     report = make_report(problem, refit(problem, np.zeros(2)).theta, profiles=False)
     assert report.at.dependence is None
-    assert any("cannot tell that" in note for note in report.notes)
+    assert any("cannot distinguish it" in note for note in report.notes)
 
 
 @pytest.mark.parametrize(("triangular", "seed"), [(False, 7), (True, 16)])
@@ -303,8 +303,8 @@ def test_a_held_parameter_is_no_obstacle() -> None:
     assert held.at.at_bound.tolist() == [False, True]
     assert held.at.dependence is not None
     factor = held.at.reach(np.eye(2))[0] / held.at.independent.reach(np.eye(2))[0]
-    (note,) = [note for note in held.notes if "neighbouring rows are alike" in note]
-    assert f"makes intervals {factor:.1f} times as wide" in note
+    (note,) = [note for note in held.notes if "neighbouring rows are correlated" in note]
+    assert f"are {factor:.1f} times as wide" in note
     both = make_report(line(200 + 2 * x + noise, x, b=(-1, 1.9)), np.array([100.0, 1.9]))
     assert both.at.at_bound.all()
     assert both.at.dependence is None

@@ -187,7 +187,7 @@ def test_a_parameter_at_its_bound_is_left_out() -> None:
     report = quick(line(y, x, b=(-1, 1)), [1.0, 1.0])
     design = optimal_design(report, {"x": [0.0, 0.4]}, 1)
     assert design.table["quantity"].tolist() == ["a"]
-    assert "held at a bound, and left out here: b" in str(design)
+    assert "fixed at a bound, and left out here: b" in str(design)
 
 
 def test_widths_of_dependent_rows_fall_by_the_factor_of_independent_ones() -> None:
@@ -201,7 +201,7 @@ def test_widths_of_dependent_rows_fall_by_the_factor_of_independent_ones() -> No
     np.testing.assert_allclose(
         design.table["expected half width"] / design.table["present half width"], fall, rtol=1e-8
     )
-    assert "depend on each other" in str(design)
+    assert "are correlated" in str(design)
 
 
 def test_errors_that_follow_a_column_are_no_noise() -> None:

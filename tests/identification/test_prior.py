@@ -46,7 +46,7 @@ def test_a_line_with_priors_is_bayesian_linear_regression() -> None:
     assert table["error from the data alone"].tolist() == pytest.approx(alone, rel=1e-6)
     share = 100 * (1 - np.diag(covariance) / alone**2)
     assert table["of the priors [%]"].tolist() == pytest.approx(share, rel=1e-4)
-    assert any("of what is known of a the priors give" in note for note in report.notes)
+    assert any("% of the information on a:" in note for note in report.notes)
 
 
 def test_nothing_is_said_of_a_prior_whose_parameter_is_at_its_bound() -> None:
@@ -196,9 +196,11 @@ def test_errors_that_are_alike_beside_a_prior_are_told_of() -> None:
     white = 0.05 * rng.standard_normal(x.size)
     alike = lfilter([1.0], [1.0, -0.9], white)
     space = {"a": {"low": 0, "high": 10, "prior": (1, 0.02)}, "b": (0, 10)}
-    told = []
+    told, words = [], "intervals do not allow for them together with priors"
     for errors in (white, alike):
         y = np.exp(-x) + 2 * x + errors
         fit = miho.fit(lambda x, a, b: a * np.exp(-x) + b * x, x, y, space, compiled=False)
-        told.append(("beside priors" in str(fit), any("beside priors" in n for n in fit.notes)))
+        told.append(
+            (words in str(fit), any("with priors, standard errors" in n for n in fit.notes))
+        )
     assert told == [(False, False), (True, True)]

@@ -69,8 +69,8 @@ def test_it_prints_in_words(tire: Report) -> None:
 
 def test_it_says_what_is_wrong_in_words(tire: Report) -> None:
     notes = "\n".join(tire.notes)
-    assert "B and C are hard to tell apart: their correlation is -0.9" in notes
-    assert "% of the errors' variance follows Fz, which is no input of the model" in notes
+    assert "B and C are hard to distinguish: their correlation is -0.9" in notes
+    assert "% of the errors' variance follows Fz, which is not an input of the model" in notes
 
 
 def test_it_says_where_a_landmark_has_a_sign_that_no_tire_has(tire: Report) -> None:
@@ -135,11 +135,11 @@ def test_a_report_is_of_one_point() -> None:
         assert (early.parameters[f"{kind} low"] < early.parameters["value"]).all()
         assert (early.parameters["value"] < early.parameters[f"{kind} high"]).all()
     assert early.error == root_mean_square(problem.errors(early.at.theta))
-    (remark,) = [note for note in early.notes if "reported is the optimum" in note]
+    (remark,) = [note for note in early.notes if "the report describes the optimum" in note]
     ratio = root_mean_square(problem.errors(early.run)) / early.error - 1
-    assert f"an error that is {100 * ratio:.2g} % higher" in remark
+    assert f"an error {100 * ratio:.2g} % higher" in remark
     optimum = make_report(problem, early.at.theta)
-    assert not any("reported is the optimum" in note for note in optimum.notes)
+    assert not any("the report describes the optimum" in note for note in optimum.notes)
 
 
 @pytest.mark.parametrize("start", [6.0, 9.0])
@@ -153,7 +153,7 @@ def test_a_better_optimum_that_the_intervals_meet_is_reported(start: float) -> N
     assert best.cost < 0.6 * local.cost
     report = make_report(fit, local.theta)
     assert report.at.theta == pytest.approx(best.theta, rel=1e-4)
-    assert any("reported is the optimum" in note for note in report.notes)
+    assert any("the report describes the optimum" in note for note in report.notes)
 
 
 class Wave(Misra1a):
@@ -211,7 +211,7 @@ def test_the_edge_of_the_box_is_an_open_end_and_not_minus_infinity() -> None:
         bounded = low == -5.0
         assert np.isfinite(curve.low) == bounded
         assert curve.tried[0] == (curve.low if bounded else low)
-        edge = f"b is not bounded below ({low:g}, the edge of the box)"
+        edge = f"the data do not limit b below ({low:g}, the bound)"
         assert any(note.startswith(edge) for note in report.notes) != bounded
         for text in (str(report), report_text(report)):
             assert ("open" in text) != bounded
@@ -225,7 +225,7 @@ def test_an_uneven_spread_is_said_with_intervals_that_allow_for_it() -> None:
     for spread, off in ((x**2, "narrow"), (1 - np.abs(x), "wide"), (np.ones(400), "")):
         report = make_report(line(1 + x + spread * noise, x), np.ones(2), profiles=False)
         table = report.parameters.set_index("parameter").loc["b"]
-        notes = [note for note in report.notes if "same spread everywhere" in note]
+        notes = [note for note in report.notes if "errors changes along the data" in note]
         assert report.uneven == bool(notes) == bool(off)
         half = (table["sandwich high"] - table["sandwich low"]) / 2
         assert half == pytest.approx(report.at.quantile() * table["sandwich"], rel=1e-12)
@@ -303,7 +303,7 @@ def test_a_true_model_is_not_accused_by_chance() -> None:
         x = np.linspace(0, 1, 20 + seed // 2 * 2)
         problem = line(1 + x + 0.1 * rng.standard_normal(x.size), x)
         notes = make_report(problem, refit(problem, np.ones(2)).theta, profiles=False).notes
-        accused += any("wrong shape" in note or "same spread" in note for note in notes)
+        accused += any("wrong shape" in note or "changes along" in note for note in notes)
     assert accused <= 3
 
 
@@ -403,5 +403,5 @@ def test_neighbours_that_resemble_each_other_are_told() -> None:
     for y, alike in ((1 + x + noise, True), (1 + x + rng.permutation(noise), False)):
         problem = line(y, x)
         notes = make_report(problem, refit(problem, np.ones(2)).theta, profiles=False).notes
-        remarks = [note for note in notes if "neighbouring rows are alike" in note]
+        remarks = [note for note in notes if "neighbouring rows are correlated" in note]
         assert bool(remarks) == alike

@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 
 BLAME = (
     "not identifiable", "wrong shape", "which is no input", "units, signs", "told from 0",
-    "hard to tell apart", "do not depend on", "does not determine", "are alike",
+    "hard to distinguish", "do not depend on", "does not determine", "are correlated",
 )  # fmt: skip
 
 
@@ -182,7 +182,7 @@ def test_a_failed_search_blames_neither_data_nor_model() -> None:
     assert record.loss > 10 * problem.loss(truth[None])[0], "or this tests nothing"
     report = make_report(problem, record.theta, descents=record.descents, remedy="type this")
     assert re.match(r"the optimum is in doubt: only \d of 30 descents", report.notes[0])
-    assert "do not depend on b5, as they do elsewhere in the box" in report.notes[0]
+    assert "do not depend on b5, although they do elsewhere in the box" in report.notes[0]
     assert report.notes[1] == "type this"
     assert not accused(report)[1:], "only the first sentence, which is of the search"
     good = make_report(problem, record.theta, descents=record.descents, better=truth)

@@ -62,8 +62,8 @@ def test_a_gentle_drive_tells_cornering_stiffness_and_not_what_makes_it_up() -> 
     relative = at.standard_errors / TRUE
     assert min(relative[0], relative[1], relative[6], relative[7]) > 0.1
     front, _, _, rear = identifiability(at, SPACE)
-    assert front.startswith("B_f, C_f, D_f and E_f are hard to tell apart")
-    assert rear.startswith("B_r, C_r, D_r and E_r are hard to tell apart")
+    assert front.startswith("B_f, C_f, D_f and E_f are hard to distinguish")
+    assert rear.startswith("B_r, C_r, D_r and E_r are hard to distinguish")
     for quantity, axle in zip(derived(fit.model, fit.dataset), (TRUE[:3], TRUE[6:9]), strict=True):
         value, error = delta_method(quantity, at)
         assert (quantity.unit, error < 0.01 * value) == ("N/rad", True)
