@@ -111,7 +111,7 @@ def test_other_bounds_use_a_journal_and_other_data_do_not(tmp_path: Path) -> Non
             counted.model, t, y, {"a": (0, 9), "b": (0, 9)}, start={"a": 1, "b": 1}, journal=journal
         )
     assert len(known.calls) < len(alone.calls)
-    with pytest.raises(JournalError, match="is of another problem, model or data"):
+    with pytest.raises(JournalError, match="belongs to another problem, model or data"):
         miho.fit(Counted().model, t, y + 1, start={"a": 1, "b": 1}, journal=path)
 
 

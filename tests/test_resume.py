@@ -117,7 +117,7 @@ def test_an_interrupted_run_goes_on(
 ) -> None:
     runs = interrupted(tmp_path / "again")
     runs()
-    assert "goes on from" in capsys.readouterr().err
+    assert "continues from" in capsys.readouterr().err
     assert runs.calls == plain.calls + 3  # which are compared with the journal
     assert runs.result == plain.result
     assert not runs.journals
@@ -158,7 +158,7 @@ def test_a_journal_whose_model_fails_for_now_stays(tmp_path: Path) -> None:
     (runs.folder / "gain").mkdir()  # which cannot be opened
     line = runs()
     assert "seed 0: failed: journal" in line
-    assert "cannot be checked, the model fails now: " in line
+    assert "cannot be checked, because the model now fails: " in line
     assert journal.read_bytes() == content
     assert not journal.with_name("journal.damaged").exists()
 

@@ -1,4 +1,4 @@
-"""Work in other processes and on other machines: workers, what they evaluate, and its journal."""
+"""Evaluations in other processes and on other machines, and the evaluation log (journal)."""
 
 from miho.parallel.evaluations import Evaluated, Evaluations
 from miho.parallel.journal import Journal, JournalError, UncheckedJournalError, calls_of

@@ -1,4 +1,4 @@
-"""One function at many arguments, by workers where it takes long: in blocks, and in their order."""
+"""Map a function over arguments with workers: in blocks, with the results in order."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from miho.parallel.remote import Answer
 from miho.parallel.worth import WORTH_SENDING
 
 LEAST, MOST = 1e-9, 1000
-"""Seconds that a call takes at least, and calls in a block at most: what takes less than some 5 µs
-is not worth sending at all."""
+"""Shortest assumed duration of a call [s], and the most calls in a block. Calls shorter than about
+5 µs are never sent to workers."""
 AHEAD = 3
-"""Blocks for each worker that are under way: their arguments are made as they are needed."""
+"""Blocks in progress per worker. Arguments are generated only as blocks are sent."""
 
 
 @dataclass(frozen=True)
 class _Block:
-    """Calls a function at several arguments."""
+    """Call a function at several arguments."""
 
     function: Callable[[Any], Any]
 
@@ -40,12 +40,12 @@ def in_blocks(
     seconds: float | None = None,
     check: Callable[[], object] = lambda: None,
 ) -> Iterator[Any]:
-    """What a function gives at each argument, in their order; raises what it raises.
+    """Yield the value of a function at each argument, in the order of the arguments.
 
-    It takes some `seconds`; where that is not known the first is called here and measured. Where
-    there is no pool, or a call takes little time, all are called here. `check` is called while
-    answers are waited for, and may raise. Where a worker ends without an answer, its
-    WorkerLostError stands in the place of each value.
+    Exceptions of the function are raised. A call takes about `seconds`; if that is None, the first
+    call is made here and timed. Without a pool, or if calls are short, all calls are made here.
+    `check` is called while the iterator waits for workers, and may raise. If a worker ends without
+    an answer, a WorkerLostError is yielded in place of each value of its block.
     """
     todo = iter(arguments)
     if pool is None:
@@ -81,7 +81,7 @@ def in_blocks(
 
 
 def _answer(future: Future[Answer], check: Callable[[], object]) -> list[Any]:
-    """What a worker answers, waited for so that signals are seen."""
+    """Values of a block. The wait is short enough for signals to be handled."""
     while not future.done():
         wait([future], LOOK)
         check()

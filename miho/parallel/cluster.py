@@ -1,4 +1,4 @@
-"""A cluster of Dask by its address: one that runs, one on this machine, or jobs of a queue."""
+"""Connect to a Dask cluster by its address: a scheduler, local workers or a batch queue."""
 
 from __future__ import annotations
 
@@ -26,38 +26,38 @@ QUEUES = {
     "pbs": ("PBSCluster", "qsub"),
     "lsf": ("LSFCluster", "bsub"),
 }
-"""The class of dask-jobqueue of each queue, and the program that submits its jobs."""
+"""For each batch queue the class of dask-jobqueue and the program that submits jobs."""
 PATIENCE = 5.0
-"""Seconds that a scheduler has to answer: at the start, and when its connection broke."""
+"""Seconds within which a scheduler must answer, at the start and after its connection broke."""
 LOOK = 10.0
-"""Seconds between two looks whether there is any worker."""
+"""Seconds between two checks for workers."""
 LOOPBACK = "127.0.0.1"
 SETTINGS = {
     "distributed.comm.timeouts.connect": f"{PATIENCE}s",
-    "distributed.scheduler.worker-saturation": "inf",  # a short task waits for no round trip
+    "distributed.scheduler.worker-saturation": "inf",  # short tasks do not wait for a round trip
 }
-"""What holds in this process while it uses a cluster; the rest is the user's configuration."""
+"""Dask settings of this process while it uses a cluster; others keep the user's values."""
 
 
 class ClusterError(ValueError):
-    """One line: which address, what is wrong with it, and what to do."""
+    """A cluster cannot be used; the message names the address, the fault and a remedy."""
 
 
-class ClusterLost(RuntimeError):  # noqa: N818 -- what befell, not a mistake
-    """The connection to a cluster broke while it was used."""
+class ClusterLost(RuntimeError):  # noqa: N818 -- an event, not a mistake
+    """The connection to a cluster broke during use."""
 
 
 def is_address(workers: object) -> TypeGuard[str]:
-    """Whether this says where workers are, as `cluster` takes it, and not how many."""
+    """Return whether `workers` is an address that `cluster` accepts, not a number of workers."""
     if not isinstance(workers, str):
         return False
     return workers in QUEUES or re.match(r"[a-z]+:", workers) is not None
 
 
 def check_address(address: str) -> tuple[str, str | int]:
-    """The kind of a cluster, and the HOST:PORT of its scheduler or its number of workers or jobs.
+    """Return the kind of a cluster, and its scheduler's HOST:PORT or its number of workers or jobs.
 
-    A queue without a number is one job. Raises ClusterError.
+    A queue without a number means one job. Raises ClusterError for an invalid address.
     """
     kind, _, place = address.partition(":")
     if address in QUEUES:
@@ -66,20 +66,29 @@ def check_address(address: str) -> tuple[str, str | int]:
         return kind, place[2:]
     if kind in ("dask", *QUEUES) and re.fullmatch(r"[1-9]\d{0,5}", place):
         return kind, int(place)
-    raise ClusterError(f"{address!r}: is no address of workers; expected {ADDRESSES}")
+    raise ClusterError(f"{address!r}: not an address of workers; expected {ADDRESSES}")
 
 
 @contextmanager
 def cluster(address: str) -> Iterator[Client]:
-    """Meanwhile a client of the cluster at `address`; what was started for it ends with it.
+    """Context manager of a client of the cluster at `address`.
 
-    `dask://HOST:PORT` is a scheduler that runs. `dask:N` starts N worker processes of one thread on
-    this machine, whose connections are encrypted, so that nobody else on it can use them.
-    `slurm:N`, `pbs:N` and `lsf:N` submit N jobs, as the user's configuration of dask-jobqueue says;
-    they come when the queue lets them; a line on stderr tells of waiting for them. `slurm` is one.
+    Resources that it starts end with the context.
 
-    Raises ClusterError if a library or the program of the queue is missing, nobody answers at the
-    address, or a worker that is there has another version of Python, MIHO or Dask.
+    Parameters
+    ----------
+    address : str
+        ``dask://HOST:PORT`` is a running scheduler. ``dask:N`` starts N single-threaded worker
+        processes on this machine, with encrypted connections, so that other users of the
+        machine cannot use them. ``slurm:N``, ``pbs:N`` and ``lsf:N`` submit N jobs, configured by
+        the user's settings of dask-jobqueue; ``slurm`` alone means one job. A line on stderr
+        reports when no worker is available.
+
+    Raises
+    ------
+    ClusterError
+        If a library or the queue's program is missing, the scheduler does not answer, or a
+        connected worker has another version of Python, MIHO or Dask.
     """
     kind, place = check_address(address)
     distributed = _library("distributed")
@@ -112,7 +121,7 @@ def cluster(address: str) -> Iterator[Client]:
 
 @contextmanager
 def _told_of_emptiness(client: Any, address: str) -> Iterator[None]:
-    """Meanwhile a line on stderr where no worker has come, or all have left."""
+    """Write a line to stderr whenever no worker is available."""
     over = threading.Event()
 
     def watch() -> None:
@@ -120,7 +129,7 @@ def _told_of_emptiness(client: Any, address: str) -> Iterator[None]:
         while not over.wait(LOOK):
             before, empty = empty, is_empty(client)
             if empty and not before and not over.is_set():
-                sys.stderr.write(f"miho: {address}: no worker is there; waiting for one\n")
+                sys.stderr.write(f"miho: {address}: no workers are available; waiting for one\n")
 
     threading.Thread(target=watch, daemon=True).start()
     try:
@@ -130,7 +139,7 @@ def _told_of_emptiness(client: Any, address: str) -> Iterator[None]:
 
 
 def places(client: Any, address: str) -> int:
-    """How many calls its workers make at a time, those included that a queue is still to begin."""
+    """Number of calls that the workers make at a time, including workers that are still queued."""
     kind, count = check_address(address)
     if isinstance(count, str):
         return max(1, int(sum(client.ncores().values())))
@@ -138,32 +147,32 @@ def places(client: Any, address: str) -> int:
 
 
 def is_empty(client: Any) -> bool:
-    """Whether no worker is there; a break of the connection shows elsewhere."""
+    """Return whether the cluster has no workers. Other code detects a broken connection."""
     try:
         return not client.nthreads()
-    except Exception:  # noqa: BLE001 -- whatever a library raises whose connection broke
+    except Exception:  # noqa: BLE001 -- any error of a broken connection
         return False
 
 
 def dashboard(client: Client) -> str | None:
-    """Where a browser sees what the cluster does; None if the library of its pages is missing."""
+    """URL of the cluster's dashboard, or None if Bokeh, which draws it, is missing."""
     return client.dashboard_link if importlib.util.find_spec("bokeh") else None
 
 
 def dask_setup(worker: object) -> None:
-    """Called by Dask in each worker that `dask:N` starts: the terminal's Ctrl-C is not for it.
+    """Ignore Ctrl-C in the workers that `dask:N` starts; Dask calls this in each of them.
 
-    The process that has the client decides what becomes of the jobs.
+    The client's process decides how jobs end.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager
 def _local(distributed: Any, count: int) -> Iterator[Any]:
-    """A cluster of `count` processes on this machine, whose start reruns no main file.
+    """Start `count` worker processes on this machine without running the main file again.
 
-    In the end they are killed with all that they started: nobody waits for anything of theirs, and
-    on a busy machine they take seconds to say goodbye.
+    At the end the workers and their descendants are killed: their shutdown would take seconds on a
+    busy machine.
     """
     with without_main():
         local = distributed.LocalCluster(
@@ -186,23 +195,23 @@ def _local(distributed: Any, count: int) -> Iterator[Any]:
 
 
 def _job_queue(kind: str, jobs: int) -> Any:
-    """A cluster of jobs of a queue."""
+    """Submit jobs to a batch queue and return their cluster."""
     with _own_signals():
         library = _library("dask_jobqueue")
     name, program = QUEUES[kind]
     if shutil.which(program) is None:
         raise ClusterError(
-            f"{kind}:{jobs}: there is no program {program} here; start this on a machine that can "
-            f"submit jobs, or name a running scheduler by dask://HOST:PORT"
+            f"{kind}:{jobs}: this machine has no program {program}; start this on a machine that "
+            f"can submit jobs, or give a running scheduler as dask://HOST:PORT"
         )
     for key in ("cores", "memory"):
         if _queued(kind, key) is None:
             raise ClusterError(
-                f"{kind}:{jobs}: the configuration of dask-jobqueue says nothing of {key}; set "
-                f"jobqueue.{kind}.{key}, as in ~/.config/dask/jobqueue.yaml"
+                f"{kind}:{jobs}: the configuration of dask-jobqueue has no {key}; set "
+                f"jobqueue.{kind}.{key}, for example in ~/.config/dask/jobqueue.yaml"
             )
     options = {
-        "dashboard_address": f"{LOOPBACK}:0",  # any port that is free
+        "dashboard_address": f"{LOOPBACK}:0",  # any free port
         **(_queued(kind, "scheduler-options") or {}),
     }
     queue = getattr(library, name)(scheduler_options=options, silence_logs=logging.CRITICAL)
@@ -211,10 +220,10 @@ def _job_queue(kind: str, jobs: int) -> Any:
     refused = [job for job in queue.workers.values() if job.status.name == "created"]
     if not refused:
         return queue
-    reason = program  # nobody would miss such a job: no error of Dask's tells of it
+    reason = program  # Dask does not report such a job
     try:
         queue.sync(refused[0].start)
-    except Exception as error:  # noqa: BLE001 -- whatever the program says
+    except Exception as error:  # noqa: BLE001 -- any error of the program
         reason = (str(error).strip().splitlines() or [type(error).__name__])[-1]
     for job in refused:
         job.status = type(job.status)["failed"]
@@ -223,13 +232,13 @@ def _job_queue(kind: str, jobs: int) -> Any:
 
 
 def _queued(kind: str, key: str) -> Any:
-    """What the user's configuration says of the jobs of a queue."""
+    """Setting `key` of the queue's jobs in the user's Dask configuration, or None."""
     return _library("dask.config").get(f"jobqueue.{kind}.{key}", None)
 
 
 @contextmanager
 def _own_signals() -> Iterator[None]:
-    """What Ctrl-C does stays as it is, whatever a library does when it is imported."""
+    """Restore the handler of Ctrl-C, which an imported library may replace."""
     handler = signal.getsignal(signal.SIGINT)
     try:
         yield
@@ -248,10 +257,8 @@ def _library(name: str) -> Any:
 
 
 def versions() -> dict[str, str]:
-    """What has to be the same in a client and its workers."""
-    from importlib import metadata  # only here: it is slow to import
-
-    libraries = {name: metadata.version(name) for name in ("distributed", "cloudpickle")}
+    """Versions that must agree between a client and its workers."""
+    libraries = {name: importlib.metadata.version(name) for name in ("distributed", "cloudpickle")}
     try:
         ours = metadata.version("miho")
     except metadata.PackageNotFoundError:
@@ -260,7 +267,7 @@ def versions() -> dict[str, str]:
 
 
 def _check_versions(client: Client, address: str) -> None:
-    """Refuse a worker that is there and could not do the same as this process."""
+    """Refuse workers whose versions differ from the versions of this process."""
     here = versions()
     for worker, there in client.run(versions, on_error="return").items():
         if isinstance(there, (ImportError, AttributeError)):

@@ -1,4 +1,4 @@
-"""In a worker of a cluster of Dask: a job, in a process that time limits and interrupts can end."""
+"""Run a job in a Dask worker, in a process that time limits and interrupts can end."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from miho.parallel.worker_process import INTERRUPTED, Answer, Job, Result
 from miho.parallel.workers import Workers
 
 POLL = 0.1
-"""Seconds between two looks whether a job is still wanted."""
+"""Seconds between two checks whether a job was cancelled."""
 GRACE = 1.0
-"""Seconds that a job has to keep what it has, once nobody waits for it."""
+"""Seconds that a cancelled job has to save its results."""
 IDLE = 30.0
-"""Seconds that a process waits for the next job of its owner, who may be dead."""
+"""Seconds that an idle process waits for its owner's next job; the owner may have died."""
 
 
 @dataclass(frozen=True)
 class Placed(Generic[Job]):
-    """A job at the worker that does it, and an empty folder there, which is removed afterwards."""
+    """A job at its worker, with an empty folder that is removed after the job."""
 
     job: Job
     folder: str
@@ -32,7 +32,7 @@ class Placed(Generic[Job]):
 
 @dataclass(frozen=True)
 class Task(Generic[Job, Result]):
-    """What is the same for all jobs of an owner: the arguments of `Workers`."""
+    """Arguments of `Workers` that all jobs of an owner share."""
 
     owner: str
     work: Callable[[Placed[Job]], Result]
@@ -45,18 +45,18 @@ class Task(Generic[Job, Result]):
 Process = Workers[Placed[Any], Any]
 _LOCK = threading.Lock()
 _INTERRUPTS: dict[str, int] = {}
-"""How often each owner of jobs has interrupted them."""
+"""Number of interrupts that each owner has sent to its jobs."""
 _WAITING: dict[str, list[tuple[Process, threading.Timer]]] = {}
-"""The processes that wait for the next job of an owner: to load again what jobs have in common
-takes longer than many a job."""
+"""Idle processes of each owner. They are kept because loading the jobs' common modules again takes
+longer than many jobs."""
 
 
 def run_at_worker(task: Task[Job, Result], job: Job) -> Answer[Result]:
-    """In a thread of the worker: have a job done; its result, or the reason why there is none."""
+    """Run a job in a thread of the worker; return its result, or the reason for having none."""
     import distributed
 
-    # Dask's processes are daemons unless its configuration says otherwise, and those may have no
-    # children. Ours end with them all the same.
+    # Dask's workers are daemons by default, and daemons may have no children. Ours end with them
+    # all the same.
     multiprocessing.current_process().daemon = False
     worker = distributed.get_worker()
     key = worker.get_current_task()
@@ -70,7 +70,7 @@ def run_at_worker(task: Task[Job, Result], job: Job) -> Answer[Result]:
         sent, until = 0, float("inf")
         while time.monotonic() < until:
             for ended in process.wait(POLL):
-                if until == float("inf"):  # else no more jobs come
+                if until == float("inf"):  # else the owner sends no more jobs
                     ending.pop_all()
                     _keep(task.owner, process)
                 return ended.result, ended.reason, ended.detail
@@ -85,12 +85,12 @@ def run_at_worker(task: Task[Job, Result], job: Job) -> Answer[Result]:
 
 
 def interrupt(owner: str, times: int) -> None:
-    """Interrupt the jobs of an owner, also those that come later."""
+    """Interrupt an owner's jobs, including jobs that start later."""
     _INTERRUPTS[owner] = max(times, _INTERRUPTS.get(owner, 0))
 
 
 def dismiss(owner: str) -> None:
-    """End the processes that wait for jobs of an owner: no more will come."""
+    """End an owner's idle processes: no more jobs will come."""
     with _LOCK:
         waiting = _WAITING.pop(owner, [])
     for process, timer in waiting:
@@ -100,7 +100,7 @@ def dismiss(owner: str) -> None:
 
 
 def _process_for(task: Task[Any, Any]) -> Process:
-    """A process that has done jobs of this owner, or else a new one."""
+    """An idle process of this owner, or else a new one."""
     with _LOCK:
         waiting = _WAITING.get(task.owner)
         if waiting:
@@ -113,7 +113,7 @@ def _process_for(task: Task[Any, Any]) -> Process:
 
 
 def _keep(owner: str, process: Process) -> None:
-    """Let a process wait for the next job of its owner."""
+    """Keep a process idle for its owner's next job."""
 
     def expire() -> None:
         with _LOCK:

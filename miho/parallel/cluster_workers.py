@@ -1,4 +1,4 @@
-"""Jobs on the workers of a cluster of Dask, as `Workers` does them on this machine."""
+"""Run jobs on the workers of a Dask cluster, as `Workers` does on this machine."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
     from distributed import Client, Future
 
 COUNTED = 1.0
-"""Seconds for which the number of threads of a cluster is believed."""
+"""Seconds for which a cluster's number of threads is cached."""
 LEAVING = 1.0
-"""Seconds that giving up jobs may take, where a machine does not answer."""
+"""Time limit [s] for giving up jobs, in case a machine does not answer."""
 
 
 class ClusterWorkers(Generic[Job, Result]):
-    """As `Workers`, but on a cluster: a job for each thread of its workers; a context manager.
+    """Workers on a Dask cluster, one job per thread; a context manager like `Workers`.
 
-    A job is done in a process of the worker's, which it does not share with another one at a time,
-    with the time limit and the isolation of `Workers`. A job whose worker dies or leaves goes to
-    another one; one that has lost several workers is given up (`allowed-failures` of Dask). If the
-    connection to the scheduler breaks, all jobs in progress end with that reason, and no more can
-    be started. What nobody waits for any more, because this process was killed, is interrupted.
+    Each job runs in a process of its worker that no other job shares at the same time, with the
+    time limit and the isolation of `Workers`. A job whose worker dies or leaves is sent to another
+    worker. A job that has lost several workers is given up (Dask's setting `allowed-failures`). If
+    the connection to the scheduler breaks, all jobs in progress end with that reason, and no more
+    can be started. If this process is killed, its jobs are interrupted.
     """
 
     def __init__(
@@ -67,26 +67,26 @@ class ClusterWorkers(Generic[Job, Result]):
 
     @property
     def idle(self) -> int:
-        """How many more jobs can be started now; at least one may wait for a first worker."""
+        """Number of jobs that can be started now; at least one may wait for the first worker."""
         now = time.monotonic()
         if now > self._counted + COUNTED and not self._broken:
-            with contextlib.suppress(Exception):  # a break of the connection shows in the jobs
+            with contextlib.suppress(Exception):  # a broken connection shows in the jobs
                 self._count = max(1, sum(self._client.nthreads().values()))
             self._counted = now
         return max(0, self._count - self.busy)
 
     @property
     def busy(self) -> int:
-        """How many jobs are being done."""
+        """Number of jobs in progress."""
         return len(self._jobs)
 
     @property
     def jobs(self) -> list[Job]:
-        """The jobs that are being done."""
+        """The jobs in progress."""
         return list(self._jobs.values())
 
     def start(self, job: Job) -> None:
-        """Give a job to the cluster; raises ClusterLost if the connection is broken."""
+        """Send a job to the cluster; raises ClusterLost if the connection is broken."""
         if self._broken or self._client.status != "running":
             raise ClusterLost(self._break)
         future = self._client.submit(
@@ -96,7 +96,7 @@ class ClusterWorkers(Generic[Job, Result]):
         future.add_done_callback(self._ended.put)
 
     def wait(self, seconds: float) -> list[JobOutcome[Job, Result]]:
-        """The jobs that end within some seconds, as soon as there is one."""
+        """Outcomes of the jobs that end within `seconds`; returns as soon as there is one."""
         self._send_interrupts()
         outcomes = []
         with contextlib.suppress(queue.Empty):
@@ -106,14 +106,14 @@ class ClusterWorkers(Generic[Job, Result]):
         return [outcome for outcome in outcomes if outcome is not None]
 
     def interrupt(self) -> None:
-        """Interrupt all jobs, with the next `wait`: what they raise or return then comes with it.
+        """Interrupt all jobs at the next `wait`, which then returns their results or errors.
 
-        A signal handler may call this: it only counts.
+        This is safe in a signal handler: it only increments a counter.
         """
         self._interrupts += 1
 
     def kill(self) -> None:
-        """Give up all jobs: their workers end them soon."""
+        """Give up all jobs; their workers end them soon after."""
         futures = list(self._jobs)
         self._jobs.clear()
         if self._broken:
@@ -132,10 +132,10 @@ class ClusterWorkers(Generic[Job, Result]):
 
     @property
     def _break(self) -> str:
-        return "the connection to the Dask scheduler broke; the next call does what is not done"
+        return "the connection to the Dask scheduler broke; call again to do the jobs that are left"
 
     def _outcome_of(self, future: Future[Any]) -> JobOutcome[Job, Result] | None:
-        """How a job ended; None if it was given up, or its answer was lost and is made again."""
+        """Outcome of a job, or None if it was given up or its lost answer is being made again."""
         if future not in self._jobs:
             return None
         interrupted = self._interrupts > 0
@@ -144,7 +144,7 @@ class ClusterWorkers(Generic[Job, Result]):
         except TimeoutError:
             self._ended.put(future)
             return None
-        except Exception as error:  # noqa: BLE001 -- of Dask: a lost worker or scheduler
+        except Exception as error:  # noqa: BLE001 -- from Dask: a lost worker or scheduler
             self._broken |= future.cancelled()
             result, detail = None, None
             reason = self._break if future.cancelled() else _reason(error)
@@ -154,15 +154,15 @@ class ClusterWorkers(Generic[Job, Result]):
 
 
 def _reason(error: BaseException) -> str:
-    """Why Dask gave a job up, in one line."""
+    """The reason for which Dask gave a job up, in one line."""
     attempts = getattr(error, "allowed_failures", None)
     if isinstance(attempts, int):
-        return f"each of the {attempts + 1} Dask workers that began it died, perhaps of it"
+        return f"each of the {attempts + 1} Dask workers that began it died, perhaps because of it"
     return f"its Dask worker: {type(error).__name__}: {' '.join(str(error).split())}"
 
 
 def _in_background(*calls: Callable[[], object]) -> threading.Thread:
-    """Call the cluster in a thread of its own, since a call can wait for a dead machine."""
+    """Run calls to the cluster in a thread, because a call may wait for a dead machine."""
 
     def quietly() -> None:
         for call in calls:

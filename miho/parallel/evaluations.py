@@ -1,4 +1,4 @@
-"""Evaluations by workers: begun before their values are needed, each made and journaled once."""
+"""Evaluations by workers: submitted before their values are needed, each made and logged once."""
 
 from __future__ import annotations
 
@@ -31,18 +31,31 @@ Array = NDArray[np.float64]
 Send = Callable[[Array], Future[Answer]]
 
 MOST_LOST = 50
-"""After so many chunks in a row whose workers have ended, no more are tried."""
+"""Chunks in a row that may end their workers before the run gives up."""
 PATIENCE = 7.0
-"""Seconds for which a broken connection may mend: Dask tries that for five."""
+"""Seconds that a broken connection has to recover. Dask tries for five."""
 MOST_KEPT = 1000
-"""Values of failed batches that are kept for those who ask again, row by row."""
+"""Values of failed batches that are kept, in case their rows are requested again one by one."""
 
 
 @dataclass(frozen=True)
 class Evaluated:
-    """A function of parameter rows that workers may evaluate; the shape of one row's values.
+    """A function of parameter rows that workers may evaluate.
 
-    `losses` (n,) of values (n, ...) say which are best, where that is known.
+    Parameters
+    ----------
+    name : str
+        Key of the function in the journal.
+    function : callable
+        Maps parameter rows (n, d) to values (n, ...).
+    shape : tuple of int
+        Shape of the values of one row.
+    evaluations : Evaluations
+        Makes the evaluations.
+    send : callable, optional
+        Submits rows to the workers.
+    losses : callable, optional
+        Maps values (n, ...) to losses (n,), to rank the values.
     """
 
     name: str
@@ -53,20 +66,42 @@ class Evaluated:
     losses: Callable[[Array], Array] | None = field(default=None, repr=False)
 
     def __call__(self, thetas: Array) -> Array:
-        """The values (n, ...) of rows (n, d); raises what the function raises, as ValueError."""
+        """Values (n, ...) of rows (n, d); an exception of the function becomes a ValueError."""
         if self.evaluations.resting():
             return self.evaluations.worth.brief(self.function, thetas)
         return self.evaluations.values(self, thetas)
 
 
 class Evaluations:
-    """Makes the evaluations of a run, by workers or here, and keeps them in a journal.
+    """Make the evaluations of a run, by workers or here, and keep them in a journal.
 
-    Workers make them only where one takes so long that it is worth while; the first is made here
-    to see that, unless `limited`: then a value may take no longer than the pool allows. `check` is
-    called while values are waited for, and may raise to end that. Where no worker can evaluate
-    anything any more, what asks for a value gets NoWorkersLeft, and where a journal is of functions
-    that have changed, StaleJournalError.
+    The first evaluation is made here and timed. Workers make the others if they take long enough.
+
+    Parameters
+    ----------
+    pool : Pool or None
+        The workers; None for none.
+    journal : Journal, optional
+        Keeps the expensive evaluations.
+    limited : bool
+        Whether the pool limits the duration of an evaluation. Workers then make all evaluations,
+        including the first.
+
+    Attributes
+    ----------
+    usage : Usage
+        Counts of evaluations and their durations.
+    worth : Worth
+        Decides whether an evaluation is sent to a worker.
+    check : callable
+        Called while values are waited for. It may raise, to end the wait.
+
+    Raises
+    ------
+    NoWorkersLeft
+        By requests for values, if no worker can evaluate anything any more.
+    StaleJournalError
+        By requests for values, if the journal belongs to functions that have changed.
     """
 
     def __init__(
@@ -78,13 +113,13 @@ class Evaluations:
         self._pool, self._journal = pool, journal
         self._checked = None if journal is None else JournalCheck(journal)
         self._pending: dict[Key, Pending] = {}
-        self._here: dict[Key, Array | Raised] = {}  # values that are known and not taken yet
+        self._here: dict[Key, Array | Raised] = {}  # values that are known but not requested yet
         self._ends = itertools.count(0 if journal is None else len(journal))
         self._arrivals, self._news = threading.Lock(), threading.Event()
         self._submitted: list[Key] | None = None
         self._lost = 0  # chunks in a row
-        self._latest = time.monotonic()  # when a value last came, or was given up
-        self._broken = math.inf  # since when the connection is
+        self._latest = time.monotonic()  # time of the last value or cancellation
+        self._broken = math.inf  # time since which the connection is broken
 
     def function(
         self,
@@ -93,47 +128,48 @@ class Evaluations:
         shape: tuple[int, ...] = (),
         losses: Callable[[Array], Array] | None = None,
     ) -> Evaluated:
-        """The same function, evaluated by the workers; its `name` stands in the journal."""
+        """The same function, evaluated by workers; `name` is its key in the journal."""
         send = None if self._pool is None else self._pool.share(ByRows(function))
         return Evaluated(name, function, shape, self, send, losses)
 
     def known(self, name: str) -> list[tuple[Array, Array]]:
-        """Rows of parameters and their values that the journal has of a function."""
+        """Parameter rows and values of a function in the journal."""
         return [] if self._journal is None else self._journal.values_of(name)
 
     @property
     def may_repeat(self) -> bool:
-        """Whether an evaluation may be made again: not one that a journal keeps, or may hang."""
+        """Whether an evaluation may be repeated: not if a journal keeps it or if it may hang."""
         return self._journal is None and not self.worth.limited
 
     @property
     def workers(self) -> int:
-        """How many evaluations may be under way at a time."""
+        """Number of evaluations that can be in progress at a time."""
         return self.usage.workers
 
     def resting(self) -> bool:
-        """Whether evaluations are so short that this one is made here, as if there were no workers
+        """Return whether evaluations are so short that this one is made here, untimed
         (`Worth.brief`)."""
         return self.worth.resting() and self._submitted is None
 
     @property
     def spreads(self) -> bool:
-        """Whether workers make evaluations: where it is known that each takes long enough."""
+        """Whether workers make evaluations, because each is known to take long enough."""
         return self._pool is not None and self.worth.measured and not self.worth.short
 
     @property
     def worth_one(self) -> bool:
-        """Whether it is known that workers gain where each makes one evaluation at a time."""
+        """Whether sending single evaluations to workers is known to save time."""
         return self._pool is not None and self.worth.alone
 
     def ahead(self, ask: Callable[[], object]) -> Ahead:
-        """Begin all evaluations that `ask` needs, without waiting; what it computes is void."""
+        """Begin all evaluations that `ask` needs, without waiting; the result of `ask` is
+        discarded."""
         keys: list[Key] = []
         if self._pool is not None and not self.worth.short:
             self._submitted = keys
             try:
                 ask()
-            except Exception:  # noqa: BLE001, S110 -- it raises again where its value is needed
+            except Exception:  # noqa: BLE001, S110 -- it raises again when its value is requested
                 pass
             finally:
                 self._submitted = None
@@ -142,8 +178,10 @@ class Evaluations:
         return Ahead(keys, ask, self.worth.measured)
 
     def first_ready(self, needs: Sequence[Ahead]) -> int:
-        """The position of what is complete first, the first of all where nothing has to be waited
-        for; needs that were not begun are."""
+        """Position of the need that was completed first, or 0 if none has to wait for workers.
+
+        Needs whose evaluations were not begun are begun.
+        """
         needs = [need if need.begun else self.ahead(need.again) for need in needs]
         while True:
             ends = [self._end_of_all(need) if need.left else need.latest for need in needs]
@@ -153,7 +191,7 @@ class Evaluations:
             self._wait(self._pending[k] for n in needs for k in n.left if self._waits(k))
 
     def close(self) -> None:
-        """Give up what is not done."""
+        """Cancel all evaluations that are not done."""
         for pending in self._pending.values():
             pending.future.cancel()
         self._pending.clear()
@@ -174,15 +212,15 @@ class Evaluations:
             if self.worth.measured:
                 self._submit(task, keys, thetas, todo)
             self._submitted += keys
-            return np.full((len(thetas), *task.shape), math.nan)  # which nobody takes for a value
+            return np.full((len(thetas), *task.shape), math.nan)  # a placeholder
         while todo and not self.worth.measured:
             self._evaluate_here(task, keys, thetas, [todo.pop(0)])
         if todo and not self._submit(task, keys, thetas, todo):
             journaled = self._journal is not None and self.worth.dear
-            if len(todo) == len(keys) and not journaled:  # as without any of this
+            if len(todo) == len(keys) and not journaled:  # as without workers and journal
                 return self._evaluate_at_once(task, thetas)
             self._evaluate_here(task, keys, thetas, todo)
-        # Where a row has raised, the others are still there when they are asked for again.
+        # If one row raised, the values of the others are kept for later requests.
         values = [self._value(key) for key in keys]
         errors = [value for value in values if isinstance(value, Raised)]
         if not errors or len(keys) == 1:
@@ -197,7 +235,7 @@ class Evaluations:
 
     @property
     def busy(self) -> int:
-        """How many workers have something to do."""
+        """Number of workers in use."""
         waiting = {id(p) for p in self._pending.values() if p.ended == math.inf}
         return min(len(waiting), self.workers)
 
@@ -207,8 +245,11 @@ class Evaluations:
         return self._journal is not None and key in self._journal
 
     def _end_of(self, key: Key) -> float:
-        """When a value came, in the order of all that came: infinite while a worker makes it, and
-        later than all that came where it is not known whether workers make them."""
+        """Position of a value in the order of completion.
+
+        It is infinite while a worker makes the value, and the largest finite number while it is not
+        known whether workers make evaluations.
+        """
         if key in self._pending:
             return self._pending[key].ended
         if self._journal is not None and key in self._journal:
@@ -216,7 +257,7 @@ class Evaluations:
         return -1.0 if key in self._here or self.worth.measured else sys.float_info.max
 
     def _end_of_all(self, need: Ahead) -> float:
-        """When the last of its values came; infinite while a worker makes one."""
+        """Position at which the last value was completed; infinite while a worker makes one."""
         while need.left:
             end = self._end_of(need.left[-1])
             if end == math.inf:
@@ -231,7 +272,7 @@ class Evaluations:
     def _submit(
         self, task: Evaluated, keys: Sequence[Key], thetas: Array, todo: Sequence[int]
     ) -> bool:
-        """Have workers evaluate rows, if that is worth while."""
+        """Submit rows to workers, if that saves time; return whether they were submitted."""
         if self._pool is None or task.send is None or not todo:
             return False
         rows = self.worth.chunk(len(todo), at_once=self._submitted is None)
@@ -241,7 +282,7 @@ class Evaluations:
         return True
 
     def _send(self, send: Send, pool: Pool, rows: int, keys: Sequence[Key], thetas: Array) -> None:
-        """Have workers evaluate all rows, so many at a time."""
+        """Submit all rows to workers, in chunks of `rows`."""
         self.usage.begin()
         for start in range(0, len(keys), rows):
             members = keys[start : start + rows]
@@ -251,7 +292,7 @@ class Evaluations:
         pool.flush()
 
     def _again(self, task: Evaluated, keys: Sequence[Key]) -> list[Array | Raised]:
-        """Values that are known, evaluated side by side once more; each was dear before."""
+        """Known, expensive values, evaluated again in parallel."""
         thetas = np.array([np.frombuffer(key[1], dtype=float) for key in keys])
         if self._pool is not None and task.send is not None:
             self._send(task.send, self._pool, 1, keys, thetas)
@@ -263,21 +304,23 @@ class Evaluations:
         return values
 
     def _arrival(self, pending: Pending) -> Callable[[Future[Answer]], None]:
-        """Note in which order answers come, and in the journal what was dear, before the search
-        gets to it; called by the threads that bring them."""
+        """A callback that records the order of completion and logs expensive answers at once.
+
+        The threads that deliver answers call it.
+        """
 
         def arrived(future: Future[Answer]) -> None:
             with self._arrivals:
                 try:
                     self._note(pending.keys, future)
-                finally:  # nobody takes a value before it is written down
+                finally:  # a value is written to the journal before it is used
                     pending.ended, self._latest = next(self._ends), time.monotonic()
             self._news.set()
 
         return arrived
 
     def _note(self, keys: Sequence[Key], future: Future[Answer]) -> None:
-        """Write a dear answer to the journal."""
+        """Write an expensive answer to the journal."""
         if self._journal is None or future.cancelled() or future.exception() is not None:
             return
         answer = future.result()
@@ -289,7 +332,7 @@ class Evaluations:
                 self._journal.add(key, as_array(value))
 
     def _value(self, key: Key) -> Array | Raised:
-        """The value of a row, as soon as it has come."""
+        """The value of a row; waits for it if necessary."""
         if key in self._here:
             return self._here[key]
         if key not in self._pending and self._journal is not None:
@@ -303,7 +346,7 @@ class Evaluations:
         return self._here[key]
 
     def _take(self, pending: Pending) -> None:
-        """Take the values that a worker has answered."""
+        """Store the values of a completed chunk."""
         rows = len(pending.keys)
         try:
             answer = pending.future.result()
@@ -313,36 +356,37 @@ class Evaluations:
             self._lost = 0
         except WorkersGoneError as error:
             raise NoWorkersLeft(str(error)) from None
-        except Exception as error:  # noqa: BLE001 -- its worker has ended without an answer
+        except Exception as error:  # noqa: BLE001 -- the worker ended without an answer
             values = [lost(error)] * rows
             self._lost += not isinstance(error, OverdueError)
             if self._lost >= MOST_LOST:
                 raise NoWorkersLeft(
-                    f"the last {MOST_LOST} evaluations have ended their workers ({error}); "
-                    "try the model without workers"
+                    f"the last {MOST_LOST} evaluations ended their workers ({error}); "
+                    "run the model without workers"
                 ) from None
         for key, value in zip(pending.keys, values, strict=True):  # in the journal already
             self._pending.pop(key, None)
             self._here[key] = as_array(value)
 
     def _wait(self, waiting: Iterable[Pending]) -> None:
-        """Wait until any value has come, and look whether the run is to end, and what to give up.
+        """Wait for the next value; then call `check` and give up evaluations that exceed the limit.
 
-        A worker of another library is not ours to end. Where none has given anything for as long as
-        the limit, what is waited for is given up, with the worker that it keeps busy.
+        This process cannot end the workers of another library. If no value came for as long as the
+        limit, the evaluations that are waited for are given up, and the workers that make them are
+        left busy.
         """
-        if self._pool is None:  # nothing is begun without one
+        if self._pool is None:  # nothing is in progress
             return
         self._pool.wait(self._news)
         self.check()
         now, limit = time.monotonic(), self._pool.limit
         self._broken = math.inf if self._pool.connected() else min(self._broken, now)
-        if now > self._broken + PATIENCE:  # not every call is told of it
+        if now > self._broken + PATIENCE:  # Dask does not report it to every call
             raise NoWorkersLeft("the connection to the Dask scheduler broke")
         if limit is None:
             return
         overdue = [p for p in waiting if now - max(p.begun, self._latest) > limit]
-        if overdue and self._pool.empty():  # nobody has begun them
+        if overdue and self._pool.empty():  # no worker has begun them
             self._latest = now
             return
         for pending in {id(p): p for p in overdue}.values():
@@ -352,7 +396,7 @@ class Evaluations:
                 )
 
     def _keep(self, key: Key, value: Array | Raised, seconds: float) -> None:
-        """Have a value that was evaluated here, in so many seconds."""
+        """Store a value that was evaluated here in `seconds`."""
         self._here[key] = value
         if self._journal is not None and is_dear(seconds) and _is_the_models(value):
             with self._arrivals:
@@ -367,19 +411,19 @@ class Evaluations:
     def _evaluate_here(
         self, task: Evaluated, keys: Sequence[Key], thetas: Array, todo: Sequence[int]
     ) -> None:
-        """Row by row, so that each is in the journal before the next begins."""
+        """Evaluate rows one by one, so that each is in the journal before the next begins."""
         by_rows = ByRows(task.function)
         for k in todo:
             started = time.perf_counter()
             value = as_array(by_rows(thetas[k][None])[0])
             seconds = time.perf_counter() - started
             if isinstance(value, Raised) and value.name == MemoryError.__name__:
-                raise MemoryError(value.message)  # of this process, which a worker's end is not
+                raise MemoryError(value.message)  # of this process, not of a worker
             self.worth.count(seconds, 1, here=True, raised=isinstance(value, Raised))
             self._keep(keys[k], value, seconds)
             self.check()
 
 
 def _is_the_models(value: Array | Raised) -> bool:
-    """Whether a value is the model's, and not a failure of the machine that may not come again."""
+    """Return whether a value is a property of the model, not a transient failure of the machine."""
     return not (isinstance(value, Raised) and value.of_machine)

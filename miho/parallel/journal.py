@@ -1,4 +1,4 @@
-"""The journal of a run: every dear evaluation as it ends, so that none is made twice."""
+"""Evaluation log (journal) of a run: it keeps expensive evaluations, so that none is repeated."""
 
 from __future__ import annotations
 
@@ -25,35 +25,38 @@ from miho.regular_file import NotAFileError, check_regular
 
 FORMAT = 2
 SYNCED = 1.0
-"""Seconds of evaluations that a loss of power may cost; the end of a process costs none."""
+"""Seconds of evaluations that a power failure may cost. The end of a process costs none."""
 Key = tuple[str, bytes]
 
 
 class JournalError(ValueError):
-    """A journal that cannot be used: one line with the file and what to do."""
+    """A journal cannot be used. The message names the file and a remedy in one line."""
 
 
 class UncheckedJournalError(JournalError):
-    """A journal that may be right, but whose model fails for a reason that may pass."""
+    """A journal cannot be checked, because its model fails for a reason that may be temporary."""
 
 
 class Described(Protocol):
-    """What a journal is of, in a text that tells it from all whose values are others."""
+    """The problem of a journal."""
 
     @property
     def description(self) -> str:
-        """Its first line says it."""
+        """A text that differs for problems with different values.
+
+        Its first line is a summary.
+        """
 
     @property
     def called_as(self) -> Sequence[Any]:
-        """How its functions are called, which those who go on have to know."""
+        """Calling conventions of the problem's functions, which a later run has to reproduce."""
 
 
 opened: weakref.WeakSet[Journal] = weakref.WeakSet()
 
 
 def _leave_to_parent() -> None:
-    """In a process that was forked: let go of files, whose locks would outlast who writes them."""
+    """Close the files in a forked child, so that it does not keep their locks."""
     for journal in list(opened):
         journal.abandon()
 
@@ -63,12 +66,23 @@ if hasattr(os, "register_at_fork"):  # not on every system
 
 
 class Journal:
-    """Values of evaluations by task and parameters, in a file that grows by a line for each.
+    """Evaluation log of a run: values by function and parameters, appended to a file.
 
-    A line is the checksum of what follows, and JSON with arrays as base64: exact, and any line that
-    is damaged or cut short costs itself alone. The first says of which `problem` it is, and how
-    that is called. The file comes to exist with its first value. Raises JournalError for a journal
-    of another problem, one that another process is writing, and a file that is none.
+    Each line is a checksum followed by JSON with arrays in base64. Values are exact, and a damaged
+    line affects no other line. The first line describes the problem and its calling conventions.
+    The file is created with the first value.
+
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    problem : Described
+        The problem whose evaluations are logged.
+
+    Raises
+    ------
+    JournalError
+        If the file is not a journal, belongs to another problem, or is in use by another process.
     """
 
     def __init__(self, path: str | os.PathLike[str], problem: Described) -> None:
@@ -86,16 +100,16 @@ class Journal:
 
     @property
     def standing(self) -> str:
-        """What is known from an earlier call, in words; empty if nothing is."""
-        known = f"goes on from {self.loaded:,} evaluations of an earlier call"
+        """A phrase that describes the values of earlier calls; empty if there are none."""
+        known = f"continues from {self.loaded:,} evaluations of an earlier call"
         return known if self.loaded else ""
 
     def __len__(self) -> int:
         return len(self._values)
 
     def __iter__(self) -> Iterator[Key]:
-        """The keys of all values, in the order in which they came."""
-        return iter(list(self._values))  # threads that bring values of workers add some
+        """Keys of all values, in the order in which they were added."""
+        return iter(list(self._values))  # other threads add values
 
     def __contains__(self, key: Key) -> bool:
         return key in self._values
@@ -104,7 +118,7 @@ class Journal:
         return self._values[key]
 
     def values_of(self, task: str) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
-        """Parameters and values of a task, of those that have one."""
+        """Parameters and values of a function, without evaluations that raised."""
         return [
             (np.frombuffer(theta, dtype=float), value)
             for (name, theta), value in self._values.items()
@@ -112,21 +126,21 @@ class Journal:
         ]
 
     def place(self, key: Key) -> int:
-        """The position of a value in the order in which values came."""
+        """Position of a value in the order in which values were added."""
         return self._places[key]
 
     def add(self, key: Key, value: NDArray[np.float64] | Raised) -> None:
-        """Write a value down; it stands in the file when this returns.
+        """Append a value to the file before returning.
 
-        Where the file cannot be written, no more is, and a line on stderr says so: that may not
-        cost the run, to which an error here would look like one of the model.
+        If the file cannot be written, a line on stderr says so and no more values are kept. The run
+        continues: an exception here would look like an error of the model.
         """
         entry: dict[str, Any] = {"task": key[0], "theta": _text(key[1])}
         if isinstance(value, Raised):
             entry["raised"] = [value.name, value.message]
         else:
             entry |= {"value": _text(value.tobytes()), "shape": value.shape}
-        with self._adding:  # threads that bring values of workers add them
+        with self._adding:  # several threads add values
             if key in self._values or self._failed:
                 return
             try:
@@ -139,18 +153,18 @@ class Journal:
                 sys.stderr.write(f"miho: {error}; evaluations are not kept from now on\n")
 
     def close(self) -> None:
-        """Have everything on the disk; what is added from now on is not kept."""
+        """Flush the file to the disk; values that are added later are not kept."""
         with self._adding:
             self._failed = True
             if self._file is None:
                 return
             with contextlib.suppress(OSError):
                 os.fsync(self._file.fileno())
-            with contextlib.suppress(OSError):  # a full disk, again
+            with contextlib.suppress(OSError):  # the disk may be full
                 self._file.close()
 
     def abandon(self) -> None:
-        """Let go of the file, which another process writes."""
+        """Close the file, which another process writes."""
         self._failed, self._adding = True, threading.Lock()
         if self._file is not None:
             with contextlib.suppress(OSError):
@@ -158,7 +172,7 @@ class Journal:
             self._file = None
 
     def _open(self) -> None:
-        """Open and lock the file, and read what it holds; it is made if there is none."""
+        """Open, lock and read the file; create it if necessary."""
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self.path.open("a+b", buffering=0)
@@ -176,7 +190,7 @@ class Journal:
             raise
 
     def _read(self) -> None:
-        """Raises JournalError for a journal of another problem, and for what is none."""
+        """Read all values. Raises JournalError if the file is not a journal of this problem."""
         problem, calls = self._problem.description, list(self._problem.called_as)
         self._file.seek(0)
         *lines, tail = self._file.read().split(b"\n")
@@ -185,21 +199,21 @@ class Journal:
         head = first if not lines and _is_cut_short(tail, first) else None
         head = entries[0] if entries else head
         if head is None:
-            raise JournalError(f"journal {self.path}: is no journal; name another file")
+            raise JournalError(f"journal {self.path}: not a journal; name another file")
         if head.get("format") != FORMAT:
             raise JournalError(
-                f"journal {self.path}: is of another version of MIHO; name another file, or delete "
-                "it"
+                f"journal {self.path}: written by another version of MIHO; name another file, or "
+                "delete this one"
             )
-        if tail:  # cut short when its process ended
+        if tail:  # cut short by the end of its process
             self._file.truncate(sum(len(line) + 1 for line in lines))
         if not entries:
             self._write(first)
             return
         if head.get("problem") != problem:
             raise JournalError(
-                f"journal {self.path}: is of another problem, model or data; name another file, or "
-                "delete it"
+                f"journal {self.path}: belongs to another problem, model or data; name another "
+                "file, or delete this one"
             )
         damaged = 0
         for entry in entries[1:]:
@@ -209,8 +223,8 @@ class Journal:
                 damaged += 1
         if damaged:
             sys.stderr.write(
-                f"miho: journal {self.path}: {damaged} damaged lines were left out; what they held "
-                "is evaluated again\n"
+                f"miho: journal {self.path}: {damaged} damaged lines were ignored; their values "
+                "are evaluated again\n"
             )
 
     def _remember(self, key: Key, value: NDArray[np.float64] | Raised) -> None:
@@ -230,7 +244,7 @@ class Journal:
 
 
 def calls_of(path: str | os.PathLike[str]) -> Sequence[Any] | None:
-    """How the functions of a journal's problem are called; None where there is no journal yet."""
+    """Return the calling conventions in a journal, or None if there is no journal yet."""
     if not _is_there(path):
         return None
     try:
@@ -238,29 +252,29 @@ def calls_of(path: str | os.PathLike[str]) -> Sequence[Any] | None:
             first = file.readline()
     except OSError:
         return None
-    if not first.endswith(b"\n"):  # it was cut short, before any value
+    if not first.endswith(b"\n"):  # cut short before the first value
         return None
     calls = (_entry(first.rstrip(b"\n")) or {}).get("calls")
     return calls if isinstance(calls, list) else ()
 
 
 def _is_there(path: str | os.PathLike[str]) -> bool:
-    """Whether there is a file of this name; raises JournalError for a name that no file can have.
+    """Return whether a file of this name exists. Raises JournalError for an impossible name.
 
-    A pipe or a device is not opened, which might wait for ever.
+    Pipes and devices are not opened, because that might block.
     """
     try:
         check_regular(path)
-    except OSError:  # whoever writes to it says why it cannot be
+    except OSError:  # the error is raised when the file is written
         return False
     except NotAFileError as error:
         raise JournalError(f"journal {error}") from None
     except UnicodeEncodeError as error:
         raise JournalError(
-            f"journal {str(path)!a}: the file system's encoding here, {error.encoding}, has no "
+            f"journal {str(path)!a}: the file system's encoding, {error.encoding}, has no "
             f"{error.object[error.start]!a}; set PYTHONUTF8=1, or name another file"
         ) from None
-    except ValueError as error:  # such as a null character
+    except ValueError as error:  # for example, a null character
         raise JournalError(f"journal {str(path)!a}: {error}; name another file") from None
     return True
 
@@ -271,7 +285,7 @@ def _line(entry: dict[str, Any]) -> bytes:
 
 
 def _is_cut_short(tail: bytes, first: dict[str, Any]) -> bool:
-    """Whether this is the beginning of a first line, whatever it was to say of calls."""
+    """Return whether `tail` is the beginning of a first line, with any calling conventions."""
     beginning = orjson.dumps(first | {"calls": None}).removesuffix(b"null}")
     checksum, text = tail[:9], tail[9:]
     known = text.startswith(beginning) or beginning.startswith(text)
@@ -279,7 +293,7 @@ def _is_cut_short(tail: bytes, first: dict[str, Any]) -> bool:
 
 
 def _entry(line: bytes) -> dict[str, Any] | None:
-    """What a line holds, None if it is damaged."""
+    """Contents of a line, or None if it is damaged."""
     try:
         checksum, text = line.split(b" ", 1)
         if int(checksum, 16) != zlib.crc32(text):
@@ -306,7 +320,7 @@ def _text(data: bytes) -> str:
 
 
 def _lock(file: Any, path: str | os.PathLike[str]) -> None:
-    """Hold the file for this process; the system lets go of it with the process."""
+    """Lock the file for this process; the system unlocks it when the process ends."""
     try:
         import fcntl
     except ImportError:  # not on this system
@@ -314,8 +328,8 @@ def _lock(file: Any, path: str | os.PathLike[str]) -> None:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
-        if not isinstance(error, BlockingIOError):  # of a file system without locks
+        if not isinstance(error, BlockingIOError):  # the file system has no locks
             return
         raise JournalError(
-            f"journal {path}: another process is writing it; wait for that, or name another file"
+            f"journal {path}: another process is writing it; wait for its end, or name another file"
         ) from None

@@ -1,4 +1,4 @@
-"""Whether a journal of an earlier call is still right: some of its evaluations are made again."""
+"""Check the journal of an earlier call by repeating some of its evaluations."""
 
 from __future__ import annotations
 
@@ -19,21 +19,23 @@ Array = NDArray[np.float64]
 Value = Array | Raised
 
 FIRST, FURTHER = 3, 1
-"""Evaluations that are made again of the first function that a run asks for, and of each other one:
-another part of a joint problem, some of the rows, a Jacobian."""
+"""Evaluations that are repeated for the first function that a run requests, and for each further
+one. Further functions are other parts of a joint problem, subsets of rows, and Jacobians."""
 CLOSE = 1e-9
-"""Values agree within this share of the largest of them: threads that add in another order and the
-mathematical functions of another machine differ by 1e-16 to 1e-15, and a simulation adds to it."""
+"""Relative tolerance of values, as a share of the largest number in them. Another order of
+summation and the mathematical functions of another machine change values by 1e-16 to 1e-15, and a
+simulation amplifies that."""
 EARLY = 10
-"""First values of a function, whose typical size counts as well: residuals of a perfect fit are
-rounding alone. The largest of all would not do: beside a single huge one, no change is large."""
+"""Number of first values of a function that give its typical size, which is a further scale for
+differences: the residuals of a perfect fit are rounding errors. The largest value of all would not
+do, because one huge value would hide every change."""
 
 
 class StaleJournalError(BaseException):
-    """A journal whose values are not those of its functions any more, or cannot be compared.
+    """The values of a journal differ from its functions, or cannot be compared with them.
 
-    It is no error of a model, which is an Exception that methods may take for a rejected value. The
-    `error`, a line, is for those who called the method.
+    It is not an Exception, because methods may treat an Exception as a rejected evaluation. The
+    `error` is a JournalError for the method's caller.
     """
 
     def __init__(self, error: JournalError) -> None:
@@ -42,7 +44,7 @@ class StaleJournalError(BaseException):
 
 
 class JournalCheck:
-    """Compares values of an earlier call with those of today, for each function before its use."""
+    """Compare values of an earlier call with new evaluations, for each function before its use."""
 
     def __init__(self, journal: Journal) -> None:
         self._journal = journal
@@ -56,10 +58,11 @@ class JournalCheck:
         evaluate: Callable[[Sequence[Key]], Sequence[Value]],
         losses: Callable[[Array], Array] | None = None,
     ) -> None:
-        """Check a task by some of its configurations, which `evaluate` evaluates.
+        """Check a function at some of its configurations with `evaluate`.
 
-        The best one by `losses` (n,) of values (n, ...) is among them. Raises StaleJournalError
-        where a value differs, unless two evaluations of today differ as well.
+        They include the best configuration by `losses`, which maps values (n, ...) to losses (n,).
+        Raises StaleJournalError if a value differs, unless two new evaluations differ from each
+        other as well.
         """
         if task in self._checked:
             return
@@ -70,10 +73,10 @@ class JournalCheck:
         self._checked.add(task)
 
     def _samples(self, task: str, losses: Callable[[Array], Array]) -> list[Key]:
-        """Keys of an earlier call, the most telling first.
+        """Keys of an earlier call, the most informative first.
 
-        The best configuration, the latest without a value, the worst, and the first; without
-        losses the last and the first.
+        These are the best configuration, the latest without a value, the worst, and the first; if
+        the losses are unknown, the last and the first.
         """
         loaded = islice(self._journal, self._journal.loaded)
         keys = [key for key in loaded if key[0] == task]
@@ -83,7 +86,7 @@ class JournalCheck:
         if finite:
             try:
                 order = np.argsort(losses(np.array([self._journal[key] for key in finite])))
-            except ValueError:  # losses of other rows than these are not known
+            except ValueError:  # the losses of other rows are not known
                 order = np.array([-1, 0])
             middle = finite[len(finite) // 2]
             telling = [finite[order[0]], *telling, finite[order[-1]], finite[0], middle]
@@ -101,8 +104,8 @@ class JournalCheck:
                 failures.append(again)
             elif gap > CLOSE and gap_of(now, again) > CLOSE:
                 self._say(
-                    "two evaluations of one configuration differ, so that it cannot be compared "
-                    "with its model; stored values are used as they are"
+                    "two evaluations of one configuration differ, so stored values cannot be "
+                    "checked; they are used as they are"
                 )
                 return
             elif gap > CLOSE:
@@ -110,12 +113,13 @@ class JournalCheck:
             else:
                 gaps.append(gap)
         if gaps and max(gaps) > 0:
-            self._say(f"values differ by rounding, {max(gaps):.1g} of the largest")
+            self._say(f"values differ by rounding errors, {max(gaps):.1g} of the largest")
         if not gaps:
             self._fail(failures)
 
     def _typical(self, task: str) -> float:
-        """The median of the largest numbers of the first values of an earlier call."""
+        """Typical size of a function's values: the median of the largest numbers of its first
+        values."""
         loaded = islice(self._journal, self._journal.loaded)
         values = (self._journal[key] for key in loaded if key[0] == task)
         first = islice((v for v in values if not isinstance(v, Raised) and _is_finite(v)), EARLY)
@@ -123,18 +127,18 @@ class JournalCheck:
         return float(np.median(sizes)) if sizes else 0.0
 
     def _fail(self, failures: Sequence[Raised]) -> None:
-        """Say what it means that no value could be compared."""
+        """Report that no value could be compared."""
         failed = next((failure for failure in failures if not failure.overdue), None)
         if failed is None:
             self._say(
-                "evaluations take longer than evaluation_limit now, so that the model is not "
-                "checked; stored values are used as they are"
+                "evaluations now take longer than evaluation_limit, so stored values cannot be "
+                "checked; they are used as they are"
             )
             return
         raise StaleJournalError(
             UncheckedJournalError(
-                f"journal {self._journal.path}: cannot be checked, the model fails now: "
-                f"{failed.line}; mend that and try again"
+                f"journal {self._journal.path}: cannot be checked, because the model now fails: "
+                f"{failed.line}; correct that and try again"
             )
         )
 
@@ -155,7 +159,7 @@ class JournalCheck:
 
 
 def _passes(value: Value) -> TypeGuard[Raised]:
-    """Whether this is a failure that may pass, which says nothing about the model."""
+    """Return whether a value is a transient failure, which says nothing about the model."""
     return isinstance(value, Raised) and value.of_machine
 
 
@@ -164,16 +168,16 @@ def _is_finite(value: Value) -> bool:
 
 
 def _size(values: Array) -> Array:
-    """Losses as they are, the sum of squares of what has more than one number."""
+    """Losses of values (n, ...): the values themselves, or sums of squares of arrays."""
     if values.ndim == 1:
         return values
     return np.asarray(np.square(values.reshape(len(values), -1)).sum(axis=1))
 
 
 def _gap(one: Value, other: Value, typical: float = 0.0) -> float:
-    """The largest difference of two values; 0 for the same bits.
+    """Largest difference of two values, relative to the largest number in them; 0 if equal.
 
-    It is a share of the largest number of both, or of a `typical` one if that is larger.
+    The scale is at least `typical`.
     """
     if isinstance(one, Raised) or isinstance(other, Raised):
         same = isinstance(one, Raised) and isinstance(other, Raised) and one.name == other.name
@@ -191,15 +195,15 @@ def _gap(one: Value, other: Value, typical: float = 0.0) -> float:
 
 
 def _differ(one: Array, other: Array) -> NDArray[np.bool_]:
-    """Which numbers of two arrays differ: not those that are not a number in both."""
+    """Mask of the numbers that differ between two arrays; two NaN are equal."""
     return np.asarray((one != other) & ~(np.isnan(one) & np.isnan(other)))
 
 
 def _words(before: Value, after: Value) -> tuple[str, str]:
-    """Two values that differ in words: of arrays the numbers that differ most."""
+    """Two different values as text; for arrays, the numbers that differ most."""
     if isinstance(before, Raised) or isinstance(after, Raised) or before.shape != after.shape:
         return _word(before), _word(after)
-    with np.errstate(invalid="ignore"):  # infinity less infinity
+    with np.errstate(invalid="ignore"):  # infinity minus infinity
         gap = np.nan_to_num(np.abs(before - after), nan=math.inf, posinf=math.inf)
     place = np.unravel_index(np.argmax(np.where(_differ(before, after), gap, 0)), gap.shape)
     which = f" in row {place[0] + 1}" if gap.size > 1 else ""

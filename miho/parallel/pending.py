@@ -1,4 +1,4 @@
-"""Values that are under way: asked for before they are needed, or with a worker."""
+"""Values in progress: requested before they are needed, or being made by a worker."""
 
 from __future__ import annotations
 
@@ -13,16 +13,28 @@ from miho.parallel.remote import Answer
 
 
 class NoWorkersLeft(BaseException):
-    """No value can be evaluated any more; one line says why. It is no error of a model, which is an
-    Exception that methods may take for a rejected value."""
+    """No worker can evaluate anything any more; the message gives the reason in one line.
+
+    It is not an Exception, because methods may treat an Exception as a rejected evaluation.
+    """
 
 
 @dataclass
 class Ahead:
-    """Values that were asked for before they are needed: `again` asks for them.
+    """Values that were requested before they are needed (futures).
 
-    Workers have `begun` them where it was known that it is worth while. Those `left` may not have
-    come yet; of the others the `latest` is known, by its place in the order of all.
+    Attributes
+    ----------
+    keys : sequence of Key
+        The values.
+    again : callable
+        Requests the values again.
+    begun : bool
+        Whether workers have begun them, because that is known to save time.
+    left : list of Key
+        Values that may not be complete yet.
+    latest : float
+        Position of the last complete value in the order of completion.
     """
 
     keys: Sequence[Key]
@@ -35,7 +47,7 @@ class Ahead:
         self.left = list(self.keys)
 
     def __add__(self, other: Ahead) -> Ahead:
-        """Both together."""
+        """The values of both."""
 
         def again() -> None:
             self.again()
@@ -46,7 +58,7 @@ class Ahead:
 
 @dataclass
 class Pending:
-    """A chunk of rows that a worker evaluates; `ended` counts the ends of all, in their order."""
+    """A chunk of rows that a worker evaluates; `ended` is its place in the order of completion."""
 
     future: Future[Answer]
     keys: Sequence[Key]

@@ -1,4 +1,4 @@
-"""Workers by the ecosystem's convention: a number, an executor, a map, or a cluster's address."""
+"""Workers in the usual forms: a number, an executor, a map, or the address of a cluster."""
 
 from __future__ import annotations
 
@@ -34,35 +34,49 @@ from miho.parallel.process_executor import (
 from miho.parallel.remote import Answer, Raised, shared, work
 
 Workers = int | str | Executor | Callable[..., Iterable[Any]] | None
-"""A number of processes (-1: one for each core), an executor of `concurrent.futures`, a callable
-like `map`, or the address of a cluster (`dask://HOST:PORT`, `dask:4`, `slurm:10`)."""
+"""A number of processes (-1: one per core), an executor of `concurrent.futures`, a callable like
+`map`, or the address of a cluster (`dask://HOST:PORT`, `dask:4`, `slurm:10`)."""
 TRIES = 3
-"""How often a call is tried whose worker ends without an answer."""
+"""Attempts at a call whose worker ends without an answer."""
 SMALL = 1 << 14
-"""Bytes of a function that cost nothing to send beside the call itself."""
+"""Size [bytes] up to which a pickled function is sent with every call."""
 LOOK = 0.1
-"""Seconds between two looks whether anybody wants to stop."""
+"""Seconds between two checks for signals and stop requests."""
 EXPECTED = (
     "a number of processes, -1 for one per core, an executor, a callable like map, or an address "
-    "such as 'dask://HOST:PORT', 'dask:4' or 'slurm:10'"
+    "like 'dask://HOST:PORT', 'dask:4' or 'slurm:10'"
 )
 
 
 DAEMONIC = (
-    "this process is daemonic, as those of multiprocessing.Pool are, and may start no other; it "
-    "makes all evaluations itself, without a limit of time. Give a ThreadPoolExecutor or an "
-    "address instead"
+    "this process is daemonic, like the workers of multiprocessing.Pool, and may start no "
+    "processes; it makes all evaluations itself, without a time limit. Give a ThreadPoolExecutor "
+    "or an address instead"
 )
 
 
 @contextmanager
 def open_pool(workers: Workers, time_limit: float | None = None) -> Iterator[Pool | None]:
-    """The pool of some workers, which ends with the context if it was begun here; None for one.
+    """Open a pool of workers for the duration of the context.
 
-    A call that takes longer than `time_limit` seconds is killed, with its process where that is
-    ours; of others `Pool.limit` says what they do not end themselves. A daemonic process, such as a
-    worker of `multiprocessing.Pool`, may start no other: it has one worker, itself. Raises
-    ValueError for workers that are none of the kinds.
+    Parameters
+    ----------
+    workers : int, str, Executor, callable or None
+        See `Workers`. A pool that is started here ends with the context; an executor is left open.
+    time_limit : float, optional
+        Largest duration of a call [s]. Our worker processes are killed if they exceed it. For other
+        workers `Pool.limit` holds the limit, and the caller gives the call up.
+
+    Yields
+    ------
+    Pool or None
+        None if this process makes all calls: for one worker without a time limit, and in a daemonic
+        process (a worker of `multiprocessing.Pool`), which may start no processes.
+
+    Raises
+    ------
+    ValueError
+        If `workers` has none of these forms.
     """
     limit = time_limit
     with ExitStack() as stack:
@@ -92,7 +106,7 @@ def open_pool(workers: Workers, time_limit: float | None = None) -> Iterator[Poo
 
 
 def number_of(workers: Any) -> int:
-    """So many processes; raises ValueError where that is no number of them."""
+    """Number of processes that `workers` means; raises ValueError if it is not a number."""
     try:
         count = 1 if workers is None else int(workers)
         if isinstance(workers, bool) or (count != -1 and count < 1) or count != float(workers or 1):
@@ -103,10 +117,17 @@ def number_of(workers: Any) -> int:
 
 
 class Pool:
-    """`size` workers that call shared functions, which travel to each of them once.
+    """Workers that call shared functions, each of which is sent to a worker once.
 
-    A call that takes longer than `limit` seconds is for its caller to give up; None where the
-    workers do so themselves.
+    Parameters
+    ----------
+    executor : Executor
+        Makes the calls.
+    size : int
+        Number of workers.
+    limit : float, optional
+        Duration [s] after which the caller should give a call up. None if the workers enforce the
+        limit themselves.
     """
 
     def __init__(self, executor: Executor, size: int, limit: float | None = None) -> None:
@@ -118,11 +139,12 @@ class Pool:
         self._tokens: list[str] = []
 
     def share(self, function: Callable[[Any], Any]) -> Callable[[Any], Future[Answer]]:
-        """What has the function called by a worker, with an argument.
+        """Return a function that has a worker call `function` with an argument.
 
-        The answer says what it raised. A call whose worker ended is tried again; if that happens
-        TRIES times, the future raises WorkerLostError. It raises WorkersGoneError where no call
-        can be done any more: the executor is broken, or the function cannot be sent.
+        It returns a future. The `Answer` contains the exception if the function raised one. A call
+        whose worker ended is repeated; after TRIES attempts the future raises WorkerLostError. It
+        raises WorkersGoneError if no more calls can be made, because the executor is broken or the
+        function cannot be sent.
         """
         token = uuid.uuid4().hex
         shared[token] = function  # for workers that are threads of this process
@@ -132,13 +154,14 @@ class Pool:
         return lambda argument: self._call(token, pickled, argument, next(calls) < self.size)
 
     def map(self, function: Callable[[Any], Any], arguments: Iterable[Any]) -> Iterator[Any]:
-        """What a function gives for each argument, in their order; raises what it raises."""
+        """Yield the value of a function at each argument, in order; raises the function's
+        exceptions."""
         call = self.share(function)
         futures = [call(argument) for argument in arguments]
         self.flush()
         try:
             for future in futures:
-                while not future.done():  # so that signals are seen
+                while not future.done():  # in steps, so that signals are handled
                     wait([future], LOOK)
                 answer = future.result()
                 if answer.raised is not None:
@@ -149,20 +172,20 @@ class Pool:
                 future.cancel()
 
     def wait(self, news: threading.Event) -> None:
-        """Wait until there is `news` of calls, but no longer than until somebody may want to stop.
+        """Wait for `news` of calls, at most as long as a stop request may wait.
 
-        What has ended is to be looked for afterwards.
+        The caller then checks which calls have ended.
         """
         news.wait(LOOK)
         news.clear()
 
     def flush(self) -> None:
-        """Have calls done that wait for others, where workers take several at once only."""
+        """Start calls that were collected, for workers that only accept several calls together."""
         if isinstance(self._executor, MapExecutor):
             self._executor.flush()
 
     def close(self) -> None:
-        """Cancel what is not done."""
+        """Cancel all calls that are not done."""
         for future in list(self._pending):
             future.cancel()
         for token in self._tokens:
@@ -171,11 +194,15 @@ class Pool:
     def _call(
         self, token: str, pickled: Callable[[], bytes], argument: Any, first: bool
     ) -> Future[Answer]:
-        """A call; the function goes with the `first` ones, so that each worker may get it, and with
-        all of them if it is small: calls that lack it wait in the queue a second time."""
+        """Submit a call.
+
+        The function is sent with the `first` calls, so that each worker can receive it, and with
+        all calls if it is small, because a call whose worker lacks the function is queued a second
+        time.
+        """
         payload = None
         if not isinstance(self._executor, ThreadPoolExecutor):
-            with contextlib.suppress(Exception):  # it is told where a worker lacks the function
+            with contextlib.suppress(Exception):  # an error shows when a worker lacks the function
                 payload = pickled() if first or len(pickled()) <= SMALL else None
         if isinstance(self._executor, ProcessExecutor) and not self._executor.started and payload:
             self._executor.load_at_start(payload)
@@ -189,11 +216,11 @@ class Pool:
                 return
             try:
                 inner = self._executor.submit(work, token, payload, argument)
-            except Exception as error:  # noqa: BLE001 -- whatever an executor raises that has ended
+            except Exception as error:  # noqa: BLE001 -- any error of an executor that has ended
                 _fail(result, WorkersGoneError(_broken(error), again=False))
                 return
             inner.add_done_callback(partial_answer)
-            result.add_done_callback(lambda _: inner.cancel())  # where it is given up
+            result.add_done_callback(lambda _: inner.cancel())  # if the call is given up
 
         def partial_answer(inner: Future[Answer]) -> None:
             try:
@@ -204,14 +231,14 @@ class Pool:
                 else:
                     _fail(result, error)
                 return
-            except BaseException as error:  # noqa: BLE001 -- of a foreign executor
+            except BaseException as error:  # noqa: BLE001 -- from another library's executor
                 _fail(result, _foreign(error))
                 return
             if answer.lacks:
                 send()
             elif answer.unloadable is not None:
-                reason = f"a worker cannot load what it is to evaluate ({answer.unloadable})"
-                _fail(result, WorkersGoneError(f"{reason}; install there what it needs", False))
+                reason = f"a worker cannot load the function ({answer.unloadable})"
+                _fail(result, WorkersGoneError(f"{reason}; install its modules there", False))
             else:
                 with contextlib.suppress(Exception):  # it was cancelled meanwhile
                     result.set_result(answer)
@@ -219,8 +246,8 @@ class Pool:
         def send() -> None:
             try:
                 payload = pickled()
-            except Exception as error:  # noqa: BLE001 -- whatever pickling raises
-                reason = f"what is evaluated cannot be sent to workers ({Raised.of(error).line})"
+            except Exception as error:  # noqa: BLE001 -- any error of pickling
+                reason = f"the function cannot be sent to workers ({Raised.of(error).line})"
                 _fail(result, WorkersGoneError(f"{reason}; give a ThreadPoolExecutor", False))
             else:
                 submit(payload)
@@ -230,20 +257,20 @@ class Pool:
 
 
 class MapExecutor(Executor):
-    """A callable like `map` behind the interface of executors: calls are done at `flush`."""
+    """Executor around a callable like `map`: `flush` makes the calls."""
 
     def __init__(self, mapped: Callable[..., Iterable[Any]]) -> None:
         self._map = mapped
         self._waiting: list[tuple[Future[Any], Any]] = []
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Remember a call."""
+        """Store a call until `flush`."""
         future: Future[Any] = Future()
         self._waiting.append((future, (fn, args)))
         return future
 
     def flush(self) -> None:
-        """Do all calls, and those that follow from them."""
+        """Make all stored calls, and calls that these submit."""
         while self._waiting:
             calls, self._waiting = self._waiting, []
             calls = [call for call in calls if call[0].set_running_or_notify_cancel()]
@@ -255,7 +282,7 @@ class MapExecutor(Executor):
                 for future, _ in calls:
                     if not future.done():
                         future.set_exception(WorkersGoneError(_broken(error), again=False))
-                if not isinstance(error, Exception):  # such as a second Ctrl-C
+                if not isinstance(error, Exception):  # for example, a second Ctrl-C
                     raise
 
 
@@ -265,8 +292,8 @@ def _apply(call: tuple[Callable[..., Any], Sequence[Any]]) -> Any:
 
 
 def _pickled(function: Callable[[Any], Any]) -> bytes:
-    # Multiprocessing has another name for the main file, by which workers would look for what that
-    # imports and what has no module of its own, such as SciPy's functions.
+    # Multiprocessing has a second name for the main file. Workers would use it to look up objects
+    # that the main file imports or that name no module, for example functions of SciPy.
     main = sys.modules.pop("__mp_main__", None)
     try:
         return bytes(cloudpickle.dumps(function))
@@ -276,20 +303,20 @@ def _pickled(function: Callable[[Any], Any]) -> bytes:
 
 
 def _foreign(error: BaseException) -> WorkerLostError:
-    """What it means that an executor of another library gives this instead of an answer."""
+    """Translate an error of another library's executor."""
     if isinstance(error, (BrokenExecutor, CancelledError)) or not isinstance(error, Exception):
         return WorkersGoneError(_broken(error), again=False)
     return WorkerLostError(Raised.of(error).line, again=False)
 
 
 def _broken(error: BaseException) -> str:
-    """In one line what it means that an executor takes no more calls."""
+    """The reason why an executor accepts no more calls, in one line."""
     if isinstance(error, WorkerLostError):
         return str(error)
     import asyncio  # only here: it is slow to import
 
     if isinstance(error, (CancelledError, asyncio.CancelledError)):
-        return "the workers or their scheduler have left; give workers anew"
+        return "the workers or their scheduler have left; give new workers"
     return f"the executor is broken ({Raised.of(error).line}); give a new one"
 
 
@@ -299,6 +326,6 @@ def _fail(result: Future[Answer], error: WorkerLostError) -> None:
 
 
 def lost(error: BaseException) -> Raised:
-    """What is told of a value whose worker is gone."""
+    """Failure that stands for a value whose worker has ended."""
     overdue = getattr(error, "overdue", False)
     return Raised(WorkerLostError.__name__, str(error), of_machine=True, overdue=overdue)

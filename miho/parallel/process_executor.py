@@ -1,4 +1,4 @@
-"""Worker processes as an executor: each call is done, or its own worker's end is told."""
+"""Executor of worker processes that reports the end of a call's worker to that call alone."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from miho.parallel.workers import Workers
 
 ENDED = "the workers have ended"
 IDLE = 1.0
-"""Seconds between two looks whether processes that do nothing have died."""
+"""Seconds between two checks for idle processes that have died."""
 Job = tuple[int, bytes]
 
 
 class WorkerLostError(RuntimeError):
-    """The process of a call has ended without an answer; it may be tried `again`.
+    """The process of a call ended without an answer.
 
-    One `overdue` took too long.
+    `again` says whether the call may be repeated, `overdue` whether it exceeded the time limit.
     """
 
     overdue = False
@@ -37,28 +37,28 @@ class WorkerLostError(RuntimeError):
 
 
 class OverdueError(WorkerLostError):
-    """The call took too long, and was killed."""
+    """The call exceeded the time limit and was killed."""
 
     overdue = True
 
 
 class HungError(WorkerLostError):
-    """The call took too long, and was given up; its worker may still be busy with it."""
+    """The call exceeded the time limit and was given up; its worker may still be busy."""
 
     overdue = True
 
 
 class WorkersGoneError(WorkerLostError):
-    """No call can be done any more by these workers."""
+    """These workers can make no more calls."""
 
 
 class ProcessExecutor(Executor):
-    """Calls in up to `count` worker processes, which start when there is something to do.
+    """Executor with up to `count` worker processes, which start when the first call is submitted.
 
-    Where a process dies, the call that it was doing raises WorkerLostError, and no other does; so
-    does a call whose result cannot be pickled. A call that takes longer than `time_limit` seconds
-    is killed. Functions and arguments have to be picklable by reference. `shutdown` ends all
-    processes at once.
+    If a process dies, only the call that it was making raises WorkerLostError. A call whose result
+    cannot be pickled raises it as well. A call that takes longer than `time_limit` seconds is
+    killed. Functions and arguments must be picklable by reference. `shutdown` ends all processes at
+    once.
     """
 
     def __init__(self, count: int, time_limit: float | None = None) -> None:
@@ -66,7 +66,7 @@ class ProcessExecutor(Executor):
         self._count, self._limit = count, time_limit
         self._modules: tuple[str, ...] = (__name__,)
         self._waiting: deque[tuple[Future[Any], bytes]] = deque()
-        self._futures: dict[int, Future[Any]] = {}  # of calls that are being done
+        self._futures: dict[int, Future[Any]] = {}  # of calls in progress
         self._numbers = itertools.count()
         self._closed = self._waking = False
         self._reason = ENDED
@@ -75,33 +75,30 @@ class ProcessExecutor(Executor):
         self._thread: threading.Thread | None = None
 
     def load_at_start(self, pickled: bytes) -> None:
-        """Have workers begin with the modules of a pickled object, loaded once for all of them.
-
-        Without effect on workers that were started before.
-        """
+        """Preload the modules of a pickled object once for all workers that start later."""
         self._modules = (__name__, *modules_in(pickled))
 
     @property
     def started(self) -> bool:
-        """Whether there was anything to do."""
+        """Whether any call was submitted."""
         return self._thread is not None
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Have a function called by the next worker that is idle."""
+        """Have the next idle worker call a function."""
         job = pickle.dumps((fn, args, kwargs), protocol=pickle.HIGHEST_PROTOCOL)
         future: Future[Any] = Future()
         with self._lock:
             if self._closed:
                 raise WorkersGoneError(self._reason, again=False)
             self._waiting.append((future, job))
-            if self._thread is None:  # where nothing is submitted, nothing is started
+            if self._thread is None:  # started with the first call
                 self._thread = threading.Thread(target=self._serve, daemon=True)
                 self._thread.start()
             self._wake_up()
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End all workers now; calls that are not done are cancelled."""
+        """End all workers now and cancel calls that are not done."""
         with self._lock:
             if self._closed:
                 return
@@ -114,15 +111,17 @@ class ProcessExecutor(Executor):
         self._wake.close()
 
     def _wake_up(self) -> None:
-        """Have the thread look for what is new; with the lock, which the thread never takes while
-        it works, so that neither waits for the other. The pipe holds one message at most: a full
-        one would block whoever holds the lock."""
+        """Wake the thread up; the caller has the lock.
+
+        The thread never takes the lock while it works, so neither blocks the other. The pipe
+        contains at most one message, because a full pipe would block the caller.
+        """
         if not self._waking:
             self._waking = True
             self._wake.send_bytes(b"+")
 
     def _end_calls(self, cancel: bool) -> None:
-        """Cancel calls, or have them raise why there is no worker any more."""
+        """Cancel all calls, or let them raise the reason why no worker is left."""
         calls = [*self._futures.values(), *(future for future, _ in self._waiting)]
         self._futures.clear()
         self._waiting.clear()
@@ -133,23 +132,23 @@ class ProcessExecutor(Executor):
                 future.set_exception(WorkersGoneError(self._reason, again=False))
 
     def _serve(self) -> None:
-        """In a thread: have workers, until all are ended; nothing may wait if this fails."""
+        """Run the workers in a thread; if it fails, all waiting calls raise its error."""
         try:
             with Workers[Job, bytes](_call, self._count, self._limit, self._modules) as workers:
                 workers.watch.add(self._woken)
                 while not self._closed:
                     self._give_and_take(workers)
-        except BaseException as error:  # noqa: BLE001 -- it is told to those who wait
+        except BaseException as error:  # noqa: BLE001 -- waiting calls raise it
             with self._lock:
                 self._closed = True
-                self._reason = f"what gives work to processes has failed: {Raised.of(error).line}"
+                self._reason = f"the thread that serves workers failed: {Raised.of(error).line}"
             self._end_calls(cancel=False)
 
     def _give_and_take(self, workers: Workers[Job, bytes]) -> None:
-        """Give jobs to idle workers, and hand over what others answer."""
+        """Send jobs to idle workers and deliver the answers of others."""
         if self._waking:
             self._woken.recv_bytes()
-            self._waking = False  # what is submitted from here on is announced anew
+            self._waking = False  # later calls wake the thread again
         while workers.idle and self._waiting and not self._closed:
             future, job = self._waiting.popleft()
             if future.set_running_or_notify_cancel():
@@ -160,7 +159,7 @@ class ProcessExecutor(Executor):
                 _set_result(future, outcome.result)
             elif outcome.overdue:
                 future.set_exception(OverdueError(str(outcome.reason), again=False))
-            else:  # what has raised would raise again
+            else:  # a call that raised would raise again
                 again = outcome.detail is None
                 future.set_exception(WorkerLostError(str(outcome.reason), again))
 
@@ -175,22 +174,22 @@ class ProcessExecutor(Executor):
 
 
 def _call(job: Job) -> bytes:
-    """In a worker: what a job asks for, pickled here, so that an error of that is the job's own."""
-    function, args, kwargs = pickle.loads(job[1])  # noqa: S301 -- of the process that started this
+    """Make a call in a worker; an error of pickling the result belongs to this call."""
+    function, args, kwargs = pickle.loads(job[1])  # noqa: S301 -- from the process that started this one
     return pickle.dumps(function(*args, **kwargs), protocol=pickle.HIGHEST_PROTOCOL)
 
 
 def _set_result(future: Future[Any], pickled: bytes) -> None:
     try:
-        result = pickle.loads(pickled)  # noqa: S301 -- of a process that was started here
-    except Exception as error:  # noqa: BLE001 -- such as a module that was changed meanwhile
+        result = pickle.loads(pickled)  # noqa: S301 -- from a process that this one started
+    except Exception as error:  # noqa: BLE001 -- for example, a module has changed meanwhile
         future.set_exception(WorkerLostError(Raised.of(error).line, again=False))
     else:
         future.set_result(result)
 
 
 def modules_in(pickled: bytes) -> list[str]:
-    """The modules that a pickled object names, but for the program's own."""
+    """Modules that a pickled object names, except the main module."""
     names, strings = set(), list[str]()
     for opcode, argument, _ in pickletools.genops(pickled):
         if "UNICODE" in opcode.name:
@@ -203,7 +202,7 @@ def modules_in(pickled: bytes) -> list[str]:
 
 
 def processes_of(workers: Any) -> int:
-    """How many calls an executor, a pool or a method of theirs does at a time, if it tells."""
+    """Number of calls that an executor, a pool or its method makes at a time, if known."""
     if workers is map:
         return 1
     for name in ("_max_workers", "max_workers", "_processes"):

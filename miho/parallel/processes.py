@@ -1,4 +1,4 @@
-"""Processes and their descendants: to see them end, and to end them."""
+"""Detect the end of processes, and end processes with their descendants."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from contextlib import contextmanager
 from pathlib import Path
 
 SET_CHILD_SUBREAPER = 36
-"""PR_SET_CHILD_SUBREAPER of Linux, see prctl(2)."""
+"""PR_SET_CHILD_SUBREAPER of Linux; see prctl(2)."""
 ROUNDS = 10
-"""How often the descendants of a process are looked for: they may fork while they are killed."""
+"""Number of searches for descendants of a process, which may fork while they are killed."""
 
 
 def adopt_orphans() -> None:
-    """From now on the descendants of this process stay so, even if a process in between ends.
+    """Keep the descendants of this process as such even if a process in between ends.
 
-    Only Linux can do this. Elsewhere what a child starts in a session of its own outlives it.
+    Only Linux supports this. On other systems, processes that a child starts in a new session
+    outlive it.
     """
     if sys.platform == "linux":
         with contextlib.suppress(OSError, AttributeError):
@@ -28,7 +29,7 @@ def adopt_orphans() -> None:
 
 
 def end_child(child: int) -> int:
-    """Kill a child of this process, its group and what it left behind; its wait status."""
+    """Kill a child of this process, its group and its orphans; return its wait status."""
     _kill(child)
     _, status = os.waitpid(child, 0)
     with contextlib.suppress(ChildProcessError):  # no orphans are left
@@ -40,7 +41,7 @@ def end_child(child: int) -> int:
 
 
 def end_family(*processes: int) -> None:
-    """Kill processes and their descendants by /proc; where there is no /proc, their groups."""
+    """Kill processes and their descendants by /proc, or their groups on systems without /proc."""
     for _ in range(ROUNDS):
         family = descendants(*processes)
         for member in family:
@@ -52,7 +53,7 @@ def end_family(*processes: int) -> None:
 
 
 def descendants(*processes: int) -> list[int]:
-    """The descendants of processes that have not ended, by /proc."""
+    """Descendants of processes that have not ended, by /proc."""
     parents: dict[int, int] = {}
     for stat in Path("/proc").glob("[0-9]*/stat"):
         fields = _fields(stat)
@@ -67,13 +68,13 @@ def descendants(*processes: int) -> list[int]:
 
 
 def child_has_ended(child: int) -> bool:
-    """Whether a child has ended and waits for its status to be read."""
+    """Return whether a child has ended and its status is still to be read."""
     return os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
 
 
 @contextmanager
 def end_of(child: int) -> Iterator[list[int]]:
-    """A descriptor that becomes readable when a child ends; none where the system has no such."""
+    """Yield a descriptor that becomes readable when a child ends; empty if the system has none."""
     try:
         descriptor = os.pidfd_open(child)
     except (AttributeError, OSError):
@@ -86,14 +87,14 @@ def end_of(child: int) -> Iterator[list[int]]:
 
 
 def _kill(process: int) -> None:
-    """A process, and its group if it leads one."""
+    """Kill a process, and its group if it leads one."""
     for kill in (os.killpg, os.kill):
         with contextlib.suppress(ProcessLookupError, PermissionError):
             kill(process, signal.SIGKILL)
 
 
 def _fields(stat: Path) -> list[str]:
-    """State, parent and so on of a process; none of one that is gone."""
+    """State, parent and further fields of a process; empty if it has ended."""
     try:
         return stat.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
     except OSError:

@@ -1,4 +1,4 @@
-"""What runs in a worker: a function that was sent once, at many arguments."""
+"""Code that runs in a worker: a function that was sent once is called at many arguments."""
 
 from __future__ import annotations
 
@@ -11,14 +11,26 @@ from dataclasses import dataclass
 from typing import Any
 
 MOST_SHARED = 64
-"""So many functions with their data are kept in a process; those that were not used for longest are
-sent again if needed."""
+"""Functions with their data that a process keeps; the least recently used are dropped first."""
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What a call gave, and how many seconds it took; or what it `raised`, or that the process
-    `lacks` the function, or in one line why it cannot load it."""
+    """Result of a call in a worker.
+
+    Attributes
+    ----------
+    value : object
+        The value of the function.
+    seconds : float
+        Duration of the call [s].
+    raised : Raised or None
+        The exception of the function.
+    lacks : bool
+        Whether the process lacks the function.
+    unloadable : str or None
+        The reason why the process cannot load the function, in one line.
+    """
 
     value: Any = None
     seconds: float = 0.0
@@ -29,10 +41,10 @@ class Answer:
 
 @dataclass(frozen=True)
 class Raised:
-    """An exception by the name of its class and its message: itself, it may not be picklable.
+    """An exception as the name of its class and its message, since it may not be picklable.
 
-    One `of_machine` is no property of a model: want of memory, or of a file, may be over later. One
-    `overdue` took longer than the limit.
+    `of_machine` marks a failure of the machine, not of the model, that may be temporary: out of
+    memory, or a missing file. `overdue` marks a call that exceeded the time limit.
     """
 
     name: str
@@ -42,10 +54,10 @@ class Raised:
 
     @classmethod
     def of(cls, error: BaseException) -> Raised:
-        """What is told of an exception, even of one that cannot say anything itself."""
+        """Description of an exception, even if converting it to text fails."""
         try:
             message = str(error)
-        except Exception:  # noqa: BLE001 -- of the exception's own making
+        except Exception:  # noqa: BLE001 -- any error of the exception's __str__
             message = "(it has no message)"
         chain = [error, error.__cause__, error.__context__]
         machine = any(isinstance(link, MemoryError | OSError) for link in chain)
@@ -57,21 +69,21 @@ class Raised:
         return f"{self.name}: {' '.join(self.message.split())}"
 
     def as_error(self) -> ValueError:
-        """An error of the same name and message, whose class is made here."""
+        """A ValueError whose class has the same name, with the same message."""
         kind: type[ValueError] = type(self.name, (ValueError,), {})
         return kind(self.message)
 
 
 shared: OrderedDict[str, Any] = OrderedDict()
-"""Functions by their token; in the process that owns them from the start."""
+"""Functions by their token. The process that owns a function has it from the start."""
 
 
 def work(token: str, pickled: bytes | None, argument: Any) -> Answer:
-    """Call the function of a token, which comes `pickled` if this process lacked it before."""
+    """Call the function of a token; `pickled` contains the function if this process may lack it."""
     if pickled is not None and token not in shared:
         try:
-            shared[token] = pickle.loads(pickled)  # noqa: S301 -- by the process that starts this one
-        except Exception as error:  # noqa: BLE001 -- such as a module that is not installed here
+            shared[token] = pickle.loads(pickled)  # noqa: S301 -- from the process that starts this one
+        except Exception as error:  # noqa: BLE001 -- for example, a module is not installed here
             return Answer(unloadable=Raised.of(error).line)
         while len(shared) > MOST_SHARED:
             shared.popitem(last=False)
@@ -83,6 +95,6 @@ def work(token: str, pickled: bytes | None, argument: Any) -> Answer:
     started = time.perf_counter()
     try:
         value = function(argument)
-    except Exception as error:  # noqa: BLE001 -- whatever it raises goes to who called it
+    except Exception as error:  # noqa: BLE001 -- the caller gets any exception
         return Answer(seconds=time.perf_counter() - started, raised=Raised.of(error))
     return Answer(value, time.perf_counter() - started)

@@ -1,4 +1,4 @@
-"""How well workers are used."""
+"""Statistics on the use of workers."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 DEAR = 0.01
-"""Seconds from which on an evaluation is dear: it is written to the journal, and none made in vain.
-"""
+"""Seconds from which an evaluation counts as expensive: it is written to the journal, and no
+evaluation is made speculatively."""
 
 
 @dataclass
@@ -18,21 +18,22 @@ class Usage:
     Attributes
     ----------
     workers : int
-        How many evaluations can be made at a time; 1 where there are no workers.
+        Number of evaluations that can be made at a time; 1 without workers.
     evaluations : int
         Evaluations that workers made.
     seconds : float
-        How long these took, summed over workers [s].
+        Duration of these evaluations, summed over workers [s].
     here : int
         Evaluations in the searching process.
     known : int
-        Evaluations that a journal of an earlier call had.
+        Evaluations from the journal of an earlier call.
     each : float or None
-        How long an evaluation takes [s], None before the first.
+        Duration of an evaluation [s]; None before the first.
     at_a_time : int or None
-        How many an asynchronous method had under way; None for other methods.
+        Evaluations that an asynchronous method had in progress; None for other methods.
     wall : float or None
-        From the first evaluation by a worker to the end [s]; None before the end, and without one.
+        Time from the first evaluation by a worker to the end [s]; None before the end, and without
+        workers.
     """
 
     workers: int
@@ -46,30 +47,30 @@ class Usage:
     _began: float | None = field(default=None, init=False, repr=False, compare=False)
 
     def begin(self) -> None:
-        """Workers have something to do from now on."""
+        """Start the clock with the first evaluation by a worker."""
         if self._began is None:
             self._began = time.perf_counter()
 
     def end(self) -> None:
-        """Workers have nothing to do any more."""
+        """Stop the clock."""
         if self._began is not None:
             self.wall = time.perf_counter() - self._began
 
     @property
     def stored(self) -> dict[str, Any]:
-        """All attributes by name, from which `Usage(**stored)` is made again."""
+        """All attributes by name; `Usage(**stored)` restores the object."""
         return {part.name: getattr(self, part.name) for part in fields(self) if part.init}
 
     @property
     def efficiency(self) -> float | None:
-        """The share of the workers' time that went into evaluations; None before there are any."""
+        """Share of the workers' time spent on evaluations; None before the first."""
         wall = self.wall
         if wall is None and self._began is not None:
             wall = time.perf_counter() - self._began
         return self.seconds / (self.workers * wall) if wall and self.evaluations else None
 
     def __str__(self) -> str:
-        """One line: who made the evaluations, how long one takes, and why no worker did."""
+        """One line: who made the evaluations, how long each takes, and why no worker made any."""
         known = [f"{self.known:,} evaluations known from before"] if self.known else []
         each = "" if self.each is None else f", {span(self.each)} each"
         made = []
@@ -84,7 +85,7 @@ class Usage:
 
     @property
     def _why_here(self) -> str:
-        """Why no worker made an evaluation, where there are workers."""
+        """The reason why workers made no evaluation; empty without workers."""
         if self.workers == 1 or self.each is None:
             return ""
         alone = ", so one at a time" if self.at_a_time == 1 else ""
@@ -92,7 +93,7 @@ class Usage:
 
 
 def span(seconds: float) -> str:
-    """Seconds in a unit that suits."""
+    """Seconds as text in s, ms or µs."""
     if seconds >= 1:
         return f"{seconds:.3g} s"
     return f"{seconds * 1e3:.3g} ms" if seconds >= 1e-3 else f"{seconds * 1e6:.3g} µs"

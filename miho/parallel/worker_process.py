@@ -1,4 +1,4 @@
-"""The process of a worker: it runs jobs one after the other, or each in a process of its own."""
+"""The process of a worker, which runs jobs one after the other or each in a fork."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from miho.parallel.remote import Raised
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 Answer = tuple[Result | None, str | None, str | None]
-"""A job's result, or else the reason why there is none, in one line, and its traceback."""
+"""A job's result, the reason for having none in one line, and the traceback."""
 
 INTERRUPTED = "interrupted"
-"""The reason of a job that was interrupted."""
+"""The reason of an interrupted job."""
 SPURIOUS_INTERRUPT = "KeyboardInterrupt, though nobody interrupted it"
-"""What ends a run or a job whose code raises what only a signal should."""
+"""The reason of a run or a job whose code raises KeyboardInterrupt itself."""
 POLL = 0.02
-"""Seconds between two looks whether a job's process has ended, where the system cannot tell."""
+"""Seconds between two checks of a job's process, on systems that cannot signal its end."""
 
 
 def serve(
@@ -37,12 +37,12 @@ def serve(
     alone: Callable[[Job], bool] | None,
     pipe: connection.Connection,
 ) -> None:
-    """A worker's life: a job, its answer, the next job."""
+    """Main loop of a worker: receive a job, send its answer, repeat."""
     if hasattr(os, "fork"):
         os.setsid()
         adopt_orphans()
     threading.Thread(target=_die_with_parent, daemon=True).start()
-    # Daemons may have no children, and a job may have workers of its own, which end with it.
+    # Daemons may have no children, but a job may start workers, which end with it.
     multiprocessing.current_process().daemon = False
     interrupts = _Interrupts()
     while True:
@@ -64,21 +64,21 @@ def serve(
 
 
 class _Interrupts:
-    """Whether the parent interrupted the job in progress; goes on to the `process` that runs it."""
+    """Records interrupts by the parent and forwards them to the `process` of the current job."""
 
     def __init__(self) -> None:
         self.interrupted = False
         self.process: int | None = None
 
     def interrupt(self, number: int, frame: FrameType | None) -> None:
-        """A signal handler."""
+        """Handle SIGINT."""
         self.interrupted = True
         if self.process is not None:
             os.kill(self.process, signal.SIGINT)
 
 
 def _run_here(work: Callable[[Job], Result], job: Job, interrupts: _Interrupts) -> Answer[Result]:
-    """The answer of a job that the worker's own process runs."""
+    """Answer of a job that runs in the worker process."""
     try:
         signal.signal(signal.SIGINT, signal.default_int_handler)
         return (None, INTERRUPTED, None) if interrupts.interrupted else _call(work, job)
@@ -91,17 +91,17 @@ def _run_here(work: Callable[[Job], Result], job: Job, interrupts: _Interrupts) 
 def _run_in_fork(
     work: Callable[[Job], Result], job: Job, interrupts: _Interrupts
 ) -> Answer[Result]:
-    """The answer of a job in a process of its own, or how that ended without one.
+    """Answer of a job that runs in a forked process, or the reason why the process ended.
 
     All processes that the job started are ended with it.
     """
     if interrupts.interrupted:
         return None, INTERRUPTED, None
     receiver, sender = multiprocessing.Pipe(duplex=False)
-    alive, life = os.pipe()  # the reading end is closed when this process ends, however it does
-    gc.freeze()  # no object here is collected in the fork, which would copy its page of memory
+    alive, life = os.pipe()  # the reading end closes when this process ends
+    gc.freeze()  # a collection in the fork would copy memory pages
 
-    # SIGINT waits until it is known to which process it is to be passed on.
+    # Block SIGINT until the process that it is forwarded to is known.
     signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT])
     process = os.fork()
     if not process:
@@ -117,7 +117,7 @@ def _run_in_fork(
         with end_of(process) as sentinels:
             answer = _receive(receiver, process, sentinels)
     finally:
-        interrupts.process = None  # from now on its number may be another's
+        interrupts.process = None  # another process may get its number
         status = end_child(process)
         receiver.close()
         os.close(life)
@@ -127,13 +127,13 @@ def _run_in_fork(
 def _receive(
     pipe: connection.Connection, process: int, sentinels: Sequence[int]
 ) -> Answer[Any] | None:
-    """The answer that comes through the pipe before the process ends; None if there is none."""
+    """The answer that arrives before the process ends, or None."""
     while True:
         connection.wait([pipe, *sentinels], None if sentinels else POLL)
         if pipe.poll():
             try:
                 answer: Answer[Any] = pipe.recv()
-            except Exception:  # noqa: BLE001 -- cut short by its death, or sent by the job itself
+            except Exception:  # noqa: BLE001 -- cut short by its end, or sent by the job itself
                 return None
             return answer
         if child_has_ended(process):
@@ -143,7 +143,7 @@ def _receive(
 def _run_and_exit(
     work: Callable[[Job], Result], job: Job, pipe: connection.Connection, alive: int
 ) -> NoReturn:
-    """In the job's own process: do it, answer and end."""
+    """Run the job in the forked process, send its answer and exit."""
     code = 1
     try:
         os.setpgid(0, 0)
@@ -155,7 +155,7 @@ def _run_and_exit(
         for stream in (sys.stdout, sys.stderr):
             with contextlib.suppress(Exception):
                 stream.flush()
-        if os.getpid() == process:  # not a child that came back from the job as well
+        if os.getpid() == process:  # not a child that the job forked
             pipe.send(answer)
         code = 0
     finally:
@@ -163,19 +163,19 @@ def _run_and_exit(
 
 
 def _call(work: Callable[[Job], Result], job: Job) -> Answer[Result]:
-    """The answer of a job, whatever it raises."""
+    """Answer of a job, including any exception that it raises."""
     try:
         return work(job), None, None
     except KeyboardInterrupt:
         return None, INTERRUPTED, traceback.format_exc()
     except SystemExit as error:
         return None, f"sys.exit({error.code!r})", traceback.format_exc()
-    except BaseException as error:  # noqa: BLE001 -- one job's fault must not end the others
+    except BaseException as error:  # noqa: BLE001 -- one job's failure must not end the others
         return None, Raised.of(error).line, traceback.format_exc()
 
 
 def _die_with_parent() -> None:
-    """Wait for the end of the parent, then end this process and all that stem from it."""
+    """Wait for the end of the parent, then end this process and its descendants."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         connection.wait([parent.sentinel])
@@ -184,7 +184,7 @@ def _die_with_parent() -> None:
 
 
 def _die_with_worker(alive: int) -> None:
-    """Wait until the worker's end closes this pipe, then end the process group of the job."""
+    """Wait until the end of the worker closes this pipe, then kill the job's process group."""
     with contextlib.suppress(OSError):
         os.read(alive, 1)
     with contextlib.suppress(OSError):
@@ -193,8 +193,8 @@ def _die_with_worker(alive: int) -> None:
 
 
 def exit_reason(exitcode: int) -> str:
-    """Why a process ended without an answer; negative exit codes are those of signals."""
+    """The reason why a process ended without an answer; negative exit codes mean signals."""
     if exitcode >= 0:
         return f"its process ended with exit code {exitcode}"
     name = signal.Signals(-exitcode).name
-    return f"killed by {name}" + ", perhaps for want of memory" * (name == "SIGKILL")
+    return f"killed by {name}" + ", perhaps out of memory" * (name == "SIGKILL")

@@ -1,4 +1,4 @@
-"""Jobs in worker processes: whatever one of them does, the others and the parent go on."""
+"""Run jobs in worker processes; no job affects the others or the parent."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ from miho.parallel.worker_process import (
 THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 """Environment variables that numerical libraries read when they are loaded."""
 STARTS = 3
-"""How often starting a worker is tried, where the server that forks it dies meanwhile."""
+"""Attempts at starting a worker, in case the server that forks it dies."""
 PAUSE = 0.1
-"""Seconds until the next try."""
+"""Seconds between two attempts."""
 LOST = 255
-"""The exit code that multiprocessing gives to a process whose server died first."""
+"""Exit code that multiprocessing gives to a process whose server died first."""
 MAIN = threading.Lock()
-"""Held by the thread that hides the program's main module."""
+"""Lock of the thread that hides the program's main module."""
 
 
 @dataclass(frozen=True)
 class JobOutcome(Generic[Job, Result]):
-    """How a job ended: with a `result`, or without one for a `reason` in one line.
+    """Outcome of a job: a `result`, or a `reason` in one line for having none.
 
-    `detail` is the traceback, where there is one. `interrupted`: the parent had interrupted it;
-    `overdue`: it was killed because it took too long.
+    `detail` is the traceback, if any. `interrupted` says that the parent interrupted the job,
+    `overdue` that it was killed because it exceeded the time limit.
     """
 
     job: Job
@@ -68,18 +68,18 @@ class _Worker(Generic[Job]):
 
 
 class Workers(Generic[Job, Result]):
-    """Up to `count` workers, each doing `work` on one job at a time; a context manager.
+    """Up to `count` worker processes that each do `work` on one job at a time; a context manager.
 
-    A worker is a process that has imported `modules` and nothing of the parent's state. It does
-    jobs one after the other. For each job of which `alone` is true it forks a process, so that
-    nothing that the job does to its process, from a replaced function to a limit on the size of
-    files, affects the next one. Before any job the worker calls `prepare` with it, to load what
-    jobs have in common; an exception there is ignored, as the job itself will raise it again.
+    A worker is a process that has imported `modules` and shares no state with the parent. It does
+    jobs one after the other. If `alone(job)` is true, the worker forks a process for the job, so
+    that side effects of the job, from a replaced function to a limit on file sizes, do not affect
+    the next job. Before each job the worker calls `prepare(job)`, to load modules that jobs share;
+    exceptions of `prepare` are ignored, because the job will raise them again.
 
-    A job that takes longer than `time_limit` seconds is killed; starting a worker does not count.
-    Processes that a job started are ended with it if it was alone, else with its worker. Workers do
-    not get the terminal's Ctrl-C: the parent decides (`interrupt`, `kill`). They die with the
-    parent, however it dies. What else is put into `watch` ends a `wait` as well.
+    A job that takes longer than `time_limit` seconds is killed; the time to start a worker does not
+    count. Processes that a job started end with the job if it ran alone, else with its worker.
+    Workers ignore the terminal's Ctrl-C: the parent decides (`interrupt`, `kill`). They die with
+    the parent, however it ends. Other objects that are added to `watch` end a `wait` as well.
     """
 
     def __init__(
@@ -111,21 +111,21 @@ class Workers(Generic[Job, Result]):
 
     @property
     def idle(self) -> int:
-        """How many more jobs can be started now."""
+        """Number of jobs that can be started now."""
         return self._count - self.busy
 
     @property
     def busy(self) -> int:
-        """How many jobs are being done."""
+        """Number of jobs in progress."""
         return sum(worker.job is not None for worker in self._workers)
 
     @property
     def jobs(self) -> list[Job]:
-        """The jobs that are being done."""
+        """The jobs in progress."""
         return [worker.job for worker in self._workers if worker.job is not None]
 
     def start(self, job: Job) -> None:
-        """Give a job to an idle worker; call only where `idle` is not 0."""
+        """Send a job to an idle worker; requires that `idle` is not 0."""
         worker = next((worker for worker in self._workers if worker.job is None), None)
         if worker is not None:
             try:
@@ -139,7 +139,7 @@ class Workers(Generic[Job, Result]):
         worker.job, worker.started, worker.interrupted = job, False, False
 
     def wait(self, seconds: float) -> list[JobOutcome[Job, Result]]:
-        """The jobs that end within some seconds, as soon as there is one."""
+        """Outcomes of the jobs that end within `seconds`; returns as soon as there is one."""
         now = time.monotonic()
         until = min([now + seconds, *(worker.deadline for worker in self._workers)])
         ready = self.watch.ready(max(0.0, until - now))
@@ -155,9 +155,9 @@ class Workers(Generic[Job, Result]):
         return outcomes
 
     def interrupt(self) -> None:
-        """Interrupt all jobs: what they raise or return then comes with `wait`.
+        """Interrupt all jobs; `wait` then returns their results or errors.
 
-        A worker that has not begun its job has nothing to answer and is killed.
+        A worker that has not begun its job is killed.
         """
         for worker in self._workers:
             if worker.job is None or worker.process.pid is None:
@@ -187,11 +187,11 @@ class Workers(Generic[Job, Result]):
                 with without_main():
                     process.start()
                 break
-            except (OSError, EOFError):  # the server that forks it was killed; another is started
+            except (OSError, EOFError):  # the forking server was killed; another one starts
                 parent_end.close()
                 if not attempts_left:
                     raise
-                time.sleep(PAUSE)  # until the system says that it has ended
+                time.sleep(PAUSE)  # until the system reports its end
             finally:
                 worker_end.close()
         worker: _Worker[Job] = _Worker(process, parent_end)
@@ -209,14 +209,14 @@ class Workers(Generic[Job, Result]):
         self._workers.remove(worker)
 
     def _outcome_of(self, worker: _Worker[Job]) -> JobOutcome[Job, Result] | None:
-        """How a worker's job ended, if it has."""
+        """Outcome of a worker's job, or None if it has not ended."""
         job = worker.job
         if job is None:
             return None
         try:
             while worker.pipe.poll():
                 answer = worker.pipe.recv()
-                if answer is None:  # it has imported everything and begins
+                if answer is None:  # it has imported all modules and begins
                     worker.started, worker.deadline = True, time.monotonic() + self._limit
                     continue
                 worker.job, worker.deadline = None, float("inf")
@@ -230,7 +230,7 @@ class Workers(Generic[Job, Result]):
         if worker.process.exitcode is not None and worker.interrupted:
             reason = INTERRUPTED
         elif worker.process.exitcode == LOST:
-            reason = "the server of its process was killed, and it with that"
+            reason = "the server that forked its process was killed"
         elif worker.process.exitcode is not None:
             reason = exit_reason(worker.process.exitcode)
         elif time.monotonic() >= worker.deadline:
@@ -243,10 +243,10 @@ class Workers(Generic[Job, Result]):
 
 @contextlib.contextmanager
 def without_main() -> Iterator[None]:
-    """Start a process that does not run the program's main file again.
+    """Context in which processes start without running the main file again.
 
-    Multiprocessing would, so that functions there can be unpickled: a program that starts workers
-    without asking whether it is the main one would start them without end.
+    Multiprocessing runs it so that functions defined there can be unpickled. A program that starts
+    workers without the guard `if __name__ == "__main__"` would then start processes without end.
     """
     with MAIN:
         main = sys.modules["__main__"]
@@ -258,11 +258,11 @@ def without_main() -> Iterator[None]:
 
 
 def _context(modules: Sequence[str]) -> Any:
-    """How workers are started: forked from a server that imported everything once, where possible.
+    """Multiprocessing context of workers: forked from a preloaded server if the system supports it.
 
-    A process that another library started can have that library's own start method for its default;
-    a new process would inherit it and not know it. A process that was forked has the server of the
-    one that it was forked from, which serves nobody else.
+    A process that another library started may have that library's start method as its default,
+    which is unknown in a new process. A forked process inherits its parent's server, which serves
+    only the parent.
     """
     methods = multiprocessing.get_all_start_methods()
     if multiprocessing.get_start_method(allow_none=True) not in (None, *methods):
@@ -275,10 +275,10 @@ def _context(modules: Sequence[str]) -> Any:
 
 
 def start_server(modules: Sequence[str]) -> None:
-    """Start the server from which workers are forked, if it does not run, with these modules.
+    """Start the server that forks workers with these modules, unless it is running.
 
-    Its numerical libraries have one thread from the start: each fork would stop and restart others,
-    which takes longer than a small job.
+    Its numerical libraries have one thread from the start. Otherwise each fork would stop and
+    restart their threads, which takes longer than a small job.
     """
     multiprocessing.get_context("forkserver").set_forkserver_preload([__name__, *modules])
     before = {name: os.environ.get(name) for name in THREADS}
@@ -287,11 +287,11 @@ def start_server(modules: Sequence[str]) -> None:
         forkserver.ensure_running()
     except OSError as error:
         folder = tempfile.gettempdir()
-        if "AF_UNIX" not in str(error):  # the only sign of it: it has no number
+        if "AF_UNIX" not in str(error):  # the error has no number
             raise
         raise OSError(
-            f"TMPDIR: {folder} is too long for the sockets of workers, {len(folder)} characters; "
-            "set it to a shorter one, such as /tmp"
+            f"TMPDIR: {folder} is too long for the sockets of workers ({len(folder)} characters); "
+            "set it to a shorter path, for example /tmp"
         ) from None
     finally:
         for name, value in before.items():

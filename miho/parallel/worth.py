@@ -1,5 +1,4 @@
-"""What an evaluation takes, and so who makes it: whether it is worth a worker, or a line of a
-journal."""
+"""Decide from the duration of evaluations whether workers make them and a journal keeps them."""
 
 from __future__ import annotations
 
@@ -14,33 +13,34 @@ from miho.parallel.usage import DEAR, Usage
 Array = NDArray[np.float64]
 
 WORTH_SENDING = 0.005
-"""Seconds of evaluations that are sent to a worker together, at least: fifty times what it costs
-to send them. Where all that is needed takes less than twice that, no worker is asked."""
+"""Shortest duration [s] of the evaluations in one message to a worker: fifty times the cost of
+sending it. If all required evaluations take less than twice that, they are made here."""
 LEAST = 1e-4
-"""Seconds that an evaluation takes which is sent at all: its values travel in less."""
+"""Evaluations shorter than this [s] are not sent to workers, because the transfer takes longer."""
 FIRST = 3
-"""So many are made here to see how long they take, unless one shows that they are dear."""
+"""Evaluations that are made here to time them, unless one of them is already expensive."""
 REST = 100
-"""So many short evaluations are made until the next is timed."""
+"""Short evaluations that are made between two timed ones."""
 LATEST = 0.2
-"""What the latest evaluation counts in the mean of what they take."""
+"""Weight of the latest evaluation in the running mean of durations."""
 ALONE = 1e-3
-"""Seconds from which on one evaluation is worth a worker of its own: an asynchronous method spends
-0.5 to 0.9 ms of CPU on a task of one, and 0.2 ms on an evaluation without workers."""
+"""Duration [s] from which a single evaluation is sent to a worker. An asynchronous method spends
+0.5 to 0.9 ms of CPU time on a task with one evaluation, and 0.2 ms on an evaluation without
+workers."""
 IN_A_ROW, AGAIN = 2, 10
-"""So many evaluations in a row have to take ALONE, the first of which may have loaded something; so
-many more where one did not, since any may be held up by other programs."""
+"""Evaluations in a row that must take at least ALONE, since the first may have loaded modules. A
+shorter one requires so many more (AGAIN), since other programs may delay any evaluation."""
 
 
 def is_dear(seconds: float, evaluations: float = 1) -> bool:
-    """Whether so many evaluations, which took so long together, are dear."""
+    """Return whether evaluations that took so long together are expensive."""
     return seconds >= DEAR * evaluations
 
 
 class Worth:
-    """What the evaluations of a run have taken so far, which it counts in their `usage`.
+    """Durations of a run's evaluations so far, and the decisions that follow; counts in `usage`.
 
-    Where they are `limited` to some seconds, workers make all of them, since only a worker can be
+    If evaluations are `limited` in time, workers make all of them, since only a worker can be
     ended.
     """
 
@@ -56,23 +56,23 @@ class Worth:
 
     @property
     def short(self) -> bool:
-        """Whether evaluations are known to be too short for a worker or a journal."""
+        """Whether evaluations are known to be too short for workers and a journal."""
         return self.measured and not self.limited and (self._usage.each or 0.0) < LEAST
 
     @property
     def alone(self) -> bool:
-        """Whether one evaluation is known to be worth a worker of its own."""
+        """Whether a single evaluation is known to be worth sending to a worker."""
         return self.limited or self._long >= IN_A_ROW
 
     @property
     def dear(self) -> bool:
-        """Whether evaluations are known to be worth a line of a journal."""
+        """Whether evaluations are known to be expensive, so that a journal keeps them."""
         return is_dear(self._usage.each or 0.0)
 
     def chunk(self, rows: int, *, at_once: bool) -> int:
-        """How many of so many rows one worker makes together, 0 if none is worth asking.
+        """Number of rows in each message to a worker, 0 if all rows are evaluated here.
 
-        If they are needed `at_once`, nothing else is done meanwhile.
+        `at_once` says that the caller waits for the values.
         """
         each = self._usage.each or WORTH_SENDING
         few = each * rows < 2 * WORTH_SENDING or (rows == 1 and self._usage.here < IN_A_ROW)
@@ -81,20 +81,20 @@ class Worth:
         return 1 if self.limited else max(1, int(np.ceil(WORTH_SENDING / each)))
 
     def remember(self) -> None:
-        """One evaluation is known from before, since it was dear."""
+        """Count an evaluation from the journal, which is expensive."""
         self._long += 1
 
     def resting(self) -> bool:
-        """Whether evaluations are so short that this one is made here, untimed (`brief`)."""
+        """Return whether evaluations are so short that this one is made here, untimed (`brief`)."""
         self._rest -= 1
         return self._rest >= 0
 
     def rest(self) -> None:
-        """Time no more of them for a while, if they are short."""
+        """Skip the timing of the next evaluations, if they are short."""
         self._rest = REST * self.short
 
     def brief(self, function: Callable[..., Array], thetas: Array, *inputs: Array) -> Array:
-        """Values of an evaluation that is expected to be short; the rest is over if it is not."""
+        """Values of an evaluation that should be short; timing resumes if it is not."""
         started = time.perf_counter()
         values = function(thetas, *inputs)
         if time.perf_counter() - started >= LEAST * len(thetas):
@@ -102,15 +102,15 @@ class Worth:
         return values
 
     def count(self, each: float, rows: int, *, here: bool, raised: bool = False) -> None:
-        """Some rows took so many seconds each, `here` or by a worker."""
+        """Count rows that took `each` seconds, `here` or by a worker."""
         usage, quick = self._usage, raised and not is_dear(each)
         if not quick:
             self._long = self._long + 1 if each >= ALONE else -AGAIN
-        if quick:  # which says nothing of how long a value takes
+        if quick:  # a quick error says nothing about the duration of a value
             pass
         elif usage.each is None:
             usage.each = each
-        elif here and usage.here < FIRST:  # the very first may have loaded something
+        elif here and usage.here < FIRST:  # the first may have loaded or compiled something
             usage.each = min(usage.each, each)
         else:
             usage.each += (1 - (1 - LATEST) ** rows) * (each - usage.each)

@@ -49,7 +49,7 @@ def test_changed_models(tmp_path: Path, measured: Figures) -> None:
         try:
             with contextlib.redirect_stderr(err):
                 search(make(2.0, folder), folder / "journal")
-            outcome = "said" if "cannot be compared" in err.getvalue() else "stale"
+            outcome = "said" if "cannot be checked" in err.getvalue() else "stale"
         except JournalError:
             outcome = "refused"
         counts[outcome] += 1

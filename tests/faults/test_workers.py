@@ -71,7 +71,7 @@ def test_workers_out_of_memory(tmp_path: Path, measured: Figures) -> None:
     )
     assert len(reasons) == 2
     assert "MemoryError: Unable to allocate" in " ".join(reasons)
-    assert reasons[1].startswith("WorkerLostError: killed by SIGKILL, perhaps for want of memory; ")
+    assert reasons[1].startswith("WorkerLostError: killed by SIGKILL, perhaps out of memory; ")
     assert "\n" not in "".join(reasons)
     assert lost == sum(alone.rejected.values())
     _equal_curves(alone, record)

@@ -69,7 +69,7 @@ def test_a_missing_library(monkeypatch: Any, library: str) -> None:
 def test_a_machine_that_submits_no_jobs(monkeypatch: Any, tmp_path: Path, kind: str) -> None:
     pytest.importorskip("distributed", reason="the extra cluster is not installed")
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(ClusterError, match="there is no program"):
+    with pytest.raises(ClusterError, match="this machine has no program"):
         cluster(f"{kind}:1").__enter__()
 
 
@@ -88,7 +88,7 @@ def test_a_worker_of_another_version(monkeypatch: Any, commands: DaskCommands) -
 def test_jobs_that_go_wrong_are_lost_alone(commands: DaskCommands) -> None:
     bad = {
         "exit": "sys.exit(7)",
-        "kill": "killed by SIGKILL, perhaps for want of memory",
+        "kill": "killed by SIGKILL, perhaps out of memory",
         "hang": "no end within 2 s, so it was killed",
         "raise": "ValueError: no good",
     }
@@ -114,7 +114,7 @@ def test_a_job_that_kills_its_worker_each_time_is_lost_alone(tmp_path: Path) -> 
         with workers:
             ended = all_of([*good[:3], "worker", *good[3:]], workers)
     reason = ended.pop("worker").reason
-    assert reason == "each of the 4 Dask workers that began it died, perhaps of it"
+    assert reason == "each of the 4 Dask workers that began it died, perhaps because of it"
     assert {job: end.result for job, end in ended.items()} == {job: job for job in good}
 
 
@@ -173,7 +173,7 @@ def test_jobs_of_a_queue(
         program.write_text(text.format(folder=tmp_path), encoding="utf-8")
         program.chmod(program.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{os.environ['PATH']}")
-    with pytest.raises(ClusterError, match=r"says nothing of cores; set jobqueue\.slurm"):
+    with pytest.raises(ClusterError, match=r"has no cores; set jobqueue\.slurm"):
         cluster("slurm:2").__enter__()
     queue = {"cores": 3, "memory": "1GB", "interface": "lo", "local-directory": str(tmp_path)}
     settings = {f"jobqueue.slurm.{key}": value for key, value in queue.items()}
@@ -184,6 +184,6 @@ def test_jobs_of_a_queue(
         with workers:
             ended = all_of(["good 1", "good 2"], workers)
         assert {end.result for end in ended.values()} == {"good 1", "good 2"}
-    assert "miho: slurm:2: no worker is there; waiting for one\n" in capsys.readouterr().err
+    assert "miho: slurm:2: no workers are available; waiting for one\n" in capsys.readouterr().err
     jobs = [int(line) for line in (tmp_path / "jobs").read_text(encoding="utf-8").split()]
     wait_until(lambda: not alive(jobs))

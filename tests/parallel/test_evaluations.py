@@ -282,7 +282,7 @@ def test_workers_that_are_gone_end_a_run_in_one_line_and_it_can_go_on() -> None:
         RandomSearch(batch=10), Bowl(), BUDGET, workers=executor, evaluation_limit=LIMIT
     )
     assert record.outcome is Outcome.FAILED
-    assert record.error == "the workers or their scheduler have left; give workers anew\n"
+    assert record.error == "the workers or their scheduler have left; give new workers\n"
     assert len(executor.calls) <= 30
     assert record.loss <= alone.trace.loss[0]
     assert record.checkpoint is not None
@@ -306,7 +306,7 @@ def test_workers_that_all_end_without_an_answer_end_the_run(
     )  # fmt: skip
     assert record.outcome is Outcome.FAILED
     assert record.error is not None
-    assert record.error.startswith("the last 20 evaluations have ended their workers (killed by S")
+    assert record.error.startswith("the last 20 evaluations ended their workers (killed by S")
     assert record.error.count("\n") == 1
     assert record.evaluations <= 30
     assert np.isfinite(record.loss)

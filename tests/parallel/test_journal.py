@@ -46,7 +46,7 @@ def test_values_come_back_to_the_last_bit(tmp_path: Path) -> None:
     written(tmp_path / "journal")
     journal = Journal(tmp_path / "journal", Named())
     assert journal.loaded == 5
-    assert journal.standing == "goes on from 5 evaluations of an earlier call"
+    assert journal.standing == "continues from 5 evaluations of an earlier call"
     value = journal[VALUES[3]]
     assert isinstance(value, np.ndarray)
     assert value.tolist() == [[3, 0.1]]
@@ -163,14 +163,16 @@ def test_a_flipped_bit_costs_its_own_line(
     path.write_bytes(b"\n".join(lines))
     journal = Journal(path, Named())
     assert [key in journal for key in VALUES] == [True, False, True, True, True]
-    assert "1 damaged lines were left out" in capsys.readouterr().err
+    assert "1 damaged lines were ignored" in capsys.readouterr().err
     journal.close()
 
 
 def test_a_journal_of_another_problem_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "journal"
     written(path)
-    with pytest.raises(JournalError, match="is of another problem, model or data; name another"):
+    with pytest.raises(
+        JournalError, match="belongs to another problem, model or data; name another"
+    ):
         Journal(path, Named("another"))
     assert loaded(path) == 5
 
@@ -179,7 +181,7 @@ def test_a_journal_of_another_problem_is_refused(tmp_path: Path) -> None:
 def test_a_file_that_is_none_is_refused_and_kept(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "journal"
     path.write_bytes(content)
-    with pytest.raises(JournalError, match="is no journal; name another file"):
+    with pytest.raises(JournalError, match="not a journal; name another file"):
         Journal(path, Named())
     assert path.read_bytes() == content
 
@@ -190,7 +192,7 @@ def test_a_journal_of_another_version_is_refused(
     path = tmp_path / "journal"
     written(path)
     monkeypatch.setattr("miho.parallel.journal.FORMAT", 0)
-    with pytest.raises(JournalError, match="is of another version of MIHO; name another file"):
+    with pytest.raises(JournalError, match="written by another version of MIHO; name another file"):
         Journal(path, Named())
 
 
@@ -215,7 +217,7 @@ def test_a_name_that_the_locale_lacks_is_refused(tmp_path: Path) -> None:
         check=True,
     )  # fmt: skip
     assert ended.stdout == (
-        "journal '\\xf6.journal': the file system's encoding here, ascii, has no '\\xf6'; set "
+        "journal '\\xf6.journal': the file system's encoding, ascii, has no '\\xf6'; set "
         "PYTHONUTF8=1, or name another file\n"
     )
 

@@ -58,7 +58,7 @@ def test_a_job_that_goes_wrong_is_lost_alone() -> None:
     bad = {
         "exit": "sys.exit(7)",
         "leave": "its process ended with exit code 9",
-        "kill": "killed by SIGKILL, perhaps for want of memory",
+        "kill": "killed by SIGKILL, perhaps out of memory",
         "hang": "no end within 2 s, so it was killed",
         "raise": "ValueError: no good",
         "memory": "MemoryError: ",
@@ -138,6 +138,6 @@ def test_a_temporary_folder_too_long_for_sockets_is_said_in_one_line(tmp_path: P
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert ended.stderr.splitlines()[-1] == (
-        f"OSError: TMPDIR: {folder} is too long for the sockets of workers, {len(str(folder))} "
-        "characters; set it to a shorter one, such as /tmp"
+        f"OSError: TMPDIR: {folder} is too long for the sockets of workers ({len(str(folder))} "
+        "characters); set it to a shorter path, for example /tmp"
     )
