@@ -236,7 +236,7 @@ BAD: dict[str, tuple[list[str] | Callable[[Path], list[str]], str]] = {
     ),
     "a column of another name": (
         other_header,
-        "name the columns as the file does, in the same order: headers=[...]",
+        "give the names in the file in the same order: headers=[...]",
     ),
     "a space that is incomplete": (
         ["space={B: {unit: 1/rad, low: 1}}"],

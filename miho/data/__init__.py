@@ -1,4 +1,4 @@
-"""Datasets: the class, its loaders and the embedded tires."""
+"""Datasets: the class, its loaders, synthetic tests and the embedded tires."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Slip angle and lateral force of an axle, from a driving log (Fig. 4, right panel)."""
+"""Slip angle and lateral force of an axle from a driving log (Fig. 4, right panel)."""
 
 from __future__ import annotations
 
@@ -17,19 +17,20 @@ from miho.models.vehicle_settings import from_settings
 from miho.quantities import Array, g
 
 LARGEST_SLIP_ANGLE = 1.0
-"""Largest slip angle of an axle [rad]; beyond, a car spins or a unit is wrong."""
+"""Largest slip angle of an axle [rad]; larger values mean that the car spins or a unit is wrong."""
 RISING = 0.2
-"""Rank correlation of force and slip angle above which their signs cannot both be right."""
+"""Rank correlation of force and slip angle above which one of their signs must be wrong."""
 BOTH_WAYS = 0.1
-"""Share of the samples with a force to either side from which on a log turns both ways."""
+"""Smallest share of samples with a force to either side for which a log turns both ways."""
 LEVEL = 0.1
-"""A bank that moves the lateral acceleration by less [m/s^2], root mean square, is not checked."""
+"""Root mean square effect of the bank on the lateral acceleration [m/s^2] below which it is not
+checked."""
 INWARD = 0.5
-"""Cosine between the accelerations of bank and turning from which on a bank leans one way."""
+"""Cosine between the accelerations of bank and turning from which the bank leans one way."""
 TURNING = 1.0
-"""A lateral acceleration [m/s^2] from which on the car turns."""
+"""Lateral acceleration [m/s^2] from which the car turns."""
 CROSSFALL = 1.0
-"""What a bank for drainage accelerates at most [m/s^2]: one of six degrees."""
+"""Largest effect of a crossfall for drainage [m/s^2]: a bank of six degrees."""
 
 UNITS = {"alpha": "rad", "vx": "m/s", "ax": "m/s^2", "Fy": "N"}
 
@@ -42,18 +43,41 @@ def axle_samples(
     min_speed: float = 10.0,
     max_ax: float | None = None,
 ) -> Dataset:
-    """Slip angle alpha [rad] and lateral force Fy [N] of the 'front' or 'rear' axle, ISO-W.
+    """Slip angle and lateral force of an axle, in ISO-W signs.
 
-    alpha comes from vx, vy, yaw_rate and steering; Fy from the balances of lateral force and yaw
-    moment, with ay (if it is not logged, v_y' + v_x r) and the derivative of yaw_rate. All
-    channels pass the same `low_pass` of `cutoff` [Hz], so that force and slip angle stay
-    together. Dropped are samples below `min_speed` [m/s], the first and last 1 / cutoff [s], and,
-    if `max_ax` [m/s^2] is given, those where the tires brake or drive more than that. The force is
-    of both tires at the load they carried, aerodynamics and slip ratio included: vx and ax stay
-    as conditions.
+    The slip angle follows from vx, vy, yaw_rate and steering. The force follows from the balances
+    of lateral force and yaw moment, with ay (v_y' + v_x r if it is not logged) and the derivative
+    of yaw_rate. All channels pass the same `low_pass`, so that force and slip angle stay in phase.
+    The force is the sum of both tires at their actual loads and includes aerodynamics and slip
+    ratio, so vx and ax are kept as conditions.
 
-    vy must be measured. Integrated from ay - v_x r it drifts with every bias and bank, and what
-    holds the drift, a filter or a tire model, would end up in the identified tire.
+    vy must be measured. If it is integrated from ay - v_x r, it drifts with every bias and bank,
+    and the filter or tire model that limits the drift would distort the identified tire.
+
+    Parameters
+    ----------
+    log : DrivingLog
+        The log.
+    car : SingleTrack
+        The car.
+    axle : {'front', 'rear'}
+        The axle.
+    cutoff : float
+        Cutoff of the low pass [Hz]. The first and last 1 / cutoff [s] are dropped.
+    min_speed : float
+        Samples with vx below this are dropped [m/s].
+    max_ax : float, optional
+        Samples in which the tires brake or drive more than this are dropped [m/s^2].
+
+    Returns
+    -------
+    Dataset
+        Columns alpha [rad], vx [m/s], ax [m/s^2] and the output Fy [N].
+
+    Raises
+    ------
+    ValueError
+        If no sample is left, or a sign or a unit of the log must be wrong.
     """
     if axle not in ("front", "rear"):
         raise ValueError(f"axle is {axle!r}; expected 'front' or 'rear'")
@@ -69,7 +93,7 @@ def axle_samples(
         steering,
         log.angle("bank", cutoff),
     )
-    # The samples that count.
+    # Select the usable samples.
     usable = log.away_from_ends(cutoff) & (vx >= min_speed)
     if max_ax is not None:
         usable &= np.abs(ax) <= max_ax
@@ -78,7 +102,7 @@ def axle_samples(
             f"log {log.name}: no sample of {len(log)} is left; lower min_speed {min_speed:g} m/s "
             f"or raise max_ax {max_ax} m/s^2"
         )
-    # Signs and units that cannot be right are refused.
+    # Refuse signs and units that must be wrong.
     _check_bank(log, cutoff)
     columns = {
         "alpha": getattr(slip_angles, axle), "vx": vx, "ax": ax, "Fy": getattr(forces, axle),
@@ -88,22 +112,22 @@ def axle_samples(
     if largest > LARGEST_SLIP_ANGLE:
         raise ValueError(
             f"log {log.name}: the {axle} axle's slip angle reaches {largest:.3g} rad, expected at "
-            f"most {LARGEST_SLIP_ANGLE:g}; check the units of vy, yaw_rate and steering, or leave "
-            "out where the car spins with start and end"
+            f"most {LARGEST_SLIP_ANGLE:g}; check the units of vy, yaw_rate and steering, or "
+            "exclude a spin with start and end"
         )
     if _rises(samples):
         raise ValueError(
             f"log {log.name}: the {axle} axle's force rises with its slip angle, but it falls in "
-            "ISO signs; flip the column whose sign is not ISO's (vy and ay positive to the left, "
+            "ISO signs; flip the column with the wrong sign (vy and ay are positive to the left, "
             "yaw_rate and steering in a left turn), or correct sensor_x, delays or steering_ratio"
         )
     return Dataset(f"{log.name}_{axle}_axle", samples, UNITS, "Fy")
 
 
 def _rises(samples: Mapping[str, Array]) -> bool:
-    """Whether the force rises with the slip angle, as it does in wrong signs.
+    """Return whether the force rises with the slip angle, which means that a sign is wrong.
 
-    In a log that turns both ways an offset of the slip angle, as of a sensor, does not count.
+    In a log that turns both ways, an offset of the slip angle (for example of a sensor) is ignored.
     """
     alpha, Fy = samples["alpha"], samples["Fy"]
     if min(np.mean(Fy > 0), np.mean(Fy < 0)) >= BOTH_WAYS:
@@ -112,17 +136,17 @@ def _rises(samples: Mapping[str, Array]) -> bool:
 
 
 def _check_bank(log: DrivingLog, cutoff: float) -> None:
-    """Refuse a bank of the other sign, and warn where nothing in the log tells the sign.
+    """Refuse a bank with the wrong sign, and warn if the log cannot show its sign.
 
-    With an accelerometer, the sign is wrong if the opposite one explains its readings clearly
-    better. Without one, turns decide: roads lean inwards there, except for a small crossfall.
+    With an accelerometer, the sign is wrong if the opposite sign explains its readings clearly
+    better. Without one, turns decide: roads lean inwards in turns, except for a small crossfall.
     """
     if "bank" not in log:
         return
     turning = log.filtered("vx", cutoff) * log.filtered("yaw_rate", cutoff)
     weight = g * np.sin(log.angle("bank", cutoff))
     remedy = (
-        "it is positive where the left side is lower, which a roll angle of ISO 8855 is not: "
+        "bank is positive if the left side is lower, opposite to a roll angle of ISO 8855: "
         "set flip=[bank]"
     )
     if log.accelerometer and "ay" in log:
@@ -133,7 +157,7 @@ def _check_bank(log: DrivingLog, cutoff: float) -> None:
         if error_reversed < 0.5 * error_as_is:
             raise ValueError(
                 f"log {log.name}: ay, vy and yaw_rate fit the opposite bank ({error_reversed:.2g} "
-                f"against {error_as_is:.2g} m/s^2 left over); {remedy}"
+                f"against {error_as_is:.2g} m/s^2 unexplained); {remedy}"
             )
         return
     size = float(np.linalg.norm(weight))
@@ -144,14 +168,13 @@ def _check_bank(log: DrivingLog, cutoff: float) -> None:
     steep = bool(in_turns.size) and float(np.sqrt(np.mean(in_turns**2))) > CROSSFALL
     if inward < -INWARD and steep:
         raise ValueError(
-            f"log {log.name}: the bank leans outwards in the turns, where roads lean inwards; "
-            f"{remedy}, or give ay of an accelerometer, which tells the sign"
+            f"log {log.name}: the bank leans outwards in turns, but roads lean inwards; "
+            f"{remedy}, or give ay of an accelerometer, which shows the sign"
         )
     if inward < INWARD:
         warnings.warn(
-            f"log {log.name}: nothing tells whether bank has the right sign, on which the forces "
-            "depend: it is positive where the left side is lower; with ay of an accelerometer it "
-            "is checked",
+            f"log {log.name}: the sign of bank, on which the forces depend, cannot be checked: "
+            "bank is positive if the left side is lower; give ay of an accelerometer to check it",
             UserWarning,
             stacklevel=3,
         )
@@ -181,10 +204,20 @@ def load_axle_samples(
     drop_rows: Sequence[int] = (),
     comment: str | None = None,
 ) -> Dataset:
-    """`axle_samples` of a log in a CSV file; `vehicle` names the fields of `SingleTrack`.
+    """Load `axle_samples` from a driving log in a CSV file.
 
-    The other settings are those of `load_driving_log` and `axle_samples`.
-    every: of the samples, the first of so many. delimiter to comment: `TextFormat`.
+    Parameters
+    ----------
+    vehicle : mapping of str to float
+        Fields of `SingleTrack`.
+    every : int
+        Keep the first of every `every` samples.
+    delimiter, decimal, skip_rows, drop_rows, comment
+        See `TextFormat`.
+
+    Notes
+    -----
+    See `load_driving_log` and `axle_samples` for the other parameters.
     """
     car = from_settings(SingleTrack, vehicle)
     log = load_driving_log(

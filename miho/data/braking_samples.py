@@ -24,24 +24,48 @@ def braking_samples(
     max_lateral: float = 3.0,
     settle: float = 0.0,
 ) -> Dataset:
-    """The braking phases of a log with vx, brake and throttle, for `BrakeDeceleration`.
+    """Braking phases of a log, as data for `BrakeDeceleration`.
 
-    A sample is braking where the pressure is above min_pressure [Pa], the speed above min_speed
-    [m/s] and the throttle at most max_throttle [-]. Deceleration is -ax or, if ax is not logged,
-    -v_x' + v_y r (without vy or yaw_rate -v_x' alone), less what a logged grade explains. A logged
-    ax may lag by a second or be a set value: compare it with the speed before you name it.
+    Deceleration is -ax or, if ax is not logged, -v_x' + v_y r (-v_x' alone without vy or yaw_rate),
+    minus the effect of a logged grade. Some loggers' ax lags by a second or is a commanded value:
+    compare it with the speed before using it.
 
-    Deceleration, pressure and squared speed pass the same `low_pass` of `cutoff` [Hz], so that a
-    law linear in them stays true of what is filtered, as long as the filter sees nothing but
-    braking. Near the ends of a phase it mixes in the drive, so that the first and last 1 / cutoff
-    [s] of each phase are left out, and phases shorter than twice that altogether: a higher cutoff
-    keeps more of short brakings and more noise. Left out are also the first `settle` [s] of each
-    phase, if a pressure that is a command takes longer to build up, and, if yaw_rate is logged,
-    samples with |v_x r| above max_lateral [m/s^2], where steered wheels drag.
+    Deceleration, pressure and squared speed pass the same `low_pass`, so that a law that is linear
+    in them also holds for the filtered values, as long as the filter covers nothing but braking.
+    Near the ends of a phase it also covers driving, so the first and last 1 / cutoff [s] of each
+    phase are dropped, and shorter phases entirely. A higher cutoff keeps more samples of short
+    phases, and more noise.
 
-    Columns p [Pa], vx [m/s], the output deceleration [m/s^2], positive, t [s] and event [-],
-    which numbers the phases, also those of which nothing is kept: samples of one phase share its
-    errors and are far from independent.
+    Parameters
+    ----------
+    log : DrivingLog
+        A log with the channels vx, brake and throttle.
+    cutoff : float
+        Cutoff of the low pass [Hz].
+    min_pressure : float
+        Pressure above which the car is braking [Pa].
+    min_speed : float
+        Speed above which samples are used [m/s].
+    max_throttle : float
+        Largest throttle while braking [-].
+    max_lateral : float
+        Samples with larger |v_x r| are dropped [m/s^2] if yaw_rate is logged, because steered
+        wheels drag.
+    settle : float
+        Time dropped at the beginning of each phase [s], for a commanded pressure that takes longer
+        to build up.
+
+    Returns
+    -------
+    Dataset
+        Columns p [Pa], vx [m/s], the output deceleration [m/s^2] (positive), t [s] and event [-].
+        `event` numbers the phases, including phases without samples: errors within one phase are
+        far from independent.
+
+    Raises
+    ------
+    ValueError
+        If no sample is left.
     """
     if not settle >= 0:
         raise ValueError(f"settle is {settle}; expected a number of seconds of at least 0")
@@ -96,10 +120,18 @@ def load_braking_samples(
     drop_rows: Sequence[int] = (),
     comment: str | None = None,
 ) -> Dataset:
-    """`braking_samples` of a log in a CSV file.
+    """Load `braking_samples` from a driving log in a CSV file.
 
-    The other settings are those of `load_driving_log` and `braking_samples`.
-    every: of the samples, the first of so many. delimiter to comment: `TextFormat`.
+    Parameters
+    ----------
+    every : int
+        Keep the first of every `every` samples.
+    delimiter, decimal, skip_rows, drop_rows, comment
+        See `TextFormat`.
+
+    Notes
+    -----
+    See `load_driving_log` and `braking_samples` for the other parameters.
     """
     log = load_driving_log(
         path, columns, units, headers, flip=flip, delays=delays, accelerometer=accelerometer,

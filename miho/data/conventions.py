@@ -1,16 +1,19 @@
-"""Sign conventions of tire measurements, and the way to ISO-W.
+"""Sign conventions of tire measurements, and their conversion to ISO-W.
 
-All of them share the x axis, forward, and with it Fx, kappa, Mx and gamma, a rotation about x
-(positive when the top of the wheel leans to the right). They differ in y and z:
+All conventions share the x axis, which points forward, and with it Fx, kappa, Mx and gamma, a
+rotation about x (positive when the top of the wheel leans to the right). They differ in y and z:
 
-    iso-w        y to the left, z up: a velocity to the left is a positive slip angle, and the
-                 force falls as it grows. What this project, MF-Tyre and Adams use.
-    sae          SAE J670e: y to the right, z down, the same definitions in these axes, so that
-                 alpha, Fy, Fz, My and Mz have the other sign. The Tire Test Consortium's files.
-    adapted-sae  the axes of SAE, but alpha and Fz so that both are positive with a positive Fy:
-                 relative to ISO-W only Fy, My and Mz have the other sign. Pacejka's book.
+    iso-w        y to the left, z up. A velocity to the left is a positive slip angle, and the
+                 force falls as the slip angle grows. Used by this project, MF-Tyre and Adams.
+    sae          SAE J670e: y to the right, z down, with the same definitions in these axes, so
+                 that alpha, Fy, Fz, My and Mz have the opposite sign. Used by the Tire Test
+                 Consortium.
+    adapted-sae  The axes of SAE, but alpha and Fz are defined so that both are positive with a
+                 positive Fy: only Fy, My and Mz have the opposite sign. Used by Pacejka's book.
 
-Source: H. B. Pacejka, Tire and Vehicle Dynamics, 3rd ed. 2012, App. 1.
+References
+----------
+H. B. Pacejka, Tire and Vehicle Dynamics, 3rd ed., 2012, App. 1.
 """
 
 from __future__ import annotations
@@ -30,20 +33,21 @@ FLIPPED: Mapping[str, frozenset[str]] = MappingProxyType(
         "adapted-sae": frozenset({"Fy", "My", "Mz"}),
     }
 )
-"""The columns whose sign differs from ISO-W, by convention."""
+"""For each convention, the columns whose sign differs from ISO-W."""
 
 CLEAR = 0.5
-"""Rank correlation from which on one column clearly rises with another."""
+"""Rank correlation from which one column clearly rises with another."""
 SMALL_SLIP: Mapping[str, float] = MappingProxyType({"alpha": 0.07, "kappa": 0.02})
 """Slip up to which the aligning moment has the sign of the slip angle: alpha [rad], kappa [1]."""
 FEWEST = 10
-"""Rows of small slip from which on the sign of the aligning moment is judged."""
+"""Smallest number of rows with small slip for a check of the aligning moment's sign."""
 
 
 class Law(NamedTuple):
     """A force grows with a slip (sign 1) or falls (-1), while columns are at most `largest`.
 
-    The slip varies by more than `least_range`, or has both signs: else it may be an offset.
+    The law is checked only if the slip varies by more than `least_range` or has both signs;
+    otherwise it may be an offset.
     """
 
     slip: str
@@ -60,13 +64,13 @@ LAWS = (
     Law("kappa", "-", "Fx", "N", 1, {"alpha": SMALL_SLIP["alpha"]}, least_range=0.03),
     Law("alpha", "rad", "Mz", "Nm", 1, SMALL_SLIP),
 )
-"""How a tire answers to its slip, in ISO-W signs."""
+"""Signs of a tire's response to slip, in ISO-W."""
 
 
 def to_iso_w(
     columns: Mapping[str, Array], convention: str, flip: Collection[str] = ()
 ) -> dict[str, Array]:
-    """The columns (N,) in ISO-W signs; those named in `flip` change sign once more."""
+    """Convert columns (N,) to ISO-W signs; columns named in `flip` change their sign once more."""
     signs = {key: (key in FLIPPED[convention]) != (key in flip) for key in columns}
     return {key: -column if signs[key] else column for key, column in columns.items()}
 
@@ -74,11 +78,11 @@ def to_iso_w(
 def sign_problem(
     columns: Mapping[str, Array], units: Mapping[str, str], clear: float = CLEAR
 ) -> tuple[str, str] | None:
-    """The column that cannot be in ISO-W signs and why, with a remedy; None if all can be.
+    """Return a column that cannot be in ISO-W signs and a message with a remedy, or None.
 
-    Fz is what the road carries. A tire pushes against its slip angle and turns the wheel back: Fy
-    falls as alpha grows, and Mz rises as long as the slip is small; Fx rises with kappa where alpha
-    is small. clear: rank correlation from which on the opposite counts.
+    Fz is the load on the road. A tire pushes against its slip angle and turns the wheel back: Fy
+    falls as alpha grows, Mz rises with alpha as long as the slip is small, and Fx rises with kappa
+    if alpha is small. `clear` is the rank correlation from which the opposite counts as a problem.
     """
     names = f"set the data's convention ({', '.join(FLIPPED)}) or flip the column"
     if units.get("Fz") == "N" and np.median(columns["Fz"]) < 0:
@@ -99,7 +103,7 @@ def sign_problem(
 
 
 def _rank_correlation(x: Array, y: Array) -> float:
-    """Spearman's, where equal values take their ranks in order of the rows; 0 if one is flat."""
+    """Spearman's rank correlation, with ties ranked in row order; 0 if a column is constant."""
     if np.ptp(x) == 0 or np.ptp(y) == 0:
         return 0.0
     a, b = (np.argsort(np.argsort(column, kind="stable")).astype(float) for column in (x, y))

@@ -20,19 +20,19 @@ MAX_BYTES = 64 * 2**20
 MAX_LINE = 10_000
 MAX_ROWS = 4_000_000
 BLOCK = 10_000
-"""Lines read at a time; a block with a fault is read again cell by cell."""
+"""Lines that are read at a time; a block with a fault is read again cell by cell."""
 
 DELIMITERS = {"comma": ",", "semicolon": ";", "tab": "\t"}
 DECIMALS = {"point": ".", "comma": ","}
-"""The characters themselves need quotes within quotes on a command line."""
+"""Names of the characters, which would need nested quotes on a command line."""
 MISSING = ("raise", "drop")
 NO_NUMBER = {"", "nan", "na", "n/a", "#n/a", "null", "none"}
-"""What a cell says, in small letters, in which a number is missing."""
+"""Cells that mark a missing number, in lower case."""
 _CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
 
 
 class CSVError(ValueError):
-    """One line saying file, line and column, what is wrong and what to do."""
+    """A fault in a CSV file: file, line, column, problem and remedy in one line."""
 
     def __init__(self, path: Path, line: int, column: int, problem: str) -> None:
         name = str(path) if str(path).isprintable() else repr(str(path))
@@ -41,14 +41,28 @@ class CSVError(ValueError):
 
 @dataclass(frozen=True)
 class TextFormat:
-    """How a table is written.
+    """Format of a text table.
 
-    delimiter: a key of `DELIMITERS`, or the character itself; None: a comma, or a semicolon or tab
-    if only that one gives the columns that are asked for. decimal: likewise of `DECIMALS`.
-    skip_rows: lines before the one that names the columns. drop_rows: numbers of further lines that
-    are none of data, such as a line of units, counted from 1 as editors do. comment: lines that
-    begin with this are none of data. missing: "raise", or "drop" to leave out rows in which a cell
-    that is read is empty or one of `NO_NUMBER`.
+    Parameters
+    ----------
+    delimiter : str, optional
+        A key of `DELIMITERS` or the character itself. By default a comma, or a semicolon or tab if
+        only that gives the requested columns.
+    decimal : str
+        A key of `DECIMALS` or the character itself.
+    skip_rows : int
+        Lines before the line that names the columns.
+    drop_rows : sequence of int
+        Numbers of further lines without data (for example a line of units), counted from 1.
+    comment : str, optional
+        Prefix of lines that are ignored.
+    missing : {'raise', 'drop'}
+        'drop' ignores rows in which a requested cell is empty or one of `NO_NUMBER`.
+
+    Raises
+    ------
+    ValueError
+        For an invalid setting.
     """
 
     delimiter: str | None = None
@@ -64,7 +78,7 @@ class TextFormat:
             if delimiter not in DELIMITERS.values():
                 raise ValueError(
                     f"delimiter is {self.delimiter!r}; choose from {', '.join(DELIMITERS)}, or "
-                    "null to have it seen from the header"
+                    "null to detect it from the header"
                 )
             object.__setattr__(self, "delimiter", delimiter)
         object.__setattr__(self, "decimal", DECIMALS.get(self.decimal, self.decimal))
@@ -80,7 +94,7 @@ class TextFormat:
                 f"drop_rows is {self.drop_rows!r}; list the numbers of lines, counted from 1"
             )
         if self.comment is not None and not (isinstance(self.comment, str) and self.comment):
-            raise ValueError(f"comment is {self.comment!r}; give what such lines begin with")
+            raise ValueError(f"comment is {self.comment!r}; give the prefix of such lines")
         if self.missing not in MISSING:
             raise ValueError(f"missing is {self.missing!r}; choose from {', '.join(MISSING)}")
 
@@ -91,12 +105,11 @@ PLAIN = TextFormat()
 def read_numbers(
     path: Path, columns: Sequence[str], *, header: bool, text: TextFormat = PLAIN
 ) -> dict[str, Array]:
-    """The columns of a comma-separated file by name, (N,) each, every cell a finite number.
+    """Read columns (N,) of a comma-separated file by name; every cell must be a finite number.
 
-    With a `header`, the first line must name the columns asked for, in any order and among
-    others, which are not read; without one, the file must have just these columns in this order.
-    Cells may stand in double quotes. Raises CSVError for anything else, FileNotFoundError if
-    there is no file.
+    With a `header`, the first line must name the requested columns, in any order; further columns
+    are ignored. Without one, the file must contain just these columns in this order. Cells may be
+    in double quotes. Raises CSVError for any fault, FileNotFoundError for a missing file.
     """
     return TextTable(path, columns, header, text).numbers()
 
@@ -121,11 +134,30 @@ def load_csv(
     missing: str = "raise",
     name: str | None = None,
 ) -> Dataset:
-    """A dataset from a file with a header line, in SI units, radians and ISO-W signs.
+    """Load a dataset from a text file with a header line, in SI units, radians and ISO-W signs.
 
-    The settings are those of `miho.data.measurements.Layout` and of `TextFormat`; the dataset is
-    called after the file unless `name` is given. Raises CSVError for what the file has, ValueError
-    for the settings.
+    Parameters
+    ----------
+    path : str
+        The file.
+    columns, units, output, headers, convention, flip, ranges, held_out, where, every
+        See `miho.data.measurements.Layout`.
+    delimiter, decimal, skip_rows, drop_rows, comment, missing
+        See `TextFormat`.
+    name : str, optional
+        Name of the dataset; by default the name of the file.
+
+    Returns
+    -------
+    Dataset
+        The selected rows.
+
+    Raises
+    ------
+    CSVError
+        For a fault in the file.
+    ValueError
+        For an invalid setting.
     """
     layout = Layout(
         columns, units, output, headers, convention, flip, ranges, held_out, where, every
@@ -161,22 +193,22 @@ class TextTable:
 
     @property
     def notes(self) -> list[str]:
-        """How the file differs from plain CSV, in words."""
+        """Differences of the file from plain CSV, as phrases."""
         words = {value: key for key, value in DELIMITERS.items()}
         notes = [] if self.delimiter == "," else [f"separated by {words[self.delimiter]}s"]
         notes += ["decimal commas"] if self.decimal == "," else []
         counts = {
-            "line{} left out": self.left_out,
-            "row{} without a number left out": self.incomplete,
+            "line{} ignored": self.left_out,
+            "row{} with a missing number ignored": self.incomplete,
         }
         return notes + [f"{n:,} {s.format('s' * (n != 1))}" for s, n in counts.items() if n]
 
     def _leave_out(self, text: TextFormat) -> None:
-        """Take out the lines before the header, those that are listed, and comments."""
+        """Remove the lines before the header, the listed lines and comments."""
         beyond = [line for line in (text.skip_rows, *text.drop_rows) if line > len(self.lines)]
         if beyond:
             last = len(self.lines)
-            problem = f"this is the last line, but line {beyond[0]} is to be left out"
+            problem = f"this is the last line, but line {beyond[0]} is to be ignored"
             raise CSVError(self.path, last, 1, f"{problem}; correct drop_rows or skip_rows")
         dropped = {*range(1, text.skip_rows + 1), *text.drop_rows}
         remaining = [
@@ -189,12 +221,12 @@ class TextTable:
         if not self.left_out:
             return
         if not remaining:
-            raise CSVError(self.path, 1, 1, "all lines are left out; keep some")
+            raise CSVError(self.path, 1, 1, "all lines are ignored; keep some")
         self.lines = [self.lines[number - 1] for number in remaining]
         self.line_numbers = remaining
 
     def _detect_delimiter(self, header: bool) -> str:
-        """The delimiter that gives the requested columns in the header; the comma by default."""
+        """The delimiter that gives the requested columns in the header; a comma by default."""
         line = self.lines[0]
         candidates = [character for character in DELIMITERS.values() if character != self.decimal]
         for candidate in candidates:
@@ -205,7 +237,7 @@ class TextTable:
         return (present or candidates)[0]
 
     def _error(self, line: int, column: int, problem: str) -> CSVError:
-        """About a place in `lines`, which counts from 0."""
+        """An error at a line of `lines`, counted from 0."""
         return CSVError(self.path, self.line_numbers[line], column, problem)
 
     def _read_header(self) -> None:
@@ -216,7 +248,7 @@ class TextTable:
                 raise self._error(0, 1, f"{problem}; {_header_remedy(name, names)}")
             if names.count(name) > 1:
                 column = self._cells(0)[names.index(name, names.index(name) + 1)][0]
-                raise self._error(0, column, f"column {name!r} is there twice; keep one")
+                raise self._error(0, column, f"column {name!r} appears twice; keep one")
         self.first = 1
         self.width = len(names)
         self.positions = [names.index(name) for name in self.columns]
@@ -230,7 +262,7 @@ class TextTable:
         for start in range(0, rows, BLOCK):
             stop = min(start + BLOCK, rows)
             block = self._plain_block(start, stop)
-            if block is None:  # cell by cell, which also says where a fault is
+            if block is None:  # cell by cell, to locate a fault
                 values[start:stop] = [self._row(row) for row in range(start, stop)]
             else:
                 values[start:stop] = block
@@ -238,7 +270,7 @@ class TextTable:
         return {name: values[:, column].copy() for column, name in enumerate(self.columns)}
 
     def _complete(self, values: Array) -> Array:
-        """The rows (n, k) without a missing number, and of the lines the same ones."""
+        """The rows (n, k) without missing numbers; `lines` keeps the same rows."""
         missing = np.isnan(values)
         complete = ~missing.any(axis=1)
         self.incomplete = int(np.count_nonzero(~complete))
@@ -247,7 +279,7 @@ class TextTable:
             text = self._cells(int(row) + self.first)[self.positions[k]][1].strip()
             problem = f"{text!r} in column {self.columns[k]!r} is not a finite number"
             count = f"a number is missing in {self.incomplete:,} of {len(values):,} rows"
-            remedy = "correct the cells, or leave such rows out with missing=drop"
+            remedy = "correct the cells, or ignore such rows with missing=drop"
             raise self.fault(self.columns[k], int(row), f"{problem}; {count}; {remedy}")
         rows = [*range(self.first), *(np.flatnonzero(complete) + self.first).tolist()]
         self.lines = [self.lines[row] for row in rows]
@@ -255,13 +287,13 @@ class TextTable:
         return np.asarray(values[complete])
 
     def fault(self, name: str, row: int | None, problem: str) -> CSVError:
-        """The error about a column's header, or about its cell in a row counted from 0."""
+        """An error about the header of a column, or about its cell in a row counted from 0."""
         line = 0 if row is None else row + self.first
         column = self._cells(line)[self.positions[self.columns.index(name)]][0]
         return self._error(line, column, problem)
 
     def _plain_block(self, start: int, stop: int) -> Array | None:
-        """Rows of numbers, read at once, if every cell is plainly a number; else None."""
+        """Rows of numbers, read at once, or None unless every cell is plainly a number."""
         lines = self.lines[self.first + start : self.first + stop]
         text = "\n".join(lines)
         if not text.isascii() or '"' in text or text.isspace():
@@ -282,7 +314,7 @@ class TextTable:
         return values if whole else None
 
     def _row(self, row: int) -> list[float]:
-        """The numbers of a row, read cell by cell; raises CSVError at the first that is none."""
+        """The numbers of a row, read cell by cell; raises CSVError at the first invalid cell."""
         line = row + self.first
         cells = self._cells(line)
         if len(cells) != self.width:
@@ -301,7 +333,7 @@ class TextTable:
                 value = math.nan
             if value is None:
                 problem = f"{text.strip()[:40]!r} in column {name!r} is not a finite number"
-                remedy = "correct the cell, or remove the row or leave it out with drop_rows"
+                remedy = "correct the cell, remove the row, or ignore it with drop_rows"
                 other_decimal = "comma" if self.decimal == "." else "point"
                 if self.delimiter != "," and _number(text, DECIMALS[other_decimal]) is not None:
                     remedy = f"write decimals with '{self.decimal}', or set decimal={other_decimal}"
@@ -329,7 +361,7 @@ class TextTable:
 
 
 def _header_remedy(name: str, names: Sequence[str]) -> str:
-    """What to do about a column that is not among the names in the header."""
+    """Advice for a column that the header does not name."""
     if len(names) == 1 and re.search(r"\S[\s|:]+\S", names[0]):
         return "separate columns with commas"
     if all(_number(header) is not None for header in names):
@@ -337,18 +369,18 @@ def _header_remedy(name: str, names: Sequence[str]) -> str:
     close = [header for header in names if header.casefold() == name.casefold()]
     close += get_close_matches(name, names, n=1)
     if close:
-        return f"rename it, or say headers=[..., {close[0][:40]!r}, ...]"
-    return "name the columns as the file does, in the same order: headers=[...]"
+        return f"rename it, or set headers=[..., {close[0][:40]!r}, ...]"
+    return "give the names in the file in the same order: headers=[...]"
 
 
 def _lines(path: Path) -> list[str]:
-    """The lines of a text file, without empty ones at its end; raises CSVError for other files."""
+    """Lines of a text file without empty lines at its end; raises CSVError for other files."""
     # A regular file of some size.
     try:
         large = path.stat().st_size > MAX_BYTES
         data = b"" if large else read_regular(path, MAX_BYTES + 1)
     except NotAFileError:
-        raise CSVError(path, 1, 1, "is not a file; name one") from None
+        raise CSVError(path, 1, 1, "is not a file; give one") from None
     except PermissionError:
         raise CSVError(path, 1, 1, "cannot be read; check its permissions") from None
     if large or len(data) > MAX_BYTES:
@@ -385,7 +417,7 @@ def _lines(path: Path) -> list[str]:
 
 
 def _number(cell: str, decimal: str = ".") -> float | None:
-    """The cell's value if it is a finite number as CSV writes it, else None."""
+    """The cell's value if it is a finite number in CSV notation, else None."""
     if not cell.isascii() or "_" in cell or (decimal == "," and "." in cell):
         return None
     if decimal == ",":

@@ -1,4 +1,4 @@
-"""A dataset: named columns in SI units, one of them the output to be explained."""
+"""A dataset: named columns in SI units, one of which is the output to be explained."""
 
 from __future__ import annotations
 
@@ -19,12 +19,13 @@ from miho.validate import whole
 
 
 def file_name(path: str | os.PathLike[str]) -> str:
-    """A dataset's name from its file: the stem, with "_" for what cannot name a folder."""
+    """Name of a file's dataset: the stem, with "_" for characters that folder names should not
+    have."""
     return re.sub(r"[^A-Za-z0-9_.-]", "_", Path(path).stem)
 
 
 def number_pair(value: object, label: str) -> tuple[float, float]:
-    """`value` as (low, high), if it is two finite numbers, the lower first; else ValueError."""
+    """Return `value` as (low, high); raises ValueError unless it is two finite numbers in order."""
     if isinstance(value, Sequence) and not isinstance(value, str) and len(value) == 2:
         low, high = value
         numbers = all(isinstance(v, int | float) and not isinstance(v, bool) for v in value)
@@ -35,12 +36,28 @@ def number_pair(value: object, label: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """Columns of equal length (N,), float64, SI units and radians, ISO-W signs for tires.
+    """Columns of equal length (N,), float64, in SI units and radians; ISO-W signs for tires.
 
-    `columns` holds the inputs of the model, the conditions under which they were taken and the
-    output; `units` names the unit of each. Columns are read-only: nobody edits shared data.
-    `held_out` has rows that no fit sees, of the same columns and units, to validate with.
-    `reading` describes the file that the data are from, and has no part in their identity.
+    Parameters
+    ----------
+    name : str
+        Name of the dataset.
+    columns : mapping of str to array_like
+        Inputs of the model, conditions of the measurement and the output. The dataset keeps
+        read-only copies.
+    units : mapping of str to str
+        Unit of each column.
+    output : str
+        Name of the output column.
+    held_out : Dataset, optional
+        Rows with the same columns and units that no fit uses, for validation.
+    reading : Reading, optional
+        Description of the file from which the data were read. It is not part of their identity.
+
+    Raises
+    ------
+    ValueError
+        If a column is not finite, has no unit or has another length.
     """
 
     name: str
@@ -77,7 +94,7 @@ class Dataset:
             raise ValueError(
                 f"dataset {self.name}: every column needs a unit; got {dict(self.units)}"
             )
-        # Rows that are held out are data of the same kind.
+        # Held-out rows have the same columns and units.
         if self.held_out is not None:
             apart = self.held_out
             if (set(apart.columns), dict(apart.units), apart.output, apart.held_out) != (
@@ -85,7 +102,7 @@ class Dataset:
             ):  # fmt: skip
                 raise ValueError(
                     f"dataset {self.name}: held_out must have the same columns, units and output, "
-                    f"and hold out nothing itself; it has {dict(apart.units)}, output "
+                    f"and no held_out of its own; it has {dict(apart.units)}, output "
                     f"{apart.output!r}"
                 )
         object.__setattr__(self, "columns", columns)
@@ -103,22 +120,22 @@ class Dataset:
             ) from None
 
     def select(self, rows: NDArray[np.bool_]) -> Dataset:
-        """The rows that are True in a mask (N,), under the same name; `held_out` stays."""
+        """The rows for which a mask (N,) is True, under the same name; `held_out` is kept."""
         rows = np.asarray(rows)
         if rows.dtype != bool or rows.shape != (len(self),):
             raise ValueError(
-                f"dataset {self.name}: rows are chosen by {len(self)} truth values; got "
+                f"dataset {self.name}: expected a mask of {len(self)} truth values; got "
                 f"{rows.dtype} of shape {rows.shape}"
             )
         return replace(self, columns={key: column[rows] for key, column in self.columns.items()})
 
     def thinned(self, every: int) -> Dataset:
-        """The first row of every so many; `held_out` stays."""
+        """The first of every `every` rows; `held_out` is kept."""
         whole("every", every, 1)
         return self.select(np.arange(len(self)) % every == 0)
 
     def hold_out(self, ranges: Mapping[str, Sequence[float]]) -> Dataset:
-        """The same data with `held_out` set to the rows that lie in all of these ranges.
+        """Hold out the rows that lie in all of these ranges.
 
         `ranges` maps columns to (from, to), both included, in the column's unit.
         """
@@ -126,7 +143,7 @@ class Dataset:
             raise ValueError(
                 f"dataset {self.name}: "
                 + ("rows are held out already" if ranges else "no column to hold out by")
-                + "; name columns and ranges once, such as {Fz: [3900, 4100]}"
+                + "; give columns and ranges once, for example {Fz: [3900, 4100]}"
             )
         inside = np.ones(len(self), dtype=bool)
         for name, bounds in ranges.items():
@@ -147,7 +164,7 @@ class Dataset:
 
     @property
     def digest(self) -> str:
-        """SHA-256 over names, units and bytes of every column, held-out rows too: the identity."""
+        """SHA-256 over names, units and bytes of all columns, including held-out rows."""
         digest = hashlib.sha256(self.output.encode())
         for key in sorted(self.columns):
             digest.update(f"\0{key}\0{self.units[key]}\0".encode())

@@ -1,4 +1,4 @@
-"""A driving log: named channels on one clock, filtered without phase shift."""
+"""A driving log: named channels on a common clock, filtered without phase shift."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages on first use: importing them takes a second
 from numpy.typing import NDArray
 
 from miho.data.csv import PLAIN, CSVError, TextFormat, TextTable
@@ -28,14 +28,14 @@ CHANNELS = MappingProxyType(
         "bank": "rad", "grade": "rad",
     }
 )  # fmt: skip
-"""The channels a log may have, and their SI units; signs as in `DrivingLog`."""
+"""Channels that a log may contain, and their SI units; for signs see `DrivingLog`."""
 
 JITTER = 0.01
 """Time steps within this fraction of their median count as uniform."""
 MAX_STEP = 2.5
-"""A time step of more medians than this is a gap."""
+"""A time step of more than this many medians is a gap."""
 SHORTEST = 10
-"""Samples that a log has at least."""
+"""Smallest number of samples in a log."""
 
 PLAUSIBLE = (
     ("throttle", -0.05, 1.05, "is its unit %?"),
@@ -48,23 +48,35 @@ PLAUSIBLE = (
     ("ax", -100.0, 100.0, "is its unit wrong?"),
     ("ay", -100.0, 100.0, "is its unit wrong?"),
 )
-"""Channels with their smallest and largest value in any car, in SI units, and what a value beyond
-suggests."""
+"""Smallest and largest value of a channel in any car, in SI units, and the likely cause of a value
+outside this range."""
 
 
 @dataclass(frozen=True, eq=False)
 class DrivingLog:
-    """Channels (N,) in SI units and radians, sampled uniformly; only `time` must be there.
+    """Uniformly sampled channels (N,) in SI units and radians.
 
-    vx, vy [m/s], ax, ay [m/s^2] along the car's axes at its centre of gravity, x forward and y to
-    the left; yaw_rate [rad/s] and steering, the mean angle of the front wheels [rad], positive to
-    the left; gear from 1, 0 for neutral; engine_speed [rad/s]; throttle from 0 to 1; brake
-    pressure [Pa]; grade [rad], positive uphill; bank [rad], positive when the left side is lower,
-    as in a left-hand oval's turns: a roll angle of ISO 8855 has the opposite sign.
+    Parameters
+    ----------
+    name : str
+        Name of the log.
+    channels : mapping of str to array_like
+        Channels of `CHANNELS`; only `time` is required. vx, vy [m/s] and ax, ay [m/s^2] are along
+        the car's axes at its centre of gravity, x forward and y to the left. yaw_rate [rad/s] and
+        steering, the mean angle of the front wheels [rad], are positive to the left. gear counts
+        from 1; 0 is neutral. engine_speed is in rad/s, throttle from 0 to 1, brake is a pressure
+        [Pa]. grade [rad] is positive uphill. bank [rad] is positive if the left side is lower, as
+        in turns of a left-hand oval; a roll angle of ISO 8855 has the opposite sign.
+    accelerometer : bool
+        Whether ax and ay are readings of a sensor fixed to the car, which include the support
+        against weight on a grade or bank, or accelerations of the motion (False).
+    reading : Reading, optional
+        Description of the file from which the log was read.
 
-    `accelerometer` says what ax and ay are: what a sensor fixed to the car shows, which feels the
-    support against weight on a grade or bank (True), or the acceleration of the motion (False).
-    `reading` describes the file that the log is from.
+    Raises
+    ------
+    ValueError
+        If a channel is unknown, not finite or implausible, or if time steps are not uniform.
     """
 
     name: str
@@ -101,9 +113,9 @@ class DrivingLog:
             worst = int(np.argmax(np.abs(steps - step)))
             raise ValueError(
                 f"log {self.name}: time steps {steps[worst]:.6g} s after "
-                f"{channels['time'][worst]:.6g} s where others are {step:.6g} s; resample it"
+                f"{channels['time'][worst]:.6g} s, but others are {step:.6g} s; resample it"
             )
-        # A value that no car reaches is in another unit.
+        # A value that no car reaches has another unit.
         for key, low, high, hint in PLAUSIBLE:
             if key in channels and not ((channels[key] >= low) & (channels[key] <= high)).all():
                 worst = int(np.argmax(np.abs(channels[key])))
@@ -135,17 +147,17 @@ class DrivingLog:
         return float((time[-1] - time[0]) / (time.size - 1))
 
     def filtered(self, channel: str, cutoff: float) -> Array:
-        """A channel after `low_pass`, in its own unit."""
+        """A channel after `low_pass`, in its unit."""
         return low_pass(self[channel], self.dt, cutoff)
 
     def rate(self, channel: str, cutoff: float) -> Array:
-        """The derivative of a channel, per second: central differences of `filtered`."""
+        """Time derivative of a channel: central differences of `filtered`."""
         return np.asarray(np.gradient(self.filtered(channel, cutoff), self.dt))
 
     def longitudinal_acceleration(self, cutoff: float) -> Array:
-        """Acceleration of the motion along x [m/s^2], filtered: from ax, else v_x' - v_y r.
+        """Filtered acceleration of the motion along x [m/s^2], from ax, else v_x' - v_y r.
 
-        Without ax, a log that lacks vy or yaw_rate is taken to drive straight: v_x' alone.
+        A log without ax that also lacks vy or yaw_rate is assumed to drive straight: v_x' alone.
         """
         if "ax" not in self:
             rate = self.rate("vx", cutoff)
@@ -156,7 +168,7 @@ class DrivingLog:
         return self.filtered("ax", cutoff) - weight
 
     def lateral_acceleration(self, cutoff: float) -> Array:
-        """Acceleration of the motion along y [m/s^2], filtered: from ay, else v_y' + v_x r."""
+        """Filtered acceleration of the motion along y [m/s^2], from ay, else v_y' + v_x r."""
         if "ay" not in self:
             turning = self.filtered("vx", cutoff) * self.filtered("yaw_rate", cutoff)
             return self.rate("vy", cutoff) + turning
@@ -164,7 +176,7 @@ class DrivingLog:
         return self.filtered("ay", cutoff) + weight
 
     def angle(self, channel: str, cutoff: float) -> Array:
-        """Bank or grade [rad], filtered; level where the log does not say."""
+        """Filtered bank or grade [rad]; zero if it is not logged."""
         return self.filtered(channel, cutoff) if channel in self else np.zeros(len(self))
 
     def _weight(self, channel: str, cutoff: float) -> Array:
@@ -177,17 +189,18 @@ class DrivingLog:
     def inside(self, phases: Mask, cutoff: float) -> Mask:
         """Mask (N,) of samples in the phases (N,) at least 1 / cutoff [s] away from their ends.
 
-        A step one such time away changes what `low_pass` gives by some 0.2 % of its height.
+        A step at that distance changes the output of `low_pass` by about 0.2 % of its height.
         """
         around = np.ones(2 * round(1 / (cutoff * self.dt)) + 1, dtype=bool)
         return np.asarray(scipy.ndimage.binary_erosion(phases, around))
 
 
 def low_pass(values: Array, dt: float, cutoff: float) -> Array:
-    """Values (N,) sampled every dt [s] without what lies above the cutoff [Hz], nothing delayed.
+    """Low-pass filter without delay for values (N,) sampled every dt [s].
 
-    A Butterworth filter of second order runs forward and backward, so that the phase stays and
-    half the amplitude (-6 dB) is left at the cutoff. It needs the whole log: not for control.
+    A Butterworth filter of second order runs forward and backward, so that the phase is unchanged
+    and half the amplitude (-6 dB) remains at the cutoff [Hz]. It needs the whole log, so it is not
+    suitable for control.
     """
     if not 0 < cutoff < 0.5 / dt:
         raise ValueError(
@@ -213,25 +226,55 @@ def load_driving_log(
     end: float | None = None,
     text: TextFormat = PLAIN,
 ) -> DrivingLog:
-    """A log from a CSV file with a header line; the time counts from the file's first row.
+    """Load a log from a CSV file with a header line; time counts from the file's first row.
 
-    `columns` names channels of `CHANNELS`, `units` theirs in the file and `headers` the file's own
-    names, in the same order. `flip` names channels whose sign is opposite to that of `DrivingLog`.
-    `delays` maps channels to how late they are [s] against the others (negative: early).
-    `steering_ratio` divides the steering angle, if it is the hand wheel's. `sensor_x` says how far
-    ahead of the centre of gravity vy was measured [m]; yaw_rate must be there then. `start` and
-    `end` [s] cut the file. `text` says how it is written.
+    Channels are interpolated to uniform steps of the median, unless all steps are within 1 % of it;
+    the gear takes its nearest value. Steps of more than 2.5 medians are gaps without measurements
+    and are refused.
 
-    Steps within 1 % of their median stay as they are; otherwise the channels are interpolated to
-    steps of the median (the gear takes its nearest value). Steps of more than 2.5 medians are
-    gaps, which are refused: nothing was measured there.
+    Parameters
+    ----------
+    path : path-like
+        The file.
+    columns : sequence of str
+        Channels of `CHANNELS`.
+    units : sequence of str
+        Units of the channels in the file, in the same order.
+    headers : sequence of str, optional
+        Names of the channels in the file, in the same order.
+    flip : sequence of str
+        Channels with a sign opposite to `DrivingLog`.
+    delays : mapping of str to float, optional
+        Delay of channels relative to the others [s]; negative if early.
+    steering_ratio : float
+        Divides the steering angle, if it is measured at the hand wheel.
+    sensor_x : float
+        Distance by which the vy sensor is ahead of the centre of gravity [m]; requires yaw_rate.
+    accelerometer : bool
+        See `DrivingLog`.
+    start, end : float
+        Part of the file to use [s].
+    text : TextFormat
+        Format of the file.
+
+    Returns
+    -------
+    DrivingLog
+        The log.
+
+    Raises
+    ------
+    CSVError
+        For a fault in the file, including gaps and times that do not increase.
+    ValueError
+        For an invalid setting.
     """
     headers = list(columns) if headers is None else headers
     delays = delays or {}
     _check_channels(columns, units, headers, flip, delays)
     positive("steering_ratio", steering_ratio)
 
-    # The file's numbers in SI units and our signs, over the time since its first row.
+    # Convert the file's numbers to SI units and our signs.
     table = TextTable(Path(path), headers, header=True, text=text)
     numbers = table.numbers()
     reading = Reading.of(os.fspath(path), numbers, units, table.notes)
@@ -241,7 +284,7 @@ def load_driving_log(
     }
     time = channels["time"] = channels["time"] - channels["time"][0]
 
-    # The rows from start to end, among which there is no gap.
+    # Select the rows from start to end and refuse gaps.
     chosen = (time >= start) & (time <= (np.inf if end is None else end))
     if np.count_nonzero(chosen) < SHORTEST:
         raise ValueError(
@@ -252,13 +295,13 @@ def load_driving_log(
     lines = np.array(table.line_numbers[table.first :])[chosen]
     _refuse_gaps(Path(path), channels["time"], lines)
 
-    # All channels at the same instants, of the road wheels and of the centre of gravity.
+    # Refer all channels to the same times, the road wheels and the centre of gravity.
     if "steering" in channels:
         channels["steering"] = channels["steering"] / steering_ratio
     channels = _resampled(channels, delays)
     if sensor_x and "vy" in channels:
         if "yaw_rate" not in channels:
-            raise ValueError(f"sensor_x is {sensor_x}; to move vy it needs the channel 'yaw_rate'")
+            raise ValueError(f"sensor_x is {sensor_x}; moving vy requires the channel 'yaw_rate'")
         channels["vy"] = channels["vy"] - sensor_x * channels["yaw_rate"]
     return DrivingLog(file_name(path), channels, accelerometer, reading)
 
@@ -270,7 +313,7 @@ def _check_channels(
     flip: Sequence[str],
     delays: Mapping[str, float],
 ) -> None:
-    """Refuse channels that there are not, units that are not theirs, and no time."""
+    """Refuse unknown channels, wrong units and a missing time."""
     if not len(columns) == len(units) == len(headers):
         raise ValueError(
             f"{len(columns)} columns, {len(units)} units and {len(headers)} headers; give one unit "
@@ -292,7 +335,7 @@ def _check_channels(
 
 
 def _refuse_gaps(path: Path, time: Array, lines: NDArray[np.intp]) -> None:
-    """Refuse times (N,) that go back or leave a gap; `lines` (N,) are their lines in the file."""
+    """Refuse times (N,) that decrease or have gaps; `lines` (N,) are their lines in the file."""
     steps = np.diff(time)
     step = float(np.median(steps))
     back, gaps = np.flatnonzero(steps <= 0), np.flatnonzero(steps > MAX_STEP * step)
@@ -301,14 +344,14 @@ def _refuse_gaps(path: Path, time: Array, lines: NDArray[np.intp]) -> None:
         raise CSVError(path, int(lines[back[0] + 1]), 1, problem)
     if gaps.size:
         problem = (
-            f"nothing for {steps[gaps[0]]:.3g} s after {time[gaps[0]]:.6g} s, where others are "
+            f"no sample for {steps[gaps[0]]:.3g} s after {time[gaps[0]]:.6g} s, but others are "
             f"{step:.3g} s apart; choose one side with start or end"
         )
         raise CSVError(path, int(lines[gaps[0] + 1]), 1, problem)
 
 
 def _resampled(channels: Mapping[str, Array], delays: Mapping[str, float]) -> dict[str, Array]:
-    """Channels at uniform times, each moved back by its delay; ends that one lacks are cut."""
+    """Channels at uniform times with their delays removed; times that a channel lacks are cut."""
     time = channels["time"]
     steps = np.diff(time)
     step = float(np.median(steps))

@@ -1,8 +1,12 @@
-"""Measurements in MATLAB files: each column a variable of numbers.
+"""Measurements in MATLAB files: each column is a variable of numbers.
 
-The reader is our own, because SciPy's compiled one ends the process on some damaged files. It
-knows what measurements need of the MAT-File Format 5 (The MathWorks, "MAT-File Format", R2023b,
-ch. 1): real arrays of numbers, compressed or not. Every size is checked before it is used.
+SciPy's compiled reader ends the process on some damaged files, so this reader is written in Python.
+It supports the part of the MAT-File Format 5 that measurements need: real arrays of numbers,
+compressed or not. Every size is checked before it is used.
+
+References
+----------
+The MathWorks, "MAT-File Format", R2023b, ch. 1.
 """
 
 from __future__ import annotations
@@ -27,27 +31,27 @@ MAX_ROWS = 4_000_000
 CHUNK = 2**20
 HEADER = 128
 
-# Types of data elements, table 1-1, and the numbers they hold.
+# Types of data elements (table 1-1) and their number formats.
 INT8, UINT8, INT32, UINT32, MATRIX, COMPRESSED, UTF8 = 1, 2, 5, 6, 14, 15, 16
 STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8",
           13: "u8"}  # fmt: skip
 
-# Classes of arrays, table 1-3: of numbers with their type, and the others.
+# Classes of arrays (table 1-3): numbers with their formats, and others.
 NUMBERS = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8",
            15: "u8"}  # fmt: skip
 OTHERS = {1: "cell", 2: "struct", 3: "object", 4: "char", 5: "sparse", 16: "function",
           17: "opaque"}  # fmt: skip
 OPAQUE = 17
-COMPLEX, LOGICAL = 0x0800, 0x0200  # flags beside the class
+COMPLEX, LOGICAL = 0x0800, 0x0200  # flags next to the class
 
 
 class DamagedError(ValueError):
-    """Bytes that no MAT-file holds."""
+    """Bytes that violate the format."""
 
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable: its class in words, its size, and the bytes of its numbers as they are stored."""
+    """A variable: its class in words, its size, and the stored bytes of its numbers."""
 
     kind: str
     shape: tuple[int, ...]
@@ -69,15 +73,34 @@ def load_mat(
     every: int = 1,
     name: str | None = None,
 ) -> Dataset:
-    """A dataset from a MATLAB file of version 5 to 7.2, in SI units, radians and ISO-W signs.
+    """Load a dataset from a MATLAB file of version 5 to 7.2, in SI units, radians and ISO-W signs.
 
-    `headers` are the names of the variables, vectors of numbers, if they differ from `columns`;
-    all other settings are those of `miho.data.measurements.Layout`. Nothing in the file is run;
-    objects and functions are refused unread. Raises ValueError naming the file and the variable,
-    FileNotFoundError if there is no file.
+    No code in the file is run; objects and functions are refused unread. Compressed variables,
+    which MATLAB writes by default, have a checksum, so that damage is detected. Uncompressed
+    variables (-v6) have no checksum: damage to their numbers goes unnoticed.
 
-    Compressed variables, which is how MATLAB writes them, carry a checksum: damage is noticed.
-    Uncompressed ones (-v6) have none for their numbers: only damage to their description is.
+    Parameters
+    ----------
+    path : str
+        The file.
+    headers : sequence of str, optional
+        Names of the variables, which are vectors of numbers, if they differ from `columns`.
+    columns, units, output, convention, flip, ranges, held_out, where, every
+        See `miho.data.measurements.Layout`.
+    name : str, optional
+        Name of the dataset; by default the name of the file.
+
+    Returns
+    -------
+    Dataset
+        The selected rows.
+
+    Raises
+    ------
+    ValueError
+        For a fault in the file or an invalid setting.
+    FileNotFoundError
+        If the file does not exist.
     """
     layout = Layout(
         columns, units, output, headers, convention, flip, ranges, held_out, where, every
@@ -98,7 +121,7 @@ def load_mat(
 
 
 def read_variables(path: Path) -> dict[str, Variable]:
-    """The variables of a file by name; raises ValueError for what is no such file, or damaged."""
+    """Variables of a file by name; raises ValueError if it is no such file or damaged."""
     try:
         data = read_regular(path, MAX_BYTES + 1)
     except NotAFileError as error:
@@ -123,16 +146,16 @@ def read_variables(path: Path) -> dict[str, Variable]:
             variables[name] = variable
     except MemoryError:
         raise ValueError(
-            f"{path}: holds more than {MAX_INFLATED >> 20} MiB when decompressed; save fewer "
+            f"{path}: larger than {MAX_INFLATED >> 20} MiB when decompressed; save fewer "
             "variables or rows"
         ) from None
     except (DamagedError, zlib.error):
-        raise ValueError(f"{path}: is damaged; copy or save it again") from None
+        raise ValueError(f"{path}: the file is damaged; copy or save it again") from None
     return variables
 
 
 def _matrices(data: memoryview, order: str) -> Iterator[memoryview]:
-    """The contents of the matrix elements that a file is made of."""
+    """Contents of the matrix elements in a file."""
     inflated = 0
     while data:
         kind, size, _ = _tag(data, order)
@@ -147,9 +170,9 @@ def _matrices(data: memoryview, order: str) -> Iterator[memoryview]:
 
 
 def _inflated(packed: memoryview, limit: int, order: str) -> memoryview:
-    """A compressed element, decompressed: of the length in its tag, and with a valid checksum.
+    """Decompress an element, which must have the length in its tag and a valid checksum.
 
-    Raises MemoryError if it is longer than `limit`, before it takes that room.
+    Raises MemoryError before decompressing more than `limit` bytes.
     """
     inflate = zlib.decompressobj()
     whole = bytearray(inflate.decompress(packed, 8))
@@ -186,7 +209,7 @@ def _tag(data: memoryview, order: str) -> tuple[int, int, bool]:
 
 
 def _element(data: memoryview, order: str) -> tuple[int, memoryview, memoryview]:
-    """Type and content of the element that begins here, and what follows its padding."""
+    """Type and content of the element that begins here, and the data after its padding."""
     kind, size, small = _tag(data, order)
     if small:
         return kind, data[4 : 4 + size], data[8:]
@@ -194,8 +217,8 @@ def _element(data: memoryview, order: str) -> tuple[int, memoryview, memoryview]
 
 
 def _variable(matrix: memoryview, order: str) -> tuple[str, Variable]:
-    """Name and content of a matrix element; the content of one that is not numbers is not read."""
-    # Flags, which hold the class, and the size.
+    """Name and content of a matrix element; the content is read only if it is numbers."""
+    # The flags, which contain the class, and the size.
     kind, flags, rest = _element(matrix, order)
     if kind != UINT32 or len(flags) != 8:
         raise DamagedError
@@ -220,7 +243,7 @@ def _variable(matrix: memoryview, order: str) -> tuple[str, Variable]:
     own = np.dtype(order + NUMBERS[number])
     kind, content, rest = _element(rest, order)
     stored = np.dtype(order + STORED.get(kind, "V0"))
-    # Numbers are stored as what they are, or to save room as smaller integers.
+    # Numbers are stored in their format or, to save space, as smaller integers.
     smaller = stored.kind in "iu" and stored.itemsize < own.itemsize
     if not (stored == own or smaller) or len(content) != math.prod(shape) * stored.itemsize:
         raise DamagedError
@@ -232,13 +255,13 @@ def _variable(matrix: memoryview, order: str) -> tuple[str, Variable]:
 
 
 def _column(name: str, variables: Mapping[str, Variable], fault: Fault) -> Array:
-    """The numbers of a variable (N,), if it is a vector of finite ones."""
+    """The numbers of a variable (N,), which must be a vector of finite numbers."""
     if name not in variables:
         names = ", ".join(sorted(repr(header)[1:-1] for header in variables if header)[:40])
         raise fault(name, None, f"no such variable; choose headers from {names or 'another file'}")
     variable = variables[name]
     if variable.kind != "number":
-        raise fault(name, None, f"is of class {variable.kind}; save it as a vector of numbers")
+        raise fault(name, None, f"has class {variable.kind}; save it as a vector of numbers")
     shape = variable.shape
     if len(shape) != 2 or min(shape) != 1 or max(shape) > MAX_ROWS:
         problem = f"has size {'x'.join(map(str, shape))}"

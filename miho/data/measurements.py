@@ -1,4 +1,4 @@
-"""The layout of a file of measurements: units, signs, plausible sizes, and rows held out."""
+"""The layout of a measurement file: units, signs, plausible magnitudes and held-out rows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from miho.quantities import Array
 from miho.validate import whole
 
 Fault = Callable[[str, int | None, str], ValueError]
-"""Makes the error about a header and a row from 0 (None: the whole column) of the file."""
+"""Makes the error about a header and a row of the file, counted from 0 (None: the whole column)."""
 
 PLAUSIBLE: Mapping[str, tuple[str, float, float]] = MappingProxyType(
     {
@@ -38,29 +38,52 @@ PLAUSIBLE: Mapping[str, tuple[str, float, float]] = MappingProxyType(
         "omega": ("rad/s", 5.0, 2500.0),
     }
 )
-"""The range of the largest magnitude of a column, in this unit, for any car or motorcycle.
+"""Unit and range of the largest magnitude of a column, for any car or motorcycle.
 
-The lower bounds are as large as they can be without refusing real tests, so that a column in
-rad that was declared in deg, or in kN declared in N, falls below them.
+The lower bounds are as large as possible without refusing real tests. A column in rad that was
+declared in deg, or in kN declared in N, falls below them.
 """
 ZERO_IN_SOME_TESTS = frozenset({"alpha", "gamma", "kappa"})
 """Inputs that a test may keep at zero: such a column is refused only if it fits another unit."""
 FRICTION = 5.0
-"""The largest force of any tire over its largest load, on the most abrasive belt, is below this."""
+"""Upper bound of the largest force over the largest load, for any tire and surface."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """The columns of a file and how they become a dataset; the settings of the loaders.
+    """The columns of a file and their conversion to a dataset; the settings of the loaders.
 
-    columns, units, headers: in the same order, the names in the model, the units in the file
-    (see `miho.data.units`), and the names in the file if they differ. A column that is neither an
-    input of the model nor the `output` is a condition. convention, flip: see
-    `miho.data.conventions`. ranges: bounds of the largest magnitude of a column, in SI units,
-    instead of `PLAUSIBLE`; None does not check. where: the rows to use, as ranges of columns of the
-    file, in its own names, units and signs; a row must lie in all of them. every: of these, the
-    first of every so many. held_out: the rows to validate with, as ranges of columns in SI
-    units and ISO-W signs (`Dataset.hold_out`).
+    Parameters
+    ----------
+    columns : sequence of str
+        Names of the columns in the model. A column that is neither an input of the model nor the
+        `output` is a condition.
+    units : sequence of str
+        Units of the columns in the file, in the same order (see `miho.data.units`).
+    output : str
+        Name of the output column.
+    headers : sequence of str, optional
+        Names of the columns in the file, in the same order, if they differ.
+    convention : str
+        Sign convention of the file, see `miho.data.conventions`.
+    flip : sequence of str
+        Columns whose sign is changed once more.
+    ranges : mapping, optional
+        Bounds of the largest magnitude of a column in SI units, instead of `PLAUSIBLE`; None
+        disables the check.
+    held_out : mapping, optional
+        Rows held out for validation, as ranges of columns in SI units and ISO-W signs
+        (`Dataset.hold_out`).
+    where : mapping, optional
+        Rows to use, as ranges of columns in the file's names, units and signs. A row must lie in
+        all of them.
+    every : int
+        Keep the first of every `every` of these rows.
+
+    Raises
+    ------
+    ValueError
+        For an invalid setting.
     """
 
     columns: Sequence[str]
@@ -75,7 +98,7 @@ class Layout:
     every: int = 1
 
     def __post_init__(self) -> None:
-        # Lists are lists of names, each once, with one unit and one header a column.
+        # Names are unique, with one unit and one header per column.
         for setting in ("columns", "units", "flip", "headers"):
             names = getattr(self, setting)
             listed = isinstance(names, Sequence) and not isinstance(names, str)
@@ -87,17 +110,17 @@ class Layout:
         if len(counts) != 1 or not self.columns:
             raise ValueError(
                 f"{len(self.columns)} columns, {len(self.units)} units and {len(self.names)} "
-                "headers; give one unit a column, and one header or none at all"
+                "headers; give one unit per column, and one header per column or none"
             )
         if self.convention not in FLIPPED:
             raise ValueError(f"convention is {self.convention!r}; choose from {', '.join(FLIPPED)}")
         whole("every", self.every, 1)
-        # Mappings map columns that there are to pairs of bounds.
+        # Mappings map existing columns to pairs of bounds.
         for setting in ("ranges", "held_out", "where"):
             if not isinstance(getattr(self, setting) or {}, Mapping):
                 raise ValueError(
-                    f"{setting} is {getattr(self, setting)!r}; map columns to their bounds, such "
-                    "as {Fz: [3900, 4100]}"
+                    f"{setting} is {getattr(self, setting)!r}; map columns to their bounds, "
+                    "for example {Fz: [3900, 4100]}"
                 )
         settings = {
             "output": [self.output], "flip": self.flip, "ranges": self.ranges or {},
@@ -119,22 +142,22 @@ class Layout:
 
     @property
     def names(self) -> Sequence[str]:
-        """The names of the columns in the file."""
+        """Names of the columns in the file."""
         return self.columns if self.headers is None else self.headers
 
     @property
     def all_names(self) -> list[str]:
-        """The names of all columns to read, those of `where` too."""
+        """Names of all columns to read, including the columns of `where`."""
         return list(dict.fromkeys([*self.names, *(self.where or {})]))
 
     def dataset(
         self, name: str, path: str, all_numbers: Mapping[str, Array], file_fault: Fault,
         notes: Sequence[str] = (),
     ) -> Dataset:  # fmt: skip
-        """The dataset of the columns (N,) of a file, by name, with those of `all_names`.
+        """The dataset of a file's columns (N,), which are given by the names in `all_names`.
 
-        notes: how the file was read, in words. `file_fault` makes the error that is raised for
-        numbers that cannot have the declared unit or sign.
+        `notes` are phrases on how the file was read. `file_fault` makes the error that is raised
+        for numbers that cannot have the declared unit or sign.
         """
         rows = self._rows(path, all_numbers)
         numbers = {key: column[rows] for key, column in all_numbers.items()}
@@ -143,7 +166,7 @@ class Layout:
             return file_fault(header, None if row is None else int(rows[row]), problem)
 
         columns, units = self.si_columns(numbers, fault, all_numbers)
-        # Something has to vary: the output, and one column besides.
+        # The output and at least one other column must vary.
         header = dict(zip(self.columns, self.names, strict=True))
         constant = [key for key, column in columns.items() if np.ptp(column) == 0]
         if self.output in constant or len(constant) >= max(1, len(columns) - 1):
@@ -165,10 +188,11 @@ class Layout:
         fault: Fault,
         all_numbers: Mapping[str, Array] | None = None,
     ) -> tuple[dict[str, Array], dict[str, str]]:
-        """The columns (n,) and their units, from the file's numbers by its own names.
+        """The columns (n,) and their units, from the file's numbers by its names.
 
-        SI units, in which each column has a plausible size, and ISO-W signs; raises what `fault`
-        makes. all_numbers: the columns (N,) before rows were chosen, which show the unit better.
+        Columns are in SI units and ISO-W signs. An implausible magnitude or sign raises the error
+        that `fault` makes. `all_numbers` are the columns (N,) before rows were selected, which show
+        the unit better.
         """
         columns, units = {}, {}
         header = dict(zip(self.columns, self.names, strict=True))
@@ -185,7 +209,7 @@ class Layout:
         return columns, units
 
     def _rows(self, path: str, numbers: Mapping[str, Array]) -> NDArray[np.intp]:
-        """The rows that `where` and `every` choose, (n,)."""
+        """Rows (n,) that `where` and `every` select."""
         inside = np.ones(next(iter(numbers.values())).size, dtype=bool)
         for key, bounds in (self.where or {}).items():
             low, high = number_pair(bounds, f"where {key}")
@@ -196,16 +220,16 @@ class Layout:
                 for key in self.where or {}
             )
             raise ValueError(
-                f"{path}: no row has where={dict(self.where or {})}; in the file's units it has "
-                f"{spans}; widen the ranges"
+                f"{path}: no row has where={dict(self.where or {})}; in the file's units, the "
+                f"data have {spans}; widen the ranges"
             )
         return np.flatnonzero(inside)[:: self.every]
 
     def _check_size(self, key: str, unit: Unit, raw: Array, all_raw: Array, fault: Fault) -> None:
-        """Refuse a column (n,) in the file's unit whose size no measurement has.
+        """Refuse a column (n,) in the file's unit whose magnitude is implausible.
 
-        One cell may be too large. All rows of the file (N,), chosen or not, tell the unit: the
-        largest of them may not be too small, nor most of them too large.
+        A single cell may be too large. The unit is judged by all rows of the file (N,): the largest
+        must not be too small, and most must not be too large.
         """
         header = dict(zip(self.columns, self.names, strict=True))[key]
         low, high = self._plausible(key, unit)
@@ -242,7 +266,7 @@ class Layout:
     def _check_friction(
         self, columns: Mapping[str, Array], units: Mapping[str, str], fault: Fault
     ) -> None:
-        """Refuse forces that no load gives: one of the two columns is in another unit."""
+        """Refuse forces that no load can cause: one of the two columns has another unit."""
         header = dict(zip(self.columns, self.names, strict=True))
         for key in ("Fx", "Fy"):
             stated = {key, "Fz"} & (self.ranges or {}).keys()
@@ -258,7 +282,7 @@ class Layout:
                 )  # fmt: skip
 
     def _plausible(self, key: str, unit: Unit) -> Sequence[float]:
-        """The bounds of the largest magnitude of a column, in SI units."""
+        """Bounds of the largest magnitude of a column, in SI units."""
         bounds: Sequence[float] | None = None
         si_unit, *default = PLAUSIBLE.get(key, ("", 0.0, 0.0))
         if si_unit == unit.name:

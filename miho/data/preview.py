@@ -1,4 +1,4 @@
-"""A preview of a user's file, to be looked at before anything is fitted to its data."""
+"""A preview of a file, to be checked before a model is fitted to its data."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ if TYPE_CHECKING:
 
 
 SHOWN = 3
-"""Rows that a preview shows."""
+"""Number of rows that a preview shows."""
 
 
 @dataclass(frozen=True)
 class ColumnSummary:
-    """A column: its name, its unit, its smallest and largest number, and the first ones."""
+    """Name, unit, smallest and largest number, and first numbers of a column."""
 
     name: str
     unit: str
@@ -28,14 +28,14 @@ class ColumnSummary:
 
     @classmethod
     def of(cls, name: str, unit: str, values: Array) -> ColumnSummary:
-        """The summary of a column (N,)."""
+        """Summarize a column (N,)."""
         first = tuple(float(value) for value in values[:SHOWN])
         return cls(name, unit, float(values.min()), float(values.max()), first)
 
 
 @dataclass(frozen=True)
 class Reading:
-    """The columns of a file, in its own names, units and signs, and notes on how it was read."""
+    """The columns of a file in its names, units and signs, and notes on how it was read."""
 
     path: str
     rows: int
@@ -46,7 +46,7 @@ class Reading:
     def of(
         cls, path: str, numbers: Mapping[str, Array], units: Sequence[str], notes: Sequence[str]
     ) -> Reading:
-        """The reading of these columns (N,), with the unit of each."""
+        """Describe columns (N,) with their units."""
         columns = tuple(
             ColumnSummary.of(name, unit, values)
             for (name, values), unit in zip(numbers.items(), units, strict=True)
@@ -55,7 +55,7 @@ class Reading:
 
 
 def preview(dataset: Dataset) -> str | None:
-    """The columns of the file and those of the dataset, as aligned text; None without a file."""
+    """Columns of the file and of the dataset as aligned text; None if there is no file."""
     reading = dataset.reading
     if reading is None:
         return None
@@ -90,7 +90,7 @@ def _cells(column: ColumnSummary) -> list[str]:
 
 
 def _aligned(row: Sequence[str], widths: Sequence[int]) -> str:
-    """Name and unit to the left, numbers to the right."""
+    """Align name and unit to the left, numbers to the right."""
     name, unit, *numbers = zip(row, widths, strict=True)
     texts = [text.ljust(width) for text, width in (name, unit)]
     return "  ".join(["", *texts, *(text.rjust(width) for text, width in numbers)]).rstrip()

@@ -1,4 +1,4 @@
-"""Published regression problems: data, starts and optima as printed, in files of this package."""
+"""Published regression problems: data, starting points and optima, in files of this package."""
 
 from __future__ import annotations
 
@@ -15,12 +15,28 @@ FOLDER = Path(__file__).with_name("published")
 
 @dataclass(frozen=True, eq=False)
 class PublishedFit:
-    """Data to which a model was fitted, and the fit, in the numbers of the publication.
+    """Data and the fit of a model, with the numbers of the publication.
 
-    `title` says what it is and where it is from, `collection` is the set of problems it belongs to
-    (nist, mgh, bw), `model` names the formula in `miho.models.PublishedModel`. `starts` are
-    parameter rows to begin from, `optimum` is the best one, and `squares` its sum of squared
-    residuals, to the digits published; `standard_errors` those of its parameters, where they were.
+    Attributes
+    ----------
+    name : str
+        Name of the problem.
+    title : str
+        Description and source.
+    collection : str
+        The collection that contains the problem: nist, mgh or bw.
+    model : str
+        The formula's name in `miho.models.PublishedModel`.
+    starts : tuple of tuple of float
+        Starting points.
+    optimum : tuple of float
+        The best parameters.
+    squares : float
+        Sum of squared residuals at the optimum, to the published digits.
+    dataset : Dataset
+        The data.
+    standard_errors : tuple of float
+        Standard errors of the parameters, if published.
     """
 
     name: str
@@ -35,17 +51,19 @@ class PublishedFit:
 
 
 def published_names() -> tuple[str, ...]:
-    """The names of all published problems, in alphabetical order."""
+    """Names of all published problems, in alphabetical order."""
     return tuple(sorted(path.stem for path in FOLDER.glob("*.txt")))
 
 
 def published_fit(name: str) -> PublishedFit:
-    """The published problem `name`.
+    """Return the published problem `name`.
 
-    A file holds the title, a line each for the collection, the model, the starts, the optimum, its
-    standard errors if they were published, its sum of squares and the columns, the output first,
-    then the rows. An output log(y) is the natural logarithm of what stands in the file. Columns
-    have no units (-), as the models.
+    A file contains the title, one line each for the collection, the model, the starting points, the
+    optimum, its standard errors if published, its sum of squares and the columns (output first),
+    then the rows. An output log(y) is the natural logarithm of the values in the file. Columns and
+    models have no units (-).
+
+    Raises ValueError for an unknown name.
     """
     if name not in published_names():
         raise ValueError(f"name is {name!r}; choose from {', '.join(published_names())}")
@@ -70,14 +88,14 @@ def published_fit(name: str) -> PublishedFit:
 
 
 def load_published(name: str) -> Dataset:
-    """The data of the published problem `name`: y over x, or over x1, x2, ..., without units."""
+    """Data of the published problem `name`: y over x, or over x1, x2, ..., without units."""
     return published_fit(name).dataset
 
 
 def zero_residuals(rows: int) -> Dataset:
-    """What a system of `rows` residuals is fitted to: y = 0 over `row`, from 1, without units.
+    """Data of a system of `rows` residuals: y = 0 over `row`, from 1, without units.
 
-    `miho.models.ResidualSystem` is the model of it. Raises ValueError for less than one row.
+    The model is `miho.models.ResidualSystem`. Raises ValueError if `rows` is less than one.
     """
     whole("rows", rows, 1)
     columns = {"y": np.zeros(rows), "row": np.arange(1.0, rows + 1)}

@@ -16,14 +16,18 @@ FORCES = {"a": "FyA", "b": "FyB"}
 
 
 class DataUnavailableError(OSError):
-    """The data are not on this machine and could not be fetched; says what to do."""
+    """The data are not on this machine and could not be downloaded; the message says how to get
+    them."""
 
 
 def load_seong_sample(tire: str) -> Dataset:
     """Slip angle alpha [rad] and lateral force Fy [N] of tire 'a' or 'b', all 300 rows.
 
-    The file has no header row and is in ISO-W already: positive slip angle, negative force.
-    Source: github.com/hynkis/MIHO (MIT licence), commit 468cabd.
+    The file has no header row and uses ISO-W signs: positive slip angle, negative force.
+
+    References
+    ----------
+    github.com/hynkis/MIHO (MIT licence), commit 468cabd.
     """
     if tire not in FORCES:
         raise ValueError(f"tire is {tire!r}; the sample data has tires 'a' and 'b'")
@@ -37,16 +41,16 @@ def load_seong_sample(tire: str) -> Dataset:
 
 
 def sample_file(url: str = URL, cache: Path | None = None) -> Path:
-    """The verified file: from MIHO_DATA_DIR, else from the cache, else downloaded into it.
+    """Path of the verified file: in MIHO_DATA_DIR, in the cache, or downloaded into the cache.
 
-    Raises DataUnavailableError if it cannot be had, or is not the file it should be.
+    Raises DataUnavailableError if the file cannot be downloaded or has the wrong checksum.
     """
     folder = os.environ.get("MIHO_DATA_DIR")
     if folder:
         for path in (Path(folder) / "seong_sample" / FILE, Path(folder) / FILE):
             if path.is_file():
                 return _verified(path)
-    import pooch  # only here: it is slow to import and warns where notebooks lack widgets
+    import pooch  # slow to import, and warns if notebooks lack widgets
 
     cache = Path(pooch.os_cache("miho")) if cache is None else cache
     try:

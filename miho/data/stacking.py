@@ -1,4 +1,4 @@
-"""Several outputs or datasets as one: their rows below each other."""
+"""Combine several outputs or datasets by stacking their rows."""
 
 from __future__ import annotations
 
@@ -14,11 +14,25 @@ OUTPUT, VALUE = "output", "value"
 
 
 def stacked(data: Dataset, scales: Mapping[str, float]) -> Dataset:
-    """The columns that `scales` names as one output, each in multiples of its scale.
+    """Stack the columns that `scales` names as one output, each divided by its scale.
 
-    Scales are the standard deviations of the columns' errors, so that outputs of different units
-    weigh what they should. Each row of `data` becomes one for each output: the column `output`
-    counts them from 0, `value` [-] is the output, and all other columns stand in each.
+    Parameters
+    ----------
+    data : Dataset
+        The data.
+    scales : mapping of str to float
+        Standard deviation of the errors of each output column, which makes the outputs comparable.
+
+    Returns
+    -------
+    Dataset
+        One row per row of `data` and output. The column `output` counts the outputs from 0, `value`
+        [-] is the scaled output, and all other columns are repeated.
+
+    Raises
+    ------
+    ValueError
+        If `scales` is empty, or `data` already has a column `output` or `value`.
     """
     for name, scale in scales.items():
         positive(f"scale of {name}", scale)
@@ -27,7 +41,7 @@ def stacked(data: Dataset, scales: Mapping[str, float]) -> Dataset:
         raise ValueError(
             f"dataset {data.name}: has a column {taken[0]!r} already; rename it"
             if taken
-            else "scales is empty; name the columns that are outputs, with a scale for each"
+            else "scales is empty; name the output columns, with a scale for each"
         )
     outputs = ({**data.columns, VALUE: data[name] / scale} for name, scale in scales.items())
     columns = stacked_columns(list(outputs), OUTPUT)
@@ -35,7 +49,7 @@ def stacked(data: Dataset, scales: Mapping[str, float]) -> Dataset:
 
 
 def stacked_columns(parts: Sequence[Mapping[str, Array]], index: str) -> dict[str, Array]:
-    """The columns of all parts below each other, 0 in the rows of a part that lacks one.
+    """Stack the columns of all parts; a column that a part lacks is 0 in its rows.
 
     The column `index` counts the parts from 0.
     """

@@ -1,8 +1,8 @@
-"""A brake test of our own: pressure, torque, steps and deceleration of a brake that is known.
+"""Synthetic brake tests: pressure, torque, steps and deceleration of a known brake.
 
-The brake has the size of a Dallara AV-21's: up to 6000 kPa, bias between 0.54 and 0.60, and some
-2.0 N per kPa, as driving shows it (geometry alone would say 7 to 11). It stands for a brake test
-bench and a straight, so that what is identified can be compared with what is true.
+The brake resembles that of a Dallara AV-21: up to 6000 kPa, a bias between 0.54 and 0.60, and about
+2.0 N per kPa, as measured in driving (geometry alone would give 7 to 11). It replaces a brake test
+bench and a straight, so that identified parameters can be compared with the truth.
 """
 
 from __future__ import annotations
@@ -28,17 +28,18 @@ MASS = 800.0
 DRAG = 0.5 * 1.2 * 0.79
 """Half the air density times C_d A [N s^2/m^2]."""
 RESISTANCE = 1100.0
-"""Rolling resistance and engine drag, throttle closed [N]."""
+"""Rolling resistance and engine drag with closed throttle [N]."""
 AXLES = ("front", "rear")
 
 
 def brake_pressure_test(
     seed: int = 0, steps: int = 50, samples: int = 20, noise: float = 5.0e3
 ) -> Dataset:
-    """A staircase of commands from 0 to 1 and back; samples of the settled pressure on each step.
+    """A staircase of commands from 0 to 1 and back, with samples of the settled pressure on each
+    step.
 
-    Columns u [-], the output p [Pa] of the front circuit and p_rear [Pa]. noise: standard
-    deviation of either sensor [Pa]. The top steps are beyond u1, where the pressure is P_max.
+    The columns are u [-], the output p [Pa] of the front circuit and p_rear [Pa]. `noise` is the
+    standard deviation of both sensors [Pa]. The top steps exceed u1, so that the pressure is P_max.
     """
     rng = _rng("pressure", seed, steps=steps, samples=samples, noise=noise)
     up = np.linspace(0.0, 1.0, steps + 1)
@@ -51,10 +52,10 @@ def brake_pressure_test(
 def brake_torque_test(
     axle: str = "front", seed: int = 0, steps: int = 40, samples: int = 20, noise: float = 10.0
 ) -> Dataset:
-    """Torque of an axle, front or rear, over the pressure in its circuit, at three speeds.
+    """Torque of an axle, 'front' or 'rear', over the pressure in its circuit, at three speeds.
 
-    Columns p [Pa], vx [m/s] and the output T [Nm]; noise: standard deviation of T [Nm]. The
-    torque does not depend on the speed. The pressure goes from 0 to the circuit's largest.
+    The columns are p [Pa], vx [m/s] and the output T [Nm]; `noise` is the standard deviation of T
+    [Nm]. The torque does not depend on the speed. The pressure covers the range of the circuit.
     """
     if axle not in AXLES:
         raise ValueError(f"axle is {axle!r}; choose from {', '.join(AXLES)}")
@@ -75,11 +76,11 @@ def brake_torque_test(
 def brake_step_test(
     seed: int = 0, steps: int = 40, rate: float = 100.0, noise: float = 1.5e4
 ) -> Dataset:
-    """Steps of the command at random, up and down and to zero, with the pressure over time.
+    """Random steps of the command, up, down and to zero, with the pressure over time.
 
-    Columns t [s], u [-], the steady pressure target [Pa] that u commands and the output p [Pa]
-    of the front circuit. Each step is held between 0.3 and 0.8 s. rate: samples per second;
-    noise: standard deviation of the pressure [Pa].
+    The columns are t [s], u [-], the steady pressure target [Pa] that u commands and the output p
+    [Pa] of the front circuit. Each step lasts between 0.3 and 0.8 s. `rate` is in samples per
+    second; `noise` is the standard deviation of the pressure [Pa].
     """
     rng = _rng("step", seed, steps=steps, rate=rate, noise=noise)
     brake = EMBEDDED_BRAKE
@@ -99,11 +100,12 @@ def brake_step_test(
 def brake_deceleration_test(
     seed: int = 0, samples: int = 20, duration: float = 1.0, noise: float = 0.15
 ) -> Dataset:
-    """Braking from five speeds at six pressures: what a driving log shows of the brake.
+    """Braking from five speeds at six pressures, as a driving log would record it.
 
-    Columns p [Pa] of the front circuit, vx [m/s] and the output deceleration [m/s^2], positive.
-    Each phase lasts `duration` [s], with the given samples; noise: standard deviation of the
-    deceleration [m/s^2]. All pressures are above those that lay on the pads.
+    The columns are p [Pa] of the front circuit, vx [m/s] and the output deceleration [m/s^2],
+    positive. Each phase lasts `duration` [s] and has `samples` rows; `noise` is the standard
+    deviation of the deceleration [m/s^2]. All pressures exceed the pressures at which the pads make
+    contact.
     """
     rng = _rng("deceleration", seed, samples=samples, duration=duration, noise=noise)
     since = np.linspace(0.0, duration, samples)
@@ -120,7 +122,7 @@ def brake_deceleration_test(
 
 
 def _slow_down(speed: float, pressure: float, since: Array) -> Array:
-    """Speed [m/s] at times since the brake was applied: dv/dt = -(a + b v^2), solved."""
+    """Speed [m/s] at times since the brake was applied: the solution of dv/dt = -(a + b v^2)."""
     a, b = _deceleration(np.array(pressure), np.array(0.0)), DRAG / MASS
     root = np.sqrt(a / b)
     return np.asarray(root * np.tan(np.arctan(speed / root) - np.sqrt(a * b) * since))
@@ -131,7 +133,7 @@ def _deceleration(p: Array, vx: Array) -> Array:
 
 
 def _rng(test: str, seed: int, **settings: float) -> np.random.Generator:
-    """A stream for each test and seed; raises ValueError for settings that make no test."""
+    """A random stream for each test and seed; raises ValueError for invalid settings."""
     whole("seed", seed, 0)
     for name, value in settings.items():
         least = {"steps": 2, "samples": 1, "noise": 0.0}.get(name)

@@ -1,4 +1,4 @@
-"""A drive of our own: vx, vy and yaw rate of a car whose twelve tire parameters are known."""
+"""A synthetic drive: vx, vy and yaw rate of a car with twelve known tire parameters."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ DRIVE_TRUTH = MappingProxyType(
         "B_r": 17.0, "C_r": 1.5, "D_r": 7800.0, "E_r": -0.4, "Sh_r": 0.002, "Sv_r": 100.0,
     }
 )  # fmt: skip
-"""The axles of the car that is driven, in SI units: nearly neutral, so that both saturate."""
+"""The car's axles, in SI units: nearly neutral, so that both saturate."""
 
 STYLES = MappingProxyType({"lively": 0.12, "gentle": 0.06})
 """Largest steering angle [rad]."""
 GUST, TWIST = 400.0, 40.0
-"""Standard deviation of the disturbing forces [N] along and across, and of their moment [Nm]."""
+"""Standard deviations of the disturbing forces along and across [N], and of their moment [Nm]."""
 RATE = 50.0
 
 
@@ -41,14 +41,32 @@ def tire_drive(
     disturbance: float = 0.0,
     seed: int = 0,
 ) -> Dataset:
-    """A weave at 15 to 35 m/s, 50 rows per second: `DRIVE_NOISE` of vx, vy and yaw rate as scales.
+    """A weave at 15 to 35 m/s, 50 rows per second, with outputs vx, vy and yaw rate.
 
-    A "lively" drive takes both axles beyond their peaks, a "gentle" one stays where forces are
-    straight lines of the slip angles. `vehicle` names the fields of `SingleTrack`; its axles are
-    `DRIVE_TRUTH`. The drive begins straight ahead at 30 m/s. Inputs are exact, and held from row to
-    row. noise: of the sensors, in multiples of DRIVE_NOISE, white. disturbance: of the motion, by
-    forces and moments like gusts, in multiples of `GUST` and `TWIST`, new at each row. The rows of
-    the three outputs stand below each other, see `stacked`.
+    The outputs are stacked (see `stacked`) with `DRIVE_NOISE` as scales. The drive begins straight
+    ahead at 30 m/s. Inputs are exact and constant between rows.
+
+    Parameters
+    ----------
+    vehicle : mapping of str to object
+        Fields of `SingleTrack`; the axles are `DRIVE_TRUTH`.
+    style : {'lively', 'gentle'}
+        A lively drive takes both axles beyond their peaks. A gentle one stays where forces are
+        linear in the slip angles.
+    duration : float
+        Duration [s].
+    noise : float
+        Standard deviation of the sensors' white noise, in multiples of `DRIVE_NOISE`.
+    disturbance : float
+        Standard deviation of random forces and moments (gusts), in multiples of `GUST` and `TWIST`;
+        they change at each row.
+    seed : int
+        Seed of noise and disturbance.
+
+    Returns
+    -------
+    Dataset
+        The stacked outputs over t, ax and steering.
     """
     one_of("style", style, list(STYLES))
     positive("duration", duration)
@@ -67,14 +85,14 @@ def tire_drive(
 
 
 def _manoeuvre(t: Array, style: str) -> tuple[Array, Array]:
-    """Acceleration [m/s^2] and steering angle [rad] at times t [s]: up to 0.8 Hz, swelling."""
+    """Acceleration [m/s^2] and steering angle [rad] at times t [s], with up to 0.8 Hz."""
     swell = 0.5 + 0.5 * np.sin(2 * np.pi * t / 23.0)
     weave = np.sin(2 * np.pi * (0.5 * t + 1.5 * np.sin(2 * np.pi * t / 31.0)))
     return 2.0 * np.cos(2 * np.pi * t / 19.0), STYLES[style] * swell * weave
 
 
 def _motion(car: SingleTrack, columns: Mapping[str, Array], gusts: Array) -> dict[str, Array]:
-    """vx, vy and yaw rate without noise, by steps of a millisecond."""
+    """vx, vy and yaw rate without noise, integrated in steps of a millisecond."""
     model = Trajectory(
         partial(_blown, mass=car.mass, lf=car.lf, lr=car.lr, Izz=car.Izz),
         states={"vx": 30.0, "vy": 0.0, "yaw_rate": 0.0},
@@ -98,7 +116,7 @@ def _blown(
     B_r: Any, C_r: Any, D_r: Any, E_r: Any, Sh_r: Any, Sv_r: Any,
     mass: float, lf: float, lr: float, Izz: float,
 ) -> tuple[Any, Any, Any]:  # fmt: skip
-    """`planar_motion` in gusts."""
+    """`planar_motion` with gusts."""
     dvx, dvy, dr = planar_motion(
         vx, vy, yaw_rate, ax, steering,
         B_f=B_f, C_f=C_f, D_f=D_f, E_f=E_f, Sh_f=Sh_f, Sv_f=Sv_f,

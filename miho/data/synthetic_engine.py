@@ -1,7 +1,7 @@
-"""An engine of our own, its dyno test, and a drive from which it can be identified.
+"""A synthetic engine, its dyno test, and a drive from which it can be identified.
 
-The paper's dyno data and logs are not public. This turbocharged engine has the class's peak torque
-(527 Nm near 4900 rpm) and power (318 kW near 6150 rpm), and a closed form that says how far an
+The paper's dyno data and logs are not public. This turbocharged engine has the peak torque (527 Nm
+near 4900 rpm) and power (318 kW near 6150 rpm) of its class. Its closed form shows how far an
 identified curve or map is from the truth.
 """
 
@@ -23,7 +23,7 @@ from miho.quantities import Array, g
 from miho.validate import whole
 
 OMEGA_MAX = 7000 * RPM
-"""The engine's largest speed [rad/s]."""
+"""Largest speed of the engine [rad/s]."""
 
 CAR = Longitudinal(
     mass=800.0,
@@ -40,26 +40,26 @@ CAR = Longitudinal(
 
 DYNO_THROTTLES = (0.0, 0.05, 0.15, 0.2, 0.3, 0.5, 0.65, 0.8, 0.9, 1.0)
 DYNO_TRUSTED = 0.3
-"""From this opening on (and at 0, where the dyno drags the engine) the dyno can be trusted."""
+"""The dyno is accurate from this opening on, and at 0, where the dyno drags the engine."""
 
 HELD_THROTTLES = (0.05, 0.15, 0.2, 0.3)
 HELD_GEARS = (2, 3, 4)
 STEP = 0.04
 WINDOW = 50
-"""Steps of `_Drive` [s], and how many are solved at once."""
+"""Time step of `_Drive` [s], and number of steps that are solved at once."""
 SLOWEST, FASTEST = 1300 * RPM, 6800 * RPM
-"""Engine speeds between which the driver keeps the engine [rad/s]."""
+"""Range of engine speeds that the driver uses [rad/s]."""
 
 
 def true_torque(omega: ArrayLike, throttle: ArrayLike) -> Array:
-    """Torque [Nm] at engine speeds [rad/s] from 1000 to 7000 rpm and openings [0, 1]; broadcast.
+    """Torque [Nm] at engine speeds [rad/s] from 1000 to 7000 rpm and openings [0, 1]; broadcasts.
 
         T = filling (T_na + T_f + boost spool (T_turbo - T_na)) - T_f
 
-    The filling of the cylinders saturates where the throttle lets more through than the engine
-    draws, which is sooner at low speed. The turbo spools up from 3000 to 3600 rpm and is let to
-    boost from 25 % opening on, fully from 85 %. T_f is friction: closed, the engine brakes. The
-    torque rises with the opening at every speed, and hardly any more above 80 %.
+    The filling of the cylinders saturates if the throttle passes more air than the engine draws,
+    which happens earlier at low speed. The turbo spools up from 3000 to 3600 rpm. It may boost from
+    an opening of 25 %, fully from 85 %. T_f is friction: with closed throttle the engine brakes.
+    The torque rises with the opening at every speed, but hardly above 80 %.
     """
     n = np.asarray(omega, dtype=float) / RPM / 1000
     throttle = np.asarray(throttle, dtype=float)
@@ -80,11 +80,11 @@ def _filling(throttle: Array, n: Array) -> Array:
 
 
 def dyno_test(seed: int = 0) -> Dataset:
-    """A dyno test: throttle [-], omega [rad/s] every 100 rpm from 1000 to 7000, torque [Nm].
+    """A dyno test: throttle [-], omega [rad/s] every 100 rpm from 1000 to 7000 rpm, torque [Nm].
 
-    The noise is 2 Nm at 0 and from 30 % opening on. Between, where the dyno cannot hold a small
-    torque, it is 15 Nm on top of an error of each row that reaches some 20 to 40 Nm either way
-    and drifts over the speed: nothing there can be trusted.
+    The noise is 2 Nm at an opening of 0 and from 30 % on. In between, where the dyno cannot hold a
+    small torque, the noise is 15 Nm, and each curve has an additional error of 20 to 40 Nm that
+    drifts with the speed: these curves cannot be trusted.
     """
     whole("seed", seed, 0)
     rng = np.random.default_rng(seed)
@@ -109,8 +109,8 @@ def dyno_test(seed: int = 0) -> Dataset:
 class _Drive:
     """The car on an undulating road at 25 Hz; `rows` collects the channels, (7, n) each.
 
-    The torque follows the throttle at once. omega is the engine's own speed, which is not the
-    wheels' while the clutch slips.
+    The torque follows the throttle without delay. omega is the speed of the engine, which differs
+    from the wheels' while the clutch slips.
     """
 
     car: Longitudinal
@@ -123,9 +123,9 @@ class _Drive:
     def locked(
         self, throttle: float, seconds: float, until: tuple[float, float], brake: float = 0.0
     ) -> None:
-        """Drive with the clutch closed, until the engine leaves speeds (low, high) [rad/s].
+        """Drive with the clutch closed until the engine leaves the speeds (low, high) [rad/s].
 
-        brake: pressure [Pa], which slows by 2 N per kPa and acts on all that turns.
+        `brake` is a pressure [Pa]; it slows the car by 2 N per kPa, including the rotating mass.
         """
         car, gear = self.car, self.gear
         slowed = 2e-3 * brake / (car.mass + car.equivalent_mass(gear))
@@ -133,7 +133,7 @@ class _Drive:
 
             def motion(vx: Array, grade: Array) -> tuple[Array, Array]:
                 omega = car.engine_speed(vx, gear)
-                # Steps after the last, and passes before the fit, may leave the engine's range.
+                # Steps after the end and early iterations may leave the engine's range.
                 torque = true_torque(np.clip(omega, 0.5 * SLOWEST, OMEGA_MAX), throttle)
                 return car.acceleration(torque, vx, gear, grade) - slowed, omega
 
@@ -142,8 +142,8 @@ class _Drive:
                 return
 
     def shift(self, gear: int, throttle: float) -> None:
-        """0.2 s with the clutch open, then 0.6 s in which it slips less and less."""
-        car = replace(self.car, engine_inertia=0.0)  # the engine is not tied to the wheels
+        """Open the clutch for 0.2 s, then let it slip less and less for 0.6 s."""
+        car = replace(self.car, engine_inertia=0.0)  # the engine is decoupled from the wheels
         start, arrival = self.omega, float(self.car.engine_speed(self.vx, gear))
         running = start + 0.7 * (arrival - start) * np.linspace(0.2, 1, 5)
 
@@ -172,12 +172,12 @@ class _Drive:
         gear: int,
         until: tuple[float, float] = (-np.inf, np.inf),
     ) -> None:
-        """Euler steps of v' = ax, all at once: ax is iterated until it fits the speeds it gives.
+        """Euler steps of v' = ax, all at once: ax is iterated until it agrees with the speeds.
 
         `motion` gives ax [m/s^2] and the engine speed [rad/s] from vx and the grade.
         """
         ax = np.zeros(steps + 1)
-        for _ in range(steps + 1):  # each pass settles one step more, and most much sooner
+        for _ in range(steps + 1):  # each pass settles at least one more step
             vx = self.vx + STEP * np.concatenate([[0.0], np.cumsum(ax[:-1])])
             distance = self.distance + STEP * np.concatenate([[0.0], np.cumsum(vx[:-1])])
             grade = 0.015 * np.sin(2 * np.pi * distance / 800)
@@ -202,12 +202,12 @@ NOISE = (0.03, 0.15, 0.0, 2.0, 0.001, 2e3, 5e-4)
 
 
 def engine_driving_log(seed: int = 0) -> DrivingLog:
-    """A drive of `CAR` at 25 Hz through held throttles of 5, 15, 20 and 30 % in gears 2 to 4.
+    """A drive of `CAR` at 25 Hz with held throttles of 5, 15, 20 and 30 % in gears 2 to 4.
 
-    In each, the driver shifts up at full throttle to 6800 rpm, holds the opening while the engine
-    slows down, brakes to 1300 rpm, and holds it again while the engine picks up (or not): so every
-    opening meets nearly all engine speeds, on either side of the speed it can keep. The
-    accelerometer feels the grade. The seed draws the channels' noise.
+    In each gear the driver shifts up at full throttle to 6800 rpm, holds the opening while the
+    engine slows down, brakes to 1300 rpm, and holds it again while the engine speeds up (or not).
+    Every opening thus meets nearly all engine speeds, on both sides of its equilibrium. The
+    accelerometer includes the grade. `seed` determines the noise of the channels.
     """
     whole("seed", seed, 0)
     truth = _true_channels()
@@ -238,11 +238,12 @@ def _true_channels() -> Array:
 
 
 def load_engine_drive(throttle: float, seed: int = 0) -> Dataset:
-    """Torque samples at one held opening of `engine_driving_log`: omega [rad/s] and torque [Nm].
+    """Torque samples at a held opening of `engine_driving_log`: omega [rad/s] and torque [Nm].
 
-    throttle: 0.05, 0.15, 0.2 or 0.3. The name is "torque_" and the opening in percent.
+    `throttle` is 0.05, 0.15, 0.2 or 0.3. The dataset is named "torque_" and the opening in percent.
+    Raises ValueError for another opening.
     """
     if throttle not in HELD_THROTTLES:
-        raise ValueError(f"throttle is {throttle}; the drive holds {HELD_THROTTLES}")
+        raise ValueError(f"throttle is {throttle}; expected one of {HELD_THROTTLES}")
     samples = torque_samples(engine_driving_log(seed), CAR, throttle=throttle)
     return replace(samples, name=f"torque_{round(100 * throttle):02d}")

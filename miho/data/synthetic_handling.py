@@ -1,4 +1,4 @@
-"""A simulated weave: the driving log of a car whose axles are known."""
+"""A simulated weave: the driving log of a car with known axles."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ AXLES = MappingProxyType(
         "rear": MappingProxyType({"B": 18.0, "C": 1.5, "D": 8000.0, "Sx": 0.002, "Sy": 150.0}),
     }
 )
-"""The axles of the simulated car, both tires together (Eq. 4 in ISO-W).
+"""Axles of the simulated car, both tires together (Eq. 4 in ISO-W).
 
-Chosen by us so that a car with the AV-21's masses understeers: cornering stiffness near 150 and
-215 kN/rad, friction near 1.5 at its static load and downforce at 40 m/s, a little oval asymmetry.
+They are chosen so that a car with the AV-21's masses understeers: cornering stiffness near 150 and
+215 kN/rad, friction near 1.5 at its static load and downforce at 40 m/s, and a small asymmetry of
+an oval car.
 """
 
 NOISE = MappingProxyType({"vx": 0.05, "vy": 0.05, "yaw_rate": 0.005, "ay": 0.3, "steering": 0.001})
-"""Standard deviation of each sensor in SI units, white at 50 Hz: a good unit with GNSS."""
+"""Standard deviation of each sensor's white noise at 50 Hz, in SI units: a good unit with GNSS."""
 
 DT = 0.02
 DURATION = 40.0
@@ -39,11 +40,11 @@ AMPLITUDE = 0.12
 
 
 def simulated_weave(car: SingleTrack, noise: float = 1.0, seed: int = 0) -> DrivingLog:
-    """40 s at 50 Hz on a flat road: vx from 30 to 45 m/s and back, steering +-0.12 rad.
+    """40 s at 50 Hz on a flat road: vx from 30 to 45 m/s and back, steering up to +-0.12 rad.
 
-    The steering is a sine of 0.4 Hz whose amplitude grows from zero, until the front axle slides.
-    The two axles follow `AXLES`; the lateral motion is integrated by Runge-Kutta of fourth order.
-    Channels vx, vy, yaw_rate, steering and ay carry white noise, `noise` times `NOISE`.
+    The steering is a sine of 0.4 Hz whose amplitude grows from zero until the front axle slides.
+    The axles are `AXLES`; the lateral motion is integrated by Runge-Kutta of fourth order. The
+    channels vx, vy, yaw_rate, steering and ay have white noise of `noise` times `NOISE`.
     """
     at_least("noise", noise, 0)
     whole("seed", seed, 0)
@@ -61,9 +62,9 @@ def simulated_axle_drive(
     seed: int = 0,
     cutoff: float = 5.0,
 ) -> Dataset:
-    """`axle_samples` of `simulated_weave`, called `front_axle_drive` or `rear_axle_drive`.
+    """`axle_samples` of `simulated_weave`, named `front_axle_drive` or `rear_axle_drive`.
 
-    `vehicle` names the fields of `SingleTrack`. What should be found is in `AXLES`.
+    `vehicle` gives the fields of `SingleTrack`. The true parameters are in `AXLES`.
     """
     car = from_settings(SingleTrack, vehicle)
     data = axle_samples(simulated_weave(car, noise, seed), car, axle, cutoff)

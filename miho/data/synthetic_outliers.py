@@ -1,4 +1,4 @@
-"""A tire test of our own with a bad logger: noise with heavy tails, and rows that dropped out."""
+"""A synthetic tire test with a bad logger: heavy-tailed noise and dropped rows."""
 
 from __future__ import annotations
 
@@ -24,9 +24,10 @@ def tire_outlier_test(
 ) -> Dataset:
     """n samples of the lateral force at slip angles uniform within 0.22 rad.
 
-    Columns alpha [rad] and the output Fy [N], ISO-W. The noise is Student's t of that `freedom`,
-    times `scale` [N]: near normal in the middle, with rare rows many times `scale` away. A share
-    `dropped` of the rows, chosen at random, reads exactly 0 N. Least squares suffers from both.
+    The columns are alpha [rad] and the output Fy [N], ISO-W. The noise has Student's t distribution
+    with `freedom` degrees of freedom, times `scale` [N]: nearly normal in the middle, with rare
+    rows many times `scale` away. A share `dropped` of the rows, chosen at random, reads exactly 0
+    N. Both distort least squares.
     """
     whole("seed", seed, 0)
     whole("n", n, 1)

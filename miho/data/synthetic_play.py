@@ -1,4 +1,4 @@
-"""A brake test of our own whose pedal linkage has play: sweeps of the command with reversals."""
+"""A synthetic brake test with play in the pedal linkage: sweeps of the command with reversals."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from miho.quantities import Array
 from miho.validate import at_least, whole
 
 PLAY = 0.06
-"""Full width of the play [-], in the command; the curve behind it is that of `EMBEDDED_BRAKE`."""
+"""Full width of the play [-], in units of the command. The pressure curve is `EMBEDDED_BRAKE`."""
 
 TURNS = (0.0, 1.0, 0.0, 0.8, 0.35, 0.6, 0.5, 0.55, 0.2, 0.9, 0.7, 0.76, 0.1, 0.3, 0.0)
-"""Turning points of the command: one full loop, loops inside loops, reversals within the play."""
+"""Turning points of the command: a full loop, inner loops, and reversals within the play."""
 
 
 def brake_play_test(seed: int = 0, samples: int = 800, noise: float = 5.0e4) -> Dataset:
     """Slow sweeps of the command between `TURNS` and the settled pressure of the front circuit.
 
-    Columns u [-] and the output p [Pa], in the order in which they were taken, at equal steps of
-    the command's path. noise: standard deviation of the pressure [Pa], normal.
+    The columns are u [-] and the output p [Pa], in the order of measurement, at equal steps along
+    the path of the command. `noise` is the standard deviation of the normal noise of p [Pa].
     """
     whole("seed", seed, 0)
     whole("samples", samples, len(TURNS))

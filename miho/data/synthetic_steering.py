@@ -1,4 +1,4 @@
-"""A steering test of our own: the yaw rate of a car that is known, up to its grip's limit."""
+"""A synthetic steering test: the yaw rate of a known car up to its limit of grip."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from functools import cache
 from types import MappingProxyType
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages on first use: importing them takes a second
 
 from miho.data.dataset import Dataset
 from miho.data.synthetic_handling import AXLES, NOISE
@@ -23,10 +23,10 @@ TRUTH = MappingProxyType(
         for axle, values in AXLES.items()
     }
 )
-"""The car's axles: those of the simulated weave without their asymmetry."""
+"""The car's axles: the axles of the simulated weave without their asymmetry."""
 
 AMPLITUDE = 0.12
-"""Largest steering angle [rad]: the rear axle passes the peak of its force, the front nears it."""
+"""Largest steering angle [rad]: the rear axle passes its peak force, the front nears it."""
 TOLERANCE = 1e-10
 
 
@@ -37,20 +37,37 @@ def steering_test(
     rate: float = 50.0,
     noise: float = NOISE["yaw_rate"],
 ) -> Dataset:
-    """A sine of growing amplitude, 0.25 to 1.25 Hz, driven while the car slows from 45 to 30 m/s.
+    """A sine of growing amplitude, 0.25 to 1.25 Hz, while the car slows from 45 to 30 m/s.
 
-    Columns t [s], vx [m/s], steering [rad] and the output yaw_rate [rad/s], positive to the left.
-    `vehicle` names the fields of `SingleTrack`; its axles are `TRUTH`. A steering robot goes
-    straight from row to row, and the motion is integrated to a relative 1e-10 by a method of
-    order 8. noise: standard deviation of the yaw rate [rad/s], normal; speed and steering are
-    exact. rate: rows per second.
+    Steering angles are linear between rows (a steering robot), and the motion is integrated by a
+    method of order 8 with a relative tolerance of 1e-10.
+
+    Parameters
+    ----------
+    vehicle : mapping of str to object
+        Fields of `SingleTrack`; the axles are `TRUTH`.
+    seed : int
+        Seed of the noise.
+    duration : float
+        Duration [s].
+    rate : float
+        Rows per second.
+    noise : float
+        Standard deviation of the normal noise of the yaw rate [rad/s]. Speed and steering are
+        exact.
+
+    Returns
+    -------
+    Dataset
+        Columns t [s], vx [m/s], steering [rad] and the output yaw_rate [rad/s], positive to the
+        left.
     """
     whole("seed", seed, 0)
     positive("duration", duration)
     positive("rate", rate)
     at_least("noise", noise, 0)
     if round(duration * rate) < 2:
-        raise ValueError(f"duration is {duration} s at rate {rate}; expected two rows or more")
+        raise ValueError(f"duration is {duration} s at rate {rate}; expected at least two rows")
     t, vx, steering, yaw_rate = _simulate(from_settings(SingleTrack, vehicle), duration, rate)
     rng = np.random.default_rng([seed, *b"steering"])
     yaw_rate = yaw_rate + noise * rng.standard_normal(t.size)

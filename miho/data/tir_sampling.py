@@ -1,9 +1,9 @@
-"""Data for tire identification, drawn from a property file as in the paper (Sec. III, V-A.1).
+"""Data for tire identification, drawn from a tire property file as in the paper (Sec. III, V-A.1).
 
-The spread of the samples around a curve in the slip angle alone is not noise: it is the load,
-camber and slip ratio the curve does not see. `unmodelled_spread` measures it, and no model of
-the slip angle alone can have a smaller RMSE. `sample_lateral` keeps those conditions as columns,
-as a tire test does, and `sample_axle` adds the two tires of an axle.
+The spread of the samples around a curve in the slip angle alone is not noise: it comes from load,
+camber and slip ratio, which the curve ignores. `unmodelled_spread` measures it; no model of the
+slip angle alone can have a smaller RMSE. `sample_lateral` keeps these conditions as columns, as a
+tire test does, and `sample_axle` adds the two tires of an axle.
 """
 
 from __future__ import annotations
@@ -36,7 +36,16 @@ LATERAL_UNITS = {"alpha": "rad", "Fz": "N", "gamma": "rad", "pressure": "Pa", "F
 class SamplingRanges:
     """Bounds (low, high) between which each input is drawn uniformly and independently.
 
-    Fz: wheel load [N]. gamma: camber [rad]. alpha: slip angle [rad]. kappa: slip ratio [1].
+    Parameters
+    ----------
+    Fz : tuple of float
+        Wheel load [N].
+    gamma : tuple of float
+        Camber [rad].
+    alpha : tuple of float
+        Slip angle [rad].
+    kappa : tuple of float
+        Slip ratio [1].
     """
 
     Fz: Range
@@ -60,7 +69,7 @@ class SamplingRanges:
 
 
 def _oval(corner_load: float, lean: float) -> SamplingRanges:
-    """Load within 20 % of what the corner carries in a turn, lean [deg] within 1 deg."""
+    """Loads within 20 % of the corner's load in a turn, camber within 1 deg of -lean [deg]."""
     return SamplingRanges(
         Fz=(0.8 * corner_load, 1.2 * corner_load),
         gamma=(radians(-lean - 1.0), radians(-lean + 1.0)),
@@ -69,7 +78,7 @@ def _oval(corner_load: float, lean: float) -> SamplingRanges:
 
 LOADS = (0.35, 0.7, 1.0, 1.5, 2.1)
 PRESSURES = (0.85, 1.0, 1.15)
-"""Loads and pressures of a test, relative to the nominal ones."""
+"""Loads and pressures of a test, relative to the nominal values."""
 
 EMBEDDED_RANGES = MappingProxyType(
     {
@@ -79,15 +88,15 @@ EMBEDDED_RANGES = MappingProxyType(
         "rr": _oval(4500.0, 1.5),
     }
 )
-"""Sampling ranges of the four embedded tires: a left-turning oval car, outer wheels loaded more.
+"""Sampling ranges of the four embedded tires: a left-turning oval car with higher outer loads.
 
-All wheels lean to the left, into the turn: camber as a mechanic counts it is positive on the left
-and negative on the right, and the inclination angle gamma of ISO-W is negative on both sides.
+All wheels lean to the left, into the turn. Camber as mechanics define it is positive on the left
+and negative on the right; the inclination angle gamma of ISO-W is negative on both sides.
 """
 
 
 def embedded_tire(name: str) -> Path:
-    """Path of one of the project's own property files: lf, rf, lr or rr."""
+    """Path of one of the embedded tire property files: lf, rf, lr or rr."""
     if name not in EMBEDDED_RANGES:
         raise ValueError(f"no embedded tire {name!r}; choose from {', '.join(EMBEDDED_RANGES)}")
     return Path(str(resources.files("miho.data") / "tires" / f"{name}.tir"))
@@ -102,11 +111,25 @@ def sample_tir(
 ) -> Dataset:
     """n samples of the lateral force of a tire at its nominal pressure and reference speed.
 
-    tire: an embedded name (lf, rf, lr, rr) or the path of a property file. ranges: all of them, or
-    some by name; the others are those of `EMBEDDED_RANGES` for an embedded tire, and for a file
-    loads within 20 % of FNOMIN and gamma within 1 deg of zero. Columns alpha [rad], Fz [N],
-    gamma [rad], kappa [1] and the output Fy [N], ISO-W: positive alpha, negative Fy. The name is
-    "tire_" and the embedded name or the file's stem. `strict` is that of `load_tir`.
+    Parameters
+    ----------
+    tire : path-like
+        Name of an embedded tire (lf, rf, lr, rr) or path of a property file.
+    n : int
+        Number of samples.
+    seed : int
+        Seed of the samples.
+    ranges : SamplingRanges or mapping, optional
+        All ranges, or some by name. The defaults are `EMBEDDED_RANGES` for an embedded tire; for a
+        file, loads within 20 % of FNOMIN and gamma within 1 deg of zero.
+    strict : bool
+        See `load_tir`.
+
+    Returns
+    -------
+    Dataset
+        Columns alpha [rad], Fz [N], gamma [rad], kappa [1] and the output Fy [N], ISO-W: positive
+        alpha, negative Fy. The name is "tire_" and the embedded name or the file's stem.
     """
     rng = _generator(n, seed)
     formula, ranges, name = _resolve(tire, ranges, strict)
@@ -132,12 +155,36 @@ def sample_lateral(
 ) -> Dataset:
     """n samples of pure lateral slip at the loads, cambers and pressures of a test, with noise.
 
-    alpha [rad] is uniform between its two bounds; each row draws one of `loads` [N] (0.35, 0.7, 1,
-    1.5 and 2.1 times FNOMIN if None), of `cambers` [rad] and of `pressures` [Pa] (0.85, 1 and 1.15
-    times NOMPRES). noise: standard deviation of the measured force [N], normal. The dataset's
-    `held_out` has that many rows, measured alike at other loads and cambers: halfway between
-    neighbouring ones unless given. Columns alpha, Fz, gamma, pressure and the output Fy, ISO-W;
-    the name is that of `sample_tir` and "_conditions".
+    Parameters
+    ----------
+    tire : path-like
+        See `sample_tir`.
+    n : int
+        Number of samples.
+    seed : int
+        Seed of the samples and the noise.
+    noise : float
+        Standard deviation of the normal noise of the force [N].
+    alpha : sequence of float
+        Bounds of the slip angle [rad], which is drawn uniformly.
+    loads : sequence of float, optional
+        Loads [N], from which each row draws one; by default 0.35, 0.7, 1, 1.5 and 2.1 times FNOMIN.
+    cambers : sequence of float
+        Cambers [rad], from which each row draws one.
+    pressures : sequence of float, optional
+        Pressures [Pa], from which each row draws one; by default 0.85, 1 and 1.15 times NOMPRES.
+    held_out : int
+        Number of rows in the dataset's `held_out`, measured at other loads and cambers.
+    held_out_loads, held_out_cambers : sequence of float, optional
+        Their loads [N] and cambers [rad]; by default halfway between neighbouring values.
+    strict : bool
+        See `load_tir`.
+
+    Returns
+    -------
+    Dataset
+        Columns alpha, Fz, gamma, pressure and the output Fy, ISO-W. The name is the name from
+        `sample_tir` and "_conditions".
     """
     rng = _generator(n, seed)
     _generator(held_out, seed)
@@ -169,12 +216,12 @@ def sample_lateral(
 
 
 def sample_axle(axle: str = "front", n: int = 3000, seed: int = 0) -> Dataset:
-    """n samples of the lateral force of an axle of embedded tires: left and right, added.
+    """n samples of the lateral force of an axle with embedded tires: left plus right.
 
-    Both wheels have the same slip angle; each draws its own load, camber and slip ratio from
-    `EMBEDDED_RANGES`, as in `sample_tir`. axle: front (lf, rf) or rear (lr, rr). Columns alpha
-    [rad], Fz_left, Fz_right [N], gamma_left, gamma_right [rad], kappa_left, kappa_right [1] and the
-    output Fy [N], ISO-W; the name is the axle and "_axle".
+    Both wheels have the same slip angle. Each draws load, camber and slip ratio from its range in
+    `EMBEDDED_RANGES`, as in `sample_tir`. `axle` is front (lf, rf) or rear (lr, rr). The columns
+    are alpha [rad], Fz_left, Fz_right [N], gamma_left, gamma_right [rad], kappa_left, kappa_right
+    [1] and the output Fy [N], ISO-W. The name is the axle and "_axle".
     """
     if axle not in AXLES:
         raise ValueError(f"axle is {axle!r}; choose from {', '.join(AXLES)}")
@@ -196,10 +243,10 @@ def unmodelled_spread(
     redraws: int = 400,
     seed: int | np.random.Generator = 0,
 ) -> float:
-    """sqrt(E[Var(Fy | alpha)]) [N] over the sampling ranges: the RMSE no curve in alpha undercuts.
+    """Smallest RMSE [N] of any curve in alpha: sqrt(E[Var(Fy | alpha)]) over the sampling ranges.
 
-    Monte Carlo: for each of n slip angles the other inputs are drawn anew `redraws` times; the
-    variance is the unbiased one. Arguments as in `sample_tir`.
+    The Monte Carlo estimate redraws the other inputs `redraws` times for each of n slip angles and
+    uses the unbiased variance. See `sample_tir` for the other parameters.
     """
     if n < 1 or redraws < 2:
         raise ValueError(f"n is {n} and redraws {redraws}; at least 1 and 2 are needed")
@@ -232,12 +279,12 @@ def _levels(name: str, values: Sequence[float]) -> Array:
 
 
 def _unseen(name: str, values: Sequence[float] | None, training: Array) -> Array:
-    """These levels, none of which may be a training level; by default those halfway between."""
+    """Levels that no training row has; by default halfway between the training levels."""
     if values is None:
         return (training[1:] + training[:-1]) / 2 if training.size > 1 else training
     levels = _levels(name, values)
     if np.isin(levels, training).any():
-        raise ValueError(f"{name} is {list(values)}; expected none of the training data's")
+        raise ValueError(f"{name} is {list(values)}; expected levels that the training data lack")
     return levels
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages on first use: importing them takes a second
 from numpy.typing import NDArray
 
 from miho.data.csv import TextFormat
@@ -24,7 +24,7 @@ UNITS = {"omega": "rad/s", "throttle": "-", "torque": "Nm"}
 
 
 class TorqueSamples(NamedTuple):
-    """The samples that no rule drops, and how many each rule dropped.
+    """Samples that no rule drops, and the number of samples that each rule dropped.
 
     A sample counts for the first rule that drops it, in the order of `dropped`.
     """
@@ -35,24 +35,24 @@ class TorqueSamples(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueRules:
-    """Which samples of a log show the torque of a steady engine, in gear and with the brakes off.
+    """Rules that select samples of a steady engine, in gear and with the brakes off.
 
-    The rules, in order, drop
+    In this order, the rules drop
 
-    ends        the first and last 1 / `cutoff` [s];
-    speed       vx below `min_speed` [m/s];
-    shift       no gear, or a change of gear within `window` [s];
-    clutch      within `window`, engine speed apart from that of the wheels by more than the part
-                `max_slip` of it: the clutch slips or the tires spin;
-    brake       within `window`, brake pressure above `max_brake` [Pa];
-    transient   throttle that moved by more than `tolerance` in the last `settle` [s] or will
-                within `window`: a turbocharged engine takes its time;
-    cornering   |v_x r| above `max_lateral` [m/s^2], where steered wheels drag; only if the log
-                has yaw_rate;
-    throttle    throttle apart by more than `tolerance` from the one asked for, if one is.
+        ends        the first and last 1 / `cutoff` [s];
+        speed       vx below `min_speed` [m/s];
+        shift       no gear, or a change of gear within `window` [s];
+        clutch      within `window`, engine speed that differs from the wheels' by more than the
+                    fraction `max_slip`: the clutch slips or the tires spin;
+        brake       within `window`, brake pressure above `max_brake` [Pa];
+        transient   throttle that moved by more than `tolerance` in the last `settle` [s] or will
+                    within `window`: a turbocharged engine responds slowly;
+        cornering   |v_x r| above `max_lateral` [m/s^2], because steered wheels drag; only if the
+                    log has yaw_rate;
+        throttle    throttle that differs by more than `tolerance` from the requested one, if any.
 
-    `cutoff` [Hz] is that of the low pass. `window` should cover 1 / cutoff: filters spread what
-    happens in a shift over its neighbours.
+    `cutoff` [Hz] is the cutoff of the low pass. `window` should cover 1 / cutoff, because filters
+    spread the effects of a shift over its neighbours.
     """
 
     cutoff: float = 5.0
@@ -73,14 +73,14 @@ class TorqueRules:
     ) -> TorqueSamples:
         """Columns omega [rad/s], throttle [-] and the output torque [Nm] of the engine.
 
-        The torque follows from ax (if it is not logged, `longitudinal_acceleration` takes it from
-        the speeds), vx, gear and grade. The channels must include vx, gear, engine_speed, throttle
-        and brake. Raises ValueError, with what each rule dropped, if nothing is left.
+        The torque follows from ax (if it is not logged, `longitudinal_acceleration` uses the
+        speeds), vx, gear and grade. The log must have the channels vx, gear, engine_speed, throttle
+        and brake. Raises ValueError with the counts of each rule if no sample is left.
         """
         if throttle is not None and not 0 <= throttle <= 1:
-            raise ValueError(f"throttle is {throttle!r}; expected 0 to 1, such as 0.3 for 30 %")
+            raise ValueError(f"throttle is {throttle!r}; expected 0 to 1, for example 0.3 for 30 %")
 
-        # Which samples (N,) each rule drops.
+        # Masks (N,) of the samples that each rule drops.
         vx, omega = (log.filtered(channel, self.cutoff) for channel in ("vx", "engine_speed"))
         pedal, gear = log["throttle"], log["gear"]
         engaged = np.isin(gear, np.arange(1, len(car.gear_ratios) + 1))
@@ -101,7 +101,7 @@ class TorqueRules:
             rules["cornering"] = turning > self.max_lateral
         if throttle is not None:
             rules["throttle"] = np.abs(pedal - throttle) > self.tolerance
-        # Each counts what the rules before it have left.
+        # Each rule counts among the samples that earlier rules kept.
         remaining = np.ones(len(log), dtype=bool)
         dropped = {}
         for rule, drops in rules.items():
@@ -122,17 +122,18 @@ class TorqueRules:
     def _nothing_left(
         self, log: DrivingLog, dropped: Mapping[str, int], ratios: Array, steady_pedal: Array
     ) -> str:
-        """A message with what may be the cause: speeds that disagree, or the wrong opening.
+        """A message with the likely cause: inconsistent speeds, or the wrong opening.
 
-        `ratios` are engine speeds over those that vx and gear give, while the car moves.
+        `ratios` are engine speeds divided by the speeds that vx and gear imply, while the car
+        moves.
         """
         counts = ", ".join(f"{rule} {count}" for rule, count in dropped.items() if count)
         message = f"log {log.name}: no sample of {len(log)} is left; dropped by {counts}"
         ratio = float(np.median(ratios)) if ratios.size else 1.0
         if abs(ratio - 1) > self.max_slip:
             return (
-                f"{message}; engine_speed is mostly {ratio:.3g} times what vx, gear and the "
-                "vehicle give: check their units and the gear ratios"
+                f"{message}; engine_speed is mostly {ratio:.3g} times the speed that vx, gear "
+                "and the vehicle give: check their units and the gear ratios"
             )
         if dropped.get("throttle") and np.ptp(log["throttle"]) > 0:
             openings, durations = np.unique(np.round(100 * steady_pedal), return_counts=True)
@@ -146,7 +147,8 @@ class TorqueRules:
         return np.asarray(scipy.ndimage.binary_dilation(events, around))
 
     def _swing(self, pedal: Array, dt: float) -> Array:
-        """Largest less smallest value from `settle` ago to `window` ahead."""
+        """Difference between the largest and the smallest value from `settle` ago to `window`
+        ahead."""
         before, after = round(self.settle / dt), round(self.window / dt)
         size = before + after + 1
         origin = before - size // 2
@@ -184,11 +186,24 @@ def load_torque_samples(
     drop_rows: Sequence[int] = (),
     comment: str | None = None,
 ) -> Dataset:
-    """`torque_samples` of a log in a CSV file; `vehicle` names the fields of `Longitudinal`.
+    """Load `torque_samples` from a driving log in a CSV file.
 
-    `rules` are fields of `TorqueRules`, `throttle` is that of its `apply`; the other settings are
-    those of `load_driving_log`.
-    every: of the samples, the first of so many. delimiter to comment: `TextFormat`.
+    Parameters
+    ----------
+    vehicle : mapping of str to object
+        Fields of `Longitudinal`.
+    throttle : float, optional
+        Opening [0, 1] of the samples to use; by default all.
+    rules : mapping of str to float, optional
+        Fields of `TorqueRules`.
+    every : int
+        Keep the first of every `every` samples.
+    delimiter, decimal, skip_rows, drop_rows, comment
+        See `TextFormat`.
+
+    Notes
+    -----
+    See `load_driving_log` for the other parameters.
     """
     car, chosen = from_settings(Longitudinal, vehicle), _rules(rules or {})
     log = load_driving_log(

@@ -1,4 +1,4 @@
-"""Units at the edges: what data may be written in, and what that is in SI."""
+"""Units of data files and their conversion to SI."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ OWN = "own:"
 
 
 class Unit(NamedTuple):
-    """A unit as its SI unit (`name`) and the factor that takes a value there."""
+    """The SI unit (`name`) of a unit and the factor that converts values to it."""
 
     name: str
     factor: float
 
 
 _KILO, _MILLI, _DEGREE, _HOUR = 1e3, 1e-3, pi / 180, 3600.0
-_INCH, _POUND = 0.0254, 7000 * 64.79891e-6  # so many grains
+_INCH, _POUND = 0.0254, 7000 * 64.79891e-6  # 7000 grains
 _FOOT, _POUND_FORCE = 12 * _INCH, _POUND * g
 _TABLE: dict[str, dict[str, float]] = {
     "-": {"-": 1.0, "1": 1.0, "%": 0.01},
@@ -62,7 +62,7 @@ UNITS = MappingProxyType(
         for spelling, factor in spellings.items()
     }
 )
-"""Every known spelling."""
+"""All known spellings."""
 
 _OTHER_SPELLINGS = MappingProxyType(
     {
@@ -76,20 +76,41 @@ _OTHER_SPELLINGS = MappingProxyType(
 
 
 def si(unit: str) -> Unit:
-    """The SI unit of `unit` and the factor to it: `si("deg")` is ("rad", 0.01745...).
+    """Return the SI unit of `unit` and the conversion factor.
 
     Spellings are exact, because case matters: mN is not MN. A unit that is not in `UNITS` is
-    refused, with the spelling that was probably meant; one of your own model's, such as kmol, is
-    written "own:kmol" and stays as it is. Temperatures are differences: there is only K.
+    refused with a suggestion. Write a custom unit, for example kmol, as "own:kmol"; it is not
+    converted. Temperatures are differences, so only K is known.
+
+    Parameters
+    ----------
+    unit : str
+        A spelling in `UNITS`, or a custom unit.
+
+    Returns
+    -------
+    Unit
+        Name and factor.
+
+    Raises
+    ------
+    ValueError
+        If the unit is unknown.
+
+    Examples
+    --------
+    >>> from miho.data.units import si
+    >>> si("km")
+    Unit(name='m', factor=1000.0)
     """
     if not isinstance(unit, str):
-        raise ValueError(f"unit is {unit!r}; name it in quotes, such as 'N'")
+        raise ValueError(f"unit is {unit!r}; give it in quotes, for example 'N'")
     if unit in UNITS:
         return UNITS[unit]
     own = unit.removeprefix(OWN)
     if own != unit and own and own == own.strip() and own.isprintable():
         if own in UNITS and UNITS[own] != Unit(own, 1.0):
-            raise ValueError(f"unit {unit!r} is known as {own!r}; write that, and it is converted")
+            raise ValueError(f"unit {unit!r} is known as {own!r}; write that to have it converted")
         return Unit(own, 1.0)
     plain = unit.strip().casefold()
     suggestions = [spelling for spelling in UNITS if spelling.casefold() == plain]
@@ -98,10 +119,10 @@ def si(unit: str) -> Unit:
     suggestions += get_close_matches(unit, UNITS, n=1)
     if suggestions:
         raise ValueError(
-            f"unit {unit!r} is unknown; did you mean {suggestions[0]!r}? (a unit of your own is "
+            f"unit {unit!r} is unknown; did you mean {suggestions[0]!r}? (a custom unit is "
             f"written '{OWN}{own.strip() or 'kmol'}' and not converted)"
         )
     raise ValueError(
-        f"unit {unit!r} is unknown; known are {', '.join(UNITS)}; a unit of your own is written "
+        f"unit {unit!r} is unknown; known are {', '.join(UNITS)}; a custom unit is written "
         f"'{OWN}{own.strip() or 'kmol'}' and not converted"
     )

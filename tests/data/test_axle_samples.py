@@ -118,7 +118,7 @@ def test_a_bank_is_known_or_felt(quiet: DrivingLog) -> None:
     moved = {**quiet.channels, "ay": quiet["ay"] + 9.80665 * np.sin(0.3), "bank": level + 0.3}
     motion = DrivingLog("b", moved, accelerometer=False)
     np.testing.assert_allclose(axle_samples(felt, CAR)["Fy"], reference["Fy"], atol=1e-6)
-    with pytest.warns(UserWarning, match="nothing tells whether bank has the right sign"):
+    with pytest.warns(UserWarning, match="the sign of bank, on which the forces depend"):
         samples = axle_samples(motion, CAR)
     np.testing.assert_allclose(samples["Fy"], reference["Fy"], atol=1e-6)
 
@@ -267,9 +267,9 @@ def test_without_an_accelerometer_the_turns_tell_the_sign_of_the_bank(
         for angle in (bank, -bank, -bank / 6, 0 * bank - 0.005)
     )
     right = axle_samples(inward, CAR)
-    with pytest.raises(ValueError, match=r"leans outwards in the turns.*: set flip=\[bank\], or"):
+    with pytest.raises(ValueError, match=r"leans outwards in turns.*: set flip=\[bank\], or"):
         axle_samples(outward, CAR)
-    with pytest.warns(UserWarning, match="nothing tells whether bank has the right sign"):
+    with pytest.warns(UserWarning, match="the sign of bank, on which the forces depend"):
         axle_samples(drained, CAR)  # a crossfall of 1.4 degrees at most
     stiffness = [
         np.polyfit(samples["alpha"], samples["Fy"], 1)[0]

@@ -39,7 +39,7 @@ BAD = {
     "a short row": ("a,b\n1,2\n3\n", "3:1", "1 cells"),
     "a blank line inside": ("a,b\n1,2\n\n3,4\n", "3:1", "1 cells"),
     "a missing column": ("a,c\n1,2\n", "1:1", "no column 'b' in the header 'a,c'"),
-    "a column twice": ("a,b,b\n1,2,3\n", "1:5", "'b' is there twice"),
+    "a column twice": ("a,b,b\n1,2,3\n", "1:5", "'b' appears twice"),
     "no rows": ("a,b\n", "1:1", "no rows of data"),
     "nothing": ("", "1:1", "empty"),
     "other digits": ("a,b\n1,٣\n", "2:3", "not a finite number"),
@@ -98,9 +98,9 @@ def test_a_spreadsheet_of_central_europe(tmp_path: Path, quote: str, rows: int) 
         ({"skip_rows": -1}, "skip_rows is -1; expected a number of lines"),
         ({"drop_rows": [0]}, r"drop_rows is \[0\]; list the numbers of lines, counted from 1"),
         ({"drop_rows": "2"}, "drop_rows is '2'; list"),
-        ({"comment": ""}, "comment is ''; give what such lines begin with"),
-        ({"drop_rows": [9]}, "data.csv:2:1: this is the last line, but line 9 is to be left out"),
-        ({"skip_rows": 2}, "data.csv:1:1: all lines are left out"),
+        ({"comment": ""}, "comment is ''; give the prefix of such lines"),
+        ({"drop_rows": [9]}, "data.csv:2:1: this is the last line, but line 9 is to be ignored"),
+        ({"skip_rows": 2}, "data.csv:1:1: all lines are ignored"),
         ({"every": 0}, "every is 0; expected a whole number of at least 1"),
         ({"where": {"a": 5}}, "where a is 5; give two finite numbers"),
         ({"where": {"q": [1, 2]}}, "data.csv:1:1: no column 'q' in the header"),
@@ -214,7 +214,7 @@ def test_the_preview_shows_the_file_and_what_is_used(tmp_path: Path) -> None:
     )  # fmt: skip
     assert preview(read) == "\n".join(
         [
-            f"{path}: 3 rows (separated by semicolons; decimal commas; 1 line left out; SA from "
+            f"{path}: 3 rows (separated by semicolons; decimal commas; 1 line ignored; SA from "
             "-5 to 5); name, unit, range, first rows:",
             "  SA     deg        -3  to         9  |       2.5        -3   9",
             "  FY     N     -1834.2  to    2100.5  |   -1834.2    2100.5  -4",
@@ -407,7 +407,7 @@ def test_rows_are_held_out(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"units": ["rad"]}, "4 columns, 1 units and 4 headers; give one unit a column"),
+        ({"units": ["rad"]}, "4 columns, 1 units and 4 headers; give one unit per column"),
         ({"headers": ["SA"]}, "1 headers"),
         ({"columns": [], "units": []}, "0 columns"),
         ({"columns": ["alpha", "Fy", "Fz", "Fy"]}, "name each once"),
@@ -459,7 +459,7 @@ def test_rows_without_a_number_are_left_out_and_counted(tmp_path: Path) -> None:
     dataset = load_csv(*arguments, missing="drop")
     assert dataset["a"].tolist() == [0.1, 0.4, 0.6]
     assert dataset.reading is not None
-    assert dataset.reading.notes == ("3 rows without a number left out",)
+    assert dataset.reading.notes == ("3 rows with a missing number ignored",)
     with pytest.raises(CSVError, match=r":7:5: largest \|F\| is 60 N"):
         load_csv(*arguments, missing="drop", ranges={"F": [1, 50]})
     with pytest.raises(ValueError, match="missing is 'omit'; choose from raise, drop"):

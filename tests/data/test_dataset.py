@@ -54,7 +54,7 @@ def test_columns_are_copies_that_nobody_edits() -> None:
         ({"units": {"x": "m"}}, "every column needs a unit"),
         ({"held_out": make(units={"x": "km", "y": "N"})}, "held_out must have the same"),
         ({"held_out": make(output="x")}, "held_out must have the same"),
-        ({"held_out": make(held_out=make())}, "hold out nothing itself"),
+        ({"held_out": make(held_out=make())}, "no held_out of its own"),
     ],
 )
 def test_bad_data(changes: dict[str, object], message: str) -> None:
@@ -80,7 +80,7 @@ def test_rows_are_selected_by_a_mask() -> None:
     assert (chosen.name, chosen["y"].tolist()) == ("loads", [16.0, 25.0])
     assert LOADS.hold_out({"Fz": [3e3, 3e3]}).select(np.array([True] * 4)).held_out is not None
     for rows in (np.array([0, 1]), np.array([True])):
-        with pytest.raises(ValueError, match="chosen by 6 truth values"):
+        with pytest.raises(ValueError, match="expected a mask of 6 truth values"):
             LOADS.select(rows)
     with pytest.raises(ValueError, match="empty"):
         LOADS.select(LOADS["x"] > 9)

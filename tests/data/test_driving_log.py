@@ -50,7 +50,7 @@ def test_a_log_knows_its_channels() -> None:
         ({"speed": TIME}, "channel 'speed' is unknown; known are time, vx"),
         ({"vy": np.full(200, np.nan)}, "'vy' must be one finite number per sample; got"),
         ({"vy": TIME[:-1]}, "expected `time` and all others to have the same number"),
-        ({"time": TIME**2}, "where others are .* s; resample it"),
+        ({"time": TIME**2}, "but others are .* s; resample it"),
         ({"throttle": TIME + 40}, r"throttle reaches 43\.98; .*is its unit %\?"),
         ({"steering": 0 * TIME - 12}, r"steering reaches -12; .*is its unit deg"),
     ],
@@ -189,14 +189,14 @@ def test_vy_is_moved_to_the_centre_of_gravity(written: Callable[..., Path]) -> N
     columns, units = ["time", "vy", "yaw_rate"], ["s", "m/s", "rad/s"]
     log = load_driving_log(path, columns, units, sensor_x=1.5)
     assert log["vy"] == pytest.approx(0.3, rel=1e-12)
-    with pytest.raises(ValueError, match="it needs the channel 'yaw_rate'"):
+    with pytest.raises(ValueError, match="moving vy requires the channel 'yaw_rate'"):
         load_driving_log(path, columns[:2], units[:2], sensor_x=1.5)
 
 
 def test_gaps_are_refused_and_can_be_cut(written: Callable[..., Path]) -> None:
     time = np.where(TIME > 1.99, TIME + 3.0, TIME)
     path = written(time=time, vx=20 + time)
-    with pytest.raises(CSVError, match=r":102:1: nothing for 3\.02 s after 1\.98 s, .*or end"):
+    with pytest.raises(CSVError, match=r":102:1: no sample for 3\.02 s after 1\.98 s, .*or end"):
         load_driving_log(path, ["time", "vx"], ["s", "m/s"])
     first = load_driving_log(path, ["time", "vx"], ["s", "m/s"], end=2.0)
     second = load_driving_log(path, ["time", "vx"], ["s", "m/s"], start=4.0)
@@ -252,5 +252,5 @@ def test_a_log_of_central_europe(tmp_path: Path) -> None:
     assert [column.name for column in log.reading.columns] == ["t", "v"]
     assert "separated by semicolons" in log.reading.notes
     path.write_text("\n".join([*head, *rows[:12], *rows[16:], "2,0;40;1"]))
-    with pytest.raises(CSVError, match=r"log\.csv:17:1: nothing for 0\.5 s"):
+    with pytest.raises(CSVError, match=r"log\.csv:17:1: no sample for 0\.5 s"):
         load_driving_log(path, ["time", "vx"], ["s", "m/s"], ["t", "v"], text=text)

@@ -70,11 +70,11 @@ def test_whole_numbers_are_numbers(tmp_path: Path) -> None:
 
 FY = -TIRE["Fy"]
 BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "text": ({"FY": "no"}, "FY: is of class char; save it as a vector of numbers"),
-    "truth": ({"FY": FY > 0}, "FY: is of class logical"),
-    "a structure": ({"FY": {"data": FY}}, "FY: is of class struct"),
-    "cells": ({"FY": FY.astype(object)}, "FY: is of class cell"),
-    "complex": ({"FY": FY + 1j}, "FY: is of class complex; save it as a vector"),
+    "text": ({"FY": "no"}, "FY: has class char; save it as a vector of numbers"),
+    "truth": ({"FY": FY > 0}, "FY: has class logical"),
+    "a structure": ({"FY": {"data": FY}}, "FY: has class struct"),
+    "cells": ({"FY": FY.astype(object)}, "FY: has class cell"),
+    "complex": ({"FY": FY + 1j}, "FY: has class complex; save it as a vector"),
     "a matrix": ({"FY": FY.reshape(-1, 2)}, "FY: has size 150x2; save a vector"),
     "a block": ({"FY": FY.reshape(-1, 2, 3)}, "FY: has size 50x2x3; save a vector"),
     "nothing": ({"FY": np.empty((0, 0))}, "FY: has size 0x0; save a vector"),
@@ -117,7 +117,7 @@ def test_what_could_hold_code_is_refused_unread(tmp_path: Path, number: int, kin
     flags = data.rindex(b"\x06\0\0\0\x08\0\0\0\x06", 0, data.index(b"\x02\0FY\0\0")) + 8
     data[flags] = number
     path.write_bytes(data)
-    with pytest.raises(ValueError, match=f"FY: is of class {kind}; save it"):
+    with pytest.raises(ValueError, match=f"FY: has class {kind}; save it"):
         load(str(path))
 
 
@@ -214,7 +214,7 @@ def test_either_byte_order_and_doubles_stored_as_integers(tmp_path: Path, order:
     assert np.frombuffer(loaded.data, loaded.stored).tolist() == whole.tolist()
     assert loadmat(path)["SA"].tolist() == [whole.tolist()]
     path.write_bytes(head + vector(b"SA", 6, whole.astype(f"{order}i8"), 12, order))
-    with pytest.raises(ValueError, match=r"x\.mat: is damaged; copy or save it again"):
+    with pytest.raises(ValueError, match=r"x\.mat: the file is damaged; copy or save it again"):
         read_variables(path)
 
 
@@ -225,7 +225,7 @@ def test_what_takes_too_much_room_is_refused_unread(tmp_path: Path) -> None:
     assert path.stat().st_size < 4e6
     tracemalloc.start()
     started = time.process_time()
-    with pytest.raises(ValueError, match=r"bomb.mat: holds more than 128 MiB when decompressed; "):
+    with pytest.raises(ValueError, match=r"bomb.mat: larger than 128 MiB when decompressed; "):
         load_mat(str(path), ["alpha", "Fy"], ["rad", "N"], "Fy")
     seconds, peak = time.process_time() - started, tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()

@@ -174,7 +174,9 @@ def test_conditions_of_your_own() -> None:
 def test_bad_conditions_are_named() -> None:
     with pytest.raises(ValueError, match=r"loads is \[\]; give finite numbers"):
         sample_lateral("lf", loads=[])
-    with pytest.raises(ValueError, match=r"held_out_cambers is \[0.0\]; expected none of the tr"):
+    with pytest.raises(
+        ValueError, match=r"held_out_cambers is \[0.0\]; expected levels that the tr"
+    ):
         sample_lateral("lf", held_out_cambers=[0.0])
     with pytest.raises(ValueError, match="noise is -1"):
         sample_lateral("lf", noise=-1)

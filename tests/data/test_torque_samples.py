@@ -210,9 +210,11 @@ def test_from_a_file(file: Callable[[], Path], uphill: DrivingLog) -> None:
 
 
 def test_wrong_units_and_openings_are_told(uphill: DrivingLog) -> None:
-    with pytest.raises(ValueError, match=r"mostly 0.278 times what vx, gear .* check their units"):
+    with pytest.raises(
+        ValueError, match=r"mostly 0.278 times the speed that vx, gear .* check their units"
+    ):
         torque_samples(changed(uphill, vx=3.6 * uphill["vx"]), CAR)
-    with pytest.raises(ValueError, match=r"throttle is 30; expected 0 to 1, such as 0.3"):
+    with pytest.raises(ValueError, match=r"throttle is 30; expected 0 to 1, for example 0.3"):
         torque_samples(uphill, CAR, throttle=30)
     opening = np.where(TIME < 25, 0.2, 0.35)
     with pytest.raises(ValueError, match=r"held longest: 0.2, 0.35"):

@@ -51,7 +51,7 @@ def test_another_spelling_is_refused_with_the_right_one(unit: str, meant: str) -
 def test_an_unknown_unit_lists_the_known_ones() -> None:
     with pytest.raises(ValueError, match="'furlong' is unknown; known are -, 1, %, rad, deg"):
         si("furlong")
-    with pytest.raises(ValueError, match="name it in quotes"):
+    with pytest.raises(ValueError, match="give it in quotes"):
         si(1)  # type: ignore[arg-type]
 
 
@@ -61,5 +61,5 @@ def test_units_of_your_own_say_so() -> None:
     with pytest.raises(ValueError, match="known as 'kN'; write that"):
         si("own:kN")
     for wrong in ("own:", "own: kmol", "own:a\nb", "kmol"):
-        with pytest.raises(ValueError, match="a unit of your own is written 'own:"):
+        with pytest.raises(ValueError, match="a custom unit is written 'own:"):
             si(wrong)
