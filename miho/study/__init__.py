@@ -1,4 +1,4 @@
-"""Runs on disk: identity, atomic folders, the runner and the tables read from them."""
+"""Runs on disk: identity, atomic folders, the runner and tables of runs."""
 
 from typing import TYPE_CHECKING
 

@@ -1,4 +1,4 @@
-"""Whether finished runs are still valid: of the same code, data, packages and settings as now."""
+"""Check whether finished runs have the same code, data, packages and settings as now."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from miho.study.manifest import other_settings
 from miho.study.store import Store, read_run
 
 
-class ResumeRefused(Exception):  # noqa: N818 -- a decision for the user, no error
-    """Finished runs of the same request are of other code, data, packages or settings."""
+class ResumeRefused(Exception):  # noqa: N818 -- a decision for the user, not an error
+    """Finished runs of the same request have other code, data, packages or settings."""
 
 
 def refuse_changes(
@@ -24,11 +24,26 @@ def refuse_changes(
     fresh: bool,
     overrides: Sequence[str] | None = None,
 ) -> None:
-    """Raise ResumeRefused if there are finished runs of the same requests that are of other code,
-    data or packages, or, where the same `overrides` gave them before, of other settings.
+    """Refuse to mix new runs with finished runs of the same requests that have changed.
 
-    Old and new runs never stand side by side as one method: with `fresh`, the old ones are set
-    aside, and nothing is deleted. `runs` maps the overrides of each run, in words, to its identity.
+    Finished runs have changed if they have other code, data or packages, or other settings although
+    the same overrides requested them.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    runs : mapping of str to Identity
+        The identity of each run by its overrides, joined by spaces.
+    fresh : bool
+        Set the changed runs aside instead of raising; nothing is deleted.
+    overrides : sequence of str, optional
+        Overrides of the sweep, to compare settings with its manifest.
+
+    Raises
+    ------
+    ResumeRefused
+        If finished runs have changed and `fresh` is False.
     """
     outdated = store.outdated(runs.values())
     old = [(folder, _changes(identity, folder)) for identity, folder in outdated]
@@ -42,13 +57,13 @@ def refuse_changes(
     if counts:
         text = ", ".join(f"{change} ({count} runs)" for change, count in counts.items())
         raise ResumeRefused(
-            f"{store.root}: holds finished runs made before a change of {text}; set them aside "
-            "and start afresh with fresh=true, or choose another root"
+            f"{store.root}: has finished runs from before a change of {text}; set them aside "
+            "and start again with fresh=true, or choose another root"
         )
 
 
 def _changes(identity: Identity, folder: Path) -> list[str]:
-    """How a finished run of the same request differs from this identity, in words."""
+    """Differences between a finished run and an identity with the same request, as phrases."""
     try:
         result = read_run(folder).result
     except DamagedRun:

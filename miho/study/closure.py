@@ -1,10 +1,11 @@
-"""The import closure of a run: the modules of its parts, those that these import, and so on.
+"""The import closure of a run: the modules of its parts and, recursively, their imports.
 
 A name that a package re-exports, as in `from miho.models import Pacejka`, leads to the module that
-defines it and not to all that the package imports: its __init__ is a table of contents, on which no
-result depends. Imports inside of functions count; those by name at run time are not seen.
+defines it, not to all imports of the package: the package's __init__ is a table of contents on
+which no result depends. Imports inside functions count. Imports by name at run time are not
+detected.
 
-What was read from a file can be cached for other processes, under the digest of the file's bytes.
+The contents of a file can be cached for other processes, under the digest of the file's bytes.
 """
 
 from __future__ import annotations
@@ -26,11 +27,17 @@ INIT = "__init__.py"
 
 
 class Sources:
-    """The modules of some packages, as they were when they were first read.
+    """The modules of some packages, as they were when first read.
 
-    `roots` maps the name of a top-level package to its folder; packages that are `excluded` are not
-    followed, and neither are those of others. `cache` is a file for what was read; where it cannot
-    be written, or Python writes no bytecode either, all is read again.
+    Parameters
+    ----------
+    roots : mapping of str to Path
+        Folders of top-level packages. Imports of other packages are not followed.
+    excluded : collection of str
+        Packages whose imports are not followed.
+    cache : Path, optional
+        Cache file. If it cannot be written, or if Python writes no bytecode, all files are read
+        again.
     """
 
     def __init__(
@@ -44,9 +51,9 @@ class Sources:
         self._cache = cache
 
     def digest(self, modules: Iterable[str]) -> str:
-        """SHA-256 over the names and the meaning of these modules and of all that they use.
+        """SHA-256 over the names and the meaning of these modules and their import closure.
 
-        The C beside them counts as it is written.
+        C files in the same folders are included as bytes.
         """
         digest, closure = hashlib.sha256(), self._closure(modules)
         for name, module in sorted(closure.items()):
@@ -57,7 +64,7 @@ class Sources:
         return digest.hexdigest()
 
     def closure(self, modules: Iterable[str]) -> list[str]:
-        """These modules and all that they use in the packages of `roots`, by name, sorted."""
+        """Sorted names of these modules and their import closure within `roots`."""
         return sorted(self._closure(modules))
 
     def _closure(self, modules: Iterable[str]) -> dict[str, Module]:
@@ -72,7 +79,7 @@ class Sources:
         return reached
 
     def _defining_module(self, module: str, name: str | None) -> str:
-        """The module that defines what is imported from a module, or the module that it is."""
+        """The module that defines an imported name, or the module that is imported."""
         if name is None:
             return module
         if self._module(f"{module}.{name}") is not None:
@@ -99,7 +106,7 @@ class Sources:
 
     @cached_property
     def _records(self) -> dict[str, Any]:
-        """The cached records by module; none if the file is damaged, or by other code of this."""
+        """Cached records by module; empty if the file is damaged or was written by other code."""
         if self._cache is None:
             return {}
         try:
@@ -109,7 +116,7 @@ class Sources:
         return dict(json.loads(body)) if head == _header(body) else {}
 
     def _write_records(self) -> None:
-        """Write the cache, if there is something new for it."""
+        """Write the cache if there are new records."""
         if self._cache is None or sys.dont_write_bytecode:
             return
         records = {name: module.record for name, module in self._modules.items() if module}
@@ -129,9 +136,9 @@ def _header(body: bytes) -> bytes:
 
 
 class Module:
-    """One file: what it imports, as (module, name in it or None for the module itself).
+    """A file and its imports, as (module, name in it or None for the module itself).
 
-    `record` is what the cache has of a module of this name.
+    `record` is the cached record of a module with this name.
     """
 
     def __init__(self, name: str, path: Path, record: dict[str, Any] | None = None) -> None:
@@ -149,23 +156,23 @@ class Module:
 
     @property
     def meaning(self) -> str:
-        """The digest of what Python makes of the text."""
+        """Digest of the program's meaning."""
         return str(self.record["meaning"])
 
     @cached_property
     def imports(self) -> frozenset[tuple[str, str | None]]:
-        """All that it imports, wherever in the file."""
+        """All imports, anywhere in the file."""
         return frozenset((module, name) for _, module, name in self.record["bound"])
 
     @cached_property
     def reexports(self) -> dict[str, tuple[str, str | None]]:
-        """The names that a package imports for others to import from it."""
+        """Names that a package imports so that others can import them from it."""
         if not self.is_package:
             return {}
         return {alias: (module, name) for alias, module, name in self.record["bound"]}
 
     def _bindings(self, tree: ast.AST) -> Iterator[tuple[str, str, str | None]]:
-        """Each name that an import binds, with the module and the name in it that it is."""
+        """Each name that an import binds, with its module and its name in that module."""
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
                 for alias in node.names:

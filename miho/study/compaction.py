@@ -1,10 +1,10 @@
-"""The curves of many runs in one file, which reads several times as fast as their own files.
+"""The curves of many runs in one file, which reads several times as fast as their separate files.
 
-    root/.compact/curves    <SHA-256 of all that follows>, NumPy's npz of digests, lengths, columns
+    root/.compact/curves    <SHA-256 of the rest>, NumPy's npz of digests, lengths, columns
 
-It is a cache and can always be rebuilt. Each curve is filed under the SHA-256 of the `curve.json`
-it was read from, so a run that was added, changed or replaced since then is never given another
-one's numbers. Like every checksum here it finds damage and no forgery.
+The file is a cache and can be rebuilt. Each curve is stored under the SHA-256 of the `curve.json`
+from which it was read, so a run that was added, changed or replaced later never gets the curve of
+another. Like every checksum here, it detects damage, not forgery.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from miho.study.places import inside
 from miho.study.scan import CheckedRun, scan
 
 Curve = NDArray[np.float64]
-"""Rows `COLUMNS`, a column for each improvement and one for the end."""
+"""Rows `COLUMNS`; a column for each improvement and one for the end."""
 
 FOLDER, NAME = ".compact", "curves"
 COLUMNS = ("evaluations", "seconds", "cpu_seconds", "error")
@@ -34,35 +34,35 @@ DIGEST = 64
 
 
 def curve_of(text: bytes) -> Curve:
-    """The curve that a JSON text holds; raises ValueError if it holds none."""
+    """The curve in a JSON text; raises ValueError if there is none."""
     try:
         values = orjson.loads(text)
         rows = [*(values[name] for name in COLUMNS[:-1]), list(map(error_of, values["loss"]))]
         curve = np.array(rows)
     except (ValueError, LookupError, TypeError, OverflowError) as error:
-        raise ValueError(f"holds no curve: {type(error).__name__}: {error}") from None
+        raise ValueError(f"contains no curve: {type(error).__name__}: {error}") from None
     if curve.ndim != 2 or curve.dtype.kind not in "iuf":
-        raise ValueError("holds no curve: its columns are no lists of numbers")
+        raise ValueError("contains no curve: its columns are not lists of numbers")
     if not np.isfinite(curve[:-1]).all():
-        raise ValueError("holds no curve: what it spent is not finite")
+        raise ValueError("contains no curve: its evaluations or seconds are not finite")
     return curve.astype(float)
 
 
 def error_of(loss: float | None) -> float:
-    """The error of a loss, its root; NaN where there is none."""
+    """The error of a loss, its square root; NaN if there is none."""
     return math.nan if loss is None or loss < 0 else math.sqrt(loss)
 
 
 def without_theta(curve: bytes) -> bytes:
-    """A `curve.json` up to its parameters, which are most of it: its keys are sorted."""
+    """A `curve.json` without its parameters, which are most of it; its keys are sorted."""
     end = curve.find(b',"theta":')
     return curve if end < 0 else curve[:end] + b"}"
 
 
 def compact(top: Path) -> int:
-    """Write the curves of all undamaged runs below `top` into one file; returns how many.
+    """Write the curves of all undamaged runs below `top` into one file; return their number.
 
-    Raises FileNotFoundError if there is no such folder, and OSError if it cannot be written.
+    Raises FileNotFoundError if the folder does not exist, and OSError if it cannot be written.
     """
     if not top.is_dir():
         raise FileNotFoundError(f"{top}: no such folder of runs; run something first")
@@ -81,12 +81,12 @@ def compact(top: Path) -> int:
 def compacted(top: Path) -> dict[str, Curve]:
     """The curves of the last compaction by the SHA-256 of their `curve.json`.
 
-    None if there was no compaction, or its file is damaged: whatever is wrong with a cache, the
-    runs have files of their own.
+    The result is empty if there was no compaction or the file is damaged; the runs have separate
+    files.
     """
     try:
         return _unpacked(top / FOLDER / NAME)
-    except Exception:  # noqa: BLE001 -- what a damaged archive raises is not documented
+    except Exception:  # noqa: BLE001 -- errors of damaged archives are not documented
         return {}
 
 
@@ -108,9 +108,9 @@ def _unpacked(path: Path) -> dict[str, Curve]:
         expected, data = file.readline(DIGEST + 1), file.read()
     if expected != sha256(data).hexdigest().encode() + b"\n":
         raise ValueError("checksum does not match")
-    with np.load(io.BytesIO(data)) as archive:  # which by default refuses what would be unpickled
+    with np.load(io.BytesIO(data)) as archive:  # refuses pickles by default
         digests, lengths, columns = (archive[key] for key in ("digests", "lengths", "columns"))
     if columns.shape != (len(COLUMNS), lengths.sum()) or len(digests) != len(lengths):
-        raise ValueError("its columns are not as long as its curves")
+        raise ValueError("the lengths of its columns and curves differ")
     pieces = np.split(columns, np.cumsum(lengths)[:-1], axis=1)
     return {digest.decode(): piece for digest, piece in zip(digests, pieces, strict=True)}

@@ -1,8 +1,8 @@
-"""CPU contention: whether other work on the machine falsified the seconds of a run.
+"""CPU contention: whether other work on the machine distorted the seconds of a run.
 
-The thresholds below separate, on a virtual machine with two cores, runs of 20 ms to 1 s that had a
-core to themselves from runs that shared two cores with two to four busy processes. The latter had
-36 to 68 % of a core and were interrupted 90 to 340 times a second.
+The thresholds below were chosen on a virtual machine with two cores. They separate runs of 20 ms to
+1 s that had a core to themselves from runs that shared two cores with two to four busy processes.
+The latter had 36 to 68 % of a core and were interrupted 90 to 340 times a second.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ WAITED_SHARE, WAITED_SECONDS = 0.05, 2e-3
 """A run may wait for a core for this share of its seconds, or this long if that is more."""
 
 INTERRUPTIONS, INTERRUPTIONS_PER_SECOND = 3, 30
-"""Involuntary context switches that a run may have: these, and these more for each second."""
+"""Involuntary context switches that a run may have: a fixed number, and a number per second."""
 
 SLOWER = 1.25
-"""How much longer than its best the fixed work may take, before a run and after it."""
+"""Largest duration of the reference work before and after a run, relative to its best."""
 
 JUDGED_SECONDS = 0.5
-"""The work of others is counted in runs of this many seconds or more: the machine's counters tick
-at 10 ms."""
+"""Shortest run [s] for which the work of other processes is counted: the machine's counters tick at
+10 ms."""
 
 SINES, REPEATS = 2**14, 3
 FRESH_SECONDS = 0.1
-"""A measurement of the reference work serves for this long."""
+"""Seconds for which a measurement of the reference work remains valid."""
 
 
 @dataclass
 class ReferenceWork:
     """Fixed work of about 1 ms, timed: 16,384 sines, the best of three.
 
-    `best` is its shortest time in this process so far; `last` was measured at `at`, and serves as
-    well for what starts or ends within 0.1 s, so that many short runs share it.
+    `best` is its shortest time in this process so far. `last` was measured at `at` and is reused
+    for 0.1 s, so that many short runs share a measurement.
     """
 
     best: float = math.inf
@@ -51,7 +51,7 @@ class ReferenceWork:
     values: tuple[float, ...] = field(default=tuple(i / SINES for i in range(SINES)), repr=False)
 
     def measure(self) -> float:
-        """Seconds now, relative to the best in this process (1 or more)."""
+        """Duration now, relative to the best in this process (1 or more)."""
         durations = []
         for _ in range(REPEATS):
             started = time.perf_counter()
@@ -62,7 +62,7 @@ class ReferenceWork:
         return self.last / self.best
 
     def recent(self) -> float:
-        """The last measurement if it is fresh, else a new one; relative to the best."""
+        """The last measurement if it is recent, else a new one; relative to the best."""
         fresh = time.perf_counter() - self.at < FRESH_SECONDS
         return self.last / self.best if fresh else self.measure()
 
@@ -75,7 +75,7 @@ def reference_work() -> ReferenceWork:
 
 @dataclass(frozen=True)
 class Counters:
-    """Counters of the system: seconds of wall and CPU time, switches, CPU seconds of all cores."""
+    """System counters: seconds of wall and CPU time, context switches, CPU seconds of all cores."""
 
     wall: float
     cpu: float
@@ -85,7 +85,7 @@ class Counters:
 
     @classmethod
     def now(cls) -> Counters:
-        """The counters as they are now."""
+        """Read the counters."""
         return cls(
             time.perf_counter(),
             time.process_time(),
@@ -97,14 +97,25 @@ class Counters:
 
 @dataclass(frozen=True)
 class Timing:
-    """What disturbed a timed run, and whether its seconds are valid.
+    """Disturbances of a timed run, and whether its seconds are valid.
 
-    `load` is the load average of the last minute at start and end, for the record: it lags by a
-    minute. `others` is how many cores the rest of the machine kept busy during the run, None where
-    the run was too short to tell or the system does not count it. `interruptions` are the process's
-    involuntary context switches, `cpu_share` its CPU time by its wall time on the method's clock,
-    `kernel` the time of fixed work before and after, relative to the best of the process, and
-    `threads` those of each numerical library. `reasons` say in words why the seconds are not valid.
+    Attributes
+    ----------
+    load : tuple of float or None
+        Load average of the last minute at the start and the end. It lags, so it is only recorded.
+    others : float or None
+        Number of cores that other processes kept busy during the run; None if the run was too short
+        or the system has no such counter.
+    interruptions : int
+        Involuntary context switches of the process.
+    cpu_share : float
+        CPU time divided by wall time, on the method's clock.
+    kernel : tuple of float
+        Duration of the reference work before and after, relative to the best of the process.
+    threads : tuple of int
+        Threads of each numerical library.
+    reasons : tuple of str
+        Reasons why the seconds are not valid.
     """
 
     load: tuple[float | None, float | None]
@@ -117,11 +128,11 @@ class Timing:
 
     @property
     def valid(self) -> bool:
-        """Whether the seconds may be compared with those of other runs."""
+        """Whether the seconds may be compared with other runs."""
         return not self.reasons
 
     def as_dict(self) -> dict[str, Any]:
-        """For a JSON file."""
+        """Values for a JSON file."""
         values = {name: value for name, value in vars(self).items() if name != "reasons"}
         plain = {
             name: list(value) if isinstance(value, tuple) else value
@@ -140,15 +151,15 @@ class Stamp:
         self._threads: tuple[int, ...] = ()
 
     def close(self) -> None:
-        """Read everything again, after the run; libraries that it loaded count as well."""
+        """Read all counters after the run, including libraries that it loaded."""
         self._end = Counters.now()
         self._after = reference_work().recent()
         self._threads = tuple(library_threads())
 
     def judge(self, seconds: float, cpu_seconds: float) -> Timing:
-        """The timing of a run that took these seconds on the method's clock.
+        """Timing of a run with these seconds on the method's clock.
 
-        Neither they nor the CPU seconds contain set-up and recording.
+        They exclude set-up and recording.
         """
         start, end = self._start, self._end
         wall, interruptions = end.wall - start.wall, end.switches - start.switches
@@ -173,9 +184,9 @@ class Stamp:
 
 @contextmanager
 def stamped() -> Iterator[Stamp]:
-    """Watch the machine around a run; takes some 7 ms in all, off the run's clock.
+    """Watch the machine during a run; takes about 7 ms in total, off the run's clock.
 
-    Enter it within `single_thread`, so that it finds the threads that the run had.
+    Enter it within `single_thread`, so that it sees the number of threads of the run.
     """
     stamp = Stamp()
     try:
@@ -185,7 +196,7 @@ def stamped() -> Iterator[Stamp]:
 
 
 def _waiting(seconds: float, cpu_seconds: float) -> Iterator[str]:
-    """Reasons why the run did not have one core, no less and no more."""
+    """Reasons why the run had less or more than one core."""
     allowed = max(WAITED_SHARE * seconds, WAITED_SECONDS)
     if seconds - cpu_seconds > allowed:
         share = (seconds - cpu_seconds) / seconds
@@ -197,7 +208,7 @@ def _waiting(seconds: float, cpu_seconds: float) -> Iterator[str]:
 def _sharing(
     interruptions: int, wall: float, others: float | None, load: float | None
 ) -> Iterator[str]:
-    """Reasons why other work took the core away, or left none."""
+    """Reasons why other work took the core away or left none."""
     if interruptions > INTERRUPTIONS + INTERRUPTIONS_PER_SECOND * wall:
         yield f"other work interrupted it {interruptions} times in {wall:.3g} s"
     cores = os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""The environment that a run's seconds were measured in: machine, versions, threads, load."""
+"""The environment in which a run's seconds were measured: machine, versions, threads, load."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ PACKAGES = ("numpy", "scipy", "optuna", "hydra-core", "pandas")
 
 @contextmanager
 def single_thread() -> Iterator[None]:
-    """Pin the numerical libraries of this process to one thread."""
+    """Limit the numerical libraries of this process to one thread."""
     with _pools(len(sys.modules)).limit(limits=1):
         yield
 
 
 def library_threads() -> list[int]:
-    """How many threads each numerical library of this process may use now."""
+    """Number of threads that each numerical library of this process may use now."""
     return [pool["num_threads"] for pool in _pools(len(sys.modules)).info()]
 
 
 @lru_cache(maxsize=1)
 def _pools(modules: int) -> threadpoolctl.ThreadpoolController:
-    """The numerical libraries of this process; looked for again once more modules are imported."""
+    """The numerical libraries of this process; searched again when more modules are imported."""
     return threadpoolctl.ThreadpoolController()
 
 
 def environment_stamp() -> dict[str, Any]:
-    """Machine, versions, threads and load, as found now; nothing that identifies a person."""
+    """Current machine, versions, threads and load, without personal information."""
     return {
         "time": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),
@@ -58,12 +58,13 @@ def environment_stamp() -> dict[str, Any]:
 
 
 ARITHMETIC = ("processor", "blas", "simd", "formulas")
-"""The last bits of a loss depend on these, besides the versions of packages: the same seed gives
-the same bits only where these are the same."""
+"""Properties that change the last bits of a loss, in addition to package versions. The same seed
+gives the same bits only if they are equal."""
 
 
 def blas_kernels() -> list[str]:
-    """The code that each linear algebra library chose for this CPU, such as "openblas Haswell"."""
+    """Code that each linear algebra library selected for this CPU, for example "openblas
+    Haswell"."""
     pools = _pools(len(sys.modules)).info()
     kernels = {
         f"{pool['internal_api']} {pool['architecture']}"
@@ -75,17 +76,17 @@ def blas_kernels() -> list[str]:
 
 @cache
 def simd_extensions() -> list[str]:
-    """The vector instructions that NumPy found and uses here."""
+    """Vector instructions that NumPy uses on this machine."""
     config = np.show_config(mode="dicts")
     extensions = config.get("SIMD Extensions", {}) if isinstance(config, dict) else {}
     return [*extensions.get("baseline", []), *extensions.get("found", [])]
 
 
 def machine_seconds() -> float | None:
-    """CPU seconds that all cores together have worked since boot; None where nobody counts them.
+    """CPU seconds of all cores since boot; None if the system does not count them.
 
-    Time that a hypervisor gave to other machines is included, waiting for disks is not. The counter
-    ticks at 10 ms per core.
+    They include time that a hypervisor gave to other machines and exclude waiting for disks. The
+    counter ticks at 10 ms per core.
     """
     try:
         with Path("/proc/stat").open(encoding="utf-8") as file:

@@ -1,7 +1,7 @@
-"""The files of a run: written whole or not at all, and read with their checksums.
+"""Files of a run: written atomically, and read with their checksums.
 
-A signed JSON file has the key `sha256`, the checksum of the canonical text of all its other keys.
-That finds damage, and no forgery.
+A signed JSON file has the key `sha256`, the checksum of the canonical text of all other keys. It
+detects damage, not forgery.
 """
 
 from __future__ import annotations
@@ -24,35 +24,34 @@ CONFIG, ENVIRONMENT, CURVE, RESULT = "config.json", "environment.json", "curve.j
 PARTIAL = "partial.json"
 JOURNAL = "journal"
 LARGEST = 256 << 20
-"""No file of a run is larger, in bytes; whatever is, is not read."""
+"""Largest file of a run [bytes]; larger files are not read."""
 LARGEST_SETTINGS = 1 << 20
 DEEPEST_SETTINGS = 50
-"""No configuration or environment is larger, in bytes, or nested deeper: code that compares or
-shows one calls itself for each level."""
+"""Largest size [bytes] and nesting of a configuration or environment. Code that compares or shows
+them recurses once per level."""
 CHUNK = 32 << 10
 FLAGS = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK
 MALFORMED = (ValueError, LookupError, TypeError, AttributeError, RecursionError)
-"""What decoding or reading raises of a file that does not have the expected contents."""
+"""Exceptions of decoding or reading a file with unexpected contents."""
 
 
 class DamagedRun(Exception):  # noqa: N818 -- a finding about a folder, reported and skipped
-    """A run folder whose files do not match their checksums."""
+    """The files of a run folder do not match their checksums."""
 
 
 class NoResult(DamagedRun):
-    """A run folder without a result: its run is not done."""
+    """The run folder has no result: the run is not finished."""
 
 
 def read_checked(folder: str) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """The result of a run, and its other files as bytes, all as their checksums say.
+    """The result of a run and the bytes of its other files, all verified by their checksums.
 
-    Raises NoResult if the run is not done, and DamagedRun with the reason if anything does not
-    match.
+    Raises NoResult if the run is not finished, and DamagedRun with the reason for any mismatch.
     """
     try:
         result = read_signed(f"{folder}/{RESULT}")
     except FileNotFoundError:
-        raise NoResult(f"{folder}: holds no {RESULT}") from None
+        raise NoResult(f"{folder}: has no {RESULT}") from None
     except OSError as error:
         raise DamagedRun(f"{folder}/{RESULT}: {error.strerror}") from None
     try:
@@ -63,7 +62,7 @@ def read_checked(folder: str) -> tuple[dict[str, Any], dict[str, bytes]]:
             if digest_of(data).hexdigest() != digests[name]:
                 raise DamagedRun(f"{folder}/{name}: checksum does not match")
             if name != CURVE and nesting(data) > DEEPEST_SETTINGS:
-                deepest = f"is nested deeper than {DEEPEST_SETTINGS}, as no settings are"
+                deepest = f"nested deeper than {DEEPEST_SETTINGS} levels"
                 raise DamagedRun(f"{folder}/{name}: {deepest}")
         place = f"{result['problem']}/{result['optimizer']}/{result['id']}"
     except OSError as error:
@@ -71,17 +70,17 @@ def read_checked(folder: str) -> tuple[dict[str, Any], dict[str, bytes]]:
     except MALFORMED as error:
         raise DamagedRun(f"{folder}: {type(error).__name__}: {error}") from None
     if not folder.endswith(f"/{place}"):
-        raise DamagedRun(f"{folder}: holds the run {place}")
+        raise DamagedRun(f"{folder}: contains the run {place}")
     return result, files
 
 
 def signed(contents: Mapping[str, Any]) -> str:
-    """The text of a file that holds these contents and their checksum."""
+    """Text of a file with these contents and their checksum."""
     return canonical({**contents, "sha256": sha256(canonical(contents))})
 
 
 def read_signed(path: str) -> dict[str, Any]:
-    """The contents of a file that `signed` made; raises DamagedRun if its checksum does not fit."""
+    """Contents of a file that `signed` wrote; raises DamagedRun if its checksum does not match."""
     data = read_bytes(path, LARGEST)
     try:
         contents: dict[str, Any] = decoded(data)
@@ -95,9 +94,9 @@ def read_signed(path: str) -> dict[str, Any]:
 
 
 def decoded(data: bytes) -> Any:
-    """The value of a JSON text; raises ValueError or RecursionError.
+    """Value of a JSON text; raises ValueError or RecursionError.
 
-    By orjson, eight times as fast as Python's own reader, which accepts lone surrogates too.
+    orjson is eight times as fast as Python's reader, which also accepts lone surrogates.
     """
     try:
         return orjson.loads(data)
@@ -109,7 +108,7 @@ TOKENS = re.compile(rb'"(?:[^"\\]|\\.)*"|[\[\]{}]')
 
 
 def nesting(data: bytes) -> int:
-    """How deep a JSON text is nested, without decoding it; 0 if it cannot be too deep."""
+    """Nesting depth of a JSON text, without decoding it; 0 if it cannot be too deep."""
     if data.count(b"{") + data.count(b"[") <= DEEPEST_SETTINGS:
         return 0
     depth = deepest = 0
@@ -123,14 +122,14 @@ def nesting(data: bytes) -> int:
 
 
 def read_bytes(path: str, limit: int) -> bytes:
-    """A whole file; raises OSError for a symbolic link and for what is larger than the limit.
+    """Read a whole file; raises OSError for a symbolic link and for a file larger than the limit.
 
-    A pipe gives nothing or an error, so that no reader waits for it.
+    A pipe gives nothing or an error, so that no reader blocks.
     """
     descriptor = os.open(path, FLAGS)
     try:
         first = os.read(descriptor, CHUNK)
-        if len(first) < CHUNK:  # of a file, that is all
+        if len(first) < CHUNK:  # the whole file
             return first
         chunks, size = [first], len(first)
         while chunk := os.read(descriptor, CHUNK):
@@ -144,20 +143,20 @@ def read_bytes(path: str, limit: int) -> bytes:
 
 
 def write_text(path: Path, text: str, *, last: bool = True) -> None:
-    """`write_bytes` of a text in UTF-8."""
+    """Write a text in UTF-8 by `write_bytes`."""
     write_bytes(path, text.encode(), last=last)
 
 
 def write_bytes(path: Path, data: bytes, *, last: bool = True) -> None:
-    """Replace a file in one step: readers see the old one or the new one, whole.
+    """Replace a file atomically: readers see the old file or the complete new one.
 
-    A link that someone left there is replaced, and nothing is written through it. Of several files
-    in a folder the last one makes the names of all of them lasting. An OSError names the file.
+    An existing link is replaced, and nothing is written through it. `last` syncs the folder, which
+    makes the names of all its files permanent. An OSError names the file.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         temporary.unlink(missing_ok=True)
-        with temporary.open("xb") as file:  # never through a link left there
+        with temporary.open("xb") as file:  # never through an existing link
             file.write(data)
             file.flush()
             os.fsync(file.fileno())

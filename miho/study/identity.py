@@ -1,4 +1,4 @@
-"""The identity of a run: request, code, data and packages, of which its folder's name is a hash."""
+"""The identity of a run: request, code, data and packages, whose hash names its folder."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from miho.validate import whole
 REQUEST = 10
 """Hexadecimal digits of each half of a run's id."""
 LARGEST_SEED = 2**63 - 1
-"""Tables of runs hold seeds as integers of 64 bits."""
+"""Largest seed: tables of runs store seeds as integers of 64 bits."""
 
 
 def canonical(value: Any) -> str:
-    """One JSON text per value: sorted keys, no spaces, no NaN."""
+    """A unique JSON text of a value: sorted keys, no spaces, no NaN."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
@@ -31,9 +31,9 @@ def sha256(text: str | bytes) -> str:
 
 
 def code_digest(places: Iterable[Path]) -> str:
-    """SHA-256 over the names and the meaning of these Python files and all below these folders.
+    """SHA-256 over the names and the meaning of Python files and of all Python files in folders.
 
-    Comments, docstrings and layout do not count. The C in these folders counts as it is written.
+    Comments, docstrings and layout do not count. C files in the folders are included as bytes.
     """
     digest = hashlib.sha256()
     for place in places:
@@ -47,11 +47,11 @@ def code_digest(places: Iterable[Path]) -> str:
 
 @dataclass(frozen=True)
 class Identity:
-    """The content that keys a run.
+    """The contents that identify a run.
 
-    Names, seed and resolved configuration are the request; digests of code and data and versions of
-    packages are its origin. The same request with another origin is another run.
-    `problem` and `optimizer` become folder names and must be plain words.
+    Names, seed and resolved configuration are the request. Digests of code and data and versions of
+    packages are its origin. The same request with another origin is another run. `problem` and
+    `optimizer` become names of folders and must be plain words.
     """
 
     problem: str

@@ -28,16 +28,27 @@ KEYS = ["id", "problem", "optimizer", "seed"]
 
 @dataclass(frozen=True, eq=False)
 class Runs:
-    """The runs of a root as they were when it was read.
+    """The runs of a root at the time when it was read.
 
-    `runs`: a row per finished run, with a column for each setting that differs among them, such as
-    `optimizer.R` or `dataset.n`; `error` is the root of its loss in `unit`, `irreducible` an
-    estimate of the error that no model of the same inputs can beat, `optimum` the smallest error in
-    the space where it is known (else NaN), `dimension` the number of parameters and `theta.<name>`
-    their values.
-    `curves`: a row per improvement and one at the end of each run, a step function, with the same
-    columns of settings.
-    `damaged`: folders that were skipped, with the reason.
+    Attributes
+    ----------
+    runs : DataFrame
+        One row per finished run, with a column for each setting that differs, for example
+        `optimizer.R` or `dataset.n`. `error` is the square root of the loss in `unit`,
+        `irreducible` an estimate of the smallest error of any model of the same inputs, `optimum`
+        the smallest error in the space if it is known (else NaN), `dimension` the number of
+        parameters and `theta.<name>` their values.
+    curves : DataFrame
+        One row per improvement and one at the end of each run (a step function), with the same
+        columns of settings.
+    damaged : DataFrame
+        Folders that were skipped, with the reason.
+    top : Path
+        The root.
+    skipped : tuple of Damage
+        Damaged runs.
+    keys : DataFrame
+        Identifying columns of the curves.
     """
 
     runs: pd.DataFrame
@@ -45,7 +56,7 @@ class Runs:
     skipped: tuple[Damage, ...]
     keys: pd.DataFrame
     texts: tuple[tuple[str, bytes], ...]
-    """SHA-256 and text, without parameters, of the curve of each row of `keys`."""
+    """For each row of `keys`, SHA-256 and text of the curve, without parameters."""
 
     @property
     def curves(self) -> pd.DataFrame:
@@ -54,14 +65,15 @@ class Runs:
 
     @cached_property
     def damaged(self) -> pd.DataFrame:
-        """Folder and reason."""
+        """Folder and reason of each damaged run."""
         skipped = sorted([*self.skipped, *self._curves[1]], key=lambda damage: damage.folder)
         rows = [(damage.folder, damage.reason) for damage in skipped]
         return pd.DataFrame(rows, columns=["folder", "reason"])
 
     @cached_property
     def _curves(self) -> tuple[pd.DataFrame, list[Damage]]:
-        """The curves, and which of them were none although their checksum matched."""
+        """The table of curves, and the curves that are malformed although their checksum
+        matches."""
         cache, malformed, rows, curves = compacted(self.top), [], [], []
         for row, (digest, text) in enumerate(self.texts):
             try:
@@ -79,16 +91,28 @@ class Runs:
 
 
 def load_runs(root: str | Path) -> Runs:
-    """Read every finished run below `root`; what is damaged is listed and skipped.
+    """Read all finished runs below `root`; damaged runs are listed and skipped.
 
-    Every file of every run is read here and checked against its checksum, so that no number of a
-    damaged run is in either table. Curves are kept as text and become a table when first asked
-    for, faster after `miho.study.compact(root)`. What changes on disk later is not seen.
-    A checksum finds damage, not forgery: a `curve.json` that matches its own and still holds no
-    curve is listed and left out of `curves`, while its row in `runs`, which has a checksum of its
-    own, stays.
+    Every file of every run is read and verified by its checksum, so that neither table contains
+    numbers of a damaged run. Curves are kept as text until they are requested;
+    `miho.study.compact(root)` makes that faster. Later changes on disk are not seen. Checksums
+    detect damage, not forgery: a malformed `curve.json` with a valid checksum is listed and omitted
+    from `curves`, but its row in `runs` remains.
 
-    Raises FileNotFoundError if the root does not exist.
+    Parameters
+    ----------
+    root : path-like
+        Folder of runs.
+
+    Returns
+    -------
+    Runs
+        Tables of the runs.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the root does not exist.
     """
     top = Path(root)
     if not top.is_dir():
@@ -97,7 +121,7 @@ def load_runs(root: str | Path) -> Runs:
     curves: list[tuple[str, bytes]] = []
     skipped: list[Damage] = []
     asked: list[Asked] = []
-    configs: dict[str, Parts] = {}  # by the digest of their file, which seeds share
+    configs: dict[str, Parts] = {}  # by the digest of their file; seeds share it
     for run in scan(top):
         if isinstance(run, Damage):
             skipped.append(run)

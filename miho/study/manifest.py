@@ -1,10 +1,11 @@
-"""The manifest of a sweep: its runs, filed under its overrides, which must mean the same again.
+"""The manifest of a sweep: its runs and their settings, stored under the sweep's overrides.
 
     root/.sweeps/<hash of the overrides>.json
 
-holds each distinct part of a configuration (the model, the dataset ...) once, each configuration as
-the numbers of its parts, and each run as its place and the number of its configuration: thousands
-of runs that differ in seed and one setting repeat nothing else.
+A manifest detects that the same overrides later mean other settings. It stores each distinct part
+of a configuration (the model, the dataset ...) once, each configuration as the numbers of its
+parts, and each run as its place and the number of its configuration, so thousands of runs that
+differ in seed and one setting repeat nothing else.
 """
 
 from __future__ import annotations
@@ -23,15 +24,16 @@ from miho.study.store import SUPERSEDED
 
 MANIFESTS = ".sweeps"
 SHOWN = 3
-"""Names that a message lists."""
+"""Number of names that a message lists."""
 
 
 def write_manifest(root: Path, overrides: Sequence[str], runs: Mapping[str, Identity]) -> None:
-    """Write the settings of the runs of a sweep; `runs` maps the words of each to its identity."""
+    """Write the settings of a sweep's runs; `runs` maps the overrides of each run to its
+    identity."""
     path = _path(root, overrides)
     path.parent.mkdir(parents=True, exist_ok=True)
     parts, configs, entries = _DistinctValues(), _DistinctValues(), {}
-    numbers: dict[int, int] = {}  # of a configuration's object, which all seeds share
+    numbers: dict[int, int] = {}  # by the configuration object, which all seeds share
     for words, identity in runs.items():
         if id(identity.config) not in numbers:
             config = {name: parts.number(part) for name, part in identity.config.items()}
@@ -43,7 +45,7 @@ def write_manifest(root: Path, overrides: Sequence[str], runs: Mapping[str, Iden
 
 
 def sweep_overrides(root: Path) -> list[list[str]]:
-    """The overrides of each sweep that wrote into a root, the sweep that was called first first."""
+    """Overrides of each sweep that wrote into a root, the oldest sweep first."""
     paths = sorted((root / MANIFESTS).glob("*.json"), key=lambda path: path.stat().st_mtime_ns)
     sweeps = []
     for path in paths:
@@ -54,7 +56,7 @@ def sweep_overrides(root: Path) -> list[list[str]]:
 
 
 def first_names(names: Sequence[str]) -> str:
-    """The first few of these names, and how many more there are."""
+    """The first few of these names, and the number of the others."""
     more = f" and {len(names) - SHOWN:,} more" * (len(names) > SHOWN)
     return ", ".join(names[:SHOWN]) + more
 
@@ -62,9 +64,9 @@ def first_names(names: Sequence[str]) -> str:
 def other_settings(
     root: Path, overrides: Sequence[str], runs: Mapping[str, Identity]
 ) -> Iterator[tuple[Path, list[str]]]:
-    """Finished runs that the same words gave with other settings before a file in conf/ was edited.
+    """Finished runs that the same overrides gave with other settings, before conf/ was edited.
 
-    Gives the folder of each, and the keys that differ.
+    Yields the folder of each run and the keys that differ.
     """
     for words, entry in _read(_path(root, overrides)).items():
         identity = runs.get(words)
@@ -76,10 +78,9 @@ def other_settings(
 
 
 def without_result(root: Path) -> tuple[list[Path], int]:
-    """Folders of the runs of a root's sweeps that have no result, and the number of all their runs.
+    """Folders of a root's planned runs without a result, and the number of all planned runs.
 
-    Runs that were set aside do not count. A run may be missing because its sweep has not come to it
-    yet.
+    Runs that were set aside do not count. A sweep in progress has runs without results.
     """
     places: dict[Path, None] = {}
     for path in sorted((root / MANIFESTS).glob("*.json")):
@@ -92,7 +93,7 @@ def without_result(root: Path) -> tuple[list[Path], int]:
 
 
 def missing_runs(root: Path) -> str | None:
-    """A message on the runs of a root's sweeps that have no result; None if all have theirs."""
+    """A message about runs of a root's sweeps without results; None if there are none."""
     missing, count = without_result(root)
     if not missing:
         return None
@@ -100,7 +101,7 @@ def missing_runs(root: Path) -> str | None:
     folders = first_names(sorted(map(str, missing)))
     message = f"{len(missing):,} of {count:,} runs of the sweeps here have no {RESULT}: {folders}"
     if lost:
-        message += f"; {lost:,} of them had one, or were killed while they stored it"
+        message += f"; {lost:,} of them lost it, or were killed while they stored it"
     return f"{message}; the same sweep runs them again"
 
 
@@ -109,7 +110,7 @@ def _path(root: Path, overrides: Sequence[str]) -> Path:
 
 
 def _read(path: Path) -> dict[str, dict[str, Any]]:
-    """Place and configuration of the runs of a manifest; none where it is not readable as one."""
+    """Place and configuration of the runs of a manifest; empty if it cannot be read."""
     try:
         about = json.loads(path.read_text(encoding="utf-8"))
         configs = [
@@ -127,13 +128,13 @@ def _read(path: Path) -> dict[str, dict[str, Any]]:
 
 @dataclass
 class _DistinctValues:
-    """Distinct values, numbered in the order in which they come."""
+    """Distinct values, numbered in the order in which they are added."""
 
     values: list[Any] = field(default_factory=list)
     numbers: dict[str, int] = field(default_factory=dict)
 
     def number(self, value: Any) -> int:
-        """The number of this value, or of an equal one."""
+        """The number of this value or an equal one."""
         number = self.numbers.setdefault(canonical(value), len(self.values))
         if number == len(self.values):
             self.values.append(value)

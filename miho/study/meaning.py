@@ -1,6 +1,6 @@
-"""The meaning of a program, as text that is the same for every Python that can read it.
+"""The meaning of a program, as text that is the same for every Python version that can read it.
 
-This file imports nothing but the standard library, so that any version of Python can run it.
+This file imports only the standard library, so that any version of Python can run it.
 """
 
 from __future__ import annotations
@@ -9,21 +9,21 @@ import ast
 from typing import Any
 
 IGNORED = ("kind", "type_comment", "type_ignores")
-"""Fields of a syntax tree that say how a text is spelt, and comments."""
+"""Fields of a syntax tree for spelling and comments."""
 
 
 def meaning(source: bytes) -> str:
-    """The syntax tree of a program as text, without docstrings; raises SyntaxError.
+    """Syntax tree of a program as text, without docstrings; raises SyntaxError.
 
-    Every Python that can read the program gives the same: fields that hold nothing are left out,
-    since versions differ in which there are, and so is what is not ASCII, since they differ in what
-    can be printed. `ast.dump` does neither.
+    All Python versions that can read the program give the same text. Empty fields are omitted,
+    because versions differ in the fields that exist. Other characters than ASCII are escaped,
+    because versions differ in which they can print. `ast.dump` does neither.
     """
     return meaning_of(ast.parse(source))
 
 
 def meaning_of(node: Any) -> str:
-    """The meaning of a syntax tree, or of a value in one."""
+    """Meaning of a syntax tree, or of a value in one."""
     if isinstance(node, ast.AST):
         fields = {name: value for name, value in ast.iter_fields(node) if name not in IGNORED}
         if isinstance(fields.get("body"), list):
@@ -47,6 +47,6 @@ def _empty(value: Any) -> bool:
 
 
 def _is_text(line: ast.AST) -> bool:
-    """Whether a line is a string alone, which does nothing."""
+    """Return whether a statement is only a string, which does nothing."""
     alone = isinstance(line, ast.Expr) and isinstance(line.value, ast.Constant)
     return alone and isinstance(line.value.value, str)  # type: ignore[attr-defined]

@@ -8,15 +8,14 @@ from pathlib import Path
 
 NAME = re.compile(r"[A-Za-z0-9_](?:[A-Za-z0-9_.-]{0,98}[A-Za-z0-9_-])?")
 DEVICES = re.compile(r"(?:con|prn|aux|nul|com[0-9]|lpt[0-9])(?:\..*)?", re.IGNORECASE)
-"""Windows opens a device under these names, whatever extension follows; see "Naming Files, Paths,
-and Namespaces" in the documentation of the Win32 API."""
+"""Names under which Windows opens a device, with any extension; see "Naming Files, Paths, and
+Namespaces" in the documentation of the Win32 API."""
 
 
 def check_name(field: str, name: object) -> str:
-    """The name, if it names one plain folder on every system; else raises ValueError.
+    """Return the name if it can name a folder on every system; else raise ValueError.
 
-    Letters, digits and punctuation are those of ASCII: a look-alike letter is no letter, so two
-    names that look the same are the same.
+    Only ASCII letters, digits and punctuation are allowed, so that names that look alike are equal.
     """
     if isinstance(name, str) and NAME.fullmatch(name) and not DEVICES.fullmatch(name):
         return name
@@ -24,15 +23,15 @@ def check_name(field: str, name: object) -> str:
     shown = shown if len(shown) <= 110 else f"{shown[:110]}..."
     raise ValueError(
         f"{field} name {shown} cannot name a folder; use letters, digits, '_', '-' and '.', "
-        "at most 100, no '.' at either end and no name of a device such as CON"
+        "at most 100, no '.' at either end and no name of a device like CON"
     )
 
 
 def inside(root: Path, *names: str) -> Path:
-    """root/names[0]/names[1]/...; raises PermissionError where that is not below the root.
+    """Path root/names[0]/names[1]/...; raises PermissionError if it is not below the root.
 
-    The root is where the user wants it, through links or not. Below it, a link that someone left
-    in a received folder must not lead elsewhere: nothing is written through it.
+    The root may be reached through links. Below it, a link in a received folder must not lead
+    elsewhere: nothing is written through it.
     """
     place = root
     for name in names:
@@ -44,13 +43,13 @@ def inside(root: Path, *names: str) -> Path:
 
 
 def below(place: Path, root: Path) -> bool:
-    """Whether a path, with links followed to their end, lies below the root.
+    """Return whether a path, with all links resolved, is below the root.
 
-    False for a link that leads to itself or to nothing: what may be there later is not known.
+    False for a link to itself or to nothing, whose later target is unknown.
     """
     if not place.is_symlink():
         return True
     try:
         return place.resolve(strict=True).is_relative_to(root.resolve())
-    except (OSError, RuntimeError):  # a loop is the latter until Python 3.13
+    except (OSError, RuntimeError):  # a loop raises RuntimeError until Python 3.13
         return False

@@ -1,4 +1,4 @@
-"""Where results come from: the command that regenerates them, and the machine that they ran on."""
+"""The origin of results: the command that regenerates them, and the machine on which they ran."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ IDENTITY = ("problem", "optimizer", "seed", "id", "code", "data")
 
 
 def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The leaves of nested mappings by dotted path; an empty mapping is a leaf."""
+    """Leaves of nested mappings by dotted path; an empty mapping is a leaf."""
     leaves: dict[str, Any] = {}
     for key, value in tree.items():
         if isinstance(value, Mapping) and value:
@@ -28,17 +28,17 @@ def flattened(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def command_line(module: str) -> str:
-    """The command line of this process, of which `module` is the command."""
+    """The command line of this process, which runs `module`."""
     return " ".join(["python -m", module, *sys.argv[1:]])
 
 
 def lasting(environment: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of a run's environment that all runs on one machine with these versions share."""
+    """The part of an environment that is equal for all runs on a machine with these versions."""
     return {key: value for key, value in environment.items() if key not in MOMENTARY}
 
 
 def provenance(stored: StoredRun) -> dict[str, Any]:
-    """The identity of a run, its dataset, and the machine that it ran on."""
+    """Identity, dataset and machine of a run."""
     return {
         **{key: stored.result[key] for key in IDENTITY},
         "dataset": stored.config["dataset"],
@@ -49,7 +49,7 @@ def provenance(stored: StoredRun) -> dict[str, Any]:
 def write_provenance(
     path: Path, command: str, stored: Sequence[StoredRun], facts: Mapping[str, Any]
 ) -> Path:
-    """Write how a figure or table of these runs is made again; `facts` say which runs they are."""
+    """Write how to regenerate a figure or table of these runs; `facts` describe the runs."""
     about = {"command": command, **facts, "environment": lasting(stored[0].environment)}
     write_text(path, json.dumps(about, indent=1) + "\n")
     return path

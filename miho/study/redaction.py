@@ -1,4 +1,4 @@
-"""Passwords and tokens, found in text before it is stored or shown."""
+"""Remove passwords and tokens from text before it is stored or shown."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from dataclasses import replace
 from miho.optim import RunRecord
 
 LOGIN = re.compile(r"(?<=://)[^/\s'\"]+@")
-"""The login in a URL, whose name can be the token too: https://user:password@host."""
+"""The login in a URL, https://user:password@host; its name may be a token."""
 
 SECRET = re.compile(r"SECRET|TOKEN|PASSW|CREDENTIAL|PRIVATE|API_?KEY", re.IGNORECASE)
 PLACE = re.compile(r"(?:_FILE|_PATH|_DIR|_URL)$", re.IGNORECASE)
 SHORTEST = 8
-"""Shorter values of secret variables are too common as words to be looked for."""
+"""Shortest value of a secret variable that is removed; shorter ones occur as words."""
 
 
 def names_secret(name: str) -> bool:
-    """Whether the name of a variable or setting says that its value is secret."""
+    """Return whether the name of a variable or setting indicates a secret value."""
     return bool(SECRET.search(name)) and not PLACE.search(name)
 
 
 def redacted(text: str) -> str:
-    """The text without logins in URLs and values of environment variables that name a secret."""
+    """The text without logins in URLs and without values of secret environment variables."""
     for name, value in os.environ.items():
         if len(value) >= SHORTEST and names_secret(name):
             text = text.replace(value, f"<{name}>")
@@ -31,12 +31,12 @@ def redacted(text: str) -> str:
 
 
 def holds_secret(text: str) -> bool:
-    """Whether `redacted` would change the text."""
+    """Return whether `redacted` would change the text."""
     return redacted(text) != text
 
 
 def without_secrets(record: RunRecord) -> RunRecord:
-    """The record with its texts redacted: a model of the user's may raise anything."""
+    """The record with redacted texts: a user's model may raise any message."""
     error = None if record.error is None else redacted(record.error)
     rejected: dict[str, int] = {}
     for reason, times in record.rejected.items():

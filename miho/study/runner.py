@@ -1,4 +1,4 @@
-"""Run what has no stored result yet, once, and store the result."""
+"""Run a job unless its result is stored, and store the result."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from miho.study.store import RunInUse, Store, StoredRun
 
 
 class Status(StrEnum):
-    """How a requested run ended; `lost` are those whose process ended, or had to be killed."""
+    """Outcome of a requested run; `lost` means that its process ended or was killed."""
 
     RAN = "ran"
     DONE_BEFORE = "done before"
@@ -31,7 +31,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True)
 class Execution:
-    """A requested run: its status, and the stored run, or else the file of its partial result."""
+    """A requested run: its status, and the stored run or the file of its partial result."""
 
     status: Status
     run: StoredRun | None = None
@@ -46,11 +46,29 @@ def execute(
     space: Space,
     facts: Mapping[str, Any],
 ) -> Execution:
-    """Run `job` on one thread unless the store has its result, and commit what it returns.
+    """Run `job` on one thread and store its result, unless the store has the result.
 
-    A failed or interrupted run is stored as partial and will run again. So is one whose every
-    evaluation raised: that is a fault of the model or the installation. One whose values were all
-    not finite is done, with the outcome that says so.
+    A failed or interrupted run is stored as partial and will run again, and so is a run in which
+    every evaluation raised, because that indicates a fault of the model or the installation. A run
+    whose values were all not finite is finished, with that outcome.
+
+    Parameters
+    ----------
+    store : Store
+        The store.
+    identity : Identity
+        Identity of the run.
+    job : callable
+        Makes the run.
+    space : Space
+        Space of the run's parameters.
+    facts : mapping
+        Facts of the problem that are stored with the result.
+
+    Returns
+    -------
+    Execution
+        Status and result.
     """
     stored = store.find(identity)
     if stored is not None:
@@ -65,7 +83,7 @@ def execute(
                 record = without_secrets(job())
             if _only_raised(record):
                 reasons = ", ".join(f"{n:,} x {reason}" for reason, n in record.rejected.items())
-                message = f"not one evaluation gave a value: {reasons}"
+                message = f"no evaluation gave a value: {reasons}"
                 record = replace(record, outcome=Outcome.FAILED, error=message)
             if record.outcome in (Outcome.FAILED, Outcome.INTERRUPTED):
                 partial = store.keep_partial(identity, record)
@@ -81,7 +99,7 @@ def execute(
 
 
 def _only_raised(record: RunRecord) -> bool:
-    """Whether every evaluation raised, and there was one at least."""
+    """Return whether there was an evaluation and every evaluation raised."""
     reasons = record.rejected
     no_value = record.outcome is Outcome.NO_FINITE_VALUE and len(reasons) > 0
     return no_value and not any(reason.startswith(NOT_FINITE) for reason in reasons)

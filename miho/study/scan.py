@@ -1,4 +1,4 @@
-"""Every finished run below a root, read once and checked."""
+"""Find all finished runs below a root, read once and checked."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 from miho.study.files import CONFIG, CURVE, DamagedRun, NoResult, read_checked
 
 DEPTH = 3
-"""Runs lie at root/<problem>/<optimizer>/<id>."""
+"""Runs are in root/<problem>/<optimizer>/<id>."""
 
 
 class CheckedRun(NamedTuple):
-    """A run whose four files match their checksums: its result, and two of them as they are."""
+    """A run whose four files match their checksums: its result and the bytes of two files."""
 
     folder: str
     result: dict[str, Any]
@@ -30,17 +30,17 @@ class CheckedRun(NamedTuple):
 
 @dataclass(frozen=True)
 class Damage:
-    """A folder that was skipped, and why."""
+    """A folder that was skipped, and the reason."""
 
     folder: str
     reason: str
 
 
 def scan(root: Path) -> Iterator[CheckedRun | Damage]:
-    """The runs below `root`, sorted by folder; a folder without a result is left out.
+    """The runs below `root`, sorted by folder, without folders that have no result.
 
-    Hidden folders are left out. Links to folders are not followed, since they can lead out of the
-    root: they are damage, and so is what cannot be read.
+    Hidden folders are skipped. Links to folders are not followed, because they can lead out of the
+    root; they count as damage, and so do unreadable folders.
     """
     entries = {str(getattr(entry, "folder", entry)): entry for entry in _folders(str(root), DEPTH)}
     for folder in sorted(entries):
@@ -58,7 +58,7 @@ def scan(root: Path) -> Iterator[CheckedRun | Damage]:
 
 
 def _folders(top: str, depth: int) -> Iterator[str | Damage]:
-    """The folders `depth` levels below `top`, and what cannot be followed on the way there."""
+    """Folders `depth` levels below `top`, and obstacles on the way there."""
     if depth == 0:
         yield top
         return
@@ -69,6 +69,6 @@ def _folders(top: str, depth: int) -> Iterator[str | Damage]:
             if entry.is_dir(follow_symlinks=False):
                 yield from _folders(entry.path, depth - 1)
             elif entry.is_dir():
-                yield Damage(entry.path, f"{entry.path}: is a symbolic link, which is not followed")
+                yield Damage(entry.path, f"{entry.path}: a symbolic link, which is not followed")
     except OSError as error:
         yield Damage(top, f"{top}: {error.strerror}")

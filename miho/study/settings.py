@@ -1,4 +1,4 @@
-"""The settings that differ among runs, as columns of their tables."""
+"""Settings that differ among runs, as columns of their tables."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ CODE, DATA = "code", "data"
 OPTIMIZER = "optimizer"
 THETA = "theta"
 DIGEST = 6
-"""Hexadecimal digits of a digest that tell columns apart."""
+"""Hexadecimal digits of a digest in a column."""
 
 Parts = Mapping[str, bytes]
-"""The groups of a configuration, each as JSON: most runs share most of them."""
+"""The groups of a configuration as JSON; most runs share most of them."""
 
 
 class Asked(NamedTuple):
-    """What one run was asked, and the digests of its code and data."""
+    """Request of a run, and digests of its code and data."""
 
     problem: str
     optimizer: str
@@ -36,9 +36,9 @@ class Asked(NamedTuple):
 
 
 def parts_of(config: bytes) -> dict[str, bytes]:
-    """The groups of a `config.json`; none where the text holds no configuration.
+    """The groups of a `config.json`; empty if the text is not a configuration.
 
-    What lies in no group, or in a group whose name runs have for their parameters, is left out.
+    Settings outside of groups are omitted, and so is a group named like the parameters of runs.
     """
     try:
         groups = decoded(config).items()
@@ -52,17 +52,17 @@ def parts_of(config: bytes) -> dict[str, bytes]:
 
 
 def is_setting(column: str) -> bool:
-    """Whether a column of `miho.load_runs` is a setting that differs among its runs."""
+    """Return whether a column of `miho.load_runs` is a setting that differs among its runs."""
     return column in (CODE, DATA) or ("." in column and not column.startswith(f"{THETA}."))
 
 
 def differing(asked: Sequence[Asked]) -> pd.DataFrame:
-    """A column for each setting that differs, and a row per run.
+    """A column for each setting that differs, with one row per run.
 
     Settings of the optimizer are compared among runs of one method, all others among runs of one
-    problem, so that neither the methods nor the problems of a sweep bring all of their own. What
-    follows the seed is no setting. Lists are JSON texts. Digests of code and data are columns where
-    they differ among runs that are otherwise the same.
+    problem. Otherwise each method and each problem of a sweep would add all its settings. Values
+    that equal the seed are not settings. Lists are JSON texts. Digests of code and data are columns
+    if they differ among runs that are otherwise equal.
     """
     distinct = {(a.problem, a.optimizer, id(a.parts), a.code, a.data): a for a in asked}
     runs = list(distinct.values())
@@ -79,7 +79,7 @@ def differing(asked: Sequence[Asked]) -> pd.DataFrame:
 
 
 def _varying(runs: Sequence[Asked]) -> list[tuple[str, str]]:
-    """Group and path of what differs within a method, or within a problem; absent is null."""
+    """Group and path of settings that differ within a method or problem; absent counts as null."""
     alike: dict[tuple[str, str], set[bytes]] = defaultdict(set)
     names = dict.fromkeys(name for run in runs for name in run.parts)
     for run in runs:
@@ -98,7 +98,7 @@ def _varying(runs: Sequence[Asked]) -> list[tuple[str, str]]:
 
 @lru_cache(maxsize=4096)
 def _leaves(part: bytes) -> dict[str, Any]:
-    """The settings of a group by dotted path; not to be changed."""
+    """Settings of a group by dotted path; read-only, because it is cached."""
     leaves = flattened(orjson.loads(part))
     return {
         path: canonical(value) if isinstance(value, list | dict) else value
@@ -107,7 +107,7 @@ def _leaves(part: bytes) -> dict[str, Any]:
 
 
 def _several(pairs: Sequence[tuple[Any, str]]) -> bool:
-    """Whether any key comes with more than one value."""
+    """Return whether any key has more than one value."""
     return len(set(pairs)) > len({key for key, _ in pairs})
 
 

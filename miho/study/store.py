@@ -1,11 +1,11 @@
-"""The store of runs: folders that are written once, whole, and read with their checksums.
+"""The store of runs: folders that are written once and read with their checksums.
 
     root/<problem>/<optimizer>/<id>/config.json environment.json curve.json result.json
 
-`result.json` is written last and carries the SHA-256 of the other files and of itself: it is the
-only sign that a run is done. A held lock is the only sign that one is running. `partial.json`, with
-a checksum of its own, is what a run left that was not done, and `journal`, with one for each line,
-holds the evaluations that it made, if they were dear.
+`result.json` is written last and contains the SHA-256 of the other files and of itself: its
+presence alone marks a finished run. A held lock alone marks a run in progress. `partial.json`, with
+a checksum, is the partial result of an unfinished run, and `journal` keeps its expensive
+evaluations, with a checksum in each line.
 """
 
 from __future__ import annotations
@@ -47,16 +47,17 @@ FILES = (CONFIG, ENVIRONMENT, CURVE, RESULT, PARTIAL)
 SUPERSEDED = ".superseded"
 RESOLUTION = 1e-3
 SPACING = 1e-2
-"""Stored curves are exact to this fraction of the loss, or of the evaluations and seconds."""
+"""Stored curves are exact to these fractions of the loss (RESOLUTION) and of the evaluations and
+seconds (SPACING)."""
 
 
-class RunInUse(Exception):  # noqa: N818 -- another process holds the run, which is no error
+class RunInUse(Exception):  # noqa: N818 -- another process holds the run, not an error
     """Another process is running this run."""
 
 
 @dataclass(frozen=True)
 class StoredRun:
-    """One finished run as read back: its folder and the contents of its files."""
+    """A finished run: its folder and the contents of its files."""
 
     folder: Path
     config: Mapping[str, Any]
@@ -67,16 +68,16 @@ class StoredRun:
 
 @dataclass(frozen=True)
 class Store:
-    """All runs below one root folder."""
+    """All runs below a root folder."""
 
     root: Path
 
     def folder(self, identity: Identity) -> Path:
-        """Where this run lies, or will lie; raises PermissionError if that is not in the root."""
+        """Folder of this run; raises PermissionError if it is not in the root."""
         return inside(self.root, identity.problem, identity.optimizer, identity.id)
 
     def find(self, identity: Identity) -> StoredRun | None:
-        """The finished run, or None; a damaged one is None, so that it is run anew."""
+        """The finished run, or None; a damaged run gives None, so that it runs again."""
         folder = self.folder(identity)
         if not self.has_result(identity):
             return None
@@ -93,15 +94,15 @@ class Store:
             return None
 
     def lost_result(self, identity: Identity) -> bool:
-        """Whether there is no result although the files that are written before it are there.
+        """Return whether the result is missing although the files that precede it exist.
 
-        Somebody deleted it, or the run was killed in its last millisecond.
+        It was deleted, or the run was killed in its last millisecond.
         """
         folder = self.folder(identity)
         return (folder / CURVE).is_file() and not (folder / RESULT).exists()
 
     def has_result(self, identity: Identity) -> bool:
-        """Whether there is a result, without a check of it."""
+        """Return whether there is a result, without checking it."""
         return (self.folder(identity) / RESULT).is_file()
 
     @contextmanager
@@ -123,7 +124,7 @@ class Store:
         environment: Mapping[str, Any],
         facts: Mapping[str, Any],
     ) -> StoredRun:
-        """Write a finished run; `facts` are of its problem (unit, irreducible error ...)."""
+        """Write a finished run; `facts` describe its problem (unit, irreducible error ...)."""
         folder = self.folder(identity)
         contents = {
             CONFIG: canonical(dict(identity.config)),
@@ -143,16 +144,16 @@ class Store:
         return read_run(folder)
 
     def files(self, identity: Identity) -> dict[str, bytes]:
-        """The files of a run as they are stored, to be received by another store."""
+        """The files of a run as bytes, to be received by another store."""
         folder = self.folder(identity)
         present = [name for name in FILES if (folder / name).is_file()]
         return {name: read_bytes(str(folder / name), LARGEST) for name in present}
 
     def receive(self, identity: Identity, files: Mapping[str, bytes]) -> None:
-        """Store the `files` of a run that another store has; call it in a claim.
+        """Store the `files` of a run from another store; requires a claim.
 
-        The result comes last, as when a run is committed. Raises DamagedRun, naming the run, if
-        what was written is not a whole run.
+        The result is written last, as in `commit`. Raises DamagedRun, naming the run, if the files
+        are not a complete run.
         """
         folder = self.folder(identity)
         folder.mkdir(parents=True, exist_ok=True)
@@ -164,23 +165,23 @@ class Store:
             read_run(folder)
 
     def journal(self, identity: Identity) -> Path:
-        """Where the evaluations of this run are kept until it is done."""
+        """Path of the file that keeps this run's evaluations until it is finished."""
         return self.folder(identity) / JOURNAL
 
     def keep_partial(self, identity: Identity, record: RunRecord) -> Path:
-        """Write the curve of an interrupted or failed run; the run is not done."""
+        """Write the curve of an interrupted or failed run, which stays unfinished."""
         partial = {"outcome": str(record.outcome), "error": record.error, "curve": _curve(record)}
         return self._keep(identity, partial)
 
     def keep_reason(
         self, identity: Identity, reason: str, detail: str | None, outcome: str = "lost"
     ) -> Path:
-        """Write why a run ended with its process, and its traceback if there is one."""
+        """Write the reason why a run ended with its process, and the traceback if there is one."""
         error = redacted(detail or reason)
         return self._keep(identity, {"outcome": outcome, "error": error, "curve": None})
 
     def reason(self, identity: Identity) -> str | None:
-        """Why a run that was tried is not done, in one line; None if that is not known."""
+        """The reason in one line why an attempted run is unfinished; None if unknown."""
         try:
             partial = read_signed(f"{self.folder(identity)}/{PARTIAL}")
             message = str(partial["error"] or partial["outcome"]).strip()
@@ -195,9 +196,9 @@ class Store:
         return folder / PARTIAL
 
     def outdated(self, identities: Iterable[Identity]) -> Iterator[tuple[Identity, Path]]:
-        """Folders of finished runs of the same requests that are of other code, data or packages.
+        """Folders of finished runs of the same requests that have other code, data or packages.
 
-        Folders are listed once, so that thousands of runs are looked up in a second.
+        Each folder is listed once, so that thousands of runs are found in a second.
         """
         listed: dict[tuple[str, str], dict[str, list[str]]] = {}
         for identity in identities:
@@ -210,10 +211,9 @@ class Store:
                     yield identity, folder
 
     def set_aside(self, folder: Path) -> None:
-        """Move a sound run below SUPERSEDED, where no reader looks; nothing is overwritten there.
+        """Move a superseded run to SUPERSEDED, which no reader scans; nothing there is overwritten.
 
-        It is set aside because it was superseded. Damaged runs are quarantined elsewhere, by
-        `experiments.doctor`.
+        Damaged runs are quarantined elsewhere, by `experiments.doctor`.
         """
         first = place = inside(self.root, SUPERSEDED, *folder.relative_to(self.root).parts)
         for number in count(2):
@@ -225,7 +225,7 @@ class Store:
 
 
 def _runs_by_request(folder: Path) -> dict[str, list[str]]:
-    """The names of the runs in a folder, sorted, by the request that they begin with."""
+    """Sorted names of the runs in a folder, by the request with which they begin."""
     runs: dict[str, list[str]] = {}
     for name in sorted(path.name for path in folder.iterdir()) if folder.is_dir() else ():
         runs.setdefault(name[:REQUEST], []).append(name)
@@ -233,7 +233,7 @@ def _runs_by_request(folder: Path) -> dict[str, list[str]]:
 
 
 def read_run(folder: Path) -> StoredRun:
-    """Read one run folder; raises DamagedRun with the reason if anything does not match."""
+    """Read a run folder; raises DamagedRun with the reason for any mismatch."""
     result, files = read_checked(str(folder))
     try:
         contents = {name: json.loads(data) for name, data in files.items()}
@@ -245,9 +245,10 @@ def read_run(folder: Path) -> StoredRun:
 def _curve(record: RunRecord) -> dict[str, list[Any]]:
     """The improvements of a run, thinned out, and its end, by column.
 
-    A method that creeps improves at every step. An improvement is left out only if it lowers the
-    loss by less than RESOLUTION and comes within SPACING of the evaluations and seconds of the last
-    row of the curve: no target is met more than 1 % later than it was, and none earlier.
+    Some methods improve at every step by little. An improvement is omitted only if it lowers the
+    loss by less than RESOLUTION and follows the last row of the curve within SPACING of the
+    evaluations and seconds: every target is met at most 1 % later than in the run, and none
+    earlier.
     """
     trace = record.trace
     rows: list[int] = []
@@ -270,7 +271,7 @@ def _curve(record: RunRecord) -> dict[str, list[Any]]:
         "loss": [trace.loss[row] for row in rows],
         "theta": [trace.theta[row].tolist() for row in rows],
     }
-    # A run goes on after its last improvement: one more row says how far.
+    # A run continues after its last improvement: one more row marks its end.
     if rows and record.evaluations > trace.evaluations[end]:
         curve["evaluations"].append(record.evaluations)
         curve["seconds"].append(record.seconds)

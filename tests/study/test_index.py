@@ -198,7 +198,7 @@ def test_settings_that_are_deep_are_not_read(folders: list[Path], depth: int) ->
         forge(folder, files=digests)
     runs = load_runs(folders[0].parents[2])
     assert runs.damaged["folder"].tolist() == [str(folders[1])]
-    assert "config.json: is nested deeper than 50" in runs.damaged["reason"].item()
+    assert "config.json: nested deeper than 50" in runs.damaged["reason"].item()
     with pytest.raises(DamagedRun):
         read_run(folders[1])
 
@@ -223,7 +223,7 @@ def test_what_is_no_curve_is_listed_though_its_checksum_matches(
     assert sorted(set(runs.curves["seed"])) == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11]
     assert len(runs.curves) == 11 * POINTS
     assert runs.damaged["folder"].tolist() == [str(folders[5])]
-    assert "holds no curve" in runs.damaged["reason"][0]
+    assert "contains no curve" in runs.damaged["reason"][0]
 
 
 @pytest.mark.parametrize(
