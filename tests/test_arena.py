@@ -233,7 +233,7 @@ def test_the_tests_of_the_published_arena_follow_from_its_running_times() -> Non
     assert counts == {"rivals": 33, "apart": 33, "apart_aocc": 33}
     text = (folder / "tests.md").read_text(encoding="utf-8")
     assert "from 33 of 33 rivals at 5 %" in text
-    assert "it does from 33" in text
+    assert "p separates it from 33" in text
 
 
 @pytest.mark.parametrize(
@@ -268,7 +268,7 @@ def test_an_arena_draws_resumes_and_exports(tmp_path: Path) -> None:
     assert board["cut by seconds"].between(0, 1).all()
     assert "Methods by mean rank over 2 problems" in first.stdout
     # of 2 families at best both are won: 2 of 4 signs, times 2 rivals
-    assert "no p of it can be below 1 after the correction" in first.stdout
+    assert "its p cannot be below 1 after the correction" in first.stdout
     provenance = json.loads((figures / "provenance.json").read_text())
     assert "experiment=arena_small" in provenance["command"]
 

@@ -1,6 +1,7 @@
-"""Curves, statistics, claims, figures and pages: functions of the tidy frames of runs and curves.
+"""Curves, statistics, claims, figures and pages, as functions of the tidy frames of runs and
+curves.
 
-The names below are loaded where they are used, as their modules need pandas, SciPy or matplotlib.
+These names are loaded on first use, because their modules need pandas, SciPy or matplotlib.
 """
 
 from typing import TYPE_CHECKING

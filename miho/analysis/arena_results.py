@@ -1,4 +1,4 @@
-"""What an arena shows: leaderboard, tests and profiles as tables and figures."""
+"""Results of an arena: leaderboard, tests and profiles as tables and figures."""
 
 from __future__ import annotations
 
@@ -43,45 +43,44 @@ from miho.study import write_text
 
 FACTOR = 1.01
 TESTED = ("miho_gn", "miho")
-"""The first of these that takes part is tested against every other: named beforehand, since the
-winner of the same runs would look better than it is."""
+"""The first of these methods that takes part is tested against every other. It is fixed beforehand,
+because the winner of the same runs would look better than it is."""
 LEVEL = 0.05
 PLAIN, WITH_AREAS = "p (Holm)", "p with AOCC"
 WITHIN = (1.0, 2.0, 10.0, 100.0)
 LOSSES_ONLY = "miho_qn"
-"""The tested method for models that give losses only: no rival of it."""
+"""The tested method for models that give only losses; it does not count as its rival."""
 CLOSE = 1.2
-"""So many times the evaluations of the best rival are called close."""
+"""Ratio of evaluations to the best rival up to which a method counts as close."""
 PAGE = 18
-"""Problems on a page: as many columns of running times as can be read beside each other."""
+"""Problems per page: the largest number of readable columns of running times."""
 CAPTIONS = {
     "leaderboard": "Methods by mean rank over {problems} problems, by the expected number of "
     "evaluations to within 1 % of the best known error; a gradient is charged as many evaluations "
-    "as there are parameters. On a problem where it never gets there, a method is behind all that "
-    "do, and its area over the convergence curve decides how far. By families: the rank over "
-    "{families} families of problems that are one model in one kind of box, or one published "
-    "formula, by the mean logarithm of the same numbers. Success: share of runs; cut by seconds: "
-    "share of runs that the cap in seconds ended before their evaluations were spent and before "
-    "they ended by themselves. "
-    "Microseconds: of the {timed} of {runs} runs that no other work disturbed.",
+    "as there are parameters. On a problem that it never solves, a method ranks behind all methods "
+    "that do, by its area over the convergence curve. By families: the rank over {families} "
+    "families of problems (one model in one kind of box, or one published formula), by the mean "
+    "logarithm of the same numbers. Success: share of runs. Cut by seconds: share of runs that the "
+    "time limit ended before they converged or used their evaluations. Microseconds: from the "
+    "{timed} of {runs} runs that no other work disturbed.",
     "problems": "The problems: family (one model in one kind of box, or one published formula), "
     "parameters, best known error, and how many of the methods came within 1 % of it at least "
     "once.",
     "profiles": "Performance profile: share of problems on which a method's expected number of "
     "evaluations to within 1 % is at most so many times that of the best method.",
     "best_rivals": "{method} against the best rival of each problem, chosen afterwards: expected "
-    "evaluations and {unit} to within 1 % of the best known error, and what it spends over what "
-    "that rival does. In evaluations it is ahead on {ahead} of {problems} problems, and on "
-    "{within} it needs at most {close:g} times as many; in {unit} it is ahead on {sooner}.",
+    "evaluations and {unit} to within 1 % of the best known error, and the ratio to that rival. "
+    "In evaluations it is ahead on {ahead} of {problems} problems, and on {within} it needs at "
+    "most {close:g} times as many; in {unit} it is ahead on {sooner}.",
     "tests": "{method} against each rival by the expected number of evaluations: problems won and "
     "lost, and Wilcoxon's signed-rank test over problems (N = {problems}) with Holm's correction. "
-    "A problem that neither solves is a tie, since there is no running time to compare: so p tells "
-    "{method} from {apart} of {rivals} rivals at 5 %. Where the area over the convergence curve "
-    "breaks these ties, as in the ranks of the leaderboard (p with AOCC), it does from "
-    "{apart_aocc}. Problems of one family are alike and no independent sample, so the same test "
-    "over families (N = {families}) stands beside it; no p of it can be below {least:.2g} after "
-    "the correction. Speed-up: how many times faster {method} is on the problems where both get "
-    "there, with a 95 % interval over families and runs.",
+    "A problem that neither solves is a tie, because there is no running time to compare. This p "
+    "separates {method} from {apart} of {rivals} rivals at 5 %. If the area over the convergence "
+    "curve breaks these ties, as in the ranks of the leaderboard (p with AOCC), p separates it "
+    "from {apart_aocc}. Problems of one family are similar and not an independent sample, so the "
+    "same test over families (N = {families}) is shown as well; its p cannot be below {least:.2g} "
+    "after the correction. Speed-up: how many times faster {method} is on the problems that both "
+    "solve, with a 95 % interval over families and runs.",
 }
 
 
@@ -91,13 +90,31 @@ class TooFewError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class ArenaResults:
-    """The numbers that the tables and figures of an arena show.
+    """Numbers behind the tables and figures of an arena.
 
-    clock: the runs that may be compared in seconds. hits, ert: when runs reached multiples of the
-    best known error, and the expected running times, on the axis of evaluations and on that of the
-    clock. areas: over the convergence curves. scores, family_scores: one number for each method on
-    a problem or a family of problems, the smaller the better. friedman: a test of either. order:
-    the methods by mean rank over problems. tested: the method that is tested against every other.
+    Attributes
+    ----------
+    comparison : Comparison
+        The runs and curves.
+    clock : Clock
+        The runs that may be compared in seconds.
+    hits, ert : mapping of Axis to DataFrame
+        When runs reached multiples of the best known error, and expected running times, by
+        evaluations and by the axis of the clock.
+    areas : DataFrame
+        Areas over the convergence curves.
+    families : mapping of str to str
+        Family of each problem.
+    scores, family_scores : DataFrame
+        A score of each method on each problem or family of problems; lower is better.
+    friedman : mapping of str to FriedmanTest
+        Friedman's test over problems and over families.
+    order : DataFrame
+        The methods by mean rank over problems.
+    speed_ups : DataFrame
+        Speed-ups of all pairs of methods.
+    tested : str or None
+        The method that is tested against every other.
     """
 
     comparison: Comparison
@@ -115,10 +132,10 @@ class ArenaResults:
 
     @classmethod
     def of(cls, comparison: Comparison) -> ArenaResults:
-        """The numbers of a comparison, of which runs have the columns `family` and `cut`.
+        """Results of a comparison whose runs have the columns `family` and `cut`.
 
-        Bootstrap replicates are drawn from seed 0. Raises TooFewError where there are too few
-        methods or problems for Friedman's test.
+        Bootstrap replicates are drawn with seed 0. Raises TooFewError if there are too few methods
+        or problems for Friedman's test.
         """
         runs, curves, rng = comparison.runs, comparison.curves, np.random.default_rng(0)
         reached = hits(runs, curves)
@@ -146,9 +163,9 @@ class ArenaResults:
 
 
 def write_arena(results: ArenaResults, output: Path) -> tuple[str, list[Path]]:
-    """Write all tables and figures of an arena, and where they come from.
+    """Write all tables and figures of an arena, and their origin.
 
-    Gives the tables and tests as text, and all paths.
+    Returns the tables and tests as text, and all paths.
     """
     tables, captions = arena_tables(results)
     texts, paths = write_tables(results.comparison, tables, captions, output)
@@ -164,7 +181,7 @@ def write_arena(results: ArenaResults, output: Path) -> tuple[str, list[Path]]:
 
 
 def arena_tables(results: ArenaResults) -> tuple[dict[str, pd.DataFrame], dict[str, str]]:
-    """The tables of an arena and their captions, by name."""
+    """Tables of an arena and their captions, by name."""
     runs, ert = results.comparison.runs, results.ert["evaluations"]
     tables = {
         "problems": _problems(runs, results.hits["evaluations"]),
@@ -184,7 +201,7 @@ def arena_tables(results: ArenaResults) -> tuple[dict[str, pd.DataFrame], dict[s
         tables["best_rivals"] = best_rivals(rivals, method, FACTOR)
         facts |= separation(tables["tests"]) | lead(tables["best_rivals"])
     by_family = len(results.family_scores)
-    # Of a signed-rank test over N families the smallest p is 2^(1 - N), times Holm's rivals.
+    # The smallest p of a signed-rank test over N families is 2^(1 - N), times Holm's rivals.
     least = min(1.0, (len(results.order) - 1) * 2.0 ** (1 - by_family))
     facts |= {"problems": problems, "families": by_family, "least": least}
     facts["timed"], facts["runs"] = int(undisturbed(runs).sum()), len(runs)
@@ -192,7 +209,7 @@ def arena_tables(results: ArenaResults) -> tuple[dict[str, pd.DataFrame], dict[s
 
 
 def arena_figures(results: ArenaResults) -> dict[str, Figure]:
-    """The figures of an arena, by name."""
+    """Figures of an arena, by name."""
     runs, curves, note = (
         results.comparison.runs, results.comparison.curves, results.comparison.note
     )  # fmt: skip
@@ -233,7 +250,7 @@ def _error_curves(runs: pd.DataFrame, curves: pd.DataFrame, note: str) -> dict[s
 
 
 def _ert_tables(ert: pd.DataFrame, order: pd.DataFrame, note: str) -> dict[str, Figure]:
-    """Running times on all problems, on as many pages as they need; methods by their order."""
+    """Running times on all problems, on as many pages as they need; methods in their order."""
     return {
         f"ert{page}": ert_table(
             ert[ert["problem"].isin(problems)], factor=FACTOR, order=order, note=note
@@ -243,9 +260,9 @@ def _ert_tables(ert: pd.DataFrame, order: pd.DataFrame, note: str) -> dict[str, 
 
 
 def pages(problems: pd.Series) -> dict[str, list[str]]:
-    """The problems in their order, at most a page full each, by what to append to a file's name.
+    """Problems in their order, split into pages, by the suffix of a file's name.
 
-    The first page has the name of the figure itself, then come _2, _3, ...
+    The first page has no suffix; then follow _2, _3, ...
     """
     names = list(dict.fromkeys(problems))
     number = -(-len(names) // PAGE)
@@ -254,7 +271,7 @@ def pages(problems: pd.Series) -> dict[str, list[str]]:
 
 
 def _on_the_clock(clock: Clock, reached: pd.DataFrame) -> pd.DataFrame:
-    """The hits of the seeds that may be compared on the clock."""
+    """Hits of the seeds that may be compared on the clock."""
     comparable = pd.MultiIndex.from_frame(clock.runs[["problem", "seed"]])
     return reached[pd.MultiIndex.from_frame(reached[["problem", "seed"]]).isin(comparable)]
 
@@ -312,13 +329,13 @@ def head_to_head(
 
 
 def separation(tests: pd.DataFrame) -> dict[str, int]:
-    """The number of rivals, and of those that the tests separate from the method at 5 %."""
+    """Number of rivals, and number of rivals that the tests separate from the method at 5 %."""
     plain, with_areas = (int((tests[name] < LEVEL).sum()) for name in (PLAIN, WITH_AREAS))
     return {"rivals": len(tests), "apart": plain, "apart_aocc": with_areas}
 
 
 def lead(table: pd.DataFrame) -> dict[str, int]:
-    """On how many problems of `best_rivals` the method is ahead of the best rival."""
+    """Number of problems of `best_rivals` on which the method is ahead of the best rival."""
     evaluations, seconds = (table[name] for name in table.columns if name.startswith("share"))
     return {
         "ahead": int((evaluations < 1).sum()),

@@ -1,8 +1,8 @@
-"""Error curves of single runs: step functions of what was spent.
+"""Error curves of single runs: step functions of evaluations or seconds.
 
-A run's error is the last improvement carried forward, never interpolated. Before its first value
-a run is NaN. After its end its last value is carried forward too: a method that has finished
-keeps its answer, so a curve beyond a run's end says what the user holds, not that it still ran.
+A run's error is its last improvement carried forward, never interpolated. Before its first value a
+run is NaN. After its end the last value is carried forward too: a finished method keeps its answer,
+so the curve beyond the end is the available result, not a sign that the method still ran.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ def log_grid(curves: pd.DataFrame, axis: Axis, points: int = 400) -> Array:
     at = positions(curves, axis)
     at = at[at > 0]
     if not at.size:
-        raise ValueError(f"curves hold no row with {axis} above zero; there is nothing to draw")
+        raise ValueError(f"curves have no row with {axis} above zero; there is nothing to draw")
     grid = np.geomspace(at.min(), at.max(), points)
     grid[[0, -1]] = at.min(), at.max()
     return grid
 
 
 def on_grid(curves: pd.DataFrame, axis: Axis, grid: Array | None = None) -> pd.DataFrame:
-    """Every run on a common grid (default: `log_grid`): a row per run and grid position.
+    """All runs on a common grid (default: `log_grid`): a row per run and grid position.
 
-    Columns: id, problem, optimizer, seed, settings, the axis, error (NaN before the first value).
-    All runs have a value at each position, so that a mean over runs is one: give these rows, and
-    not `curves` themselves, to a function that averages, such as seaborn's `lineplot`.
+    The columns are id, problem, optimizer, seed, settings, the axis and error (NaN before the first
+    value). All runs have a value at each position, so a mean over runs is well defined: pass these
+    rows, not `curves` itself, to a function that averages, for example seaborn's `lineplot`.
     """
     grid = log_grid(curves, axis) if grid is None else np.asarray(grid, dtype=float)
     at, errors = positions(curves, axis), curves["error"].to_numpy(dtype=float)
@@ -55,7 +55,7 @@ def on_grid(curves: pd.DataFrame, axis: Axis, grid: Array | None = None) -> pd.D
 def step(at: Array, errors: Array, grid: Array) -> Array:
     """The last of `errors` (k,) at or before each grid position (g,); NaN before the first.
 
-    Of rows at the same position the last one counts.
+    The last of several rows at the same position counts.
     """
     order = np.argsort(at, kind="stable")
     index = np.searchsorted(at[order], grid, side="right")
@@ -65,11 +65,11 @@ def step(at: Array, errors: Array, grid: Array) -> Array:
 def summary(
     gridded: pd.DataFrame, axis: Axis, quantiles: tuple[float, float] = (0.1, 0.9)
 ) -> pd.DataFrame:
-    """Per method and grid position of `on_grid`: runs, mean, median, low and high quantile.
+    """Runs, mean, median and quantiles per method and grid position of `on_grid`.
 
-    A method whose runs differ in a setting is as many methods, each with its settings.
-    All are NaN where any run of the method has no value yet: a mean over the runs that happen
-    to have started is a mean over a changing set. The mean is the paper's curve (Fig. 6).
+    A method whose runs differ in a setting counts as several methods. All statistics are NaN until
+    every run of the method has a value: otherwise they would describe a changing set of runs. The
+    mean is the paper's curve (Fig. 6).
     """
     pieces = []
     keys = ["problem", "optimizer", *setting_columns(gridded)]
@@ -94,11 +94,11 @@ def summary(
 
 
 def to_target(curves: pd.DataFrame, axis: Axis, target: float | Array) -> pd.DataFrame:
-    """Where each run first has an error of at most `target` (the curves' unit); inf if never.
+    """Position at which each run first has an error of at most `target`; inf if never.
 
-    `target` is one number, or (rows,) one for each row of `curves`.
-    One row per run of `curves`, which knows no run without rows: see `tidy.with_silent_runs`.
-    Columns: id, problem, optimizer, seed, settings, the axis.
+    `target` is a number or an array (rows,), in the unit of the curves. The result has a row for
+    each run in `curves`, so runs without rows are missing: see `tidy.with_silent_runs`. The columns
+    are id, problem, optimizer, seed, settings and the axis.
     """
     at = pd.Series(positions(curves, axis), index=curves.index)
     reached = at.where(curves["error"] <= target, np.inf)

@@ -1,4 +1,4 @@
-"""Runs in formats that other tools read: CSV, Parquet, and IOHprofiler's."""
+"""Export runs to CSV, Parquet and IOHprofiler's format."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from miho.study.identity import sha256
 from miho.study.settings import is_setting
 
 FORMAT = "0.3.22"
-"""Version of IOHexperimenter (PyPI: ioh) whose output this layout was compared with."""
+"""Version of IOHexperimenter (PyPI: ioh) with whose output this layout was compared."""
 COLUMNS = "columns.json"
 MEANING = {
     "id": ("", "hash of configuration, code, data and seed"),
@@ -29,29 +29,36 @@ MEANING = {
     "seed": ("", "repetition; one seed gives all methods the same start"),
     "outcome": ("", "how the run ended: budget, converged, brackets or no_finite_value"),
     "error": ("see column unit of the runs", "root of the loss, best so far"),
-    "unit": ("", "of the error"),
-    "evaluations": ("evaluations of the loss", "used so far; parts of the data count as parts"),
+    "unit": ("", "unit of the error"),
+    "evaluations": ("evaluations of the loss", "used so far, including fractions"),
     "seconds": ("s", "wall clock of the method alone"),
     "cpu_seconds": ("s", "processor time of the method alone"),
-    "setup_seconds": ("s", "imports and what is traced before the clock, not in seconds"),
-    "irreducible": ("see column unit", "estimate of the error no model of the same inputs beats"),
+    "setup_seconds": ("s", "imports, compilation and warm-up, not in seconds"),
+    "irreducible": ("see column unit", "estimated smallest error of any model of these inputs"),
     "irreducible_low": ("see column unit", "lower end of that estimate's 95 % interval"),
     "irreducible_high": ("see column unit", "upper end of it"),
-    "optimum": ("see column unit", "smallest error in the space, where it is known"),
+    "optimum": ("see column unit", "smallest error in the space, if it is known"),
     "dimension": ("", "number of parameters"),
     "timing_valid": ("", "whether the machine was quiet enough for the seconds to be compared"),
-    "folder": ("", "where the run lies"),
+    "folder": ("", "folder of the run"),
 }
 """Unit and meaning of the columns of `miho.load_runs`."""
 
 
 def write_csv(runs: pd.DataFrame, curves: pd.DataFrame, folder: Path) -> None:
-    """Write runs.csv and curves.csv: UTF-8, numbers as the shortest text that gives them back.
+    """Write runs.csv and curves.csv in UTF-8, with the shortest text that restores each number.
 
-    Python's `float` returns them bit for bit, and so does `pandas.read_csv` from pandas 3.1 on; an
-    older one needs `float_precision="round_trip"`. An empty field is a number that is not known.
-    Text that a spreadsheet would run as a formula gets an apostrophe before it, since results can
-    come from others.
+    Python's `float` restores numbers bit for bit, and so does `pandas.read_csv` from pandas 3.1 on;
+    older versions need `float_precision="round_trip"`. An empty field is an unknown number. Text
+    that a spreadsheet would run as a formula gets a leading apostrophe, because results can come
+    from others.
+
+    Parameters
+    ----------
+    runs, curves : DataFrame
+        See `miho.load_runs`.
+    folder : Path
+        Folder of the files.
     """
 
     def write_table(table: pd.DataFrame, path: Path) -> str:
@@ -67,8 +74,15 @@ def write_parquet(runs: pd.DataFrame, curves: pd.DataFrame, folder: Path) -> Non
     """Write runs.parquet and curves.parquet, with a checksum on every page.
 
     `pyarrow.parquet.read_table(path, page_checksum_verification=True)` raises on a damaged page;
-    readers that do not verify them return wrong numbers. Raises ModuleNotFoundError without
+    readers that do not verify checksums return wrong numbers. Raises ModuleNotFoundError without
     pyarrow.
+
+    Parameters
+    ----------
+    runs, curves : DataFrame
+        See `miho.load_runs`.
+    folder : Path
+        Folder of the files.
     """
     if importlib.util.find_spec("pyarrow") is None:
         raise ModuleNotFoundError("parquet: pyarrow is not installed; pip install 'miho[parquet]'")
@@ -93,7 +107,7 @@ def _write(
     reader: str,
     write_table: Callable[[pd.DataFrame, Path], str],
 ) -> None:
-    """Write the tables, that of the runs first, and last of all what they hold."""
+    """Write the tables, runs first, and finally the description of their columns."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / COLUMNS).unlink(missing_ok=True)
     files: dict[str, Any] = {}
@@ -107,10 +121,10 @@ def _write(
 
 def _column(name: str, kind: object, units: dict[str, dict[str, str]]) -> dict[str, Any]:
     if name.startswith("theta."):
-        meaning = "value of the parameter in the best point, empty where a problem has none"
+        meaning = "value of the parameter at the best point; empty if the problem lacks it"
         return {"type": str(kind), "unit": units.get(name, {}), "meaning": meaning}
     if is_setting(name):
-        meaning = "setting of the run, by its name on the command line; empty where there is none"
+        meaning = "setting of the run, by its name on the command line; empty if there is none"
         return {"type": str(kind), "unit": "", "meaning": meaning}
     unit, meaning = MEANING.get(name, ("", ""))
     return {"type": str(kind), "unit": unit, "meaning": meaning}
@@ -126,22 +140,22 @@ def _units(runs: pd.DataFrame) -> dict[str, dict[str, str]]:
 
 
 def write_ioh(runs: pd.DataFrame, curves: pd.DataFrame, folder: str | Path) -> list[Path]:
-    """Write one folder per method below `folder`; returns them, sorted by name.
+    """Write one folder per method below `folder`; return the folders, sorted by name.
 
-    Layout (de Nobel et al. 2024, "IOHexperimenter"): per problem a JSON file with a row of facts
-    per run, and a .dat file with the improvements, runs one after the other. Problems are numbered
-    from 1 in the order of their names; the instance is the seed; `raw_y` is the error (root of the
-    loss, in the problem's unit), not the loss. Evaluations on a part of the data count as that
-    part of one, the format knows whole ones: they are rounded up. A run's file begins at
-    evaluation 1, with inf where nothing finite was seen yet, and ends with what was spent.
+    The layout is that of IOHexperimenter (de Nobel et al. 2024): for each problem, a JSON file with
+    a row of facts per run and a .dat file with the improvements, one run after the other. Problems
+    are numbered from 1 in the order of their names. The instance is the seed. `raw_y` is the error
+    (root of the loss, in the problem's unit), not the loss. Evaluations on a part of the data count
+    as fractions; the format requires integers, so they are rounded up. A run begins at evaluation
+    1, with inf until the first finite value, and ends with its last evaluation.
 
-    Raises FileExistsError if `folder` holds anything: readers take every JSON file they find.
+    Raises FileExistsError if `folder` is not empty, because readers load every JSON file in it.
     """
     runs, curves = comparison(runs, curves)
     folder = Path(folder)
     if folder.exists() and any(folder.iterdir()):
         raise FileExistsError(f"{folder} is not empty; pass a new folder")
-    # Numbers of problems, and the curve of each run by its id.
+    # Number the problems, and group the curves by run.
     numbers = {problem: place for place, problem in enumerate(sorted(runs["problem"].unique()), 1)}
     sizes = dimensions(runs)
     steps = {str(run): rows for run, rows in curves.groupby("id")}
@@ -149,7 +163,7 @@ def write_ioh(runs: pd.DataFrame, curves: pd.DataFrame, folder: str | Path) -> l
     for key, group in runs.sort_values("seed").groupby(["optimizer", "problem"]):
         optimizer, problem = map(str, key)
         records = [_steps(steps[run["id"]], run["evaluations"]) for _, run in group.iterrows()]
-        # Settings in a name may be paths, and a name may not lead out of the folder.
+        # Settings in a name may be paths, which must not lead out of the folder.
         name = f"f{numbers[problem]}_{problem}".replace("/", "_")
         data = Path(f"data_{name}") / f"IOHprofiler_f{numbers[problem]}_DIM{sizes[problem]}.dat"
         facts = {
@@ -181,7 +195,7 @@ def write_ioh(runs: pd.DataFrame, curves: pd.DataFrame, folder: str | Path) -> l
 
 
 def _steps(curve: pd.DataFrame, spent: float) -> dict[int, float]:
-    """Error by whole evaluation, the last one of each; from 1 to what was spent."""
+    """Error by whole evaluation, from 1 to the last; the last value of each counts."""
     errors = curve["error"].fillna(math.inf)
     at = np.maximum(np.ceil(curve["evaluations"]), 1).astype(int)
     steps = {1: math.inf} | dict(zip(at.tolist(), errors.tolist(), strict=True))

@@ -1,4 +1,5 @@
-"""How well a learned curve holds on a drive that it was not learned from (Sec. V-A.1, Fig. 4)."""
+"""Accuracy of an identified curve on a drive that was not used to identify it (Sec. V-A.1, Fig.
+4)."""
 
 from __future__ import annotations
 
@@ -10,16 +11,25 @@ from numpy.typing import NDArray
 from miho.analysis.curves import Array
 
 NEAR = 0.8
-"""Share of its peak that a curve reaches where a slip angle counts as near the peak."""
+"""Share of its peak from which a curve counts as near the peak."""
 RESAMPLES = 2000
 
 
 class Generalisation(NamedTuple):
     """Root mean square errors of a curve on a drive, all forces in one unit.
 
-    error: over all rows. largest: magnitude of the largest force that was measured. near, below:
-    over the rows near the peaks and over the others. ratio: near over below, with the ends low and
-    high of its 95 % interval.
+    Attributes
+    ----------
+    error : float
+        Error over all rows.
+    largest : float
+        Largest magnitude of the measured force.
+    near, below : float
+        Error over the rows near the peaks, and over the other rows.
+    ratio : float
+        `near` divided by `below`.
+    low, high : float
+        95 % interval of the ratio.
     """
 
     error: float
@@ -32,16 +42,16 @@ class Generalisation(NamedTuple):
 
     @property
     def share(self) -> float:
-        """The error over the largest force."""
+        """The error divided by the largest force."""
         return self.error / self.largest
 
     @property
     def less_near_the_peaks(self) -> bool:
-        """Whether the error near the peaks is larger than below them, chance set aside."""
+        """Whether the error near the peaks is significantly larger than below them."""
         return self.low > 1
 
     def text(self) -> str:
-        """The figures in words, forces in N."""
+        """The figures as text, with forces in N."""
         return (
             f"error {self.error:.0f} N, {100 * self.share:.1f} % of the largest force "
             f"({self.largest:.0f} N); near the peaks {self.near:.0f} N, {self.ratio:.2f} "
@@ -50,7 +60,7 @@ class Generalisation(NamedTuple):
 
 
 def near_peaks(force: Array, peaks: tuple[float, float]) -> NDArray[np.bool_]:
-    """Where a curve's forces (n,) reach `NEAR` of its peaks, the lowest and the highest force."""
+    """Mask (n,) of forces that reach `NEAR` of the lowest or the highest force in `peaks`."""
     low, high = peaks
     return (force <= NEAR * low) | (force >= NEAR * high)
 
@@ -60,21 +70,22 @@ def generalisation(
 ) -> Generalisation:
     """Judge a curve's forces on a drive.
 
-    Neighbouring rows of a drive err alike, so whole swings are resampled for the interval: from
-    one change of the curve's sign to the next.
+    Errors of neighbouring rows are correlated, so the interval resamples whole swings: from one
+    change of the curve's sign to the next.
 
     Parameters
     ----------
     measured, predicted : ndarray, shape (n,)
-        Lateral forces in the order of the drive, and the curve's at the same slip angles.
+        Lateral forces in the order of the drive, and the curve's forces at the same slip angles.
     near : ndarray of bool, shape (n,)
-        The rows near the peaks, as `near_peaks` has them.
+        The rows near the peaks, see `near_peaks`.
     rng : numpy.random.Generator
         Draws the swings of each of `RESAMPLES` resamples.
 
     Returns
     -------
     Generalisation
+        The errors and the interval of their ratio.
 
     Raises
     ------
@@ -83,8 +94,8 @@ def generalisation(
     """
     if near.all() or not near.any():
         raise ValueError(
-            f"{near.sum()} of {near.size} rows are near the peaks; expected a drive with some near "
-            "the peaks and some below"
+            f"{near.sum()} of {near.size} rows are near the peaks; expected a drive with some rows "
+            "near the peaks and some below"
         )
     square = (predicted - measured) ** 2
     swing = np.concatenate([[0], np.cumsum(np.diff(np.sign(predicted)) != 0)])
@@ -111,5 +122,5 @@ def generalisation(
 
 
 def _ratio(sums: Array) -> Array:
-    """Error near the peaks over the error below, from sums of squares and numbers of rows."""
+    """Error near the peaks divided by the error below, from sums of squares and numbers of rows."""
     return np.asarray(np.sqrt((sums[0] / sums[1]) / (sums[2] / sums[3])))

@@ -1,9 +1,9 @@
-"""The fixed look of each method: a colour-blind-safe colour, a line style, a printed name.
+"""The fixed style of each method in figures: a colour-blind-safe colour, a line style, a name.
 
-Families share a hue: MIHO and Hyperband's kin are red and pink, evolution and annealing blue,
+Families share a hue: MIHO and Hyperband's variants are red and pink, evolution and annealing blue,
 swarms sky blue, methods that model the loss green, local descent tan, least squares black, other
-global searches that use residuals brown.
-Members differ by dashes, which also tell them apart in black and white.
+global searches that use residuals brown. Members differ by dashes, which also distinguish them in
+black and white.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ LOOSE_DOTS: Dashes = (0, (1, 3))
 
 @dataclass(frozen=True)
 class MethodStyle:
-    """`dashes` is matplotlib's (offset, on-off pattern in line widths); `width` is in points."""
+    """Style of a method. `dashes` is matplotlib's (offset, on-off pattern in line widths); `width`
+    is in points."""
 
     name: str
     color: str
@@ -105,8 +106,8 @@ _SPARE = [
 def styles_of(methods: Iterable[str]) -> dict[str, MethodStyle]:
     """The style of each method, in the order of STYLES, then by name.
 
-    Methods without a fixed style take spare ones by the order of their names, so that both
-    panels of a figure agree.
+    Methods without a fixed style take spare styles in the order of their names, so that both panels
+    of a figure agree.
     """
     methods = set(methods)
     styles = {method: STYLES[method] for method in STYLES if method in methods}
@@ -123,15 +124,16 @@ _RELATED = {
     _BLACK: _GREY, _GREY: _BLACK, _BROWN: _TAN, _PURPLE: _PINK,
     _INDIGO: _PURPLE, ORANGE: _TAN,
 }  # fmt: skip
-"""The hue that a method takes where its own is another's already."""
+"""The hue of a method whose usual hue is taken by another."""
 HUES = tuple(_RELATED)
 
 
 def distinct(methods: Iterable[str]) -> dict[str, MethodStyle]:
-    """As `styles_of`, with a hue for each method, as long as there are hues: for a figure of few.
+    """`styles_of` with a different hue for each method, while hues last; for figures of few
+    methods.
 
-    Of a family the solid line keeps its hue; the others take the one that is nearest to it of those
-    that nobody in the figure has.
+    The solid line of a family keeps its hue. The others take the nearest hue that no method in the
+    figure has.
     """
     styles = styles_of(methods)
     own = {style.color for style in styles.values()}
@@ -146,22 +148,22 @@ def distinct(methods: Iterable[str]) -> dict[str, MethodStyle]:
 
 MAIN = ("miho_gn", "miho_qn", "miho", "cma_es", "differential_evolution", "optuna_tpe", "pso_500",
         "least_squares", "random")  # fmt: skip
-"""The methods in the foreground where all would be too many: the paper's and one of each family."""
+"""Methods in the foreground of a crowded figure: the paper's and one of each family."""
 
 
 def with_emphasis(
     methods: Iterable[str], highlight: Collection[str] | None = None
 ) -> dict[str, MethodStyle]:
-    """As `styles_of`, with all methods but those of `highlight` muted and placed first.
+    """`styles_of` with all methods outside of `highlight` muted and placed first.
 
-    Drawn in this order, the foreground lies on top. By default those of MAIN that are present
-    stand out. Raises ValueError for a method to highlight that is not among `methods`.
+    Drawn in this order, the foreground is on top. By default the methods of MAIN that are present
+    are highlighted. Raises ValueError for a method in `highlight` that is not among `methods`.
     """
     styles = styles_of(methods)
     unknown = sorted(set(highlight or ()) - set(styles))
     if unknown:
         raise ValueError(
-            f"highlight names {', '.join(unknown)}, of which there are no runs; "
+            f"highlight names {', '.join(unknown)}, but there are no such runs; "
             f"expected some of {', '.join(styles)}"
         )
     front = MAIN if highlight is None else highlight

@@ -1,4 +1,4 @@
-"""Numbers, intervals and tables as a reader wants them, for terminals, Markdown and pages."""
+"""Format numbers, intervals and tables for terminals, Markdown and pages."""
 
 from __future__ import annotations
 
@@ -12,22 +12,28 @@ import pandas as pd
 from miho.analysis.compare.bootstrap import Interval
 
 SMALL, LARGE = 1e-4, 1e9
-"""Numbers below the one and from the other on are printed with a power of ten."""
+"""Numbers below SMALL and from LARGE on are printed with a power of ten."""
 KILO = 1e4
-"""Values from here on are written in thousands of their unit."""
+"""Values from this on are written in thousands of their unit."""
 PLACES = 6
 """Numbers that need more decimals than this are written with a power of ten."""
 USUAL = MappingProxyType({"rad": (180 / math.pi, "deg"), "rad/s": (30 / math.pi, "rpm")})
 PREFIXED = ("N", "Pa")
 _NUMBER = r"[-+−]?[\d.,]*\d(e[-+]?\d+)?"
 NUMERIC = re.compile(rf"{_NUMBER}( ± {_NUMBER})?|[-∞]|[-+]?inf|never|\[.*\]")
-"""What a cell of a column of numbers reads like."""
+"""Pattern of a cell in a column of numbers."""
 
 
 def number(value: float) -> str:
-    """Three significant digits, whole numbers with thousands separated, "never" for inf.
+    """Three significant digits, whole numbers with thousands separators, "never" for inf.
 
-    Below 0.0001 with a power of ten, such as 3.00e-11.
+    Numbers below 0.0001 have a power of ten, for example 3.00e-11.
+
+    Examples
+    --------
+    >>> from miho.analysis.text import number
+    >>> number(1234.5), number(0.012345), number(float("inf"))
+    ('1,234', '0.0123', 'never')
     """
     if math.isnan(value):
         return "-"
@@ -41,7 +47,7 @@ def number(value: float) -> str:
 
 
 def significant(value: float, digits: int = 5) -> str:
-    """So many significant digits, all digits before the point, "∞" for inf, "-" for NaN."""
+    """A number of significant digits, all digits before the point, "∞" for inf, "-" for NaN."""
     if math.isnan(value):
         return "-"
     if math.isinf(value):
@@ -52,12 +58,12 @@ def significant(value: float, digits: int = 5) -> str:
 
 
 def rounded(value: float, digits: int) -> float:
-    """The number that is left of a value with so many significant digits."""
+    """The value rounded to `digits` significant digits."""
     return float(f"{float(value):.{digits}g}")
 
 
 def scaled(value: float, unit: str) -> tuple[float, str]:
-    """The factor to multiply by and the unit it gives.
+    """The factor to multiply by and the resulting unit.
 
     rad becomes deg, rad/s becomes rpm, and N/rad becomes kN/rad for large values.
     """
@@ -69,9 +75,9 @@ def scaled(value: float, unit: str) -> tuple[float, str]:
 
 
 def to_error(value: float, error: float) -> str:
-    """A value with the digits that its error leaves, two of the error; "-" for NaN.
+    """A value with as many digits as its error allows (two of the error); "-" for NaN.
 
-    Six significant digits where the error is 0 or not finite.
+    Six significant digits if the error is 0 or not finite.
     """
     if math.isnan(value):
         return "-"
@@ -85,14 +91,14 @@ def to_error(value: float, error: float) -> str:
 
 
 def with_error(value: float, error: float) -> str:
-    """ "value ± error", both with the digits the error leaves."""
+    """Format "value ± error", both with the digits that the error allows."""
     return f"{to_error(value, error)} ± {to_error(error, error)}"
 
 
 def ends(low: float, high: float, error: float) -> str:
-    """ "[low, high]" with the digits of the error; "-" if both ends are unknown.
+    """Format "[low, high]" with the digits of the error; "-" if both ends are unknown.
 
-    An infinite end beside a finite error is open: a profile came to the edge of the box first.
+    An infinite end with a finite error is "open": a profile reached the bound of the space first.
     """
     if math.isnan(low) and math.isnan(high):
         return "-"
@@ -104,9 +110,9 @@ def ends(low: float, high: float, error: float) -> str:
 
 
 def with_interval(interval: Interval, unit: str) -> str:
-    """An estimate with its 95 % interval, such as "0.392 kN [0.391, 0.394]".
+    """An estimate with its 95 % interval, for example "0.392 kN [0.391, 0.394]".
 
-    What is known within bounds only reads "more than 5.2×" or "5.2 to 8.1×".
+    A value that is only known within bounds reads "more than 5.2×" or "5.2 to 8.1×".
     """
     low, estimate, at_most, high = (
         "∞" if value == math.inf else number(value)
@@ -119,14 +125,14 @@ def with_interval(interval: Interval, unit: str) -> str:
 
 
 def cell(value: object) -> str:
-    """What a table shows of a value: words as they are, numbers as `number` has them."""
+    """The text of a value in a table: strings unchanged, numbers by `number`."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return number(float(value))
     return str(value)
 
 
 def is_numeric(column: pd.Series) -> bool:
-    """Whether a column shows numbers, which are read from the right, and no words or units."""
+    """Return whether a column shows only numbers, which are aligned to the right."""
     return all(NUMERIC.fullmatch(cell(value)) for value in column)
 
 
@@ -142,16 +148,17 @@ def to_markdown(frame: pd.DataFrame) -> str:
 
 
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
-"""What a formula begins with in a spreadsheet (OWASP, "CSV Injection")."""
+"""First characters of a formula in a spreadsheet (OWASP, "CSV Injection")."""
 MEASURED = re.compile(rf"{_NUMBER}(\s([\w\s.,%°±×∞\[\]]|(?<=\[)[-+]|(?<=, )[-+])*)?")
-"""A number, with a unit and an interval if any; a sign inside stands only where an end begins."""
+"""A number, optionally with a unit and an interval; an inner sign is allowed only at an end's
+beginning."""
 
 
 def csv_text(table: pd.DataFrame, **keywords: Any) -> str:
-    """A table as CSV without its index; `keywords` are those of `pandas.DataFrame.to_csv`.
+    """A table as CSV without its index; `keywords` are passed to `pandas.DataFrame.to_csv`.
 
-    Names and text that a spreadsheet would run as a formula get an apostrophe before them, since
-    they can come from others.
+    Names and text that a spreadsheet would run as a formula get a leading apostrophe, because they
+    can come from others.
     """
     plain = table.rename(columns=without_formula)
     for place, kind in enumerate(table.dtypes):
@@ -162,9 +169,10 @@ def csv_text(table: pd.DataFrame, **keywords: Any) -> str:
 
 
 def without_formula(cell: object) -> object:
-    """Text that begins as a formula does, behind an apostrophe.
+    """Prefix text that begins like a formula with an apostrophe.
 
-    Numbers, also with a unit and an interval, stay as they are, and so does a lone "-", a unit.
+    Numbers, also with a unit and an interval, are unchanged, and so is a single "-", which is a
+    unit.
     """
     if not isinstance(cell, str) or cell == "-" or MEASURED.fullmatch(cell):
         return cell

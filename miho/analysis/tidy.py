@@ -1,4 +1,4 @@
-"""The two tidy frames that everything here is a function of, and the checks they must pass."""
+"""The two tidy frames on which all analysis is based, and their checks."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ def require_columns(frame: pd.DataFrame, columns: Collection[str], name: str) ->
 
 
 def one_problem(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Both frames, checked as by `comparison` and to hold one problem and unit.
+    """Both frames, checked by `comparison` and to contain one problem and unit.
 
-    All settings that differ are told with the method, those of the data as well.
+    All settings that differ become part of the method's name, including settings of the data.
     """
     require_columns(runs, RUN_COLUMNS, "runs")
     for column in ("problem", "unit"):
         values = sorted(map(str, runs[column].unique()))
         if len(values) != 1:
             raise ValueError(
-                f"runs hold {len(values)} different values of {column} ({', '.join(values)}); "
+                f"runs have {len(values)} different values of {column} ({', '.join(values)}); "
                 f"pass the runs of one problem at a time"
             )
     return _checked(named_apart(runs, of_problem=()), curves)
@@ -43,10 +43,12 @@ def one_problem(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame,
 def comparison(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Both frames, checked: one unit per problem, one run per problem, method and seed.
 
-    Runs of one name that differ in their settings get names of their own, as of `named_apart`.
-    The curves come back sorted by run and evaluations, and complete: a run that never saw a
-    finite error gets one row, at its end, whose error is NaN, so that no average forgets it.
-    Raises ValueError otherwise, also when an error rises within a run: curves are best so far.
+    Runs of one name with different settings get different names, see `named_apart`. The curves are
+    sorted by run and evaluations, and complete: a run without a finite error gets one row at its
+    end with error NaN, so that no average ignores it.
+
+    Raises ValueError otherwise, also if an error rises within a run, because curves are best so
+    far.
     """
     require_columns(runs, RUN_COLUMNS, "runs")
     return _checked(named_apart(runs), curves)
@@ -57,20 +59,20 @@ def _checked(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame, pd
     units = runs.groupby("problem")["unit"].nunique()
     if (units > 1).any():
         raise ValueError(
-            f"runs of {units.idxmax()} have {units.max()} different units; give problems that "
-            f"differ in unit different names"
+            f"runs of {units.idxmax()} have {units.max()} different units; give problems with "
+            f"different units different names"
         )
     twins = runs[runs.duplicated(["problem", "optimizer", "seed"], keep=False)]
     if len(twins):
         first = twins.iloc[0]
         raise ValueError(
-            f"runs hold several runs of {first['optimizer']} with seed {first['seed']}; "
-            f"keep one of each, or the columns of settings that tell them apart"
+            f"runs have several runs of {first['optimizer']} with seed {first['seed']}; "
+            f"keep one of each, or the columns of settings that distinguish them"
         )
     strangers = sorted(set(curves["id"].unique()) - set(runs["id"]))
     if strangers:
         raise ValueError(
-            f"curves hold {len(strangers)} runs that are not in runs, such as {strangers[0]}; "
+            f"curves have {len(strangers)} runs that are not in runs, for example {strangers[0]}; "
             f"filter both frames alike"
         )
     curves = with_names_of(curves, runs)
@@ -78,7 +80,7 @@ def _checked(runs: pd.DataFrame, curves: pd.DataFrame) -> tuple[pd.DataFrame, pd
     rises = (curves["error"].diff() > 0) & (curves["id"] == curves["id"].shift())
     if rises.any():
         raise ValueError(
-            f"the error of run {curves['id'][rises].iloc[0]} rises; curves hold the best so far"
+            f"the error of run {curves['id'][rises].iloc[0]} rises; curves must be best so far"
         )
     return runs, with_silent_runs(runs, curves)
 
@@ -93,11 +95,11 @@ def with_silent_runs(runs: pd.DataFrame, curves: pd.DataFrame) -> pd.DataFrame:
 
 
 def dimensions(runs: pd.DataFrame) -> dict[str, int]:
-    """The number of parameters of each problem: its `theta.` columns that hold any value."""
+    """The number of parameters of each problem: its `theta.` columns with any value."""
     thetas = runs.filter(regex=r"^theta\.").notna().groupby(runs["problem"]).any().sum(axis=1)
     return {str(problem): int(count) for problem, count in thetas.items()}
 
 
 def shown_unit(unit: str) -> tuple[str, float]:
-    """The unit that tables and figures print, and the factor to it: forces are shown in kN."""
+    """The unit in tables and figures and the factor to it: forces are shown in kN."""
     return ("kN", 1e-3) if unit == "N" else (unit, 1.0)

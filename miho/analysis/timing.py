@@ -1,4 +1,4 @@
-"""Which clock a figure or a claim over time goes by: the wall's or the processor's."""
+"""The clock of a figure or claim over time: wall or CPU seconds."""
 
 from __future__ import annotations
 
@@ -11,17 +11,24 @@ from miho.analysis.tidy import require_columns
 
 VALID = "timing_valid"
 QUIET_SHARE = 0.5
-"""Wall seconds are shown where nothing disturbed more than this share of each problem's seeds."""
+"""Wall seconds are shown if more than this share of each problem's seeds was undisturbed."""
 UNITS = {"seconds": "seconds", "cpu_seconds": "CPU seconds", "evaluations": "evaluations"}
 
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """The one clock of a figure or table: seconds of two clocks never share an axis.
+    """The clock of a figure or table; seconds of two clocks never share an axis.
 
-    axis: the column of runs and curves that holds its seconds. runs: those that may be compared on
-    it. disturbed: what other work did to the runs, in words, "" if nothing. note: the same, with
-    what is shown of them.
+    Attributes
+    ----------
+    axis : Axis
+        The column of runs and curves with its seconds.
+    runs : DataFrame
+        The runs that may be compared on it.
+    disturbed : str
+        Disturbances of the runs by other work, as a phrase; empty if there were none.
+    note : str
+        The same with the selection that is shown.
     """
 
     axis: Axis
@@ -31,37 +38,38 @@ class Clock:
 
     @property
     def unit(self) -> str:
-        """Such as "CPU seconds"."""
+        """Unit of the axis, for example "CPU seconds"."""
         return UNITS[self.axis]
 
     def advice(self, command: str) -> str:
-        """How to get wall seconds, "" where the clock has them; command: what made the runs."""
+        """How to get wall seconds; empty if the clock has them. `command` is the command of the
+        runs."""
         if self.axis == "seconds":
             return ""
         return (
-            f"CPU seconds stand for seconds, since {self.disturbed}; for seconds of the wall clock "
-            f"run this while the machine does nothing else: {command} fresh=true"
+            f"CPU seconds replace seconds, because {self.disturbed}; for wall seconds, run this "
+            f"while the machine is otherwise idle: {command} fresh=true"
         )
 
 
 def undisturbed(runs: pd.DataFrame) -> pd.Series[bool]:
-    """Whether no other work disturbed the seconds of each run; True without the column."""
+    """Whether the seconds of each run are undisturbed by other work; True without the column."""
     return runs[VALID].eq(True) if VALID in runs else pd.Series(True, runs.index)
 
 
 def clock_of(runs: pd.DataFrame) -> Clock:
-    """The clock that these runs may be compared on.
+    """The clock on which these runs may be compared.
 
-    Wall seconds of the seeds that nothing disturbed, if on every problem these are more than
-    `QUIET_SHARE` of its seeds; else the processor's seconds of all runs, which other work hardly
-    changes. `timing_valid` is True, False, or missing for a run that was not watched, which is no
-    better than False. Methods stay paired: where one run of a problem and seed is not valid, no
-    run of that problem and seed counts as quiet. A table without the column is shown in wall
-    seconds, and the note says that nobody judged it.
+    These are wall seconds of the undisturbed seeds, if they are more than `QUIET_SHARE` of the
+    seeds of every problem; else CPU seconds of all runs, which other work hardly changes.
+    `timing_valid` is True, False, or missing for a run that was not watched, which counts as False.
+    Methods stay paired: if one run of a problem and seed is not valid, none with that problem and
+    seed counts as undisturbed. A table without the column is shown in wall seconds, with a note
+    that nobody judged them.
     """
     require_columns(runs, ["problem", "seed"], "runs")
     if runs.empty or VALID not in runs:
-        unknown = "" if runs.empty else "seconds: nothing is known of what else the machine did"
+        unknown = "" if runs.empty else "seconds: other work on the machine is unknown"
         return Clock("seconds", runs, "", unknown)
     valid = undisturbed(runs)
     if valid.all():
@@ -78,7 +86,7 @@ def clock_of(runs: pd.DataFrame) -> Clock:
 
 
 def _disturbed(runs: pd.DataFrame) -> str:
-    """Such as "other work disturbed 3 of 40 runs"."""
+    """A phrase such as "other work disturbed 3 of 40 runs"."""
     unwatched, disturbed = int(runs[VALID].isna().sum()), int(runs[VALID].eq(False).sum())
     parts = [f"other work disturbed {disturbed} of {len(runs)} runs"] * bool(disturbed)
     parts += [f"nothing watched {unwatched} of {len(runs)} runs"] * bool(unwatched)

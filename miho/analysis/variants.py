@@ -1,7 +1,7 @@
-"""Runs of one method that differ in a setting get a name each, such as `miho R=300`.
+"""Distinguish runs of one method that differ in a setting by names such as `miho R=300`.
 
-Everything here that draws, averages or judges goes by the columns `problem` and `optimizer`, so
-that runs with different settings are never pooled.
+All functions that draw, average or judge use the columns `problem` and `optimizer`, so runs with
+different settings are never pooled.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import pandas as pd
 from miho.study.settings import DATA, is_setting
 
 OF_PROBLEM = ("model", "loss", "dataset", DATA)
-"""Groups of settings that make another problem; all others make another method."""
+"""Groups of settings that define another problem; all others define another method."""
 LONGEST = 40
-"""Characters of a value that a name shows, the last ones: paths differ at their ends."""
+"""Characters of a value in a name; the last ones are kept, because paths differ at their ends."""
 
 
 def setting_columns(frame: pd.DataFrame) -> list[str]:
@@ -25,19 +25,19 @@ def setting_columns(frame: pd.DataFrame) -> list[str]:
 
 
 def named_apart(runs: pd.DataFrame, *, of_problem: Collection[str] = OF_PROBLEM) -> pd.DataFrame:
-    """`runs` with what differs under one name added to `problem` and to `optimizer`.
+    """Add settings that differ under one name to the columns `problem` and `optimizer` of `runs`.
 
     Parameters
     ----------
     runs : DataFrame
         A row per run, or curves, with the columns of settings of `miho.load_runs`.
     of_problem : collection of str
-        The groups of settings that make another problem; empty where all runs are to be compared.
+        Groups of settings that define another problem; empty if all runs are to be compared.
 
     Returns
     -------
     DataFrame
-        The same rows. Named twice they are as named once.
+        The same rows. A second call changes nothing.
     """
     columns = setting_columns(runs)
     if not columns:
@@ -62,7 +62,7 @@ def with_names_of(curves: pd.DataFrame, runs: pd.DataFrame) -> pd.DataFrame:
 
 
 def _labelled(names: pd.Series, within: Sequence[pd.Series], settings: pd.DataFrame) -> pd.Series:
-    """Each name, followed by the settings that vary under it in one of the groups of `within`."""
+    """Each name, followed by the settings that vary under it within a group of `within`."""
     if settings.empty:
         return names
     groups = settings.groupby([*within, names], sort=False)
@@ -86,7 +86,7 @@ def _label(name: str, columns: Sequence[str], settings: Mapping[Any, Any]) -> st
 
 
 def shown(value: Any) -> str:
-    """A setting as a reader writes it: whole numbers without a point, "-" for none."""
+    """A setting as text: whole numbers without a decimal point, "-" for none."""
     if value is None or value != value:
         return "-"
     if isinstance(value, float) and value.is_integer() and abs(value) < 1e15:

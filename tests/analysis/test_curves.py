@@ -91,7 +91,7 @@ def test_one_problem_completes_the_curves_with_silent_runs() -> None:
         (lambda r, c: (r.drop(columns="unit"), c), "runs lacks the columns unit"),
         (lambda r, c: (r.assign(problem=["a", "b"]), c), "2 different values of problem"),
         (lambda r, c: (r.assign(seed=0), c), "several runs of miho with seed 0"),
-        (lambda r, c: (r.iloc[:1], c), "1 runs that are not in runs, such as miho-1"),
+        (lambda r, c: (r.iloc[:1], c), "1 runs that are not in runs, for example miho-1"),
         (lambda r, c: (r, c.assign(error=c["evaluations"])), "the error of run miho-0 rises"),
     ],
 )

@@ -69,7 +69,7 @@ def test_the_last_line_is_the_cost_of_the_best_method() -> None:
 
 
 def test_an_unknown_factor_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"factor is 1.5; the frame holds 1.01"):
+    with pytest.raises(ValueError, match=r"factor is 1.5; the frame has 1.01"):
         ert_table(ERT, factor=1.5)
 
 

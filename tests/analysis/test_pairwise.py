@@ -140,7 +140,7 @@ def test_methods_that_solve_nothing_in_common_have_no_ratio() -> None:
 
 
 def test_an_unknown_method_is_named() -> None:
-    with pytest.raises(ValueError, match="method is 'z'; scores hold a, b"):
+    with pytest.raises(ValueError, match="method is 'z'; scores have a, b"):
         pairwise(pd.DataFrame({"a": [1.0], "b": [2.0]}), "z")
 
 

@@ -104,7 +104,7 @@ def test_friedman_of_equal_and_of_perfectly_ordered_methods() -> None:
 def test_what_cannot_be_ranked_is_named() -> None:
     with pytest.raises(ValueError, match="scores of b on 1 are missing"):
         ranks(pd.DataFrame({"a": [1.0, 2.0], "b": [1.0, np.nan]}))
-    with pytest.raises(ValueError, match="scores hold 2 methods on 2 problems"):
+    with pytest.raises(ValueError, match="scores have 2 methods on 2 problems"):
         friedman(pd.DataFrame({"a": [1.0, 2.0], "b": [1.0, 3.0]}))
     with pytest.raises(ValueError, match=r"problems and level are 1, 5, 0\.05"):
         critical_difference(1, 5)

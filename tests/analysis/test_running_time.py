@@ -156,7 +156,7 @@ def test_what_cannot_be_used_is_named() -> None:
         hits(runs, curves, factors=(0.9,))
     with pytest.raises(ValueError, match=r"best known error of p is 0\.0; targets need"):
         hits(runs.assign(optimum=0.0), curves)
-    with pytest.raises(ValueError, match=r"factor is 1\.2; the frame holds 1\.1, 1\.5"):
+    with pytest.raises(ValueError, match=r"factor is 1\.2; the frame has 1\.1, 1\.5"):
         at_factor(hits(runs, curves, factors=(1.5, 1.1)), 1.2)
     with pytest.raises(ValueError, match="hits lacks the columns hours, spent_hours"):
         running_times(hits(runs, curves), "hours")  # type: ignore[arg-type]

@@ -45,7 +45,7 @@ def test_where_half_of_the_seeds_or_more_are_disturbed_it_is_the_processors(
     clock = clock_of(runs(*valid))
     assert (clock.axis, clock.unit) == ("cpu_seconds", "CPU seconds")
     assert len(clock.runs) == len(valid)
-    assert clock.advice("python -m it").endswith("nothing else: python -m it fresh=true")
+    assert clock.advice("python -m it").endswith("otherwise idle: python -m it fresh=true")
 
 
 def test_disturbed_and_unwatched_runs_are_counted_apart() -> None:
@@ -64,7 +64,7 @@ def test_one_disturbed_problem_decides_for_all() -> None:
 def test_a_table_that_was_not_judged_comes_back_whole() -> None:
     clock = clock_of(runs(True, True).drop(columns="timing_valid"))
     assert (clock.axis, len(clock.runs)) == ("seconds", 2)
-    assert "nothing is known" in clock.note
+    assert "is unknown" in clock.note
 
 
 def test_no_runs() -> None:

@@ -1,1 +1,1 @@
-"""Methods against each other: what they reached, what it cost, and whether that is chance."""
+"""Comparison of methods: accuracy, cost and statistical significance."""

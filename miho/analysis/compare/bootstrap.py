@@ -1,8 +1,8 @@
 """Percentile bootstrap over repetitions, of final errors and of mean curves.
 
-A repetition is a seed: data split and initial configurations are shared by all methods, so
-comparisons resample seeds jointly (paired). Few repetitions give intervals that are too short:
-with five, a nominal 95 % holds the truth in roughly 83 % of cases if errors are normal, and in
+A repetition is a seed: all methods share the data split and the initial configurations, so
+comparisons resample seeds jointly (paired). With few repetitions the intervals are too short: with
+five, a nominal 95 % interval covers the truth in roughly 83 % of cases if errors are normal, and in
 70 % if they are lognormal.
 """
 
@@ -28,10 +28,17 @@ ENDED_BY_ITSELF = ("converged", "brackets", "failed")
 class MeanCurve:
     """The n runs of one method as step functions on their common breakpoints.
 
-    `at` (t,) are all positions where any run improves, rising. `errors` (n, t) never rise along
-    a row and are inf where a run has no value yet, so that the mean is inf there as well. `ends`
-    (n,) is where each run stopped. `cut` (n,) marks runs that the budget or the user stopped and
-    that could have gone on; the others keep their last value for good.
+    Attributes
+    ----------
+    at : ndarray, shape (t,)
+        All positions at which any run improves, increasing.
+    errors : ndarray, shape (n, t)
+        Best errors so far; inf before the first value, so that the mean is inf as well.
+    ends : ndarray, shape (n,)
+        The end of each run.
+    cut : ndarray of bool, shape (n,)
+        Runs that the budget or the user stopped and that could have continued. The others keep
+        their last value.
     """
 
     at: Array
@@ -48,7 +55,8 @@ class MeanCurve:
         axis: Axis,
         seeds: Sequence[int],
     ) -> MeanCurve:
-        """The runs of `optimizer` with these seeds, in their order; frames as `one_problem`."""
+        """The runs of `optimizer` with these seeds, in their order; frames as from
+        `one_problem`."""
         of_method = runs[runs["optimizer"] == optimizer].set_index("seed").loc[list(seeds)]
         rows = curves[curves["id"].isin(of_method["id"])]
         at = np.unique(positions(rows, axis))
@@ -61,12 +69,13 @@ class MeanCurve:
         return cls(at, errors, of_method[axis].to_numpy(dtype=float), cut)
 
     def reaches(self, target: float, picks: Picks) -> tuple[Array, Array]:
-        """Bounds (m,), (m,) on where the mean of each resample is first at most `target`.
+        """Bounds (m,), (m,) on the position at which the mean of each resample is first at most
+        `target`.
 
-        `picks` (m, n) are row numbers, one resample per row. The second bound is where the mean
-        of the runs as they are gets there, inf if it does not. The first is the same, or the
-        earliest end of a run that was cut if that is before: had the run gone on, the mean might
-        have been there from then on.
+        `picks` (m, n) are row numbers, one resample per row. The second bound is the position for
+        the runs as they are, inf if they never reach the target. The first bound is the same or, if
+        earlier, the first end of a run that was cut: if that run had continued, the mean might have
+        reached the target from then on.
         """
         low, high = np.zeros(len(picks), dtype=int), np.full(len(picks), self.at.size)
         while (open_ := low < high).any():
@@ -79,10 +88,11 @@ class MeanCurve:
         return np.minimum(reached, earliest_cut), reached
 
     def still_falling(self, tolerance: float = 0.01) -> bool:
-        """Whether a larger budget would matter: the mean fell in the second half of the runs.
+        """Return whether a larger budget would matter: the mean fell in the second half of the
+        runs.
 
-        True if a run was cut and the mean fell by more than `tolerance` (relative) between half
-        of each run's length and its end.
+        True if a run was cut and the mean fell by more than `tolerance` (relative) between half of
+        each run's length and its end.
         """
         half = np.searchsorted(self.at, self.ends / 2, side="right") - 1
         early = self.errors[np.arange(half.size), np.maximum(half, 0)]
@@ -90,10 +100,10 @@ class MeanCurve:
         return bool(self.cut.any() and self.errors[:, -1].mean() < (1 - tolerance) * early)
 
     def idle(self) -> Array:
-        """The share of each run (n,) that brought no improvement, on the axis.
+        """The share of each run (n,) without improvement, on the axis.
 
-        Only waits count that are longer than PATIENCE of what was spent before: stored curves leave
-        out improvements that are closer together.
+        Only waits longer than PATIENCE times the position count, because stored curves omit
+        improvements that are closer together.
         """
         shares = np.zeros(len(self.errors))
         for row, (errors, end) in enumerate(zip(self.errors, self.ends, strict=True)):
@@ -112,9 +122,9 @@ RESAMPLES = 2000
 class Interval:
     """An estimate and its bootstrap interval.
 
-    What was cut by the budget is known within bounds only: then `estimate` is the lower bound,
-    `at_most` the upper one, and `low` and `high` hold the intervals of both. `censored` is the
-    share of resamples with different bounds; 0 means that all is known exactly.
+    A value that the budget cut off is only known within bounds: `estimate` is then the lower bound,
+    `at_most` the upper bound, and `low` and `high` enclose the intervals of both. `censored` is the
+    share of resamples with different bounds; 0 means that all values are exact.
     """
 
     estimate: float
@@ -145,7 +155,8 @@ def improvement(
 ) -> Interval:
     """1 - mean(method) / mean(rival), of final errors (n,), (n,) paired by repetition.
 
-    The paper's "24 % better". 1 if only the rival has no finite error, 0 if neither has.
+    This is the paper's "24 % better". It is 1 if only the rival has no finite error, 0 if neither
+    has.
     """
     ratio = ratio_of_means(method, rival, rng, resamples)
     best, worst = 1 - ratio.low, 1 - ratio.high
@@ -169,9 +180,9 @@ def ratio_of_means(
 def time_to_target(
     curve: MeanCurve, target: float, rng: np.random.Generator, resamples: int = RESAMPLES
 ) -> Interval:
-    """Where the mean curve is first at most `target`, in the unit of its axis.
+    """Position at which the mean curve is first at most `target`, in the unit of its axis.
 
-    Never reaching it gives [earliest end of a cut run, inf], or inf if all runs had finished.
+    If it never is, the result is [earliest end of a cut run, inf], or inf if all runs had finished.
     """
     return interval(*curve.reaches(target, resample(len(curve.errors), rng, resamples)))
 
@@ -183,14 +194,14 @@ def speed_up(
     rng: np.random.Generator,
     resamples: int = RESAMPLES,
 ) -> Interval:
-    """Time to target of the fastest rival's mean curve, divided by that of `method`.
+    """Time to target of the fastest rival's mean curve, divided by the time of `method`.
 
-    Runs are paired by repetition: row i of every curve is the same seed. Times that the budget
-    cut off enter as bounds, on either side alike. If no rival arrives the ratio lies between
-    (earliest end of a cut rival) / (the method's time) and inf. If some arrive and others were cut
-    before, the fastest of those that arrived gives the upper bound and the earliest cut the lower
-    one. If the method does not arrive the lower bound is 0; it is exactly 0 if its runs had
-    finished.
+    Runs are paired by repetition: row i of every curve has the same seed. Times that the budget cut
+    off enter as bounds, for the method and the rivals alike. If no rival reaches the target, the
+    ratio is between (earliest end of a cut rival) / (the method's time) and inf. If some do and
+    others were cut before, the fastest of the former gives the upper bound and the earliest cut the
+    lower bound. If the method does not reach the target, the lower bound is 0; the ratio is exactly
+    0 if its runs had finished.
     """
     if not rivals:
         raise ValueError("speed_up needs at least one rival")
@@ -207,7 +218,7 @@ def speed_up(
 
 
 def resample(repetitions: int, rng: np.random.Generator, resamples: int = RESAMPLES) -> Picks:
-    """Row numbers (1 + resamples, n): the repetitions as they are, then draws with replacement."""
+    """Row numbers (1 + resamples, n): the actual repetitions, then draws with replacement."""
     if repetitions < 1:
         raise ValueError("there is no repetition to resample")
     draws = rng.integers(repetitions, size=(resamples, repetitions))
@@ -217,7 +228,7 @@ def resample(repetitions: int, rng: np.random.Generator, resamples: int = RESAMP
 def interval(lows: Array, highs: Array, level: float = LEVEL) -> Interval:
     """The percentile interval of values known within [lows, highs]; row 0 is the estimate.
 
-    Percentiles are observed values, rounded outwards: interpolation cannot handle inf.
+    Percentiles are observed values, rounded outwards, because interpolation cannot handle inf.
     """
     below, above = np.sort(lows[1:]), np.sort(highs[1:])
     tail = (1 - level) / 2 * (below.size - 1)

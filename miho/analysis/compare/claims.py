@@ -1,4 +1,4 @@
-"""The claims of the paper's comparison (Sec. V-A.3, Fig. 6), each against our runs."""
+"""The claims of the paper's comparison (Sec. V-A.3, Fig. 6), each judged by our runs."""
 
 from __future__ import annotations
 
@@ -44,15 +44,17 @@ GAINS = (("pso_500", Printed(24, 0.5)), ("gbo_large", Printed(76, 0.5)))
 STUCK = ("pso_100", Printed(0.75, 0.005))
 MORE = Printed(1, 0)
 COSTS = (("pso_100", 1000.0), (MIHO, 500.0))
-"""PSO-500 needs more evaluations than these to so many N; the paper's PSO-100 ends above 0.5 kN."""
+"""PSO-500 needs more evaluations than these methods to these errors [N]; the paper's PSO-100 ends
+above 0.5 kN."""
 FLAT = ("gbo_small", 0.1)
 IDLE = 0.1
-"""The error of a stable descent falls at every step: more of it without improvement is unstable."""
+"""Largest share of evaluations without improvement of a stable descent, whose error falls at every
+step."""
 NEAR_BEST = 1.01
 
 
 def is_on_a_tire(runs: pd.DataFrame) -> bool:
-    """Whether these are runs of MIHO and others on the paper's tires, as its claims are."""
+    """Return whether these are runs of MIHO and others on the paper's tires, like its claims."""
     on_a_tire = runs["problem"].str.startswith("pacejka-tire_").all()
     return bool(on_a_tire) and MIHO in set(runs["optimizer"].map(base_name))
 
@@ -65,18 +67,18 @@ def claims_table(
     rng: np.random.Generator | None = None,
     resamples: int = RESAMPLES,
 ) -> pd.DataFrame:
-    """Judge the claims of the paper's comparison (Sec. V-A.3, Fig. 6) against these runs.
+    """Judge the claims of the paper's comparison (Sec. V-A.3, Fig. 6) by these runs.
 
     Parameters
     ----------
     runs, curves : DataFrame
-        As of `miho.load_runs`, of one problem; errors in N. Of a method with several settings the
-        runs nearest to the paper's count.
+        As in `miho.load_runs`, of one problem; errors in N. If a method has several settings, its
+        runs nearest to the paper count.
     settings : mapping of str to mapping, optional
-        The settings of each method, such as `{"miho": {"optimizer.R": 300}}`. By default those that
-        are stored with the runs.
+        The settings of each method, for example `{"miho": {"optimizer.R": 300}}`. By default they
+        are read from the stored runs.
     rng : Generator, optional
-        Of the resamples; by default that of seed 0, so that a table can be printed again.
+        Generator of the resamples; by default with seed 0, so that a table can be reproduced.
     resamples : int
         Bootstrap resamples.
 
@@ -88,30 +90,31 @@ def claims_table(
     Raises
     ------
     ValueError
-        Where there are no runs of MIHO, errors are no force in N, or runs are of several problems.
+        If there are no runs of MIHO, the error is not in N, or there is more than one problem.
 
     Notes
     -----
-    A claim is judged by runs of its size only: the settings of `size.PAPER` of the methods that it
-    is about, 3000 rows and 5 parameters. Else its verdict is such as "not judged: R = 300, the
-    claim is for R = 10,000". Claims about gradient descent and swarms do not depend on R.
+    A claim is judged only by runs of its size: the settings of `size.PAPER` for the methods of the
+    claim, 3000 rows and 5 parameters. Otherwise its verdict is, for example, "not judged: R = 300,
+    the claim is for R = 10,000". Claims about gradient descent and swarms do not depend on R.
 
-    A claim uses the seeds that all its methods have. Speed claims have two rows, seconds, of the
-    clock that `timing.clock_of` chooses, and evaluations, which do not depend on the machine. The
-    rules are those of `miho.analysis.compare.verdict`:
+    A claim uses the seeds that all its methods have. Speed claims have two rows: seconds, on the
+    clock of `timing.clock_of`, and evaluations, which do not depend on the machine. The rules are
+    in `miho.analysis.compare.verdict`:
 
-    - speed-ups, gains and costs: reproduced if the interval holds the paper's figure or lies above
-      it, not reproduced if it lies below; depends on the repetitions if it holds no advantage as
-      well; depends on the budget if cut runs decide; depends on the axis if seconds and
+    - speed-ups, gains and costs: reproduced if the interval contains the paper's figure or is above
+      it, not reproduced if it is below; depends on the repetitions if it also contains no
+      advantage; depends on the budget if cut runs decide; depends on the axis if seconds and
       evaluations disagree; depends on a method that has no runs.
     - terminal errors: reproduced if the interval touches the printed figure and is narrow, not
       reproduced if it does not; depends on the data if MIHO ended on another floor than the
-      paper's. PSO-100 is stuck only if no run of it came within 1 % of the best of any method.
-    - GBO-small hardly moves if its error falls by less than 10 % of the first one.
+      paper's. PSO-100 is stuck only if none of its runs came within 1 % of the best of any method.
+    - GBO-small hardly moves if its error falls by less than 10 % of the first error.
     - A descent is stable if less than 10 % of its evaluations pass without improvement.
-    - GBO-large is in a local minimum if its error falls no longer, more than 1 % above the best.
+    - GBO-large is in a local minimum if its error no longer falls, more than 1 % above the best.
 
-    The last rows compare MIHO with every other method at 0.5 kN, where the paper claims nothing.
+    The last rows compare MIHO with every other method at 0.5 kN, about which the paper claims
+    nothing.
     """
     runs, curves = one_problem(runs, curves)
     unit = runs["unit"].iloc[0]
@@ -139,7 +142,7 @@ def claims_table(
 def _of_paper(
     runs: pd.DataFrame, settings: Mapping[str, Settings]
 ) -> tuple[pd.DataFrame, Mapping[str, Settings]]:
-    """The runs of each paper's method that are nearest to its settings, under its own name."""
+    """The runs of each of the paper's methods that are nearest to its settings, under its name."""
     nearest = {name: base for base, name in nearest_to_paper(runs, settings).items()}
     left_out = [
         name for name in runs["optimizer"] if base_name(name) in PAPER and name not in nearest
@@ -158,7 +161,7 @@ class _Study:
     rng: np.random.Generator
     resamples: int
     mean_curves: dict[tuple[str, Axis, tuple[int, ...]], MeanCurve] = field(default_factory=dict)
-    """Mean curves that several claims are about."""
+    """Mean curves that several claims share."""
 
     @cached_property
     def clock(self) -> Clock:
@@ -185,7 +188,7 @@ class _Study:
         return self.mean_curves[key]
 
     def final(self, method: str, seeds: Sequence[int]) -> Array:
-        """Final errors (n,) in N; inf where a run saw nothing finite."""
+        """Final errors (n,) in N; inf if a run has no finite error."""
         rows = self.runs[self.runs["optimizer"] == method].set_index("seed").loc[list(seeds)]
         return rows["error"].fillna(np.inf).to_numpy(dtype=float)
 
@@ -193,9 +196,9 @@ class _Study:
         return self.curve(method, "evaluations", seeds).still_falling()
 
     def at_floor(self, error: float) -> bool:
-        """Whether MIHO ended where another method ended as the best.
+        """Return whether MIHO ended at the best error of another method.
 
-        That MIHO itself is the best of all would not show that the data allow nothing better.
+        If MIHO itself is the best of all, that does not show that the data allow nothing better.
         """
         best_other = self.runs["error"][self.runs["optimizer"] != MIHO].min()
         return bool(best_other / NEAR_BEST <= error <= best_other * NEAR_BEST)
@@ -209,7 +212,7 @@ class _Study:
     def speed_of(
         self, method: str, rivals: Sequence[str], target: float, axis: Axis
     ) -> tuple[Interval, int] | None:
-        """The speed-up of a method against the fastest of the rivals, and on how many seeds."""
+        """The speed-up of a method against the fastest of the rivals, and the number of seeds."""
         seeds = self.seeds([method, *rivals])
         if axis == self.clock.axis:
             timed = set(self.clock.runs["seed"])

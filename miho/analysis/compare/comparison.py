@@ -1,4 +1,4 @@
-"""The comparison that a root holds: its runs, how they were made, its tables and their origin."""
+"""The comparison in a root: its runs, their command, its tables and their origin."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ COMPARISON = "comparison.json"
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """`runs` and `curves` as in `miho.load_runs`, of which `missing` runs are not there.
+    """Runs and curves as in `miho.load_runs`; `missing` planned runs are absent.
 
-    `note` says how large it is, `command` are the words that made it.
+    `note` describes the size of the comparison; `command` is the command that made it.
     """
 
     runs: pd.DataFrame
@@ -34,12 +34,13 @@ class Comparison:
 
     @classmethod
     def of_stored(cls, runs: pd.DataFrame, curves: pd.DataFrame, command: Sequence[str]) -> Self:
-        """These runs as they are, whoever made them; their configurations say how large it is."""
+        """A comparison of given runs; the size is read from their configurations."""
         return cls(runs, curves, 0, tuple(command), size_note(runs))
 
     @classmethod
     def of(cls, runs: pd.DataFrame, curves: pd.DataFrame, root: Path) -> Comparison | None:
-        """The last comparison below a root, of all its runs; None if there is no readable one."""
+        """The last comparison below a root, with all its runs; None if there is none or it is
+        unreadable."""
         try:
             about = json.loads((root / COMPARISON).read_text(encoding="utf-8"))
             planned = set(map(str, about["runs"]))
@@ -52,7 +53,7 @@ class Comparison:
 
 
 def write_comparison(root: Path, command: Sequence[str], note: str, ids: Sequence[str]) -> None:
-    """Write down what is compared below a root: the runs with these ids."""
+    """Record the ids of the compared runs below a root."""
     about = {"command": list(command), "note": note, "runs": list(ids)}
     write_text(root / COMPARISON, json.dumps(about, indent=1) + "\n")
 
@@ -63,7 +64,8 @@ def write_tables(
     captions: Mapping[str, str],
     output: Path,
 ) -> tuple[list[str], list[Path]]:
-    """Write each table as CSV, and as Markdown with its caption; gives the latter and all paths."""
+    """Write each table as CSV and as Markdown with its caption; return the Markdown and all
+    paths."""
     output.mkdir(parents=True, exist_ok=True)
     texts, paths = [], []
     for name, table in tables.items():
@@ -76,7 +78,7 @@ def write_tables(
 
 
 def write_origin(comparison: Comparison, output: Path) -> Path:
-    """What regenerates a comparison, and what it ran on."""
+    """Write the command and the machine of a comparison."""
     runs = comparison.runs
     stored = [read_run(Path(folder)) for folder in runs["folder"]]
     loads = [run.environment["load"] for run in stored]

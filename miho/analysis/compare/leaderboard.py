@@ -1,4 +1,4 @@
-"""Tables of results: a row per method over all problems, and on one problem, best first."""
+"""Tables of results: a row per method over all problems or on one problem, best first."""
 
 from __future__ import annotations
 
@@ -26,22 +26,39 @@ def leaderboard(
     axis: Axis = "evaluations",
     budget: float | Mapping[str, float] | None = None,
 ) -> pd.DataFrame:
-    """A row per method, best mean rank first.
+    """Table with a row per method, best mean rank first.
 
-    - mean rank: over problems, of `problem_scores` at `factor`
-    - by families: the same over families of problems, of `family_scores`, where runs have the
-      column `family`, equal for problems that are alike
-    - solved: problems on which any run reached the factor, of all problems
-    - success: share of runs that did, and that reached the `strict` one
-    - times the best: expected running time over that of the best method, geometric mean over the
-      problems that the method solves; read it beside solved
-    - AOCC: `area_over_curve` up to `budget`, mean over problems
-    - cut by seconds: share of runs that the cap in seconds ended before their evaluations were
-      spent and before they ended by themselves, where runs have the column `cut` that says so
-    - µs per evaluation: seconds over evaluations of whole runs, the loss included, median over
-      runs that nothing disturbed, NaN without any
+    A method that was not run on a problem has not solved it. Success is the share of the existing
+    runs.
 
-    A method that was not run on a problem has not solved it. Success is over the runs it has.
+    Parameters
+    ----------
+    runs, curves : DataFrame
+        As in `miho.load_runs`, of several problems.
+    factor, strict : float
+        Targets, as multiples of the best known error.
+    axis : {'evaluations', 'seconds', 'cpu_seconds'}
+        Axis of expected running times and areas.
+    budget : float or mapping, optional
+        See `area_over_curve`.
+
+    Returns
+    -------
+    DataFrame
+        The columns are
+
+        - mean rank: over problems, from `problem_scores` at `factor`
+        - by families: the same over families of problems, from `family_scores`, if the runs have
+          the column `family`
+        - solved: number of problems on which any run reached the factor
+        - success: share of runs that reached the factor, and the strict one
+        - times the best: expected running time relative to the best method, geometric mean over the
+          problems that the method solves; compare it together with solved
+        - AOCC: `area_over_curve` up to `budget`, mean over problems
+        - cut by seconds: share of runs that the time limit ended before they converged or used
+          their evaluations, if the runs have the column `cut`
+        - µs per evaluation: seconds divided by evaluations of whole runs, including the loss,
+          median over undisturbed runs; NaN if there are none
     """
     reached = hits(runs, curves, (factor, strict))
     areas = area_over_curve(runs, curves, budget, axis)
@@ -74,14 +91,14 @@ def leaderboard(
 
 
 def problem_scores(ert: pd.DataFrame, areas: pd.DataFrame | None, factor: float) -> pd.DataFrame:
-    """Scores (problems, methods) that rank all methods, lower is better; for ranks and tests.
+    """Scores (problems, methods) for ranks and tests; lower is better.
 
-    The logarithm (base 10) of the expected running time at `factor` where it is finite. Where a
-    method never got there: one more than the largest finite score of the problem (than 0 if there
-    is none), so that every method that solves a problem is ahead of every one that does not, by at
-    least a factor of ten. With `areas` 1 - the mean area over the curve is added to that: a
-    tie-break by another measure than the running time, so a test of running times does without. A
-    method that was not run on a problem has area 0 there.
+    A score is the logarithm (base 10) of the expected running time at `factor` if that is finite.
+    For a method that never reached the target, it is one more than the largest finite score of the
+    problem (or than 0), so that every method that solves a problem is at least a factor of ten
+    ahead of every method that does not. With `areas`, 1 - the mean area over the curve is added to
+    that. This breaks ties by a measure other than the running time, so a test of running times
+    omits it. A method that was not run on a problem has area 0 there.
     """
     at = at_factor(ert, factor).pivot(index="problem", columns="optimizer", values="ert")
     logs = at.where(np.isfinite(at)).map(np.log10)
@@ -93,12 +110,12 @@ def problem_scores(ert: pd.DataFrame, areas: pd.DataFrame | None, factor: float)
 
 
 def best_rivals(ert: Mapping[Axis, pd.DataFrame], method: str, factor: float) -> pd.DataFrame:
-    """A method beside the best of all others on each problem, a row per problem.
+    """A method and the best of all others, with a row per problem.
 
-    For each axis of `ert` (expected running times by axis) four columns: of the method; of the
-    rival that spends least; by which; and share, the first over the second, 0 where no rival
-    arrives, inf where the method does not, 1 where nobody does. On different axes the best rivals
-    may be different ones. The rival is chosen by these very runs, so it looks better than it is.
+    For each axis of `ert` (expected running times by axis) there are four columns: the method's
+    cost; the lowest cost of a rival; that rival; and the share, method over rival, which is 0 if no
+    rival solves the problem, inf if the method does not, and 1 if none does. The best rival may
+    differ between axes. Because it is selected by these runs, it looks better than it is.
     """
     columns: dict[str, pd.Series] = {}
     for axis, frame in ert.items():
@@ -115,18 +132,18 @@ def best_rivals(ert: Mapping[Axis, pd.DataFrame], method: str, factor: float) ->
 
 
 def families(runs: pd.DataFrame) -> dict[str, str]:
-    """The family of each problem, by the column `family`."""
+    """The family of each problem, from the column `family`."""
     return dict(zip(runs["problem"], runs["family"], strict=True))
 
 
 def family_scores(scores: pd.DataFrame, families: Mapping[str, str]) -> pd.DataFrame:
     """Scores (families, methods): the mean of the scores of each family's problems.
 
-    Problems that are one model in one kind of box are no independent sample: ranked one by one,
-    what suits that model would count once for each of them, and tests would take repetition for
-    evidence. The mean of `problem_scores`, which are logarithms, is that of the geometric mean of
-    expected running times where a method solves the whole family; a problem that it does not
-    solve counts with at least ten times what the slowest method that does spends there.
+    Problems with one model in one kind of box are not an independent sample. Ranked one by one, the
+    advantage of a method on that model would count once for each, and tests would take repetition
+    for evidence. The mean of `problem_scores`, which are logarithms, is the logarithm of the
+    geometric mean of expected running times if a method solves the whole family. A problem that it
+    does not solve counts with at least ten times the cost of the slowest method that does.
     """
     return scores.groupby(scores.index.map(families), sort=False).mean().rename_axis("family")
 
@@ -142,18 +159,28 @@ def results_table(
     targets: Sequence[float] | None = None,
     near_best: float = 0.01,
 ) -> pd.DataFrame:
-    """A row per method, best mean first: final errors, medians of what the targets cost.
+    """Table with a row per method, best mean first: final errors and median costs of targets.
 
-    `targets` are errors in the unit of the runs; by default the paper's 1 and 0.5 kN where that is
-    a force, none elsewhere. The last target is within `near_best` of the best error any method has
-    seen on this problem, and success is the share of runs that reach it. Seconds are those of
-    `timing.clock_of`, and their columns say which. A median is inf ("never") when half of the runs
-    or more did not get there. Errors are over the runs that saw a finite one; `no value` counts the
-    others.
+    The gap is the mean error relative to the smallest possible error in the space (`optimum`) if
+    the runs record it, else to the best of all these runs; the name of its column says which. It is
+    rounded to 1e-6 %, because sums of the loss differ beyond that.
 
-    The gap is that of the mean error to the smallest possible in the space, where the runs know it
-    (`optimum`, in closed form), else to the best of all these runs, and its column says which. It
-    is rounded to 1e-6 %, beyond which the sums of the loss differ.
+    Parameters
+    ----------
+    runs, curves : DataFrame
+        As in `miho.load_runs`, of one problem.
+    targets : sequence of float, optional
+        Errors in the unit of the runs; by default the paper's 1 and 0.5 kN for forces, else none.
+    near_best : float
+        The last target is the best error of any method times 1 + `near_best`. Success is the share
+        of runs that reach it.
+
+    Returns
+    -------
+    DataFrame
+        Seconds are on the clock of `timing.clock_of`, and the names of their columns say which. A
+        median is inf ("never") if half of the runs or more did not reach the target. Errors are
+        over runs with a finite error; `no value` counts the others.
     """
     runs, curves = one_problem(runs, curves)
     unit, factor = shown_unit(runs["unit"].iloc[0])

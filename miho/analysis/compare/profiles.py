@@ -1,8 +1,8 @@
-"""Shares of targets reached over the effort: runtime distributions, profiles, and the area (AOCC).
+"""Share of targets reached over the cost: runtime distributions, profiles, and the area (AOCC).
 
-A share is over what the method was run on; a target that it never reached counts, a run that was
-never made does not. All are step functions of their column, to be drawn without interpolation. The
-area over the convergence curve says of each run how good it is over all budgets up to a given one.
+A share is over the runs of a method: a target that it never reached counts, a missing run does not.
+All shares are step functions of their column, to be drawn without interpolation. The area over the
+convergence curve measures the quality of a run over all budgets up to a given one.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ def ecdf(
 ) -> pd.DataFrame:
     """Share of all (problem, seed, factor) reached within each budget: optimizer, axis, share.
 
-    The runtime distribution of COCO (Hansen et al. 2021) over the runs as they are, without its
+    This is the runtime distribution of COCO (Hansen et al. 2021) over the actual runs, without
     simulated restarts: a curve ends at the share that was reached. With `dimensions` (problem to
-    number of parameters) the axis is per parameter, as COCO draws it.
+    number of parameters) the axis is per parameter, as in COCO.
     """
     require_columns(hits, ["problem", "optimizer", axis], "hits")
     spent = hits[axis].astype(float)
@@ -46,9 +46,12 @@ def data_profile(
 ) -> pd.DataFrame:
     """Share of (problem, seed) solved to a factor within kappa (d + 1) evaluations.
 
-    Columns: optimizer, kappa, share. Moré and Wild 2009, "Benchmarking derivative-free
-    optimization algorithms"; solved means an error of at most factor times the best
-    known one, not their reduction from the starting point.
+    The columns are optimizer, kappa and share. Solved means an error of at most factor times the
+    best known error, not a reduction from the starting point as in the reference.
+
+    References
+    ----------
+    J. J. Moré and S. M. Wild, "Benchmarking derivative-free optimization algorithms", 2009.
     """
     rows = at_factor(hits, factor)
     kappa = rows["evaluations"] / (_of_problems(dimensions, rows["problem"]) + 1)
@@ -60,10 +63,15 @@ def performance_profile(
 ) -> pd.DataFrame:
     """Share of problems whose expected running time is within tau times the best method's.
 
-    Columns: optimizer, tau, share. Dolan and Moré 2002, "Benchmarking optimization software with
-    performance profiles". The share at tau = 1 is that of problems on which the method is the
-    fastest. A problem that nobody solves stays in the count. The ratios depend on who takes part:
-    take no order but the best from it (Gould and Scott 2016).
+    The columns are optimizer, tau and share. The share at tau = 1 is the share of problems on which
+    the method is the fastest. A problem that no method solves is counted. The ratios depend on the
+    methods that take part, so only the best method can be read from a profile, not an order of the
+    others (Gould and Scott 2016).
+
+    References
+    ----------
+    E. D. Dolan and J. J. Moré, "Benchmarking optimization software with performance profiles",
+    2002.
     """
     rows = at_factor(ert, factor)
     best = rows.groupby("problem")["ert"].transform("min")
@@ -85,7 +93,7 @@ def _shares(
 
 
 def _log_grid(values: Array) -> Array:
-    """From the smallest to the largest finite value above zero; [1] if there is none."""
+    """Grid from the smallest to the largest finite value above zero; [1] if there is none."""
     values = values[np.isfinite(values) & (values > 0)]
     if not values.size:
         return np.ones(1)
@@ -102,9 +110,9 @@ def _of_problems(dimensions: Mapping[str, int], problems: pd.Series[str]) -> Arr
 
 
 GAPS = (1e-3, 10.0)
-"""Relative gaps to the best known error that score 1 and 0. The lower one is the tightest target
-(factor 1.001): what lies beyond is numerics, not identification. The upper one is where random
-starts are: within it every target (0.5, 0.1, 0.01, 0.001) is a rise of the score."""
+"""Relative gaps to the best known error that score 1 and 0. The lower gap is the tightest target
+(factor 1.001): smaller gaps are numerical, not a matter of identification. Random starts reach the
+upper gap: within it every target (0.5, 0.1, 0.01, 0.001) raises the score."""
 
 
 def area_over_curve(
@@ -116,19 +124,22 @@ def area_over_curve(
 ) -> pd.DataFrame:
     """The area of each run in [0, 1], more is better: problem, optimizer, seed, budget, aocc.
 
-    The mean over [0, budget], linear in the axis, of
+    It is the mean over [0, budget], linear in the axis, of
 
         1 - (log10(clip(gap, low, high)) - log10(low)) / (log10(high) - log10(low)),
 
-    gap = error / best known error - 1 (`running_time.references`), error the best so far, and 0
-    before the first value. It is the exact integral of the step function; after its end a run
-    keeps its answer. This is the AOCC of van Stein, Vermetten, Kononova and Bäck (2024,
-    "Explainable benchmarking for iterative optimization heuristics") for a relative gap: their sum
-    over evaluations 1 to budget also counts the last value once, a difference of 1 / budget
-    at most.
+    with gap = error / best known error - 1 (`running_time.references`) and the best error so far,
+    and 0 before the first value. It is the exact integral of the step function; a run keeps its
+    last value after its end. This is the AOCC of the reference for a relative gap; its sum over
+    evaluations 1 to budget also counts the last value once, a difference of at most 1 / budget.
 
-    `budget` is one number, one for each problem, or by default the most that any run of the
-    problem spent.
+    `budget` is one number, or a number for each problem. By default it is the largest cost of any
+    run of the problem.
+
+    References
+    ----------
+    N. van Stein, D. Vermetten, A. V. Kononova and T. Bäck, "Explainable benchmarking for iterative
+    optimization heuristics", 2024.
     """
     low, high = gaps
     if not 0 < low < high:

@@ -1,4 +1,4 @@
-"""The claims of the paper's comparison under readings of what it leaves open (Sec. V-A.3)."""
+"""The claims of the paper's comparison under different readings of what it does not specify."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from miho.analysis.compare.verdict import NOT_REPRODUCED, REPRODUCED
 
 DESCENTS = ("gbo_small", "gbo_large")
 SLOW = 1000.0
-"""The larger of the errors [N] that the paper's speed-ups are about."""
+"""The larger of the errors [N] of the paper's speed-ups."""
 COLUMNS = (
     ("to 1.0 kN, in evaluations", "13× to 1.0 kN, evaluations"),
     ("to 1.0 kN, in interpreted seconds", "13× to 1.0 kN, interpreted"),
@@ -26,19 +26,19 @@ COLUMNS = (
     ("pso_100 stops", "PSO-100 stays at 0.75 kN"),
     ("gbo_small hardly moves", "GBO-small: < 10 %"),
 )
-"""Words of a claim, and the column of the short table that it is in."""
+"""Words of a claim, and the column of the short table that contains it."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """One reading of what the paper leaves open.
+    """A reading of what the paper does not specify (Sec. V-A.3).
 
     Attributes
     ----------
     words : str
-        What is read how, for tables and figures.
+        Description for tables and figures.
     methods : mapping of str to str
-        For each method of the paper, such as "pso_100", the stored method that stands for it.
+        For each method of the paper, for example "pso_100", the stored method that represents it.
     """
 
     words: str
@@ -50,9 +50,9 @@ def frames_of(
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The runs and curves of one reading, under the paper's names of the methods.
 
-    A run that stopped at an error of `target` [N], or below, counts as ended by itself: it has
-    nothing to gain. Gradient descent that ended after its last step counts as cut if its mean error
-    fell by more than 1 % in the second half of its steps.
+    A run that stopped at an error of at most `target` [N] counts as ended by itself, because it
+    cannot gain anything. Gradient descent that ended after its last step counts as cut if its mean
+    error fell by more than 1 % in the second half of its steps.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def frames_of(
     """
     missing = sorted(set(reading.methods.values()) - set(runs["optimizer"]))
     if missing:
-        raise ValueError(f"there are no runs of {', '.join(missing)}; expected those of all seeds")
+        raise ValueError(f"there are no runs of {', '.join(missing)}; expected runs with all seeds")
     names = {stored: paper for paper, stored in reading.methods.items()}
     of_reading = [
         frame[frame["optimizer"].isin(names)].assign(
@@ -83,7 +83,7 @@ def frames_of(
 def in_seconds(frame: pd.DataFrame, costs: Mapping[str, float]) -> pd.DataFrame:
     """`frame` of runs or curves with seconds of evaluations times `costs` [s] by method.
 
-    What is known of the clock that the runs were made by is left out.
+    Information on the original clock is dropped.
     """
     seconds = frame["evaluations"] * frame["optimizer"].map(costs)
     return frame.drop(columns="timing_valid", errors="ignore").assign(seconds=seconds)
@@ -97,16 +97,21 @@ def reading_claims(
 ) -> pd.DataFrame:
     """`claims_table` of one reading, with rows for the seconds of each kind of cost.
 
-    A reading stands for the paper's methods at their size, whatever settings it gives them.
+    A reading represents the paper's methods at their size, whatever its settings.
 
     Parameters
     ----------
     runs, curves : DataFrame
-        As `frames_of` gives them.
+        As from `frames_of`.
     costs : mapping of str to mapping of str to float
-        For each kind, such as "interpreted", the seconds of an evaluation of each method.
+        For each kind, for example "interpreted", the seconds of an evaluation of each method.
     resamples : int
         Bootstrap resamples.
+
+    Returns
+    -------
+    DataFrame
+        See `claims_table`.
     """
     tables, of_speeds = [], without_slow_descents(runs, curves)
     for kind, seconds in costs.items():
@@ -121,10 +126,10 @@ def reading_claims(
 
 
 def without_slow_descents(runs: pd.DataFrame, curves: pd.DataFrame) -> pd.DataFrame:
-    """`runs` in which gradient descent counts as ended that could not arrive at the target in time.
+    """`runs` in which gradient descent counts as ended if it could not reach the target in time.
 
-    It makes fewer steps than a swarm makes evaluations, so that its end would bound all speed-ups.
-    It counts as ended if at the pace of its second half, which is faster than what follows, its
+    It makes fewer steps than a swarm makes evaluations, so its end would bound all speed-ups. It
+    counts as ended if, at the pace of its second half, which is faster than any later pace, its
     mean error would stay above `SLOW` until the end of the longest run.
     """
     runs, longest = runs.copy(), runs["evaluations"].max()
@@ -139,11 +144,11 @@ def without_slow_descents(runs: pd.DataFrame, curves: pd.DataFrame) -> pd.DataFr
 
 
 def short_table(claims: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """A row per reading, from its words and its claims: measured estimates, and how many hold.
+    """A row per reading with measured estimates and the number of reproduced claims.
 
-    An estimate is bold where the claim is reproduced, and in italics where that depends on what was
-    not tested, such as a longer budget. The last column counts the seven claims, the speed-ups in
-    evaluations.
+    An estimate is bold if the claim is reproduced, and in italics if that depends on something that
+    was not tested, for example a longer budget. The last column counts the seven claims, with
+    speed-ups in evaluations.
     """
     rows = []
     for words, table in claims.items():
@@ -164,7 +169,7 @@ def _marked(estimate: str, word: str) -> str:
 
 
 def long_table(claims: Mapping[str, pd.DataFrame], order: Sequence[str]) -> pd.DataFrame:
-    """All claims of all readings, a row each, in this order of the readings' words."""
+    """All claims of all readings, a row each, in this order of the readings."""
     return pd.concat([claims[words].assign(reading=words) for words in order], ignore_index=True)[
         ["reading", "claim", "paper", "ours", "repetitions", "verdict", "reason"]
     ]

@@ -1,9 +1,14 @@
-"""Expected running time: what a method spends, restarts included, until it reaches a target.
+"""Expected running time: the cost, including restarts, until a method reaches a target.
 
-A target is a factor times the best known error of its problem. Runs that do not reach it are
-costs without success: a method that ended by itself before its budget could be started again, so
-it is charged what it spent and no more (Auger and Hansen 2005, "Performance evaluation of an
-advanced local search evolutionary algorithm"; COCO, Hansen et al. 2021).
+A target is a factor times the best known error of its problem. Runs that do not reach it are costs
+without success. A method that ended by itself before its budget could be restarted, so only its
+actual cost counts.
+
+References
+----------
+A. Auger and N. Hansen, "Performance evaluation of an advanced local search evolutionary algorithm",
+CEC 2005. N. Hansen et al., "COCO: a platform for comparing continuous optimizers in a black-box
+setting", 2021.
 """
 
 from __future__ import annotations
@@ -24,15 +29,15 @@ Array = NDArray[np.float64]
 FACTORS = (1.5, 1.1, 1.01, 1.001)
 GROUP = ["problem", "optimizer", "factor"]
 ROUNDING = 1e-9
-"""Relative difference of two errors that sums of a different order explain."""
+"""Relative difference of two errors that another order of summation explains."""
 
 
 def references(runs: pd.DataFrame) -> pd.DataFrame:
     """The best known error of each problem (index) in its unit, and its source.
 
-    Columns: error, source. The source is "known" where runs have an `optimum`, and "best of all
-    runs" where they have none, or where a run is below it by more than ROUNDING (relative).
-    Raises ValueError where that error is not above zero: nothing is a multiple of it then.
+    The columns are error and source. The source is "known" if runs have an `optimum`, and "best of
+    all runs" if they do not or if a run is below it by more than ROUNDING (relative). Raises
+    ValueError if that error is not above zero, because multiples of it would be meaningless.
     """
     require_columns(runs, ["problem", "error"], "runs")
     best = runs.groupby("problem")["error"].min()
@@ -43,7 +48,7 @@ def references(runs: pd.DataFrame) -> pd.DataFrame:
         if not 0 < value < math.inf:
             raise ValueError(
                 f"the best known error of {problem} is {value}; targets need a number above zero, "
-                f"so leave this problem out"
+                f"so exclude this problem"
             )
     source = trusted.map({True: "known", False: "best of all runs"})
     return pd.DataFrame({"error": error, "source": source})
@@ -54,10 +59,24 @@ def hits(
 ) -> pd.DataFrame:
     """When each run first has an error of at most each factor times the best known error.
 
-    A row per run and factor: problem, optimizer, seed, factor, target (error in the problem's
-    unit), evaluations, seconds and cpu_seconds until then (inf if never), spent_evaluations,
-    spent_seconds and spent_cpu_seconds (of the whole run), reached. The best known error is that
-    of `references`.
+    Parameters
+    ----------
+    runs, curves : DataFrame
+        As in `miho.load_runs`.
+    factors : sequence of float
+        Multiples of the best known error of `references`.
+
+    Returns
+    -------
+    DataFrame
+        A row per run and factor: problem, optimizer, seed, factor, target (error in the problem's
+        unit), evaluations, seconds and cpu_seconds until the target (inf if never),
+        spent_evaluations, spent_seconds and spent_cpu_seconds (of the whole run), reached.
+
+    Raises
+    ------
+    ValueError
+        For a factor below 1.
     """
     for factor in factors:
         if not 1 <= factor < math.inf:
@@ -83,9 +102,9 @@ def hits(
 def running_times(hits: pd.DataFrame, axis: Axis) -> pd.DataFrame:
     """Per problem, optimizer and factor: runs, success, ert and median, in the unit of the axis.
 
-    `success` is the share of runs that reach the target; `ert` what all runs spent until success
-    or end, divided by the number of successes, inf if there is none; `median` the median until
-    success, inf if half of the runs or more do not get there.
+    `success` is the share of runs that reach the target. `ert` is the cost of all runs until
+    success or end, divided by the number of successes; inf if there is none. `median` is the median
+    cost until success; inf if half of the runs or more do not reach the target.
     """
     hits = _ordered(hits, axis)
     table = hits.assign(cost=_cost(hits, axis)).groupby(GROUP)
@@ -116,8 +135,8 @@ def resampled(
 ) -> tuple[pd.DataFrame, Array]:
     """Expected running times (groups, 1 + resamples) of resampled runs, and the groups' names.
 
-    Column 0 is that of the runs as they are. Groups are sorted as in `running_times`. Those with
-    equally many runs share their draws, so that methods are compared on the same seeds.
+    Column 0 contains the actual runs. Groups are sorted as in `running_times`. Groups with equally
+    many runs share their draws, so that methods are compared on the same seeds.
     """
     hits = _ordered(hits, axis)
     sizes = hits.groupby(GROUP).size()
@@ -133,11 +152,11 @@ def resampled(
 
 
 def at_factor(frame: pd.DataFrame, factor: float) -> pd.DataFrame:
-    """The rows of one factor. Raises ValueError if there are none."""
+    """The rows of one factor; raises ValueError if there are none."""
     rows = frame[frame["factor"] == factor]
     if rows.empty:
         present = ", ".join(f"{value:g}" for value in sorted(frame["factor"].unique()))
-        raise ValueError(f"factor is {factor!r}; the frame holds {present or 'no rows'}")
+        raise ValueError(f"factor is {factor!r}; the frame has {present or 'no rows'}")
     return rows
 
 

@@ -1,11 +1,14 @@
-"""Whether methods differ: ranks with the tests of Friedman and Nemenyi, then signed ranks of pairs.
+"""Tests of differences between methods: Friedman and Nemenyi for ranks, Wilcoxon for pairs.
 
-The sample is the set of problems: `scores` (problems, methods) holds one number per problem and
-method, lower is better, such as an expected running time or a median over repetitions. Repetitions
-are never rows, they would be counted as independent problems. Problems that are alike are no
-independent sample either: with one row for each family of them (`leaderboard.family_scores`) the
-same tests are stricter, and "problems" below are families. Source: Demšar 2006, "Statistical
-comparisons of classifiers over multiple data sets", Sec. 3.2.
+The sample is the set of problems: `scores` (problems, methods) has one number per problem and
+method, lower is better, for example an expected running time or a median over repetitions.
+Repetitions must not be rows, because they would count as independent problems. Similar problems are
+not an independent sample either: with one row for each family (`leaderboard.family_scores`) the
+same tests are stricter, and "problems" below are families.
+
+References
+----------
+J. Demšar, "Statistical comparisons of classifiers over multiple data sets", 2006, Sec. 3.2.
 """
 
 from __future__ import annotations
@@ -17,7 +20,7 @@ from itertools import combinations, permutations
 
 import numpy as np
 import pandas as pd
-import scipy  # which loads its packages where they are used: importing them takes a second
+import scipy  # loads its subpackages on first use: importing them takes a second
 from numpy.typing import NDArray
 
 from miho.analysis.compare.bootstrap import RESAMPLES, interval
@@ -29,10 +32,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class FriedmanTest:
-    """Whether average ranks differ: Friedman's chi2 and Iman and Davenport's F, each with its p.
+    """Test for different average ranks: Friedman's chi2 and Iman and Davenport's F, each with its
+    p.
 
-    chi2 (methods - 1 degrees of freedom) is corrected for ties. F, with (methods - 1) and
-    (methods - 1)(problems - 1) degrees of freedom, is the one to report: chi2 is conservative.
+    chi2 (methods - 1 degrees of freedom) is corrected for ties. Report F, with (methods - 1) and
+    (methods - 1)(problems - 1) degrees of freedom, because chi2 is conservative.
     """
 
     methods: int
@@ -51,12 +55,12 @@ def ranks(scores: pd.DataFrame) -> pd.DataFrame:
 
 
 def friedman(scores: pd.DataFrame) -> FriedmanTest:
-    """Friedman's test. Raises ValueError for fewer than three methods or two problems."""
+    """Friedman's test; raises ValueError for fewer than three methods or two problems."""
     table = rank_rows(scores)
     problems, methods = table.shape
     if methods < 3 or problems < 2:
         raise ValueError(
-            f"scores hold {methods} methods on {problems} problems; Friedman's test needs at "
+            f"scores have {methods} methods on {problems} problems; Friedman's test needs at "
             f"least 3 on 2, compare two methods with pairwise()"
         )
     if (table == table[:, :1]).all():
@@ -71,8 +75,8 @@ def friedman(scores: pd.DataFrame) -> FriedmanTest:
 def critical_difference(methods: int, problems: int, level: float = 0.05) -> float:
     """The difference of two average ranks that Nemenyi's test calls significant.
 
-    It allows for all pairs. The ranks of two methods depend on who else takes part (Benavoli,
-    Corani and Mangili 2016): the test of a pair by itself is `pairwise`.
+    It accounts for all pairs. The ranks of two methods depend on the other methods (Benavoli,
+    Corani and Mangili 2016); `pairwise` tests a pair alone.
     """
     if methods < 2 or problems < 1 or not 0 < level < 1:
         raise ValueError(
@@ -84,9 +88,9 @@ def critical_difference(methods: int, problems: int, level: float = 0.05) -> flo
 
 
 def cliques(ranks: pd.DataFrame, difference: float) -> list[tuple[str, ...]]:
-    """The largest groups of methods whose ranks lie within `difference`, best first.
+    """The largest groups of methods whose ranks are within `difference`, best first.
 
-    Each is a tuple of at least two names in the order of their rank, none within another.
+    Each is a tuple of at least two names in the order of their ranks, none contained in another.
     """
     ordered = ranks.sort_values("rank", kind="stable")
     names, values = ordered["optimizer"].tolist(), ordered["rank"].to_numpy(dtype=float)
@@ -102,7 +106,7 @@ def cliques(ranks: pd.DataFrame, difference: float) -> list[tuple[str, ...]]:
 def rank_rows(scores: pd.DataFrame) -> Array:
     """Ranks (problems, methods) within each row, 1 is best; inf is worst, ties are averaged.
 
-    Raises ValueError where a score is missing.
+    Raises ValueError if a score is missing.
     """
     values = scores.to_numpy(dtype=float)
     missing = np.argwhere(np.isnan(values))
@@ -110,7 +114,7 @@ def rank_rows(scores: pd.DataFrame) -> Array:
         row, column = missing[0]
         raise ValueError(
             f"scores of {scores.columns[column]} on {scores.index[row]} are missing; give every "
-            f"method a score on every problem, inf where it has none"
+            f"method a score on every problem, inf if it has none"
         )
     return np.asarray(scipy.stats.rankdata(values, axis=1), dtype=float)
 
@@ -118,19 +122,26 @@ def rank_rows(scores: pd.DataFrame) -> Array:
 def pairwise(scores: pd.DataFrame, method: str | None = None) -> pd.DataFrame:
     """Wilcoxon's signed-rank test of each pair over problems: a row per pair.
 
-    Columns: method, rival, wins, losses (problems on which the method is strictly better or
-    worse), p, p_holm, effect. `scores` (problems, methods) are as in `ranks`; their differences
-    must mean the same on all problems, so pass logarithms of what scales, such as running times.
-    With `method` it is tested against every other, else all pairs are; Holm's correction is over
-    the rows (Demšar 2006, Sec. 3.1.3 and 3.2.2). Two infinite scores are equal.
+    Parameters
+    ----------
+    scores : DataFrame, shape (problems, methods)
+        See `ranks`. Differences must mean the same on all problems, so pass logarithms of
+        quantities that scale, such as running times. Two infinite scores are equal.
+    method : str, optional
+        Test this method against every other; by default all pairs are tested.
 
-    `effect` is the matched-pairs rank-biserial correlation (Kerby 2014): 1 if the method is better
-    on all problems, -1 if it is worse on all.
+    Returns
+    -------
+    DataFrame
+        Columns method, rival, wins, losses (problems on which the method is strictly better or
+        worse), p, p_holm, effect. Holm's correction is over the rows (Demšar 2006, Sec. 3.1.3 and
+        3.2.2). `effect` is the matched-pairs rank-biserial correlation (Kerby 2014): 1 if the
+        method is better on all problems, -1 if it is worse on all.
     """
     rank_rows(scores)
     names = [str(name) for name in scores.columns]
     if method is not None and method not in names:
-        raise ValueError(f"method is {method!r}; scores hold {', '.join(names)}")
+        raise ValueError(f"method is {method!r}; scores have {', '.join(names)}")
     pairs = (
         list(combinations(names, 2))
         if method is None
@@ -150,9 +161,9 @@ def pairwise(scores: pd.DataFrame, method: str | None = None) -> pd.DataFrame:
 def signed_rank(differences: Array) -> tuple[float, float]:
     """Two-sided p of Wilcoxon's signed-rank test on (n,), and the rank-biserial correlation.
 
-    Zeros are ranked and their ranks split evenly between both sides, as Demšar does. p is exact
-    given the ranks, also with ties: the distribution of the rank sum over all 2^m signs of the m
-    differences that are not zero.
+    Zeros are ranked and their ranks split evenly between both sides, following Demšar. p is exact
+    given the ranks, also with ties: it uses the distribution of the rank sum over all 2^m signs of
+    the m nonzero differences.
     """
     doubled = np.round(2 * scipy.stats.rankdata(np.abs(differences))).astype(int)
     signed = doubled[differences != 0]
@@ -171,7 +182,7 @@ def signed_rank(differences: Array) -> tuple[float, float]:
 
 
 def holm(p: Array) -> Array:
-    """Holm's (1979) step-down adjusted p-values (n,), in the order given."""
+    """Holm's (1979) step-down adjusted p-values (n,), in the given order."""
     order = np.argsort(p, kind="stable")
     adjusted = np.empty(p.size)
     steps = np.arange(p.size, 0, -1) * p[order]
@@ -189,18 +200,36 @@ def pairwise_speed_up(
 ) -> pd.DataFrame:
     """How many times faster each method reaches the factor than each rival: a row per pair.
 
-    Columns: method, rival, ratio, low, high, problems, only_method, only_rival. `ratio` is the
-    geometric mean of (rival's expected running time / the method's) over the `problems` that both
-    solve at least once, NaN if there is none; `only_method` and `only_rival` count those that just
-    one of them solves, which no ratio can hold: read them together.
+    [low, high] is the 95 % percentile interval of a hierarchical bootstrap: problems are drawn with
+    replacement (all problems of a family together, if `families` is given), and then the runs of
+    each drawn problem, with the same seeds for all methods. The interval is for problems like
+    these, not for these problems. Observed problems vary by their runs already, so runs count
+    twice: between two names of one method (16 problems, 10 runs), 99 % of the intervals contain the
+    truth, while drawing problems or runs alone gives 89 and 92 %. In a resample only problems that
+    both methods solve count.
 
-    [low, high] is the 95 % percentile interval of a hierarchical bootstrap: problems are drawn
-    with replacement, all of a family together where `families` names that of each, and for each
-    drawn problem its runs are, the same seeds for all methods. It is an interval for problems like
-    these, not for these problems. Problems drawn as they are vary by their runs already, so runs
-    count twice: between two names of one method (16 problems, 10 runs) 99 % of the intervals hold
-    the truth, while drawing problems or runs alone gives 89 and 92 %. Of a resample only problems
-    that both solve in it count.
+    Parameters
+    ----------
+    hits : DataFrame
+        See `running_time.hits`.
+    factor : float
+        Target, as a multiple of the best known error.
+    axis : {'evaluations', 'seconds', 'cpu_seconds'}
+        Axis of the running times.
+    rng : Generator
+        Draws the resamples.
+    resamples : int
+        Number of resamples.
+    families : mapping of str to str, optional
+        Family of each problem.
+
+    Returns
+    -------
+    DataFrame
+        Columns method, rival, ratio, low, high, problems, only_method, only_rival. `ratio` is the
+        geometric mean of (rival's expected running time / the method's) over the `problems` that
+        both solve at least once, NaN if there are none. `only_method` and `only_rival` count
+        problems that only one of them solves, which the ratio ignores: read them together.
     """
     names, values = resampled(at_factor(hits, factor), axis, rng, resamples)
     problems, methods = names["problem"].unique(), sorted(names["optimizer"].unique())
@@ -208,7 +237,7 @@ def pairwise_speed_up(
     method_places = pd.Index(methods).get_indexer(names["optimizer"])
     problem_places = pd.Index(problems).get_indexer(names["problem"])
     logs[method_places, problem_places] = np.log(values)
-    # Families are drawn, and of each drawn problem one of its resamples; row 0 is all as it is.
+    # Draw families, and for each drawn problem one of its resamples; row 0 is the actual data.
     groups = _members([families[name] if families else name for name in problems])
     drawn_groups = rng.integers(len(groups), size=(1 + resamples, len(groups)))
     drawn_groups[0] = np.arange(len(groups))
@@ -225,7 +254,8 @@ def pairwise_speed_up(
 
 
 def _members(families: list[str]) -> NDArray[np.intp]:
-    """The places of each family's members (families, most); the place after the last fills rows."""
+    """Positions of each family's members (families, most); the position after the last fills
+    rows."""
     codes = pd.factorize(pd.Series(families))[0]
     table = np.full((codes.max() + 1, np.bincount(codes).max()), codes.size)
     for code, row in enumerate(table):
@@ -235,7 +265,7 @@ def _members(families: list[str]) -> NDArray[np.intp]:
 
 
 def _speed_up(method: Array, rival: Array) -> dict[str, float]:
-    """The ratio of drawn log running times (1 + m, problems), not finite where not solved."""
+    """The ratio of drawn log running times (1 + m, problems), not finite if not solved."""
     solved = np.isfinite(method) & np.isfinite(rival)
     sums = (np.where(solved, rival, 0.0) - np.where(solved, method, 0.0)).sum(axis=1)
     means = np.full(len(sums), np.nan)
@@ -253,6 +283,6 @@ def _speed_up(method: Array, rival: Array) -> dict[str, float]:
 
 
 def _difference(left: Array, right: Array) -> Array:
-    """left - right, 0 where they are equal, also where both are infinite."""
+    """left - right; 0 if they are equal, even if both are infinite."""
     equal = left == right
     return np.where(equal, 0.0, np.where(equal, 0.0, left) - np.where(equal, 0.0, right))

@@ -1,4 +1,4 @@
-"""The size of a comparison, as the stored configurations of its runs say."""
+"""The size of a comparison, from the stored configurations of its runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from miho.study import DamagedRun, read_run
 from miho.study.provenance import flattened
 
 Settings = Mapping[str, Any]
-"""Settings of a run by dotted path, such as `optimizer.R`."""
+"""Settings of a run by dotted path, for example `optimizer.R`."""
 Methods = Literal["paper"] | Collection[str]
 """The paper's methods, or some by name."""
 
@@ -45,21 +45,22 @@ PAPER: Mapping[str, Settings] = MappingProxyType(
         "pso_500": _TIRE | _SWARM | {"optimizer.particles": 500},
     }
 )
-"""The methods of Sec. V-A.3 at the size that its claims are about: rows, parameters and settings.
+"""The methods of Sec. V-A.3 at the size of the paper's claims: rows, parameters and settings.
 
-Inertia and iterations of the swarms, and all of MIHO but R and eta, are not printed there. They are
-those of `conf/optimizer`, so that no claim is judged by a method that was changed."""
+The paper does not print inertia and iterations of the swarms, nor MIHO's settings other than R and
+eta. They are taken from `conf/optimizer`, so that no claim is judged by a modified method.
+"""
 NAMES = MappingProxyType({"dataset.n": "rows", "dimension": "parameters"})
 OPTUNA = "optuna_hyperband"
 PAPER_METHODS = (*PAPER, OPTUNA)
-"""The paper's five methods, and the Hyperband of a library beside them."""
+"""The paper's five methods, and the Hyperband of a library."""
 
 
 def chosen(present: Collection[str], methods: Methods) -> list[str]:
-    """Those of the `present` methods that are meant by "paper", or by their names.
+    """The `present` methods that "paper" or a list of names selects.
 
-    A name stands for the method with all its settings. "paper" are PAPER_METHODS, as far as they
-    are present. Raises ValueError for another name of which there are no runs.
+    A name selects the method with all its settings. "paper" selects the PAPER_METHODS that are
+    present. Raises ValueError for a name without runs.
     """
     names = set(PAPER_METHODS if methods == "paper" else methods)
     known = {*present, *map(base_name, present)}
@@ -75,7 +76,7 @@ def chosen(present: Collection[str], methods: Methods) -> list[str]:
 def settings_by_method(runs: pd.DataFrame) -> dict[str, Settings]:
     """The settings of each method of `runs`, read from the folder of its first run.
 
-    Empty where the table names no folder, or there is no readable run any more.
+    Empty if the table has no folder or no run can be read.
     """
     settings: dict[str, Settings] = {}
     for method, first in runs.drop_duplicates("optimizer").set_index("optimizer").iterrows():
@@ -89,7 +90,7 @@ def settings_by_method(runs: pd.DataFrame) -> dict[str, Settings]:
 
 
 def deviations(method: str, settings: Settings) -> dict[str, tuple[Any, Any]]:
-    """Name, value and the paper's value of each setting of a method that is not the paper's."""
+    """Name, value and the paper's value of each setting that differs from the paper."""
     expected = PAPER.get(base_name(method), {})
     return {
         NAMES.get(path, path.rpartition(".")[2]): (settings.get(path), value)
@@ -99,9 +100,9 @@ def deviations(method: str, settings: Settings) -> dict[str, tuple[Any, Any]]:
 
 
 def mismatch(settings: Mapping[str, Settings], *methods: str) -> str:
-    """How these methods differ from the paper's, such as "R = 300, the claim is for R = 10,000".
+    """Differences of these methods from the paper, such as "R = 300, the claim is for R = 10,000".
 
-    "" if they do not, and for methods that are none of the paper's.
+    Empty if there are none, and for methods that the paper does not have.
     """
     parts: dict[str, None] = {}
     for method in methods:
@@ -114,9 +115,10 @@ def mismatch(settings: Mapping[str, Settings], *methods: str) -> str:
 
 
 def nearest_to_paper(runs: pd.DataFrame, settings: Mapping[str, Settings]) -> dict[str, str]:
-    """Of each of the paper's methods that is there, the name whose settings are nearest to its own.
+    """For each method of the paper that has runs, the name with the settings nearest to the
+    paper's.
 
-    With the same number of deviations the last name counts, in the order of names.
+    Of several with equally many deviations the last counts, in the order of names.
     """
     nearest: dict[str, str] = {}
     for name in sorted(map(str, runs["optimizer"].unique()), key=lambda name: (len(name), name)):
@@ -130,15 +132,15 @@ def nearest_to_paper(runs: pd.DataFrame, settings: Mapping[str, Settings]) -> di
 
 
 def in_words(value: Any) -> str:
-    """A setting with thousands separated."""
+    """A setting with thousands separators."""
     return f"{value:,}" if type(value) is int else shown(value)
 
 
 def size_note(runs: pd.DataFrame) -> str:
-    """The size of a comparison in words, from the stored configurations of its runs.
+    """The size of a comparison as a phrase, from the stored configurations of its runs.
 
-    Such as "R = 2,000, eta = 5, 5 repetitions, at most 4 s per run". R and eta are those of MIHO;
-    where they differ among its runs, the names of the methods tell them.
+    For example "R = 2,000, eta = 5, 5 repetitions, at most 4 s per run". R and eta are settings of
+    MIHO; if they differ among its runs, the names of the methods contain them.
     """
     runs = named_apart(runs, of_problem=())
     settings = settings_by_method(runs)

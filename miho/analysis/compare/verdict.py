@@ -1,8 +1,8 @@
-"""Whether a measured interval supports a printed figure: the rules, and nothing else.
+"""Rules that decide whether a measured interval supports a printed figure.
 
-A printed figure stands for everything that rounds to it: 13x means 12.5 to 13.5. Each rule is
-tried in order, and the first that applies decides. Both outcomes need the same evidence: an
-interval that leaves room for one of them only, from runs that a larger budget would not change.
+A printed figure stands for all values that round to it: 13x means 12.5 to 13.5. The rules are tried
+in order, and the first that applies decides. Both outcomes need the same evidence: an interval that
+allows only one of them, from runs that a larger budget would not change.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ TAIL = 0.025
 
 @dataclass(frozen=True)
 class Verdict:
-    """`word` is reproduced, not reproduced, depends on ... or not judged, with the size at fault.
+    """A verdict and the reason in a clause.
 
-    `reason` says why in a clause.
+    `word` is reproduced, not reproduced, depends on ..., or not judged with the deviating size.
     """
 
     word: str
@@ -61,17 +61,22 @@ def of_advantage(
     miho_falling: bool = False,
     rival_falling: bool = False,
 ) -> Verdict:
-    """Of "at least this much better": a speed-up (no_advantage 1) or a relative gain (0).
+    """Verdict on "at least this much better": a speed-up (no_advantage 1) or a relative gain (0).
 
     1. Fewer than three repetitions: depends on the repetitions.
-    2. The interval is wholly below the figure: not reproduced; but depends on the budget if
-       MIHO was cut while its error still fell.
-    3. The interval is wholly at or above it: reproduced; but depends on the budget if the
-       rival was cut while its error still fell.
-    4. The interval holds the figure, but is known within bounds only in more than 2.5 % of the
-       resamples, because runs were cut before the target: depends on the budget.
-    5. It holds the figure and no advantage as well: depends on the repetitions.
-    6. It holds the figure: reproduced; or depends on the budget as in 3.
+
+    2. The whole interval is below the figure: not reproduced; but depends on the budget if MIHO was
+    cut while its error still fell.
+
+    3. The whole interval is at or above it: reproduced; but depends on the budget if the rival was
+    cut while its error still fell.
+
+    4. The interval contains the figure, but more than 2.5 % of the resamples are only known within
+    bounds, because runs were cut before the target: depends on the budget.
+
+    5. It contains both the figure and no advantage: depends on the repetitions.
+
+    6. It contains the figure: reproduced; or depends on the budget as in 3.
     """
     if repetitions < LEAST_REPETITIONS:
         return _too_few(repetitions)
@@ -101,15 +106,19 @@ def of_level(
     falling: bool,
     at_floor: bool,
 ) -> Verdict:
-    """Of "ends at this error", equality in both directions.
+    """Verdict on "ends at this error", in both directions.
 
     1. Fewer than three repetitions: depends on the repetitions.
-    2. The interval does not touch the figure: depends on the data if the method ended within
-       1 % of the best that any other method found (the floor of these data is not the paper's,
-       so its figure could not appear); depends on the budget if it is above the figure and was
-       cut while its error still fell; else not reproduced.
+
+    2. The interval does not touch the figure: depends on the data if the method ended within 1 % of
+    the best error of any other method (the floor of these data differs from the paper's, so its
+    figure could not appear); depends on the budget if it is above the figure and was cut while its
+    error still fell; else not reproduced.
+
     3. It touches the figure, but is wider than 20 % of it: depends on the repetitions.
+
     4. It touches the figure, but runs were cut while the error still fell: depends on the budget.
+
     5. It touches the figure: reproduced.
     """
     if repetitions < LEAST_REPETITIONS:
@@ -133,13 +142,15 @@ def of_level(
 def of_share(
     share: Interval, limit: float, repetitions: int, *, below: bool, falling: bool = False
 ) -> Verdict:
-    """Of a share that stays `below` its limit, or is not below it.
+    """Verdict on a share that stays `below` its limit, or does not.
 
     1. Fewer than three repetitions: depends on the repetitions.
-    2. The interval is wholly on one side of the limit: reproduced, or not reproduced; but depends
-       on the budget if the share is below, and the runs were cut while the error still fell, which
-       can only raise it.
-    3. The interval holds the limit: depends on the repetitions.
+
+    2. The whole interval is on one side of the limit: reproduced, or not reproduced; but depends on
+    the budget if the share is below and the runs were cut while the error still fell, which can
+    only raise it.
+
+    3. The interval contains the limit: depends on the repetitions.
     """
     if repetitions < LEAST_REPETITIONS:
         return _too_few(repetitions)
@@ -154,12 +165,12 @@ def of_share(
 
 
 def of_local_minimum(excess: Interval, limit: float, repetitions: int, *, falling: bool) -> Verdict:
-    """Of "ends in a local minimum": the error stops falling above the best of all methods.
+    """Verdict on "ends in a local minimum": the error stops falling above the best of all methods.
 
-    `excess` is the final error over that of the best. Fewer than three repetitions: depends on the
-    repetitions. Not reproduced if the excess is wholly at or below `limit`, depends on the
-    repetitions if its interval holds the limit, on the budget if runs were cut while the error
-    fell, else reproduced.
+    `excess` is the final error divided by the best error. Fewer than three repetitions: depends on
+    the repetitions. Not reproduced if the whole interval of the excess is at or below `limit`,
+    depends on the repetitions if it contains the limit, on the budget if runs were cut while the
+    error fell, else reproduced.
     """
     if repetitions < LEAST_REPETITIONS:
         return _too_few(repetitions)
@@ -173,12 +184,12 @@ def of_local_minimum(excess: Interval, limit: float, repetitions: int, *, fallin
 
 
 def without_runs(methods: list[str]) -> Verdict:
-    """The verdict on a claim about methods that have no runs."""
+    """Verdict on a claim about methods that have no runs."""
     return Verdict(f"depends on {', '.join(methods)}", "there are no runs to compare with")
 
 
 def with_missing_rivals(verdict: Verdict, methods: list[str]) -> Verdict:
-    """A rival that is not there could only lower "faster than the fastest"."""
+    """Verdict with missing rivals, which could only reduce "faster than the fastest"."""
     if not methods or verdict.word == NOT_REPRODUCED:
         return verdict
     return Verdict(
@@ -187,10 +198,11 @@ def with_missing_rivals(verdict: Verdict, methods: list[str]) -> Verdict:
 
 
 def at_this_size(verdict: Verdict, mismatch: str) -> Verdict:
-    """The verdict on a claim about runs of one size: none on runs of another.
+    """Verdict on a claim about runs of one size: not judged for runs of another size.
 
-    `mismatch` says how these differ, such as "R = 300, the claim is for R = 10,000", "" if they do
-    not. The number of repetitions is no part of it, since intervals and their rules account for it.
+    `mismatch` describes the deviation, such as "R = 300, the claim is for R = 10,000"; empty if
+    there is none. The number of repetitions is not part of the size, because intervals and their
+    rules account for it.
     """
     return Verdict(f"{NOT_JUDGED}: {mismatch}", "") if mismatch else verdict
 
@@ -198,7 +210,7 @@ def at_this_size(verdict: Verdict, mismatch: str) -> Verdict:
 def of_both_axes(
     seconds: Verdict, evaluations: Verdict, unit: str = "seconds"
 ) -> tuple[Verdict, Verdict]:
-    """A speed claim that holds on one axis only depends on the axis, and both rows say so."""
+    """Verdicts on a speed claim by both axes; if only one holds, both depend on the axis."""
     definite = {REPRODUCED, NOT_REPRODUCED}
     if seconds.word == evaluations.word or not {seconds.word, evaluations.word} <= definite:
         return seconds, evaluations
@@ -210,7 +222,8 @@ def of_both_axes(
 
 
 def without_claim(measured: Interval, repetitions: int) -> Verdict:
-    """On a speed ratio that the paper does not print: which is faster, if the interval decides."""
+    """Verdict on a speed ratio that the paper does not print: the faster method, if the interval
+    decides."""
     if repetitions < LEAST_REPETITIONS:
         return Verdict("-", f"only {repetitions} repetitions")
     if measured.low > 1:
