@@ -1,14 +1,14 @@
-"""Conformance suite for optimizers, and a check of models: what all must do, whoever wrote them.
+"""Conformance suite for optimizers, and a check of models.
 
     from miho.testing import check_optimizer
     check_optimizer(MyMethod())
 
-or, one test per check, parametrise over `CHECKS`. A method that cannot pass a check by design
-declares it with a reason: `expected_failures={"stays_in_the_box": "clips lower bounds only"}`.
-A declared failure that passes is an error too, so that declarations stay true. A method that takes
-milliseconds per evaluation may be checked over fewer of them: `evaluations=300`. A method that
-computes for `PATIENCE` seconds of CPU time without an evaluation, or waits for as many seconds,
-fails the check that it is in; that needs the main thread and a POSIX system.
+runs all checks; to get one test per check, parametrise over `CHECKS`. A method that cannot pass a
+check by design declares it with a reason: `expected_failures={"stays_in_the_box": "clips lower
+bounds only"}`. A declared failure that passes is an error too, so that declarations stay true. A
+method that takes milliseconds per evaluation may be checked with fewer evaluations:
+`evaluations=300`. A method that computes for `PATIENCE` seconds of CPU time without an evaluation,
+or waits for as many seconds, fails the check; this requires the main thread and a POSIX system.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""The problem that methods are checked on."""
+"""The problem on which methods are checked."""
 
 from __future__ import annotations
 
@@ -13,12 +13,20 @@ from miho.testing.patience import restart_patience
 
 
 class DecayFit(LeastSquaresProblem):
-    """Fit y = a exp(-b t), a on a linear and b on a log scale, and remember every evaluation.
+    """Fit y = a exp(-b t), with a on a linear and b on a log scale, and record all evaluations.
 
-    `thetas` and `losses` list every loss evaluation in order, with +inf for one at a fidelity below
-    one, which cannot become best; `spent` adds the cost of residuals and Jacobians, and counts a
-    fidelity as that fraction. All data are used at any fidelity. `spoil` may turn the losses of a
-    batch into something else.
+    Parameters
+    ----------
+    spoil : callable, optional
+        Maps parameters (n, d) and losses (n,) of a batch to modified losses.
+
+    Attributes
+    ----------
+    thetas, losses : list
+        All loss evaluations in order. The loss is +inf at a fidelity below one, which cannot become
+        best. All data are used at any fidelity.
+    spent : float
+        Cost of losses, residuals and Jacobians; a fidelity counts as that fraction.
     """
 
     name = "conformance"
@@ -39,7 +47,7 @@ class DecayFit(LeastSquaresProblem):
         self._spoil = spoil
 
     def loss(self, thetas: Array, fidelity: float = 1.0) -> Array:
-        """Mean squared residual (n,), as `spoil` changes it."""
+        """Mean squared residual (n,), modified by `spoil`."""
         losses = mean_square(thetas[:, :1] * np.exp(-thetas[:, 1:] * self.t) - self.y)
         if self._spoil is not None:
             losses = self._spoil(thetas, losses)

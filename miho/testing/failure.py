@@ -1,17 +1,18 @@
-"""How a check fails."""
+"""Failures of checks."""
 
 from __future__ import annotations
 
 
 class ConformanceError(AssertionError):
-    """A check that failed: its name and what was seen."""
+    """A failed check: its name and the observation."""
 
 
 class NoEvaluation(BaseException):
-    """Raised in a method that makes no evaluations; no Exception, which a method might catch."""
+    """Raised in a method that makes no evaluations; not an Exception, which a method might
+    catch."""
 
 
 def require(condition: bool, message: str) -> None:
-    """Raise ConformanceError with this message unless the condition holds."""
+    """Raise ConformanceError with this message unless the condition is true."""
     if not condition:
         raise ConformanceError(message)

@@ -14,9 +14,23 @@ from miho.testing.failure import require
 def check_model(model: Model, thetas: Array, *inputs: Array) -> None:
     """Check a model at parameter rows (n, d) and input columns (N,).
 
-    A row is the same in any batch, `jacobian` is the derivative of `predict`, by central
-    differences to 1e-6 of each column's range, and the output is jointly linear in the parameters
-    that `linear` names. Raises ConformanceError.
+    A row must have the same value in any batch. `jacobian` must be the derivative of `predict`, by
+    central differences to 1e-6 of each column's range. The output must be jointly linear in the
+    parameters that `linear` names.
+
+    Parameters
+    ----------
+    model : Model
+        The model.
+    thetas : ndarray, shape (n, d)
+        Parameters.
+    *inputs : ndarray, shape (N,)
+        Input columns.
+
+    Raises
+    ------
+    ConformanceError
+        If a check fails.
     """
     batch = model.predict(thetas, *inputs)
     for theta, row in zip(thetas, batch, strict=True):
@@ -36,7 +50,7 @@ def check_model(model: Model, thetas: Array, *inputs: Array) -> None:
 
 
 def _check_linear(model: Model, theta: Array, *inputs: Array) -> None:
-    """Second differences in all pairs of linear parameters vanish."""
+    """Check that second differences in all pairs of linear parameters vanish."""
     names = list(model.parameters)
     for name in model.linear:
         require(name in names, f"linear names {name!r}; parameters are {', '.join(names)}")

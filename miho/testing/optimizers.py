@@ -1,4 +1,4 @@
-"""The checks that every optimizer passes, or declares with a reason why not."""
+"""The checks that every optimizer must pass, unless it declares a failure with a reason."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from miho.testing.failure import ConformanceError, NoEvaluation, require
 from miho.testing.patience import patience
 
 BUDGET = 20_000
-"""Evaluations per run by default: beyond the first batch of any method in use."""
+"""Default evaluations per run: more than the first batch of any method."""
 RELATIVE = 1e-9
-"""By which a loss that is summed in another order may differ."""
+"""Largest relative difference of a loss that is summed in another order."""
 
 
 def check_optimizer(
@@ -40,7 +40,22 @@ def check_optimizer(
     expected_failures: Mapping[str, str] | None = None,
     evaluations: int = BUDGET,
 ) -> None:
-    """Run every check on one optimizer; raises ConformanceError at the first that fails."""
+    """Run every check on one optimizer.
+
+    Parameters
+    ----------
+    optimizer : Optimizer
+        The method.
+    expected_failures : mapping of str to str, optional
+        Checks that the method fails by design, with the reasons.
+    evaluations : int
+        Largest budget of a run.
+
+    Raises
+    ------
+    ConformanceError
+        At the first check that fails, or that passes despite a declared failure.
+    """
     for name in CHECKS:
         run_check(name, optimizer, expected_failures or {}, evaluations)
 
@@ -51,9 +66,23 @@ def run_check(
     expected_failures: Mapping[str, str],
     evaluations: int = BUDGET,
 ) -> None:
-    """Run one check; a failure is expected exactly where `expected_failures` gives a reason.
+    """Run one check; it must fail if and only if `expected_failures` has a reason for it.
 
-    `evaluations` is the largest budget of a run; choose it beyond the method's start-up phase.
+    Parameters
+    ----------
+    name : str
+        The check, a key of `CHECKS`.
+    optimizer : Optimizer
+        The method.
+    expected_failures : mapping of str to str
+        Checks that the method fails by design, with the reasons.
+    evaluations : int
+        Largest budget of a run; it should exceed the method's start-up phase.
+
+    Raises
+    ------
+    ConformanceError
+        If the result is not the expected one.
     """
     expected = expected_failures.get(name)
     method = type(optimizer).__name__
@@ -72,7 +101,7 @@ def run_check(
 
 
 def _run_observed(optimizer: Optimizer, evaluations: int) -> tuple[Oracle, DecayFit]:
-    """The oracle and the problem after one run, whose evaluations it remembers."""
+    """The oracle and the problem, which records evaluations, after one run without warm-up."""
     problem = DecayFit()
     space = problem.space.seeded(problem.name, 3)
     oracle = Oracle(problem, Budget(evaluations=evaluations), space=space)
@@ -82,7 +111,7 @@ def _run_observed(optimizer: Optimizer, evaluations: int) -> tuple[Oracle, Decay
 
 
 def _same(a: Trace, b: Trace) -> bool:
-    """Whether two traces are equal but for their seconds."""
+    """Return whether two traces are equal except for their seconds."""
     return (
         a.evaluations == b.evaluations
         and a.loss == b.loss
@@ -98,7 +127,7 @@ def is_a_frozen_dataclass(optimizer: Optimizer, evaluations: int = BUDGET) -> No
 
 
 def keeps_the_budget_exactly(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
-    """Every evaluation goes through the oracle, and not one more than allowed is made."""
+    """Every evaluation goes through the oracle, and the budget is never exceeded."""
     for budget in (*(n for n in (1, 2, 7, 400) if n < evaluations), evaluations):
         oracle, problem = _run_observed(optimizer, budget)
         require(
@@ -108,7 +137,7 @@ def keeps_the_budget_exactly(optimizer: Optimizer, evaluations: int = BUDGET) ->
 
 
 def records_every_improvement(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
-    """The trace holds just the running minima of all losses, in order."""
+    """The trace contains exactly the running minima of all losses, in order."""
     oracle, problem = _run_observed(optimizer, evaluations)
     minima = np.minimum.accumulate(problem.losses)
     improvements = np.unique(minima[np.isfinite(minima)])[::-1]
@@ -119,7 +148,7 @@ def records_every_improvement(optimizer: Optimizer, evaluations: int = BUDGET) -
 
 
 def ends_descents_at_losses_it_has_seen(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
-    """No descent ended below the best loss that was evaluated: by their ends a search may stop."""
+    """No descent ends below the best evaluated loss, because a search may stop by these ends."""
     oracle, _ = _run_observed(optimizer, evaluations)
     least = min(oracle.meter.starts.ends, default=math.inf)
     require(
@@ -129,21 +158,21 @@ def ends_descents_at_losses_it_has_seen(optimizer: Optimizer, evaluations: int =
 
 
 def starts_at_the_common_start(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
-    """The first configuration evaluated is the first common initial configuration."""
+    """The first evaluated configuration is the first common initial configuration."""
     oracle, problem = _run_observed(optimizer, 1)
     start = oracle.space.decode(oracle.space.initial(1))[0]
     require(np.array_equal(problem.thetas[0], start), f"{problem.thetas[0]} is not {start}")
 
 
 def stays_in_the_box(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
-    """Every configuration evaluated lies within the space's bounds."""
+    """Every evaluated configuration is within the space's bounds."""
     _, problem = _run_observed(optimizer, evaluations)
     outside = np.array(problem.thetas)[~problem.space.contains(np.array(problem.thetas))]
-    require(not outside.size, f"{len(outside)} configurations outside, such as {outside[:1]}")
+    require(not outside.size, f"{len(outside)} configurations outside, for example {outside[:1]}")
 
 
 def repeats_with_the_same_seed(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
-    """Same seed, same trace but for the seconds; another seed, another run."""
+    """The same seed gives the same trace except for the seconds; another seed gives another run."""
     budget = Budget(evaluations=evaluations)
     first, second = (minimize(optimizer, DecayFit(), budget, seed=3) for _ in range(2))
     reseeded = minimize(optimizer, DecayFit(), budget, seed=4)
@@ -152,7 +181,7 @@ def repeats_with_the_same_seed(optimizer: Optimizer, evaluations: int = BUDGET) 
 
 
 def uses_no_global_randomness(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
-    """NumPy's and Python's global generators are left alone."""
+    """NumPy's and Python's global generators are not used."""
     before = random.getstate(), str(np.random.get_state())  # noqa: NPY002
     minimize(optimizer, DecayFit(), Budget(evaluations=evaluations))
     after = random.getstate(), str(np.random.get_state())  # noqa: NPY002
@@ -182,7 +211,7 @@ def survives_unusable_values(optimizer: Optimizer, evaluations: int = BUDGET) ->
 
 
 def says_when_nothing_is_finite(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
-    """A run that saw nothing finite ends as such, with reasons."""
+    """A run without finite values has that outcome, with reasons."""
     problem = DecayFit(lambda thetas, losses: np.full(len(thetas), np.nan))
     record = minimize(optimizer, problem, Budget(evaluations=evaluations))
     require(record.outcome is Outcome.NO_FINITE_VALUE, f"the outcome is {record.outcome}")
@@ -205,7 +234,7 @@ def stops_at_the_target(optimizer: Optimizer, evaluations: int = BUDGET) -> None
 
 
 def resumes_bit_exactly(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
-    """A Resumable run cut anywhere, pickled and resumed is the run that was never cut."""
+    """A Resumable run that is cut anywhere, pickled and resumed equals an uncut run."""
     if not isinstance(optimizer, Resumable):
         return
     whole = minimize(optimizer, DecayFit(), Budget(evaluations=evaluations), seed=3)
@@ -219,7 +248,7 @@ def resumes_bit_exactly(optimizer: Optimizer, evaluations: int = BUDGET) -> None
 
 
 def asks_without_side_effects(optimizer: Optimizer, evaluations: int = BUDGET) -> None:
-    """`ask` only reads the state: asked twice, an AskTell method gives the same batch."""
+    """`ask` only reads the state: called twice, an AskTell method gives the same batch."""
     if not isinstance(optimizer, AskTell):
         return
     problem = DecayFit()
@@ -228,7 +257,7 @@ def asks_without_side_effects(optimizer: Optimizer, evaluations: int = BUDGET) -
         if optimizer.done(state):
             return
         first, second = optimizer.ask(state).copy(), optimizer.ask(state)
-        require(np.array_equal(first, second), "asked twice, it gave two batches")
+        require(np.array_equal(first, second), "two calls of ask gave different batches")
         optimizer.tell(state, second, problem.loss(second))
         require(np.array_equal(first, second), "tell changed the batch it was given")
 

@@ -1,4 +1,4 @@
-"""An alarm for methods that do not come to their next evaluation."""
+"""An alarm for methods that do not reach their next evaluation."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ from miho.testing.failure import NoEvaluation
 PATIENCE = 60.0
 """CPU seconds that a method may compute between two evaluations, and seconds that it may wait."""
 IDLE = 0.01
-"""A method that computes for less than this share of the time waits; a busy machine gives more."""
+"""A method that computes for less than this share of the time is waiting; even a busy machine gives
+it more."""
 
 
 @contextlib.contextmanager
 def patience() -> Iterator[None]:
-    """Within this context, a method that does not come to its next evaluation raises NoEvaluation.
+    """Context that raises NoEvaluation in a method that does not reach its next evaluation.
 
-    It may compute for PATIENCE seconds of its own CPU time, so that a busy machine makes no
-    difference, or wait for as many seconds of the clock without computing. Does nothing outside of
-    the main thread, where signals are not handled, and on systems without interval timers.
+    It may compute for PATIENCE seconds of its CPU time, so that a busy machine makes no difference,
+    or wait for as many seconds of wall time without computing. The context has no effect outside of
+    the main thread, in which signals are handled, and on systems without interval timers.
     """
     in_main = threading.current_thread() is threading.main_thread()
     if not in_main or not hasattr(signal, "setitimer"):
         yield
         return
 
-    # Two timers: one that counts the process's CPU seconds, and one that counts all seconds.
+    # Two timers: one for the process's CPU seconds, and one for wall seconds.
     messages: list[str] = []
 
     def give_up(reason: str) -> None:
@@ -49,7 +50,7 @@ def patience() -> Iterator[None]:
         if idle:
             give_up(f"it waited for {PATIENCE:g} seconds")
 
-    # Set them, and put back what was there before.
+    # Set them, and restore the previous handlers at the end.
     handlers = {signal.SIGVTALRM: on_computing, signal.SIGALRM: on_waiting}
     previous = {number: signal.signal(number, handler) for number, handler in handlers.items()}
     signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE, PATIENCE)
@@ -61,12 +62,12 @@ def patience() -> Iterator[None]:
             signal.setitimer(timer, 0.0)
         for number, handler in previous.items():
             signal.signal(number, handler)
-        if messages:  # raised in a run, where it is caught: the run has failed
+        if messages:  # it was raised in a run, which caught it and failed
             raise NoEvaluation(messages[0])
 
 
 def restart_patience() -> None:
-    """Start both timers again, at an evaluation, if they run."""
+    """Restart both timers at an evaluation, if they are running."""
     if hasattr(signal, "setitimer") and signal.getitimer(signal.ITIMER_VIRTUAL)[0]:
         signal.setitimer(signal.ITIMER_VIRTUAL, PATIENCE, PATIENCE)
         signal.setitimer(signal.ITIMER_REAL, PATIENCE, PATIENCE)
